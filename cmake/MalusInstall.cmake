@@ -1,0 +1,19 @@
+# The CMake package: find_package(malus) gives malus::malus.
+include(GNUInstallDirs)
+include(CMakePackageConfigHelpers)
+
+set(config_dir ${CMAKE_INSTALL_LIBDIR}/cmake/malus)
+install(TARGETS malus EXPORT malus-targets
+        ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR}
+        RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
+if(TARGET malus-station)
+  install(TARGETS malus-station RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
+endif()
+install(DIRECTORY cpp/malus ${PROJECT_BINARY_DIR}/generated/malus DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}
+        FILES_MATCHING PATTERN "*.h" PATTERN "internal" EXCLUDE)
+install(EXPORT malus-targets NAMESPACE malus:: DESTINATION ${config_dir})
+configure_package_config_file(cmake/malus-config.cmake.in ${PROJECT_BINARY_DIR}/malus-config.cmake
+                              INSTALL_DESTINATION ${config_dir})
+write_basic_package_version_file(${PROJECT_BINARY_DIR}/malus-config-version.cmake COMPATIBILITY SameMinorVersion)
+install(FILES ${PROJECT_BINARY_DIR}/malus-config.cmake ${PROJECT_BINARY_DIR}/malus-config-version.cmake
+              cmake/FindCHOLMOD.cmake DESTINATION ${config_dir})

@@ -1,0 +1,43 @@
+# Compile settings shared by every target of the project.
+add_library(malus_settings INTERFACE)
+target_compile_features(malus_settings INTERFACE cxx_std_20)
+target_compile_options(malus_settings INTERFACE -Wall -Wextra -Wpedantic -Wshadow $<$<BOOL:${MALUS_WERROR}>:-Werror>)
+if(MALUS_SANITIZE)
+  target_compile_options(malus_settings INTERFACE -fsanitize=${MALUS_SANITIZE} -fno-omit-frame-pointer)
+  target_link_options(malus_settings INTERFACE -fsanitize=${MALUS_SANITIZE})
+endif()
+
+# One room of the house: the sources in cpp/malus/<name>, and what they may use. DEPENDS names other rooms and so
+# states the dependency direction; PRIVATE names libraries that must not reach a public header.
+# MALUS_ROOMS_<name> lists the room and everything below it, so that a test can link just these.
+function(malus_add_module name)
+  cmake_parse_arguments(ARG "" "" "DEPENDS;PRIVATE" ${ARGN})
+  file(GLOB sources CONFIGURE_DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/${name}/*.cpp)
+  set(rooms)
+  if(sources)
+    set(rooms malus_${name})
+  endif()
+  foreach(dependency IN LISTS ARG_DEPENDS)
+    get_property(below GLOBAL PROPERTY MALUS_ROOMS_${dependency})
+    list(APPEND rooms ${below})
+  endforeach()
+  list(REMOVE_DUPLICATES rooms)
+  set_property(GLOBAL PROPERTY MALUS_ROOMS_${name} ${rooms})
+  if(NOT sources)
+    return()
+  endif()
+  add_library(malus_${name} OBJECT ${sources})
+  target_include_directories(malus_${name} PUBLIC ${PROJECT_SOURCE_DIR}/cpp ${PROJECT_BINARY_DIR}/generated)
+  target_link_libraries(malus_${name} PUBLIC Eigen3::Eigen Threads::Threads
+                                      PRIVATE malus_settings ${ARG_PRIVATE})
+  set_property(GLOBAL APPEND PROPERTY MALUS_MODULES malus_${name})
+endfunction()
+
+# Adds the objects of the given rooms to a target, with the libraries behind them.
+function(malus_link_rooms target)
+  foreach(room IN LISTS ARGN)
+    target_sources(${target} PRIVATE $<TARGET_OBJECTS:${room}>)
+  endforeach()
+  target_link_libraries(${target} PUBLIC Eigen3::Eigen Threads::Threads
+                                  PRIVATE ${OpenCV_LIBS} TIFF::TIFF Ceres::ceres CHOLMOD::CHOLMOD ${CMAKE_DL_LIBS})
+endfunction()

@@ -1,0 +1,37 @@
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <functional>
+#include <vector>
+
+#include "malus/core/context.h"
+
+namespace malus {
+
+/// Calls body(begin, end) for consecutive blocks of at most `grain` indices that cover [0, count), on context.threads
+/// threads. Blocks do not depend on the number of threads. The first exception is rethrown here; cancellation is
+/// checked before each block.
+void parallel_for(const Context& context, std::size_t count, std::size_t grain,
+                  const std::function<void(std::size_t, std::size_t)>& body);
+
+/// Rows of a raster: parallel_for over rows, body(v) for each.
+template <class Body>
+void parallel_rows(const Context& context, int height, Body&& body) {
+  parallel_for(context, static_cast<std::size_t>(std::max(height, 0)), 8, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t v = begin; v < end; ++v) body(static_cast<int>(v));
+  });
+}
+
+/// Sum of partial(begin, end) over the same fixed blocks, added in block order: the same with any number of threads.
+/// T needs operator+=.
+template <class T, class Partial>
+T parallel_sum(const Context& context, std::size_t count, std::size_t grain, const T& zero, Partial&& partial) {
+  std::vector<T> parts((count + grain - 1) / grain, zero);
+  parallel_for(context, count, grain, [&](std::size_t begin, std::size_t end) { parts[begin / grain] = partial(begin, end); });
+  T sum = zero;
+  for (const T& part : parts) sum += part;
+  return sum;
+}
+
+}  // namespace malus

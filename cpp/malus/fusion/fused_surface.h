@@ -1,0 +1,24 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "malus/core/camera.h"
+#include "malus/core/image.h"
+#include "malus/core/pose.h"
+
+namespace malus {
+
+/// The result: one depth a pixel of the undistorted polarized image.
+struct FusedSurface {
+  Image<float> depth;    ///< z in the station camera, station unit; NaN = none
+  Image<float> normals;  ///< 3 channels, unit, camera frame, towards the camera; NaN = none
+  Image<float> sigma;    ///< one standard deviation of depth, station unit
+  Pinhole camera;
+  Pose pose;             ///< cam_from_world
+  std::string method;    ///< "grid" | "refined"
+  std::string status = "not run";     ///< "converged", "low confidence", …
+  std::vector<std::string> warnings;  ///< one sentence each, for people
+};
+
+}  // namespace malus

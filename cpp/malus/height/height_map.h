@@ -1,0 +1,22 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <string>
+
+#include "malus/core/image.h"
+
+namespace malus {
+
+/// Height from polarization alone (Eq 9 to 11), before any fusion.
+struct HeightMap {
+  /// Orthographic form: height in pixels, positive towards the camera, mean 0. Perspective form: −f · ln(z / z0) with
+  /// z0 the geometric mean depth, which has the same unit and sign (GSD). NaN outside the mask.
+  Image<float> height;
+  bool perspective = true;
+  Eigen::Vector4d light = Eigen::Vector4d::Zero();  ///< s0-shading = light[0..2] · n + light[3]
+  std::string status = "not run";                   ///< "converged", "light along the view direction", …
+  double residual_rms = 0;                          ///< of the weighted rows
+  std::size_t unknowns = 0;
+};
+
+}  // namespace malus

@@ -1,0 +1,43 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <vector>
+
+#include "malus/core/image.h"
+#include "malus/polarization/noise_model.h"
+
+namespace malus {
+
+/// Why a pixel carries (no) usable polarization; bits of PolarizationState::valid are listed in order of precedence.
+enum class PixelState : std::uint8_t {
+  outside = 0,     ///< not on the object (mask)
+  saturated = 64,  ///< at the white level in at least one image
+  dark = 96,       ///< no light
+  misfit = 128,    ///< does not follow the sinusoid (moved, changed light)
+  valid = 255,
+};
+
+/// Linear polarization of every pixel. Phase and angles as in docs/conventions.md: counter-clockwise from image +x as
+/// displayed, I(a) = i_un (1 + rho cos 2(a − phi)). All rasters have the size of the undistorted image; NaN outside.
+struct PolarizationState {
+  Image<float> i_un;      ///< unpolarized intensity s0 / 2, in [0, 1] of the white level
+  Image<float> rho;       ///< degree of linear polarization, [0, 1]
+  Image<float> phi;       ///< phase [rad], [0, π)
+  Image<float> residual;  ///< RMS of the sinusoid's residuals over their expected standard deviation; ~1 = noise only
+  Mask valid;             ///< PixelState
+  std::vector<double> angles_rad;  ///< distinct polarizer angles of the fit
+  std::vector<int> exposures;      ///< how many images were averaged at each angle
+  NoiseModel noise;                ///< of one image
+
+  Size size() const { return i_un.size(); }
+  bool is_valid(int u, int v) const { return valid(u, v) == static_cast<std::uint8_t>(PixelState::valid); }
+  /// Stokes vector (s0, s1, s2) of a pixel.
+  Eigen::Vector3d stokes(int u, int v) const;
+  /// Covariance of (s0, s1, s2) from the noise model at the fitted intensities.
+  Eigen::Matrix3d stokes_covariance(int u, int v) const;
+  /// Covariance of (i_un, rho, phi) by linear propagation; phi's variance grows as 1 / rho².
+  Eigen::Matrix3d covariance(int u, int v) const;
+};
+
+}  // namespace malus

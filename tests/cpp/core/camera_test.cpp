@@ -1,0 +1,73 @@
+#include "malus/core/camera.h"
+
+#include <gtest/gtest.h>
+
+#include "malus/core/error.h"
+
+namespace malus {
+namespace {
+
+LensCamera camera(LensModel model) {
+  const Size size{4000, 3000};
+  switch (model) {
+    case LensModel::simple_pinhole: return {model, size, {3500, 2010, 1490}};
+    case LensModel::pinhole: return {model, size, {3500, 3510, 2010, 1490}};
+    case LensModel::simple_radial: return {model, size, {3500, 2010, 1490, -0.08}};
+    case LensModel::radial: return {model, size, {3500, 2010, 1490, -0.08, 0.03}};
+    case LensModel::opencv: return {model, size, {3500, 3510, 2010, 1490, -0.08, 0.03, 6e-4, -4e-4}};
+    case LensModel::full_opencv: return {model, size, {3500, 3510, 2010, 1490, -0.08, 0.03, 6e-4, -4e-4, 0.01, 0.002, -0.001, 0.0005}};
+    case LensModel::brown: return {model, size, {21, 0.006, 0.06, 0.03, 1.8e-4, -1.2e-7, 0, 1e-5, -2e-5, 0}};
+  }
+  throw std::logic_error("no such model");
+}
+
+class LensCameraTest : public testing::TestWithParam<LensModel> {};
+
+TEST_P(LensCameraTest, UndistortInvertsDistort) {
+  const LensCamera lens = camera(GetParam());
+  lens.validate("test");
+  for (double x = -0.5; x <= 0.5; x += 0.25) {
+    for (double y = -0.4; y <= 0.4; y += 0.2) {
+      const Eigen::Vector2d ideal(x, y);
+      EXPECT_NEAR((lens.undistort(lens.distort(ideal)) - ideal).norm(), 0, 1e-10);
+    }
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Models, LensCameraTest,
+                         testing::Values(LensModel::simple_pinhole, LensModel::pinhole, LensModel::simple_radial,
+                                         LensModel::radial, LensModel::opencv, LensModel::full_opencv, LensModel::brown));
+
+TEST(LensCamera, PinholeProjectsLikeTheLensWithoutDistortion) {
+  const LensCamera lens{LensModel::opencv, {640, 480}, {500, 510, 320, 240, 0, 0, 0, 0}};
+  EXPECT_FALSE(lens.has_distortion());
+  const Eigen::Vector2d pixel = lens.distort({0.1, -0.2});
+  EXPECT_NEAR((pixel - lens.pinhole().project({0.1, -0.2, 1.0})).norm(), 0, 1e-12);
+}
+
+TEST(LensCamera, BrownIsMeasuredToIdealWithImageYUp) {
+  // A lens with k1 > 0 in the measured → ideal direction moves the ideal point outwards.
+  const LensCamera lens{LensModel::brown, {101, 101}, {50, 0.1, 0, 0, 1e-3, 0, 0, 0, 0, 0}};
+  const Eigen::Vector2d ideal = lens.undistort({60, 50});  // 1 mm to the right of the centre
+  EXPECT_NEAR(ideal.x(), (1 + 1e-3) / 50, 1e-12);
+  EXPECT_NEAR(ideal.y(), 0, 1e-12);
+  // x0, y0 are in millimetres, y up: a positive y0 lies above the image centre, at smaller v.
+  const LensCamera shifted{LensModel::brown, {101, 101}, {50, 0.1, 0.5, 1.0, 0, 0, 0, 0, 0, 0}};
+  EXPECT_NEAR(shifted.pinhole().cx, 55, 1e-12);
+  EXPECT_NEAR(shifted.pinhole().cy, 40, 1e-12);
+}
+
+TEST(LensCamera, ValidateNamesTheProblem) {
+  LensCamera lens{LensModel::opencv, {640, 480}, {500, 510, 320}};
+  try {
+    lens.validate("station.toml: camera.params");
+    FAIL();
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::input);
+    EXPECT_STREQ(error.what(), "station.toml: camera.params: 3 parameters for camera model OPENCV, expected 8");
+  }
+  EXPECT_THROW(lens_model("FISHEYE", "f"), Error);
+}
+
+}  // namespace
+}  // namespace malus

@@ -1,0 +1,53 @@
+#include "malus/core/parallel.h"
+
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <numeric>
+
+namespace malus {
+namespace {
+
+TEST(Parallel, CoversEveryIndexOnceWithAnyNumberOfThreads) {
+  for (const int threads : {1, 2, 7}) {
+    Context context;
+    context.threads = threads;
+    std::vector<int> hits(1003, 0);
+    parallel_for(context, hits.size(), 10, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t i = begin; i < end; ++i) ++hits[i];
+    });
+    EXPECT_EQ(std::accumulate(hits.begin(), hits.end(), 0), 1003);
+    EXPECT_EQ(*std::min_element(hits.begin(), hits.end()), 1);
+  }
+}
+
+TEST(Parallel, SumIsTheSameToTheBitWithAnyNumberOfThreads) {
+  const auto sum = [](int threads) {
+    Context context;
+    context.threads = threads;
+    return parallel_sum(context, 100000, 100, 0.0, [](std::size_t begin, std::size_t end) {
+      double part = 0;
+      for (std::size_t i = begin; i < end; ++i) part += 1.0 / static_cast<double>(i + 1);
+      return part;
+    });
+  };
+  EXPECT_EQ(sum(1), sum(2));
+  EXPECT_EQ(sum(1), sum(5));
+}
+
+TEST(Parallel, RethrowsTheFirstErrorAndStopsWhenCancelled) {
+  Context context;
+  context.threads = 3;
+  EXPECT_THROW(parallel_for(context, 100, 1, [](std::size_t, std::size_t) { throw data_error("x"); }), Error);
+  std::atomic<bool> cancel{true};
+  context.cancel = &cancel;
+  try {
+    parallel_for(context, 100, 1, [](std::size_t, std::size_t) {});
+    FAIL();
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::interrupted);
+  }
+}
+
+}  // namespace
+}  // namespace malus
