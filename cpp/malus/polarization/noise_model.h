@@ -6,9 +6,9 @@ namespace malus {
 
 /// Noise of a linear intensity in [0, 1] of the white level: shot noise, read noise, quantization, averaged frames.
 struct NoiseModel {
-  double full_well_e = 20000;      ///< electrons at white level
-  double read_noise_e = 8;         ///< electrons RMS
-  double quantization = 0;         ///< one digital number in units of the white level
+  double full_well_e = 20000;  ///< electrons at white level
+  double read_noise_e = 8;     ///< electrons RMS
+  double quantization = 0;     ///< one digital number in units of the white level
   int frames_averaged = 1;
 
   /// Variance of one (averaged) intensity whose expectation is `signal`.

@@ -1,7 +1,11 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <algorithm>
+#include <array>
+#include <cmath>
 #include <cstdint>
+#include <string_view>
 #include <vector>
 
 #include "malus/core/image.h"
@@ -18,6 +22,15 @@ enum class PixelState : std::uint8_t {
   valid = 255,
 };
 
+/// Weights of the images in the sinusoid fit.
+enum class FitWeighting {
+  uniform,  ///< every image the same: the textbook least-squares fit
+  noise,    ///< by the noise model at the intensities of a first, uniform fit
+};
+constexpr auto names_of(FitWeighting) {
+  return std::to_array<std::string_view>({"uniform", "noise"});
+}
+
 /// Linear polarization of every pixel. Phase and angles as in docs/conventions.md: counter-clockwise from image +x as
 /// displayed, I(a) = i_un (1 + rho cos 2(a − phi)). All rasters have the size of the undistorted image; NaN outside.
 struct PolarizationState {
@@ -29,6 +42,7 @@ struct PolarizationState {
   std::vector<double> angles_rad;  ///< distinct polarizer angles of the fit
   std::vector<int> exposures;      ///< how many images were averaged at each angle
   NoiseModel noise;                ///< of one image
+  FitWeighting weighting = FitWeighting::uniform;
 
   Size size() const { return i_un.size(); }
   bool is_valid(int u, int v) const { return valid(u, v) == static_cast<std::uint8_t>(PixelState::valid); }
@@ -39,5 +53,11 @@ struct PolarizationState {
   /// Covariance of (i_un, rho, phi) by linear propagation; phi's variance grows as 1 / rho².
   Eigen::Matrix3d covariance(int u, int v) const;
 };
+
+/// Degree of polarization without the bias that noise gives to a length: sqrt(max(ρ² − variance, 0)), with the variance
+/// of one component of (s1, s2) / s0. Without it noise alone looks like a tilted surface.
+inline double debiased_degree(double rho, double variance) {
+  return std::sqrt(std::max(rho * rho - variance, 0.0));
+}
 
 }  // namespace malus

@@ -1,0 +1,53 @@
+#pragma once
+
+#include <span>
+
+#include "malus/core/context.h"
+#include "malus/core/fields.h"
+#include "malus/core/image.h"
+#include "malus/polarization/noise_model.h"
+#include "malus/polarization/polarization_state.h"
+
+namespace malus {
+
+struct DecomposeOptions {
+  FitWeighting weighting = FitWeighting::uniform;
+  bool recover_outliers = false;
+  double misfit_sigmas = 6;
+  double misfit_fraction = 0.03;
+  double dark_sigmas = 5;
+  double max_condition = 100;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("weighting", self.weighting, any_value, "weights of the images in the sinusoid fit");
+    visit("recover_outliers", self.recover_outliers, any_value,
+          "where a pixel does not fit, try it without one image (needs five or more)");
+    visit("misfit_sigmas", self.misfit_sigmas, not_negative,
+          "a pixel does not follow the sinusoid beyond this many standard deviations of the noise …");
+    visit("misfit_fraction", self.misfit_fraction, fraction_range, "… and beyond this share of its intensity");
+    visit("dark_sigmas", self.dark_sigmas, not_negative,
+          "a pixel is dark below this many standard deviations of the noise without light");
+    visit("max_condition", self.max_condition, Range{1, 1e6},
+          "largest condition number of the normal equations of the angle set");
+  }
+};
+
+/// Condition number (2-norm) of the normal equations of the sinusoid fit at these polarizer angles: 2 for evenly spread
+/// ones, infinite for fewer than three distinct ones modulo π.
+double angle_condition(std::span<const double> angles_rad);
+
+/// Fits I(a) = (s0 + s1 cos 2a + s2 sin 2a) / 2 to the K images of a stack, pixel by pixel, by linear least squares.
+///
+/// images: K of the same size, 1 channel, linear, in [0, 1] of the white level; angles_rad: one an image, counter-
+/// clockwise from image +x as displayed. The same angle several times (modulo π) counts as several exposures of it.
+/// mask: non-zero = object. saturated: non-zero = clipped in some image; may be empty. A pixel that is not finite in
+/// some image is outside. Saturated, dark and misfitting pixels keep their fitted values; `valid` says what they are.
+///
+/// One pass over the stack; memory beyond it is that of the result. Throws an input error for sizes and counts that do
+/// not match, a data error for fewer than three distinct angles modulo π or a set beyond options.max_condition.
+PolarizationState decompose(std::span<const Image<float>> images, std::span<const double> angles_rad,
+                            const NoiseModel& noise, const Mask& mask, const Mask& saturated,
+                            const DecomposeOptions& options, const Context& context);
+
+}  // namespace malus
