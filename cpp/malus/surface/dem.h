@@ -1,0 +1,37 @@
+#pragma once
+
+#include <Eigen/Core>
+
+#include "malus/core/context.h"
+#include "malus/core/geometry.h"
+#include "malus/core/image.h"
+#include "malus/surface/mesh.h"
+
+namespace malus {
+
+/// Elevation of a surface above the plane fitted to it: a regular raster that looks like the station image.
+struct Dem {
+  Image<float> elevation;  ///< station unit, positive towards the camera; NaN = none
+  double pixel = 0;        ///< size of a pixel in both directions, station unit
+  /// Frame of the raster in the world: `right` and `up` lie in the plane (up = towards smaller rows), `normal` towards
+  /// the camera; right × up = normal. `origin` is the centre of the top-left pixel, on the plane.
+  Eigen::Vector3d origin = Eigen::Vector3d::Zero();
+  Eigen::Vector3d right = Eigen::Vector3d::UnitX();
+  Eigen::Vector3d up = Eigen::Vector3d::UnitY();
+  Eigen::Vector3d normal = Eigen::Vector3d::UnitZ();
+
+  /// World point at a raster position (column, row) and elevation.
+  Eigen::Vector3d world(double column, double row, double height) const {
+    return origin + pixel * (column * right - row * up) + height * normal;
+  }
+};
+
+/// Elevation model of a mesh made from this surface: the plane is fitted robustly to the vertices, its x axis is the
+/// camera's x axis laid into it, and the triangles are rasterized (linear inside each; the highest wins where the
+/// surface hangs over). The pixel is options.dem_pixel, or depth / focal at the median depth times options.subsample.
+/// Throws a data error for a mesh without triangles or a plane seen edge-on, a resource error if the raster
+/// would exceed 400 million pixels.
+Dem dem_from_mesh(const TriangleMesh& mesh, const FusedSurface& surface, const SurfaceOptions& options,
+                  const Context& context);
+
+}  // namespace malus

@@ -1,0 +1,102 @@
+#include "malus/surface/plane.h"
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "malus/core/parallel.h"
+
+namespace malus {
+namespace {
+
+constexpr std::size_t grain = 1 << 15;
+
+struct Moments {
+  double weight = 0;
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d products = Eigen::Matrix3d::Zero();
+
+  Moments& operator+=(const Moments& other) {
+    weight += other.weight;
+    sum += other.sum;
+    products += other.products;
+    return *this;
+  }
+};
+
+/// Weighted plane; coordinates are taken from `origin`, near the points, so that sums keep their digits.
+template <class Weight>
+Plane weighted_plane(std::span<const Eigen::Vector3d> points, const Eigen::Vector3d& origin, const Context& context,
+                     Weight&& weight_of) {
+  const auto moments = parallel_sum(context, points.size(), grain, Moments{}, [&](std::size_t begin, std::size_t end) {
+    Moments part;
+    for (std::size_t i = begin; i < end; ++i) {
+      const double weight = weight_of(points[i]);
+      const Eigen::Vector3d x = points[i] - origin;
+      part.weight += weight;
+      part.sum += weight * x;
+      part.products += weight * x * x.transpose();
+    }
+    return part;
+  });
+  const Eigen::Vector3d mean = moments.sum / moments.weight;
+  const Eigen::Matrix3d covariance = moments.products / moments.weight - mean * mean.transpose();
+  return {origin + mean, Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvectors().col(0)};
+}
+
+/// 1.4826 × median of |distance|.
+double robust_spread(std::span<const Eigen::Vector3d> points, const Plane& plane) {
+  std::vector<double> distances(points.size());
+  std::transform(points.begin(), points.end(), distances.begin(),
+                 [&](const Eigen::Vector3d& x) { return std::abs(plane.signed_distance(x)); });
+  const auto middle = distances.begin() + static_cast<std::ptrdiff_t>(distances.size() / 2);
+  std::nth_element(distances.begin(), middle, distances.end());
+  if (distances.size() % 2 == 1) return 1.4826 * *middle;
+  return 1.4826 * 0.5 * (*middle + *std::max_element(distances.begin(), middle));
+}
+
+Plane robust_plane(std::span<const Eigen::Vector3d> points, Plane plane, const Context& context) {
+  for (int iteration = 0; iteration < 20; ++iteration) {
+    const double limit = 4.685 * robust_spread(points, plane);
+    if (!(limit > 0)) break;
+    const Plane next = weighted_plane(points, plane.centroid, context, [&](const Eigen::Vector3d& x) {
+      const double ratio = plane.signed_distance(x) / limit;
+      return std::abs(ratio) < 1 ? (1 - ratio * ratio) * (1 - ratio * ratio) : 0.0;
+    });
+    const double turned = 1 - std::abs(next.normal.dot(plane.normal));
+    plane = next;
+    if (turned < 1e-14) break;
+  }
+  return plane;
+}
+
+}  // namespace
+
+PlaneFit fit_plane(std::span<const Eigen::Vector3d> points, const Eigen::Vector3d& viewpoint, PlaneWeights weights,
+                   const Context& context) {
+  if (points.size() < 3) {
+    throw data_error("a plane needs at least 3 points, there are " + std::to_string(points.size()));
+  }
+  // Twice: the first pass finds the centroid that the second one counts from.
+  const auto equal = [](const Eigen::Vector3d&) { return 1.0; };
+  PlaneFit fit;
+  fit.plane = weighted_plane(points, points.front(), context, equal);
+  if (!fit.plane.centroid.allFinite()) throw data_error("a point to fit a plane to is not finite");
+  fit.plane = weighted_plane(points, fit.plane.centroid, context, equal);
+  if (weights == PlaneWeights::robust) fit.plane = robust_plane(points, fit.plane, context);
+  if (fit.plane.signed_distance(viewpoint) < 0) fit.plane.normal = -fit.plane.normal;
+
+  fit.count = points.size();
+  const double squares = parallel_sum(context, points.size(), grain, 0.0, [&](std::size_t begin, std::size_t end) {
+    double part = 0;
+    for (std::size_t i = begin; i < end; ++i) part += std::pow(fit.plane.signed_distance(points[i]), 2);
+    return part;
+  });
+  fit.rmse = std::sqrt(squares / static_cast<double>(points.size()));
+  fit.mad = robust_spread(points, fit.plane);
+  for (const Eigen::Vector3d& x : points) fit.max_abs = std::max(fit.max_abs, std::abs(fit.plane.signed_distance(x)));
+  return fit;
+}
+
+}  // namespace malus
