@@ -39,5 +39,7 @@ function(malus_link_rooms target)
     target_sources(${target} PRIVATE $<TARGET_OBJECTS:${room}>)
   endforeach()
   target_link_libraries(${target} PUBLIC Eigen3::Eigen Threads::Threads
-                                  PRIVATE ${OpenCV_LIBS} TIFF::TIFF Ceres::ceres CHOLMOD::CHOLMOD ${CMAKE_DL_LIBS})
+                                  PRIVATE ${OpenCV_LIBS} TIFF::TIFF PNG::PNG JPEG::JPEG OpenSSL::Crypto
+                                          tomlplusplus::tomlplusplus Ceres::ceres CHOLMOD::CHOLMOD
+                                          ${CMAKE_DL_LIBS})
 endfunction()

@@ -1,0 +1,48 @@
+#pragma once
+
+#include <cstddef>
+#include <filesystem>
+#include <string>
+#include <string_view>
+
+#include "malus/core/error.h"
+
+namespace malus {
+
+/// A file that appears under its name only when it is complete: bytes go to a temporary name in the same folder;
+/// `commit` flushes them to the disk and renames. Without `commit` the temporary file is removed.
+///
+/// Every failure throws and names the path and the system's reason: ErrorCode::resource when the machine is out of
+/// something (no space, quota, memory, an I/O fault), ErrorCode::input when the place is wrong (folder absent, not
+/// writable).
+class AtomicFile {
+ public:
+  explicit AtomicFile(std::filesystem::path path);
+  ~AtomicFile();
+  AtomicFile(const AtomicFile&) = delete;
+  AtomicFile& operator=(const AtomicFile&) = delete;
+
+  void write(const void* data, std::size_t size);
+  void write(std::string_view bytes) { write(bytes.data(), bytes.size()); }
+  void commit();
+
+  /// Open for reading and writing until `commit`, for libraries that seek in their output.
+  int descriptor() const { return descriptor_; }
+  const std::filesystem::path& path() const { return path_; }
+
+ private:
+  std::filesystem::path path_, temporary_;
+  int descriptor_ = -1;
+};
+
+/// Writes a whole file atomically.
+void write_file(const std::filesystem::path& path, std::string_view bytes);
+
+/// Creates a folder and its parents; an existing one is fine. Throws ErrorCode::input when it cannot be (a file is in
+/// the way, no permission) or is not writable, ErrorCode::resource when the disk is full.
+void create_folder(const std::filesystem::path& folder);
+
+/// Error for a failed system call on a file, from errno; see AtomicFile for its code. `action`: "cannot write".
+Error file_error(const std::string& action, const std::filesystem::path& path, int error_number);
+
+}  // namespace malus

@@ -1,0 +1,40 @@
+#pragma once
+
+// Private to the io room: one decoder a format, each on the bytes of a whole file.
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <string>
+#include <string_view>
+
+#include "malus/core/error.h"
+#include "malus/core/image.h"
+#include "malus/io/atomic_file.h"
+#include "malus/io/image_file.h"
+
+namespace malus::codecs {
+
+/// What a header says.
+struct ImageHeader {
+  Size size;
+  int channels = 1;        ///< of the result: 1 or 3
+  double most_pixels = 0;  ///< that a file of this length and compression can hold
+};
+
+/// Called with the header before pixels are decoded; throws when they are not wanted or cannot be in the file.
+using HeaderCheck = std::function<void(const ImageHeader&)>;
+
+/// Most bytes that a byte of a Deflate stream can stand for.
+inline constexpr double deflate_ratio = 1032;
+
+/// Throws std::runtime_error with the reason on files that are damaged or of an unsupported kind; the caller adds the
+/// path.
+RawImage decode_png(std::string_view bytes, const HeaderCheck& check);
+RawImage decode_jpeg(std::string_view bytes, const HeaderCheck& check);
+RawImage decode_tiff(std::string_view bytes, const HeaderCheck& check);
+
+void encode_png(AtomicFile& file, const void* pixels, Size size, int channels, int bits);
+void encode_float_tiff(AtomicFile& file, const Image<float>& image);
+
+}  // namespace malus::codecs

@@ -1,0 +1,141 @@
+#include "malus/io/image_file.h"
+
+#include <algorithm>
+#include <optional>
+#include <sstream>
+#include <stdexcept>
+#include <string_view>
+
+#include "malus/io/atomic_file.h"
+#include "malus/io/image_codecs_internal.h"
+#include "malus/io/input_file.h"
+
+namespace malus {
+namespace {
+
+using namespace std::string_view_literals;
+
+constexpr int longest_side = 65536;
+constexpr double most_pixels = 1 << 29;
+
+std::string name_of(const std::string& what, const std::filesystem::path& path) {
+  return what + " " + path.string();
+}
+
+/// What a header may claim, before memory is taken for it.
+void check_header(const codecs::ImageHeader& header, const std::string& name) {
+  const Size size = header.size;
+  const auto pixels = static_cast<double>(size.area());
+  if (size.width < 1 || size.height < 1 || size.width > longest_side || size.height > longest_side ||
+      pixels > most_pixels) {
+    throw input_error(name + " claims " + to_string(size) + " pixels, expected at most 65536 a side and 2^29 in all");
+  }
+  if (pixels > header.most_pixels) {
+    throw input_error(name + " claims " + to_string(size) +
+                      " pixels, more than its bytes can hold: truncated or damaged");
+  }
+}
+
+RawImage decode(std::string_view bytes, const std::string& name, const codecs::HeaderCheck& check) {
+  const auto starts_with = [&](std::string_view magic) { return bytes.substr(0, magic.size()) == magic; };
+  try {
+    if (starts_with("\x89PNG\r\n\x1a\n"sv)) return codecs::decode_png(bytes, check);
+    if (starts_with("\xff\xd8\xff"sv)) return codecs::decode_jpeg(bytes, check);
+    if (starts_with("II*\0"sv) || starts_with("MM\0*"sv) || starts_with("II+\0"sv) || starts_with("MM\0+"sv)) {
+      return codecs::decode_tiff(bytes, check);
+    }
+  } catch (const Error&) {
+    throw;
+  } catch (const std::runtime_error& error) {
+    throw input_error(name + ": truncated, damaged or unsupported (" + error.what() + ")");
+  }
+  throw input_error(name + " is not an image; expected PNG, TIFF or JPEG");
+}
+
+void require_writable(const std::filesystem::path& path, Size size, int channels) {
+  if (size.width < 1 || size.height < 1 || (channels != 1 && channels != 3)) {
+    throw input_error("cannot write " + path.string() + ": " + to_string(size) + " pixels with " +
+                      std::to_string(channels) + " channels, expected at least one pixel and 1 or 3 channels");
+  }
+}
+
+template <class Sample>
+void write_png_samples(const std::filesystem::path& path, const Image<Sample>& image) {
+  require_writable(path, image.size(), image.channels());
+  AtomicFile file(path);
+  codecs::encode_png(file, image.data(), image.size(), image.channels(), 8 * static_cast<int>(sizeof(Sample)));
+  file.commit();
+}
+
+}  // namespace
+
+RawImage read_image(const std::filesystem::path& path, const std::string& what) {
+  const std::string name = name_of(what, path);
+  return decode(read_file(path, what), name, [&](const codecs::ImageHeader& header) { check_header(header, name); });
+}
+
+Size read_image_size(const std::filesystem::path& path, const std::string& what) {
+  struct Found {
+    Size size;
+  };
+  const std::string name = name_of(what, path);
+  try {
+    // The header check runs before any pixel is decoded; leaving from there skips the decoding.
+    decode(read_file(path, what), name, [&](const codecs::ImageHeader& header) {
+      check_header(header, name);
+      throw Found{header.size};
+    });
+  } catch (const Found& found) {
+    return found.size;
+  }
+  throw std::logic_error("the header check was not called");
+}
+
+Mask read_mask(const std::filesystem::path& path, const std::string& what) {
+  const RawImage image = read_image(path, what);
+  const auto channels = static_cast<std::size_t>(image.pixels.channels());
+  Mask mask(image.pixels.size());
+  for (std::size_t i = 0; i < mask.count(); ++i) {
+    const float* pixel = image.pixels.data() + i * channels;
+    mask[i] = std::any_of(pixel, pixel + channels, [](float value) { return value != 0; }) ? 255 : 0;
+  }
+  return mask;
+}
+
+Image<std::uint8_t> read_labels(const std::filesystem::path& path, const std::string& what) {
+  const RawImage image = read_image(path, what);
+  if (image.pixels.channels() != 1 || image.bits != 8) {
+    throw input_error(name_of(what, path) + " has " + std::to_string(image.pixels.channels()) + " channels of " +
+                      std::to_string(image.bits) + " bits, expected 1 channel of 8 bits");
+  }
+  Image<std::uint8_t> labels(image.pixels.size());
+  std::transform(image.pixels.begin(), image.pixels.end(), labels.begin(),
+                 [](float value) { return static_cast<std::uint8_t>(value); });
+  return labels;
+}
+
+Image<float> read_float_raster(const std::filesystem::path& path, const std::string& what) {
+  RawImage image = read_image(path, what);
+  if (!image.is_float) {
+    throw input_error(name_of(what, path) + " has " + std::to_string(image.bits) +
+                      "-bit integer samples, expected a floating-point TIFF");
+  }
+  return std::move(image.pixels);
+}
+
+void write_float_tiff(const std::filesystem::path& path, const Image<float>& image) {
+  require_writable(path, image.size(), image.channels());
+  AtomicFile file(path);
+  codecs::encode_float_tiff(file, image);
+  file.commit();
+}
+
+void write_png(const std::filesystem::path& path, const Image<std::uint8_t>& image) {
+  write_png_samples(path, image);
+}
+
+void write_png16(const std::filesystem::path& path, const Image<std::uint16_t>& image) {
+  write_png_samples(path, image);
+}
+
+}  // namespace malus

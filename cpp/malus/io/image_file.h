@@ -1,0 +1,48 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+
+#include "malus/core/image.h"
+
+namespace malus {
+
+/// An image as stored, before any response curve.
+struct RawImage {
+  Image<float> pixels;       ///< digital numbers (DN); 1 channel, or 3 in the order R, G, B
+  int bits = 0;              ///< of a sample: 8, 16 or 32
+  bool is_float = false;     ///< samples are floating-point
+  double full_scale_dn = 0;  ///< 255 or 65535; 1 for floating-point files
+};
+
+/// Reads PNG (1 to 16 bits; up to 8 come out scaled to 8), TIFF (8 or 16 bits unsigned, 32 or 64 bits float) or JPEG
+/// (8 bits), grey or colour. The content decides, not the file name. An alpha channel is dropped; palettes are
+/// expanded. EXIF orientation is ignored: pixels come out in the order in which the sensor's file stores them, the same
+/// for all of a station's files. `what` names the file's purpose in messages.
+///
+/// Throws ErrorCode::input for files that are missing, empty, truncated, damaged, not an image, of an unsupported kind,
+/// or that claim a size their bytes cannot hold (checked before memory is taken).
+RawImage read_image(const std::filesystem::path& path, const std::string& what = "image");
+
+/// Size of an image from its header alone.
+Size read_image_size(const std::filesystem::path& path, const std::string& what = "image");
+
+/// Mask from an image: 255 where any channel is not zero, else 0.
+Mask read_mask(const std::filesystem::path& path, const std::string& what = "mask");
+
+/// Values of an 8-bit one-channel image, unchanged (label images).
+Image<std::uint8_t> read_labels(const std::filesystem::path& path, const std::string& what = "label image");
+
+/// Floating-point TIFF with 1 or 3 channels, values unchanged (NaN stays). Errors as read_image, and ErrorCode::input
+/// when the samples are not floating-point.
+Image<float> read_float_raster(const std::filesystem::path& path, const std::string& what = "raster");
+
+/// 32-bit float TIFF, 1 or 3 channels, uncompressed strips; BigTIFF from 4 GB. Atomic (see AtomicFile).
+void write_float_tiff(const std::filesystem::path& path, const Image<float>& image);
+
+/// PNG with 1 or 3 (R, G, B) channels of 8 or 16 bits. Atomic.
+void write_png(const std::filesystem::path& path, const Image<std::uint8_t>& image);
+void write_png16(const std::filesystem::path& path, const Image<std::uint16_t>& image);
+
+}  // namespace malus

@@ -1,0 +1,107 @@
+#include "malus/io/input_file.h"
+
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <system_error>
+
+namespace malus {
+namespace {
+
+constexpr std::size_t buffer_size = 1 << 20;
+constexpr std::size_t longest_line = 1 << 26;
+
+}  // namespace
+
+std::uint64_t require_file(const std::filesystem::path& path, const std::string& what) {
+  const std::string name = what + " " + path.string();
+  std::error_code error;
+  const auto status = std::filesystem::status(path, error);
+  if (status.type() == std::filesystem::file_type::not_found) throw input_error(name + ": no such file");
+  if (error) throw input_error(name + ": " + error.message());
+  if (std::filesystem::is_directory(status)) throw input_error(name + " is a folder, expected a file");
+  if (!std::filesystem::is_regular_file(status)) throw input_error(name + " is not a regular file");
+  if (::access(path.c_str(), R_OK) != 0) throw input_error(name + ": " + std::generic_category().message(errno));
+  const std::uint64_t size = std::filesystem::file_size(path, error);
+  if (error) throw input_error(name + ": " + error.message());
+  if (size == 0) throw input_error(name + " is empty");
+  return size;
+}
+
+InputFile::InputFile(const std::filesystem::path& path, const std::string& what)
+    : path_(path), what_(what), size_(require_file(path, what)), buffer_(std::min<std::uint64_t>(buffer_size, size_)) {
+  descriptor_ = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  if (descriptor_ < 0) throw error(std::generic_category().message(errno));
+}
+
+InputFile::~InputFile() {
+  if (descriptor_ >= 0) ::close(descriptor_);
+}
+
+Error InputFile::error(const std::string& message) const {
+  return input_error(what_ + " " + path_.string() + ": " + message);
+}
+
+bool InputFile::fill() {
+  ssize_t got = 0;
+  do {
+    got = ::read(descriptor_, buffer_.data(), buffer_.size());
+  } while (got < 0 && errno == EINTR);
+  if (got < 0) {
+    throw resource_error("cannot read " + what_ + " " + path_.string() + ": " + std::generic_category().message(errno));
+  }
+  begin_ = 0;
+  end_ = static_cast<std::size_t>(got);
+  return got > 0;
+}
+
+std::size_t InputFile::read_some(void* target, std::size_t size) {
+  char* out = static_cast<char*>(target);
+  std::size_t copied = 0;
+  while (copied < size && (begin_ < end_ || fill())) {
+    const std::size_t part = std::min(size - copied, end_ - begin_);
+    std::memcpy(out + copied, buffer_.data() + begin_, part);
+    begin_ += part;
+    copied += part;
+  }
+  position_ += copied;
+  return copied;
+}
+
+void InputFile::read(void* target, std::size_t size) {
+  if (read_some(target, size) != size) throw error("is truncated (ends after " + std::to_string(size_) + " bytes)");
+}
+
+bool InputFile::read_line(std::string_view& line) {
+  line_.clear();
+  bool any = false;
+  while (begin_ < end_ || fill()) {
+    any = true;
+    const char* start = buffer_.data() + begin_;
+    const std::size_t available = end_ - begin_;
+    const char* stop = static_cast<const char*>(std::memchr(start, '\n', available));
+    const std::size_t length = stop ? static_cast<std::size_t>(stop - start) : available;
+    line_.append(start, length);
+    begin_ += length + (stop ? 1 : 0);
+    position_ += length + (stop ? 1 : 0);
+    if (stop) break;
+    if (line_.size() > longest_line) throw error("has a line of more than 64 MB; is it a text file?");
+  }
+  if (!any) return false;
+  ++line_number_;
+  if (!line_.empty() && line_.back() == '\r') line_.pop_back();
+  line = line_;
+  return true;
+}
+
+std::string read_file(const std::filesystem::path& path, const std::string& what) {
+  InputFile file(path, what);
+  std::string bytes(file.size(), '\0');
+  file.read(bytes.data(), bytes.size());
+  return bytes;
+}
+
+}  // namespace malus

@@ -1,0 +1,57 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "malus/core/error.h"
+
+namespace malus {
+
+/// Size in bytes of a file a user named. Throws ErrorCode::input unless it is a regular, readable, non-empty file.
+/// `what` says what the file is for ("polarized image"); the message names it, the path and the reason.
+std::uint64_t require_file(const std::filesystem::path& path, const std::string& what);
+
+/// The whole file; errors as require_file, and ErrorCode::resource when reading fails.
+std::string read_file(const std::filesystem::path& path, const std::string& what);
+
+/// Reads a file front to back through one buffer, so that memory does not grow with the file.
+class InputFile {
+ public:
+  InputFile(const std::filesystem::path& path, const std::string& what);
+  ~InputFile();
+  InputFile(const InputFile&) = delete;
+  InputFile& operator=(const InputFile&) = delete;
+
+  std::uint64_t size() const { return size_; }
+  /// Bytes not read yet; what a header claims is compared with this before memory is taken for it.
+  std::uint64_t remaining() const { return position_ < size_ ? size_ - position_ : 0; }
+
+  /// Copies exactly `size` bytes; throws an input error ("… is truncated") when the file ends before.
+  void read(void* target, std::size_t size);
+  /// Up to `size` bytes; the number copied is less only at the end of the file.
+  std::size_t read_some(void* target, std::size_t size);
+  /// Next line without its line break ("\n" or "\r\n"); false at the end. The view is valid until the next call.
+  bool read_line(std::string_view& line);
+  /// Number of the line that was read last, from 1.
+  std::uint64_t line_number() const { return line_number_; }
+
+  /// Input error "<what> <path>: <message>".
+  Error error(const std::string& message) const;
+
+ private:
+  bool fill();
+
+  std::filesystem::path path_;
+  std::string what_;
+  std::uint64_t size_ = 0, position_ = 0, line_number_ = 0;
+  int descriptor_ = -1;
+  std::vector<char> buffer_;
+  std::size_t begin_ = 0, end_ = 0;
+  std::string line_;
+};
+
+}  // namespace malus

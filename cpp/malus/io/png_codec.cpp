@@ -1,0 +1,171 @@
+#include <png.h>
+
+#include <algorithm>
+#include <csetjmp>
+#include <cstring>
+#include <exception>
+#include <stdexcept>
+#include <vector>
+
+#include "malus/io/image_codecs_internal.h"
+
+namespace malus::codecs {
+namespace {
+
+// libpng reports errors by longjmp, which must not pass over C++ destructors. So the functions that call setjmp own
+// nothing, and callbacks store C++ exceptions here instead of throwing through C frames.
+struct Reader {
+  std::string_view bytes;
+  std::size_t position = 0;
+  png_structp png = nullptr;
+  png_infop info = nullptr;
+  std::string error;
+
+  ImageHeader header;
+  int bits = 8;
+  int channels_read = 1;
+  std::size_t row_bytes = 0;
+  std::vector<png_byte> samples;
+  std::vector<png_bytep> rows;
+
+  ~Reader() { png_destroy_read_struct(&png, &info, nullptr); }
+};
+
+void on_read_error(png_structp png, png_const_charp message) {
+  static_cast<Reader*>(png_get_error_ptr(png))->error = message;
+  std::longjmp(png_jmpbuf(png), 1);
+}
+
+void on_warning(png_structp, png_const_charp) {}
+
+void read_bytes(png_structp png, png_bytep target, png_size_t size) {
+  auto& reader = *static_cast<Reader*>(png_get_io_ptr(png));
+  if (size > reader.bytes.size() - reader.position) png_error(png, "is truncated");
+  std::memcpy(target, reader.bytes.data() + reader.position, size);
+  reader.position += size;
+}
+
+bool read_header(Reader& reader) {
+  if (setjmp(png_jmpbuf(reader.png))) return false;
+  png_set_user_limits(reader.png, 1 << 20, 1 << 20);
+  png_set_read_fn(reader.png, &reader, read_bytes);
+  // A wrong checksum is damage; the default for ancillary chunks would be a warning nobody sees.
+  png_set_crc_action(reader.png, PNG_CRC_ERROR_QUIT, PNG_CRC_WARN_DISCARD);
+  png_read_info(reader.png, reader.info);
+  const int color = png_get_color_type(reader.png, reader.info);
+  const int depth = png_get_bit_depth(reader.png, reader.info);
+  if (color == PNG_COLOR_TYPE_PALETTE) png_set_palette_to_rgb(reader.png);
+  if (color == PNG_COLOR_TYPE_GRAY && depth < 8) png_set_expand_gray_1_2_4_to_8(reader.png);
+  if (depth == 16) png_set_swap(reader.png);
+  png_set_strip_alpha(reader.png);
+  png_set_interlace_handling(reader.png);
+  png_read_update_info(reader.png, reader.info);
+  reader.header.size = {static_cast<int>(png_get_image_width(reader.png, reader.info)),
+                        static_cast<int>(png_get_image_height(reader.png, reader.info))};
+  reader.bits = depth == 16 ? 16 : 8;
+  reader.channels_read = png_get_channels(reader.png, reader.info);
+  reader.header.channels = reader.channels_read;
+  reader.row_bytes = png_get_rowbytes(reader.png, reader.info);
+  return true;
+}
+
+bool read_rows(Reader& reader) {
+  if (setjmp(png_jmpbuf(reader.png))) return false;
+  png_read_image(reader.png, reader.rows.data());
+  png_read_end(reader.png, nullptr);
+  return true;
+}
+
+struct Writer {
+  explicit Writer(AtomicFile& target) : file(target) {}
+  ~Writer() { png_destroy_write_struct(&png, &info); }
+
+  AtomicFile& file;
+  png_structp png = nullptr;
+  png_infop info = nullptr;
+  std::exception_ptr failure;
+  std::string error;
+};
+
+void on_write_error(png_structp png, png_const_charp message) {
+  static_cast<Writer*>(png_get_error_ptr(png))->error = message;
+  std::longjmp(png_jmpbuf(png), 1);
+}
+
+void write_bytes(png_structp png, png_bytep data, png_size_t size) {
+  auto& writer = *static_cast<Writer*>(png_get_io_ptr(png));
+  try {
+    writer.file.write(data, size);
+    return;
+  } catch (...) {
+    writer.failure = std::current_exception();
+  }
+  png_error(png, "write failed");
+}
+
+void flush_nothing(png_structp) {}
+
+bool write_rows(Writer& writer, const png_byte* pixels, Size size, int channels, int bits) {
+  if (setjmp(png_jmpbuf(writer.png))) return false;
+  png_set_write_fn(writer.png, &writer, write_bytes, flush_nothing);
+  png_set_compression_level(writer.png, 3);
+  png_set_IHDR(writer.png, writer.info, static_cast<png_uint_32>(size.width), static_cast<png_uint_32>(size.height),
+               bits, channels == 1 ? PNG_COLOR_TYPE_GRAY : PNG_COLOR_TYPE_RGB, PNG_INTERLACE_NONE,
+               PNG_COMPRESSION_TYPE_DEFAULT, PNG_FILTER_TYPE_DEFAULT);
+  png_write_info(writer.png, writer.info);
+  if (bits == 16) png_set_swap(writer.png);
+  const std::size_t row_bytes = static_cast<std::size_t>(size.width) * static_cast<std::size_t>(channels * bits / 8);
+  for (int v = 0; v < size.height; ++v) png_write_row(writer.png, pixels + static_cast<std::size_t>(v) * row_bytes);
+  png_write_end(writer.png, writer.info);
+  return true;
+}
+
+template <class Sample>
+void to_float(const std::vector<png_byte>& samples, Image<float>& pixels) {
+  for (std::size_t i = 0; i < pixels.count(); ++i) {
+    Sample sample;
+    std::memcpy(&sample, samples.data() + i * sizeof(Sample), sizeof(Sample));
+    pixels[i] = static_cast<float>(sample);
+  }
+}
+
+}  // namespace
+
+RawImage decode_png(std::string_view bytes, const HeaderCheck& check) {
+  Reader reader;
+  reader.bytes = bytes;
+  reader.png = png_create_read_struct(PNG_LIBPNG_VER_STRING, &reader, on_read_error, on_warning);
+  if (reader.png) reader.info = png_create_info_struct(reader.png);
+  if (!reader.info) throw std::bad_alloc();
+  if (!read_header(reader)) throw std::runtime_error(reader.error);
+  const double bits_per_pixel = png_get_bit_depth(reader.png, reader.info);
+  reader.header.most_pixels = deflate_ratio * 8 * static_cast<double>(bytes.size()) / bits_per_pixel;
+  check(reader.header);
+
+  const auto height = static_cast<std::size_t>(reader.header.size.height);
+  reader.samples.resize(reader.row_bytes * height);
+  reader.rows.resize(height);
+  for (std::size_t v = 0; v < height; ++v) reader.rows[v] = reader.samples.data() + v * reader.row_bytes;
+  if (!read_rows(reader)) throw std::runtime_error(reader.error);
+
+  RawImage image{Image<float>(reader.header.size, reader.header.channels), reader.bits, false,
+                 reader.bits == 16 ? 65535.0 : 255.0};
+  if (reader.bits == 16) {
+    to_float<png_uint_16>(reader.samples, image.pixels);
+  } else {
+    to_float<png_byte>(reader.samples, image.pixels);
+  }
+  return image;
+}
+
+void encode_png(AtomicFile& file, const void* pixels, Size size, int channels, int bits) {
+  Writer writer(file);
+  writer.png = png_create_write_struct(PNG_LIBPNG_VER_STRING, &writer, on_write_error, on_warning);
+  if (writer.png) writer.info = png_create_info_struct(writer.png);
+  if (!writer.info) throw std::bad_alloc();
+  if (write_rows(writer, static_cast<const png_byte*>(pixels), size, channels, bits)) return;
+  if (writer.failure) std::rethrow_exception(writer.failure);
+  throw resource_error("cannot write " + file.path().string() + ": " + writer.error);
+}
+
+}  // namespace malus::codecs

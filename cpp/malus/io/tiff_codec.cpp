@@ -1,0 +1,312 @@
+#include <sys/stat.h>
+#include <tiffio.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstdarg>
+#include <cstdio>
+#include <cstring>
+#include <memory>
+#include <stdexcept>
+#include <vector>
+
+#include "malus/io/image_codecs_internal.h"
+
+namespace malus::codecs {
+namespace {
+
+struct Close {
+  void operator()(TIFF* tiff) const { TIFFClose(tiff); }
+};
+using Handle = std::unique_ptr<TIFF, Close>;
+
+/// Keeps the first error of one file; libtiff's own handler prints.
+struct Errors {
+  std::string message;
+  int error_number = 0;
+};
+
+int keep_error(TIFF*, void* user, const char*, const char* format, va_list arguments) {
+  auto& errors = *static_cast<Errors*>(user);
+  if (errors.message.empty()) {
+    errors.error_number = errno;
+    char text[512];
+    std::vsnprintf(text, sizeof text, format, arguments);
+    errors.message = text;
+  }
+  return 1;
+}
+
+int drop_warning(TIFF*, void*, const char*, const char*, va_list) {
+  return 1;
+}
+
+struct Options {
+  explicit Options(Errors& errors) : options(TIFFOpenOptionsAlloc()) {
+    TIFFOpenOptionsSetErrorHandlerExtR(options, keep_error, &errors);
+    TIFFOpenOptionsSetWarningHandlerExtR(options, drop_warning, nullptr);
+  }
+  ~Options() { TIFFOpenOptionsFree(options); }
+  Options(const Options&) = delete;
+  Options& operator=(const Options&) = delete;
+  TIFFOpenOptions* options;
+};
+
+/// A file in memory behind libtiff's client interface.
+struct Source {
+  std::string_view bytes;
+  toff_t position = 0;
+};
+
+tmsize_t source_read(thandle_t handle, void* target, tmsize_t size) {
+  auto& source = *static_cast<Source*>(handle);
+  if (source.position >= source.bytes.size()) return 0;
+  const std::size_t count =
+      std::min<std::size_t>(static_cast<std::size_t>(size), source.bytes.size() - source.position);
+  std::memcpy(target, source.bytes.data() + source.position, count);
+  source.position += count;
+  return static_cast<tmsize_t>(count);
+}
+tmsize_t source_write(thandle_t, void*, tmsize_t) {
+  return 0;
+}
+toff_t source_seek(thandle_t handle, toff_t offset, int whence) {
+  auto& source = *static_cast<Source*>(handle);
+  const toff_t base = whence == SEEK_CUR ? source.position : whence == SEEK_END ? source.bytes.size() : 0;
+  source.position = base + offset;
+  return source.position;
+}
+int source_close(thandle_t) {
+  return 0;
+}
+toff_t source_size(thandle_t handle) {
+  return static_cast<Source*>(handle)->bytes.size();
+}
+
+/// How the samples of a file are stored.
+struct Layout {
+  Size size;
+  std::uint32_t block_width = 0, block_height = 0;  ///< of a tile, or of a strip (image width × rows)
+  std::uint16_t samples = 1, bits = 1, format = SAMPLEFORMAT_UINT, photometric = 0, compression = COMPRESSION_NONE;
+  bool tiled = false, planar = false;
+  int channels = 1;
+
+  std::size_t sample_bytes() const { return bits / 8; }
+};
+
+template <class T>
+T field(TIFF* tiff, ttag_t tag, T fallback) {
+  T value = fallback;
+  return TIFFGetFieldDefaulted(tiff, tag, &value) ? value : fallback;
+}
+
+Layout read_layout(TIFF* tiff) {
+  Layout layout;
+  const auto width = field<std::uint32_t>(tiff, TIFFTAG_IMAGEWIDTH, 0);
+  const auto height = field<std::uint32_t>(tiff, TIFFTAG_IMAGELENGTH, 0);
+  if (width < 1 || height < 1 || width > (1u << 20) || height > (1u << 20)) {
+    throw std::runtime_error("has no usable size (" + std::to_string(width) + " x " + std::to_string(height) + ")");
+  }
+  layout.size = {static_cast<int>(width), static_cast<int>(height)};
+  layout.samples = field<std::uint16_t>(tiff, TIFFTAG_SAMPLESPERPIXEL, 1);
+  layout.bits = field<std::uint16_t>(tiff, TIFFTAG_BITSPERSAMPLE, 1);
+  layout.format = field<std::uint16_t>(tiff, TIFFTAG_SAMPLEFORMAT, SAMPLEFORMAT_UINT);
+  layout.photometric = field<std::uint16_t>(tiff, TIFFTAG_PHOTOMETRIC, PHOTOMETRIC_MINISBLACK);
+  layout.compression = field<std::uint16_t>(tiff, TIFFTAG_COMPRESSION, COMPRESSION_NONE);
+  layout.planar = field<std::uint16_t>(tiff, TIFFTAG_PLANARCONFIG, PLANARCONFIG_CONTIG) == PLANARCONFIG_SEPARATE;
+  layout.tiled = TIFFIsTiled(tiff) != 0;
+
+  const bool is_float = layout.format == SAMPLEFORMAT_IEEEFP && (layout.bits == 32 || layout.bits == 64);
+  const bool is_unsigned = layout.format == SAMPLEFORMAT_UINT && (layout.bits == 8 || layout.bits == 16);
+  if (!is_float && !is_unsigned) {
+    throw std::runtime_error("has " + std::to_string(layout.bits) +
+                             (layout.format == SAMPLEFORMAT_IEEEFP ? "-bit float"
+                              : layout.format == SAMPLEFORMAT_UINT ? "-bit unsigned"
+                                                                   : "-bit signed or unknown") +
+                             " samples, expected 8 or 16 bits unsigned, or 32 or 64 bits float");
+  }
+  if (layout.photometric == PHOTOMETRIC_YCBCR && layout.compression == COMPRESSION_JPEG) {
+    TIFFSetField(tiff, TIFFTAG_JPEGCOLORMODE, JPEGCOLORMODE_RGB);
+    layout.photometric = PHOTOMETRIC_RGB;
+  }
+  if (layout.photometric != PHOTOMETRIC_MINISBLACK && layout.photometric != PHOTOMETRIC_MINISWHITE &&
+      layout.photometric != PHOTOMETRIC_RGB) {
+    throw std::runtime_error("has photometric interpretation " + std::to_string(layout.photometric) +
+                             ", expected grey or RGB");
+  }
+  if (layout.samples < 1 || layout.samples > 4) {
+    throw std::runtime_error("has " + std::to_string(layout.samples) + " samples a pixel, expected 1 to 4");
+  }
+  layout.channels = layout.samples >= 3 ? 3 : 1;
+
+  if (layout.tiled) {
+    layout.block_width = field<std::uint32_t>(tiff, TIFFTAG_TILEWIDTH, 0);
+    layout.block_height = field<std::uint32_t>(tiff, TIFFTAG_TILELENGTH, 0);
+  } else {
+    layout.block_width = width;
+    layout.block_height = std::min(field<std::uint32_t>(tiff, TIFFTAG_ROWSPERSTRIP, height), height);
+  }
+  constexpr std::uint64_t largest_tile_side = 1 << 14;
+  if (layout.block_width < 1 || layout.block_height < 1 ||
+      (layout.tiled && (layout.block_width > largest_tile_side || layout.block_height > largest_tile_side))) {
+    throw std::runtime_error("has tiles or strips of an impossible size");
+  }
+  return layout;
+}
+
+double most_pixels(const Layout& layout, std::size_t file_bytes) {
+  // LZW strings reach 4096 bytes for 12 bits; nothing else that libtiff reads is denser by much.
+  const double ratio = layout.compression == COMPRESSION_NONE ? 1 : 4096;
+  return ratio * static_cast<double>(file_bytes) / static_cast<double>(layout.samples * layout.sample_bytes());
+}
+
+float sample_value(const unsigned char* sample, const Layout& layout) {
+  const auto load = [&]<class T>(T value) {
+    std::memcpy(&value, sample, sizeof value);
+    return static_cast<float>(value);
+  };
+  if (layout.format == SAMPLEFORMAT_IEEEFP) return layout.bits == 32 ? load(float{}) : load(double{});
+  const float value = layout.bits == 8 ? load(std::uint8_t{}) : load(std::uint16_t{});
+  return layout.photometric == PHOTOMETRIC_MINISWHITE ? (layout.bits == 8 ? 255.0f : 65535.0f) - value : value;
+}
+
+void copy_block(const Layout& layout, const unsigned char* block, std::uint32_t x0, std::uint32_t y0, int plane,
+                Image<float>& pixels) {
+  const std::size_t stored = layout.planar ? 1 : layout.samples;
+  const int first = layout.planar ? plane : 0, last = layout.planar ? plane + 1 : layout.channels;
+  const auto x1 = std::min<std::uint32_t>(x0 + layout.block_width, static_cast<std::uint32_t>(layout.size.width));
+  const auto y1 = std::min<std::uint32_t>(y0 + layout.block_height, static_cast<std::uint32_t>(layout.size.height));
+  for (std::uint32_t y = y0; y < y1; ++y) {
+    const unsigned char* row = block + std::size_t{y - y0} * layout.block_width * stored * layout.sample_bytes();
+    for (std::uint32_t x = x0; x < x1; ++x) {
+      for (int c = first; c < last; ++c) {
+        const std::size_t sample = std::size_t{x - x0} * stored + static_cast<std::size_t>(layout.planar ? 0 : c);
+        pixels(static_cast<int>(x), static_cast<int>(y), c) =
+            sample_value(row + sample * layout.sample_bytes(), layout);
+      }
+    }
+  }
+}
+
+void read_blocks(TIFF* tiff, const Layout& layout, const Errors& errors, Image<float>& pixels) {
+  const tmsize_t block_bytes = layout.tiled ? TIFFTileSize(tiff) : TIFFStripSize(tiff);
+  const std::size_t expected = std::size_t{layout.block_width} * layout.block_height *
+                               (layout.planar ? 1 : layout.samples) * layout.sample_bytes();
+  if (block_bytes <= 0 || static_cast<std::size_t>(block_bytes) < expected) {
+    throw std::runtime_error("has tiles or strips of an impossible size");
+  }
+  std::vector<unsigned char> block(static_cast<std::size_t>(block_bytes));
+  const auto width = static_cast<std::uint32_t>(layout.size.width);
+  const auto height = static_cast<std::uint32_t>(layout.size.height);
+  const int planes = layout.planar ? layout.channels : 1;
+  std::uint32_t index = 0;
+  for (int plane = 0; plane < planes; ++plane) {
+    for (std::uint32_t y = 0; y < height; y += layout.block_height) {
+      for (std::uint32_t x = 0; x < width; x += layout.block_width, ++index) {
+        const std::uint32_t rows = layout.tiled ? layout.block_height : std::min(layout.block_height, height - y);
+        const auto wanted = static_cast<tmsize_t>(expected / layout.block_height * rows);
+        const tmsize_t got = layout.tiled ? TIFFReadEncodedTile(tiff, index, block.data(), block_bytes)
+                                          : TIFFReadEncodedStrip(tiff, index, block.data(), block_bytes);
+        if (got < wanted || !errors.message.empty()) {
+          throw std::runtime_error("is truncated or damaged" +
+                                   (errors.message.empty() ? std::string() : " (" + errors.message + ")"));
+        }
+        copy_block(layout, block.data(), x, y, plane, pixels);
+      }
+    }
+  }
+}
+
+/// Output side: libtiff seeks in what it has written, so it works on the descriptor itself.
+struct Target {
+  AtomicFile& file;
+  int error_number = 0;
+};
+
+tmsize_t target_read(thandle_t handle, void* data, tmsize_t size) {
+  return ::read(static_cast<Target*>(handle)->file.descriptor(), data, static_cast<std::size_t>(size));
+}
+tmsize_t target_write(thandle_t handle, void* data, tmsize_t size) {
+  auto& target = *static_cast<Target*>(handle);
+  tmsize_t done = 0;
+  while (done < size) {
+    const ssize_t written =
+        ::write(target.file.descriptor(), static_cast<char*>(data) + done, static_cast<std::size_t>(size - done));
+    if (written < 0) {
+      if (errno == EINTR) continue;
+      target.error_number = errno;
+      return -1;
+    }
+    done += written;
+  }
+  return done;
+}
+toff_t target_seek(thandle_t handle, toff_t offset, int whence) {
+  return static_cast<toff_t>(
+      ::lseek(static_cast<Target*>(handle)->file.descriptor(), static_cast<off_t>(offset), whence));
+}
+toff_t target_size(thandle_t handle) {
+  struct stat status {};
+  return ::fstat(static_cast<Target*>(handle)->file.descriptor(), &status) == 0 ? static_cast<toff_t>(status.st_size)
+                                                                                : 0;
+}
+
+}  // namespace
+
+RawImage decode_tiff(std::string_view bytes, const HeaderCheck& check) {
+  Errors errors;
+  const Options options(errors);
+  Source source{.bytes = bytes};
+  const Handle tiff(TIFFClientOpenExt("image", "rm", &source, source_read, source_write, source_seek, source_close,
+                                      source_size, nullptr, nullptr, options.options));
+  if (!tiff) throw std::runtime_error("is not a readable TIFF (" + errors.message + ")");
+  const Layout layout = read_layout(tiff.get());
+  check({layout.size, layout.channels, most_pixels(layout, bytes.size())});
+
+  const bool is_float = layout.format == SAMPLEFORMAT_IEEEFP;
+  RawImage image{Image<float>(layout.size, layout.channels), layout.bits, is_float,
+                 is_float ? 1.0 : (layout.bits == 16 ? 65535.0 : 255.0)};
+  read_blocks(tiff.get(), layout, errors, image.pixels);
+  return image;
+}
+
+void encode_float_tiff(AtomicFile& file, const Image<float>& image) {
+  Errors errors;
+  const Options options(errors);
+  Target target{.file = file};
+  const std::size_t data_bytes = image.count() * sizeof(float);
+  const char* mode = data_bytes > (std::size_t{1} << 32) - (std::size_t{1} << 26) ? "w8" : "w";
+  const auto fail = [&] {
+    if (target.error_number != 0) return file_error("cannot write", file.path(), target.error_number);
+    return resource_error("cannot write " + file.path().string() + ": " + errors.message);
+  };
+  Handle tiff(TIFFClientOpenExt("image", mode, &target, target_read, target_write, target_seek, source_close,
+                                target_size, nullptr, nullptr, options.options));
+  if (!tiff) throw fail();
+  const std::size_t row_samples = static_cast<std::size_t>(image.width()) * static_cast<std::size_t>(image.channels());
+  const auto rows_per_strip = static_cast<int>(std::max<std::size_t>(1, (1 << 20) / (row_samples * sizeof(float))));
+  TIFFSetField(tiff.get(), TIFFTAG_IMAGEWIDTH, static_cast<std::uint32_t>(image.width()));
+  TIFFSetField(tiff.get(), TIFFTAG_IMAGELENGTH, static_cast<std::uint32_t>(image.height()));
+  TIFFSetField(tiff.get(), TIFFTAG_SAMPLESPERPIXEL, static_cast<std::uint16_t>(image.channels()));
+  TIFFSetField(tiff.get(), TIFFTAG_BITSPERSAMPLE, static_cast<std::uint16_t>(32));
+  TIFFSetField(tiff.get(), TIFFTAG_SAMPLEFORMAT, static_cast<std::uint16_t>(SAMPLEFORMAT_IEEEFP));
+  TIFFSetField(tiff.get(), TIFFTAG_PLANARCONFIG, static_cast<std::uint16_t>(PLANARCONFIG_CONTIG));
+  TIFFSetField(tiff.get(), TIFFTAG_COMPRESSION, static_cast<std::uint16_t>(COMPRESSION_NONE));
+  TIFFSetField(tiff.get(), TIFFTAG_PHOTOMETRIC,
+               static_cast<std::uint16_t>(image.channels() == 3 ? PHOTOMETRIC_RGB : PHOTOMETRIC_MINISBLACK));
+  TIFFSetField(tiff.get(), TIFFTAG_ROWSPERSTRIP, static_cast<std::uint32_t>(rows_per_strip));
+  std::uint32_t strip = 0;
+  for (int v = 0; v < image.height(); v += rows_per_strip, ++strip) {
+    const std::size_t samples = static_cast<std::size_t>(std::min(rows_per_strip, image.height() - v)) * row_samples;
+    // libtiff's interface is not const-correct; it copies before it would swap bytes or predict.
+    auto* data = const_cast<float*>(image.row(v));
+    if (TIFFWriteEncodedStrip(tiff.get(), strip, data, static_cast<tmsize_t>(samples * sizeof(float))) < 0)
+      throw fail();
+  }
+  if (!TIFFFlush(tiff.get())) throw fail();
+  tiff.reset();
+  if (target.error_number != 0 || !errors.message.empty()) throw fail();
+}
+
+}  // namespace malus::codecs

@@ -1,0 +1,129 @@
+#include "malus/io/atomic_file.h"
+
+#include <sys/mount.h>
+
+#include "malus/io/image_file.h"
+#include "malus/io/input_file.h"
+#include "temporary_folder.h"
+
+namespace malus {
+namespace {
+
+std::size_t files_in(const std::filesystem::path& folder) {
+  return static_cast<std::size_t>(
+      std::distance(std::filesystem::directory_iterator(folder), std::filesystem::directory_iterator()));
+}
+
+TEST(AtomicFile, AppearsOnlyWhenCommitted) {
+  const TemporaryFolder folder;
+  const auto path = folder / "result.txt";
+  {
+    AtomicFile file(path);
+    file.write("first");
+    EXPECT_FALSE(std::filesystem::exists(path));
+  }
+  EXPECT_EQ(files_in(folder.path()), 0u) << "the temporary file of an abandoned write is removed";
+  write_file(path, "second");
+  EXPECT_EQ(read_file(path, "result"), "second");
+  EXPECT_EQ(files_in(folder.path()), 1u);
+}
+
+TEST(AtomicFile, AbandonedWriteKeepsTheOldFile) {
+  const TemporaryFolder folder;
+  const auto path = folder.write("result.txt", "old");
+  {
+    AtomicFile file(path);
+    file.write("new");
+  }
+  EXPECT_EQ(read_file(path, "result"), "old");
+}
+
+TEST(AtomicFile, WrongPlaceIsAnInputErrorWithPathAndReason) {
+  const TemporaryFolder folder;
+  expect_error(
+      ErrorCode::input, [&] { AtomicFile file(folder / "absent/x.txt"); }, "absent/x.txt", "No such file");
+  expect_error(
+      ErrorCode::input, [&] { AtomicFile file(folder.path()); }, "Is a directory");
+  folder.write("file", "x");
+  expect_error(
+      ErrorCode::input, [&] { create_folder(folder / "file/below"); }, "file/below", "Not a directory");
+  expect_error(
+      ErrorCode::input, [&] { create_folder("/proc/malus"); }, "/proc/malus");
+  create_folder(folder / "a/b");
+  create_folder(folder / "a/b");
+  EXPECT_TRUE(std::filesystem::is_directory(folder / "a/b"));
+}
+
+TEST(AtomicFile, FolderWithoutPermissionIsAnInputError) {
+  if (::geteuid() == 0) GTEST_SKIP() << "permissions do not stop root";
+  const TemporaryFolder folder;
+  create_folder(folder / "locked");
+  std::filesystem::permissions(folder / "locked",
+                               std::filesystem::perms::owner_read | std::filesystem::perms::owner_exec);
+  expect_error(
+      ErrorCode::input, [&] { AtomicFile file(folder / "locked/x"); }, "Permission denied");
+  expect_error(
+      ErrorCode::input, [&] { create_folder(folder / "locked"); }, "Permission denied");
+}
+
+TEST(AtomicFile, FullDiskIsAResourceErrorAndLeavesNothing) {
+  const TemporaryFolder folder;
+  const auto disk = folder / "disk";
+  create_folder(disk);
+  if (::mount("tmpfs", disk.c_str(), "tmpfs", 0, "size=256k") != 0) GTEST_SKIP() << "mounting is not permitted";
+  const std::string large(1 << 20, 'x');
+  expect_error(
+      ErrorCode::resource, [&] { write_file(disk / "large.bin", large); }, "large.bin", "No space left");
+  EXPECT_EQ(files_in(disk), 0u);
+  expect_error(
+      ErrorCode::resource,
+      [&] {
+        write_float_tiff(disk / "depth.tif", Image<float>({512, 512}));
+      },
+      "depth.tif", "No space left");
+  Image<std::uint16_t> noise({512, 512});
+  unsigned state = 1;
+  for (auto& value : noise) value = static_cast<std::uint16_t>((state = state * 1664525u + 1013904223u) >> 16);
+  expect_error(
+      ErrorCode::resource, [&] { write_png16(disk / "noise.png", noise); }, "noise.png", "No space left");
+  EXPECT_EQ(files_in(disk), 0u);
+  ::umount(disk.c_str());
+}
+
+TEST(InputFile, ReadsLinesAcrossBufferBordersAndKeepsCount) {
+  const TemporaryFolder folder;
+  const std::string longline(3'000'000, 'y');
+  const auto path = folder.write("lines.txt", "one\r\n\n" + longline + "\nlast");
+  InputFile file(path, "list");
+  std::string_view line;
+  ASSERT_TRUE(file.read_line(line));
+  EXPECT_EQ(line, "one");
+  ASSERT_TRUE(file.read_line(line));
+  EXPECT_EQ(line, "");
+  ASSERT_TRUE(file.read_line(line));
+  EXPECT_EQ(line, longline);
+  ASSERT_TRUE(file.read_line(line));
+  EXPECT_EQ(line, "last");
+  EXPECT_EQ(file.line_number(), 4u);
+  EXPECT_EQ(file.remaining(), 0u);
+  EXPECT_FALSE(file.read_line(line));
+}
+
+TEST(InputFile, ErrorsNamePurposePathAndReason) {
+  const TemporaryFolder folder;
+  expect_error(
+      ErrorCode::input, [&] { require_file(folder / "none", "cloud"); }, "cloud", "none", "no such file");
+  expect_error(
+      ErrorCode::input, [&] { require_file(folder.path(), "cloud"); }, "is a folder");
+  expect_error(
+      ErrorCode::input, [&] { require_file(folder.write("empty", ""), "cloud"); }, "is empty");
+  expect_error(
+      ErrorCode::input, [&] { require_file("/dev/null", "cloud"); }, "not a regular file");
+  char bytes[8];
+  InputFile file(folder.write("short", "abc"), "cloud");
+  expect_error(
+      ErrorCode::input, [&] { file.read(bytes, 8); }, "truncated");
+}
+
+}  // namespace
+}  // namespace malus

@@ -1,0 +1,210 @@
+#include "malus/io/image_file.h"
+
+#include <cmath>
+#include <cstring>
+#include <opencv2/imgcodecs.hpp>
+#include <random>
+
+#include "malus/io/input_file.h"
+#include "temporary_folder.h"
+
+namespace malus {
+namespace {
+
+template <class T>
+Image<T> pattern(Size size, int channels) {
+  Image<T> image(size, channels);
+  std::mt19937 random(7);
+  for (std::size_t i = 0; i < image.count(); ++i) image[i] = static_cast<T>(random() >> 8);
+  return image;
+}
+
+template <class T>
+void expect_pixels(const Image<float>& read, const Image<T>& written) {
+  ASSERT_EQ(read.size(), written.size());
+  ASSERT_EQ(read.channels(), written.channels());
+  for (std::size_t i = 0; i < read.count(); ++i) ASSERT_EQ(read[i], static_cast<float>(written[i])) << i;
+}
+
+TEST(ImageFile, PngOfEightAndSixteenBitsSurvives) {
+  const TemporaryFolder folder;
+  for (const int channels : {1, 3}) {
+    const auto bytes = pattern<std::uint8_t>({37, 21}, channels);
+    write_png(folder / "8.png", bytes);
+    const RawImage eight = read_image(folder / "8.png");
+    expect_pixels(eight.pixels, bytes);
+    EXPECT_EQ(eight.bits, 8);
+    EXPECT_EQ(eight.full_scale_dn, 255);
+    const auto words = pattern<std::uint16_t>({37, 21}, channels);
+    write_png16(folder / "16.png", words);
+    const RawImage sixteen = read_image(folder / "16.png");
+    expect_pixels(sixteen.pixels, words);
+    EXPECT_EQ(sixteen.bits, 16);
+    EXPECT_EQ(sixteen.full_scale_dn, 65535);
+    EXPECT_EQ(read_image_size(folder / "16.png"), (Size{37, 21}));
+  }
+}
+
+// OpenCV is the independent writer and reader here; its order is B, G, R.
+TEST(ImageFile, AgreesWithOpenCv) {
+  const TemporaryFolder folder;
+  for (const std::string name : {"a.png", "a.tif", "a.jpg"}) {
+    for (const int type : {CV_8UC1, CV_8UC3, CV_16UC1, CV_16UC3, CV_32FC1, CV_32FC3}) {
+      if ((name == "a.jpg" && CV_MAT_DEPTH(type) != CV_8U) || (name == "a.png" && CV_MAT_DEPTH(type) == CV_32F))
+        continue;
+      cv::Mat mat(24, 40, type);
+      cv::randu(mat, 0, CV_MAT_DEPTH(type) == CV_16U ? 65535 : 255);
+      const std::string path = (folder / name).string();
+      // Without this OpenCV stores three float channels as 16-bit LogLuv.
+      ASSERT_TRUE(cv::imwrite(path, mat, {cv::IMWRITE_TIFF_COMPRESSION, 1}));
+      const cv::Mat expected = cv::imread(path, cv::IMREAD_UNCHANGED);
+      const RawImage image = read_image(path);
+      ASSERT_EQ(image.pixels.size(), (Size{40, 24}));
+      ASSERT_EQ(image.pixels.channels(), expected.channels());
+      cv::Mat as_float;
+      expected.convertTo(as_float, CV_32F);
+      for (int v = 0; v < 24; ++v) {
+        for (int u = 0; u < 40; ++u) {
+          for (int c = 0; c < expected.channels(); ++c) {
+            const int bgr = expected.channels() == 3 ? 2 - c : 0;
+            ASSERT_EQ(image.pixels(u, v, c), as_float.ptr<float>(v)[u * expected.channels() + bgr]) << name << type;
+          }
+        }
+      }
+    }
+  }
+}
+
+TEST(ImageFile, AlphaIsDropped) {
+  const TemporaryFolder folder;
+  for (const std::string name : {"a.png", "a.tif"}) {
+    cv::imwrite((folder / name).string(), cv::Mat(5, 6, CV_8UC4, cv::Scalar(10, 20, 30, 40)));
+    const RawImage image = read_image(folder / name);
+    ASSERT_EQ(image.pixels.channels(), 3);
+    EXPECT_EQ(image.pixels(2, 3, 0), 30);
+    EXPECT_EQ(image.pixels(2, 3, 1), 20);
+    EXPECT_EQ(image.pixels(2, 3, 2), 10);
+  }
+}
+
+TEST(ImageFile, FloatTiffKeepsEveryBit) {
+  const TemporaryFolder folder;
+  for (const int channels : {1, 3}) {
+    Image<float> raster({301, 203}, channels);
+    for (std::size_t i = 0; i < raster.count(); ++i) raster[i] = std::sin(0.1f * static_cast<float>(i)) * 1e-3f + 600;
+    raster(5, 6) = std::nanf("");
+    raster(300, 202) = -0.0f;
+    write_float_tiff(folder / "depth.tif", raster);
+    const Image<float> read = read_float_raster(folder / "depth.tif");
+    ASSERT_EQ(read.size(), raster.size());
+    ASSERT_EQ(read.channels(), channels);
+    EXPECT_EQ(std::memcmp(read.data(), raster.data(), raster.count() * sizeof(float)), 0);
+    const cv::Mat other = cv::imread((folder / "depth.tif").string(), cv::IMREAD_UNCHANGED);
+    ASSERT_EQ(other.channels(), channels);
+    EXPECT_EQ(other.ptr<float>(7)[11 * channels + (channels == 3 ? 2 : 0)], raster(11, 7, 0));
+  }
+}
+
+TEST(ImageFile, MaskAndLabels) {
+  const TemporaryFolder folder;
+  Image<std::uint8_t> labels({4, 2});
+  labels(1, 0) = 1;
+  labels(2, 1) = 2;
+  write_png(folder / "label.png", labels);
+  EXPECT_EQ(read_labels(folder / "label.png"), labels);
+  const Mask mask = read_mask(folder / "label.png");
+  EXPECT_EQ(mask(1, 0), 255);
+  EXPECT_EQ(mask(2, 1), 255);
+  EXPECT_EQ(mask(0, 0), 0);
+  write_png(folder / "rgb.png", Image<std::uint8_t>({2, 2}, 3));
+  expect_error(
+      ErrorCode::input, [&] { read_labels(folder / "rgb.png"); }, "3 channels");
+  expect_error(
+      ErrorCode::input, [&] { read_float_raster(folder / "label.png"); }, "8-bit integer");
+}
+
+TEST(ImageFile, RejectsWhatIsNotAnImage) {
+  const TemporaryFolder folder;
+  expect_error(
+      ErrorCode::input, [&] { read_image(folder / "none.png", "polarized image"); }, "polarized image", "none.png",
+      "no such file");
+  expect_error(
+      ErrorCode::input, [&] { read_image(folder.write("empty.png", "")); }, "is empty");
+  expect_error(
+      ErrorCode::input, [&] { read_image(folder.write("text.png", "hello there")); }, "not an image");
+  expect_error(
+      ErrorCode::input, [&] { read_image(folder.path()); }, "is a folder");
+}
+
+class EveryFormat : public testing::TestWithParam<const char*> {
+ protected:
+  std::string encoded() const {
+    const auto path = folder_ / GetParam();
+    cv::Mat mat(64, 96, CV_8UC3);
+    cv::randu(mat, 0, 255);
+    cv::imwrite(path.string(), mat);
+    return read_file(path, "image");
+  }
+  TemporaryFolder folder_;
+};
+
+TEST_P(EveryFormat, TruncationIsAnErrorAtAnyLength) {
+  const std::string bytes = encoded();
+  for (std::size_t length = 1; length < bytes.size(); length += 1 + bytes.size() / 97) {
+    const auto path = folder_.write("cut", bytes.substr(0, length));
+    expect_error(
+        ErrorCode::input, [&] { read_image(path); }, "cut");
+  }
+}
+
+TEST_P(EveryFormat, DamageNeverCrashes) {
+  const std::string bytes = encoded();
+  std::mt19937 random(3);
+  int rejected = 0;
+  for (int round = 0; round < 400; ++round) {
+    std::string damaged = bytes;
+    const std::size_t span = round % 2 ? bytes.size() : std::min<std::size_t>(bytes.size(), 200);
+    for (int i = 0; i < 3; ++i) damaged[random() % span] = static_cast<char>(random());
+    try {
+      read_image(folder_.write("damaged", damaged));
+    } catch (const Error& error) {
+      EXPECT_EQ(error.code(), ErrorCode::input) << error.what();
+      ++rejected;
+    }
+  }
+  EXPECT_GT(rejected, 100);
+}
+
+INSTANTIATE_TEST_SUITE_P(Formats, EveryFormat, testing::Values("a.png", "a.tif", "a.jpg"));
+
+TEST(ImageFile, ClaimsBeyondTheFileAreRefusedBeforeAllocating) {
+  const TemporaryFolder folder;
+  write_float_tiff(folder / "small.tif", Image<float>({64, 64}));
+  std::string bytes = read_file(folder / "small.tif", "image");
+  // ImageWidth is tag 256 (LONG or SHORT); its value sits eight bytes after the tag in the directory.
+  std::uint32_t directory;
+  std::memcpy(&directory, bytes.data() + 4, 4);
+  std::uint16_t tag, type;
+  std::memcpy(&tag, bytes.data() + directory + 2, 2);
+  std::memcpy(&type, bytes.data() + directory + 4, 2);
+  ASSERT_EQ(tag, 256);
+  const std::uint32_t huge = type == 3 ? 60000 : 65536;
+  std::memcpy(bytes.data() + directory + 10, &huge, 4);
+  expect_error(
+      ErrorCode::input, [&] { read_image(folder.write("huge.tif", bytes)); }, "huge.tif", "more than its bytes");
+}
+
+TEST(ImageFile, WritersRefuseWhatTheyCannotWrite) {
+  const TemporaryFolder folder;
+  expect_error(
+      ErrorCode::input, [&] { write_png(folder / "a.png", Image<std::uint8_t>()); }, "at least one pixel");
+  expect_error(
+      ErrorCode::input,
+      [&] {
+        write_float_tiff(folder / "a.tif", Image<float>({2, 2}, 2));
+      },
+      "2 channels");
+}
+
+}  // namespace
+}  // namespace malus
