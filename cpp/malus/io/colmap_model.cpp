@@ -1,0 +1,542 @@
+#include "malus/io/colmap_model.h"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <cstring>
+#include <optional>
+#include <string_view>
+
+#include "malus/io/atomic_file.h"
+#include "malus/io/input_file.h"
+
+namespace malus {
+namespace {
+
+/// COLMAP's numbers of its camera models; those without a counterpart here are known by name for the message.
+struct ModelId {
+  int id;
+  std::string_view name;
+};
+constexpr ModelId model_ids[] = {{0, "SIMPLE_PINHOLE"},
+                                 {1, "PINHOLE"},
+                                 {2, "SIMPLE_RADIAL"},
+                                 {3, "RADIAL"},
+                                 {4, "OPENCV"},
+                                 {5, "OPENCV_FISHEYE"},
+                                 {6, "FULL_OPENCV"},
+                                 {7, "FOV"},
+                                 {8, "SIMPLE_RADIAL_FISHEYE"},
+                                 {9, "RADIAL_FISHEYE"},
+                                 {10, "THIN_PRISM_FISHEYE"},
+                                 {11, "RAD_TAN_THIN_PRISM_FISHEYE"}};
+
+LensModel model_of_id(int id, const std::string& where) {
+  for (const ModelId& entry : model_ids) {
+    if (entry.id == id) return lens_model(entry.name, where);
+  }
+  return lens_model(std::to_string(id), where);
+}
+
+int id_of_model(LensModel model) {
+  for (const ModelId& entry : model_ids) {
+    if (entry.name == to_string(model)) return entry.id;
+  }
+  throw input_error("camera model " + std::string(to_string(model)) + " cannot be written as a COLMAP model");
+}
+
+/// Index of cx in COLMAP's parameter order; cy follows.
+std::size_t principal_point_index(LensModel model) {
+  const bool one_focal =
+      model == LensModel::simple_pinhole || model == LensModel::simple_radial || model == LensModel::radial;
+  return one_focal ? 1 : 2;
+}
+
+LensCamera shifted(LensCamera camera, double offset) {
+  if (camera.model == LensModel::brown) return camera;
+  const std::size_t cx = principal_point_index(camera.model);
+  if (camera.params.size() > cx + 1) {
+    camera.params[cx] += offset;
+    camera.params[cx + 1] += offset;
+  }
+  return camera;
+}
+
+constexpr double colmap_offset = 0.5;
+
+/// The model being read, with the checks that both formats share.
+class Builder {
+ public:
+  explicit Builder(std::filesystem::path folder) : folder_(std::move(folder)) {}
+
+  void add_camera(std::uint32_t id, LensCamera camera, std::uint64_t width, std::uint64_t height,
+                  const std::string& where) {
+    constexpr std::uint64_t longest_side = 65536;
+    camera.size = {static_cast<int>(std::min(width, longest_side + 1)),
+                   static_cast<int>(std::min(height, longest_side + 1))};
+    camera.validate(where);
+    if (!model_.cameras.emplace(id, from_colmap_pixels(std::move(camera))).second) {
+      throw input_error(where + ": camera id " + std::to_string(id) + " appears twice");
+    }
+  }
+
+  void add_image(std::uint32_t id, ColmapImage image, const std::string& where) {
+    if (!model_.cameras.contains(image.camera_id)) {
+      throw input_error(where + ": image \"" + image.name + "\" has camera id " + std::to_string(image.camera_id) +
+                        ", which the cameras file does not have");
+    }
+    if (!image.pose.translation.allFinite()) throw input_error(where + ": the translation is not finite");
+    if (!model_.images.emplace(id, std::move(image)).second) {
+      throw input_error(where + ": image id " + std::to_string(id) + " appears twice");
+    }
+  }
+
+  void add_point(std::uint64_t id, ColmapPoint point, const std::string& where) {
+    if (!point.position.allFinite()) throw input_error(where + ": the position is not finite");
+    model_.points.emplace(id, std::move(point));
+  }
+
+  ColmapModel take() { return std::move(model_); }
+  std::filesystem::path file(const char* name) const { return folder_ / name; }
+
+ private:
+  std::filesystem::path folder_;
+  ColmapModel model_;
+};
+
+// ---- text ----
+
+/// Words of one line; every value that is missing or malformed is an error with file and line.
+class Words {
+ public:
+  Words(std::string_view line, std::string where) : rest_(line), where_(std::move(where)) {}
+
+  std::string_view next() {
+    skip_blanks();
+    const std::string_view word = rest_.substr(0, rest_.find_first_of(" \t"));
+    rest_.remove_prefix(word.size());
+    return word;
+  }
+  template <class T>
+  T number(const char* name) {
+    const std::string_view word = next();
+    T value{};
+    const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
+    if (error != std::errc() || end != word.data() + word.size()) {
+      throw input_error(where_ + ": " + name + " = \"" + std::string(word) + "\", expected a number");
+    }
+    return value;
+  }
+  bool done() {
+    skip_blanks();
+    return rest_.empty();
+  }
+  /// What is left of the line, without blanks around it.
+  std::string_view rest() {
+    skip_blanks();
+    return rest_.substr(0, rest_.find_last_not_of(" \t") + 1);
+  }
+
+ private:
+  void skip_blanks() { rest_.remove_prefix(std::min(rest_.find_first_not_of(" \t"), rest_.size())); }
+
+  std::string_view rest_;
+  std::string where_;
+};
+
+std::string where_of(const std::filesystem::path& path, const InputFile& file) {
+  return path.string() + " line " + std::to_string(file.line_number());
+}
+
+bool is_comment(std::string_view line) {
+  const std::size_t first = line.find_first_not_of(" \t");
+  return first == std::string_view::npos || line[first] == '#';
+}
+
+void read_cameras_text(Builder& builder) {
+  const auto path = builder.file("cameras.txt");
+  InputFile file(path, "COLMAP cameras");
+  for (std::string_view line; file.read_line(line);) {
+    if (is_comment(line)) continue;
+    const std::string where = where_of(path, file);
+    Words words(line, where);
+    const auto id = words.number<std::uint32_t>("camera id");
+    LensCamera camera;
+    camera.model = lens_model(words.next(), where + ": camera model");
+    const auto width = words.number<std::uint64_t>("width"), height = words.number<std::uint64_t>("height");
+    while (!words.done()) camera.params.push_back(words.number<double>("parameter"));
+    builder.add_camera(id, std::move(camera), width, height, where);
+  }
+}
+
+std::vector<ColmapKeypoint> read_keypoints_text(std::string_view line, const std::string& where) {
+  std::vector<ColmapKeypoint> keypoints;
+  for (Words words(line, where); !words.done();) {
+    const auto x = words.number<double>("x"), y = words.number<double>("y");
+    const auto point = words.number<std::int64_t>("point id");
+    keypoints.push_back({Eigen::Vector2d(x - colmap_offset, y - colmap_offset), static_cast<std::uint64_t>(point)});
+  }
+  return keypoints;
+}
+
+void read_images_text(Builder& builder, ColmapParts parts) {
+  const auto path = builder.file("images.txt");
+  InputFile file(path, "COLMAP images");
+  for (std::string_view line; file.read_line(line);) {
+    if (is_comment(line)) continue;
+    const std::string where = where_of(path, file);
+    Words words(line, where);
+    const auto id = words.number<std::uint32_t>("image id");
+    ColmapImage image;
+    std::array<double, 4> quaternion{};
+    for (double& q : quaternion) q = words.number<double>("quaternion");
+    image.pose.rotation = rotation_from_quaternion(quaternion, where + ": quaternion");
+    for (double& t : image.pose.translation) t = words.number<double>("translation");
+    image.camera_id = words.number<std::uint32_t>("camera id");
+    image.name = words.rest();
+    // The line after an image lists its keypoints and is empty where there are none.
+    if (file.read_line(line) && parts == ColmapParts::everything) {
+      image.keypoints = read_keypoints_text(line, where_of(path, file));
+    }
+    builder.add_image(id, std::move(image), where);
+  }
+}
+
+void read_points_text(Builder& builder) {
+  const auto path = builder.file("points3D.txt");
+  InputFile file(path, "COLMAP points");
+  for (std::string_view line; file.read_line(line);) {
+    if (is_comment(line)) continue;
+    const std::string where = where_of(path, file);
+    Words words(line, where);
+    const auto id = words.number<std::uint64_t>("point id");
+    ColmapPoint point;
+    for (double& x : point.position) x = words.number<double>("position");
+    for (auto& channel : point.color) channel = words.number<std::uint8_t>("color");
+    point.error_px = words.number<double>("error");
+    while (!words.done()) {
+      const auto image = words.number<std::uint32_t>("image id"), keypoint = words.number<std::uint32_t>("keypoint");
+      point.track.emplace_back(image, keypoint);
+    }
+    builder.add_point(id, std::move(point), where);
+  }
+}
+
+// ---- binary, little-endian ----
+
+template <class T>
+T read_value(InputFile& file) {
+  T value;
+  file.read(&value, sizeof value);
+  return value;
+}
+
+/// A count, refused when the rest of the file is too short for that many records.
+std::uint64_t read_count(InputFile& file, std::uint64_t smallest_record, const char* what) {
+  const auto count = read_value<std::uint64_t>(file);
+  if (count > file.remaining() / smallest_record) {
+    throw file.error("claims " + std::to_string(count) + " " + what + ", more than its " + std::to_string(file.size()) +
+                     " bytes can hold");
+  }
+  return count;
+}
+
+void read_cameras_binary(Builder& builder) {
+  const auto path = builder.file("cameras.bin");
+  InputFile file(path, "COLMAP cameras");
+  const std::uint64_t count = read_count(file, 24, "cameras");
+  for (std::uint64_t i = 0; i < count; ++i) {
+    const auto id = read_value<std::uint32_t>(file);
+    const std::string where = path.string() + " camera " + std::to_string(id);
+    LensCamera camera;
+    camera.model = model_of_id(read_value<std::int32_t>(file), where + ": camera model");
+    const auto width = read_value<std::uint64_t>(file), height = read_value<std::uint64_t>(file);
+    camera.params.resize(static_cast<std::size_t>(parameter_count(camera.model)));
+    for (double& parameter : camera.params) parameter = read_value<double>(file);
+    builder.add_camera(id, std::move(camera), width, height, where);
+  }
+}
+
+std::string read_name(InputFile& file) {
+  constexpr std::size_t longest_name = 4096;
+  std::string name;
+  for (char c; (c = read_value<char>(file)) != '\0';) {
+    if (name.size() == longest_name) throw file.error("has an image name of more than 4096 bytes");
+    name.push_back(c);
+  }
+  return name;
+}
+
+void read_images_binary(Builder& builder, ColmapParts parts) {
+  const auto path = builder.file("images.bin");
+  InputFile file(path, "COLMAP images");
+  const std::uint64_t count = read_count(file, 73, "images");
+  for (std::uint64_t i = 0; i < count; ++i) {
+    const auto id = read_value<std::uint32_t>(file);
+    const std::string where = path.string() + " image " + std::to_string(id);
+    ColmapImage image;
+    const auto quaternion = read_value<std::array<double, 4>>(file);
+    image.pose.rotation = rotation_from_quaternion(quaternion, where + ": quaternion");
+    for (double& t : image.pose.translation) t = read_value<double>(file);
+    image.camera_id = read_value<std::uint32_t>(file);
+    image.name = read_name(file);
+    const std::uint64_t keypoints = read_count(file, 24, "keypoints");
+    if (parts == ColmapParts::everything) image.keypoints.reserve(keypoints);
+    for (std::uint64_t k = 0; k < keypoints; ++k) {
+      const auto pixel = read_value<std::array<double, 2>>(file);
+      const auto point = read_value<std::uint64_t>(file);
+      if (parts != ColmapParts::everything) continue;
+      image.keypoints.push_back({Eigen::Vector2d(pixel[0] - colmap_offset, pixel[1] - colmap_offset), point});
+    }
+    builder.add_image(id, std::move(image), where);
+  }
+}
+
+void read_points_binary(Builder& builder) {
+  const auto path = builder.file("points3D.bin");
+  InputFile file(path, "COLMAP points");
+  const std::uint64_t count = read_count(file, 51, "points");
+  for (std::uint64_t i = 0; i < count; ++i) {
+    const auto id = read_value<std::uint64_t>(file);
+    ColmapPoint point;
+    for (double& x : point.position) x = read_value<double>(file);
+    point.color = read_value<Rgb>(file);
+    point.error_px = read_value<double>(file);
+    point.track.resize(read_count(file, 8, "observations"));
+    for (auto& [image, keypoint] : point.track) {
+      image = read_value<std::uint32_t>(file);
+      keypoint = read_value<std::uint32_t>(file);
+    }
+    builder.add_point(id, std::move(point), path.string() + " point " + std::to_string(id));
+  }
+}
+
+// ---- writing ----
+
+/// Shortest text that reads back as the same double.
+std::string text(double value) {
+  char buffer[32];
+  const auto [end, error] = std::to_chars(buffer, buffer + sizeof buffer, value);
+  return std::string(buffer, end);
+}
+
+template <class T>
+void append(std::string& bytes, const T& value) {
+  bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
+}
+
+constexpr std::string_view cameras_header = "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n";
+constexpr std::string_view images_header =
+    "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)\n";
+constexpr std::string_view points_header =
+    "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n";
+
+std::string camera_line(std::uint32_t id, const LensCamera& camera) {
+  id_of_model(camera.model);
+  std::string line = std::to_string(id) + " " + std::string(to_string(camera.model)) + " " +
+                     std::to_string(camera.size.width) + " " + std::to_string(camera.size.height);
+  for (const double parameter : to_colmap_pixels(camera).params) line += " " + text(parameter);
+  return line + "\n";
+}
+
+std::string image_lines(std::uint32_t id, const ColmapImage& image) {
+  std::string lines = std::to_string(id);
+  for (const double q : quaternion_from_rotation(image.pose.rotation)) lines += " " + text(q);
+  for (const double t : image.pose.translation) lines += " " + text(t);
+  lines += " " + std::to_string(image.camera_id) + " " + image.name + "\n";
+  std::string separator;
+  for (const ColmapKeypoint& keypoint : image.keypoints) {
+    lines += separator + text(keypoint.pixel.x() + colmap_offset) + " " + text(keypoint.pixel.y() + colmap_offset) +
+             " " + std::to_string(static_cast<std::int64_t>(keypoint.point_id));
+    separator = " ";
+  }
+  return lines + "\n";
+}
+
+std::string point_line(std::uint64_t id, const ColmapPoint& point) {
+  std::string line = std::to_string(id);
+  for (const double x : point.position) line += " " + text(x);
+  for (const auto channel : point.color) line += " " + std::to_string(channel);
+  line += " " + text(point.error_px);
+  for (const auto& [image, keypoint] : point.track)
+    line += " " + std::to_string(image) + " " + std::to_string(keypoint);
+  return line + "\n";
+}
+
+std::string camera_record(std::uint32_t id, const LensCamera& camera) {
+  std::string record;
+  append(record, id);
+  append(record, static_cast<std::int32_t>(id_of_model(camera.model)));
+  append(record, static_cast<std::uint64_t>(camera.size.width));
+  append(record, static_cast<std::uint64_t>(camera.size.height));
+  for (const double parameter : to_colmap_pixels(camera).params) append(record, parameter);
+  return record;
+}
+
+std::string image_record(std::uint32_t id, const ColmapImage& image) {
+  std::string record;
+  append(record, id);
+  append(record, quaternion_from_rotation(image.pose.rotation));
+  for (const double t : image.pose.translation) append(record, t);
+  append(record, image.camera_id);
+  record.append(image.name.c_str(), image.name.size() + 1);
+  append(record, static_cast<std::uint64_t>(image.keypoints.size()));
+  for (const ColmapKeypoint& keypoint : image.keypoints) {
+    append(record, keypoint.pixel.x() + colmap_offset);
+    append(record, keypoint.pixel.y() + colmap_offset);
+    append(record, keypoint.point_id);
+  }
+  return record;
+}
+
+std::string point_record(std::uint64_t id, const ColmapPoint& point) {
+  std::string record;
+  append(record, id);
+  for (const double x : point.position) append(record, x);
+  append(record, point.color);
+  append(record, point.error_px);
+  append(record, static_cast<std::uint64_t>(point.track.size()));
+  for (const auto& [image, keypoint] : point.track) {
+    append(record, image);
+    append(record, keypoint);
+  }
+  return record;
+}
+
+template <class Map, class Encode>
+void write_records(const std::filesystem::path& path, std::string_view header, const Map& records, Encode&& encode) {
+  AtomicFile file(path);
+  file.write(header);
+  for (const auto& [id, record] : records) file.write(encode(id, record));
+  file.commit();
+}
+
+template <class Map>
+std::string binary_header(const Map& records) {
+  std::string header;
+  append(header, static_cast<std::uint64_t>(records.size()));
+  return header;
+}
+
+}  // namespace
+
+const ColmapImage& ColmapModel::image(const std::string& name, const std::string& where) const {
+  constexpr int names_shown = 8;
+  std::string names;
+  int shown = 0;
+  for (const auto& [id, candidate] : images) {
+    if (candidate.name == name) return candidate;
+    if (++shown <= names_shown) names += (shown == 1 ? "" : ", ") + candidate.name;
+  }
+  if (shown > names_shown) names += ", …";
+  throw input_error(where + " = \"" + name + "\" is not in the COLMAP model; it has " +
+                    (names.empty() ? "no images" : names));
+}
+
+Eigen::Matrix3d rotation_from_quaternion(const std::array<double, 4>& wxyz, const std::string& where) {
+  const Eigen::Quaterniond quaternion(wxyz[0], wxyz[1], wxyz[2], wxyz[3]);
+  const double length = quaternion.norm();
+  if (!std::isfinite(length) || length < 1e-9) {
+    throw input_error(where + " has no direction; expected a rotation as (w, x, y, z)");
+  }
+  return quaternion.normalized().toRotationMatrix();
+}
+
+std::array<double, 4> quaternion_from_rotation(const Eigen::Matrix3d& rotation) {
+  Eigen::Quaterniond quaternion(rotation);
+  quaternion.normalize();
+  const double sign = quaternion.w() < 0 ? -1 : 1;
+  return {sign * quaternion.w(), sign * quaternion.x(), sign * quaternion.y(), sign * quaternion.z()};
+}
+
+LensCamera from_colmap_pixels(LensCamera camera) {
+  return shifted(std::move(camera), -colmap_offset);
+}
+
+LensCamera to_colmap_pixels(LensCamera camera) {
+  return shifted(std::move(camera), colmap_offset);
+}
+
+ColmapModel read_colmap_model(const std::filesystem::path& folder, ColmapParts parts) {
+  Builder builder(folder);
+  const bool points = parts == ColmapParts::everything;
+  if (std::filesystem::exists(builder.file("cameras.bin")) && std::filesystem::exists(builder.file("images.bin"))) {
+    read_cameras_binary(builder);
+    read_images_binary(builder, parts);
+    if (points && std::filesystem::exists(builder.file("points3D.bin"))) read_points_binary(builder);
+  } else if (std::filesystem::exists(builder.file("cameras.txt")) &&
+             std::filesystem::exists(builder.file("images.txt"))) {
+    read_cameras_text(builder);
+    read_images_text(builder, parts);
+    if (points && std::filesystem::exists(builder.file("points3D.txt"))) read_points_text(builder);
+  } else {
+    throw input_error("COLMAP model " + folder.string() +
+                      (std::filesystem::is_directory(folder) ? " has no cameras and images files (.bin or .txt)"
+                                                             : " is not a folder"));
+  }
+  return builder.take();
+}
+
+void write_colmap_model(const std::filesystem::path& folder, const ColmapModel& model, ColmapFormat format) {
+  if (format == ColmapFormat::text) {
+    write_records(folder / "cameras.txt", cameras_header, model.cameras, camera_line);
+    write_records(folder / "images.txt", images_header, model.images, image_lines);
+    write_records(folder / "points3D.txt", points_header, model.points, point_line);
+  } else {
+    write_records(folder / "cameras.bin", binary_header(model.cameras), model.cameras, camera_record);
+    write_records(folder / "images.bin", binary_header(model.images), model.images, image_record);
+    write_records(folder / "points3D.bin", binary_header(model.points), model.points, point_record);
+  }
+}
+
+void write_colmap_text(const std::filesystem::path& camera_path, const std::filesystem::path& image_path,
+                       const Pinhole& camera, const Pose& pose, const std::string& image_name) {
+  const LensCamera lens{LensModel::pinhole, camera.size, {camera.fx, camera.fy, camera.cx, camera.cy}};
+  ColmapImage image;
+  image.name = image_name;
+  image.camera_id = 1;
+  image.pose = pose;
+  write_file(camera_path, std::string(cameras_header) + camera_line(1, lens));
+  write_file(image_path, std::string(images_header) + image_lines(1, image));
+}
+
+Image<float> read_colmap_array(const std::filesystem::path& path) {
+  InputFile file(path, "COLMAP depth or normal map");
+  std::array<std::uint64_t, 3> shape{};
+  for (std::uint64_t& side : shape) {
+    char digit = 0;
+    int digits = 0;
+    for (file.read(&digit, 1); digit != '&'; file.read(&digit, 1)) {
+      if (digit < '0' || digit > '9' || ++digits > 9) throw file.error("has no header width&height&channels&");
+      side = side * 10 + static_cast<std::uint64_t>(digit - '0');
+    }
+  }
+  const auto [width, height, channels] = shape;
+  if (width < 1 || height < 1 || width > 65536 || height > 65536 || (channels != 1 && channels != 3)) {
+    throw file.error("claims " + std::to_string(width) + " x " + std::to_string(height) + " pixels with " +
+                     std::to_string(channels) + " channels, expected 1 or 3 channels");
+  }
+  const std::uint64_t area = width * height;
+  if (file.remaining() != area * channels * sizeof(float)) {
+    throw file.error("has " + std::to_string(file.remaining()) + " bytes of pixels, expected " +
+                     std::to_string(area * channels * sizeof(float)));
+  }
+  Image<float> image({static_cast<int>(width), static_cast<int>(height)}, static_cast<int>(channels));
+  std::vector<float> row(width);
+  for (int c = 0; c < image.channels(); ++c) {
+    for (int v = 0; v < image.height(); ++v) {
+      file.read(row.data(), row.size() * sizeof(float));
+      for (int u = 0; u < image.width(); ++u) image(u, v, c) = row[static_cast<std::size_t>(u)];
+    }
+  }
+  for (std::size_t i = 0; i < area; ++i) {
+    float* pixel = image.data() + i * channels;
+    if (std::all_of(pixel, pixel + channels, [](float value) { return value == 0; })) {
+      std::fill(pixel, pixel + channels, std::numeric_limits<float>::quiet_NaN());
+    }
+  }
+  return image;
+}
+
+}  // namespace malus
