@@ -1,0 +1,187 @@
+#include "malus/polarization/reflection.h"
+
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <optional>
+#include <vector>
+
+#include "malus/core/parallel.h"
+#include "malus/polarization/ray_frame.h"
+
+namespace malus {
+namespace {
+
+/// Slopes of the prior at a pixel, or nothing where it has none or faces away.
+std::optional<Slopes> prior_slopes(const Image<float>& normals, const Pinhole* camera, int u, int v) {
+  const Eigen::Vector3d normal(normals(u, v, 0), normals(u, v, 1), normals(u, v, 2));
+  const RayFrame frame = ray_frame(camera, u, v);
+  if (!(normal.dot(frame.view) > 0.01)) return std::nullopt;
+  return frame.slopes(normal);
+}
+
+/// Evidence of the azimuth test: weights (sin²θ of the prior), and the part of them where R < 0.
+struct Evidence {
+  double weight = 0;
+  double specular = 0;
+
+  Evidence& operator+=(const Evidence& other) {
+    weight += other.weight;
+    specular += other.specular;
+    return *this;
+  }
+};
+
+Evidence evidence_at(const PolarizationState& state, const Pinhole* camera, const Image<float>& normals, int u, int v) {
+  if (!state.is_valid(u, v)) return {};
+  const auto slopes = prior_slopes(normals, camera, u, v);
+  if (!slopes) return {};
+  const double weight = slopes->tan2() / (1 + slopes->tan2());
+  const double radial = std::cos(2 * (state.phi(u, v) - slopes->azimuth_rad()));
+  return {weight, radial < 0 ? weight : 0};
+}
+
+/// Share of specular evidence around each pixel: cells of region_px, smoothed over their neighbours, interpolated.
+class PooledEvidence {
+ public:
+  PooledEvidence(const PolarizationState& state, const Pinhole* camera, const Image<float>& normals,
+                 const ReflectionOptions& options, const Context& context)
+      : cell_px_(options.region_px) {
+    const Size cells{(state.size().width + cell_px_ - 1) / cell_px_, (state.size().height + cell_px_ - 1) / cell_px_};
+    Image<Evidence> sums(cells);
+    parallel_for(context, static_cast<std::size_t>(cells.height), 1, [&](std::size_t row, std::size_t) {
+      const int v0 = static_cast<int>(row) * cell_px_;
+      for (int v = v0; v < std::min(v0 + cell_px_, state.size().height); ++v) {
+        for (int u = 0; u < state.size().width; ++u) {
+          sums(u / cell_px_, static_cast<int>(row)) += evidence_at(state, camera, normals, u, v);
+        }
+      }
+    });
+    Evidence all;
+    for (const Evidence& cell : sums) all += cell;
+    const double overall = all.weight > 0 ? all.specular / all.weight : 0.0;
+    const double lean = options.region_strength * cell_px_ * cell_px_;
+    share_ = Image<float>(cells);
+    for (int y = 0; y < cells.height; ++y) {
+      for (int x = 0; x < cells.width; ++x) {
+        Evidence pooled{lean, lean * overall};
+        for (int dy = -1; dy <= 1; ++dy) {
+          for (int dx = -1; dx <= 1; ++dx) {
+            if (!sums.contains(x + dx, y + dy)) continue;
+            const double tent = (dx == 0 ? 1.0 : 0.5) * (dy == 0 ? 1.0 : 0.5);
+            const Evidence& cell = sums(x + dx, y + dy);
+            pooled += {tent * cell.weight, tent * cell.specular};
+          }
+        }
+        share_(x, y) = pooled.weight > 0 ? static_cast<float>(pooled.specular / pooled.weight) : 0.0f;
+      }
+    }
+  }
+
+  double specular_share(int u, int v) const {
+    const double x = std::clamp((u + 0.5) / cell_px_ - 0.5, 0.0, share_.width() - 1.0);
+    const double y = std::clamp((v + 0.5) / cell_px_ - 0.5, 0.0, share_.height() - 1.0);
+    const int x0 = static_cast<int>(x), y0 = static_cast<int>(y);
+    const int x1 = std::min(x0 + 1, share_.width() - 1), y1 = std::min(y0 + 1, share_.height() - 1);
+    const double fx = x - x0, fy = y - y0;
+    return (1 - fy) * ((1 - fx) * share_(x0, y0) + fx * share_(x1, y0)) +
+           fy * ((1 - fx) * share_(x0, y1) + fx * share_(x1, y1));
+  }
+
+ private:
+  int cell_px_;
+  Image<float> share_;
+};
+
+/// Without a prior: whether enough pixels are polarized more than diffuse reflection can be.
+bool exceeds_diffuse(const PolarizationState& state, const ReflectionOptions& options) {
+  const double largest = largest_diffuse_degree(options.refractive_index);
+  std::size_t valid = 0, beyond = 0;
+  for (std::size_t i = 0; i < state.rho.count(); ++i) {
+    if (state.valid[i] != static_cast<std::uint8_t>(PixelState::valid)) continue;
+    ++valid;
+    if (state.rho[i] > largest) ++beyond;
+  }
+  return static_cast<double>(beyond) > options.beyond_diffuse_share * static_cast<double>(valid);
+}
+
+void validate(const PolarizationState& state, const Image<float>* prior_normals, const Image<std::uint8_t>* labels,
+              const ReflectionOptions& options) {
+  validate_fields(options, "optics");
+  if (prior_normals != nullptr) {
+    require_size(*prior_normals, state.size(), "prior normals");
+    if (prior_normals->channels() != 3) throw input_error("prior normals: expected 3 channels");
+  }
+  if (options.reflection != ReflectionChoice::labels) return;
+  if (labels == nullptr) throw input_error("optics.reflection = \"labels\" needs a label image");
+  require_size(*labels, state.size(), "label image");
+  for (const std::uint8_t value : *labels) {
+    if (value > 2) {
+      throw input_error("label image has the value " + std::to_string(value) +
+                        ", expected 0 (decide), 1 (diffuse) or 2 (specular)");
+    }
+  }
+}
+
+}  // namespace
+
+ReflectionMap map_reflection(const PolarizationState& state, const Pinhole* camera, const Image<float>* prior_normals,
+                             const Image<std::uint8_t>* labels, const ReflectionOptions& options,
+                             const Context& context) {
+  validate(state, prior_normals, labels, options);
+  const bool decide =
+      options.reflection == ReflectionChoice::automatic || options.reflection == ReflectionChoice::labels;
+  std::optional<PooledEvidence> evidence;
+  Reflection everywhere = Reflection::diffuse;
+  if (decide && prior_normals != nullptr) {
+    evidence.emplace(state, camera, *prior_normals, options, context);
+  } else if (options.reflection == ReflectionChoice::specular || (decide && exceeds_diffuse(state, options))) {
+    everywhere = Reflection::specular;
+  }
+
+  ReflectionMap map;
+  map.refractive_index = options.refractive_index;
+  map.label = Image<std::uint8_t>(state.size());
+  map.zenith = Image<float>(state.size(), 1, std::numeric_limits<float>::quiet_NaN());
+  const double brewster_slope = options.refractive_index;  // tan of Brewster's angle
+  struct Counts {
+    std::size_t labeled = 0, specular = 0, clamped = 0;
+    Counts& operator+=(const Counts& other) {
+      labeled += other.labeled;
+      specular += other.specular;
+      clamped += other.clamped;
+      return *this;
+    }
+  };
+  const auto label_rows = [&](std::size_t begin, std::size_t end) {
+    Counts counts;
+    for (int v = static_cast<int>(begin); v < static_cast<int>(end); ++v) {
+      for (int u = 0; u < state.size().width; ++u) {
+        if (!state.is_valid(u, v)) continue;
+        Reflection label = everywhere;
+        if (evidence) label = evidence->specular_share(u, v) > 0.5 ? Reflection::specular : Reflection::diffuse;
+        if (options.reflection == ReflectionChoice::labels && (*labels)(u, v) != 0) {
+          label = static_cast<Reflection>((*labels)(u, v));
+        }
+        auto branch = SpecularBranch::below_brewster;
+        if (label == Reflection::specular && prior_normals != nullptr) {
+          const auto slopes = prior_slopes(*prior_normals, camera, u, v);
+          if (slopes && slopes->tan2() > brewster_slope * brewster_slope) branch = SpecularBranch::above_brewster;
+        }
+        const auto zenith = zenith_of(label, state.rho(u, v), options.refractive_index, branch);
+        map.label(u, v) = static_cast<std::uint8_t>(label);
+        map.zenith(u, v) = static_cast<float>(zenith.zenith_rad);
+        counts += {1, label == Reflection::specular ? 1u : 0u, zenith.clamped ? 1u : 0u};
+      }
+    }
+    return counts;
+  };
+  const Counts counts = parallel_sum(context, static_cast<std::size_t>(state.size().height), 16, Counts{}, label_rows);
+  if (counts.labeled > 0) {
+    map.specular_share = static_cast<double>(counts.specular) / static_cast<double>(counts.labeled);
+    map.clamped_share = static_cast<double>(counts.clamped) / static_cast<double>(counts.labeled);
+  }
+  return map;
+}
+
+}  // namespace malus

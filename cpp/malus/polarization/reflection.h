@@ -1,0 +1,80 @@
+#pragma once
+
+#include <cstdint>
+
+#include "malus/core/camera.h"
+#include "malus/core/context.h"
+#include "malus/core/fields.h"
+#include "malus/core/image.h"
+#include "malus/polarization/fresnel.h"
+#include "malus/polarization/polarization_state.h"
+
+namespace malus {
+
+/// Which reflection governs the polarization of a pixel; the values of ReflectionMap::label.
+enum class Reflection : std::uint8_t { outside = 0, diffuse = 1, specular = 2 };
+
+/// How labels come about.
+enum class ReflectionChoice { automatic, diffuse, specular, labels };
+constexpr auto names_of(ReflectionChoice) {
+  return std::to_array<std::string_view>({"auto", "diffuse", "specular", "labels"});
+}
+
+struct ReflectionOptions {
+  ReflectionChoice reflection = ReflectionChoice::automatic;
+  double refractive_index = 1.5;
+  int region_px = 16;
+  double region_strength = 0.02;
+  double beyond_diffuse_share = 0.01;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("reflection", self.reflection, any_value, "what governs the polarization of the surface");
+    visit("refractive_index", self.refractive_index, Range{1.05, 3}, "of the surface");
+    visit("region_px", self.region_px, Range{1, 4096},
+          "auto: side of the cells whose pooled azimuth test decides between diffuse and specular");
+    visit("region_strength", self.region_strength, not_negative,
+          "auto: mean sin² of the zenith a region needs to weigh as much as the whole object");
+    visit("beyond_diffuse_share", self.beyond_diffuse_share, fraction_range,
+          "auto without a prior: specular if more of the pixels exceed the largest diffuse degree");
+  }
+};
+
+/// Labels and zeniths of a station.
+struct ReflectionMap {
+  Image<std::uint8_t> label;  ///< Reflection
+  Image<float> zenith;        ///< [rad], to the pixel's ray, by Eq 7 or Eq 8 from the degree as measured; NaN = none
+  double refractive_index = 1.5;
+  double specular_share = 0;  ///< of the labeled pixels
+  double clamped_share = 0;   ///< of the labeled pixels: degree beyond what the label's model can give
+
+  Reflection at(int u, int v) const { return static_cast<Reflection>(label(u, v)); }
+  /// Side of Brewster's angle on which the pixel's zenith lies.
+  SpecularBranch branch(int u, int v) const {
+    return zenith(u, v) > brewster_angle(refractive_index) ? SpecularBranch::above_brewster
+                                                           : SpecularBranch::below_brewster;
+  }
+};
+
+/// Zenith of a degree of polarization under one kind of reflection: Eq 7 or Eq 8.
+inline ZenithFromDegree zenith_of(Reflection reflection, double degree, double eta, SpecularBranch branch) {
+  return reflection == Reflection::specular ? specular_zenith(degree, eta, branch) : diffuse_zenith(degree, eta);
+}
+
+/// Labels every valid pixel diffuse or specular and reads its zenith off the degree of polarization.
+///
+/// camera: of the rasters; null = orthographic. prior_normals: 3 channels, unit, camera frame, towards the camera, NaN
+/// = none; null if there is no prior. labels: needed for ReflectionChoice::labels, 1 = diffuse, 2 = specular, 0 =
+/// decide.
+///
+/// Automatic choice with a prior: the radial Stokes component R = s1 cos 2α + s2 sin 2α, α the prior's azimuth in the
+/// ray's frame, is positive for diffuse and negative for specular reflection. The share of R < 0, weighted by sin²θ of
+/// the prior and pooled over regions that lean on the whole object where they are flat, decides at one half. Without a
+/// prior a degree above the largest diffuse one is the only evidence, so that the whole object gets one label, and a
+/// weakly polarizing specular one (near-frontal view) is taken for diffuse. The prior's zenith picks the side of
+/// Brewster's angle in Eq 8; without it the side below is assumed.
+ReflectionMap map_reflection(const PolarizationState& state, const Pinhole* camera, const Image<float>* prior_normals,
+                             const Image<std::uint8_t>* labels, const ReflectionOptions& options,
+                             const Context& context);
+
+}  // namespace malus
