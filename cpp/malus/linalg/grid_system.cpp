@@ -1,0 +1,59 @@
+#include "malus/linalg/grid_system.h"
+
+#include <algorithm>
+#include <bit>
+
+namespace malus {
+
+PixelIndex::PixelIndex(const Mask& mask) : index_(mask.size(), 1, -1) {
+  for (int v = 0; v < mask.height(); ++v) {
+    for (int u = 0; u < mask.width(); ++u) {
+      if (mask(u, v) == 0) continue;
+      index_(u, v) = static_cast<int>(pixels_.size());
+      pixels_.push_back({u, v});
+    }
+  }
+}
+
+GridSystem::GridSystem(const PixelIndex& pixels)
+    : pixels_(&pixels),
+      values_(static_cast<std::size_t>(pixels.count()) * slots, 0.0),
+      used_(static_cast<std::size_t>(pixels.count()), 1),
+      right_(Eigen::VectorXd::Zero(pixels.count())) {}
+
+void GridSystem::clear() {
+  std::fill(values_.begin(), values_.end(), 0.0);
+  right_.setZero();
+}
+
+SymmetricSolver::Matrix GridSystem::lower(double ridge) const {
+  const int count = pixels_->count();
+  SymmetricSolver::Matrix matrix(count, count);
+  int entries = 0;
+  for (const std::uint16_t used : used_) entries += std::popcount(used);
+  matrix.resizeNonZeros(entries);
+  int next = 0;
+  for (int a = 0; a < count; ++a) {
+    matrix.outerIndexPtr()[a] = next;
+    const double* values = values_.data() + static_cast<std::size_t>(a) * slots;
+    // Slots are ordered as the pixels are numbered: row indices come out sorted.
+    for (int slot = 0; slot < slots; ++slot) {
+      if ((used_[static_cast<std::size_t>(a)] >> slot & 1u) == 0) continue;
+      const int dv = slot <= reach ? 0 : (slot - reach - 1) / (2 * reach + 1) + 1;
+      const int du = slot <= reach ? slot : (slot - reach - 1) % (2 * reach + 1) - reach;
+      matrix.innerIndexPtr()[next] = pixels_->at(pixels_->u(a) + du, pixels_->v(a) + dv);
+      matrix.valuePtr()[next] = values[slot] + (slot == 0 ? ridge : 0.0);
+      ++next;
+    }
+  }
+  matrix.outerIndexPtr()[count] = next;
+  return matrix;
+}
+
+double GridSystem::largest_diagonal() const {
+  double largest = 0;
+  for (std::size_t i = 0; i < values_.size(); i += slots) largest = std::max(largest, values_[i]);
+  return largest;
+}
+
+}  // namespace malus

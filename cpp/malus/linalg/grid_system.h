@@ -1,0 +1,79 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <vector>
+
+#include "malus/core/image.h"
+#include "malus/linalg/symmetric_solver.h"
+
+namespace malus {
+
+/// Numbers the pixels of a mask row by row.
+class PixelIndex {
+ public:
+  explicit PixelIndex(const Mask& mask);
+
+  int count() const { return static_cast<int>(pixels_.size()); }
+  /// Unknown at a pixel, or -1 outside the mask or the raster.
+  int at(int u, int v) const { return index_.contains(u, v) ? index_(u, v) : -1; }
+  int u(int unknown) const { return pixels_[static_cast<std::size_t>(unknown)].u; }
+  int v(int unknown) const { return pixels_[static_cast<std::size_t>(unknown)].v; }
+  Size size() const { return index_.size(); }
+
+ private:
+  struct Pixel {
+    int u, v;
+  };
+  Image<int> index_;
+  std::vector<Pixel> pixels_;
+};
+
+/// Normal equations of a least-squares problem with one unknown a pixel, in which a row of the problem touches pixels
+/// at most `reach` apart along each axis. The pattern grows with the entries ever added and stays when the values are
+/// cleared, so that a solver's analysis stays good.
+class GridSystem {
+ public:
+  /// Largest distance of two coupled pixels along each axis.
+  static constexpr int reach = 2;
+
+  explicit GridSystem(const PixelIndex& pixels);
+
+  void clear();
+  /// Adds to the symmetric entry of two unknowns (once, not once for each order). Not checked: within reach.
+  void add(int a, int b, double value) {
+    if (a > b) std::swap(a, b);
+    const std::size_t column = static_cast<std::size_t>(a);
+    const int slot = slot_of(pixels_->u(b) - pixels_->u(a), pixels_->v(b) - pixels_->v(a));
+    values_[column * slots + static_cast<std::size_t>(slot)] += value;
+    used_[column] = static_cast<std::uint16_t>(used_[column] | (1u << slot));
+  }
+  void add_right(int a, double value) { right_[a] += value; }
+  /// Adds weight · (coefficients · x − target)² over `count` unknowns.
+  void add_row(const int* unknowns, const double* coefficients, int count, double target, double weight) {
+    for (int i = 0; i < count; ++i) {
+      add_right(unknowns[i], weight * coefficients[i] * target);
+      for (int j = 0; j <= i; ++j) add(unknowns[i], unknowns[j], weight * coefficients[i] * coefficients[j]);
+    }
+  }
+
+  /// Lower triangle with this added to the diagonal.
+  SymmetricSolver::Matrix lower(double ridge) const;
+  const Eigen::VectorXd& right() const { return right_; }
+  /// Largest diagonal entry.
+  double largest_diagonal() const;
+
+ private:
+  // The later pixel of a pair lies in the same row to the right, or in one of the next rows.
+  static constexpr int slots = reach + 1 + reach * (2 * reach + 1);
+  static constexpr int slot_of(int du, int dv) {
+    return dv == 0 ? du : reach + 1 + (dv - 1) * (2 * reach + 1) + du + reach;
+  }
+
+  const PixelIndex* pixels_;
+  std::vector<double> values_;
+  std::vector<std::uint16_t> used_;
+  Eigen::VectorXd right_;
+};
+
+}  // namespace malus

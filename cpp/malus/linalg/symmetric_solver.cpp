@@ -1,0 +1,180 @@
+#include "malus/linalg/symmetric_solver.h"
+
+#include <cholmod.h>
+#include <dlfcn.h>
+
+#include <sstream>
+#include <string>
+
+namespace malus {
+namespace {
+
+/// OpenBLAS, if that is the BLAS, gets the thread count for the time of one call and its old one back.
+class BlasThreads {
+ public:
+  explicit BlasThreads(int threads) {
+    set_ = reinterpret_cast<void (*)(int)>(dlsym(RTLD_DEFAULT, "openblas_set_num_threads"));
+    const auto get = reinterpret_cast<int (*)()>(dlsym(RTLD_DEFAULT, "openblas_get_num_threads"));
+    if (set_ == nullptr || get == nullptr) {
+      set_ = nullptr;
+      return;
+    }
+    before_ = get();
+    set_(threads);
+  }
+  ~BlasThreads() {
+    if (set_ != nullptr) set_(before_);
+  }
+  BlasThreads(const BlasThreads&) = delete;
+  BlasThreads& operator=(const BlasThreads&) = delete;
+
+ private:
+  void (*set_)(int) = nullptr;
+  int before_ = 1;
+};
+
+/// CHOLMOD's view of an Eigen matrix; shares its memory.
+cholmod_sparse view(const SymmetricSolver::Matrix& lower) {
+  cholmod_sparse view{};
+  view.nrow = static_cast<std::size_t>(lower.rows());
+  view.ncol = static_cast<std::size_t>(lower.cols());
+  view.nzmax = static_cast<std::size_t>(lower.nonZeros());
+  view.p = const_cast<int*>(lower.outerIndexPtr());
+  view.i = const_cast<int*>(lower.innerIndexPtr());
+  view.x = const_cast<double*>(lower.valuePtr());
+  view.stype = -1;
+  view.itype = CHOLMOD_INT;
+  view.xtype = CHOLMOD_REAL;
+  view.dtype = CHOLMOD_DOUBLE;
+  view.sorted = 1;
+  view.packed = 1;
+  return view;
+}
+
+void require_square_compressed(const SymmetricSolver::Matrix& lower) {
+  if (lower.rows() != lower.cols() || !lower.isCompressed()) {
+    throw input_error("linear system: expected a square, compressed matrix");
+  }
+}
+
+}  // namespace
+
+struct SymmetricSolver::Impl {
+  explicit Impl(const Context& context_in) : context(context_in) {
+    cholmod_start(&common);
+    common.print = 0;
+    // L·Lᵀ and not L·D·Lᵀ, which would accept an indefinite matrix.
+    common.supernodal = CHOLMOD_SUPERNODAL;
+    // Nested dissection: on pixel grids it fills in far less than minimum degree.
+    common.nmethods = 1;
+    common.method[0].ordering = CHOLMOD_METIS;
+    common.postorder = 1;
+  }
+  ~Impl() {
+    free_factor();
+    cholmod_finish(&common);
+  }
+  Impl(const Impl&) = delete;
+  Impl& operator=(const Impl&) = delete;
+
+  void free_factor() {
+    if (factor != nullptr) cholmod_free_factor(&factor, &common);
+  }
+
+  /// Turns CHOLMOD's failures into errors; `what` was being done.
+  void check(const char* what) {
+    if (common.status >= CHOLMOD_OK) return;
+    const int status = common.status;
+    common.status = CHOLMOD_OK;
+    std::ostringstream message;
+    message << "linear system of " << unknowns << " unknowns: ";
+    if (status == CHOLMOD_OUT_OF_MEMORY || status == CHOLMOD_TOO_LARGE) {
+      message << "out of memory while " << what << " (the factor takes " << estimate.factor_bytes / 1e9 << " GB)";
+      throw resource_error(message.str());
+    }
+    message << "CHOLMOD failed with status " << status << " while " << what;
+    throw Error(ErrorCode::external, message.str());
+  }
+
+  const Context context;
+  cholmod_common common{};
+  cholmod_factor* factor = nullptr;
+  Eigen::Index unknowns = 0;
+  Eigen::Index entries = 0;
+  FactorEstimate estimate;
+  double relative_residual = 0;
+};
+
+SymmetricSolver::SymmetricSolver(const Context& context) : impl_(std::make_unique<Impl>(context)) {}
+SymmetricSolver::~SymmetricSolver() = default;
+SymmetricSolver::SymmetricSolver(SymmetricSolver&&) noexcept = default;
+SymmetricSolver& SymmetricSolver::operator=(SymmetricSolver&&) noexcept = default;
+
+FactorEstimate SymmetricSolver::analyze(const Matrix& lower) {
+  require_square_compressed(lower);
+  impl_->context.check_cancel();
+  impl_->free_factor();
+  impl_->unknowns = lower.rows();
+  impl_->entries = lower.nonZeros();
+  cholmod_sparse matrix = view(lower);
+  impl_->factor = cholmod_analyze(&matrix, &impl_->common);
+  impl_->check("ordering");
+  impl_->estimate = {8 * impl_->common.lnz, impl_->common.fl};
+  impl_->context.check_cancel();
+  return impl_->estimate;
+}
+
+SolveStatus SymmetricSolver::factorize(const Matrix& lower) {
+  if (impl_->factor == nullptr) analyze(lower);
+  require_square_compressed(lower);
+  if (lower.rows() != impl_->unknowns || lower.nonZeros() != impl_->entries) {
+    throw input_error("linear system: the matrix has another pattern than the analyzed one");
+  }
+  impl_->context.check_cancel();
+  const BlasThreads threads(impl_->context.threads);
+  cholmod_sparse matrix = view(lower);
+  cholmod_factorize(&matrix, impl_->factor, &impl_->common);
+  impl_->check("factorizing");
+  impl_->context.check_cancel();
+  const bool definite =
+      impl_->common.status != CHOLMOD_NOT_POSDEF && impl_->factor->minor == static_cast<std::size_t>(impl_->unknowns);
+  impl_->common.status = CHOLMOD_OK;
+  return definite ? SolveStatus::solved : SolveStatus::not_positive_definite;
+}
+
+SolveStatus SymmetricSolver::solve(const Matrix& lower, const Eigen::VectorXd& b, Eigen::VectorXd& x,
+                                   double residual_limit) {
+  if (impl_->factor == nullptr || b.size() != impl_->unknowns || lower.rows() != impl_->unknowns) {
+    throw input_error("linear system: factorize a matrix of the right-hand side's size first");
+  }
+  const BlasThreads threads(impl_->context.threads);
+  const auto apply_inverse = [&](const Eigen::VectorXd& right) {
+    cholmod_dense dense{};
+    dense.nrow = dense.nzmax = dense.d = static_cast<std::size_t>(right.size());
+    dense.ncol = 1;
+    dense.x = const_cast<double*>(right.data());
+    dense.xtype = CHOLMOD_REAL;
+    dense.dtype = CHOLMOD_DOUBLE;
+    cholmod_dense* solution = cholmod_solve(CHOLMOD_A, impl_->factor, &dense, &impl_->common);
+    impl_->check("solving");
+    Eigen::VectorXd copy = Eigen::Map<const Eigen::VectorXd>(static_cast<double*>(solution->x), right.size());
+    cholmod_free_dense(&solution, &impl_->common);
+    return copy;
+  };
+  const auto residual = [&] { return Eigen::VectorXd(b - lower.selfadjointView<Eigen::Lower>() * x); };
+  x = apply_inverse(b);
+  Eigen::VectorXd rest = residual();
+  const double scale = b.norm() > 0 ? b.norm() : 1;
+  if (rest.norm() > 1e-12 * scale) {
+    x += apply_inverse(rest);
+    rest = residual();
+  }
+  impl_->relative_residual = rest.norm() / scale;
+  return impl_->relative_residual <= residual_limit ? SolveStatus::solved : SolveStatus::inaccurate;
+}
+
+double SymmetricSolver::relative_residual() const {
+  return impl_->relative_residual;
+}
+
+}  // namespace malus

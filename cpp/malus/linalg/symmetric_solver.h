@@ -1,0 +1,61 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <Eigen/SparseCore>
+#include <array>
+#include <memory>
+#include <string_view>
+
+#include "malus/core/context.h"
+
+namespace malus {
+
+/// Outcome of a factorization or solve.
+enum class SolveStatus {
+  not_run,
+  solved,
+  not_positive_definite,  ///< the matrix is singular or indefinite: some unknown is not held by any equation
+  inaccurate,             ///< the residual stays above the limit: the matrix is too ill conditioned
+};
+constexpr auto names_of(SolveStatus) {
+  return std::to_array<std::string_view>({"not run", "solved", "not positive definite", "inaccurate"});
+}
+
+/// What a factorization takes, known after analyze() and before memory is spent.
+struct FactorEstimate {
+  double factor_bytes = 0;
+  double flops = 0;
+};
+
+/// Direct solver of sparse symmetric positive definite systems A x = b.
+///
+/// Only the lower triangle of A is read (column-major, sorted). analyze() finds the elimination order for a pattern;
+/// factorize() may then be called for any number of matrices of that pattern, and solve() for any number of right-hand
+/// sides. Running out of memory throws ErrorCode::resource; a matrix that cannot be factorized is a status.
+class SymmetricSolver {
+ public:
+  using Matrix = Eigen::SparseMatrix<double, Eigen::ColMajor, int>;
+
+  /// BLAS runs on context.threads threads during factorize() and solve().
+  explicit SymmetricSolver(const Context& context);
+  ~SymmetricSolver();
+  SymmetricSolver(SymmetricSolver&&) noexcept;
+  SymmetricSolver& operator=(SymmetricSolver&&) noexcept;
+
+  FactorEstimate analyze(const Matrix& lower);
+  /// Analyzes first if the pattern was not analyzed yet. Throws an input error if the pattern differs from the
+  /// analyzed.
+  SolveStatus factorize(const Matrix& lower);
+  /// x = A⁻¹ b for the matrix last factorized; `lower` must still be that matrix (for the residual check and one step
+  /// of iterative refinement). Returns `inaccurate` if |A x − b| > residual_limit · |b|.
+  SolveStatus solve(const Matrix& lower, const Eigen::VectorXd& b, Eigen::VectorXd& x, double residual_limit = 1e-6);
+
+  /// |A x − b| / |b| of the last solve.
+  double relative_residual() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace malus

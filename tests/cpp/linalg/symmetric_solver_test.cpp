@@ -1,0 +1,136 @@
+#include "malus/linalg/symmetric_solver.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Dense>
+#include <atomic>
+
+#include "malus/linalg/grid_system.h"
+
+namespace malus {
+namespace {
+
+/// Second differences plus a weak diagonal on a disc-shaped mask.
+GridSystem plate(const PixelIndex& pixels, double weight) {
+  GridSystem system(pixels);
+  for (int i = 0; i < pixels.count(); ++i) {
+    for (const auto& [du, dv] : {std::pair{1, 0}, {0, 1}, {1, 1}}) {
+      const int before = pixels.at(pixels.u(i) - du, pixels.v(i) - dv),
+                after = pixels.at(pixels.u(i) + du, pixels.v(i) + dv);
+      if (before < 0 || after < 0) continue;
+      const int unknowns[] = {before, i, after};
+      const double coefficients[] = {1, -2, 1};
+      system.add_row(unknowns, coefficients, 3, 0.1 * i, weight);
+    }
+    system.add(i, i, 0.3);
+  }
+  return system;
+}
+
+Mask disc(int size) {
+  Mask mask({size, size});
+  for (int v = 0; v < size; ++v) {
+    for (int u = 0; u < size; ++u) mask(u, v) = std::hypot(u - size / 2, v - size / 2) < 0.45 * size ? 255 : 0;
+  }
+  return mask;
+}
+
+TEST(SymmetricSolver, SolvesLikeADenseSolverAndAgainWithOtherValues) {
+  const PixelIndex pixels(disc(20));
+  SymmetricSolver solver{Context{}};
+  for (const double weight : {1.0, 7.0}) {
+    const GridSystem system = plate(pixels, weight);
+    const auto lower = system.lower(0);
+    ASSERT_EQ(solver.factorize(lower), SolveStatus::solved);
+    Eigen::VectorXd x;
+    ASSERT_EQ(solver.solve(lower, system.right(), x), SolveStatus::solved);
+    EXPECT_LT(solver.relative_residual(), 1e-12);
+    const Eigen::MatrixXd dense = Eigen::MatrixXd(lower).selfadjointView<Eigen::Lower>();
+    EXPECT_LT((dense.ldlt().solve(system.right()) - x).norm(), 1e-9 * x.norm());
+  }
+}
+
+TEST(SymmetricSolver, EstimatesMemoryBeforeSpendingIt) {
+  const PixelIndex pixels(disc(60));
+  const auto lower = plate(pixels, 1).lower(0);
+  SymmetricSolver solver{Context{}};
+  const FactorEstimate estimate = solver.analyze(lower);
+  EXPECT_GT(estimate.factor_bytes, 8.0 * static_cast<double>(lower.nonZeros()));
+  EXPECT_LT(estimate.factor_bytes, 8.0 * pixels.count() * 400);
+  EXPECT_GT(estimate.flops, estimate.factor_bytes);
+}
+
+TEST(SymmetricSolver, SingularAndIndefiniteMatricesAreAStatus) {
+  const PixelIndex pixels(Mask({6, 6}, 1, 1));
+  GridSystem system(pixels);
+  for (int i = 0; i + 1 < pixels.count(); ++i) system.add(i, i, 1);
+  system.add(pixels.count() - 1, pixels.count() - 1, -1);
+  SymmetricSolver solver{Context{}};
+  EXPECT_EQ(solver.factorize(system.lower(0)), SolveStatus::not_positive_definite);
+}
+
+TEST(SymmetricSolver, ResidualAboveTheLimitIsInaccurate) {
+  const PixelIndex pixels(disc(30));
+  const GridSystem system = plate(pixels, 1e6);
+  const auto lower = system.lower(0);
+  SymmetricSolver solver{Context{}};
+  ASSERT_EQ(solver.factorize(lower), SolveStatus::solved);
+  Eigen::VectorXd x;
+  EXPECT_EQ(solver.solve(lower, system.right(), x, 1e-30), SolveStatus::inaccurate);
+}
+
+TEST(SymmetricSolver, WrongShapesAndPatternsAreInputErrors) {
+  const PixelIndex pixels(disc(12));
+  SymmetricSolver solver{Context{}};
+  Eigen::VectorXd x;
+  const auto lower = plate(pixels, 1).lower(0);
+  EXPECT_THROW(solver.solve(lower, Eigen::VectorXd::Ones(3), x), Error);
+  solver.factorize(lower);
+  SymmetricSolver::Matrix other(pixels.count(), pixels.count());
+  other.setIdentity();
+  EXPECT_THROW(solver.factorize(other), Error);
+  EXPECT_THROW(solver.solve(lower, Eigen::VectorXd::Ones(3), x), Error);
+}
+
+TEST(SymmetricSolver, StopsWhenCancelled) {
+  std::atomic<bool> cancel{true};
+  Context context;
+  context.cancel = &cancel;
+  const PixelIndex pixels(disc(12));
+  SymmetricSolver solver{context};
+  try {
+    solver.factorize(plate(pixels, 1).lower(0));
+    FAIL();
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::interrupted);
+  }
+}
+
+TEST(SymmetricSolver, SameResultWithOneAndTwoThreads) {
+  const PixelIndex pixels(disc(150));
+  const GridSystem system = plate(pixels, 3);
+  const auto lower = system.lower(0);
+  Eigen::VectorXd results[2];
+  for (int threads : {1, 2}) {
+    Context context;
+    context.threads = threads;
+    SymmetricSolver solver{context};
+    solver.factorize(lower);
+    solver.solve(lower, system.right(), results[threads - 1]);
+  }
+  EXPECT_LT((results[0] - results[1]).norm(), 1e-10 * results[0].norm());
+}
+
+TEST(GridSystem, KeepsItsPatternWhenCleared) {
+  const PixelIndex pixels(disc(12));
+  GridSystem system = plate(pixels, 1);
+  const auto before = system.lower(0);
+  system.clear();
+  const auto after = system.lower(2);
+  EXPECT_EQ(before.nonZeros(), after.nonZeros());
+  EXPECT_EQ(after.coeff(3, 3), 2);
+  EXPECT_EQ(after.sum(), 2.0 * pixels.count());
+}
+
+}  // namespace
+}  // namespace malus
