@@ -12,15 +12,15 @@ namespace malus {
 /// Registered, undistorted, linear images of one station, ready for the sinusoid fit.
 struct PolarizedStack {
   std::vector<Image<float>> images;  ///< one a polarizer position, 1 channel, [0, 1] of the white level
-  std::vector<double> angles_rad;    ///< one an image, conventions applied (ccw from image +x as displayed)
+  std::vector<double> angles_rad;    ///< one an image, conventions applied (ccw from image +x); empty when unknown
   NoiseModel noise;
-  Mask mask;       ///< 255 = object and inside every image
-  Mask saturated;  ///< 255 = at the white level (or black clipped) in at least one image
+  Mask mask;           ///< 255 = object and inside every image
+  Mask saturated;      ///< 255 = at the white level in at least one image
   Image<float> color;  ///< mean linear colour, 3 channels RGB, or empty for monochrome captures
   Pinhole camera;      ///< of these rasters
   /// Base pixel → pixel of image k before resampling (2 × 3 affine), identity for the base image.
   std::vector<Eigen::Matrix<double, 2, 3>> image_from_base;
-  /// Registration residual of image k: RMS disagreement of the aligned images expressed in pixels.
+  /// One standard deviation of the displacement left in image k [px] (ImageRegistration::rms_px); 0 if not registered.
   std::vector<double> registration_rms_px;
 };
 

@@ -1,0 +1,68 @@
+#pragma once
+
+#include <array>
+#include <functional>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "malus/capture/polarized_stack.h"
+#include "malus/capture/registration.h"
+#include "malus/core/context.h"
+#include "malus/core/fields.h"
+#include "malus/io/image_file.h"
+#include "malus/io/station_file.h"
+
+namespace malus {
+
+/// Whether images are registered: `on`, `off`, or `automatic`: yes, but images that already lie within
+/// `keep_below_px` (or three times the estimate's own uncertainty) of the first stay untouched, bit for bit.
+enum class RegistrationMode { automatic, on, off };
+constexpr auto names_of(RegistrationMode) {
+  return std::to_array<std::string_view>({"auto", "on", "off"});
+}
+
+struct CaptureOptions {
+  RegistrationMode mode = RegistrationMode::automatic;
+  double keep_below_px = 0.03;
+  double saturation = 0.995;
+  RegistrationOptions registration;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("registration", self.mode, any_value,
+          "register the images to the first: auto leaves aligned images untouched");
+    visit("keep_below_px", self.keep_below_px, Range{0, 1},
+          "with auto: displacements below this are not resampled away");
+    visit("saturation", self.saturation, Range{0.5, 1}, "fraction of the white level from which a pixel is saturated");
+    RegistrationOptions::fields(self.registration, visit);
+  }
+};
+
+/// What a stack is made from. Images are loaded one at a time.
+struct CaptureInput {
+  PolarizedSpec polarized;         ///< levels, response, channel, angles, mosaic, noise; its paths are not opened here
+  std::vector<std::string> names;  ///< of the images, for messages; one each
+  std::function<RawImage(std::size_t index)> load;
+  std::optional<LensCamera> lens;  ///< camera of the first image; nothing = pixels are taken as they are
+  std::optional<Mask> mask;        ///< of the first image as captured, non-zero = object
+};
+
+/// Input that reads the files of a station.
+CaptureInput capture_input(const PolarizedSpec& polarized, const std::optional<LensCamera>& lens);
+
+/// Station images → registered, undistorted, linear images, one a polarizer position, in the order of the input.
+///
+/// Response, levels and channel: response.h. A mosaic gives four images, in the order of its cell. Registration to the
+/// first image and undistortion are one resampling (resampling.h). Several images at one angle stay separate; the
+/// sinusoid fit averages them. Angles: a = ±(reading − angle_zero), minus for "cw"; empty when angles are "auto".
+/// The mask is the object as given (all, when none), undistorted, without pixels whose support leaves an image.
+/// Without a lens, stack.camera has the size only.
+///
+/// Errors: input — sizes that differ between images, mask or lens (both are named), counts that do not fit, unusable
+/// levels, response or files; data — images that cannot be registered, more than 99 % of the object saturated,
+/// nothing left of the mask.
+PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& options, const Context& context);
+
+}  // namespace malus

@@ -1,0 +1,131 @@
+#include "malus/capture/noise.h"
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+namespace malus {
+namespace {
+
+constexpr int block_px = 8, intensity_bins = 16;
+constexpr std::size_t least_blocks = 100, least_blocks_in_bin = 30;
+/// Lower decile of the mean square over one block's 64 correlated responses, in units of its expectation (simulated).
+constexpr double decile_of_block = 0.67;
+
+struct Block {
+  double signal, variance;
+};
+
+std::optional<Block> block_at(const Image<float>& image, const Mask& saturated, int u0, int v0) {
+  double signal = 0, energy = 0;
+  for (int v = v0; v < v0 + block_px; ++v) {
+    for (int u = u0; u < u0 + block_px; ++u) {
+      if (saturated(u, v)) return std::nullopt;
+      const double response = image(u - 1, v - 1) + image(u + 1, v - 1) + image(u - 1, v + 1) + image(u + 1, v + 1) -
+                              2.0 * (image(u, v - 1) + image(u, v + 1) + image(u - 1, v) + image(u + 1, v)) +
+                              4.0 * image(u, v);
+      signal += image(u, v);
+      energy += response * response / 36;
+    }
+  }
+  return Block{signal / (block_px * block_px), energy / (block_px * block_px)};
+}
+
+/// Lower deciles of equally filled bins of intensity.
+std::vector<Block> quietest_blocks(std::vector<Block> blocks) {
+  std::sort(blocks.begin(), blocks.end(), [](const Block& a, const Block& b) { return a.signal < b.signal; });
+  const std::size_t size = std::max(least_blocks_in_bin, blocks.size() / intensity_bins);
+  std::vector<Block> quietest;
+  for (std::size_t begin = 0; begin + size <= blocks.size(); begin += size) {
+    const auto first = blocks.begin() + static_cast<std::ptrdiff_t>(begin),
+               last = first + static_cast<std::ptrdiff_t>(size);
+    double signal = 0;
+    for (auto block = first; block != last; ++block) signal += block->signal / static_cast<double>(size);
+    const auto decile = first + static_cast<std::ptrdiff_t>(size / 10);
+    std::nth_element(first, decile, last, [](const Block& a, const Block& b) { return a.variance < b.variance; });
+    quietest.push_back({signal, decile->variance / decile_of_block});
+  }
+  return quietest;
+}
+
+}  // namespace
+
+std::optional<NoiseModel> estimate_noise(const Image<float>& intensity, const Mask& saturated) {
+  std::vector<Block> blocks;
+  for (int v = 1; v + block_px < intensity.height(); v += block_px) {
+    for (int u = 1; u + block_px < intensity.width(); u += block_px) {
+      if (const auto block = block_at(intensity, saturated, u, v)) blocks.push_back(*block);
+    }
+  }
+  if (blocks.size() < least_blocks) return std::nullopt;
+
+  // Straight line with relative weights; texture only adds variance, so bins above the line are reweighted down.
+  const std::vector<Block> bins = quietest_blocks(std::move(blocks));
+  double offset = 0, slope = 0;
+  for (int iteration = 0; iteration < 10; ++iteration) {
+    double s = 0, sx = 0, sy = 0, sxx = 0, sxy = 0;
+    for (const Block& bin : bins) {
+      const double expected = offset + slope * bin.signal;
+      const double relative = expected > 0 ? bin.variance / expected : 1.0;
+      const double weight =
+          (relative > 1 ? 1 / (relative * relative) : 1.0) / std::max(bin.variance * bin.variance, 1e-24);
+      s += weight;
+      sx += weight * bin.signal;
+      sy += weight * bin.variance;
+      sxx += weight * bin.signal * bin.signal;
+      sxy += weight * bin.signal * bin.variance;
+    }
+    const double determinant = s * sxx - sx * sx;
+    slope = determinant > 1e-9 * s * sxx ? std::max((s * sxy - sx * sy) / determinant, 0.0) : 0.0;
+    offset = (sy - slope * sx) / s;
+    if (offset < 0) {
+      offset = 0;
+      slope = sxx > 0 ? std::max(sxy / sxx, 0.0) : 0.0;
+    }
+  }
+  NoiseModel noise;
+  noise.full_well_e = 1 / std::clamp(slope, 1e-7, 1e-2);
+  noise.read_noise_e = std::sqrt(offset) * noise.full_well_e;
+  return noise;
+}
+
+NoiseModel noise_model(const PolarizedSpec& spec, const ResponseCurve& curve, const Levels& levels,
+                       const std::optional<std::array<double, 3>>& color_weights, const LinearImage& base) {
+  NoiseModel noise;
+  noise.frames_averaged = spec.frames_averaged;
+  const double frames = spec.frames_averaged;
+  if (!spec.full_well_e) {
+    // What the image shows holds quantization and the sum of channels already.
+    if (const auto estimate = estimate_noise(base.intensity, base.saturated)) {
+      noise.full_well_e = estimate->full_well_e / frames;
+      noise.read_noise_e = estimate->read_noise_e / std::sqrt(frames);
+      noise.quantization = levels.dn_step * curve.slope(0);
+      return noise;
+    }
+  }
+  noise.full_well_e = spec.full_well_e.value_or(noise.full_well_e);
+  noise.read_noise_e = spec.read_noise_e.value_or(noise.read_noise_e);
+  if (color_weights) {
+    double squares = 0;
+    for (const double weight : *color_weights) squares += weight * weight;
+    noise.full_well_e /= squares;
+    noise.read_noise_e /= std::sqrt(squares);
+  }
+  noise.quantization = levels.dn_step * curve.slope(0);
+  if (!curve.is_identity()) {
+    const double signal = 0.5;
+    double low = 0, high = 1;
+    for (int i = 0; i < 40; ++i) {
+      const double middle = 0.5 * (low + high),
+                   scale = curve.kind == ResponseCurve::Kind::table ? std::max(1.0, curve.encoded.back()) : 1.0;
+      (curve.linearize(middle * scale) < signal ? low : high) = middle;
+    }
+    const double step = levels.dn_step * curve.slope(low);
+    const double full_well = 1 / (1 / noise.full_well_e + frames * step * step / 12 / signal);
+    noise.read_noise_e *= full_well / noise.full_well_e;
+    noise.full_well_e = full_well;
+  }
+  return noise;
+}
+
+}  // namespace malus

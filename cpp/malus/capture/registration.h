@@ -1,0 +1,77 @@
+#pragma once
+
+#include <array>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "malus/capture/resampling.h"
+#include "malus/core/context.h"
+#include "malus/core/fields.h"
+#include "malus/core/image.h"
+#include "malus/polarization/noise_model.h"
+
+namespace malus {
+
+struct RegistrationOptions {
+  Interpolation interpolation = Interpolation::bicubic;
+  double fine_sigma_px = 0.7;  ///< of the band-pass that images are compared in
+  double coarse_sigma_px = 8;
+  double cauchy_scale = 2;
+  int max_iterations = 15;  ///< at each level of the pyramid
+  double max_shift = 0.04;  ///< of the image width
+  double max_uncertainty_px = 0.3;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("interpolation", self.interpolation, any_value,
+          "of the one resampling, and of registration: bicubic as OpenCV (a = -0.75) or keys (a = -0.5)");
+    visit("fine_sigma_px", self.fine_sigma_px, Range{0.3, 10},
+          "registration compares images in a band of scales: its fine end");
+    visit("coarse_sigma_px", self.coarse_sigma_px, Range{1, 100}, "and its coarse end");
+    visit("cauchy_scale", self.cauchy_scale, Range{0.1, 100},
+          "disagreement between images, in units of the noise, that halves a pixel's weight");
+    visit("max_iterations", self.max_iterations, Range{1, 1000}, "Gauss-Newton steps at each level of the pyramid");
+    visit("max_shift", self.max_shift, Range{0, 0.5},
+          "largest displacement that is believed, as a fraction of the image width");
+    visit("max_uncertainty_px", self.max_uncertainty_px, Range{0.001, 10},
+          "displacements known less well than this count as not found");
+  }
+};
+
+/// How the registration of one image ended.
+enum class RegistrationStatus { not_run, ok, no_texture, not_converged, implausible };
+constexpr auto names_of(RegistrationStatus) {
+  return std::to_array<std::string_view>({"not run", "ok", "no texture", "not converged", "implausible"});
+}
+
+/// Registration of one image to the first.
+struct ImageRegistration {
+  RegistrationStatus status = RegistrationStatus::not_run;
+  std::string message;                         ///< what happened, when it is not ok
+  Affine image_from_base = identity_affine();  ///< pixel of the first image → pixel of this one
+  double displacement_px = 0;                  ///< RMS over the image's corners and centre
+  /// One standard deviation of the displacement, RMS over corners and centre, from the scatter of the normal equations
+  /// between 96 parts of the image (sandwich estimate): holds what noise alone does not explain, such as edges whose
+  /// polarization changes their contrast.
+  double rms_px = 0;
+};
+
+/// Registers linear images of one size to the first, by 6-parameter affine maps, all together.
+///
+/// Each image is divided by its local mean in a band of scales: b_k = (G_fine − G_coarse) I_k / G_coarse I_k. Coarse to
+/// fine, Gauss–Newton minimizes the weighted squares of b_k(W_k x) − mean_j b_j(W_j x), W_1 = identity, with the common
+/// gradient of the mean. Then the normal equations of all images share one 6 × 6 matrix H: with g_k the right-hand side
+/// of image k, the step is p_k = H⁻¹ (g_k − g_1). Weights: inverse noise variance times Cauchy in the disagreement of
+/// all images at that pixel, scaled by its lower quartile, so that pixels whose polarization changes them count little.
+/// Start: phase correlation at the coarsest level. The whole image is used, background included: texture around an
+/// object fixes the camera's motion better than the object alone.
+///
+/// Input error when sizes differ. An image that cannot be registered has a status, the identity and a message.
+std::vector<ImageRegistration> register_images(const std::vector<Image<float>>& images, const NoiseModel& noise,
+                                               const RegistrationOptions& options, const Context& context);
+
+/// RMS displacement of an affine map from another over corners and centre of an image [px].
+double affine_distance_px(const Affine& a, const Affine& b, Size size);
+
+}  // namespace malus

@@ -1,0 +1,231 @@
+#include "malus/capture/response.h"
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <fstream>
+#include <optional>
+#include <sstream>
+
+#include "malus/core/parallel.h"
+
+namespace malus {
+namespace {
+
+constexpr std::size_t max_table_bytes = 4u << 20;
+constexpr std::size_t max_table_rows = 65536;
+
+double srgb_to_linear(double x) {
+  return x <= 0.04045 ? x / 12.92 : std::pow((x + 0.055) / 1.055, 2.4);
+}
+
+double interpolate(const std::vector<double>& x, const std::vector<double>& y, double at) {
+  if (at <= x.front()) return y.front();
+  if (at >= x.back()) return y.back();
+  const auto i = static_cast<std::size_t>(std::upper_bound(x.begin(), x.end(), at) - x.begin());
+  return y[i - 1] + (y[i] - y[i - 1]) * (at - x[i - 1]) / (x[i] - x[i - 1]);
+}
+
+/// Numbers of one line of a table; nothing if a word is not a finite number.
+std::optional<std::vector<double>> numbers_of(std::string line) {
+  line = line.substr(0, line.find('#'));
+  std::replace_if(
+      line.begin(), line.end(), [](char c) { return c == ',' || c == ';' || c == '\t' || c == '\r'; }, ' ');
+  std::vector<double> numbers;
+  const char *at = line.data(), *const end = at + line.size();
+  for (;;) {
+    while (at != end && *at == ' ') ++at;
+    if (at == end) return numbers;
+    double value = 0;
+    const auto [next, error] = std::from_chars(at, end, value);
+    if (error != std::errc{} || !std::isfinite(value) || (next != end && *next != ' ')) return std::nullopt;
+    numbers.push_back(value);
+    at = next;
+  }
+}
+
+void check_table(ResponseCurve& curve, const std::string& name) {
+  if (curve.linear.size() < 2) throw input_error(name + ": a response table needs at least 2 rows");
+  for (std::size_t i = 1; i < curve.linear.size(); ++i) {
+    if (!(curve.encoded[i] > curve.encoded[i - 1])) {
+      throw input_error(name + ": row " + std::to_string(i + 1) + ": encoded values must increase from row to row");
+    }
+    if (curve.linear[i] < curve.linear[i - 1]) {
+      throw input_error(name + ": row " + std::to_string(i + 1) + ": linear values must not decrease");
+    }
+  }
+  if (!(curve.linear.back() > 0) || curve.linear.front() < 0) {
+    throw input_error(name + ": linear values must not be negative, and the last one must be positive");
+  }
+  const double white = curve.linear.back();
+  for (double& value : curve.linear) value /= white;
+}
+
+/// Encoded → linear for every pixel of a raster; tables in DN are looked up before the levels are applied.
+class Linearizer {
+ public:
+  Linearizer(const ResponseCurve& curve, const Levels& levels) : curve_(curve), levels_(levels) {
+    table_in_dn_ = curve.kind == ResponseCurve::Kind::table && curve.encoded.back() > 1;
+  }
+  double encoded(double dn) const { return (dn - levels_.black_dn) / (levels_.white_dn - levels_.black_dn); }
+  double linear(double dn) const { return curve_.linearize(table_in_dn_ ? dn : encoded(dn)); }
+  bool saturated(double dn) const { return encoded(dn) >= levels_.saturation; }
+
+ private:
+  const ResponseCurve& curve_;
+  const Levels& levels_;
+  bool table_in_dn_ = false;
+};
+
+}  // namespace
+
+double ResponseCurve::linearize(double value) const {
+  if (is_identity()) return value;
+  if (kind == Kind::table) return interpolate(encoded, linear, value);
+  const double clipped = std::max(value, 0.0);
+  return kind == Kind::srgb ? srgb_to_linear(clipped) : std::pow(clipped, exponent);
+}
+
+double ResponseCurve::slope(double value) const {
+  const double scale = kind == Kind::table ? std::max(1.0, encoded.back()) : 1.0, half = 0.5 / 255;
+  const double low = std::max(value - half, 0.0), high = std::min(value + half, 1.0);
+  return (linearize(high * scale) - linearize(low * scale)) / (high - low);
+}
+
+ResponseCurve response_curve(const std::string& response, const std::string& where) {
+  if (response == "linear") return {};
+  if (response == "srgb") return {.kind = ResponseCurve::Kind::srgb, .encoded = {}, .linear = {}};
+  if (response.starts_with("gamma:")) {
+    const auto exponent = numbers_of(response.substr(6));
+    if (!exponent || exponent->size() != 1 || (*exponent)[0] < 0.1 || (*exponent)[0] > 10) {
+      throw input_error(where + " = \"" + response + "\", expected \"gamma:X\" with X from 0.1 to 10");
+    }
+    return {.kind = ResponseCurve::Kind::gamma, .exponent = (*exponent)[0], .encoded = {}, .linear = {}};
+  }
+  if (!std::filesystem::is_regular_file(response)) {
+    throw input_error(where + " = \"" + response +
+                      "\", expected \"linear\", \"srgb\", \"gamma:X\" or the path of a lookup table that exists");
+  }
+  return read_response_table(response);
+}
+
+ResponseCurve read_response_table(const std::filesystem::path& path) {
+  const std::string name = path.string();
+  std::error_code error;
+  const auto bytes = std::filesystem::file_size(path, error);
+  std::ifstream file(path);
+  if (error || !file) throw input_error(name + ": the response table cannot be read");
+  if (bytes > max_table_bytes) throw input_error(name + ": a response table has at most 4 MB");
+
+  ResponseCurve curve{.kind = ResponseCurve::Kind::table, .encoded = {}, .linear = {}};
+  std::size_t columns = 0, line_number = 0;
+  for (std::string line; std::getline(file, line);) {
+    ++line_number;
+    const auto numbers = numbers_of(line);
+    const std::string where = name + ": line " + std::to_string(line_number);
+    if (!numbers || numbers->size() > 2) throw input_error(where + ": expected one or two finite numbers");
+    if (numbers->empty()) continue;
+    if (columns != 0 && numbers->size() != columns) throw input_error(where + ": rows must have equally many columns");
+    if (curve.linear.size() == max_table_rows) throw input_error(where + ": a response table has at most 65536 rows");
+    columns = numbers->size();
+    curve.linear.push_back(numbers->back());
+    if (columns == 2) curve.encoded.push_back(numbers->front());
+  }
+  for (std::size_t i = 0; columns == 1 && i < curve.linear.size(); ++i) {
+    curve.encoded.push_back(static_cast<double>(i) /
+                            std::max<double>(1.0, static_cast<double>(curve.linear.size()) - 1));
+  }
+  check_table(curve, name);
+  return curve;
+}
+
+Levels levels_of(const RawImage& raw, const PolarizedSpec& spec, double saturation, const std::string& name) {
+  Levels levels;
+  levels.black_dn = spec.black_level;
+  levels.white_dn = spec.white_level.value_or(raw.full_scale_dn);
+  levels.saturation = saturation;
+  if (!(levels.white_dn > levels.black_dn) || !std::isfinite(levels.white_dn)) {
+    std::ostringstream message;
+    message << name << ": white_level = " << levels.white_dn << " must be above black_level = " << levels.black_dn;
+    throw input_error(message.str());
+  }
+  levels.dn_step = raw.is_float ? 0.0 : 1.0 / (levels.white_dn - levels.black_dn);
+  return levels;
+}
+
+std::array<double, 3> channel_weights(const PolarizedSpec& spec) {
+  if (spec.channel_weights) {
+    std::array<double, 3> weights = *spec.channel_weights;
+    double sum = 0;
+    for (const double weight : weights) {
+      if (!(weight >= 0) || !std::isfinite(weight))
+        throw input_error("channel_weights must be finite, not negative numbers");
+      sum += weight;
+    }
+    if (!(sum > 0)) throw input_error("channel_weights are all zero");
+    for (double& weight : weights) weight /= sum;
+    return weights;
+  }
+  if (spec.channel == "red") return {1, 0, 0};
+  if (spec.channel == "green") return {0, 1, 0};
+  if (spec.channel == "blue") return {0, 0, 1};
+  if (spec.channel == "mean") return {1.0 / 3, 1.0 / 3, 1.0 / 3};
+  if (spec.channel == "luminance") return {0.2126, 0.7152, 0.0722};
+  throw input_error("channel = \"" + spec.channel +
+                    "\", expected \"luminance\", \"mean\", \"red\", \"green\" or \"blue\"");
+}
+
+bool is_color(const RawImage& raw) {
+  if (raw.pixels.channels() != 3) return false;
+  const float* p = raw.pixels.data();
+  for (std::size_t i = 0; i < raw.pixels.count(); i += 3) {
+    if (p[i] != p[i + 1] || p[i] != p[i + 2]) return true;
+  }
+  return false;
+}
+
+LinearImage linearize(const RawImage& raw, const ResponseCurve& curve, const Levels& levels,
+                      const std::array<double, 3>& weights, const std::string& name, const Context& context) {
+  const int channels = raw.pixels.channels();
+  if (channels != 1 && channels != 3) {
+    throw input_error(name + " has " + std::to_string(channels) + " channels, expected 1 or 3");
+  }
+  const bool color = is_color(raw);
+  const Linearizer linearizer(curve, levels);
+  const Size size = raw.pixels.size();
+  LinearImage result{Image<float>(size), Mask(size)};
+  parallel_rows(context, size.height, [&](int v) {
+    for (int u = 0; u < size.width; ++u) {
+      double sum = 0;
+      bool saturated = false;
+      for (int c = 0; c < (color ? 3 : 1); ++c) {
+        const double dn = raw.pixels(u, v, c), weight = color ? weights[static_cast<std::size_t>(c)] : 1.0;
+        if (weight == 0) continue;
+        sum += weight * linearizer.linear(dn);
+        saturated = saturated || linearizer.saturated(dn);
+      }
+      if (!std::isfinite(sum)) {
+        throw input_error(name + ": pixel (" + std::to_string(u) + ", " + std::to_string(v) +
+                          ") is not a finite number");
+      }
+      result.intensity(u, v) = static_cast<float>(sum);
+      result.saturated(u, v) = saturated ? 255 : 0;
+    }
+  });
+  return result;
+}
+
+Image<float> linearize_color(const RawImage& raw, const ResponseCurve& curve, const Levels& levels,
+                             const Context& context) {
+  const Linearizer linearizer(curve, levels);
+  Image<float> color(raw.pixels.size(), raw.pixels.channels());
+  const int values = color.width() * color.channels();
+  parallel_rows(context, color.height(), [&](int v) {
+    const float* in = raw.pixels.row(v);
+    float* out = color.row(v);
+    for (int i = 0; i < values; ++i) out[i] = static_cast<float>(linearizer.linear(in[i]));
+  });
+  return color;
+}
+
+}  // namespace malus
