@@ -10,7 +10,7 @@ if(TARGET malus-station)
   install(TARGETS malus-station RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
 endif()
 install(DIRECTORY cpp/malus ${PROJECT_BINARY_DIR}/generated/malus DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}
-        FILES_MATCHING PATTERN "*.h" PATTERN "internal" EXCLUDE)
+        FILES_MATCHING PATTERN "*.h" PATTERN "*_internal.h" EXCLUDE)
 install(EXPORT malus-targets NAMESPACE malus:: DESTINATION ${config_dir})
 configure_package_config_file(cmake/malus-config.cmake.in ${PROJECT_BINARY_DIR}/malus-config.cmake
                               INSTALL_DESTINATION ${config_dir})

@@ -1,0 +1,60 @@
+# Sourced by scripts/demo and scripts/test: everything that a bare Debian 12 needs, nothing twice.
+#   apt packages → .venv (Python package malus and its tests' tools) → build/ (malus-station, C++ tests)
+
+root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+cd "$root"
+
+packages=(
+  g++ cmake ninja-build ccache pkg-config git
+  libeigen3-dev libsuitesparse-dev libopenblas-dev libceres-dev libopencv-dev libtiff-dev libssl-dev
+  libtomlplusplus-dev nlohmann-json3-dev libcli11-dev libgtest-dev libbenchmark-dev
+  python3 python3-dev python3-venv
+)
+
+say() { printf '\n== %s\n' "$*"; }
+
+install_packages() {
+  local missing=() package
+  for package in "${packages[@]}"; do
+    dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q 'ok installed' || missing+=("$package")
+  done
+  [ ${#missing[@]} -eq 0 ] && return
+  say "installing Debian packages: ${missing[*]}"
+  local sudo=()
+  [ "$(id -u)" -eq 0 ] || sudo=(sudo)
+  "${sudo[@]}" env DEBIAN_FRONTEND=noninteractive apt-get update -q
+  "${sudo[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends "${missing[@]}"
+}
+
+create_environment() {
+  [ -x .venv/bin/python ] && return
+  say "creating the virtual environment .venv"
+  /usr/bin/python3 -m venv .venv
+}
+
+# What the build depends on, in one hash, so that an unchanged tree is neither configured nor built again.
+source_state() {
+  find CMakeLists.txt cmake cpp python tests/cpp examples pyproject.toml README.md -type f -not -name '*.pyc' -print0 |
+    LC_ALL=C sort -z | xargs -0 sha256sum | sha256sum | cut -d' ' -f1
+}
+
+# One CMake tree, build/, serves both: scikit-build-core builds the extension in it, together with malus-station and the
+# C++ tests, and installs the Python part into .venv.
+build() {
+  local state
+  state=$(source_state)
+  [ "$(cat .venv/malus-source-state 2>/dev/null)" = "$state" ] && [ -x build/malus-station ] && return
+  say "building (C++ library, malus-station, tests, Python package)"
+  .venv/bin/python -m pip install -q --disable-pip-version-check "scikit-build-core>=0.10" "pybind11>=2.12"
+  CMAKE_GENERATOR=Ninja .venv/bin/python -m pip install -q --disable-pip-version-check --no-build-isolation \
+    -C build-dir=build -C cmake.define.MALUS_BUILD_APP=ON -C cmake.define.MALUS_BUILD_TESTS=ON \
+    -C cmake.define.MALUS_WERROR=ON -C cmake.define.CMAKE_CXX_COMPILER_LAUNCHER=ccache \
+    ".[test]"
+  echo "$state" > .venv/malus-source-state
+}
+
+setup() {
+  install_packages
+  create_environment
+  build
+}
