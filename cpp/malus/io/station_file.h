@@ -14,27 +14,28 @@ namespace malus {
 
 /// [polarized]: the images taken through the polarizer, and how to read them. Paths are absolute once loaded.
 struct PolarizedSpec {
-  std::vector<std::filesystem::path> images;           ///< one a polarizer position, or one mosaic (see `mosaic`)
-  std::optional<std::vector<double>> angles_deg;       ///< as read off the filter scale; nothing = "auto"
-  std::string angle_direction = "ccw";                 ///< "ccw" | "cw", as displayed
-  double angle_zero_deg = 0;                           ///< what the scale reads when the axis is along image +x
-  std::optional<std::array<double, 4>> mosaic;         ///< angles of the 2 × 2 cell: top left, top right, bottom left, bottom right
-  std::string channel = "luminance";                   ///< "luminance" | "red" | "green" | "blue" | "mean"
+  std::vector<std::filesystem::path> images;      ///< one a polarizer position, or one mosaic (see `mosaic`)
+  std::optional<std::vector<double>> angles_deg;  ///< as read off the filter scale; nothing = "auto"
+  std::string angle_direction = "ccw";            ///< "ccw" | "cw", as displayed
+  double angle_zero_deg = 0;                      ///< what the scale reads when the axis is along image +x
+  std::optional<std::array<double, 4>>
+      mosaic;                         ///< angles of the 2 × 2 cell: top left, top right, bottom left, bottom right
+  std::string channel = "luminance";  ///< "luminance" | "red" | "green" | "blue" | "mean"
   std::optional<std::array<double, 3>> channel_weights;  ///< weighted sum of R, G, B instead of `channel`
-  std::string response = "linear";                     ///< "linear" | "srgb" | "gamma:2.2" | path of a lookup table
-  std::optional<double> white_level;                   ///< DN; nothing = from the file's bit depth
-  double black_level = 0;                              ///< DN
+  std::string response = "linear";                       ///< "linear" | "srgb" | "gamma:2.2" | path of a lookup table
+  std::optional<double> white_level;                     ///< DN; nothing = from the file's bit depth
+  double black_level = 0;                                ///< DN
   int frames_averaged = 1;
-  std::optional<double> full_well_e;                   ///< electrons at white level
+  std::optional<double> full_well_e;  ///< electrons at white level
   std::optional<double> read_noise_e;
   std::optional<std::filesystem::path> mask;
 };
 
 /// [optics]
 struct OpticsSpec {
-  std::optional<double> refractive_index = 1.5;        ///< nothing = "auto"
-  std::string reflection = "auto";                     ///< "diffuse" | "specular" | "auto" | "labels"
-  std::optional<std::filesystem::path> label_image;    ///< with "labels": 1 = diffuse, 2 = specular, 0 = decide
+  std::optional<double> refractive_index = 1.5;      ///< nothing = "auto"
+  std::string reflection = "auto";                   ///< "diffuse" | "specular" | "auto" | "labels"
+  std::optional<std::filesystem::path> label_image;  ///< with "labels": 1 = diffuse, 2 = specular, 0 = decide
 };
 
 /// [camera], resolved: from a COLMAP model or given in the file.
@@ -89,7 +90,9 @@ struct StationFile {
   std::string unit = "mm";
   PolarizedSpec polarized;
   OpticsSpec optics;
-  std::optional<CameraSpec> camera;
+  std::optional<CameraSpec>
+      camera;                      ///< known lens and pose; with a depth-map prior and no pose, the world is the camera
+  std::optional<LensCamera> lens;  ///< known lens, pose to come from [photos]; never together with `camera`
   std::optional<std::string> camera_image;  ///< [camera].image: the station's name in the photos' model
   std::optional<PriorSpec> prior;
   std::optional<PhotosSpec> photos;
@@ -98,9 +101,12 @@ struct StationFile {
   std::vector<ProfileSpec> profiles;
 };
 
-/// Reads and checks a station file: syntax, keys (an unknown key is an error that names the nearest known one), types,
-/// ranges, that every named file exists and is readable; resolves folders, globs, angle patterns and COLMAP models.
-/// Does not read images or clouds. Throws ErrorCode::input with file, field, value and what was expected.
+/// Reads and checks a station file (docs/station-file.md describes every key): syntax, keys (an unknown key is an error
+/// that names the nearest known one), types, ranges, that every named file exists and is readable; resolves folders,
+/// globs, angle patterns and COLMAP models. Of images only the first polarized one's size is read, against which
+/// camera, patches and profiles are checked; clouds are not read. Throws ErrorCode::input with file, line, field, value
+/// and what was expected; ErrorCode::data for fewer than three images or fewer than three distinct polarizer angles
+/// modulo 180°.
 StationFile read_station_file(const std::filesystem::path& path);
 
 }  // namespace malus

@@ -1,0 +1,546 @@
+#include "malus/io/station_file.h"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <numbers>
+#include <set>
+#include <sstream>
+
+#include "malus/io/colmap_model.h"
+#include "malus/io/image_file.h"
+#include "malus/io/input_file.h"
+#include "malus/io/polarized_files_internal.h"
+#include "malus/io/toml_table_internal.h"
+
+namespace malus {
+namespace {
+
+// Angles closer than this on the circle of 180° count as one.
+constexpr double distinct_angle_deg = 1e-3;
+
+/// One of the allowed texts, or the fallback when the key is absent.
+std::string choice(const TomlTable& table, std::string_view key, const std::string& fallback,
+                   const std::vector<std::string_view>& allowed) {
+  const auto value = table.text(key);
+  if (!value) return fallback;
+  if (std::find(allowed.begin(), allowed.end(), *value) != allowed.end()) return *value;
+  std::string list;
+  for (const std::string_view name : allowed) list += (list.empty() ? "\"" : ", \"") + std::string(name) + '"';
+  throw table.wrong(key, "one of " + list);
+}
+
+/// Sub-table of the document, or nothing.
+const toml::table* section(const TomlTable& document, std::string_view key) {
+  const toml::node* node = document.find(key);
+  if (node && !node->is_table()) throw document.wrong(key, "a table, [" + std::string(key) + "]");
+  return node ? node->as_table() : nullptr;
+}
+
+/// Tables of an array like [[scale]]; `element` is "a table".
+std::vector<const toml::table*> tables(const TomlTable& table, std::string_view key, const std::string& expected) {
+  std::vector<const toml::table*> result;
+  const toml::node* node = table.find(key);
+  if (!node) return result;
+  if (!node->is_array()) throw table.wrong(key, expected);
+  for (const toml::node& element : *node->as_array()) {
+    if (!element.is_table()) throw table.wrong(key, expected);
+    result.push_back(element.as_table());
+  }
+  return result;
+}
+
+// ---- [polarized] ----
+
+std::array<double, 4> read_mosaic(const TomlTable& table) {
+  const std::string expected = "two rows of two angles in degrees, such as [[90, 45], [135, 0]]";
+  std::array<double, 4> angles{};
+  const toml::array* rows = table.find("mosaic")->as_array();
+  if (!rows || rows->size() != 2) throw table.wrong("mosaic", expected);
+  for (std::size_t row = 0; row < 2; ++row) {
+    const toml::array* cells = rows->get(row)->as_array();
+    if (!cells || cells->size() != 2) throw table.wrong("mosaic", expected);
+    for (std::size_t column = 0; column < 2; ++column) {
+      const toml::node* cell = cells->get(column);
+      const std::optional<double> angle = cell->is_number() ? cell->value<double>() : std::nullopt;
+      if (!angle || !std::isfinite(*angle)) throw table.wrong("mosaic", expected);
+      angles[2 * row + column] = *angle;
+    }
+  }
+  return angles;
+}
+
+std::vector<std::filesystem::path> read_image_list(const TomlTable& table) {
+  std::vector<std::filesystem::path> images;
+  if (const toml::node* node = table.find("images"); node && node->is_string()) {
+    const std::string place = *table.text("images");
+    images = list_images(table.file().parent_path(), place);
+    if (images.empty()) throw table.wrong("images", "a folder with images, or a pattern that matches files");
+  } else {
+    const auto names =
+        table.required(table.texts("images"), "images", "a list of files, a folder or a pattern like \"pol/*.png\"");
+    for (const std::string& name : names) images.push_back(table.resolve(name));
+  }
+  std::set<std::filesystem::path> seen;
+  for (const auto& image : images) {
+    if (!seen.insert(image).second) throw table.error("images", image.string() + " is listed twice");
+    require_file(image, table.where("images"));
+  }
+  return images;
+}
+
+/// Number of angles that differ on the circle of 180°.
+std::size_t distinct_angles(std::vector<double> angles_deg) {
+  for (double& angle : angles_deg) angle -= 180 * std::floor(angle / 180);
+  std::sort(angles_deg.begin(), angles_deg.end());
+  std::size_t count = 0;
+  for (std::size_t i = 0; i < angles_deg.size(); ++i) {
+    const double previous = i > 0 ? angles_deg[i - 1] : angles_deg.back() - 180;
+    if (angles_deg[i] - previous > distinct_angle_deg) ++count;
+  }
+  return std::max<std::size_t>(count, angles_deg.empty() ? 0 : 1);
+}
+
+void require_three_angles(const TomlTable& table, std::string_view key, const std::vector<double>& angles_deg) {
+  const std::size_t distinct = distinct_angles(angles_deg);
+  if (distinct >= 3) return;
+  throw data_error(
+      table.where(key) + " has " + std::to_string(distinct) +
+      " distinct polarizer angles modulo 180°, expected at least 3: intensity, degree and phase are three unknowns");
+}
+
+/// Angles of the images: a list, "auto" (nothing), or taken from the file names.
+std::optional<std::vector<double>> read_angles(const TomlTable& table,
+                                               const std::vector<std::filesystem::path>& images) {
+  const bool listed = table.find("images")->is_array();
+  const auto pattern = table.text("angle_pattern");
+  if (table.has("angles_deg") && pattern)
+    throw table.error("angle_pattern", "is not needed with angles_deg, expected one of the two");
+  if (table.is_auto("angles_deg")) {
+    if (images.size() < 3) {
+      throw data_error(table.where("images") + " has " + std::to_string(images.size()) +
+                       " images, expected at least 3 polarizer positions");
+    }
+    return std::nullopt;
+  }
+  std::vector<double> angles;
+  std::string_view key = "angles_deg";
+  if (table.has("angles_deg")) {
+    if (!table.find("angles_deg")->is_array())
+      throw table.wrong("angles_deg", "a list of angles in degrees, or \"auto\"");
+    angles = *table.numbers("angles_deg");
+    if (angles.size() != images.size()) {
+      throw table.error("angles_deg", "has " + std::to_string(angles.size()) + " angles for " +
+                                          std::to_string(images.size()) + " images, expected one for each");
+    }
+  } else if (listed && !pattern) {
+    throw table.error("angles_deg", "is missing, expected a list of angles in degrees, or \"auto\"");
+  } else {
+    key = pattern ? "angle_pattern" : "images";
+    for (const auto& image : images) angles.push_back(angle_of_name(image, pattern.value_or(""), table.where(key)));
+  }
+  require_three_angles(table, key, angles);
+  return angles;
+}
+
+/// "linear", "srgb", "gamma:2.2", or the absolute path of a lookup table.
+std::string read_response(const TomlTable& table) {
+  const std::string value = table.text("response").value_or("linear");
+  constexpr std::string_view gamma = "gamma:";
+  if (value == "linear" || value == "srgb") return value;
+  if (value.starts_with(gamma)) {
+    double exponent = 0;
+    const char* last = value.data() + value.size();
+    const auto [end, error] = std::from_chars(value.data() + gamma.size(), last, exponent);
+    if (error != std::errc() || end != last || !(exponent >= 0.1 && exponent <= 10)) {
+      throw table.wrong("response", "\"gamma:\" and a number from 0.1 to 10");
+    }
+    return value;
+  }
+  const auto path = table.resolve(value);
+  if (!std::filesystem::exists(path))
+    throw table.wrong("response", "\"linear\", \"srgb\", \"gamma:2.2\" or the file of a lookup table");
+  require_file(path, table.where("response"));
+  return path.string();
+}
+
+PolarizedSpec read_polarized(const TomlTable& table) {
+  PolarizedSpec spec;
+  spec.images = read_image_list(table);
+  if (table.has("mosaic")) {
+    spec.mosaic = read_mosaic(table);
+    if (spec.images.size() != 1) {
+      throw table.error("images", "has " + std::to_string(spec.images.size()) + " files, expected one with `mosaic`");
+    }
+    for (const std::string_view key : {"angles_deg", "angle_pattern"}) {
+      if (table.has(key)) throw table.error(key, "cannot be given together with `mosaic`, which states the angles");
+    }
+    require_three_angles(table, "mosaic", {spec.mosaic->begin(), spec.mosaic->end()});
+    spec.angles_deg = std::vector<double>(spec.mosaic->begin(), spec.mosaic->end());
+  } else {
+    spec.angles_deg = read_angles(table, spec.images);
+  }
+  spec.angle_direction = choice(table, "angle_direction", spec.angle_direction, {"ccw", "cw"});
+  spec.angle_zero_deg = table.number("angle_zero_deg", {-360, 360}).value_or(spec.angle_zero_deg);
+
+  spec.channel = choice(table, "channel", spec.channel, {"luminance", "red", "green", "blue", "mean"});
+  spec.channel_weights = table.numbers_exactly<3>("channel_weights", not_negative);
+  if (spec.channel_weights) {
+    if (table.has("channel")) throw table.error("channel", "cannot be given together with channel_weights");
+    const auto& weights = *spec.channel_weights;
+    if (!(weights[0] + weights[1] + weights[2] > 0))
+      throw table.wrong("channel_weights", "weights of which one is positive");
+  }
+
+  spec.response = read_response(table);
+  spec.white_level = table.number("white_level", positive_range);
+  spec.black_level = table.number("black_level", not_negative).value_or(spec.black_level);
+  if (spec.white_level && spec.black_level >= *spec.white_level) {
+    throw table.wrong("black_level", "less than the white level");
+  }
+  spec.frames_averaged = table.integer("frames_averaged", {1, 1e6}).value_or(spec.frames_averaged);
+  spec.full_well_e = table.number("full_well_e", positive_range);
+  spec.read_noise_e = table.number("read_noise_e", not_negative);
+  spec.mask = table.existing_file("mask");
+  return spec;
+}
+
+// ---- [optics] ----
+
+OpticsSpec read_optics(const TomlTable& table) {
+  OpticsSpec spec;
+  if (table.is_auto("refractive_index")) {
+    spec.refractive_index.reset();
+  } else {
+    spec.refractive_index = table.number("refractive_index", {1.05, 4}).value_or(*spec.refractive_index);
+  }
+  spec.reflection = table.text("reflection").value_or(spec.reflection);
+  if (spec.reflection != "auto" && spec.reflection != "diffuse" && spec.reflection != "specular") {
+    if (!std::filesystem::exists(table.resolve(spec.reflection))) {
+      throw table.wrong("reflection", "\"diffuse\", \"specular\", \"auto\" or the file of a label image");
+    }
+    spec.label_image = table.existing_file("reflection");
+    spec.reflection = "labels";
+  }
+  return spec;
+}
+
+// ---- [camera] ----
+
+/// Lens in COLMAP's order and pixel convention (params), or photogrammetric (BROWN, millimetres).
+LensCamera read_lens(const TomlTable& table) {
+  constexpr Range side{1, 65536};
+  LensCamera lens;
+  lens.model =
+      lens_model(table.required(table.text("model"), "model", "the name of a camera model"), table.where("model"));
+  lens.size.width = table.required(table.integer("width", side), "width", "the image width in pixels");
+  lens.size.height = table.required(table.integer("height", side), "height", "the image height in pixels");
+  const std::vector<std::string_view> brown = {"focal_mm", "pixel_mm", "x0_mm", "y0_mm", "k1",
+                                               "k2",       "k3",       "p1",    "p2",    "p3"};
+  if (lens.model == LensModel::brown) {
+    if (table.has("params"))
+      throw table.error("params", "is not used by model BROWN, expected focal_mm, pixel_mm, x0_mm, …");
+    lens.params.push_back(table.required(table.number("focal_mm", positive_range), "focal_mm", "the camera constant"));
+    lens.params.push_back(table.required(table.number("pixel_mm", positive_range), "pixel_mm", "the pixel's size"));
+    for (std::size_t i = 2; i < brown.size(); ++i) lens.params.push_back(table.number(brown[i]).value_or(0));
+  } else {
+    for (const std::string_view key : brown) {
+      if (table.has(key))
+        throw table.error(key, "belongs to model BROWN, not to " + std::string(to_string(lens.model)));
+    }
+    lens.params = table.required(table.numbers("params"), "params", "the parameters in COLMAP's order");
+  }
+  lens.validate(table.where("params"));
+  return from_colmap_pixels(std::move(lens));
+}
+
+/// Photogrammetric rotation M = R3(κ) R2(φ) R1(ω), world to image (x right, y up, z towards the viewer).
+Eigen::Matrix3d rotation_from_omega_phi_kappa(const std::array<double, 3>& angles_deg) {
+  const auto axis_rotation = [](double angle_deg, const Eigen::Vector3d& axis) {
+    return Eigen::AngleAxisd(-angle_deg * std::numbers::pi / 180, axis).toRotationMatrix();
+  };
+  return axis_rotation(angles_deg[2], Eigen::Vector3d::UnitZ()) *
+         axis_rotation(angles_deg[1], Eigen::Vector3d::UnitY()) *
+         axis_rotation(angles_deg[0], Eigen::Vector3d::UnitX());
+}
+
+/// Pose as qvec and tvec (COLMAP), or as omega_phi_kappa_deg and center (Eq 12: M = diag(1, −1, −1) R, X0 = −Rᵀ t).
+std::optional<Pose> read_pose(const TomlTable& table) {
+  const bool colmap = table.has("qvec") || table.has("tvec");
+  const bool photogrammetric = table.has("omega_phi_kappa_deg") || table.has("center");
+  if (colmap && photogrammetric)
+    throw table.error("qvec", "cannot be given together with omega_phi_kappa_deg and center");
+  Pose pose;
+  if (colmap) {
+    const auto q = table.required(table.numbers_exactly<4>("qvec"), "qvec", "a quaternion (w, x, y, z)");
+    const auto t = table.required(table.numbers_exactly<3>("tvec"), "tvec", "the translation (x, y, z)");
+    pose.rotation = rotation_from_quaternion(q, table.where("qvec"));
+    pose.translation = {t[0], t[1], t[2]};
+    return pose;
+  }
+  if (photogrammetric) {
+    const auto angles = table.required(table.numbers_exactly<3>("omega_phi_kappa_deg", {-360, 360}),
+                                       "omega_phi_kappa_deg", "three angles in degrees");
+    const auto center =
+        table.required(table.numbers_exactly<3>("center"), "center", "the projection centre (X0, Y0, Z0)");
+    pose.rotation = Eigen::Vector3d(1, -1, -1).asDiagonal() * rotation_from_omega_phi_kappa(angles);
+    pose.translation = -pose.rotation * Eigen::Vector3d(center[0], center[1], center[2]);
+    return pose;
+  }
+  return std::nullopt;
+}
+
+CameraSpec read_colmap_camera(const TomlTable& table) {
+  for (const std::string_view key :
+       {"model", "width", "height", "params", "qvec", "tvec", "omega_phi_kappa_deg", "center"}) {
+    if (table.has(key)) throw table.error(key, "cannot be given together with colmap_model");
+  }
+  const auto folder = table.resolve(*table.text("colmap_model"));
+  const std::string name = table.required(table.text("image"), "image", "the station's image name in the COLMAP model");
+  if (!std::filesystem::is_directory(folder))
+    throw table.wrong("colmap_model", "a folder with cameras and images files");
+  const ColmapModel model = read_colmap_model(folder, ColmapParts::cameras_and_images);
+  const ColmapImage& image = model.image(name, table.where("image"));
+  return {model.cameras.at(image.camera_id), image.pose};
+}
+
+void read_camera(const TomlTable& table, StationFile& station) {
+  station.camera_image = table.text("image");
+  if (table.has("colmap_model")) {
+    station.camera = read_colmap_camera(table);
+    return;
+  }
+  if (!table.has("model")) {
+    if (station.photos && station.camera_image) return;
+    throw table.error("model", "is missing, expected colmap_model and image, or model, width, height and params");
+  }
+  const LensCamera lens = read_lens(table);
+  const std::optional<Pose> pose = read_pose(table);
+  if (pose) {
+    station.camera = CameraSpec{lens, *pose};
+  } else if (station.photos) {
+    station.lens = lens;
+  } else if (station.prior && station.prior->depth) {
+    station.camera = CameraSpec{lens, Pose{}};
+  } else {
+    throw table.error(
+        "qvec",
+        "is missing, expected qvec and tvec, or omega_phi_kappa_deg and center; only with [photos] or a depth-map "
+        "prior can the pose be left out");
+  }
+}
+
+// ---- the rest ----
+
+PriorSpec read_prior(const TomlTable& table) {
+  const PriorSpec spec{table.existing_file("cloud"), table.existing_file("mesh"), table.existing_file("depth")};
+  const int given = spec.cloud.has_value() + spec.mesh.has_value() + spec.depth.has_value();
+  if (given != 1) {
+    throw table.error(
+        "cloud", "[prior] has " + std::to_string(given) + " surfaces, expected exactly one of cloud, mesh and depth");
+  }
+  return spec;
+}
+
+PhotosSpec read_photos(const TomlTable& table) {
+  PhotosSpec spec;
+  spec.folder = table.resolve(table.required(table.text("folder"), "folder", "the folder of the photographs"));
+  if (!std::filesystem::is_directory(spec.folder)) throw table.wrong("folder", "an existing folder");
+  spec.exclude = table.texts("exclude").value_or(std::vector<std::string>{});
+  if (const toml::table* camera = section(table, "camera")) {
+    spec.camera = read_lens(TomlTable(*camera, table.file(), "[photos].camera",
+                                      {"model", "width", "height", "params", "focal_mm", "pixel_mm", "x0_mm", "y0_mm",
+                                       "k1", "k2", "k3", "p1", "p2", "p3"}));
+  }
+  return spec;
+}
+
+std::vector<ImageMark> read_marks(const TomlTable& table, std::string_view key, const PhotosSpec& photos) {
+  std::vector<ImageMark> marks;
+  std::set<std::string> images;
+  for (const toml::table* entry : tables(table, key, "a list of marks { image = \"…\", x = …, y = … }")) {
+    const TomlTable mark(*entry, table.file(), table.where(key).substr(table.file().string().size() + 2),
+                         {"image", "x", "y"});
+    ImageMark result;
+    result.image = mark.required(mark.text("image"), "image", "the name of a photo");
+    result.x = mark.required(mark.number("x"), "x", "the column in pixels");
+    result.y = mark.required(mark.number("y"), "y", "the row in pixels");
+    require_file(photos.folder / result.image, mark.where("image"));
+    if (!images.insert(result.image).second) throw mark.wrong("image", "one mark a photo");
+    marks.push_back(std::move(result));
+  }
+  if (marks.size() < 2)
+    throw table.error(key, "has " + std::to_string(marks.size()) + " marks, expected two or more, in different photos");
+  return marks;
+}
+
+ScaleBar read_scale_bar(const TomlTable& table, const PhotosSpec& photos) {
+  ScaleBar bar;
+  bar.distance = table.required(table.number("distance", positive_range), "distance", "a length in the station's unit");
+  bar.check = table.boolean("check").value_or(false);
+  if (table.has("targets")) {
+    for (const std::string_view key : {"a", "b"}) {
+      if (table.has(key)) throw table.error(key, "cannot be given together with targets");
+    }
+    const std::string expected = "two different target numbers";
+    const auto targets = *table.numbers_exactly<2>("targets", {0, 1e6});
+    if (targets[0] == targets[1] || targets[0] != std::floor(targets[0]) || targets[1] != std::floor(targets[1])) {
+      throw table.wrong("targets", expected);
+    }
+    bar.targets = std::array{static_cast<int>(targets[0]), static_cast<int>(targets[1])};
+    bar.targets_dictionary = table.required(table.text("targets_dictionary"), "targets_dictionary",
+                                            "the targets' dictionary, such as \"aruco_4x4_50\"");
+  } else {
+    if (table.has("targets_dictionary")) throw table.error("targets_dictionary", "needs `targets`");
+    bar.a = read_marks(table, "a", photos);
+    bar.b = read_marks(table, "b", photos);
+  }
+  return bar;
+}
+
+/// Name of a patch or profile, its number by default; no two alike.
+std::string read_name(const TomlTable& table, std::size_t index, std::set<std::string>& names) {
+  const std::string name = table.text("name").value_or(std::to_string(index + 1));
+  if (!names.insert(name).second) throw table.error("name", "\"" + name + "\" appears twice, expected different names");
+  return name;
+}
+
+PatchSpec read_patch(const TomlTable& table, std::string name, Size size) {
+  const auto box = table.required(table.numbers_exactly<4>("box"), "box", "the corners [x0, y0, x1, y1] in pixels");
+  for (const double corner : box) {
+    if (corner != std::floor(corner)) throw table.wrong("box", "whole numbers");
+  }
+  const bool inside = box[0] >= 0 && box[1] >= 0 && box[2] < size.width && box[3] < size.height;
+  if (!inside || box[0] > box[2] || box[1] > box[3]) {
+    throw table.wrong("box", "x0 ≤ x1 and y0 ≤ y1 within the polarized image of " + to_string(size) + " pixels");
+  }
+  return {std::move(name), static_cast<int>(box[0]), static_cast<int>(box[1]), static_cast<int>(box[2]),
+          static_cast<int>(box[3])};
+}
+
+ProfileSpec read_profile(const TomlTable& table, std::string name, Size size) {
+  ProfileSpec profile;
+  profile.name = std::move(name);
+  const auto end = [&](std::string_view key) {
+    const auto pixel = table.required(table.numbers_exactly<2>(key), key, "a pixel [x, y]");
+    if (!(pixel[0] >= 0 && pixel[1] >= 0 && pixel[0] <= size.width - 1 && pixel[1] <= size.height - 1)) {
+      throw table.wrong(key, "a pixel [x, y] within the polarized image of " + to_string(size) + " pixels");
+    }
+    return pixel;
+  };
+  profile.from = end("from");
+  profile.to = end("to");
+  if (profile.from == profile.to) throw table.wrong("to", "another pixel than `from`");
+  return profile;
+}
+
+void check_camera_size(const TomlTable& document, const LensCamera& lens, Size image,
+                       const std::filesystem::path& file) {
+  if (lens.size == image) return;
+  throw input_error(document.where("[camera]") + " is for " + to_string(lens.size) +
+                    " pixels, but the polarized image " + file.string() + " has " + to_string(image));
+}
+
+toml::table parse(const std::filesystem::path& path) {
+  const std::string text = read_file(path, "station file");
+  try {
+    return toml::parse(text, path.string());
+  } catch (const toml::parse_error& error) {
+    throw input_error(path.string() + ", line " + std::to_string(error.source().begin.line) + ": not TOML (" +
+                      std::string(error.description()) + ")");
+  }
+}
+
+}  // namespace
+
+StationFile read_station_file(const std::filesystem::path& given_path) {
+  StationFile station;
+  station.path = std::filesystem::absolute(given_path).lexically_normal();
+  const toml::table root = parse(station.path);
+  const TomlTable document(
+      root, station.path, "",
+      {"station", "polarized", "optics", "camera", "prior", "photos", "scale", "patch", "profile"});
+  const auto optional_section = [&](std::string_view key, std::initializer_list<std::string_view> known) {
+    const toml::table* table = section(document, key);
+    return table ? std::optional(TomlTable(*table, station.path, "[" + std::string(key) + "]", known)) : std::nullopt;
+  };
+
+  station.name = station.path.parent_path().filename().string();
+  if (const auto table = optional_section("station", {"name", "unit"})) {
+    station.name = table->text("name").value_or(station.name);
+    station.unit = choice(*table, "unit", station.unit, {"um", "mm", "cm", "m", "in", "ft"});
+  }
+
+  const auto polarized = document.required(
+      optional_section("polarized", {"images", "angles_deg", "angle_pattern", "angle_direction", "angle_zero_deg",
+                                     "mosaic", "channel", "channel_weights", "response", "white_level", "black_level",
+                                     "frames_averaged", "full_well_e", "read_noise_e", "mask"}),
+      "polarized", "the section [polarized] with the images taken through the polarizer");
+  station.polarized = read_polarized(polarized);
+
+  if (const auto table = optional_section("optics", {"refractive_index", "reflection"}))
+    station.optics = read_optics(*table);
+  if (const auto table = optional_section("photos", {"folder", "exclude", "camera"}))
+    station.photos = read_photos(*table);
+  if (const auto table = optional_section("prior", {"cloud", "mesh", "depth"})) station.prior = read_prior(*table);
+  if (const auto table = optional_section("camera", {"colmap_model",
+                                                     "image",
+                                                     "model",
+                                                     "width",
+                                                     "height",
+                                                     "params",
+                                                     "qvec",
+                                                     "tvec",
+                                                     "focal_mm",
+                                                     "pixel_mm",
+                                                     "x0_mm",
+                                                     "y0_mm",
+                                                     "k1",
+                                                     "k2",
+                                                     "k3",
+                                                     "p1",
+                                                     "p2",
+                                                     "p3",
+                                                     "omega_phi_kappa_deg",
+                                                     "center"})) {
+    read_camera(*table, station);
+  }
+  if (!station.prior && !station.photos) {
+    throw document.error("prior",
+                         "is missing, expected [prior] with a cloud, mesh or depth map, or [photos] to make one from");
+  }
+  if (!station.camera && !station.photos) {
+    throw document.error("camera", "is missing, expected [camera], or [photos] from which it can be found");
+  }
+
+  const auto bars = tables(document, "scale", "tables [[scale]]");
+  if (!bars.empty() && !station.photos) {
+    throw document.error(
+        "scale", "needs [photos], in which its ends are marked; without them the camera and prior are metric already");
+  }
+  for (std::size_t i = 0; i < bars.size(); ++i) {
+    const TomlTable table(*bars[i], station.path, "[[scale]] " + std::to_string(i + 1),
+                          {"distance", "a", "b", "targets", "targets_dictionary", "check"});
+    station.scale_bars.push_back(read_scale_bar(table, *station.photos));
+  }
+
+  const Size size = read_image_size(station.polarized.images.front(), polarized.where("images"));
+  if (station.camera) check_camera_size(document, station.camera->lens, size, station.polarized.images.front());
+  if (station.lens) check_camera_size(document, *station.lens, size, station.polarized.images.front());
+  std::set<std::string> names;
+  for (const toml::table* entry : tables(document, "patch", "tables [[patch]]")) {
+    const std::size_t index = station.patches.size();
+    const TomlTable table(*entry, station.path, "[[patch]] " + std::to_string(index + 1), {"name", "box"});
+    station.patches.push_back(read_patch(table, read_name(table, index, names), size));
+  }
+  names.clear();
+  for (const toml::table* entry : tables(document, "profile", "tables [[profile]]")) {
+    const std::size_t index = station.profiles.size();
+    const TomlTable table(*entry, station.path, "[[profile]] " + std::to_string(index + 1), {"name", "from", "to"});
+    station.profiles.push_back(read_profile(table, read_name(table, index, names), size));
+  }
+  return station;
+}
+
+}  // namespace malus

@@ -1,0 +1,169 @@
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <sstream>
+
+#include "malus/io/input_file.h"
+#include "malus/io/toml_table_internal.h"
+
+namespace malus {
+namespace {
+
+std::size_t edit_distance(std::string_view a, std::string_view b) {
+  std::vector<std::size_t> row(b.size() + 1);
+  std::iota(row.begin(), row.end(), std::size_t{0});
+  for (std::size_t i = 1; i <= a.size(); ++i) {
+    std::size_t diagonal = row[0];
+    row[0] = i;
+    for (std::size_t j = 1; j <= b.size(); ++j) {
+      const std::size_t substituted = diagonal + (a[i - 1] == b[j - 1] ? 0 : 1);
+      diagonal = row[j];
+      row[j] = std::min({row[j] + 1, row[j - 1] + 1, substituted});
+    }
+  }
+  return row.back();
+}
+
+/// The value as it stands in the file, cut when it is long.
+std::string value_text(const toml::node& node) {
+  std::ostringstream stream;
+  node.visit([&](const auto& value) { stream << value; });
+  std::string text = stream.str();
+  std::replace(text.begin(), text.end(), '\n', ' ');
+  constexpr std::size_t longest = 80;
+  return text.size() <= longest ? text : text.substr(0, longest) + " …";
+}
+
+std::string range_text(const std::string& kind, Range range) {
+  std::ostringstream text;
+  text << kind;
+  if (range.min == positive_range.min) {
+    text << " greater than 0";
+  } else if (std::isfinite(range.min) && std::isfinite(range.max)) {
+    text << " from " << range.min << " to " << range.max;
+  } else if (std::isfinite(range.min)) {
+    text << " of at least " << range.min;
+  } else if (std::isfinite(range.max)) {
+    text << " of at most " << range.max;
+  }
+  return text.str();
+}
+
+bool in_range(double value, Range range) {
+  return std::isfinite(value) && value >= range.min && value <= range.max;
+}
+
+}  // namespace
+
+std::string_view nearest_name(std::string_view name, const std::vector<std::string_view>& known) {
+  return *std::min_element(known.begin(), known.end(), [&](std::string_view a, std::string_view b) {
+    return edit_distance(name, a) < edit_distance(name, b);
+  });
+}
+
+TomlTable::TomlTable(const toml::table& table, std::filesystem::path file, std::string name,
+                     std::initializer_list<std::string_view> known)
+    : table_(&table), file_(std::move(file)), name_(std::move(name)) {
+  for (const auto& [key, node] : table) {
+    if (std::find(known.begin(), known.end(), key.str()) == known.end()) {
+      throw error(key.str(),
+                  "unknown key; the nearest known one is \"" + std::string(nearest_name(key.str(), known)) + '"');
+    }
+  }
+}
+
+std::string TomlTable::where(std::string_view key) const {
+  return file_.string() + ": " + name_ + (name_.empty() ? "" : ".") + std::string(key);
+}
+
+std::string TomlTable::place(std::string_view key) const {
+  const toml::node* node = find(key);
+  const auto line = (node ? node->source() : table_->source()).begin.line;
+  return file_.string() + (line > 0 ? ", line " + std::to_string(line) : "") + ": " + name_ +
+         (name_.empty() ? "" : ".") + std::string(key);
+}
+
+Error TomlTable::error(std::string_view key, const std::string& message) const {
+  return input_error(place(key) + ": " + message);
+}
+
+Error TomlTable::wrong(std::string_view key, const std::string& expected) const {
+  const toml::node* node = find(key);
+  return input_error(place(key) + " = " + (node ? value_text(*node) : "nothing") + ", expected " + expected);
+}
+
+bool TomlTable::is_auto(std::string_view key) const {
+  const toml::node* node = find(key);
+  return node && node->is_string() && node->as_string()->get() == "auto";
+}
+
+std::optional<std::string> TomlTable::text(std::string_view key) const {
+  const toml::node* node = find(key);
+  if (!node) return std::nullopt;
+  if (!node->is_string() || node->as_string()->get().empty()) throw wrong(key, "a text in quotes");
+  return node->as_string()->get();
+}
+
+std::optional<bool> TomlTable::boolean(std::string_view key) const {
+  const toml::node* node = find(key);
+  if (!node) return std::nullopt;
+  if (!node->is_boolean()) throw wrong(key, "true or false");
+  return node->as_boolean()->get();
+}
+
+std::optional<double> TomlTable::number(std::string_view key, Range range) const {
+  const toml::node* node = find(key);
+  if (!node) return std::nullopt;
+  const std::optional<double> value = node->is_number() ? node->value<double>() : std::nullopt;
+  if (!value || !in_range(*value, range)) throw wrong(key, range_text("a number", range));
+  return value;
+}
+
+std::optional<int> TomlTable::integer(std::string_view key, Range range) const {
+  const toml::node* node = find(key);
+  if (!node) return std::nullopt;
+  range = {std::max(range.min, -2147483648.0), std::min(range.max, 2147483647.0)};
+  const std::optional<std::int64_t> value = node->is_integer() ? node->value<std::int64_t>() : std::nullopt;
+  if (!value || !in_range(static_cast<double>(*value), range)) throw wrong(key, range_text("a whole number", range));
+  return static_cast<int>(*value);
+}
+
+std::optional<std::vector<double>> TomlTable::numbers(std::string_view key, Range range) const {
+  const toml::node* node = find(key);
+  if (!node) return std::nullopt;
+  const auto fail = [&] { return wrong(key, range_text("a list of numbers", range)); };
+  if (!node->is_array()) throw fail();
+  std::vector<double> values;
+  for (const toml::node& element : *node->as_array()) {
+    const std::optional<double> value = element.is_number() ? element.value<double>() : std::nullopt;
+    if (!value || !in_range(*value, range)) throw fail();
+    values.push_back(*value);
+  }
+  return values;
+}
+
+std::optional<std::vector<std::string>> TomlTable::texts(std::string_view key) const {
+  const toml::node* node = find(key);
+  if (!node) return std::nullopt;
+  if (!node->is_array()) throw wrong(key, "a list of texts");
+  std::vector<std::string> values;
+  for (const toml::node& element : *node->as_array()) {
+    if (!element.is_string() || element.as_string()->get().empty()) throw wrong(key, "a list of texts");
+    values.push_back(element.as_string()->get());
+  }
+  return values;
+}
+
+std::filesystem::path TomlTable::resolve(const std::string& path) const {
+  return (file_.parent_path() / path).lexically_normal();
+}
+
+std::optional<std::filesystem::path> TomlTable::existing_file(std::string_view key) const {
+  const auto path = text(key);
+  if (!path) return std::nullopt;
+  const std::filesystem::path resolved = resolve(*path);
+  require_file(resolved, where(key) + " =");
+  return resolved;
+}
+
+}  // namespace malus

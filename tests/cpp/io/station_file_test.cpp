@@ -1,0 +1,415 @@
+#include "malus/io/station_file.h"
+
+#include <cmath>
+#include <numbers>
+
+#include "malus/io/colmap_model.h"
+#include "malus/io/image_file.h"
+#include "malus/io/polarized_files_internal.h"
+#include "temporary_folder.h"
+
+namespace malus {
+namespace {
+
+/// A complete small station; tests replace one section of it.
+struct Sections {
+  std::string station = "[station]\nname = \"test\"\n";
+  std::string polarized =
+      "[polarized]\nimages = [\"pol/a_000.png\", \"pol/a_045.png\", \"pol/a_090.png\"]\nangles_deg = [0, 45, 90]\n";
+  std::string camera =
+      "[camera]\nmodel = \"PINHOLE\"\nwidth = 12\nheight = 8\nparams = [100, 101, 6.0, 4.5]\nqvec = [1, 0, 0, 0]\ntvec "
+      "= [0, 0, 50]\n";
+  std::string prior = "[prior]\ncloud = \"cloud.ply\"\n";
+  std::string rest;
+
+  std::string text() const { return station + polarized + camera + prior + rest; }
+};
+
+class StationFileTest : public testing::Test {
+ protected:
+  StationFileTest() {
+    std::filesystem::create_directories(folder_ / "pol");
+    std::filesystem::create_directories(folder_ / "views");
+    for (const std::string name : {"a_000", "a_045", "a_090"}) {
+      write_png(folder_ / ("pol/" + name + ".png"), Image<std::uint8_t>({12, 8}));
+    }
+    for (const std::string name : {"cloud.ply", "depth.tif", "views/1.jpg", "views/2.jpg", "mask.png", "label.png"}) {
+      folder_.write(name, "x");
+    }
+  }
+  StationFile read(const Sections& sections) const {
+    return read_station_file(folder_.write("station.toml", sections.text()));
+  }
+  template <class... Parts>
+  void rejects(const Sections& sections, const Parts&... parts) const {
+    expect_error(
+        ErrorCode::input, [&] { read(sections); }, "station.toml", parts...);
+  }
+  /// Rejects the station with `from` replaced by `to` somewhere in its text.
+  template <class... Parts>
+  void rejects_change(const std::string& from, const std::string& to, const Parts&... parts) const {
+    std::string text = Sections().text();
+    const std::size_t at = text.find(from);
+    ASSERT_NE(at, std::string::npos) << from;
+    text.replace(at, from.size(), to);
+    folder_.write("station.toml", text);
+    expect_error(
+        ErrorCode::input, [&] { read_station_file(folder_ / "station.toml"); }, "station.toml", parts...);
+  }
+
+  TemporaryFolder folder_;
+};
+
+TEST_F(StationFileTest, ReadsACompleteStation) {
+  Sections sections;
+  sections.station += "unit = \"m\"\n";
+  sections.polarized +=
+      "angle_direction = \"cw\"\nangle_zero_deg = -2.5\nresponse = \"gamma:2.2\"\nwhite_level = 16383\nblack_level = "
+      "64\n"
+      "frames_averaged = 16\nfull_well_e = 20000\nread_noise_e = 8.5\nmask = \"mask.png\"\nchannel = \"green\"\n";
+  sections.rest =
+      "[optics]\nrefractive_index = 1.45\nreflection = \"specular\"\n"
+      "[[patch]]\nname = \"label\"\nbox = [1, 2, 11, 7]\n[[profile]]\nfrom = [0, 0]\nto = [11, 7.0]\n";
+  const StationFile station = read(sections);
+  EXPECT_EQ(station.name, "test");
+  EXPECT_EQ(station.unit, "m");
+  ASSERT_EQ(station.polarized.images.size(), 3u);
+  EXPECT_EQ(station.polarized.images[1], folder_ / "pol/a_045.png");
+  EXPECT_EQ(*station.polarized.angles_deg, (std::vector<double>{0, 45, 90}));
+  EXPECT_EQ(station.polarized.angle_direction, "cw");
+  EXPECT_EQ(station.polarized.angle_zero_deg, -2.5);
+  EXPECT_EQ(station.polarized.response, "gamma:2.2");
+  EXPECT_EQ(*station.polarized.white_level, 16383);
+  EXPECT_EQ(station.polarized.black_level, 64);
+  EXPECT_EQ(station.polarized.frames_averaged, 16);
+  EXPECT_EQ(*station.polarized.read_noise_e, 8.5);
+  EXPECT_EQ(station.polarized.channel, "green");
+  EXPECT_EQ(*station.polarized.mask, folder_ / "mask.png");
+  EXPECT_EQ(*station.optics.refractive_index, 1.45);
+  EXPECT_EQ(station.optics.reflection, "specular");
+  EXPECT_EQ(*station.prior->cloud, folder_ / "cloud.ply");
+  ASSERT_TRUE(station.camera);
+  EXPECT_EQ(station.camera->lens.params, (std::vector<double>{100, 101, 5.5, 4.0})) << "COLMAP's convention minus 0.5";
+  EXPECT_EQ(station.camera->pose.translation, Eigen::Vector3d(0, 0, 50));
+  ASSERT_EQ(station.patches.size(), 1u);
+  EXPECT_EQ(station.patches[0].x1, 11);
+  ASSERT_EQ(station.profiles.size(), 1u);
+  EXPECT_EQ(station.profiles[0].name, "1");
+  EXPECT_EQ(station.profiles[0].to[1], 7);
+}
+
+TEST_F(StationFileTest, DefaultsAreThoseOfTheSpecs) {
+  const StationFile station = read({});
+  EXPECT_EQ(station.unit, "mm");
+  EXPECT_EQ(station.polarized.response, "linear");
+  EXPECT_FALSE(station.polarized.white_level);
+  EXPECT_EQ(station.optics.refractive_index, 1.5);
+  EXPECT_EQ(station.optics.reflection, "auto");
+  Sections unnamed;
+  unnamed.station.clear();
+  EXPECT_EQ(read(unnamed).name, folder_.path().filename().string());
+}
+
+TEST_F(StationFileTest, UnknownKeysNameTheNearestKnownOne) {
+  rejects_change("angles_deg", "angle_deg", "line 5", "[polarized].angle_deg", "\"angles_deg\"");
+  rejects_change("[prior]", "[priors]", "priors", "\"prior\"");
+  rejects_change("cloud =", "clould =", "[prior].clould", "\"cloud\"");
+  rejects_change("qvec", "q_vec", "[camera].q_vec", "\"qvec\"");
+  Sections sections;
+  sections.rest = "[[patch]]\nname = \"a\"\nbox = [0, 0, 1, 1]\n[[patch]]\nboxes = [0, 0, 1, 1]\n";
+  rejects(sections, "[[patch]] 2.boxes", "\"box\"");
+}
+
+TEST_F(StationFileTest, WrongTypesAndValuesNameFieldValueAndExpectation) {
+  rejects_change("name = \"test\"", "name = 5", "line 2", "[station].name = 5", "text in quotes");
+  rejects_change("name = \"test\"", "unit = \"furlong\"", "[station].unit", "furlong", "\"mm\"");
+  rejects_change("angles_deg = [0, 45, 90]", "angles_deg = [0, 45, \"x\"]", "angles_deg", "list of numbers");
+  rejects_change("angles_deg = [0, 45, 90]", "angles_deg = [0, 45, nan]", "angles_deg", "list of numbers");
+  rejects_change("angles_deg = [0, 45, 90]", "angles_deg = 45", "angles_deg = 45", "\"auto\"");
+  rejects_change("angles_deg = [0, 45, 90]", "angles_deg = [0, 45]", "2 angles for 3 images");
+  rejects_change("angles_deg = [0, 45, 90]", "", "angles_deg", "is missing");
+  rejects_change("width = 12", "width = 12.5", "[camera].width = 12.5", "whole number");
+  rejects_change("width = 12", "width = 0", "[camera].width = 0", "from 1 to 65536");
+  rejects_change("width = 12", "width = 13", "[camera]", "13 x 8", "12 x 8");
+  rejects_change("params = [100, 101, 6.0, 4.5]", "params = [100, 101, 6.0]", "3 parameters", "expected 4");
+  rejects_change("\"PINHOLE\"", "\"FISHEYE\"", "[camera].model", "FISHEYE", "FULL_OPENCV");
+  rejects_change("qvec = [1, 0, 0, 0]", "qvec = [1, 0, 0]", "qvec", "list of 4 numbers");
+  rejects_change("qvec = [1, 0, 0, 0]", "qvec = [0, 0, 0, 0]", "qvec", "no direction");
+  rejects_change("tvec = [0, 0, 50]", "", "tvec", "is missing");
+  rejects_change("[prior]", "[prior", "not TOML");
+  Sections scalar;
+  scalar.prior.clear();
+  scalar.station = "prior = 3\n[station]\n";
+  rejects(scalar, "line 1", "prior = 3", "a table, [prior]");
+  const auto polarized = [&](const std::string& line, const auto&... parts) {
+    Sections sections;
+    sections.polarized += line + "\n";
+    rejects(sections, parts...);
+  };
+  polarized("angle_direction = \"clockwise\"", "clockwise", "\"ccw\", \"cw\"");
+  polarized("response = \"gamma:x\"", "gamma:x", "from 0.1 to 10");
+  polarized("response = \"rec709\"", "rec709", "lookup table");
+  polarized("white_level = 0", "white_level = 0", "greater than 0");
+  polarized("white_level = 100\nblack_level = 100", "black_level = 100", "less than the white level");
+  polarized("frames_averaged = 0", "frames_averaged = 0", "from 1");
+  polarized("channel = \"infrared\"", "infrared", "luminance");
+  polarized("channel_weights = [0, 0, 0]", "channel_weights", "positive");
+  polarized("channel_weights = [1, 0]", "channel_weights", "3 numbers");
+  polarized("channel = \"red\"\nchannel_weights = [1, 0, 0]", "channel", "together");
+  polarized("mask = \"none.png\"", "[polarized].mask", "none.png", "no such file");
+  polarized("mosaic = [[90, 45], [135, 0]]", "images", "expected one");
+  polarized("angle_pattern = \"(x)\"", "angle_pattern", "one of the two");
+  const auto optics = [&](const std::string& line, const auto&... parts) {
+    Sections sections;
+    sections.rest = "[optics]\n" + line + "\n";
+    rejects(sections, parts...);
+  };
+  optics("refractive_index = 0.5", "refractive_index = 0.5", "from 1.05 to 4");
+  optics("refractive_index = \"glass\"", "refractive_index", "a number");
+  optics("reflection = \"shiny\"", "shiny", "\"diffuse\"");
+}
+
+TEST_F(StationFileTest, FilesThatAreNotThere) {
+  rejects_change("pol/a_045.png", "pol/a_046.png", "[polarized].images", "a_046.png", "no such file");
+  rejects_change("pol/a_045.png", "pol/a_000.png", "a_000.png", "listed twice");
+  rejects_change("cloud.ply", "absent.ply", "[prior].cloud", "absent.ply", "no such file");
+  rejects_change("cloud.ply", "views", "[prior].cloud", "is a folder");
+  folder_.write("pol/a_000.png", "not an image");
+  rejects({}, "a_000.png", "not an image");
+  expect_error(
+      ErrorCode::input, [&] { read_station_file(folder_ / "none.toml"); }, "none.toml", "no such file");
+  expect_error(
+      ErrorCode::input, [&] { read_station_file(folder_.write("empty.toml", "")); }, "is empty");
+}
+
+TEST_F(StationFileTest, FewerThanThreeAnglesIsADataError) {
+  const auto data_error_for = [&](const std::string& angles) {
+    Sections sections;
+    sections.polarized.replace(sections.polarized.find("[0, 45, 90]"), 11, angles);
+    expect_error(
+        ErrorCode::data, [&] { read(sections); }, "[polarized].angles_deg", "2 distinct", "modulo 180");
+  };
+  data_error_for("[0, 45, 180]");
+  data_error_for("[0, 90, 90]");
+  data_error_for("[-90, 0, 270]");
+  data_error_for("[179.9999, 0, 45]");
+  Sections two;
+  two.polarized = "[polarized]\nimages = [\"pol/a_000.png\", \"pol/a_045.png\"]\nangles_deg = \"auto\"\n";
+  expect_error(
+      ErrorCode::data, [&] { read(two); }, "2 images");
+  Sections repeated;
+  write_png(folder_ / "pol/b_000.png", Image<std::uint8_t>({12, 8}));
+  repeated.polarized =
+      "[polarized]\nimages = [\"pol/a_000.png\", \"pol/b_000.png\", \"pol/a_045.png\", \"pol/a_090.png\"]\n"
+      "angles_deg = [0, 0, 45, 90]\n";
+  EXPECT_EQ(read(repeated).polarized.angles_deg->size(), 4u) << "the same angle twice is two exposures";
+}
+
+TEST_F(StationFileTest, FoldersGlobsAndAnglePatterns) {
+  const auto angles = [&](const std::string& lines) {
+    Sections sections;
+    sections.polarized = "[polarized]\n" + lines + "\n";
+    return read(sections).polarized.angles_deg;
+  };
+  const std::vector<double> expected{0, 45, 90};
+  folder_.write("pol/notes.txt", "x");
+  EXPECT_EQ(angles("images = \"pol\""), expected);
+  EXPECT_EQ(angles("images = \"pol/*.png\""), expected);
+  EXPECT_EQ(angles("images = \"pol\"\nangle_pattern = 'a_(\\d+)\\.png'"), expected);
+  EXPECT_EQ(angles("images = \"pol\"\nangles_deg = [1, 61, 121]"), (std::vector<double>{1, 61, 121}));
+  EXPECT_FALSE(angles("images = \"pol\"\nangles_deg = \"auto\""));
+  const auto rejects_lines = [&](const std::string& lines, const auto&... parts) {
+    Sections sections;
+    sections.polarized = "[polarized]\n" + lines + "\n";
+    rejects(sections, parts...);
+  };
+  rejects_lines("images = \"pol/*.tif\"", "pol/*.tif", "pattern that matches files");
+  rejects_lines("images = \"pol\"\nangle_pattern = 'a_\\d+'", "angle_pattern", "one group");
+  rejects_lines("images = \"pol\"\nangle_pattern = 'a_(\\d+'", "angle_pattern", "not a regular expression");
+  rejects_lines("images = \"pol\"\nangle_pattern = 'b_(\\d+)'", "angle_pattern", "no angle in the name");
+}
+
+TEST(PolarizedFiles, NaturalOrderAndLastNumber) {
+  EXPECT_TRUE(natural_less("pol_9.png", "pol_10.png"));
+  EXPECT_FALSE(natural_less("pol_10.png", "pol_9.png"));
+  EXPECT_TRUE(natural_less("a2b10", "a02b11"));
+  EXPECT_FALSE(natural_less("a", "a"));
+  EXPECT_TRUE(natural_less("a", "ab"));
+  EXPECT_EQ(angle_of_name("/x/IMG_1234_pol_22.5deg.tif", "", "test"), 22.5);
+  EXPECT_EQ(angle_of_name("/x/120/pol-030.png", "", "test"), 30);
+  EXPECT_EQ(angle_of_name("/x/p060_e3.png", "p(\\d+)_", "test"), 60);
+  expect_error(
+      ErrorCode::input, [] { angle_of_name("/x/none.png", "", "images"); }, "images", "none.png");
+}
+
+TEST_F(StationFileTest, Mosaic) {
+  Sections sections;
+  sections.polarized = "[polarized]\nimages = [\"pol/a_000.png\"]\nmosaic = [[90, 45], [135, 0]]\n";
+  const StationFile station = read(sections);
+  EXPECT_EQ(*station.polarized.mosaic, (std::array<double, 4>{90, 45, 135, 0}));
+  sections.polarized = "[polarized]\nimages = [\"pol/a_000.png\"]\nmosaic = [[90, 45], [135]]\n";
+  rejects(sections, "mosaic", "two rows of two angles");
+  sections.polarized = "[polarized]\nimages = [\"pol/a_000.png\"]\nmosaic = [[90, 0], [90, 0]]\n";
+  expect_error(
+      ErrorCode::data, [&] { read(sections); }, "2 distinct");
+}
+
+TEST_F(StationFileTest, CameraFromColmapModel) {
+  ColmapModel model;
+  model.cameras[2] = {LensModel::opencv, {12, 8}, {100, 101, 5, 4, 0.1, 0, 0, 0}};
+  model.images[1].name = "station.jpg";
+  model.images[1].camera_id = 2;
+  model.images[1].pose.translation = {1, 2, 3};
+  std::filesystem::create_directories(folder_ / "sparse");
+  write_colmap_model(folder_ / "sparse", model, ColmapFormat::binary);
+  Sections sections;
+  sections.camera = "[camera]\ncolmap_model = \"sparse\"\nimage = \"station.jpg\"\n";
+  const StationFile station = read(sections);
+  EXPECT_EQ(station.camera->lens.params, model.cameras[2].params);
+  EXPECT_EQ(station.camera->pose.translation, Eigen::Vector3d(1, 2, 3));
+  sections.camera = "[camera]\ncolmap_model = \"sparse\"\nimage = \"other.jpg\"\n";
+  rejects(sections, "[camera].image", "other.jpg", "station.jpg");
+  sections.camera = "[camera]\ncolmap_model = \"views\"\nimage = \"station.jpg\"\n";
+  expect_error(
+      ErrorCode::input, [&] { read(sections); }, "views", "no cameras and images files");
+  sections.camera = "[camera]\ncolmap_model = \"sparse\"\n";
+  rejects(sections, "[camera].image", "is missing");
+  sections.camera = "[camera]\ncolmap_model = \"sparse\"\nimage = \"station.jpg\"\nwidth = 12\n";
+  rejects(sections, "[camera].width", "together with colmap_model");
+}
+
+TEST_F(StationFileTest, PhotogrammetricCamera) {
+  // A camera 100 mm above the XY plane looking straight down, upper image edge towards +Y: ω = φ = κ = 0.
+  const std::string lens =
+      "[camera]\nmodel = \"BROWN\"\nwidth = 12\nheight = 8\nfocal_mm = 20\npixel_mm = 0.01\nx0_mm = 0.01\nk1 = 1e-5\n";
+  Sections sections;
+  sections.camera = lens + "omega_phi_kappa_deg = [0, 0, 0]\ncenter = [1, 2, 100]\n";
+  const StationFile station = read(sections);
+  EXPECT_EQ(station.camera->lens.params, (std::vector<double>{20, 0.01, 0.01, 0, 1e-5, 0, 0, 0, 0, 0}));
+  const Pose pose = station.camera->pose;
+  EXPECT_LT((pose.centre() - Eigen::Vector3d(1, 2, 100)).norm(), 1e-12);
+  const Eigen::Vector3d below = pose.cam_from_world({1, 2, 0}), right = pose.cam_from_world({3, 2, 0}),
+                        up = pose.cam_from_world({1, 5, 0});
+  EXPECT_LT((below - Eigen::Vector3d(0, 0, 100)).norm(), 1e-12);
+  EXPECT_LT((right - Eigen::Vector3d(2, 0, 100)).norm(), 1e-12);
+  EXPECT_LT((up - Eigen::Vector3d(0, -3, 100)).norm(), 1e-12);
+
+  // General angles against the printed elements of M (Wolf and Dewitt, world → image, x = −f M₁·ΔX / M₃·ΔX).
+  sections.camera = lens + "omega_phi_kappa_deg = [10, -20, 130]\ncenter = [0, 0, 0]\n";
+  const Eigen::Matrix3d m = Eigen::Vector3d(1, -1, -1).asDiagonal() * read(sections).camera->pose.rotation;
+  const double degree = std::numbers::pi / 180, w = 10 * degree, p = -20 * degree, k = 130 * degree;
+  EXPECT_NEAR(m(0, 0), std::cos(p) * std::cos(k), 1e-12);
+  EXPECT_NEAR(m(0, 1), std::sin(w) * std::sin(p) * std::cos(k) + std::cos(w) * std::sin(k), 1e-12);
+  EXPECT_NEAR(m(0, 2), -std::cos(w) * std::sin(p) * std::cos(k) + std::sin(w) * std::sin(k), 1e-12);
+  EXPECT_NEAR(m(1, 0), -std::cos(p) * std::sin(k), 1e-12);
+  EXPECT_NEAR(m(2, 0), std::sin(p), 1e-12);
+  EXPECT_NEAR(m(2, 1), -std::sin(w) * std::cos(p), 1e-12);
+  EXPECT_NEAR(m(2, 2), std::cos(w) * std::cos(p), 1e-12);
+
+  sections.camera = lens;
+  rejects(sections, "[camera].qvec", "is missing", "depth-map prior");
+  sections.camera = lens + "params = [1]\n";
+  rejects(sections, "[camera].params", "not used by model BROWN");
+  rejects_change("width = 12", "width = 12\nk1 = 0.1", "[camera].k1", "BROWN");
+}
+
+TEST_F(StationFileTest, CameraWithoutPose) {
+  Sections sections;
+  const std::string lens = "[camera]\nmodel = \"PINHOLE\"\nwidth = 12\nheight = 8\nparams = [100, 101, 6.0, 4.5]\n";
+  sections.camera = lens;
+  rejects(sections, "[camera].qvec", "is missing");
+  sections.prior = "[prior]\ndepth = \"depth.tif\"\n";
+  EXPECT_EQ(read(sections).camera->pose.rotation, Eigen::Matrix3d::Identity()) << "the world is the station camera";
+  sections.prior.clear();
+  rejects(sections, "prior", "is missing");
+  sections.rest = "[photos]\nfolder = \"views\"\n";
+  const StationFile station = read(sections);
+  EXPECT_FALSE(station.camera);
+  ASSERT_TRUE(station.lens);
+  EXPECT_EQ(station.lens->params[2], 5.5);
+  sections.camera.clear();
+  EXPECT_FALSE(read(sections).lens);
+  sections.rest.clear();
+  sections.prior = "[prior]\ncloud = \"cloud.ply\"\n";
+  rejects(sections, "camera", "is missing");
+}
+
+TEST_F(StationFileTest, PhotosAndScale) {
+  Sections sections;
+  sections.camera.clear();
+  sections.prior.clear();
+  const std::string photos =
+      "[photos]\nfolder = \"views\"\nexclude = [\"x.jpg\"]\n"
+      "camera = { model = \"PINHOLE\", width = 90, height = 60, params = [100, 100, 45, 30] }\n";
+  const std::string a = "a = [{ image = \"1.jpg\", x = 1, y = 2 }, { image = \"2.jpg\", x = 3.5, y = 4 }]\n";
+  const std::string b = "b = [{ image = \"1.jpg\", x = 5, y = 6 }, { image = \"2.jpg\", x = 7, y = 8 }]\n";
+  sections.rest = photos + "[[scale]]\ndistance = 31.5\ncheck = true\n" + a + b +
+                  "[[scale]]\ndistance = 50\ntargets = [3, 7]\ntargets_dictionary = \"aruco_4x4_50\"\n";
+  const StationFile station = read(sections);
+  EXPECT_EQ(station.photos->folder, folder_ / "views");
+  EXPECT_EQ(station.photos->camera->params[2], 44.5);
+  ASSERT_EQ(station.scale_bars.size(), 2u);
+  EXPECT_TRUE(station.scale_bars[0].check);
+  EXPECT_EQ(station.scale_bars[0].a[1].x, 3.5) << "marks are in the memory convention: no half pixel";
+  EXPECT_EQ(station.scale_bars[1].targets, (std::array<int, 2>{3, 7}));
+  const auto rejects_scale = [&](const std::string& scale, const auto&... parts) {
+    Sections changed = sections;
+    changed.rest = photos + "[[scale]]\n" + scale;
+    rejects(changed, parts...);
+  };
+  rejects_scale("distance = -1\n" + a + b, "[[scale]] 1.distance = -1", "greater than 0");
+  rejects_scale(a + b, "distance", "is missing");
+  rejects_scale("distance = 1\n" + a, "[[scale]] 1.b", "0 marks");
+  rejects_scale("distance = 1\n" + a + "b = [{ image = \"9.jpg\", x = 1, y = 2 }]\n", "9.jpg", "no such file");
+  rejects_scale("distance = 1\n" + a + "b = [{ image = \"1.jpg\", x = 1, z = 2 }]\n", "unknown key", "\"x\"");
+  rejects_scale(
+      "distance = 1\n" + a + "b = [{ image = \"1.jpg\", x = 1, y = 2 }, { image = \"1.jpg\", x = 1, y = 2 }]\n",
+      "1.jpg", "one mark a photo");
+  rejects_scale("distance = 1\ntargets = [3, 3]\ntargets_dictionary = \"d\"\n", "targets", "different");
+  rejects_scale("distance = 1\ntargets = [3, 4]\n", "targets_dictionary", "is missing");
+  Sections without = {};
+  without.rest = "[[scale]]\ndistance = 1\n" + a + b;
+  rejects(without, "scale", "needs [photos]");
+}
+
+TEST_F(StationFileTest, PatchesAndProfilesLieInTheImage) {
+  const auto rejects_rest = [&](const std::string& rest, const auto&... parts) {
+    Sections sections;
+    sections.rest = rest;
+    rejects(sections, parts...);
+  };
+  rejects_rest("[[patch]]\nbox = [0, 0, 12, 7]\n", "[[patch]] 1.box", "12 x 8 pixels");
+  rejects_rest("[[patch]]\nbox = [-1, 0, 5, 7]\n", "box", "within");
+  rejects_rest("[[patch]]\nbox = [5, 0, 4, 7]\n", "box", "x0");
+  rejects_rest("[[patch]]\nbox = [0.5, 0, 4, 7]\n", "box", "whole numbers");
+  rejects_rest("[[patch]]\nname = \"a\"\nbox = [0, 0, 1, 1]\n[[patch]]\nname = \"a\"\nbox = [0, 0, 1, 1]\n",
+               "[[patch]] 2", "twice");
+  rejects_rest("[[profile]]\nfrom = [0, 0]\nto = [12, 0]\n", "[[profile]] 1.to", "within");
+  rejects_rest("[[profile]]\nfrom = [1, 1]\nto = [1, 1]\n", "to", "another pixel");
+  rejects_rest("[patch]\nbox = [0, 0, 1, 1]\n", "patch", "[[patch]]");
+}
+
+TEST(StationFile, EveryRenderedStationLoads) {
+  const std::filesystem::path data = MALUS_SOURCE_DIR "/../shared/data/rendered";
+  if (!std::filesystem::exists(data)) GTEST_SKIP() << data << " is absent";
+  int count = 0;
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(data)) {
+    const std::string name = entry.path().filename().string();
+    if (!name.starts_with("station") || entry.path().extension() != ".toml") continue;
+    SCOPED_TRACE(entry.path());
+    const StationFile station = read_station_file(entry.path());
+    EXPECT_EQ(station.polarized.images.size(), 6u);
+    EXPECT_EQ(station.polarized.angles_deg->at(5), 150);
+    if (name == "station_photos.toml") {
+      EXPECT_TRUE(station.lens && station.photos && !station.camera && station.scale_bars.size() == 3);
+    } else {
+      ASSERT_TRUE(station.camera && station.prior && !station.lens);
+      EXPECT_GT(station.camera->pose.centre().norm(), 100);
+    }
+    ++count;
+  }
+  EXPECT_GE(count, 20);
+}
+
+}  // namespace
+}  // namespace malus
