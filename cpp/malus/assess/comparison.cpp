@@ -1,0 +1,159 @@
+#include "malus/assess/comparison.h"
+
+#include <Eigen/Eigenvalues>
+#include <Eigen/Geometry>
+#include <cmath>
+#include <limits>
+
+#include "malus/assess/reference_surface.h"
+#include "malus/core/parallel.h"
+
+namespace malus {
+namespace {
+
+using RowMajor = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+using Vector7 = Eigen::Matrix<double, 7, 1>;
+using Matrix7 = Eigen::Matrix<double, 7, 7>;
+
+/// World points of up to 20 000 pixels, evenly spread.
+std::vector<Eigen::Vector3d> spread_points(const FusedSurface& surface) {
+  std::vector<std::size_t> known;
+  for (std::size_t i = 0; i < surface.depth.count(); ++i) {
+    if (std::isfinite(surface.depth[i])) known.push_back(i);
+  }
+  const std::size_t stride = known.size() / 20000 + 1;
+  const auto width = static_cast<std::size_t>(surface.depth.width());
+  std::vector<Eigen::Vector3d> points;
+  for (std::size_t k = 0; k < known.size(); k += stride) {
+    const Eigen::Vector3d ray =
+        surface.camera.ray(static_cast<double>(known[k] % width), static_cast<double>(known[k] / width));
+    points.push_back(surface.pose.world_from_cam(ray * static_cast<double>(surface.depth[known[k]])));
+  }
+  return points;
+}
+
+/// next ∘ first.
+SimilarityTransform compose(const SimilarityTransform& next, const SimilarityTransform& first) {
+  SimilarityTransform result;
+  result.scale = next.scale * first.scale;
+  Eigen::Map<RowMajor>(result.rotation.data()) =
+      Eigen::Map<const RowMajor>(next.rotation.data()) * Eigen::Map<const RowMajor>(first.rotation.data());
+  Eigen::Map<Eigen::Vector3d>(result.translation.data()) =
+      next.apply(Eigen::Map<const Eigen::Vector3d>(first.translation.data()));
+  return result;
+}
+
+/// Small motion about a centre: rotation vector, translation and log of the scale, the latter two in units of `extent`.
+SimilarityTransform small_motion(const Vector7& step, const Eigen::Vector3d& centre, double extent) {
+  SimilarityTransform motion;
+  motion.scale = std::exp(step[6]);
+  const Eigen::Vector3d turn = step.head<3>();
+  const Eigen::Matrix3d rotation = Eigen::AngleAxisd(turn.norm(), turn.stableNormalized()).toRotationMatrix();
+  Eigen::Map<RowMajor>(motion.rotation.data()) = rotation;
+  Eigen::Map<Eigen::Vector3d>(motion.translation.data()) =
+      centre + extent * step.segment<3>(3) - motion.scale * rotation * centre;
+  return motion;
+}
+
+/// Least-squares step of the weighted normal equations without the directions the data leave free.
+Vector7 solve_observable(const Matrix7& normal_matrix, const Vector7& right_side, int unknowns) {
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(normal_matrix.topLeftCorner(unknowns, unknowns));
+  const Eigen::VectorXd& values = eigen.eigenvalues();
+  Eigen::VectorXd along = eigen.eigenvectors().transpose() * right_side.head(unknowns);
+  for (int i = 0; i < unknowns; ++i) along[i] = values[i] > 1e-7 * values[unknowns - 1] ? along[i] / values[i] : 0;
+  Vector7 step = Vector7::Zero();
+  step.head(unknowns) = eigen.eigenvectors() * along;
+  return step;
+}
+
+struct Icp {
+  SimilarityTransform transform;
+  int iterations = 0;
+  bool converged = false;
+};
+
+Icp align(const FusedSurface& surface, const ReferenceSurface& reference, double max_distance, Alignment alignment,
+          const Context& context) {
+  const std::vector<Eigen::Vector3d> points = spread_points(surface);
+  std::vector<std::optional<Foot>> feet(points.size());
+  const int unknowns = alignment == Alignment::similarity ? 7 : 6;
+  Icp icp;
+  while (!icp.converged && icp.iterations < 60) {
+    ++icp.iterations;
+    parallel_for(context, points.size(), 256, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t i = begin; i < end; ++i) feet[i] = reference.foot(icp.transform.apply(points[i]), max_distance);
+    });
+    std::vector<double> distances;
+    Eigen::AlignedBox3d box;
+    for (const std::optional<Foot>& foot : feet) {
+      if (!foot) continue;
+      distances.push_back(foot->signed_distance);
+      box.extend(foot->point);
+    }
+    if (distances.size() < 10) break;
+    const Eigen::Vector3d centre = box.center();
+    const double extent = 0.5 * box.diagonal().norm();
+    const double limit = std::max(4.685 * robust_sigma(distances), 1e-12 * extent);
+    Matrix7 normal_matrix = Matrix7::Zero();
+    Vector7 right_side = Vector7::Zero();
+    for (std::size_t i = 0; i < points.size(); ++i) {
+      if (!feet[i] || std::abs(feet[i]->signed_distance) >= limit) continue;
+      const Eigen::Vector3d x = (icp.transform.apply(points[i]) - centre) / extent;
+      const Eigen::Vector3d& n = feet[i]->normal;
+      const double residual = n.dot(icp.transform.apply(points[i]) - feet[i]->point) / extent;
+      const double weight = std::pow(1 - std::pow(feet[i]->signed_distance / limit, 2), 2);
+      Vector7 row;
+      row << x.cross(n), n, x.dot(n);
+      normal_matrix += weight * row * row.transpose();
+      right_side -= weight * residual * row;
+    }
+    const Vector7 step = solve_observable(normal_matrix, right_side, unknowns);
+    icp.transform = compose(small_motion(step, centre, extent), icp.transform);
+    icp.converged = step.norm() < 1e-8;
+    context.progress("assess", 0, "aligning with the reference, step " + std::to_string(icp.iterations));
+  }
+  return icp;
+}
+
+}  // namespace
+
+ReferenceComparison compare_with_reference(const FusedSurface& surface, const TriangleMesh& reference, double gsd,
+                                           const AssessOptions& options, const Context& context) {
+  validate_fields(options, "assess");
+  require_size(surface.depth, surface.camera.size, "the depth map");
+  const ReferenceSurface target(reference, surface.pose.centre(), options.reference_neighbors, context);
+  const double max_distance = options.max_distance_gsd * gsd;
+  ReferenceComparison result;
+  result.alignment = enum_name(options.alignment);
+  result.status = "done";
+  if (options.alignment != Alignment::none) {
+    const Icp icp = align(surface, target, max_distance, options.alignment, context);
+    result.reference_from_surface = icp.transform;
+    result.alignment_iterations = icp.iterations;
+    if (!icp.converged) result.status = "alignment did not converge";
+  }
+  result.distance = Image<float>(surface.depth.size(), 1, std::numeric_limits<float>::quiet_NaN());
+  parallel_rows(context, surface.depth.height(), [&](int v) {
+    for (int u = 0; u < surface.depth.width(); ++u) {
+      if (!std::isfinite(surface.depth(u, v))) continue;
+      const Eigen::Vector3d in_cam = surface.camera.ray(u, v) * static_cast<double>(surface.depth(u, v));
+      const Eigen::Vector3d x = result.reference_from_surface.apply(surface.pose.world_from_cam(in_cam));
+      if (const auto foot = target.foot(x, max_distance))
+        result.distance(u, v) = static_cast<float>(foot->signed_distance);
+    }
+  });
+  std::vector<double> distances_gsd;
+  for (const float distance : result.distance) {
+    if (std::isfinite(distance)) distances_gsd.push_back(distance / gsd);
+  }
+  const auto known =
+      std::count_if(surface.depth.begin(), surface.depth.end(), [](float z) { return std::isfinite(z); });
+  if (distances_gsd.empty()) result.status = "no pixel near the reference";
+  result.compared_fraction = known > 0 ? static_cast<double>(distances_gsd.size()) / static_cast<double>(known) : 0;
+  result.histogram_gsd =
+      histogram(distances_gsd, -options.histogram_range_gsd, options.histogram_range_gsd, options.histogram_bins);
+  result.distance_gsd = summarize(std::move(distances_gsd));
+  return result;
+}
+
+}  // namespace malus

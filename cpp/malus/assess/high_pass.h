@@ -1,0 +1,12 @@
+#pragma once
+
+#include "malus/core/context.h"
+#include "malus/core/image.h"
+
+namespace malus {
+
+/// A one-channel raster without its low frequencies: value minus the Gaussian mean (standard deviation sigma_px, cut at
+/// 4 sigma, mirrored at the border) of the finite values around it. NaN stays NaN and has no part in any mean.
+Image<float> high_pass(const Image<float>& values, double sigma_px, const Context& context);
+
+}  // namespace malus

@@ -1,0 +1,59 @@
+#pragma once
+
+#include <array>
+#include <optional>
+#include <string>
+
+#include "malus/assess/assess_options.h"
+#include "malus/assess/statistics.h"
+#include "malus/core/camera.h"
+#include "malus/core/context.h"
+#include "malus/core/image.h"
+#include "malus/io/station_file.h"
+
+namespace malus {
+
+/// Plane fit on a flat patch of one depth map. Distances are perpendicular to the plane, positive towards the camera.
+struct PatchFit {
+  std::size_t count = 0;  ///< pixels with a depth
+  double rmse = 0;        ///< to the plane, station unit
+  double rmse_gsd = 0;    ///< the same / GSD: the last row of Table 2
+  double mad_gsd = 0;     ///< 1.4826 × median |distance|
+  double max_abs_gsd = 0;
+  double roughness_gsd = 0;  ///< RMS of the depth's high-pass on the patch (edges of the patch included), along the ray
+  Histogram histogram_gsd;   ///< of the distances (Fig. 15)
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("count", self.count);
+    visit("rmse", self.rmse);
+    visit("rmse_gsd", self.rmse_gsd);
+    visit("mad_gsd", self.mad_gsd);
+    visit("max_abs_gsd", self.max_abs_gsd);
+    visit("roughness_gsd", self.roughness_gsd);
+    visit("histogram_gsd", self.histogram_gsd);
+  }
+};
+
+/// One flat patch in each surface; nothing where a surface does not exist or has too few pixels there.
+struct PatchFigures {
+  std::string name;
+  std::array<int, 4> box{};  ///< x0, y0, x1, y1, pixels, inclusive
+  std::optional<PatchFit> prior, polarization, fused;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("name", self.name);
+    visit("box", self.box);
+    visit("prior", self.prior);
+    visit("polarization", self.polarization);
+    visit("fused", self.fused);
+  }
+};
+
+/// Total least squares plane through the 3-D points (depth × ray) of the patch's pixels; nothing if 10 or fewer have a
+/// depth. `gsd` in the depth's unit. Throws an input error unless the box lies in the image, corners in order.
+std::optional<PatchFit> fit_patch(const Image<float>& depth, const Pinhole& camera, const PatchSpec& patch, double gsd,
+                                  const AssessOptions& options, const Context& context);
+
+}  // namespace malus

@@ -1,0 +1,78 @@
+#pragma once
+
+#include <array>
+#include <string>
+#include <vector>
+
+#include "malus/assess/assess_options.h"
+#include "malus/core/camera.h"
+#include "malus/core/context.h"
+#include "malus/core/image.h"
+#include "malus/io/station_file.h"
+
+namespace malus {
+
+/// Difference of two surfaces along a profile, in GSD.
+struct ProfileDifference {
+  std::size_t count = 0;  ///< samples where both exist
+  double mean_gsd = 0;
+  double rms_gsd = 0;           ///< about zero
+  double rms_centered_gsd = 0;  ///< about the mean: the free constant of a polarization height does not count
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("count", self.count);
+    visit("mean_gsd", self.mean_gsd);
+    visit("rms_gsd", self.rms_gsd);
+    visit("rms_centered_gsd", self.rms_centered_gsd);
+  }
+};
+
+/// A section through the surfaces along a line of the image (Fig. 12, 13), and what Table 1 can mean.
+///
+/// Heights are perpendicular to the chord plane, positive towards the camera: the plane through the first and last
+/// point of the reference surface on the line that is turned about their chord to face the camera. Positions along the
+/// section are where the samples' rays meet that plane. Table 1's "photogrammetry RMSE" is another row's quadratic
+/// complement without a truth behind it; what is meaningful, and given here, is how much the surfaces differ and how
+/// rough each is.
+struct ProfileFigures {
+  std::string name;
+  std::array<double, 2> from_px{}, to_px{};
+  std::string status = "not run";                  ///< "done" | "fewer than two samples on the surface"
+  std::vector<double> position_px;                 ///< along the line in the image
+  std::vector<double> position;                    ///< along the chord, station unit
+  std::vector<double> prior, polarization, fused;  ///< heights, station unit, NaN = none; empty = no such surface
+  ProfileDifference fused_minus_prior, polarization_minus_prior, fused_minus_polarization;
+  /// RMS of the heights' high-pass (detail_sigma_px) along the line, GSD; NaN = no such surface.
+  double roughness_prior_gsd = 0, roughness_polarization_gsd = 0, roughness_fused_gsd = 0;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("name", self.name);
+    visit("from_px", self.from_px);
+    visit("to_px", self.to_px);
+    visit("status", self.status);
+    visit("position_px", self.position_px);
+    visit("position", self.position);
+    visit("prior", self.prior);
+    visit("polarization", self.polarization);
+    visit("fused", self.fused);
+    visit("fused_minus_prior", self.fused_minus_prior);
+    visit("polarization_minus_prior", self.polarization_minus_prior);
+    visit("fused_minus_polarization", self.fused_minus_polarization);
+    visit("roughness_prior_gsd", self.roughness_prior_gsd);
+    visit("roughness_polarization_gsd", self.roughness_polarization_gsd);
+    visit("roughness_fused_gsd", self.roughness_fused_gsd);
+  }
+};
+
+/// Bilinear value of a one-channel raster at (u, v); NaN outside or if a pixel that has weight is NaN.
+double sample_bilinear(const Image<float>& image, double u, double v);
+
+/// Section along [[profile]]. Any depth map but `fused`, the reference of the chord, may be empty. Samples are at most
+/// profile_step_px apart, ends included. Throws an input error if the line leaves the image or has no length.
+ProfileFigures section(const ProfileSpec& profile, const Image<float>& prior, const Image<float>& polarization,
+                       const Image<float>& fused, const Pinhole& camera, double gsd, const AssessOptions& options,
+                       const Context& context);
+
+}  // namespace malus

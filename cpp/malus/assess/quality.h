@@ -1,0 +1,201 @@
+#pragma once
+
+#include <array>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "malus/assess/comparison.h"
+#include "malus/assess/patches.h"
+#include "malus/assess/profiles.h"
+#include "malus/height/height_map.h"
+#include "malus/io/station_file.h"
+#include "malus/polarization/polarization_state.h"
+#include "malus/prior/depth_prior.h"
+
+namespace malus {
+
+/// How much of the object has a depth.
+struct CoverageFigures {
+  double object_pixels = 0;
+  double depth_pixels = 0;  ///< object pixels with a fused depth
+  double fraction = 0;
+  double prior_fraction = 0;  ///< the same of the prior; 0 without one
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("object_pixels", self.object_pixels);
+    visit("depth_pixels", self.depth_pixels);
+    visit("fraction", self.fraction);
+    visit("prior_fraction", self.prior_fraction);
+  }
+};
+
+/// What fusion changed, measured without a truth. "Detail" is depth minus its Gaussian mean (detail_sigma_px); RMS and
+/// MAD (1.4826 × median of the absolute value), in GSD. A larger detail is more relief or more noise: the patches tell.
+struct DetailFigures {
+  double difference_rms_gsd = 0;   ///< fused − prior, mean removed
+  double difference_bias_gsd = 0;  ///< median of fused − prior
+  double difference_detail_rms_gsd = 0, difference_detail_mad_gsd = 0;
+  double prior_detail_rms_gsd = 0, prior_detail_mad_gsd = 0;
+  double fused_detail_rms_gsd = 0, fused_detail_mad_gsd = 0;
+  double within_2_prior_sigma_fraction = 0;  ///< |fused − prior| < 2 · prior sigma; NaN without prior sigma
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("difference_rms_gsd", self.difference_rms_gsd);
+    visit("difference_bias_gsd", self.difference_bias_gsd);
+    visit("difference_detail_rms_gsd", self.difference_detail_rms_gsd);
+    visit("difference_detail_mad_gsd", self.difference_detail_mad_gsd);
+    visit("prior_detail_rms_gsd", self.prior_detail_rms_gsd);
+    visit("prior_detail_mad_gsd", self.prior_detail_mad_gsd);
+    visit("fused_detail_rms_gsd", self.fused_detail_rms_gsd);
+    visit("fused_detail_mad_gsd", self.fused_detail_mad_gsd);
+    visit("within_2_prior_sigma_fraction", self.within_2_prior_sigma_fraction);
+  }
+};
+
+/// The surface's own standard deviations.
+struct SigmaFigures {
+  double median_gsd = 0, p95_gsd = 0;
+  double limit_gsd = 0;  ///< AssessOptions::sigma_limit_gsd
+  double below_limit_fraction = 0;
+  double above_limit_fraction = 0;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("median_gsd", self.median_gsd);
+    visit("p95_gsd", self.p95_gsd);
+    visit("limit_gsd", self.limit_gsd);
+    visit("below_limit_fraction", self.below_limit_fraction);
+    visit("above_limit_fraction", self.above_limit_fraction);
+  }
+};
+
+/// The sinusoid fit. Shares are of the object's pixels.
+struct PolarizationFigures {
+  double valid_fraction = 0, saturated_fraction = 0, dark_fraction = 0, misfit_fraction = 0;
+  double residual_median = 0, residual_p95 = 0;  ///< in expected standard deviations, of valid pixels; ~1 = noise only
+  double degree_median = 0, degree_p95 = 0;      ///< of valid pixels
+  std::vector<double> angles_deg;
+  std::vector<int> exposures;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("valid_fraction", self.valid_fraction);
+    visit("saturated_fraction", self.saturated_fraction);
+    visit("dark_fraction", self.dark_fraction);
+    visit("misfit_fraction", self.misfit_fraction);
+    visit("residual_median", self.residual_median);
+    visit("residual_p95", self.residual_p95);
+    visit("degree_median", self.degree_median);
+    visit("degree_p95", self.degree_p95);
+    visit("angles_deg", self.angles_deg);
+    visit("exposures", self.exposures);
+  }
+};
+
+/// The polarization height and its light: s0-shading = light · (normal, 1), camera frame.
+struct HeightFigures {
+  std::string status;
+  bool perspective = true;
+  double residual_rms = 0;
+  double unknowns = 0;
+  std::array<double, 4> light{};
+  double light_to_view_deg =
+      0;  ///< angle between light and the direction back along the optical axis; NaN without light
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("status", self.status);
+    visit("perspective", self.perspective);
+    visit("residual_rms", self.residual_rms);
+    visit("unknowns", self.unknowns);
+    visit("light", self.light);
+    visit("light_to_view_deg", self.light_to_view_deg);
+  }
+};
+
+/// Where the prior comes from (DepthPrior), lengths in station unit.
+struct PriorFigures {
+  double points_total = 0, points_used = 0;
+  double noise = 0, noise_gsd = 0;
+  double spacing_px = 0, smoothing_px = 0, filled_fraction = 0;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("points_total", self.points_total);
+    visit("points_used", self.points_used);
+    visit("noise", self.noise);
+    visit("noise_gsd", self.noise_gsd);
+    visit("spacing_px", self.spacing_px);
+    visit("smoothing_px", self.smoothing_px);
+    visit("filled_fraction", self.filled_fraction);
+  }
+};
+
+/// Every figure of the report. Lengths without a suffix are in `unit`; NaN = could not be measured; an optional that is
+/// empty = that step was not run or its input is missing.
+struct Quality {
+  std::string status = "not run";  ///< of the fused surface
+  std::string method;
+  std::vector<std::string> warnings;
+  std::string unit;
+  int width = 0, height = 0;
+  double gsd = 0;  ///< depth / focal length, see ground_sampling_distance
+  CoverageFigures coverage;
+  std::optional<SigmaFigures> sigma;
+  std::optional<DetailFigures> prior_vs_fused;
+  std::optional<PriorFigures> prior;
+  std::optional<PolarizationFigures> polarization;
+  std::optional<HeightFigures> polarization_height;
+  std::vector<double> registration_rms_px;
+  std::vector<PatchFigures> patches;
+  std::vector<ProfileFigures> profiles;
+  std::optional<ReferenceComparison> reference;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("status", self.status);
+    visit("method", self.method);
+    visit("warnings", self.warnings);
+    visit("unit", self.unit);
+    visit("width", self.width);
+    visit("height", self.height);
+    visit("gsd", self.gsd);
+    visit("coverage", self.coverage);
+    visit("sigma", self.sigma);
+    visit("prior_vs_fused", self.prior_vs_fused);
+    visit("prior", self.prior);
+    visit("polarization", self.polarization);
+    visit("polarization_height", self.polarization_height);
+    visit("registration_rms_px", self.registration_rms_px);
+    visit("patches", self.patches);
+    visit("profiles", self.profiles);
+    visit("reference", self.reference);
+  }
+};
+
+/// What is assessed. Only `surface` must be there; null = not available. All rasters have the surface's size.
+struct AssessInput {
+  const FusedSurface* surface = nullptr;
+  const DepthPrior* prior = nullptr;
+  const HeightMap* height = nullptr;
+  const PolarizationState* polarization = nullptr;
+  const Mask* object = nullptr;             ///< non-zero = object; null = polarization's, else pixels with any depth
+  const TriangleMesh* reference = nullptr;  ///< world frame; a cloud if it has no triangles
+  std::vector<double> registration_rms_px;
+  std::vector<PatchSpec> patches;
+  std::vector<ProfileSpec> profiles;
+  std::string unit = "mm";
+};
+
+/// Depth / focal length at the image centre (median of the 5 × 5 pixels about it), or of the map's median depth where
+/// the centre is empty. Throws a data error if there is no depth at all.
+double ground_sampling_distance(const Image<float>& depth, const Pinhole& camera);
+
+/// Measures everything that the input allows. Throws an input error for a patch or profile outside of the image or
+/// rasters of another size, a data error for a surface without depth or a reference that cannot be used.
+Quality assess(const AssessInput& input, const AssessOptions& options, const Context& context);
+
+}  // namespace malus

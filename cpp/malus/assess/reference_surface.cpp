@@ -1,0 +1,156 @@
+#include "malus/assess/reference_surface.h"
+
+#include <Eigen/Eigenvalues>
+#include <cmath>
+#include <numbers>
+
+#include "malus/assess/box_tree.h"
+
+namespace malus {
+
+struct ReferenceSurface::Index {
+  BoxTree tree;
+};
+
+namespace {
+
+using Corners = std::array<Eigen::Vector3d, 3>;
+
+Corners corners_of(const TriangleMesh& mesh, std::size_t triangle) {
+  const auto& [a, b, c] = mesh.triangles[triangle];
+  const auto& x = mesh.vertices.points;
+  return {x[a], x[b], x[c]};
+}
+
+void require_usable(const TriangleMesh& geometry) {
+  const std::vector<Eigen::Vector3d>& points = geometry.vertices.points;
+  if (points.empty()) throw data_error("the reference has no points");
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    if (!points[i].allFinite()) throw data_error("point " + std::to_string(i) + " of the reference is not finite");
+  }
+  for (const auto& triangle : geometry.triangles) {
+    if (*std::max_element(triangle.begin(), triangle.end()) >= points.size()) {
+      throw data_error("a triangle of the reference names a vertex that does not exist");
+    }
+  }
+}
+
+/// Nearest point of a triangle, and the share of its face's normal in the pseudonormal there: the angle of the triangle
+/// about that point (2π inside, π on an edge, the corner's angle at a corner).
+struct NearestOnTriangle {
+  Eigen::Vector3d point;
+  double angle;
+};
+
+NearestOnTriangle nearest_on_edges(const Corners& x, const Eigen::Vector3d& query) {
+  NearestOnTriangle best{x[0], 0};
+  double best_distance = std::numeric_limits<double>::infinity();
+  for (std::size_t i = 0; i < 3; ++i) {
+    const Eigen::Vector3d &a = x[i], &b = x[(i + 1) % 3], &c = x[(i + 2) % 3];
+    const Eigen::Vector3d side = b - a;
+    const double length = side.squaredNorm();
+    const double t = length > 0 ? side.dot(query - a) / length : 0;
+    const bool at_corner = t <= 0;  // the other end is the next edge's first
+    const Eigen::Vector3d point = at_corner ? a : Eigen::Vector3d(a + std::min(t, 1.0) * side);
+    const double distance = (query - point).squaredNorm();
+    if (t < 1 && distance < best_distance) {
+      best_distance = distance;
+      best = {point, at_corner ? std::atan2(side.cross(c - a).norm(), side.dot(c - a)) : std::numbers::pi};
+    }
+  }
+  return best;
+}
+
+NearestOnTriangle nearest_on_triangle(const Corners& x, const Eigen::Vector3d& query) {
+  const Eigen::Vector3d side_1 = x[1] - x[0], side_2 = x[2] - x[0], offset = query - x[0];
+  const Eigen::Vector3d normal = side_1.cross(side_2);
+  const double square = normal.squaredNorm();
+  const double weight_1 = offset.cross(side_2).dot(normal), weight_2 = side_1.cross(offset).dot(normal);
+  if (weight_1 > 0 && weight_2 > 0 && weight_1 + weight_2 < square) {
+    return {query - normal * (normal.dot(offset) / square), 2 * std::numbers::pi};
+  }
+  return nearest_on_edges(x, query);
+}
+
+}  // namespace
+
+ReferenceSurface::ReferenceSurface(const TriangleMesh& geometry, const Eigen::Vector3d& viewpoint, int neighbors,
+                                   const Context& context)
+    : geometry_(geometry), viewpoint_(viewpoint), neighbors_(static_cast<std::size_t>(neighbors)) {
+  require_usable(geometry);
+  const bool is_mesh = !geometry.triangles.empty();
+  const auto box_of = [&](std::size_t i) {
+    if (!is_mesh) return Eigen::AlignedBox3d(geometry.vertices.points[i]);
+    const Corners x = corners_of(geometry, i);
+    return Eigen::AlignedBox3d(x[0]).extend(x[1]).extend(x[2]);
+  };
+  const std::size_t count = is_mesh ? geometry.triangles.size() : geometry.vertices.points.size();
+  index_ = std::make_unique<const Index>(Index{BoxTree(count, box_of, context)});
+}
+
+ReferenceSurface::~ReferenceSurface() = default;
+
+std::optional<Foot> ReferenceSurface::foot(const Eigen::Vector3d& point, double max_distance) const {
+  return geometry_.triangles.empty() ? foot_on_cloud(point, max_distance) : foot_on_mesh(point, max_distance);
+}
+
+std::optional<Foot> ReferenceSurface::foot_on_mesh(const Eigen::Vector3d& point, double max_distance) const {
+  double limit = max_distance * max_distance;
+  std::optional<Eigen::Vector3d> nearest;
+  index_->tree.visit_near(
+      point, [&] { return limit; },
+      [&](std::size_t triangle) {
+        const Eigen::Vector3d candidate = nearest_on_triangle(corners_of(geometry_, triangle), point).point;
+        if (const double distance = (candidate - point).squaredNorm(); distance <= limit) {
+          limit = distance;
+          nearest = candidate;
+        }
+      });
+  if (!nearest) return std::nullopt;
+  // The triangles that share this nearest point make the pseudonormal.
+  const double tolerance = 1e-9 * (nearest->cwiseAbs().maxCoeff() + std::sqrt(limit));
+  const double reach = std::pow(std::sqrt(limit) + tolerance, 2);
+  Eigen::Vector3d normal = Eigen::Vector3d::Zero();
+  index_->tree.visit_near(
+      point, [&] { return reach; },
+      [&](std::size_t triangle) {
+        const Corners x = corners_of(geometry_, triangle);
+        const NearestOnTriangle candidate = nearest_on_triangle(x, point);
+        if ((candidate.point - *nearest).norm() > tolerance) return;
+        normal += candidate.angle * (x[1] - x[0]).cross(x[2] - x[0]).normalized();
+      });
+  normal.normalize();
+  const double distance = std::sqrt(limit);
+  return Foot{*nearest, normal, normal.dot(point - *nearest) < 0 ? -distance : distance};
+}
+
+std::optional<Foot> ReferenceSurface::foot_on_cloud(const Eigen::Vector3d& point, double max_distance) const {
+  const std::vector<Eigen::Vector3d>& points = geometry_.vertices.points;
+  std::vector<std::pair<double, std::size_t>> nearest;  // a heap, farthest first; ties go to the lower index
+  nearest.reserve(neighbors_ + 1);
+  index_->tree.visit_near(
+      point,
+      [&] { return nearest.size() < neighbors_ ? std::numeric_limits<double>::infinity() : nearest.front().first; },
+      [&](std::size_t candidate) {
+        nearest.emplace_back((points[candidate] - point).squaredNorm(), candidate);
+        std::push_heap(nearest.begin(), nearest.end());
+        if (nearest.size() <= neighbors_) return;
+        std::pop_heap(nearest.begin(), nearest.end());
+        nearest.pop_back();
+      });
+  std::sort(nearest.begin(), nearest.end());
+  if (nearest.size() < 3 || nearest.front().first > max_distance * max_distance) return std::nullopt;
+  Eigen::Vector3d centre = Eigen::Vector3d::Zero();
+  for (const auto& [distance, i] : nearest) centre += points[i] / static_cast<double>(nearest.size());
+  Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
+  for (const auto& [distance, i] : nearest) scatter += (points[i] - centre) * (points[i] - centre).transpose();
+  Eigen::Vector3d normal = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(scatter).eigenvectors().col(0);
+  const std::vector<Eigen::Vector3f>& normals = geometry_.vertices.normals;
+  const Eigen::Vector3d outward =
+      normals.empty() ? Eigen::Vector3d(viewpoint_ - centre) : normals[nearest.front().second].cast<double>();
+  if (normal.dot(outward) < 0) normal = -normal;
+  const double distance = normal.dot(point - centre);
+  return Foot{point - distance * normal, normal, distance};
+}
+
+}  // namespace malus

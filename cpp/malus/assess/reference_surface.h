@@ -1,0 +1,47 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <memory>
+#include <optional>
+
+#include "malus/core/context.h"
+#include "malus/core/geometry.h"
+
+namespace malus {
+
+/// Where a point meets a reference surface.
+struct Foot {
+  Eigen::Vector3d point;       ///< nearest point of the surface
+  Eigen::Vector3d normal;      ///< unit, outward
+  double signed_distance = 0;  ///< positive outside
+};
+
+/// A reference to measure distances to: a mesh, or a cloud if it has no triangles.
+class ReferenceSurface {
+ public:
+  /// `viewpoint`: the outward side of a cloud without normals is the one that faces it. `neighbors` as in
+  /// AssessOptions. Throws a data error if there are no points, points are not finite, or triangles name vertices that
+  /// do not exist. Keeps a reference to the geometry, which must live as long.
+  ReferenceSurface(const TriangleMesh& geometry, const Eigen::Vector3d& viewpoint, int neighbors,
+                   const Context& context);
+  ~ReferenceSurface();
+
+  /// Nearest point within max_distance, if any.
+  ///
+  /// Mesh: exact point-to-triangle distance; its sign is that of the angle-weighted pseudonormal (Bærentzen and Aanæs
+  /// 2005), so that edges and corners are right too. Cloud: signed distance to the total least squares plane through
+  /// the `neighbors` nearest points; max_distance is to the nearest of them.
+  std::optional<Foot> foot(const Eigen::Vector3d& point, double max_distance) const;
+
+ private:
+  struct Index;
+  std::optional<Foot> foot_on_mesh(const Eigen::Vector3d& point, double max_distance) const;
+  std::optional<Foot> foot_on_cloud(const Eigen::Vector3d& point, double max_distance) const;
+
+  const TriangleMesh& geometry_;
+  Eigen::Vector3d viewpoint_;
+  std::size_t neighbors_;
+  std::unique_ptr<const Index> index_;
+};
+
+}  // namespace malus

@@ -1,0 +1,70 @@
+#include "malus/assess/statistics.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numeric>
+
+namespace malus {
+namespace {
+
+constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+
+/// Percentile that may reorder the values.
+double percentile_in_place(std::vector<double>& values, double fraction) {
+  if (values.empty()) return nan;
+  const double rank = fraction * static_cast<double>(values.size() - 1);
+  const auto lower = values.begin() + static_cast<std::ptrdiff_t>(rank);
+  std::nth_element(values.begin(), lower, values.end());
+  const double part = rank - std::floor(rank);
+  if (part == 0) return *lower;
+  return *lower + part * (*std::min_element(lower + 1, values.end()) - *lower);
+}
+
+}  // namespace
+
+Histogram histogram(std::span<const double> values, double low, double high, int bins) {
+  Histogram result{low, (high - low) / bins, std::vector<std::size_t>(static_cast<std::size_t>(bins)), 0, 0};
+  for (const double value : values) {
+    if (value < low) {
+      ++result.below;
+    } else if (value > high) {
+      ++result.above;
+    } else if (!std::isnan(value)) {
+      const auto bin = static_cast<std::size_t>((value - low) / result.bin_width);
+      ++result.counts[std::min(bin, result.counts.size() - 1)];
+    }
+  }
+  return result;
+}
+
+double percentile(std::vector<double> values, double fraction) {
+  return percentile_in_place(values, fraction);
+}
+
+double robust_sigma(std::vector<double> values) {
+  for (double& value : values) value = std::abs(value);
+  return 1.4826 * percentile_in_place(values, 0.5);
+}
+
+double root_mean_square(std::span<const double> values) {
+  const double squares = std::inner_product(values.begin(), values.end(), values.begin(), 0.0);
+  return values.empty() ? nan : std::sqrt(squares / static_cast<double>(values.size()));
+}
+
+Summary summarize(std::vector<double> values) {
+  Summary summary{values.size(), nan, nan, nan, nan, nan, nan, nan, nan};
+  if (values.empty()) return summary;
+  summary.mean = std::accumulate(values.begin(), values.end(), 0.0) / static_cast<double>(values.size());
+  summary.rmse = root_mean_square(values);
+  summary.minimum = percentile_in_place(values, 0);
+  summary.p05 = percentile_in_place(values, 0.05);
+  summary.median = percentile_in_place(values, 0.5);
+  summary.p95 = percentile_in_place(values, 0.95);
+  summary.maximum = percentile_in_place(values, 1);
+  for (double& value : values) value -= summary.median;
+  summary.mad = robust_sigma(std::move(values));
+  return summary;
+}
+
+}  // namespace malus

@@ -1,0 +1,65 @@
+#pragma once
+
+#include <cstddef>
+#include <span>
+#include <vector>
+
+namespace malus {
+
+/// Counts over bins of equal width. The struct, like every figure of an assessment, lists its fields once for writers:
+/// visit(name, value) with numbers, texts, vectors, optionals and other such structs.
+struct Histogram {
+  double low = 0;  ///< left end of the first bin
+  double bin_width = 0;
+  std::vector<std::size_t> counts;
+  std::size_t below = 0, above = 0;  ///< values outside of the bins
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("low", self.low);
+    visit("bin_width", self.bin_width);
+    visit("counts", self.counts);
+    visit("below", self.below);
+    visit("above", self.above);
+  }
+};
+
+/// Histogram over [low, high]; a value on an inner border belongs to the bin right of it, `high` to the last bin. NaN
+/// is not counted.
+Histogram histogram(std::span<const double> values, double low, double high, int bins);
+
+/// Value below which this fraction of the values lies, linear between order statistics; NaN if there are none.
+double percentile(std::vector<double> values, double fraction);
+
+/// 1.4826 × median of |x|: the standard deviation of normal values about zero that outliers do not touch.
+double robust_sigma(std::vector<double> values);
+
+/// Root mean square; NaN if there are no values.
+double root_mean_square(std::span<const double> values);
+
+/// Figures of a set of distances, in their unit.
+struct Summary {
+  std::size_t count = 0;
+  double mean = 0;
+  double rmse = 0;  ///< about zero
+  double mad = 0;   ///< 1.4826 × median |x − median|
+  double minimum = 0, p05 = 0, median = 0, p95 = 0, maximum = 0;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("count", self.count);
+    visit("mean", self.mean);
+    visit("rmse", self.rmse);
+    visit("mad", self.mad);
+    visit("minimum", self.minimum);
+    visit("p05", self.p05);
+    visit("median", self.median);
+    visit("p95", self.p95);
+    visit("maximum", self.maximum);
+  }
+};
+
+/// Summary of finite values; every figure is NaN if there are none.
+Summary summarize(std::vector<double> values);
+
+}  // namespace malus

@@ -1,0 +1,181 @@
+#include "malus/assess/comparison.h"
+
+#include <gtest/gtest.h>
+
+#include <random>
+
+#include "malus/assess/reference_surface.h"
+#include "malus/surface/mesh.h"
+#include "surface/scenes.h"
+
+namespace malus {
+namespace {
+
+using namespace scenes;
+
+const Pinhole camera = centred_camera({160, 120}, 1000);
+constexpr double gsd = 0.5;
+
+/// Wavy surface at about 500 mm, moved towards the camera by `offset` along its rays' z.
+FusedSurface wavy(double offset, int columns = 160, int rows = 120) {
+  return surface_of({columns, rows}, 1000, [&](int u, int v) {
+    return 500 - offset + 3 * std::sin(u * 0.11) * std::cos(v * 0.09) + 0.02 * u;
+  });
+}
+
+TriangleMesh mesh_of(const FusedSurface& surface) {
+  return mesh_from_depth(surface, {}, {}, {});
+}
+
+/// A unit cube about the origin, outward triangles.
+TriangleMesh cube() {
+  TriangleMesh mesh;
+  for (int i = 0; i < 8; ++i) mesh.vertices.points.emplace_back((i & 1) - 0.5, (i >> 1 & 1) - 0.5, (i >> 2 & 1) - 0.5);
+  mesh.triangles = {{0, 2, 1}, {1, 2, 3}, {4, 5, 6}, {5, 7, 6}, {0, 1, 4}, {1, 5, 4},
+                    {2, 6, 3}, {3, 6, 7}, {0, 4, 2}, {2, 4, 6}, {1, 3, 5}, {3, 7, 5}};
+  return mesh;
+}
+
+/// Signed distance to the unit cube in closed form.
+double cube_distance(const Eigen::Vector3d& x) {
+  const Eigen::Array3d d = x.array().abs() - 0.5;
+  return d.max(0).matrix().norm() + std::min(d.maxCoeff(), 0.0);
+}
+
+TEST(Reference, DistanceAndSignToACubeAreExactAtFacesEdgesAndCorners) {
+  const TriangleMesh mesh = cube();
+  const ReferenceSurface reference(mesh, {}, 12, {});
+  std::mt19937_64 random(9);
+  std::uniform_real_distribution<double> uniform(-1.2, 1.2);
+  for (int i = 0; i < 5000; ++i) {
+    const Eigen::Vector3d x(uniform(random), uniform(random), uniform(random));
+    const auto foot = reference.foot(x, 10);
+    ASSERT_TRUE(foot);
+    ASSERT_NEAR(foot->signed_distance, cube_distance(x), 1e-12) << x.transpose();
+  }
+  EXPECT_FALSE(reference.foot({3, 0, 0}, 2.4));
+  EXPECT_TRUE(reference.foot({3, 0, 0}, 2.6));
+}
+
+TEST(Reference, TreeFindsWhatASearchThroughAllTrianglesFinds) {
+  const TriangleMesh mesh = mesh_of(wavy(0, 40, 30));
+  const ReferenceSurface reference(mesh, some_pose().centre(), 12, {});
+  TriangleMesh one;
+  one.vertices.points = mesh.vertices.points;
+  const FusedSurface other = wavy(2, 40, 30);
+  for (int i = 0; i < 40; ++i) {
+    const Eigen::Vector3d x = other.pose.world_from_cam(camera.ray(i, 7) * static_cast<double>(other.depth(i, 7)));
+    double nearest = 1e9;
+    for (const auto& triangle : mesh.triangles) {
+      one.triangles = {triangle};
+      nearest = std::min(nearest, std::abs(ReferenceSurface(one, {}, 12, {}).foot(x, 1e9)->signed_distance));
+    }
+    ASSERT_NEAR(std::abs(reference.foot(x, 1e9)->signed_distance), nearest, 1e-12);
+  }
+}
+
+TEST(Comparison, SphereAgainstItsMeshAndItsCloud) {
+  const auto sphere = [](double radius) {
+    return surface_of(camera.size, 1000, [&](int u, int v) { return sphere_depth(camera, {0, 0, 600}, radius, u, v); });
+  };
+  const FusedSurface surface = sphere(101);
+  TriangleMesh reference = mesh_of(sphere(100));
+  AssessOptions options;
+  options.histogram_range_gsd = 3;
+  const ReferenceComparison to_mesh = compare_with_reference(surface, reference, gsd, options, {});
+  EXPECT_EQ(to_mesh.status, "done");
+  EXPECT_NEAR(to_mesh.distance_gsd.median, 2, 2e-3) << "in front of the reference by 1 mm";
+  EXPECT_NEAR(to_mesh.distance_gsd.mean, 2, 0.02);
+  reference.triangles.clear();
+  for (const bool with_normals : {true, false}) {
+    if (!with_normals) reference.vertices.normals.clear();
+    const ReferenceComparison to_cloud = compare_with_reference(surface, reference, gsd, options, {});
+    EXPECT_NEAR(to_cloud.distance_gsd.median, 2, 0.01);
+    EXPECT_GT(to_cloud.compared_fraction, 0.99);
+  }
+}
+
+TEST(Comparison, FarPixelsAreLeftOutAndNamed) {
+  const FusedSurface half = wavy(0, 80, 120);
+  FusedSurface reference_view = half;
+  reference_view.camera = camera;
+  reference_view.depth = Image<float>(camera.size, 1, none);
+  for (int v = 0; v < 120; ++v) {
+    for (int u = 0; u < 80; ++u) reference_view.depth(u, v) = wavy(0).depth(u, v);
+  }
+  AssessOptions options;
+  options.max_distance_gsd = 1;
+  const ReferenceComparison result = compare_with_reference(wavy(0), mesh_of(reference_view), gsd, options, {});
+  EXPECT_NEAR(result.compared_fraction, 0.5, 0.02);
+  EXPECT_LT(std::abs(result.distance(40, 60)), 1e-4);
+  EXPECT_TRUE(std::isnan(result.distance(120, 60)));
+  const ReferenceComparison nothing = compare_with_reference(wavy(50), mesh_of(reference_view), gsd, options, {});
+  EXPECT_EQ(nothing.status, "no pixel near the reference");
+}
+
+TEST(Comparison, IcpUndoesAKnownMotionAndIsOffByDefault) {
+  const FusedSurface surface = wavy(0);
+  TriangleMesh reference = mesh_of(surface);
+  const Eigen::Vector3d middle = reference.vertices.points[reference.vertices.points.size() / 2];
+  for (const double scale : {1.0, 1.004}) {
+    TriangleMesh moved = reference;
+    const Eigen::Matrix3d turn = Eigen::AngleAxisd(0.01, Eigen::Vector3d(0.2, 1, -0.4).normalized()).toRotationMatrix();
+    for (Eigen::Vector3d& x : moved.vertices.points)
+      x = middle + scale * turn * (x - middle) + Eigen::Vector3d(0.5, -0.4, 0.6);
+    AssessOptions options;
+    EXPECT_GT(compare_with_reference(surface, moved, gsd, options, {}).distance_gsd.rmse, 0.5);
+    options.alignment = scale == 1 ? Alignment::rigid : Alignment::similarity;
+    const ReferenceComparison aligned = compare_with_reference(surface, moved, gsd, options, {});
+    EXPECT_EQ(aligned.status, "done");
+    EXPECT_LT(aligned.distance_gsd.rmse, 0.002);
+    EXPECT_NEAR(aligned.reference_from_surface.scale, scale, 1e-5);
+    EXPECT_LT((aligned.reference_from_surface.apply(middle) - middle - Eigen::Vector3d(0.5, -0.4, 0.6)).norm(), 0.01);
+  }
+}
+
+TEST(Comparison, IcpOnAPlaneDoesNotSlide) {
+  const auto plane = [](double offset) {
+    return surface_of(camera.size, 1000, [&](int u, int v) {
+      return plane_depth(camera, Eigen::Vector3d(0.1, 0.2, 1).normalized(), offset, u, v);
+    });
+  };
+  AssessOptions options;
+  options.alignment = Alignment::rigid;
+  const ReferenceComparison result = compare_with_reference(plane(500), mesh_of(plane(502)), gsd, options, {});
+  EXPECT_NEAR(result.distance_gsd.median, 0, 1e-4);  // a few pixels hang over the reference's border
+  EXPECT_LT(result.distance_gsd.mad, 1e-3);
+  const Eigen::Map<const Eigen::Vector3d> shift(result.reference_from_surface.translation.data());
+  EXPECT_NEAR(shift.norm(), 2, 0.05);
+}
+
+TEST(Comparison, SameWithAnyNumberOfThreads) {
+  Context three;
+  three.threads = 3;
+  AssessOptions options;
+  options.alignment = Alignment::rigid;
+  TriangleMesh reference = mesh_of(wavy(0.3));
+  for (const bool is_mesh : {true, false}) {
+    if (!is_mesh) reference.triangles.clear();
+    const ReferenceComparison a = compare_with_reference(wavy(0), reference, gsd, options, {});
+    const ReferenceComparison b = compare_with_reference(wavy(0), reference, gsd, options, three);
+    EXPECT_EQ(a.distance_gsd.rmse, b.distance_gsd.rmse);
+    EXPECT_EQ(a.reference_from_surface.translation, b.reference_from_surface.translation);
+    for (std::size_t i = 0; i < a.distance.count(); ++i) {
+      ASSERT_TRUE(a.distance[i] == b.distance[i] || (std::isnan(a.distance[i]) && std::isnan(b.distance[i])));
+    }
+  }
+}
+
+TEST(Comparison, RefusesUnusableReferences) {
+  const FusedSurface surface = wavy(0);
+  EXPECT_THROW(compare_with_reference(surface, {}, gsd, {}, {}), Error);
+  TriangleMesh broken = cube();
+  broken.triangles.push_back({0, 1, 8});
+  EXPECT_THROW(compare_with_reference(surface, broken, gsd, {}, {}), Error);
+  broken = cube();
+  broken.vertices.points[3].y() = NAN;
+  EXPECT_THROW(compare_with_reference(surface, broken, gsd, {}, {}), Error);
+}
+
+}  // namespace
+}  // namespace malus

@@ -1,0 +1,173 @@
+#include "malus/assess/quality.h"
+
+#include <gtest/gtest.h>
+
+#include <numbers>
+#include <random>
+#include <set>
+
+#include "malus/assess/polarization_depth.h"
+#include "malus/surface/mesh.h"
+#include "surface/scenes.h"
+
+namespace malus {
+namespace {
+
+using namespace scenes;
+
+/// A fused surface and a prior that differ by known amounts: prior = plane, fused = plane + 0.2 mm checkerboard − 1 mm.
+struct Case {
+  FusedSurface surface = surface_of({200, 150}, 1000, [](int u, int v) { return 499 + ((u + v) % 2 ? 0.2 : -0.2); });
+  DepthPrior prior;
+  HeightMap height;
+  PolarizationState state;
+  AssessInput input;
+
+  Case() {
+    const Size size = surface.camera.size;
+    surface.sigma = Image<float>(size, 1, 0.25f);
+    for (int v = 0; v < 150; ++v) {
+      for (int u = 0; u < 20; ++u) surface.depth(u, v) = none;
+      surface.sigma(199, v) = 1.0f;
+    }
+    surface.status = "converged";
+    surface.method = "refined";
+    surface.warnings = {"a warning"};
+    prior.depth = Image<float>(size, 1, 500.0f);
+    prior.sigma = Image<float>(size, 1, 0.55f);
+    prior.points_used = 321;
+    prior.noise = 0.1;
+    height.height = Image<float>(size, 1, 0.0f);
+    height.light = {0, -std::sin(0.5), -std::cos(0.5), 0.1};
+    state.valid = Mask(size, 1, 255);
+    state.rho = Image<float>(size, 1, 0.25f);
+    state.residual = Image<float>(size, 1, 1.0f);
+    for (int u = 0; u < 200; ++u) {
+      state.valid(u, 0) = 0;
+      state.valid(u, 1) = 64;
+    }
+    state.angles_rad = {0, std::numbers::pi / 3};
+    input.surface = &surface;
+    input.prior = &prior;
+    input.height = &height;
+    input.polarization = &state;
+    input.patches = {{"flat", 50, 50, 99, 89}};
+    input.profiles = {{"1", {30, 70}, {180, 70}}};
+    input.registration_rms_px = {0, 0.02};
+  }
+};
+
+TEST(Quality, FiguresOfAKnownCase) {
+  const Case c;
+  const Quality q = assess(c.input, {}, {});
+  EXPECT_EQ(q.status, "converged");
+  EXPECT_EQ(q.warnings.size(), 1u);
+  EXPECT_NEAR(q.gsd, 0.499, 3e-4);
+  EXPECT_EQ(q.coverage.object_pixels, 200 * 149);
+  EXPECT_NEAR(q.coverage.fraction, 0.9, 1e-12);
+  EXPECT_NEAR(q.coverage.prior_fraction, 1, 1e-12);
+  EXPECT_NEAR(q.sigma->median_gsd, 0.25 / q.gsd, 1e-6);
+  EXPECT_NEAR(q.sigma->above_limit_fraction, 1 / 200.0, 1e-12);
+  EXPECT_NEAR(q.prior_vs_fused->difference_bias_gsd, -1 / q.gsd, 0.5);
+  EXPECT_NEAR(q.prior_vs_fused->difference_rms_gsd, 0.2 / q.gsd, 1e-3);
+  EXPECT_NEAR(q.prior_vs_fused->difference_detail_rms_gsd, 0.2 / q.gsd, 2e-3);
+  EXPECT_LT(q.prior_vs_fused->prior_detail_rms_gsd, 1e-4);
+  EXPECT_NEAR(q.prior_vs_fused->within_2_prior_sigma_fraction, 0.5, 0.01) << "0.8 mm is within 1.1 mm, 1.2 mm is not";
+  EXPECT_EQ(q.prior->points_used, 321);
+  EXPECT_NEAR(q.polarization->valid_fraction, 148 / 149.0, 1e-12);
+  EXPECT_NEAR(q.polarization->saturated_fraction, 1 / 149.0, 1e-12);
+  EXPECT_NEAR(q.polarization->angles_deg[1], 60, 1e-12);
+  EXPECT_NEAR(q.polarization_height->light_to_view_deg, 0.5 * 180 / std::numbers::pi, 1e-9);
+  ASSERT_EQ(q.patches.size(), 1u);
+  EXPECT_NEAR(q.patches[0].fused->rmse_gsd, 0.2 / q.gsd, 1e-3);
+  EXPECT_LT(q.patches[0].prior->rmse_gsd, 1e-6);
+  EXPECT_LT(q.patches[0].polarization->rmse_gsd, 1e-6);
+  EXPECT_EQ(q.profiles[0].status, "done");
+  EXPECT_FALSE(q.reference);
+}
+
+TEST(Quality, OnlyASurfaceIsNeeded) {
+  const Case c;
+  AssessInput input;
+  input.surface = &c.surface;
+  const Quality q = assess(input, {}, {});
+  EXPECT_FALSE(q.prior || q.prior_vs_fused || q.polarization || q.polarization_height || q.reference);
+  EXPECT_EQ(q.coverage.fraction, 1);
+  EXPECT_THROW(assess({}, {}, {}), Error);
+}
+
+TEST(Quality, ComparesWithAReferenceOnRequest) {
+  const Case c;
+  FusedSurface truth = c.surface;
+  truth.depth.fill(500.0f);
+  const TriangleMesh reference = mesh_from_depth(truth, {}, {}, {});
+  AssessInput input = c.input;
+  input.reference = &reference;
+  const Quality q = assess(input, {}, {});
+  EXPECT_NEAR(q.reference->distance_gsd.mean, 1 / q.gsd, 0.01);
+}
+
+TEST(Quality, GsdFallsBackToTheMedianWhereTheCentreIsEmpty) {
+  const Pinhole camera = centred_camera({100, 80}, 1000);
+  Image<float> depth(camera.size, 1, none);
+  EXPECT_THROW(ground_sampling_distance(depth, camera), Error);
+  for (int u = 0; u < 11; ++u) depth(u, 3) = static_cast<float>(700 + u);
+  EXPECT_NEAR(ground_sampling_distance(depth, camera), 0.705, 1e-9);
+  depth(50, 40) = 300;
+  EXPECT_NEAR(ground_sampling_distance(depth, camera), 0.3, 1e-9);
+}
+
+TEST(Quality, RefusesRastersOfAnotherSize) {
+  Case c;
+  c.prior.depth = Image<float>({10, 10});
+  EXPECT_THROW(assess(c.input, {}, {}), Error);
+  AssessOptions options;
+  options.histogram_bins = 1;
+  EXPECT_THROW(assess(Case().input, options, {}), Error);
+}
+
+TEST(Quality, FieldNamesAreUnique) {
+  std::multiset<std::string_view> names;
+  const Quality quality;
+  Quality::fields(quality, [&](std::string_view name, const auto&) { names.insert(name); });
+  EXPECT_EQ(names.size(), 17u);
+  for (const std::string_view name : names) EXPECT_EQ(names.count(name), 1u) << name;
+}
+
+TEST(Quality, SameWithAnyNumberOfThreads) {
+  const Case c;
+  Context three;
+  three.threads = 3;
+  const Quality a = assess(c.input, {}, {}), b = assess(c.input, {}, three);
+  EXPECT_EQ(a.prior_vs_fused->difference_detail_rms_gsd, b.prior_vs_fused->difference_detail_rms_gsd);
+  EXPECT_EQ(a.profiles[0].roughness_fused_gsd, b.profiles[0].roughness_fused_gsd);
+  EXPECT_EQ(a.patches[0].polarization->rmse, b.patches[0].polarization->rmse);
+}
+
+TEST(PolarizationDepth, BothFormsComeBackToTheDepthTheyWereMadeFrom) {
+  const Pinhole camera = centred_camera({60, 50}, 800);
+  Image<float> depth(camera.size);
+  for (int v = 0; v < 50; ++v) {
+    for (int u = 0; u < 60; ++u) depth(u, v) = static_cast<float>(400 + 5 * std::sin(0.2 * u) + 0.1 * v);
+  }
+  for (const bool perspective : {true, false}) {
+    HeightMap height;
+    height.perspective = perspective;
+    height.height = Image<float>(camera.size);
+    for (std::size_t i = 0; i < depth.count(); ++i) {
+      height.height[i] = static_cast<float>(perspective ? -800 * std::log(depth[i] / 410) : 800 * (1 - depth[i] / 410));
+    }
+    height.height(3, 3) = none;
+    const Image<float> back = depth_from_height(height, depth, camera, {});
+    EXPECT_TRUE(std::isnan(back(3, 3)));
+    for (std::size_t i = 0; i < depth.count(); ++i) {
+      if (std::isfinite(height.height[i])) {
+        ASSERT_NEAR(back[i], depth[i], 2e-3);
+      }
+    }
+    EXPECT_TRUE(depth_from_height(height, Image<float>(camera.size, 1, none), camera, {}).empty());
+  }
+}
+
+}  // namespace
+}  // namespace malus
