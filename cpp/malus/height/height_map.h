@@ -13,10 +13,13 @@ struct HeightMap {
   /// z0 the geometric mean depth, which has the same unit and sign (GSD). NaN outside the mask.
   Image<float> height;
   bool perspective = true;
-  Eigen::Vector4d light = Eigen::Vector4d::Zero();  ///< s0-shading = light[0..2] · n + light[3]
-  std::string status = "not run";                   ///< "converged", "light along the view direction", …
-  double residual_rms = 0;                          ///< of the weighted rows
+  Eigen::Vector4d light = Eigen::Vector4d::Zero();  ///< i_un = light[0..2] · n + light[3], camera frame
+  std::string status = "not run";  ///< "converged", "iteration limit", "light along the view direction", …
+  double residual_rms = 0;         ///< of the weighted rows
   std::size_t unknowns = 0;
+  int iterations = 0;         ///< linear systems solved
+  double last_update_px = 0;  ///< RMS change of the height in the last of them
+  double factor_bytes = 0;    ///< memory of the factorization
 };
 
 }  // namespace malus

@@ -1,0 +1,328 @@
+#include "malus/height/height.h"
+
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <functional>
+#include <numbers>
+#include <random>
+
+#include "malus/core/depth_normals.h"
+#include "malus/polarization/decompose.h"
+#include "malus/polarization/ray_frame.h"
+
+namespace malus {
+namespace {
+
+constexpr double eta = 1.5;
+constexpr double degree = std::numbers::pi / 180;
+constexpr float none = std::numeric_limits<float>::quiet_NaN();
+
+/// A surface of known normals, imaged through a polarizer at six angles with Gaussian noise.
+struct Scene {
+  Image<float> truth;    ///< height, as HeightMap::height up to a constant
+  Image<float> normals;  ///< camera frame
+  PolarizationState state;
+  ReflectionMap reflection;
+  Eigen::Vector4d light;
+};
+
+using Surface = std::function<bool(int u, int v, double& height, Eigen::Vector3d& normal)>;
+
+Scene render(const Surface& surface, Size size, const Pinhole* camera, const Eigen::Vector4d& light, double noise,
+             Reflection kind = Reflection::diffuse) {
+  Scene scene;
+  scene.light = light;
+  scene.truth = Image<float>(size, 1, none);
+  scene.normals = Image<float>(size, 3, none);
+  Mask mask(size);
+  std::vector<double> angles;
+  for (int k = 0; k < 6; ++k) angles.push_back(k * 30 * degree);
+  std::vector<Image<float>> images(6, Image<float>(size));
+  std::mt19937 random(5);
+  std::normal_distribution<double> normal_noise(0, noise > 0 ? noise : 1);
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = 0; u < size.width; ++u) {
+      double height = 0;
+      Eigen::Vector3d n;
+      if (!surface(u, v, height, n)) continue;
+      mask(u, v) = 255;
+      scene.truth(u, v) = static_cast<float>(height);
+      for (int c = 0; c < 3; ++c) scene.normals(u, v, c) = static_cast<float>(n[c]);
+      const Slopes slopes = ray_frame(camera, u, v).slopes(n);
+      const double zenith = std::atan(std::sqrt(slopes.tan2()));
+      const bool specular = kind == Reflection::specular;
+      const double rho = specular ? specular_degree(zenith, eta) : diffuse_degree(zenith, eta);
+      const double phi = slopes.azimuth_rad() + (specular ? 90 * degree : 0);
+      const double i_un = light.head<3>().dot(n) + light[3];
+      for (std::size_t k = 0; k < 6; ++k) {
+        images[k](u, v) = static_cast<float>(i_un * (1 + rho * std::cos(2 * (angles[k] - phi))) +
+                                             (noise > 0 ? normal_noise(random) : 0.0));
+      }
+    }
+  }
+  DecomposeOptions options;
+  options.dark_sigmas = 0;
+  scene.state = decompose(images, angles, {}, mask, {}, options, {});
+  ReflectionOptions reflection;
+  reflection.reflection = kind == Reflection::specular ? ReflectionChoice::specular : ReflectionChoice::diffuse;
+  scene.reflection = map_reflection(scene.state, camera, &scene.normals, nullptr, reflection, {});
+  return scene;
+}
+
+/// Sphere seen orthographically, zenith up to 60°; camera frame (y down).
+Surface sphere(int size) {
+  return [size](int u, int v, double& height, Eigen::Vector3d& normal) {
+    const double radius = 0.5 * size, x = u - 0.5 * (size - 1), y = v - 0.5 * (size - 1);
+    const double z2 = radius * radius - x * x - y * y;
+    if (z2 < 0.25 * radius * radius) return false;
+    height = std::sqrt(z2);
+    normal = Eigen::Vector3d(x, y, -height) / radius;
+    return true;
+  };
+}
+
+/// Bumps of up to about 40° seen orthographically.
+Surface bumps(int size) {
+  return [size](int u, int v, double& height, Eigen::Vector3d& normal) {
+    if (u < 4 || v < 4 || u >= size - 4 || v >= size - 4) return false;
+    const double k = 4 * std::numbers::pi / size, a = 0.35 / k;
+    height = a * (std::sin(k * u) + std::cos(0.8 * k * v) + 0.6 * std::sin(0.7 * k * (u + v)));
+    const double hu = a * k * (std::cos(k * u) + 0.42 * std::cos(0.7 * k * (u + v)));
+    const double hv = a * k * (-0.8 * std::sin(0.8 * k * v) + 0.42 * std::cos(0.7 * k * (u + v)));
+    normal = Eigen::Vector3d(-hu, -hv, -1).normalized();
+    return true;
+  };
+}
+
+/// Ball in front of a perspective camera, with the metric height −f ln(z).
+Surface ball(const Pinhole& camera, double radius) {
+  return [camera, radius](int u, int v, double& height, Eigen::Vector3d& normal) {
+    const Eigen::Vector3d centre(40, -25, 600), ray = camera.ray(u, v);
+    const double a = ray.squaredNorm(), b = ray.dot(centre), c = centre.squaredNorm() - radius * radius;
+    if (b * b - a * c <= 0) return false;
+    const double z = (b - std::sqrt(b * b - a * c)) / a;
+    normal = (z * ray - centre) / radius;
+    if (-normal.dot(ray.normalized()) < 0.5) return false;
+    height = -camera.focal() * std::log(z);
+    return true;
+  };
+}
+
+/// Mean angle between the true normals and those of the height by central differences, in degrees.
+double normal_error(const Scene& scene, const HeightMap& map) {
+  double sum = 0;
+  int count = 0;
+  for (int v = 1; v + 1 < map.height.height(); ++v) {
+    for (int u = 1; u + 1 < map.height.width(); ++u) {
+      const double hu = 0.5 * (map.height(u + 1, v) - map.height(u - 1, v));
+      const double hv = 0.5 * (map.height(u, v + 1) - map.height(u, v - 1));
+      if (!std::isfinite(hu + hv)) continue;
+      const Eigen::Vector3d n(scene.normals(u, v, 0), scene.normals(u, v, 1), scene.normals(u, v, 2));
+      sum += std::acos(std::min(Eigen::Vector3d(-hu, -hv, -1).normalized().dot(n), 1.0)) / degree;
+      ++count;
+    }
+  }
+  return sum / count;
+}
+
+/// Factor between true and solved height about their means.
+double height_scale(const Scene& scene, const HeightMap& map) {
+  double mean = 0, top = 0, bottom = 0;
+  int count = 0;
+  for (std::size_t i = 0; i < scene.truth.count(); ++i) {
+    if (!std::isfinite(scene.truth[i])) continue;
+    mean += scene.truth[i];
+    ++count;
+  }
+  mean /= count;
+  for (std::size_t i = 0; i < scene.truth.count(); ++i) {
+    if (!std::isfinite(scene.truth[i])) continue;
+    top += (scene.truth[i] - mean) * map.height[i];
+    bottom += (scene.truth[i] - mean) * (scene.truth[i] - mean);
+  }
+  return top / bottom;
+}
+
+HeightMap solve(const Scene& scene, const HeightOptions& options = {}, const Pinhole* camera = nullptr,
+                const Context& context = {}) {
+  HeightInput input{scene.state, scene.reflection, camera, scene.light, nullptr, nullptr};
+  return solve_height(input, options, {}, context);
+}
+
+const Eigen::Vector4d light_right(0.2747, 0, -0.9615, 0);
+const Eigen::Vector4d light_above(0, -0.5, -0.866, 0);
+
+TEST(Height, ExactWithoutNoise) {
+  for (const auto& light : {light_right, light_above}) {
+    const Scene round = render(sphere(128), {128, 128}, nullptr, light, 0);
+    const HeightMap map = solve(round);
+    EXPECT_EQ(map.status, "converged");
+    EXPECT_LT(normal_error(round, map), 0.05);
+    EXPECT_NEAR(height_scale(round, map), 1, 1e-3);
+    const Scene relief = render(bumps(128), {128, 128}, nullptr, light, 0);
+    EXPECT_LT(normal_error(relief, solve(relief)), 0.2);  // of it 0.15 are those of differences of the true height
+  }
+}
+
+TEST(Height, WithstandsNoise) {
+  for (const auto& light : {light_right, light_above}) {
+    for (const auto& surface : {sphere(128), bumps(128)}) {
+      const Scene scene = render(surface, {128, 128}, nullptr, light, 0.005);
+      const HeightMap map = solve(scene);
+      EXPECT_LT(normal_error(scene, map), 2.0);
+      EXPECT_NEAR(height_scale(scene, map), 1, 0.02);
+      EXPECT_NEAR(map.residual_rms, 1, 0.4);
+    }
+  }
+}
+
+TEST(Height, LinearMethodsAreThoseOfThePaper) {
+  HeightOptions literal, linear;
+  literal.method = HeightMethod::literal;
+  linear.method = HeightMethod::linear;
+  const Scene clean = render(sphere(96), {96, 96}, nullptr, light_right, 0);
+  EXPECT_LT(normal_error(clean, solve(clean, literal)), 0.05);
+  const Scene noisy = render(bumps(96), {96, 96}, nullptr, light_right, 0.005);
+  const double error_literal = normal_error(noisy, solve(noisy, literal));
+  const double error_linear = normal_error(noisy, solve(noisy, linear));
+  EXPECT_LT(error_linear, error_literal);
+  EXPECT_LT(normal_error(noisy, solve(noisy)), error_linear);
+}
+
+TEST(Height, SpecularReflection) {
+  const Scene scene = render(sphere(96), {96, 96}, nullptr, light_right, 0.002, Reflection::specular);
+  const HeightMap map = solve(scene);
+  EXPECT_LT(normal_error(scene, map), 0.5);
+  EXPECT_NEAR(height_scale(scene, map), 1, 0.01);
+}
+
+TEST(Height, PerspectiveHeightIsTheMetricSurface) {
+  const Pinhole camera{{110, 100}, 400, 400, 30, 62};
+  const Eigen::Vector4d light(0.3, -0.2, -0.8, 0.05);
+  const Scene scene = render(ball(camera, 70), camera.size, &camera, light, 0);
+  const HeightMap map = solve(scene, {}, &camera);
+  EXPECT_EQ(map.status, "converged");
+  EXPECT_TRUE(map.perspective);
+  EXPECT_NEAR(height_scale(scene, map), 1, 2e-3);
+  Image<float> depth(camera.size);
+  for (std::size_t i = 0; i < depth.count(); ++i) {
+    depth[i] = static_cast<float>(600 * std::exp(-map.height[i] / camera.focal()));
+  }
+  const Image<float> normals = normals_from_depth(depth, camera, {});
+  double sum = 0;
+  int count = 0;
+  for (int v = 2; v < 98; ++v) {
+    for (int u = 2; u < 108; ++u) {
+      if (!std::isfinite(depth(u - 1, v) + depth(u + 1, v) + depth(u, v - 1) + depth(u, v + 1))) continue;
+      double dot = 0;
+      for (int c = 0; c < 3; ++c) dot += normals(u, v, c) * scene.normals(u, v, c);
+      sum += std::acos(std::min(dot, 1.0)) / degree;
+      ++count;
+    }
+  }
+  EXPECT_GT(count, 1000);
+  EXPECT_LT(sum / count, 0.1);
+}
+
+TEST(Height, LightIsEstimatedWithThePriorsNormals) {
+  const Scene scene = render(bumps(96), {96, 96}, nullptr, light_right, 0.005);
+  HeightInput input{scene.state, scene.reflection, nullptr, {}, &scene.normals, nullptr};
+  const HeightMap map = solve_height(input, {}, {}, {});
+  EXPECT_LT((map.light - light_right).norm(), 0.01);
+  EXPECT_LT(normal_error(scene, map), 2.5);
+  input.prior_normals = nullptr;
+  EXPECT_THROW(solve_height(input, {}, {}, {}), Error);
+}
+
+TEST(Height, BridgesPixelsWithoutPolarization) {
+  Scene scene = render(sphere(96), {96, 96}, nullptr, light_right, 0);
+  for (int v = 40; v < 46; ++v) {
+    for (int u = 60; u < 66; ++u) {
+      scene.state.valid(u, v) = static_cast<std::uint8_t>(PixelState::saturated);
+      scene.reflection.label(u, v) = 0;
+    }
+  }
+  const HeightMap map = solve(scene);
+  EXPECT_TRUE(std::isfinite(map.height(62, 43)));
+  EXPECT_TRUE(std::isnan(map.height(0, 0)));
+  EXPECT_LT(normal_error(scene, map), 0.2);
+}
+
+TEST(Height, PriorHoldsTheBorder) {
+  const Scene scene = render(sphere(64), {64, 64}, nullptr, light_right, 0);
+  HeightOptions options;
+  options.boundary = HeightBoundary::prior;
+  HeightInput input{scene.state, scene.reflection, nullptr, scene.light, nullptr, &scene.truth};
+  const HeightMap map = solve_height(input, options, {}, {});
+  for (std::size_t i = 0; i < map.height.count(); ++i) {
+    if (!std::isfinite(map.height[i])) continue;
+    EXPECT_NEAR(map.height[i], scene.truth[i], 0.05);
+  }
+  input.prior_height = nullptr;
+  EXPECT_THROW(solve_height(input, options, {}, {}), Error);
+}
+
+TEST(Height, LightAlongTheViewIsAStatusAndNoHeight) {
+  const Scene scene = render(sphere(64), {64, 64}, nullptr, {0, 0, -1, 0}, 0.005);
+  const HeightMap map = solve(scene);
+  EXPECT_EQ(map.status, "light along the view direction");
+  for (const float value : map.height) EXPECT_TRUE(std::isnan(value));
+}
+
+TEST(Height, OtherFailuresAreStatuses) {
+  Scene scene = render(sphere(64), {64, 64}, nullptr, light_right, 0);
+  Image<float> flat(scene.state.size(), 3);
+  for (std::size_t i = 0; i < flat.count(); i += 3) flat[i + 2] = -1;
+  HeightInput input{scene.state, scene.reflection, nullptr, {}, &flat, nullptr};
+  EXPECT_EQ(solve_height(input, {}, {}, {}).status, "light not found: normals alike");
+  HeightOptions options;
+  options.iterations = 1;
+  options.tolerance_px = 0;
+  EXPECT_EQ(solve(scene, options).status, "iteration limit");
+  scene.state.valid.fill(0);
+  EXPECT_EQ(solve(scene).status, "no valid pixels");
+}
+
+TEST(Height, InputErrorsAndCancellation) {
+  const Scene scene = render(sphere(32), {32, 32}, nullptr, light_right, 0);
+  HeightOptions options;
+  options.smoothness = -1;
+  EXPECT_THROW(solve(scene, options), Error);
+  const Image<float> small({3, 3}, 3);
+  const HeightInput input{scene.state, scene.reflection, nullptr, scene.light, &small, nullptr};
+  EXPECT_THROW(solve_height(input, {}, {}, {}), Error);
+  std::atomic<bool> cancel{true};
+  Context context;
+  context.cancel = &cancel;
+  EXPECT_THROW(solve(scene, {}, nullptr, context), Error);
+}
+
+TEST(Height, SameResultWithOneAndThreeThreads) {
+  const Scene scene = render(bumps(80), {80, 80}, nullptr, light_right, 0.005);
+  Context three;
+  three.threads = 3;
+  const HeightMap a = solve(scene), b = solve(scene, {}, nullptr, three);
+  EXPECT_EQ(a.iterations, b.iterations);
+  for (std::size_t i = 0; i < a.height.count(); ++i) {
+    if (!std::isfinite(a.height[i])) continue;
+    EXPECT_NEAR(a.height[i], b.height[i], 1e-4);
+  }
+}
+
+TEST(Height, FromDepth) {
+  const Pinhole camera{{3, 1}, 400, 400, 1, 0};
+  Image<float> depth(camera.size);
+  depth(0, 0) = 500;
+  depth(1, 0) = 510;
+  depth(2, 0) = none;
+  const Image<float> log_height = height_from_depth(depth, camera, true);
+  EXPECT_NEAR(log_height(0, 0) - log_height(1, 0), 400 * std::log(510.0 / 500), 1e-4);
+  EXPECT_NEAR(log_height(0, 0) + log_height(1, 0), 0, 1e-4);
+  EXPECT_TRUE(std::isnan(log_height(2, 0)));
+  const Image<float> height = height_from_depth(depth, camera, false);
+  EXPECT_NEAR(height(0, 0) - height(1, 0), 10 * 400 / 505.0, 1e-4);
+}
+
+}  // namespace
+}  // namespace malus
