@@ -135,12 +135,17 @@ void add_flags(Mask& flags, const Mask& more) {
   for (std::size_t i = 0; i < flags.count(); ++i) flags[i] |= more[i];
 }
 
-/// Pixels whose support holds nothing but object; the object's rim would mix with what lies behind it.
+/// The object in the undistorted raster: the mask at the nearest captured pixel.
 Mask resample_mask(const Mask& mask, const ResamplingMap& map, const Context& context) {
-  Mask background(mask.size());
-  for (std::size_t i = 0; i < mask.count(); ++i) background[i] = mask[i] ? 0 : 255;
-  Mask result = resample_flags(background, mask.size(), map, context);
-  for (std::size_t i = 0; i < result.count(); ++i) result[i] = result[i] ? 0 : 255;
+  if (map.is_identity()) return mask;
+  Mask result(mask.size());
+  parallel_rows(context, mask.height(), [&](int v) {
+    for (int u = 0; u < mask.width(); ++u) {
+      const Eigen::Vector2d at = map(u, v);
+      if (!(at.x() > -0.5 && at.y() > -0.5 && at.x() < mask.width() - 0.5 && at.y() < mask.height() - 0.5)) continue;
+      result(u, v) = mask(static_cast<int>(std::lround(at.x())), static_cast<int>(std::lround(at.y())));
+    }
+  });
   return result;
 }
 

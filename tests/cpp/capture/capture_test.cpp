@@ -1,0 +1,266 @@
+#include "malus/capture/capture.h"
+
+#include <gtest/gtest.h>
+
+#include <random>
+
+#include "capture/scenes.h"
+#include "malus/capture/noise.h"
+
+namespace malus {
+namespace {
+
+constexpr Size size{240, 180};
+
+std::vector<Image<float>> aligned_scene() {
+  std::vector<Image<float>> images;
+  for (int k = 0; k < 4; ++k) {
+    images.push_back(AnalyticScene().image(size, identity_affine(), k * std::numbers::pi / 4));
+  }
+  return images;
+}
+
+CaptureInput aligned_input() {
+  return input_of(aligned_scene(), {0, 45, 90, 135});
+}
+
+TEST(Capture, aligned_images_pass_bit_for_bit) {
+  const PolarizedStack stack = capture_stack(aligned_input(), {}, two_threads());
+  EXPECT_EQ(stack.images, aligned_scene());
+  EXPECT_EQ(stack.mask, Mask(size, 1, 255));
+  EXPECT_EQ(stack.camera.size, size);
+  EXPECT_TRUE(stack.color.empty());
+}
+
+TEST(Capture, angles_follow_the_scale) {
+  CaptureInput input = aligned_input();
+  input.polarized.angle_zero_deg = 10;
+  EXPECT_NEAR(capture_stack(input, {}, Context{}).angles_rad[1], 35 * std::numbers::pi / 180, 1e-12);
+  input.polarized.angle_direction = "cw";
+  EXPECT_NEAR(capture_stack(input, {}, Context{}).angles_rad[1], -35 * std::numbers::pi / 180, 1e-12);
+  input.polarized.angles_deg.reset();
+  EXPECT_TRUE(capture_stack(input, {}, Context{}).angles_rad.empty());
+}
+
+TEST(Capture, moved_images_are_registered_unless_off) {
+  auto images = aligned_scene();
+  const Affine map = similarity(size, 0.003, 1, 1.2, -0.6);
+  images[2] = AnalyticScene().image(size, map, std::numbers::pi / 2);
+  CaptureInput input = input_of(images, {0, 45, 90, 135});
+  CaptureOptions options;
+  options.registration.interpolation = Interpolation::keys;
+  const PolarizedStack stack = capture_stack(input, options, two_threads());
+  EXPECT_LT(affine_distance_px(stack.image_from_base[2], map, size), 0.02);
+  EXPECT_EQ(stack.images[1], images[1]) << "those that did not move stay untouched";
+  EXPECT_EQ(stack.mask(size.width - 1, 5), 0);
+  const auto aligned = aligned_scene();
+  double squares = 0;
+  int count = 0;
+  for (std::size_t i = 0; i < stack.mask.count(); ++i) {
+    if (!stack.mask[i]) continue;
+    squares += std::pow(stack.images[2][i] - aligned[2][i], 2);
+    ++count;
+  }
+  EXPECT_LT(std::sqrt(squares / count), 0.003);
+  options.mode = RegistrationMode::off;
+  EXPECT_EQ(capture_stack(input, options, Context{}).images[2], images[2]);
+}
+
+TEST(Capture, mask_and_saturation) {
+  auto images = aligned_scene();
+  images[3](50, 60) = 1;
+  CaptureInput input = input_of(images, {0, 45, 90, 135});
+  input.mask = Mask(size);
+  for (int u = 40; u < 100; ++u) (*input.mask)(u, 60) = 1;
+  const PolarizedStack stack = capture_stack(input, {}, Context{});
+  EXPECT_NE(stack.saturated(50, 60), 0);
+  EXPECT_EQ(stack.saturated(51, 60), 0);
+  EXPECT_NE(stack.mask(99, 60), 0);
+  EXPECT_EQ(stack.mask(100, 60), 0);
+}
+
+TEST(Capture, color_is_the_mean_of_the_linear_images) {
+  CaptureInput input = aligned_input();
+  input.polarized.response = "gamma:2";
+  input.load = [](std::size_t k) {
+    Image<float> rgb(size, 3);
+    for (std::size_t i = 0; i < rgb.count(); ++i) {
+      rgb[i] = static_cast<float>(0.1 * (1 + static_cast<double>(i % 3))) * (k % 2 == 0 ? 1.f : 2.f);
+    }
+    return RawImage{rgb, 32, true, 1.0};
+  };
+  const PolarizedStack stack = capture_stack(input, {}, Context{});
+  ASSERT_EQ(stack.color.channels(), 3);
+  EXPECT_NEAR(stack.color(7, 9, 1), 0.5 * (0.04 + 0.16), 1e-6);
+  EXPECT_NEAR(stack.images[0](7, 9), 0.2126 * 0.01 + 0.7152 * 0.04 + 0.0722 * 0.09, 1e-6);
+  EXPECT_GT(stack.noise.full_well_e, 20000) << "several channels are less noisy than one";
+}
+
+TEST(Capture, inputs_that_do_not_fit_are_named) {
+  const auto message = [](const CaptureInput& input) {
+    return error_of(ErrorCode::input, [&] { capture_stack(input, {}, Context{}); });
+  };
+  auto images = aligned_scene();
+  images[2] = Image<float>({241, 180}, 1, 0.5f);
+  const std::string sizes = message(input_of(images, {0, 45, 90, 135}));
+  EXPECT_NE(sizes.find("image 2.tif is 241 x 180"), std::string::npos) << sizes;
+  EXPECT_NE(sizes.find("image 0.tif is 240 x 180"), std::string::npos) << sizes;
+  EXPECT_NE(message(input_of(aligned_scene(), {0, 45, 90})).find("3 angles for 4 images"), std::string::npos);
+  EXPECT_NE(message(CaptureInput{}).find("no polarized images"), std::string::npos);
+
+  CaptureInput input = aligned_input();
+  input.mask = Mask({10, 10}, 1, 255);
+  EXPECT_NE(message(input).find("10 x 10"), std::string::npos);
+  input = aligned_input();
+  input.lens = LensCamera{LensModel::pinhole, {100, 100}, {80, 80, 50, 50}};
+  EXPECT_NE(message(input).find("100 x 100"), std::string::npos);
+  input = aligned_input();
+  input.polarized.angle_direction = "left";
+  EXPECT_NE(message(input).find("left"), std::string::npos);
+  input = aligned_input();
+  input.polarized.frames_averaged = 0;
+  EXPECT_NE(message(input).find("frames_averaged"), std::string::npos);
+  input = aligned_input();
+  input.polarized.full_well_e = -1;
+  EXPECT_NE(message(input).find("full_well_e"), std::string::npos);
+  input = aligned_input();
+  input.polarized.mosaic = std::array<double, 4>{90, 45, 135, 0};
+  EXPECT_NE(message(input).find("mosaic"), std::string::npos);
+}
+
+TEST(Capture, data_that_cannot_be_used) {
+  const auto message = [](const CaptureInput& input, const CaptureOptions& options = {}) {
+    return error_of(ErrorCode::data, [&] { capture_stack(input, options, Context{}); });
+  };
+  EXPECT_NE(message(input_of({4, Image<float>(size, 1, 1.f)}, {0, 45, 90, 135})).find("saturated"), std::string::npos);
+  CaptureInput input = aligned_input();
+  input.mask = Mask(size);
+  EXPECT_NE(message(input).find("no pixel"), std::string::npos);
+  CaptureOptions options;
+  options.mode = RegistrationMode::on;
+  const CaptureInput flat = input_of({4, Image<float>(size, 1, 0.5f)}, {0, 45, 90, 135});
+  EXPECT_NE(message(flat, options).find("image 1.tif cannot be registered"), std::string::npos);
+  int warnings = 0;
+  Context context;
+  context.on_log = [&](LogLevel level, const std::string&) { warnings += level == LogLevel::warning; };
+  capture_stack(flat, {}, context);
+  EXPECT_EQ(warnings, 3);
+}
+
+TEST(Capture, options_are_checked) {
+  CaptureOptions options;
+  options.saturation = 1.5;
+  EXPECT_NE(error_of(ErrorCode::input, [&] { capture_stack(aligned_input(), options, Context{}); })
+                .find("capture.saturation"),
+            std::string::npos);
+}
+
+TEST(Noise, is_estimated_from_a_flat_image) {
+  std::mt19937 random(3);
+  std::normal_distribution<double> normal;
+  Image<float> image({800, 600});
+  const NoiseModel truth{.full_well_e = 8000, .read_noise_e = 12};
+  for (int v = 0; v < 600; ++v) {
+    for (int u = 0; u < 800; ++u) {
+      const double signal = 0.02 + 0.9 * u / 800;
+      image(u, v) = static_cast<float>(signal + std::sqrt(truth.variance(signal)) * normal(random));
+    }
+  }
+  const auto noise = estimate_noise(image, Mask(image.size()));
+  ASSERT_TRUE(noise);
+  EXPECT_NEAR(noise->full_well_e, 8000, 800);
+  EXPECT_NEAR(noise->variance(0.05) / truth.variance(0.05), 1, 0.1);
+  EXPECT_FALSE(estimate_noise(image, Mask(image.size(), 1, 255)));
+}
+
+TEST(Noise, quantization_behind_a_gamma_curve_grows_with_the_signal) {
+  PolarizedSpec spec;
+  spec.full_well_e = 1e9;
+  spec.read_noise_e = 0;
+  const ResponseCurve curve = response_curve("srgb", "response");
+  const NoiseModel noise =
+      noise_model(spec, curve, Levels{0, 255, 1.0 / 255, 0.995}, std::nullopt, {Image<float>(size), Mask(size)});
+  for (const double encoded : {0.2, 0.5, 0.8, 1.0}) {
+    const double step = curve.slope(encoded) / 255;
+    EXPECT_NEAR(noise.variance(curve.linearize(encoded)) / (step * step / 12), 1, 0.35) << encoded;
+  }
+}
+
+struct RenderedCase {
+  std::string scene;
+};
+
+class RenderedStation : public testing::TestWithParam<RenderedCase> {};
+
+TEST_P(RenderedStation, registers_to_three_hundredths_of_a_pixel) {
+  const std::string scene = GetParam().scene;
+  if (!std::filesystem::exists(shared_data() / "rendered" / scene)) GTEST_SKIP() << "no rendered stations";
+  const PolarizedStack stack = capture_stack(rendered_station(scene, "noisy_misreg", 1), {}, two_threads());
+  const std::vector<Affine> truth = true_maps(scene, "noisy_misreg");
+  for (std::size_t k = 1; k < truth.size(); ++k) {
+    const double error_px = affine_distance_px(stack.image_from_base[k], truth[k], stack.mask.size());
+    EXPECT_LT(error_px, 0.02) << k;
+    EXPECT_GT(stack.registration_rms_px[k], error_px / 6) << "the claimed uncertainty is of the size of the error";
+    EXPECT_LT(stack.registration_rms_px[k], 0.02);
+  }
+}
+
+TEST_P(RenderedStation, leaves_aligned_images_untouched) {
+  const std::string scene = GetParam().scene;
+  if (!std::filesystem::exists(shared_data() / "rendered" / scene)) GTEST_SKIP() << "no rendered stations";
+  const CaptureInput input = rendered_station(scene, "lownoise", 16);
+  const PolarizedStack stack = capture_stack(input, {}, two_threads());
+  for (std::size_t k = 0; k < 6; ++k) {
+    EXPECT_EQ(stack.image_from_base[k], identity_affine()) << k;
+    const RawImage raw = input.load(k);
+    EXPECT_EQ(stack.images[k](400, 300), static_cast<float>(raw.pixels(400, 300) / 16383.0));
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Stations, RenderedStation,
+                         testing::Values(RenderedCase{"relief"}, RenderedCase{"coin"}, RenderedCase{"glassy"},
+                                         RenderedCase{"bust"}),
+                         [](const auto& name) { return name.param.scene; });
+
+/// Root mean square of the difference of (s1, s2) / s0 between two stacks with angles 0, 30, …, 150°.
+double stokes_difference(const PolarizedStack& a, const PolarizedStack& b) {
+  const auto stokes = [](const PolarizedStack& stack, std::size_t i) {
+    Eigen::Vector3d s = Eigen::Vector3d::Zero();
+    for (std::size_t k = 0; k < 6; ++k) {
+      const double angle = stack.angles_rad[k];
+      s += stack.images[k][i] / 3.0 * Eigen::Vector3d(1, 2 * std::cos(2 * angle), 2 * std::sin(2 * angle));
+    }
+    return Eigen::Vector2d(s[1] / s[0], s[2] / s[0]);
+  };
+  std::vector<double> squares;
+  for (std::size_t i = 0; i < a.mask.count(); ++i) {
+    if (a.mask[i] && b.mask[i] && a.images[0][i] > 0.02) squares.push_back((stokes(a, i) - stokes(b, i)).squaredNorm());
+  }
+  std::nth_element(squares.begin(), squares.begin() + static_cast<std::ptrdiff_t>(squares.size() / 2), squares.end());
+  return std::sqrt(squares[squares.size() / 2]);
+}
+
+TEST(Capture, undistorted_station_has_the_same_polarization) {
+  if (!std::filesystem::exists(shared_data() / "rendered/relief/pol/distorted")) GTEST_SKIP() << "no rendered stations";
+  CaptureInput distorted = rendered_station("relief", "distorted", 16);
+  distorted.lens = LensCamera{
+      LensModel::opencv, {720, 480}, {1937.219731, 1937.219731, 361.561447, 237.058904, 0.22, -0.9, 0.0006, -0.0004}};
+  const PolarizedStack undistorted = capture_stack(distorted, {}, two_threads());
+  const PolarizedStack straight = capture_stack(rendered_station("relief", "lownoise", 16), {}, two_threads());
+  EXPECT_EQ(undistorted.image_from_base[3], identity_affine());
+  // Two independent noises of 0.0016 each give a median length of 0.0027.
+  EXPECT_LT(stokes_difference(undistorted, straight), 0.003);
+  EXPECT_DOUBLE_EQ(undistorted.camera.cx, 361.561447);
+}
+
+TEST(Capture, jpeg_station_is_registered) {
+  if (!std::filesystem::exists(shared_data() / "rendered/relief/pol/jpeg8")) GTEST_SKIP() << "no rendered stations";
+  const PolarizedStack stack = capture_stack(rendered_station("relief", "jpeg8", 1), {}, two_threads());
+  const std::vector<Affine> truth = true_maps("relief", "jpeg8");
+  for (std::size_t k = 1; k < 6; ++k) {
+    EXPECT_LT(affine_distance_px(stack.image_from_base[k], truth[k], stack.mask.size()), 0.03) << k;
+  }
+}
+
+}  // namespace
+}  // namespace malus

@@ -1,0 +1,125 @@
+#include "malus/capture/registration.h"
+
+#include <gtest/gtest.h>
+
+#include <random>
+
+#include "capture/scenes.h"
+
+namespace malus {
+namespace {
+
+constexpr Size size{300, 220};
+
+std::vector<Image<float>> noise_images(std::size_t count, float sigma) {
+  std::mt19937 random(7);
+  std::normal_distribution<float> normal(0.5f, sigma);
+  std::vector<Image<float>> images(count, Image<float>(size));
+  for (Image<float>& image : images) {
+    for (float& pixel : image) pixel = normal(random);
+  }
+  return images;
+}
+
+std::vector<Image<float>> scene_images(const std::vector<Affine>& maps, double polarization) {
+  std::vector<Image<float>> images;
+  for (std::size_t k = 0; k < maps.size(); ++k) {
+    images.push_back(AnalyticScene{polarization}.image(size, maps[k], static_cast<double>(k) * std::numbers::pi / 4));
+  }
+  return images;
+}
+
+const std::vector<Affine> moved_maps{identity_affine(), similarity(size, 0.004, 1.003, 1.3, -0.7),
+                                     similarity(size, -0.003, 0.999, -0.45, 0.2),
+                                     similarity(size, 0.001, 1, 5.6, -4.4)};
+
+TEST(Registration, finds_affine_maps_of_a_polarized_scene) {
+  RegistrationOptions options;
+  options.interpolation = Interpolation::keys;
+  const auto results = register_images(scene_images(moved_maps, 0.2), NoiseModel{}, options, two_threads());
+  for (std::size_t k = 1; k < 4; ++k) {
+    EXPECT_EQ(results[k].status, RegistrationStatus::ok) << results[k].message;
+    EXPECT_LT(affine_distance_px(results[k].image_from_base, moved_maps[k], size), 0.01) << k;
+    EXPECT_LT(results[k].rms_px, 0.02);
+    EXPECT_NEAR(results[k].displacement_px, affine_distance_px(moved_maps[k], identity_affine(), size), 0.01);
+  }
+}
+
+TEST(Registration, ignores_exposure_and_a_moving_patch) {
+  auto images = scene_images({identity_affine(), moved_maps[1]}, 0.05);
+  for (float& pixel : images[1]) pixel *= 0.7f;
+  for (int v = 60; v < 110; ++v) {
+    for (int u = 60; u < 130; ++u) images[1](u, v) = 0.1f + 0.004f * static_cast<float>((u * 7 + v * 13) % 50);
+  }
+  const auto results = register_images(images, NoiseModel{}, {}, two_threads());
+  EXPECT_EQ(results[1].status, RegistrationStatus::ok) << results[1].message;
+  EXPECT_LT(affine_distance_px(results[1].image_from_base, moved_maps[1], size), 0.05);
+}
+
+TEST(Registration, threads_change_nothing) {
+  const auto images = scene_images({moved_maps.begin(), moved_maps.begin() + 2}, 0.1);
+  Context four;
+  four.threads = 4;
+  const auto one = register_images(images, NoiseModel{}, {}, Context{}),
+             many = register_images(images, NoiseModel{}, {}, four);
+  EXPECT_NEAR((one[1].image_from_base - many[1].image_from_base).norm(), 0, 1e-9);
+}
+
+TEST(Registration, noise_is_not_texture) {
+  const auto results = register_images(noise_images(4, 0.005f), NoiseModel{}, {}, two_threads());
+  EXPECT_EQ(results[1].status, RegistrationStatus::no_texture) << results[1].image_from_base;
+  EXPECT_EQ(results[1].image_from_base, identity_affine());
+  EXPECT_NE(results[1].message.find("texture"), std::string::npos);
+}
+
+TEST(Registration, flat_images_are_not_registered) {
+  const auto results = register_images({3, Image<float>(size, 1, 0.5f)}, NoiseModel{}, {}, Context{});
+  EXPECT_EQ(results[2].status, RegistrationStatus::no_texture);
+}
+
+TEST(Registration, too_large_a_displacement_is_implausible) {
+  RegistrationOptions options;
+  options.max_shift = 0.01;
+  const auto results =
+      register_images(scene_images({identity_affine(), moved_maps[3]}, 0), NoiseModel{}, options, two_threads());
+  EXPECT_EQ(results[1].status, RegistrationStatus::implausible);
+  EXPECT_NE(results[1].message.find("1 % of the image width"), std::string::npos) << results[1].message;
+}
+
+TEST(Registration, another_scene_is_not_ok) {
+  auto images = scene_images({identity_affine(), identity_affine()}, 0);
+  images.push_back(Image<float>(size));
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = 0; u < size.width; ++u) images[2](u, v) = images[0](size.width - 1 - u, v);
+  }
+  EXPECT_NE(register_images(images, NoiseModel{}, {}, two_threads())[2].status, RegistrationStatus::ok);
+}
+
+TEST(Registration, one_iteration_has_not_converged) {
+  RegistrationOptions options;
+  options.max_iterations = 1;
+  const auto results = register_images(scene_images({identity_affine(), similarity(size, 0.02, 1.01, 3, 2)}, 0),
+                                       NoiseModel{}, options, two_threads());
+  EXPECT_EQ(results[1].status, RegistrationStatus::not_converged);
+}
+
+TEST(Registration, sizes_must_agree) {
+  EXPECT_NE(error_of(ErrorCode::input,
+                     [&] {
+                       register_images({Image<float>({64, 64}), Image<float>({64, 65})}, NoiseModel{}, {}, Context{});
+                     })
+                .find("64 x 65"),
+            std::string::npos);
+}
+
+TEST(Registration, stops_when_cancelled) {
+  const std::atomic<bool> cancel{true};
+  Context context;
+  context.cancel = &cancel;
+  EXPECT_NE(error_of(ErrorCode::interrupted,
+                     [&] { register_images(scene_images(moved_maps, 0), NoiseModel{}, {}, context); }),
+            "");
+}
+
+}  // namespace
+}  // namespace malus

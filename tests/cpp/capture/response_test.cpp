@@ -1,0 +1,155 @@
+#include "malus/capture/response.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <fstream>
+#include <limits>
+
+#include "capture/scenes.h"
+
+namespace malus {
+namespace {
+
+std::filesystem::path table_file(const std::string& text) {
+  static int number = 0;
+  const auto path = std::filesystem::path(testing::TempDir()) / ("malus_response_" + std::to_string(++number) + ".txt");
+  std::ofstream(path) << text;
+  return path;
+}
+
+RawImage raw_8bit(int channels, const std::vector<float>& dn) {
+  RawImage raw;
+  raw.pixels = Image<float>({static_cast<int>(dn.size()) / channels, 1}, channels);
+  std::copy(dn.begin(), dn.end(), raw.pixels.begin());
+  raw.bits = 8;
+  raw.full_scale_dn = 255;
+  return raw;
+}
+
+LinearImage linear_of(const RawImage& raw, const PolarizedSpec& spec) {
+  return linearize(raw, response_curve(spec.response, "response"), levels_of(raw, spec, 0.995, "raw.png"),
+                   channel_weights(spec), "raw.png", Context{});
+}
+
+TEST(Response, srgb_is_the_standard_curve) {
+  const ResponseCurve curve = response_curve("srgb", "response");
+  EXPECT_NEAR(curve.linearize(0.5), 0.21404114, 1e-7);
+  EXPECT_NEAR(curve.linearize(0.04), 0.04 / 12.92, 1e-12);
+  EXPECT_NEAR(curve.linearize(1), 1, 1e-12);
+}
+
+TEST(Response, gamma_is_a_power) {
+  EXPECT_NEAR(response_curve("gamma:2.2", "response").linearize(0.5), std::pow(0.5, 2.2), 1e-12);
+}
+
+TEST(Response, slope_is_the_derivative) {
+  EXPECT_NEAR(response_curve("gamma:2", "response").slope(0.25), 0.5, 1e-9);
+  EXPECT_NEAR(response_curve("linear", "response").slope(0.7), 1, 1e-9);
+}
+
+TEST(Response, unknown_names_are_input_errors) {
+  for (const std::string name : {"log", "gamma:", "gamma:0", "gamma:2x", "/no/such/table.txt"}) {
+    EXPECT_NE(error_of(ErrorCode::input, [&] { response_curve(name, "station.toml: response"); })
+                  .find("station.toml: response"),
+              std::string::npos)
+        << name;
+  }
+}
+
+TEST(Response, table_in_dn_is_interpolated_and_scaled) {
+  const ResponseCurve curve = read_response_table(table_file("# DN linear\n0, 0\n100 10\n200; 40\n"));
+  EXPECT_DOUBLE_EQ(curve.linearize(150), 25.0 / 40);
+  EXPECT_DOUBLE_EQ(curve.linearize(500), 1);
+  PolarizedSpec spec;
+  const LinearImage linear =
+      linearize(raw_8bit(1, {50, 200}), curve, Levels{0, 255, 1.0 / 255, 0.995}, channel_weights(spec), "x", Context{});
+  EXPECT_FLOAT_EQ(linear.intensity(0, 0), 5.0f / 40);
+}
+
+TEST(Response, one_column_is_evenly_spaced) {
+  EXPECT_DOUBLE_EQ(read_response_table(table_file("0\n1\n4\n")).linearize(0.75), 2.5 / 4);
+}
+
+TEST(Response, bad_tables_name_file_and_line) {
+  const auto message = [](const std::string& text) {
+    return error_of(ErrorCode::input, [&] { read_response_table(table_file(text)); });
+  };
+  EXPECT_NE(message("0 0\n1 x\n").find("line 2"), std::string::npos);
+  EXPECT_NE(message("0 0\n1 nan\n").find("line 2"), std::string::npos);
+  EXPECT_NE(message("0 0 0\n").find("line 1"), std::string::npos);
+  EXPECT_NE(message("0 0\n1\n").find("equally many"), std::string::npos);
+  EXPECT_NE(message("0 0\n0 1\n").find("increase"), std::string::npos);
+  EXPECT_NE(message("0 1\n1 0\n").find("decrease"), std::string::npos);
+  EXPECT_NE(message("0 0\n1 0\n").find("positive"), std::string::npos);
+  EXPECT_NE(message("").find("at least 2"), std::string::npos);
+  std::string long_table;
+  for (int i = 0; i < 65537; ++i) long_table += std::to_string(i) + '\n';
+  EXPECT_NE(message(long_table).find("65536"), std::string::npos);
+  EXPECT_NE(message(std::string((4u << 20) + 1, ' ')).find("4 MB"), std::string::npos);
+}
+
+TEST(Response, black_and_white_levels) {
+  PolarizedSpec spec;
+  spec.black_level = 55;
+  const LinearImage linear = linear_of(raw_8bit(1, {55, 155, 255, 45}), spec);
+  EXPECT_FLOAT_EQ(linear.intensity(0, 0), 0);
+  EXPECT_FLOAT_EQ(linear.intensity(1, 0), 0.5);
+  EXPECT_FLOAT_EQ(linear.intensity(2, 0), 1);
+  EXPECT_FLOAT_EQ(linear.intensity(3, 0), -0.05f) << "noise below black keeps its sign";
+  spec.black_level = 300;
+  EXPECT_NE(error_of(ErrorCode::input, [&] { linear_of(raw_8bit(1, {0}), spec); }).find("black_level = 300"),
+            std::string::npos);
+}
+
+TEST(Response, saturation_begins_just_below_white) {
+  const LinearImage linear = linear_of(raw_8bit(1, {253, 254, 255}), {});
+  EXPECT_EQ(linear.saturated(0, 0), 0);
+  EXPECT_EQ(linear.saturated(1, 0), 255);
+  EXPECT_EQ(linear.saturated(2, 0), 255);
+}
+
+TEST(Response, channels_are_combined_after_linearization) {
+  PolarizedSpec spec;
+  spec.response = "gamma:2";
+  EXPECT_NEAR(linear_of(raw_8bit(3, {102, 51, 204}), spec).intensity(0, 0),
+              0.2126 * 0.16 + 0.7152 * 0.04 + 0.0722 * 0.64, 1e-6);
+  spec.channel = "blue";
+  EXPECT_NEAR(linear_of(raw_8bit(3, {102, 51, 204}), spec).intensity(0, 0), 0.64, 1e-6);
+  spec.channel_weights = std::array<double, 3>{2, 2, 0};
+  EXPECT_NEAR(linear_of(raw_8bit(3, {102, 51, 204}), spec).intensity(0, 0), 0.1, 1e-6);
+}
+
+TEST(Response, only_used_channels_saturate) {
+  PolarizedSpec spec;
+  spec.channel = "green";
+  EXPECT_EQ(linear_of(raw_8bit(3, {255, 100, 100}), spec).saturated(0, 0), 0);
+  spec.channel = "mean";
+  EXPECT_EQ(linear_of(raw_8bit(3, {255, 100, 100}), spec).saturated(0, 0), 255);
+}
+
+TEST(Response, bad_channels_and_pixels_are_input_errors) {
+  PolarizedSpec spec;
+  spec.channel = "cyan";
+  EXPECT_NE(error_of(ErrorCode::input, [&] { channel_weights(spec); }).find("cyan"), std::string::npos);
+  spec.channel_weights = std::array<double, 3>{0, 0, 0};
+  EXPECT_NE(error_of(ErrorCode::input, [&] { channel_weights(spec); }).find("zero"), std::string::npos);
+  spec.channel_weights = std::array<double, 3>{1, -1, 0};
+  EXPECT_NE(error_of(ErrorCode::input, [&] { channel_weights(spec); }).find("negative"), std::string::npos);
+  EXPECT_NE(error_of(ErrorCode::input,
+                     [&] {
+                       linear_of(raw_8bit(2, {1, 2}), {});
+                     })
+                .find("2 channels"),
+            std::string::npos);
+  const auto nan = std::numeric_limits<float>::quiet_NaN();
+  EXPECT_NE(error_of(ErrorCode::input,
+                     [&] {
+                       linear_of(raw_8bit(1, {1, nan}), {});
+                     })
+                .find("(1, 0)"),
+            std::string::npos);
+}
+
+}  // namespace
+}  // namespace malus
