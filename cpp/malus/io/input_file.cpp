@@ -58,6 +58,16 @@ bool InputFile::fill() {
   return got > 0;
 }
 
+void InputFile::skip(std::uint64_t size) {
+  while (size > 0) {
+    if (begin_ == end_ && !fill()) throw error("is truncated (ends after " + std::to_string(size_) + " bytes)");
+    const auto part = static_cast<std::size_t>(std::min<std::uint64_t>(size, end_ - begin_));
+    begin_ += part;
+    position_ += part;
+    size -= part;
+  }
+}
+
 std::size_t InputFile::read_some(void* target, std::size_t size) {
   char* out = static_cast<char*>(target);
   std::size_t copied = 0;

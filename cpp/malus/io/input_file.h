@@ -32,6 +32,8 @@ class InputFile {
 
   /// Copies exactly `size` bytes; throws an input error ("… is truncated") when the file ends before.
   void read(void* target, std::size_t size);
+  /// Passes over exactly `size` bytes; errors as read.
+  void skip(std::uint64_t size);
   /// Up to `size` bytes; the number copied is less only at the end of the file.
   std::size_t read_some(void* target, std::size_t size);
   /// Next line without its line break ("\n" or "\r\n"); false at the end. The view is valid until the next call.

@@ -1,28 +1,13 @@
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 #include <sstream>
 
 #include "malus/io/input_file.h"
+#include "malus/io/nearest_name.h"
 #include "malus/io/toml_table_internal.h"
 
 namespace malus {
 namespace {
-
-std::size_t edit_distance(std::string_view a, std::string_view b) {
-  std::vector<std::size_t> row(b.size() + 1);
-  std::iota(row.begin(), row.end(), std::size_t{0});
-  for (std::size_t i = 1; i <= a.size(); ++i) {
-    std::size_t diagonal = row[0];
-    row[0] = i;
-    for (std::size_t j = 1; j <= b.size(); ++j) {
-      const std::size_t substituted = diagonal + (a[i - 1] == b[j - 1] ? 0 : 1);
-      diagonal = row[j];
-      row[j] = std::min({row[j] + 1, row[j - 1] + 1, substituted});
-    }
-  }
-  return row.back();
-}
 
 /// The value as it stands in the file, cut when it is long.
 std::string value_text(const toml::node& node) {
@@ -54,12 +39,6 @@ bool in_range(double value, Range range) {
 }
 
 }  // namespace
-
-std::string_view nearest_name(std::string_view name, const std::vector<std::string_view>& known) {
-  return *std::min_element(known.begin(), known.end(), [&](std::string_view a, std::string_view b) {
-    return edit_distance(name, a) < edit_distance(name, b);
-  });
-}
 
 TomlTable::TomlTable(const toml::table& table, std::filesystem::path file, std::string name,
                      std::initializer_list<std::string_view> known)

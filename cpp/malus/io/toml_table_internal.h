@@ -64,9 +64,6 @@ class TomlTable {
   std::string name_;
 };
 
-/// The nearest of `known` by edit distance.
-std::string_view nearest_name(std::string_view name, const std::vector<std::string_view>& known);
-
 template <std::size_t N>
 std::optional<std::array<double, N>> TomlTable::numbers_exactly(std::string_view key, Range range) const {
   const auto list = numbers(key, range);

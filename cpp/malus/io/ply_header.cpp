@@ -1,0 +1,127 @@
+#include <algorithm>
+#include <array>
+#include <charconv>
+#include <cstring>
+#include <fstream>
+#include <utility>
+
+#include "malus/io/ply_header_internal.h"
+
+namespace malus {
+namespace {
+
+constexpr std::array<std::pair<std::string_view, PlyType>, 16> type_names{{{"char", PlyType::int8},
+                                                                           {"int8", PlyType::int8},
+                                                                           {"uchar", PlyType::uint8},
+                                                                           {"uint8", PlyType::uint8},
+                                                                           {"short", PlyType::int16},
+                                                                           {"int16", PlyType::int16},
+                                                                           {"ushort", PlyType::uint16},
+                                                                           {"uint16", PlyType::uint16},
+                                                                           {"int", PlyType::int32},
+                                                                           {"int32", PlyType::int32},
+                                                                           {"uint", PlyType::uint32},
+                                                                           {"uint32", PlyType::uint32},
+                                                                           {"float", PlyType::float32},
+                                                                           {"float32", PlyType::float32},
+                                                                           {"double", PlyType::float64},
+                                                                           {"float64", PlyType::float64}}};
+
+std::vector<std::string> words_of(std::string_view line) {
+  std::vector<std::string> words;
+  for (std::size_t at = 0; (at = line.find_first_not_of(" \t", at)) != std::string_view::npos;) {
+    const std::size_t end = std::min(line.find_first_of(" \t", at), line.size());
+    words.emplace_back(line.substr(at, end - at));
+    at = end;
+  }
+  return words;
+}
+
+PlyType type_of(const InputFile& file, const std::string& name) {
+  for (const auto& [known, type] : type_names) {
+    if (known == name) return type;
+  }
+  throw file.error("has an unknown property type \"" + name + "\" in its header");
+}
+
+PlyFormat format_of(const InputFile& file, const std::string& name) {
+  if (name == "ascii") return PlyFormat::ascii;
+  if (name == "binary_little_endian") return PlyFormat::little_endian;
+  if (name == "binary_big_endian") return PlyFormat::big_endian;
+  throw file.error("has the unknown format \"" + name + "\"");
+}
+
+PlyProperty property_of(const InputFile& file, const std::vector<std::string>& words) {
+  if (words.size() == 3) return {words[2], type_of(file, words[1]), std::nullopt};
+  if (words.size() == 5 && words[1] == "list") {
+    const PlyType count = type_of(file, words[2]);
+    if (count == PlyType::float32 || count == PlyType::float64)
+      throw file.error("counts a list in floating-point numbers");
+    return {words[4], type_of(file, words[3]), count};
+  }
+  throw file.error("has a malformed property in line " + std::to_string(file.line_number()));
+}
+
+PlyElement element_of(const InputFile& file, const std::vector<std::string>& words) {
+  PlyElement element;
+  const std::string& count = words.back();
+  const auto [end, error] = std::from_chars(count.data(), count.data() + count.size(), element.count);
+  if (words.size() != 3 || error != std::errc() || end != count.data() + count.size()) {
+    throw file.error("has a malformed element in line " + std::to_string(file.line_number()));
+  }
+  element.name = words[1];
+  return element;
+}
+
+}  // namespace
+
+std::size_t size_of(PlyType type) {
+  constexpr std::array<std::size_t, 8> sizes{1, 1, 2, 2, 4, 4, 4, 8};
+  return sizes[static_cast<std::size_t>(type)];
+}
+
+bool PlyElement::has_lists() const {
+  return std::any_of(properties.begin(), properties.end(),
+                     [](const PlyProperty& p) { return p.list_count.has_value(); });
+}
+
+std::size_t PlyElement::smallest_record() const {
+  std::size_t bytes = 0;
+  for (const PlyProperty& property : properties) bytes += size_of(property.list_count.value_or(property.type));
+  return bytes;
+}
+
+bool is_ply(const std::filesystem::path& path) {
+  char magic[4] = {};
+  std::ifstream(path, std::ios::binary).read(magic, sizeof magic);
+  return std::memcmp(magic, "ply", 3) == 0 && (magic[3] == '\n' || magic[3] == '\r');
+}
+
+PlyHeader read_ply_header(InputFile& file) {
+  constexpr std::size_t most_lines = 10000;
+  PlyHeader header;
+  bool has_format = false;
+  std::string_view line;
+  file.read_line(line);
+  while (file.line_number() < most_lines && file.read_line(line)) {
+    const std::vector<std::string> words = words_of(line);
+    if (words.empty() || words[0] == "comment" || words[0] == "obj_info") continue;
+    if (words[0] == "end_header") {
+      if (!has_format) throw file.error("has no format in its header");
+      return header;
+    }
+    if (words[0] == "format" && words.size() >= 2) {
+      header.format = format_of(file, words[1]);
+      has_format = true;
+    } else if (words[0] == "element") {
+      header.elements.push_back(element_of(file, words));
+    } else if (words[0] == "property" && !header.elements.empty()) {
+      header.elements.back().properties.push_back(property_of(file, words));
+    } else {
+      throw file.error("has an unknown line in its header: \"" + std::string(line.substr(0, 60)) + "\"");
+    }
+  }
+  throw file.error("has a header without end_header");
+}
+
+}  // namespace malus

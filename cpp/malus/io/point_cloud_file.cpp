@@ -1,0 +1,569 @@
+#include "malus/io/point_cloud_file.h"
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cctype>
+#include <charconv>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <optional>
+#include <utility>
+
+#include "malus/io/atomic_file.h"
+#include "malus/io/input_file.h"
+#include "malus/io/ply_header_internal.h"
+
+namespace malus {
+namespace {
+
+// ---- what a point's columns or properties mean ----
+
+enum Slot : std::size_t {
+  slot_x,
+  slot_y,
+  slot_z,
+  slot_nx,
+  slot_ny,
+  slot_nz,
+  slot_red,
+  slot_green,
+  slot_blue,
+  slot_count
+};
+
+constexpr std::array<std::array<std::string_view, 4>, slot_count> slot_names{{{"x"},
+                                                                              {"y"},
+                                                                              {"z"},
+                                                                              {"nx", "normal_x"},
+                                                                              {"ny", "normal_y"},
+                                                                              {"nz", "normal_z"},
+                                                                              {"red", "r", "diffuse_red"},
+                                                                              {"green", "g", "diffuse_green"},
+                                                                              {"blue", "b", "diffuse_blue"}}};
+
+/// Slot of a property or column name, or slot_count.
+std::size_t slot_of(std::string name) {
+  std::transform(name.begin(), name.end(), name.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  for (std::size_t slot = 0; slot < slot_count; ++slot) {
+    for (const std::string_view known : slot_names[slot]) {
+      if (!known.empty() && known == name) return slot;
+    }
+  }
+  return slot_count;
+}
+
+/// The values of one point by slot.
+using PointValues = std::array<double, slot_count>;
+
+/// Collects points; finds coordinates that are not finite.
+class CloudBuilder {
+ public:
+  CloudBuilder(const std::array<bool, slot_count>& present, double color_scale) : color_scale_(color_scale) {
+    has_normals_ = present[slot_nx] && present[slot_ny] && present[slot_nz];
+    has_colors_ = present[slot_red] && present[slot_green] && present[slot_blue];
+  }
+
+  void reserve(std::size_t count) {
+    cloud_.points.reserve(count);
+    if (has_normals_) cloud_.normals.reserve(count);
+    if (has_colors_) cloud_.colors.reserve(count);
+  }
+
+  void add(const PointValues& values) {
+    const Eigen::Vector3d point(values[slot_x], values[slot_y], values[slot_z]);
+    if (!point.allFinite() && bad_++ == 0) first_bad_ = cloud_.points.size();
+    cloud_.points.push_back(point);
+    if (has_normals_) {
+      const Eigen::Vector3d normal(values[slot_nx], values[slot_ny], values[slot_nz]);
+      cloud_.normals.push_back(normal.allFinite() ? Eigen::Vector3f(normal.cast<float>()) : Eigen::Vector3f::Zero());
+    }
+    if (has_colors_)
+      cloud_.colors.push_back({color(values[slot_red]), color(values[slot_green]), color(values[slot_blue])});
+  }
+
+  PointCloud finish(const InputFile& file) {
+    if (bad_ > 0) {
+      throw file.error(std::to_string(bad_) + " of " + std::to_string(cloud_.points.size()) +
+                       " points have coordinates that are not finite (NaN or infinite), the first is number " +
+                       std::to_string(first_bad_) + ", counted from 0");
+    }
+    if (cloud_.points.empty()) throw file.error("has no points");
+    return std::move(cloud_);
+  }
+
+ private:
+  std::uint8_t color(double value) const {
+    const double scaled = std::round(value * color_scale_);
+    return static_cast<std::uint8_t>(scaled >= 255 ? 255 : scaled > 0 ? scaled : 0);
+  }
+
+  PointCloud cloud_;
+  bool has_normals_ = false, has_colors_ = false;
+  double color_scale_ = 1;
+  std::size_t bad_ = 0, first_bad_ = 0;
+};
+
+/// Splits a line at blanks, commas and semicolons; `words` is reused.
+void split(std::string_view line, std::vector<std::string_view>& words) {
+  constexpr std::string_view separators = " \t,;";
+  words.clear();
+  for (std::size_t at = 0; (at = line.find_first_not_of(separators, at)) != std::string_view::npos;) {
+    const std::size_t end = std::min(line.find_first_of(separators, at), line.size());
+    words.push_back(line.substr(at, end - at));
+    at = end;
+  }
+}
+
+bool parse_number(std::string_view word, double& value) {
+  if (!word.empty() && word.front() == '+') word.remove_prefix(1);
+  const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
+  if (error == std::errc::result_out_of_range) value = std::numeric_limits<double>::infinity();
+  return error != std::errc::invalid_argument && end == word.data() + word.size();
+}
+
+Error malformed_line(const InputFile& file, std::string_view line) {
+  return file.error("line " + std::to_string(file.line_number()) + " = \"" + std::string(line.substr(0, 60)) +
+                    "\", expected numbers");
+}
+
+// ---- PLY ----
+
+constexpr std::uint64_t records_between_checks = 1 << 16;
+
+template <class T>
+double load(const unsigned char* bytes, bool swap) {
+  std::array<unsigned char, sizeof(T)> raw;
+  std::memcpy(raw.data(), bytes, sizeof(T));
+  if (swap) std::reverse(raw.begin(), raw.end());
+  return static_cast<double>(std::bit_cast<T>(raw));
+}
+
+double load(PlyType type, const unsigned char* bytes, bool swap) {
+  switch (type) {
+    case PlyType::int8:
+      return load<std::int8_t>(bytes, swap);
+    case PlyType::uint8:
+      return load<std::uint8_t>(bytes, swap);
+    case PlyType::int16:
+      return load<std::int16_t>(bytes, swap);
+    case PlyType::uint16:
+      return load<std::uint16_t>(bytes, swap);
+    case PlyType::int32:
+      return load<std::int32_t>(bytes, swap);
+    case PlyType::uint32:
+      return load<std::uint32_t>(bytes, swap);
+    case PlyType::float32:
+      return load<float>(bytes, swap);
+    case PlyType::float64:
+      return load<double>(bytes, swap);
+  }
+  return 0;
+}
+
+/// Reads the records of one element after another, whatever the format.
+class PlyReader {
+ public:
+  PlyReader(InputFile& file, PlyFormat format) : file_(file), format_(format) {}
+
+  /// Calls on_record(values, lists) for each record: one value a property (of a list its length) and the elements of
+  /// its lists by property.
+  template <class OnRecord>
+  void read(const PlyElement& element, const Context& context, OnRecord&& on_record) {
+    check_count(element);
+    values_.assign(element.properties.size(), 0);
+    lists_.assign(element.properties.size(), {});
+    for (std::uint64_t i = 0; i < element.count; ++i) {
+      if (i % records_between_checks == 0) context.check_cancel();
+      if (format_ == PlyFormat::ascii) {
+        read_text_record(element);
+      } else if (element.has_lists()) {
+        read_list_record(element);
+      } else {
+        read_fixed_record(element);
+      }
+      on_record(values_, lists_);
+    }
+  }
+
+  void skip(const PlyElement& element, const Context& context) {
+    if (format_ != PlyFormat::ascii && !element.has_lists()) {
+      check_count(element);
+      file_.skip(element.count * element.smallest_record());
+    } else {
+      read(element, context, [](const auto&, const auto&) {});
+    }
+  }
+
+ private:
+  void check_count(const PlyElement& element) const {
+    // A text record has a character and a separator for each property at least; the last separator may be missing.
+    const bool text = format_ == PlyFormat::ascii;
+    const std::uint64_t record =
+        std::max<std::uint64_t>(1, text ? 2 * element.properties.size() : element.smallest_record());
+    if (element.count > (file_.remaining() + (text ? 1 : 0)) / record) {
+      throw file_.error("claims " + std::to_string(element.count) + " elements \"" + element.name +
+                        "\", more than its " + std::to_string(file_.size()) + " bytes can hold: truncated or damaged");
+    }
+  }
+
+  void read_fixed_record(const PlyElement& element) {
+    record_.resize(element.smallest_record());
+    file_.read(record_.data(), record_.size());
+    const unsigned char* bytes = record_.data();
+    for (std::size_t p = 0; p < element.properties.size(); ++p) {
+      values_[p] = load(element.properties[p].type, bytes, swap());
+      bytes += size_of(element.properties[p].type);
+    }
+  }
+
+  void read_list_record(const PlyElement& element) {
+    for (std::size_t p = 0; p < element.properties.size(); ++p) {
+      const PlyProperty& property = element.properties[p];
+      values_[p] = read_value(property.list_count.value_or(property.type));
+      if (!property.list_count) continue;
+      const std::size_t size = size_of(property.type);
+      const std::uint64_t length = list_length(values_[p], size);
+      record_.resize(length * size);
+      file_.read(record_.data(), record_.size());
+      lists_[p].resize(length);
+      for (std::size_t i = 0; i < length; ++i) lists_[p][i] = load(property.type, record_.data() + i * size, swap());
+    }
+  }
+
+  double read_value(PlyType type) {
+    std::array<unsigned char, 8> bytes;
+    file_.read(bytes.data(), size_of(type));
+    return load(type, bytes.data(), swap());
+  }
+
+  void read_text_record(const PlyElement& element) {
+    std::string_view line;
+    do {
+      if (!file_.read_line(line)) throw file_.error("is truncated: ends before its last \"" + element.name + "\"");
+      split(line, words_);
+    } while (words_.empty());
+    std::size_t next = 0;
+    const auto number = [&] {
+      double value = 0;
+      if (next >= words_.size() || !parse_number(words_[next++], value)) throw malformed_line(file_, line);
+      return value;
+    };
+    for (std::size_t p = 0; p < element.properties.size(); ++p) {
+      values_[p] = number();
+      if (!element.properties[p].list_count) continue;
+      const std::uint64_t length = values_[p] >= 0 ? static_cast<std::uint64_t>(std::min(values_[p], 1e15)) : 0;
+      if (values_[p] < 0 || length > words_.size() - next) throw malformed_line(file_, line);
+      lists_[p].resize(length);
+      for (double& value : lists_[p]) value = number();
+    }
+  }
+
+  std::uint64_t list_length(double length, std::size_t element_size) const {
+    if (!(length >= 0) || length * static_cast<double>(element_size) > static_cast<double>(file_.remaining())) {
+      throw file_.error("has a list of " + std::to_string(static_cast<std::int64_t>(length)) +
+                        " elements, more than its bytes can hold: truncated or damaged");
+    }
+    return static_cast<std::uint64_t>(length);
+  }
+
+  bool swap() const { return (format_ == PlyFormat::big_endian) == (std::endian::native == std::endian::little); }
+
+  InputFile& file_;
+  PlyFormat format_;
+  std::vector<double> values_;
+  std::vector<std::vector<double>> lists_;
+  std::vector<unsigned char> record_;
+  std::vector<std::string_view> words_;
+};
+
+double color_scale_of(PlyType type) {
+  if (type == PlyType::float32 || type == PlyType::float64) return 255;
+  return size_of(type) == 2 ? 255.0 / 65535 : 1;
+}
+
+PointCloud read_ply_vertices(PlyReader& reader, const InputFile& file, const PlyElement& element,
+                             const Context& context) {
+  constexpr std::size_t absent = std::numeric_limits<std::size_t>::max();
+  std::array<std::size_t, slot_count> property_of_slot;
+  property_of_slot.fill(absent);
+  std::array<bool, slot_count> present{};
+  for (std::size_t p = 0; p < element.properties.size(); ++p) {
+    const std::size_t slot = slot_of(element.properties[p].name);
+    if (slot == slot_count || element.properties[p].list_count || present[slot]) continue;
+    property_of_slot[slot] = p;
+    present[slot] = true;
+  }
+  for (const std::size_t slot : {slot_x, slot_y, slot_z}) {
+    if (!present[slot]) throw file.error("has vertices without " + std::string(slot_names[slot][0]));
+  }
+  const double color_scale =
+      present[slot_red] ? color_scale_of(element.properties[property_of_slot[slot_red]].type) : 1;
+  CloudBuilder builder(present, color_scale);
+  bool reserved = false;
+  PointValues point{};
+  reader.read(element, context, [&](const std::vector<double>& values, const auto&) {
+    // The reader has compared the count with the file's size by now.
+    if (!std::exchange(reserved, true)) builder.reserve(element.count);
+    for (std::size_t slot = 0; slot < slot_count; ++slot) {
+      if (present[slot]) point[slot] = values[property_of_slot[slot]];
+    }
+    builder.add(point);
+  });
+  return builder.finish(file);
+}
+
+using Triangles = std::vector<std::array<std::uint32_t, 3>>;
+
+Triangles read_ply_faces(PlyReader& reader, const InputFile& file, const PlyElement& element, std::size_t vertices,
+                         const Context& context) {
+  const auto property = std::find_if(element.properties.begin(), element.properties.end(), [](const PlyProperty& p) {
+    return p.list_count && (p.name == "vertex_indices" || p.name == "vertex_index");
+  });
+  if (property == element.properties.end()) throw file.error("has faces without a list vertex_indices");
+  const auto list = static_cast<std::size_t>(property - element.properties.begin());
+  Triangles triangles;
+  std::uint64_t face = 0;
+  reader.read(element, context, [&](const auto&, const std::vector<std::vector<double>>& lists) {
+    const std::vector<double>& polygon = lists[list];
+    for (const double index : polygon) {
+      if (!(index >= 0 && index < static_cast<double>(vertices))) {
+        throw file.error("face " + std::to_string(face) + " has the vertex index " +
+                         std::to_string(static_cast<std::int64_t>(index)) + ", expected 0 to " +
+                         std::to_string(vertices - 1));
+      }
+    }
+    for (std::size_t i = 2; i < polygon.size(); ++i) {
+      triangles.push_back({static_cast<std::uint32_t>(polygon[0]), static_cast<std::uint32_t>(polygon[i - 1]),
+                           static_cast<std::uint32_t>(polygon[i])});
+    }
+    ++face;
+  });
+  return triangles;
+}
+
+enum class PlyParts { vertices, vertices_and_faces };
+
+TriangleMesh read_ply(InputFile& file, PlyParts parts, const Context& context) {
+  const PlyHeader header = read_ply_header(file);
+  PlyReader reader(file, header.format);
+  TriangleMesh mesh;
+  for (const PlyElement& element : header.elements) {
+    if (element.name == "vertex" && mesh.vertices.points.empty()) {
+      mesh.vertices = read_ply_vertices(reader, file, element, context);
+      if (parts == PlyParts::vertices) return mesh;
+    } else if (element.name == "face" && parts == PlyParts::vertices_and_faces && !mesh.vertices.points.empty()) {
+      mesh.triangles = read_ply_faces(reader, file, element, mesh.vertices.points.size(), context);
+      return mesh;
+    } else {
+      reader.skip(element, context);
+    }
+  }
+  if (mesh.vertices.points.empty()) throw file.error("has no element vertex");
+  return mesh;
+}
+
+// ---- XYZ text ----
+
+/// Which column holds which slot; `columns` is how many a line must have.
+struct Columns {
+  std::array<bool, slot_count> present{};
+  std::array<std::size_t, slot_count> column{};
+  std::size_t columns = 0;
+
+  void set(std::size_t slot, std::size_t index) {
+    present[slot] = true;
+    column[slot] = index;
+    columns = std::max(columns, index + 1);
+  }
+};
+
+/// Columns by the names of a header line, if it names x, y and z.
+std::optional<Columns> columns_of_names(std::string_view line, std::vector<std::string_view>& words) {
+  line.remove_prefix(std::min(line.find_first_not_of("#/% \t"), line.size()));
+  split(line, words);
+  if (words.empty() || slot_of(std::string(words[0])) == slot_count) return std::nullopt;
+  Columns columns;
+  for (std::size_t i = 0; i < words.size(); ++i) {
+    const std::size_t slot = slot_of(std::string(words[i]));
+    if (slot != slot_count && !columns.present[slot]) columns.set(slot, i);
+  }
+  if (!columns.present[slot_x] || !columns.present[slot_y] || !columns.present[slot_z]) return std::nullopt;
+  return columns;
+}
+
+/// Columns by their number and the first line's values.
+Columns columns_of_values(const std::vector<double>& values) {
+  Columns columns;
+  const auto set_three = [&](std::size_t slot, std::size_t first) {
+    for (std::size_t i = 0; i < 3; ++i) columns.set(slot + i, first + i);
+  };
+  set_three(slot_x, 0);
+  if (values.size() == 6) {
+    const double square = values[3] * values[3] + values[4] * values[4] + values[5] * values[5];
+    const bool bytes = std::all_of(values.begin() + 3, values.end(),
+                                   [](double v) { return v >= 0 && v <= 255 && v == std::floor(v); });
+    set_three(bytes && square != 1 ? slot_red : slot_nx, 3);
+  } else if (values.size() == 9) {
+    set_three(slot_red, 3);
+    set_three(slot_nx, 6);
+  }
+  return columns;
+}
+
+bool is_comment(std::string_view line) {
+  const std::size_t first = line.find_first_not_of(" \t");
+  return first == std::string_view::npos || line[first] == '#' || line[first] == '%' || line.substr(first, 2) == "//";
+}
+
+PointCloud read_xyz(InputFile& file, const Context& context) {
+  std::optional<Columns> columns;
+  std::optional<CloudBuilder> builder;
+  std::vector<std::string_view> words;
+  std::vector<double> values;
+  for (std::string_view line; file.read_line(line);) {
+    if (file.line_number() % records_between_checks == 0) context.check_cancel();
+    const bool first = !builder.has_value();
+    if (first && !columns) columns = columns_of_names(line, words);
+    if (is_comment(line)) continue;
+    split(line, words);
+    values.resize(words.size());
+    bool numbers = true;
+    for (std::size_t i = 0; i < words.size(); ++i) numbers = numbers && parse_number(words[i], values[i]);
+    // A first line of names, or the number of points alone (PTS).
+    if (first && file.line_number() == 1 && (!numbers || values.size() == 1)) continue;
+    if (!numbers || values.size() < 3) throw malformed_line(file, line);
+    if (!columns) columns = columns_of_values(values);
+    if (values.size() < columns->columns) throw malformed_line(file, line);
+    if (first) builder.emplace(columns->present, 1.0);
+    PointValues point{};
+    for (std::size_t slot = 0; slot < slot_count; ++slot) {
+      if (columns->present[slot]) point[slot] = values[columns->column[slot]];
+    }
+    builder->add(point);
+  }
+  if (!builder) throw file.error("has no points");
+  return builder->finish(file);
+}
+
+/// Throws for files that are neither PLY nor text.
+void require_text(const std::filesystem::path& path, const InputFile& file) {
+  InputFile start(path, "point cloud");
+  std::array<char, 512> bytes{};
+  const std::size_t length = start.read_some(bytes.data(), bytes.size());
+  const bool text = std::none_of(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(length), [](char c) {
+    return static_cast<unsigned char>(c) < ' ' && c != '\n' && c != '\r' && c != '\t';
+  });
+  if (!text) throw file.error("is neither PLY nor text with x y z in each line");
+}
+
+// ---- writing ----
+
+/// Gathers small pieces into large writes.
+class BufferedOutput {
+ public:
+  explicit BufferedOutput(AtomicFile& file) : file_(file) {}
+
+  template <class T>
+  void put(T value) {
+    static_assert(std::endian::native == std::endian::little, "PLY is written in the machine's byte order");
+    const auto* bytes = reinterpret_cast<const char*>(&value);
+    buffer_.insert(buffer_.end(), bytes, bytes + sizeof value);
+    if (buffer_.size() >= flush_size) flush();
+  }
+  void put_text(const std::string& text) { buffer_.insert(buffer_.end(), text.begin(), text.end()); }
+  void flush() {
+    file_.write(buffer_.data(), buffer_.size());
+    buffer_.clear();
+  }
+
+ private:
+  static constexpr std::size_t flush_size = 1 << 20;
+  AtomicFile& file_;
+  std::vector<char> buffer_;
+};
+
+/// Whether rounding to float could move a vertex by more than a thousandth of the mean spacing.
+bool needs_double(const std::vector<Eigen::Vector3d>& points) {
+  if (points.empty()) return false;
+  Eigen::Vector3d low = points.front(), high = points.front();
+  for (const Eigen::Vector3d& point : points) {
+    low = low.cwiseMin(point);
+    high = high.cwiseMax(point);
+  }
+  constexpr double float_rounding = 1.0 / (1 << 24);
+  const double largest = std::max(low.cwiseAbs().maxCoeff(), high.cwiseAbs().maxCoeff());
+  const double spacing = (high - low).norm() / std::sqrt(static_cast<double>(points.size()));
+  return largest * float_rounding > 1e-3 * spacing;
+}
+
+std::string header_of(const PointCloud& cloud, bool doubles, const Triangles* triangles) {
+  const std::string coordinate = doubles ? "property double " : "property float ";
+  std::string header =
+      "ply\nformat binary_little_endian 1.0\nelement vertex " + std::to_string(cloud.points.size()) + "\n";
+  for (const char* name : {"x", "y", "z"}) header += coordinate + name + "\n";
+  if (!cloud.normals.empty()) header += "property float nx\nproperty float ny\nproperty float nz\n";
+  if (!cloud.colors.empty()) header += "property uchar red\nproperty uchar green\nproperty uchar blue\n";
+  if (triangles) {
+    header += "element face " + std::to_string(triangles->size()) + "\nproperty list uchar int vertex_indices\n";
+  }
+  return header + "end_header\n";
+}
+
+void write(const std::filesystem::path& path, const PointCloud& cloud, const Triangles* triangles) {
+  const std::size_t count = cloud.points.size();
+  if ((!cloud.normals.empty() && cloud.normals.size() != count) ||
+      (!cloud.colors.empty() && cloud.colors.size() != count)) {
+    throw input_error("cannot write " + path.string() + ": " + std::to_string(count) + " points with " +
+                      std::to_string(cloud.normals.size()) + " normals and " + std::to_string(cloud.colors.size()) +
+                      " colours, expected none or as many");
+  }
+  const bool doubles = needs_double(cloud.points);
+  AtomicFile file(path);
+  BufferedOutput output(file);
+  output.put_text(header_of(cloud, doubles, triangles));
+  for (std::size_t i = 0; i < count; ++i) {
+    for (const double x : cloud.points[i]) doubles ? output.put(x) : output.put(static_cast<float>(x));
+    if (!cloud.normals.empty()) {
+      for (const float n : cloud.normals[i]) output.put(n);
+    }
+    if (!cloud.colors.empty()) output.put(cloud.colors[i]);
+  }
+  if (triangles) {
+    for (const auto& triangle : *triangles) {
+      output.put(std::uint8_t{3});
+      output.put(triangle);
+    }
+  }
+  output.flush();
+  file.commit();
+}
+
+}  // namespace
+
+PointCloud read_point_cloud(const std::filesystem::path& path, const Context& context, const std::string& what) {
+  InputFile file(path, what);
+  if (is_ply(path)) return read_ply(file, PlyParts::vertices, context).vertices;
+  require_text(path, file);
+  return read_xyz(file, context);
+}
+
+TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context, const std::string& what) {
+  InputFile file(path, what);
+  if (!is_ply(path)) throw file.error("is not a PLY file");
+  TriangleMesh mesh = read_ply(file, PlyParts::vertices_and_faces, context);
+  if (mesh.triangles.empty()) throw file.error("has no faces");
+  return mesh;
+}
+
+void write_ply(const std::filesystem::path& path, const PointCloud& cloud) {
+  write(path, cloud, nullptr);
+}
+
+void write_ply(const std::filesystem::path& path, const TriangleMesh& mesh) {
+  write(path, mesh.vertices, &mesh.triangles);
+}
+
+}  // namespace malus

@@ -1,0 +1,40 @@
+#pragma once
+
+#include <filesystem>
+#include <string>
+
+#include "malus/core/context.h"
+#include "malus/core/geometry.h"
+
+namespace malus {
+
+/// Reads a point cloud, coordinates as they stand in the file.
+///
+/// PLY, ASCII or binary of either byte order, properties in any order and of any type: x, y, z; optionally nx, ny, nz
+/// and red, green, blue (floating-point colours are taken as 0 to 1, 16-bit ones are scaled); everything else is passed
+/// over. XYZ text: one point a line, separated by blanks, commas or semicolons; lines starting with #, // or % are
+/// comments, except that a first line with column names (x y z nx ny nz r g b, in any order) says what the columns are.
+/// Without names: x y z; six columns are x y z r g b if the first line's last three are whole numbers from 0 to 255 and
+/// not a unit vector, else x y z nx ny nz; nine are x y z r g b nx ny nz; of others only the first three are used. A
+/// normal that is not finite becomes zero.
+///
+/// Throws ErrorCode::input naming the file: not a point cloud, truncated, more points claimed than its bytes can hold
+/// (checked before memory is taken), no x, y or z, malformed line; coordinates that are not finite are an error that
+/// says how many there are and which is the first. `what` names the file's purpose in messages.
+PointCloud read_point_cloud(const std::filesystem::path& path, const Context& context = {},
+                            const std::string& what = "point cloud");
+
+/// Reads a PLY mesh; vertices as read_point_cloud, polygons are cut into triangle fans. Errors also for a file without
+/// faces and for indices beyond the vertices.
+TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context = {},
+                       const std::string& what = "mesh");
+
+/// Writes binary little-endian PLY, atomically (see AtomicFile): x, y, z, then normals (float) and colours (uchar)
+/// where there are any. Coordinates are float unless rounding to float could move a point by more than a thousandth of
+/// the mean vertex spacing (diagonal of the bounding box / √count), as it does in a national grid; then they are
+/// double.
+void write_ply(const std::filesystem::path& path, const PointCloud& cloud);
+/// The same with faces (list uchar int vertex_indices).
+void write_ply(const std::filesystem::path& path, const TriangleMesh& mesh);
+
+}  // namespace malus
