@@ -31,7 +31,10 @@ constexpr double least_similarity = 0.25;
 /// OpenCV's thread count is global; borrowed for the time of one registration.
 class OpenCvThreads {
  public:
-  explicit OpenCvThreads(int threads) : before_(cv::getNumThreads()) { cv::setNumThreads(std::max(threads, 1)); }
+  explicit OpenCvThreads(int threads) : before_(cv::getNumThreads()) {
+    // More threads than processors make OpenCV's TBB backend print a warning.
+    cv::setNumThreads(std::clamp(threads, 1, std::max(cv::getNumberOfCPUs(), 1)));
+  }
   ~OpenCvThreads() { cv::setNumThreads(before_); }
   OpenCvThreads(const OpenCvThreads&) = delete;
   OpenCvThreads& operator=(const OpenCvThreads&) = delete;
@@ -138,7 +141,8 @@ class Level {
     const Image<float> unmoved = band(*images_[k], nullptr);
     cv::Mat window;
     cv::createHanningWindow(window, {size_.width, size_.height}, CV_32F);
-    const cv::Point2d shift = cv::phaseCorrelate(as_mat(bands_[0]), as_mat(unmoved), window);
+    // Copies: OpenCV 4.6 applies the window to its inputs in place when their size needs no padding.
+    const cv::Point2d shift = cv::phaseCorrelate(as_mat(bands_[0]).clone(), as_mat(unmoved).clone(), window);
     shifted.col(2) = Eigen::Vector2d(shift.x, shift.y);
     const double limit = options_.max_shift * size_.width;
     if (!(shifted.col(2).norm() <= limit)) return identity_affine();
