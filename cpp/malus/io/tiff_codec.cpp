@@ -161,32 +161,33 @@ double most_pixels(const Layout& layout, std::size_t file_bytes) {
   return ratio * static_cast<double>(file_bytes) / static_cast<double>(layout.samples * layout.sample_bytes());
 }
 
-float sample_value(const unsigned char* sample, const Layout& layout) {
-  const auto load = [&]<class T>(T value) {
-    std::memcpy(&value, sample, sizeof value);
-    return static_cast<float>(value);
-  };
-  if (layout.format == SAMPLEFORMAT_IEEEFP) return layout.bits == 32 ? load(float{}) : load(double{});
-  const float value = layout.bits == 8 ? load(std::uint8_t{}) : load(std::uint16_t{});
-  return layout.photometric == PHOTOMETRIC_MINISWHITE ? (layout.bits == 8 ? 255.0f : 65535.0f) - value : value;
-}
-
-void copy_block(const Layout& layout, const unsigned char* block, std::uint32_t x0, std::uint32_t y0, int plane,
-                Image<float>& pixels) {
+template <class Sample>
+void copy_samples(const Layout& layout, const unsigned char* block, std::uint32_t x0, std::uint32_t y0, int plane,
+                  Image<float>& pixels) {
   const std::size_t stored = layout.planar ? 1 : layout.samples;
   const int first = layout.planar ? plane : 0, last = layout.planar ? plane + 1 : layout.channels;
   const auto x1 = std::min<std::uint32_t>(x0 + layout.block_width, static_cast<std::uint32_t>(layout.size.width));
   const auto y1 = std::min<std::uint32_t>(y0 + layout.block_height, static_cast<std::uint32_t>(layout.size.height));
   for (std::uint32_t y = y0; y < y1; ++y) {
-    const unsigned char* row = block + std::size_t{y - y0} * layout.block_width * stored * layout.sample_bytes();
+    const unsigned char* pixel = block + std::size_t{y - y0} * layout.block_width * stored * sizeof(Sample);
+    float* target = &pixels(static_cast<int>(x0), static_cast<int>(y));
     for (std::uint32_t x = x0; x < x1; ++x) {
       for (int c = first; c < last; ++c) {
-        const std::size_t sample = std::size_t{x - x0} * stored + static_cast<std::size_t>(layout.planar ? 0 : c);
-        pixels(static_cast<int>(x), static_cast<int>(y), c) =
-            sample_value(row + sample * layout.sample_bytes(), layout);
+        Sample sample;
+        std::memcpy(&sample, pixel + static_cast<std::size_t>(c - first) * sizeof(Sample), sizeof(Sample));
+        target[c] = static_cast<float>(sample);
       }
+      pixel += stored * sizeof(Sample);
+      target += layout.channels;
     }
   }
+}
+
+void copy_block(const Layout& layout, const unsigned char* block, std::uint32_t x0, std::uint32_t y0, int plane,
+                Image<float>& pixels) {
+  const auto copy = [&]<class Sample>(Sample) { copy_samples<Sample>(layout, block, x0, y0, plane, pixels); };
+  if (layout.format == SAMPLEFORMAT_IEEEFP) return layout.bits == 32 ? copy(float{}) : copy(double{});
+  return layout.bits == 8 ? copy(std::uint8_t{}) : copy(std::uint16_t{});
 }
 
 void read_blocks(TIFF* tiff, const Layout& layout, const Errors& errors, Image<float>& pixels) {
@@ -268,6 +269,10 @@ RawImage decode_tiff(std::string_view bytes, const HeaderCheck& check) {
   RawImage image{Image<float>(layout.size, layout.channels), layout.bits, is_float,
                  is_float ? 1.0 : (layout.bits == 16 ? 65535.0 : 255.0)};
   read_blocks(tiff.get(), layout, errors, image.pixels);
+  if (layout.photometric == PHOTOMETRIC_MINISWHITE) {
+    const auto white = static_cast<float>(image.full_scale_dn);
+    for (float& value : image.pixels) value = white - value;
+  }
   return image;
 }
 

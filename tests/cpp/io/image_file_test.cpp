@@ -1,5 +1,7 @@
 #include "malus/io/image_file.h"
 
+#include <tiffio.h>
+
 #include <cmath>
 #include <cstring>
 #include <opencv2/imgcodecs.hpp>
@@ -84,6 +86,71 @@ TEST(ImageFile, AlphaIsDropped) {
     EXPECT_EQ(image.pixels(2, 3, 0), 30);
     EXPECT_EQ(image.pixels(2, 3, 1), 20);
     EXPECT_EQ(image.pixels(2, 3, 2), 10);
+  }
+}
+
+struct TiffLayout {
+  const char* mode;
+  int planar, photometric, tile;
+};
+
+// Layouts that OpenCV does not write, written by libtiff: a pixel's value tells its place and channel.
+TEST(ImageFile, TiffLayouts) {
+  const TemporaryFolder folder;
+  const int width = 50, height = 37;
+  for (const TiffLayout& layout : {TiffLayout{"w", PLANARCONFIG_SEPARATE, PHOTOMETRIC_RGB, 0},
+                                   TiffLayout{"w", PLANARCONFIG_CONTIG, PHOTOMETRIC_RGB, 32},
+                                   TiffLayout{"w", PLANARCONFIG_SEPARATE, PHOTOMETRIC_RGB, 16},
+                                   TiffLayout{"wb8", PLANARCONFIG_CONTIG, PHOTOMETRIC_MINISBLACK, 0},
+                                   TiffLayout{"w", PLANARCONFIG_CONTIG, PHOTOMETRIC_MINISWHITE, 0}}) {
+    const int channels = layout.photometric == PHOTOMETRIC_RGB ? 3 : 1;
+    const auto value = [&](int u, int v, int c) { return static_cast<std::uint16_t>(100 * v + u + 20000 * c); };
+    const std::string path = (folder / "a.tif").string();
+    TIFF* tiff = TIFFOpen(path.c_str(), layout.mode);
+    TIFFSetField(tiff, TIFFTAG_IMAGEWIDTH, width);
+    TIFFSetField(tiff, TIFFTAG_IMAGELENGTH, height);
+    TIFFSetField(tiff, TIFFTAG_SAMPLESPERPIXEL, channels);
+    TIFFSetField(tiff, TIFFTAG_BITSPERSAMPLE, 16);
+    TIFFSetField(tiff, TIFFTAG_PLANARCONFIG, layout.planar);
+    TIFFSetField(tiff, TIFFTAG_PHOTOMETRIC, layout.photometric);
+    const int side = layout.tile > 0 ? layout.tile : width, rows = layout.tile > 0 ? layout.tile : 5;
+    if (layout.tile > 0) {
+      TIFFSetField(tiff, TIFFTAG_TILEWIDTH, side);
+      TIFFSetField(tiff, TIFFTAG_TILELENGTH, rows);
+    } else {
+      TIFFSetField(tiff, TIFFTAG_ROWSPERSTRIP, rows);
+    }
+    const int planes = layout.planar == PLANARCONFIG_SEPARATE ? channels : 1, together = channels / planes;
+    std::uint32_t block = 0;
+    for (int plane = 0; plane < planes; ++plane) {
+      for (int v0 = 0; v0 < height; v0 += rows) {
+        for (int u0 = 0; u0 < width; u0 += side, ++block) {
+          const int block_rows = layout.tile > 0 ? rows : std::min(rows, height - v0);
+          std::vector<std::uint16_t> samples;
+          for (int v = v0; v < v0 + block_rows; ++v) {
+            for (int u = u0; u < u0 + side; ++u) {
+              for (int c = 0; c < together; ++c) samples.push_back(value(u, v, plane + c));
+            }
+          }
+          const auto bytes = static_cast<tmsize_t>(samples.size() * sizeof(std::uint16_t));
+          ASSERT_GE(layout.tile > 0 ? TIFFWriteEncodedTile(tiff, block, samples.data(), bytes)
+                                    : TIFFWriteEncodedStrip(tiff, block, samples.data(), bytes),
+                    0);
+        }
+      }
+    }
+    TIFFClose(tiff);
+    const RawImage image = read_image(path);
+    ASSERT_EQ(image.pixels.size(), (Size{width, height}));
+    ASSERT_EQ(image.pixels.channels(), channels);
+    for (int v = 0; v < height; ++v) {
+      for (int u = 0; u < width; ++u) {
+        for (int c = 0; c < channels; ++c) {
+          const int stored = value(u, v, c);
+          ASSERT_EQ(image.pixels(u, v, c), layout.photometric == PHOTOMETRIC_MINISWHITE ? 65535 - stored : stored);
+        }
+      }
+    }
   }
 }
 
