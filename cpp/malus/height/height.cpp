@@ -118,6 +118,21 @@ class HeightProblem {
     return status == SolveStatus::solved ? solver_.solve(matrix, system_.right(), height) : status;
   }
 
+  /// RMS of the derivatives of a height.
+  double slope_rms(const Eigen::VectorXd& height) const {
+    const auto part = [&](std::size_t begin, std::size_t end) {
+      double sum = 0;
+      for (int i = static_cast<int>(begin); i < static_cast<int>(end); ++i) {
+        const int u = pixels_.u(i), v = pixels_.v(i);
+        const double along_u = difference(pixels_, u, v, 1, 0)(height),
+                     along_v = difference(pixels_, u, v, 0, 1)(height);
+        sum += along_u * along_u + along_v * along_v;
+      }
+      return sum;
+    };
+    return std::sqrt(parallel_sum(context_, terms_.size(), grain, 0.0, part) / static_cast<double>(terms_.size()));
+  }
+
   /// RMS of the residuals of the linear rows in hand at a height, Eq 9 and 11 together.
   double residual_rms(const Eigen::VectorXd& height, bool literal, bool likelihood) {
     const auto part = [&](std::size_t begin, std::size_t end) {
@@ -231,7 +246,14 @@ class HeightProblem {
   /// Residuals of a pixel over their standard deviations and their derivatives by P and Q.
   struct Residuals {
     Eigen::Vector3d value, by_p, by_q;
+
+    double shading_square() const { return value[0] * value[0]; }
+    double stokes_square() const { return value[1] * value[1] + value[2] * value[2]; }
   };
+
+  double square_limit() const { return options_.outlier_scale * options_.outlier_scale; }
+  /// Cauchy weight of a squared residual.
+  double robust_weight(double square) const { return 1 / (1 + square / square_limit()); }
 
   Residuals residuals(int u, int v, const Slopes& s) const {
     const Observation o = observation(u, v);
@@ -256,24 +278,26 @@ class HeightProblem {
   double likelihood_square(int i, const Eigen::VectorXd& height) const {
     const int u = pixels_.u(i), v = pixels_.v(i);
     if (!has_data(u, v)) return 0;
-    const double square = residuals(u, v, slopes_of(i, height)).value.squaredNorm();
-    return square / (1 + square / (options_.outlier_scale * options_.outlier_scale));
+    const Residuals r = residuals(u, v, slopes_of(i, height));
+    return r.shading_square() * robust_weight(r.shading_square()) +
+           r.stokes_square() * robust_weight(r.stokes_square());
   }
 
   double likelihood_term(int i, const Eigen::VectorXd& height, Term& term) const {
-    term = {};
     const int u = pixels_.u(i), v = pixels_.v(i);
+    const double along_u = difference(pixels_, u, v, 1, 0)(height), along_v = difference(pixels_, u, v, 0, 1)(height);
+    term = {options_.damping, 0, options_.damping, options_.damping * along_u, options_.damping * along_v};
     if (!has_data(u, v)) return 0;
-    const Slopes s = slopes_of(i, height);
+    const Slopes s = slopes_at(u, v)(along_u, along_v);
     const Residuals r = residuals(u, v, s);
-    const double limit = options_.outlier_scale * options_.outlier_scale;
-    const double square = r.value.squaredNorm(), weight = 1 / (1 + square / limit);
+    // Shading and polarization fail for different reasons: each keeps its own weight.
+    const double shading_weight = robust_weight(r.shading_square()), stokes_weight = robust_weight(r.stokes_square());
     const AffineSlopes slopes = slopes_at(u, v);
     for (int k = 0; k < 3; ++k) {
       const double target = r.by_p[k] * s.p + r.by_q[k] * s.q - r.value[k];
-      term.add_row(slopes, r.by_p[k], r.by_q[k], target, weight);
+      term.add_row(slopes, r.by_p[k], r.by_q[k], target, k == 0 ? shading_weight : stokes_weight);
     }
-    return limit * std::log1p(square / limit);
+    return -square_limit() * std::log(shading_weight * stokes_weight);
   }
 
   void assemble() {
@@ -359,14 +383,26 @@ Mask pixels_in(const PolarizationState& state, PixelState least) {
   return mask;
 }
 
-/// Gauss–Newton from the better of the two linear solutions: the weighted one withstands noise, the literal one is
-/// exact without. `height` is the weighted one and becomes the result. Returns the status of the height map.
-std::string maximize_likelihood(HeightProblem& problem, const HeightOptions& options, const Context& context,
-                                Eigen::VectorXd& height, HeightMap& map) {
+/// The prior's height at every unknown, or nothing if it has none somewhere.
+std::optional<Eigen::VectorXd> prior_start(const Image<float>& prior_height, const PixelIndex& pixels) {
+  Eigen::VectorXd start(pixels.count());
+  for (int i = 0; i < pixels.count(); ++i) start[i] = prior_height(pixels.u(i), pixels.v(i));
+  return start.allFinite() ? std::optional(start) : std::nullopt;
+}
+
+/// Gauss–Newton from the likeliest start: the weighted linear solution (in `height`) withstands noise, the literal one
+/// is exact without, the prior knows hollows from bumps. `height` becomes the result. Returns the status of the height
+/// map.
+std::string maximize_likelihood(HeightProblem& problem, const HeightInput& input, const HeightOptions& options,
+                                const Context& context, Eigen::VectorXd& height, HeightMap& map) {
   Eigen::VectorXd next;
   if (problem.solve_linear(true, next) != SolveStatus::solved) return "singular";
   ++map.iterations;
   if (problem.linearize(next) < problem.linearize(height)) height = next;
+  if (input.prior_height != nullptr) {
+    const auto start = prior_start(*input.prior_height, problem.pixels());
+    if (start && problem.linearize(*start) < problem.linearize(height)) height = *start;
+  }
   double cost = problem.linearize(height);
   for (int iteration = 1; iteration <= options.iterations; ++iteration) {
     context.progress("height", static_cast<double>(iteration) / (options.iterations + 1));
@@ -377,10 +413,10 @@ std::string maximize_likelihood(HeightProblem& problem, const HeightOptions& opt
       next = 0.5 * (next + height);
       next_cost = problem.linearize(next);
     }
-    map.last_update_px = (next - height).norm() / std::sqrt(static_cast<double>(height.size()));
+    map.last_update = problem.slope_rms(next - height);
     height = next;
     cost = next_cost;
-    if (map.last_update_px <= options.tolerance_px) return "converged";
+    if (map.last_update <= options.tolerance) return "converged";
   }
   return "iteration limit";
 }
@@ -440,7 +476,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
     return map;
   }
   const bool likelihood = options.method == HeightMethod::likelihood;
-  map.status = likelihood ? maximize_likelihood(problem, options, context, height, map) : "converged";
+  map.status = likelihood ? maximize_likelihood(problem, input, options, context, height, map) : "converged";
   if (map.status == "singular") return map;
   map.residual_rms = problem.residual_rms(height, literal, likelihood);
 

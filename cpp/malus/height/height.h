@@ -16,10 +16,10 @@ namespace malus {
 
 /// How the height follows from polarization and shading.
 enum class HeightMethod {
-  likelihood,  ///< Gauss–Newton from the better of the other two: intensity and Stokes components as measured, weighted
-               ///< by their noise
-  linear,   ///< one linear system, rows weighted by what the slope lets the phase tell
-  literal,  ///< one linear system as printed, all rows alike
+  likelihood,  ///< Gauss–Newton from the likeliest of the other two and the prior: intensity and Stokes components as
+               ///< measured, weighted by their noise
+  linear,      ///< one linear system, rows weighted by what the slope lets the phase tell
+  literal,     ///< one linear system as printed, all rows alike
 };
 constexpr auto names_of(HeightMethod) {
   return std::to_array<std::string_view>({"likelihood", "linear", "literal"});
@@ -41,10 +41,11 @@ struct HeightOptions {
   HeightBoundary boundary = HeightBoundary::natural;
   double boundary_weight = 100;
   int iterations = 12;
-  double tolerance_px = 0.02;
+  double tolerance = 0.01;
   std::optional<double> shading_error;
   double stokes_error = 0.002;
   double outlier_scale = 5;
+  double damping = 30;
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
@@ -55,11 +56,13 @@ struct HeightOptions {
     visit("boundary_weight", self.boundary_weight, not_negative,
           "weight of the prior's height at the border, per pixel");
     visit("iterations", self.iterations, Range{1, 1000}, "largest number of Gauss-Newton steps");
-    visit("tolerance_px", self.tolerance_px, not_negative, "RMS change of the height at which they end");
+    visit("tolerance", self.tolerance, not_negative, "RMS change of the slope at which they end");
     visit("shading_error", self.shading_error, fraction_range,
           "standard deviation of the shading model, share of the intensity; auto = from the fit of the light");
     visit("stokes_error", self.stokes_error, fraction_range,
           "standard deviation of the polarization model, share of the intensity");
+    visit("damping", self.damping, not_negative,
+          "weight of the change of the slope in one Gauss-Newton step; holds slopes that nothing determines");
     visit("outlier_scale", self.outlier_scale, Range{0.1, 1e6},
           "residual of a pixel, in standard deviations, at which it has half its weight");
   }
@@ -73,7 +76,7 @@ struct HeightInput {
   /// i_un = light[0..2] · n + light[3], camera frame (x right, y down, z forward); nothing = estimated with the prior.
   std::optional<Eigen::Vector4d> light;
   const Image<float>* prior_normals = nullptr;  ///< 3 channels, camera frame; needed if `light` is not given
-  const Image<float>* prior_height = nullptr;   ///< as HeightMap::height; needed for HeightBoundary::prior
+  const Image<float>* prior_height = nullptr;   ///< as HeightMap::height; a possible start, and HeightBoundary::prior
 };
 
 /// Height from polarization and shading alone (Eq 9 to 11).

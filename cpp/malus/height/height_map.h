@@ -17,9 +17,9 @@ struct HeightMap {
   std::string status = "not run";  ///< "converged", "iteration limit", "light along the view direction", …
   double residual_rms = 0;         ///< of the weighted rows
   std::size_t unknowns = 0;
-  int iterations = 0;         ///< linear systems solved
-  double last_update_px = 0;  ///< RMS change of the height in the last of them
-  double factor_bytes = 0;    ///< memory of the factorization
+  int iterations = 0;       ///< linear systems solved
+  double last_update = 0;   ///< RMS change of the slope in the last of them
+  double factor_bytes = 0;  ///< memory of the factorization
 };
 
 }  // namespace malus

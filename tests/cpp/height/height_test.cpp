@@ -278,7 +278,7 @@ TEST(Height, OtherFailuresAreStatuses) {
   EXPECT_EQ(solve_height(input, {}, {}, {}).status, "light not found: normals alike");
   HeightOptions options;
   options.iterations = 1;
-  options.tolerance_px = 0;
+  options.tolerance = 0;
   EXPECT_EQ(solve(scene, options).status, "iteration limit");
   scene.state.valid.fill(0);
   EXPECT_EQ(solve(scene).status, "no valid pixels");
