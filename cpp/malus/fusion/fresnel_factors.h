@@ -1,0 +1,19 @@
+#pragma once
+
+namespace malus {
+
+/// Fresnel quantities of a smooth dielectric as functions of g = tan²(zenith), each with its derivative by g. Divided
+/// by g they are finite and smooth at normal incidence, where slopes of a surface have no direction.
+struct FresnelFactors {
+  double reflectance = 0;  ///< F = (Rs + Rp) / 2
+  double diffuse = 0;      ///< diffuse degree of polarization (Eq 6) / g
+  double specular = 0;     ///< (Rs − Rp) / 2 / g, the polarized part of a mirror reflection
+  double reflectance_slope = 0;
+  double diffuse_slope = 0;
+  double specular_slope = 0;
+};
+
+/// Values at g = tan²(zenith) ≥ 0 for a refractive index eta > 1. Beyond 88.5° they keep the values there.
+FresnelFactors fresnel_factors(double tan2, double eta);
+
+}  // namespace malus

@@ -1,0 +1,98 @@
+#pragma once
+
+#include <ceres/cost_function.h>
+#include <ceres/loss_function.h>
+
+#include <array>
+#include <memory>
+#include <vector>
+
+#include "malus/fusion/refinement_field.h"
+
+namespace malus {
+
+// Ceres sees the unknowns in quads, parameter blocks of 2 × 2 pixels (order: (0,0), (1,0), (0,1), (1,1)). One cost
+// function a quad instead of one a difference pair keeps Ceres' bookkeeping (cells, products, ordering) small beside
+// the arithmetic. Weights and log_body are read from the field, which must not change during a solve.
+
+inline constexpr int quad_px = 2;
+
+/// A quad by its position in units of quads.
+struct QuadIndex {
+  int column = 0, row = 0;
+  bool operator==(const QuadIndex&) const = default;
+};
+
+/// Whether any pixel of the quad is on the object.
+bool quad_has_object(const RefinementField& field, QuadIndex quad);
+
+/// Cost function over the existing ones among some quads; `quads()` are its parameter blocks, in order.
+class QuadCost : public ceres::CostFunction {
+ public:
+  const std::vector<QuadIndex>& quads() const { return quads_; }
+
+ protected:
+  QuadCost(const RefinementField& field, std::vector<QuadIndex> quads, int residuals);
+
+  const RefinementField& field_;
+  std::vector<QuadIndex> quads_;
+};
+
+/// Stokes residuals of one pixel on its four one-sided difference pairs, a quarter of the weight each, in standard
+/// deviations. 8 residuals; quads: its own and the two that hold its neighbours.
+class StokesCost final : public QuadCost {
+ public:
+  StokesCost(const RefinementField& field, int u, int v);
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
+
+ private:
+  int u_, v_;
+};
+
+/// Cauchy loss of a pixel's Stokes residuals times its regional weight.
+class StokesLoss final : public ceres::LossFunction {
+ public:
+  StokesLoss(const RefinementField& field, int u, int v) : field_(field), u_(u), v_(v) {}
+  void Evaluate(double squared, double rho[3]) const override;
+
+ private:
+  const RefinementField& field_;
+  int u_, v_;
+};
+
+/// Second differences of the four pixels along u and v. 12 residuals; quads: centre, left, right, up, down.
+class SmoothnessCost final : public QuadCost {
+ public:
+  SmoothnessCost(const RefinementField& field, QuadIndex quad, double weight);
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
+
+ private:
+  double weight_;
+};
+
+/// Albedo changes little: (ln body − ln shading) of each pixel against its right and lower neighbour, shading from
+/// central slopes. 8 residuals; quads: centre, left, right, up, down and three diagonal ones.
+class AlbedoCost final : public QuadCost {
+ public:
+  AlbedoCost(const RefinementField& field, QuadIndex quad);
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
+};
+
+/// Mean of a prior block against the prior's mean, in GSD. 1 residual; quads: those of the block.
+class PriorBlockCost final : public QuadCost {
+ public:
+  PriorBlockCost(const RefinementField& field, int block_column, int block_row);
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
+
+ private:
+  int block_column_, block_row_;
+  int count_ = 0;
+};
+
+/// ln of the shading of a pixel's normal, with derivatives by its slopes.
+struct LogShading {
+  double value = 0, by_p = 0, by_q = 0;
+};
+LogShading log_shading(const Eigen::Vector4d& harmonics, const RayFrame& frame, double p, double q);
+
+}  // namespace malus

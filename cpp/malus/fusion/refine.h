@@ -1,0 +1,104 @@
+#pragma once
+
+#include <array>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "malus/core/context.h"
+#include "malus/core/fields.h"
+#include "malus/core/image.h"
+#include "malus/fusion/fused_surface.h"
+#include "malus/fusion/reflection_model.h"
+#include "malus/polarization/polarization_state.h"
+#include "malus/polarization/reflection.h"
+#include "malus/prior/depth_prior.h"
+
+namespace malus {
+
+/// What the station file says about the object's surface.
+struct RefineInput {
+  std::optional<double> refractive_index = 1.5;  ///< none = estimated from the data
+  ReflectionChoice reflection = ReflectionChoice::automatic;
+  Mask labels;  ///< with ReflectionChoice::labels: 1 = diffuse, 2 = specular, 0 = not known; else empty
+};
+
+struct RefineOptions {
+  int iterations = 6;
+  int steps = 1;
+  int tile_px = 320;
+  int margin_px = 48;
+  double robust_scale = 2.5;
+  double relative_error = 0.002;
+  double slope_error = 0.03;
+  double prior_weight = 5;
+  double prior_robust_gsd = 2;
+  double albedo_weight = 10;
+  double albedo_contrast = 0.02;
+  double smoothness = 0.05;
+  bool lobe = true;
+  bool regional_weights = true;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("iterations", self.iterations, Range{1, 50}, "rounds of: fit reflection, weigh residuals, solve");
+    visit("steps", self.steps, Range{1, 50}, "Gauss-Newton steps of each solve");
+    visit("tile_px", self.tile_px, Range{64, 4096}, "largest side of a tile's core");
+    visit("margin_px", self.margin_px, Range{16, 512}, "overlap of a tile with its neighbours");
+    visit("robust_scale", self.robust_scale, Range{0.1, 100},
+          "Stokes residual, in standard deviations, that counts half");
+    visit("relative_error", self.relative_error, Range{0, 0.1}, "error of the reflection model as a share of s0");
+    visit("slope_error", self.slope_error, Range{0, 1}, "error of the reflection model as a slope");
+    visit("prior_weight", self.prior_weight, not_negative, "weight of a full prior block");
+    visit("prior_robust_gsd", self.prior_robust_gsd, Range{0.01, 1000}, "distance from the prior that counts half");
+    visit("albedo_weight", self.albedo_weight, not_negative, "weight of the albedo gradient, diffuse regions");
+    visit("albedo_contrast", self.albedo_contrast, Range{1e-4, 10}, "log-albedo step between pixels that counts half");
+    visit("smoothness", self.smoothness, not_negative, "weight of the second differences");
+    visit("lobe", self.lobe, any_value, "fit a highlight of a small source in diffuse regions");
+    visit("regional_weights", self.regional_weights, any_value, "down-weigh regions that fit badly");
+  }
+};
+
+/// One round of the refinement.
+struct RefineIteration {
+  double cost_before = 0, cost_after = 0;  ///< of the solve, summed over tiles
+  double stokes_cost = 0;                  ///< mean of ln(1 + r² / 4) over usable pixels, before the solve
+  double median_residual = 0;              ///< of the Stokes vectors, in standard deviations, before the solve
+  double change_gsd = 0;                   ///< RMS change of depth
+  int rejected_steps = 0;
+  double seconds = 0;
+};
+
+/// What the refinement found out beside the surface.
+struct RefineReport {
+  std::vector<RefineIteration> iterations;
+  ReflectionModel reflection;  ///< with eta
+  double eta_sigma = 0;
+  std::array<double, EnvironmentProfile::node_count> environment_sigma{};
+  double lobe_strength_sigma = 0, lobe_roughness_sigma = 0, light_sigma_rad = 0;
+  double mirror_body_sigma = 0, mirror_environment_sigma = 0;
+  double specular_share = 0;       ///< of the object's pixels
+  Image<std::uint8_t> label;       ///< 0 = outside, 1 = diffuse, 2 = specular
+  Image<std::uint8_t> confidence;  ///< weight of the polarization of each pixel, 0 … 255
+  int tiles = 0;
+  double seconds = 0;
+  double linear_solver_share = 0;  ///< of the time spent in Ceres
+};
+
+struct RefineResult {
+  FusedSurface surface;
+  RefineReport report;
+};
+
+/// Refines the prior with the polarization: nonlinear least squares on log-depth with Ceres, docs/method.md section 3.
+///
+/// Unknown: x = f (ln z − mean) of every pixel with a finite prior and a known Stokes vector. Residuals: (s1, s2)
+/// against the forward model on the four one-sided difference pairs, neighbouring albedos in diffuse regions, block
+/// means of the prior, small second differences. Reflection parameters, light and robust weights are fitted between
+/// solves. Throws an input error for sizes and options that do not fit, a data error when nothing is left to refine.
+/// What the data cannot support otherwise is in surface.status ("converged", "not converged", "low confidence") and
+/// warnings.
+RefineResult refine(const PolarizationState& state, const DepthPrior& prior, const RefineInput& input,
+                    const RefineOptions& options, const Context& context);
+
+}  // namespace malus

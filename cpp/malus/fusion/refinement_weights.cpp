@@ -1,0 +1,126 @@
+#include "malus/fusion/refinement_weights.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "malus/core/parallel.h"
+#include "malus/fusion/masked_blur.h"
+#include "malus/fusion/quad_costs_internal.h"
+
+namespace malus {
+namespace {
+
+double square(double x) {
+  return x * x;
+}
+
+/// Squared residual in units of its variance (mean of both components) and ln(body / shading) of every pixel.
+struct PixelResiduals {
+  Image<float> squared;
+  Image<float> log_albedo;
+};
+
+PixelResiduals pixel_residuals(RefinementField& field, const WeightOptions& options, const Context& context) {
+  constexpr float none = std::numeric_limits<float>::quiet_NaN();
+  constexpr double darkest_body = 1e-3;
+  PixelResiduals out{Image<float>(field.size(), 1, none), Image<float>(field.size(), 1, none)};
+  parallel_rows(context, field.size().height, [&](int v) {
+    for (int u = 0; u < field.size().width; ++u) {
+      field.stokes_precision(u, v) = 0;
+      field.regional_weight(u, v) = 1;
+      field.log_body(u, v) = none;
+      if (!field.object(u, v) || !field.usable(u, v)) continue;
+      const Eigen::Vector2d slopes = central_slopes(field, u, v);
+      const RayFrame frame = field.frame_at(u, v);
+      const double s0 = field.s0(u, v);
+      const PredictedStokes m = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
+      const double steepness = square(m.s1_by_p) + square(m.s1_by_q) + square(m.s2_by_p) + square(m.s2_by_q);
+      const double variance =
+          field.variance(u, v) + square(options.relative_error * s0) + 0.5 * square(options.slope_error) * steepness;
+      const double squared = 0.5 * (square(field.s1(u, v) - m.s1) + square(field.s2(u, v) - m.s2)) / variance;
+      out.squared(u, v) = static_cast<float>(squared);
+      field.stokes_precision(u, v) = static_cast<float>(1 / variance);
+      if (field.kind_at(u, v) != Reflection::diffuse) continue;
+      field.log_body(u, v) = static_cast<float>(std::log(std::max(m.body, darkest_body)));
+      out.log_albedo(u, v) =
+          static_cast<float>(field.log_body(u, v) - log_shading(field.shading, frame, slopes[0], slopes[1]).value);
+    }
+  });
+  return out;
+}
+
+void weigh_regions(RefinementField& field, Image<float> squared, double sigma_px, const Context& context) {
+  constexpr float largest = 100;
+  for (float& value : squared) value = std::min(value, largest);
+  const Image<float> pooled = masked_blur(squared, field.object, sigma_px, context);
+  for (std::size_t i = 0; i < pooled.count(); ++i) {
+    if (field.object[i])
+      field.regional_weight[i] = static_cast<float>(1 / (1 + square(std::max(pooled[i] - 1.0, 0.0) / 2)));
+  }
+}
+
+void weigh_albedo_edges(RefinementField& field, const Image<float>& log_albedo, const WeightOptions& options,
+                        const Context& context) {
+  const auto weight = [&](float here, float next) {
+    const double step = static_cast<double>(next) - here;
+    if (!std::isfinite(step)) return 0.0f;
+    return static_cast<float>(square(options.albedo_weight) / (1 + square(step / options.albedo_contrast)));
+  };
+  const int width = field.size().width, height = field.size().height;
+  parallel_rows(context, height, [&](int v) {
+    for (int u = 0; u < width; ++u) {
+      field.edge_weight_right(u, v) = u + 1 < width ? weight(log_albedo(u, v), log_albedo(u + 1, v)) : 0.0f;
+      field.edge_weight_down(u, v) = v + 1 < height ? weight(log_albedo(u, v), log_albedo(u, v + 1)) : 0.0f;
+    }
+  });
+}
+
+void weigh_prior_blocks(RefinementField& field, const WeightOptions& options, const Context& context) {
+  const Size blocks = field.block_count();
+  parallel_rows(context, blocks.height, [&](int row) {
+    for (int column = 0; column < blocks.width; ++column) {
+      double sum = 0;
+      int count = 0;
+      for (int v = row * prior_block_px; v < std::min((row + 1) * prior_block_px, field.size().height); ++v) {
+        for (int u = column * prior_block_px; u < std::min((column + 1) * prior_block_px, field.size().width); ++u) {
+          if (!field.object(u, v)) continue;
+          sum += field.x_prior(u, v);
+          ++count;
+        }
+      }
+      if (count == 0) continue;
+      const double fill = static_cast<double>(count) / (prior_block_px * prior_block_px);
+      field.block_mean(column, row) = static_cast<float>(sum / count);
+      field.block_weight(column, row) = static_cast<float>(fill * square(options.prior_weight));
+    }
+  });
+}
+
+FitQuality summarize(const Image<float>& squared) {
+  std::vector<float> values;
+  double cost = 0;
+  for (const float value : squared) {
+    if (!std::isfinite(value)) continue;
+    values.push_back(value);
+    cost += std::log1p(0.5 * value);
+  }
+  if (values.empty()) return {};
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return {std::sqrt(static_cast<double>(*middle)), cost / static_cast<double>(values.size())};
+}
+
+}  // namespace
+
+FitQuality update_weights(RefinementField& field, const WeightOptions& options, const Context& context) {
+  field.robust_scale = options.robust_scale;
+  const PixelResiduals residuals = pixel_residuals(field, options, context);
+  if (options.regional_sigma_px > 0) weigh_regions(field, residuals.squared, options.regional_sigma_px, context);
+  weigh_albedo_edges(field, residuals.log_albedo, options, context);
+  weigh_prior_blocks(field, options, context);
+  return summarize(residuals.squared);
+}
+
+}  // namespace malus

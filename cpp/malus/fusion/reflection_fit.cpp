@@ -1,0 +1,441 @@
+#include "malus/fusion/reflection_fit.h"
+
+#include <ceres/ceres.h>
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+#include <memory>
+
+#include "malus/fusion/fresnel_factors.h"
+#include "malus/polarization/fresnel.h"
+
+namespace malus {
+namespace {
+
+constexpr double model_error = 0.003;  // of s0: what no forward model explains
+constexpr int irls_rounds = 15;
+constexpr int node_count = EnvironmentProfile::node_count;
+
+double median(std::vector<double> values) {
+  if (values.empty()) return 0;
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+/// Even, repeatable choice of pixels that does not follow rows or columns.
+bool is_chosen(std::size_t pixel, double share) {
+  std::uint64_t hash = (static_cast<std::uint64_t>(pixel) + 1) * 0x9E3779B97F4A7C15ull;
+  hash = (hash ^ (hash >> 30)) * 0xBF58476D1CE4E5B9ull;
+  hash ^= hash >> 31;
+  return static_cast<double>(hash >> 11) * 0x1.0p-53 < share;
+}
+
+/// Weighted least squares of y on the rows of A with Cauchy weights at 1.5 robust standard deviations.
+Eigen::VectorXd robust_fit(const Eigen::MatrixXd& rows, const Eigen::VectorXd& values) {
+  Eigen::VectorXd weights = Eigen::VectorXd::Ones(values.size()), solution;
+  for (int round = 0; round < 20; ++round) {
+    const Eigen::MatrixXd weighted = rows.array().colwise() * weights.array();
+    solution = (weighted.transpose() * rows).ldlt().solve(weighted.transpose() * values);
+    const Eigen::VectorXd residual = values - rows * solution;
+    const Eigen::VectorXd magnitude = residual.cwiseAbs();
+    const double spread = 1.4826 * median({magnitude.begin(), magnitude.end()});
+    weights = 1 / (1 + (residual.array() / std::max(1.5 * spread, 1e-12)).square());
+  }
+  return solution;
+}
+
+/// The Stokes residual of a diffuse pixel is linear in the environment nodes and the lobe's strength:
+/// base − Σ_j E_j env hat_j − k lobe, in units of sigma.
+struct LinearizedSample {
+  Eigen::Vector2d base, environment;
+  EnvironmentProfile::Position position;
+};
+
+Eigen::Vector2d slope_direction(const ReflectionSample& s) {
+  return {s.p * s.p - s.q * s.q, 2 * s.p * s.q};
+}
+
+LinearizedSample linearize(const ReflectionSample& s, double eta) {
+  const FresnelFactors f = fresnel_factors(s.tan2(), eta);
+  const Eigen::Vector2d direction = slope_direction(s) / s.sigma;
+  return {Eigen::Vector2d(s.s1, s.s2) / s.sigma - s.s0 * f.diffuse * direction,
+          -(f.specular + f.reflectance * f.diffuse) * direction,
+          EnvironmentProfile::position(std::atan(std::sqrt(s.tan2())))};
+}
+
+Eigen::Vector2d lobe_column(const ReflectionSample& s, const HighlightLobe& lobe, double eta) {
+  const LobeAtPixel at(lobe.light, s.frame, eta);
+  const double x = at.density(s.p, s.q, lobe.roughness).value;
+  const double diffuse = fresnel_factors(s.tan2(), eta).diffuse;
+  return -x / s.sigma * (Eigen::Vector2d(at.stokes1, at.stokes2) + at.reflectance * diffuse * slope_direction(s));
+}
+
+struct LinearFit {
+  Eigen::VectorXd values;  // environment nodes, then the lobe's strength if it takes part
+  Eigen::VectorXd sigma;
+  double cost = 0;
+  double scale = 1;  // of the squared residuals
+};
+
+/// Non-negative solution: negative ones are set to 0 and the rest is solved again.
+Eigen::VectorXd solve_nonnegative(const Eigen::MatrixXd& normal, const Eigen::VectorXd& rhs) {
+  Eigen::VectorXd solution = normal.ldlt().solve(rhs);
+  std::vector<Eigen::Index> positive;
+  for (Eigen::Index i = 0; i < solution.size(); ++i) {
+    if (solution[i] > 0) positive.push_back(i);
+  }
+  if (static_cast<Eigen::Index>(positive.size()) == solution.size()) return solution;
+  solution.setZero();
+  if (positive.empty()) return solution;
+  const Eigen::VectorXd part = normal(positive, positive).ldlt().solve(rhs(positive));
+  for (std::size_t i = 0; i < positive.size(); ++i)
+    solution[positive[i]] = std::max(part[static_cast<Eigen::Index>(i)], 0.0);
+  return solution;
+}
+
+LinearFit fit_linear(const std::vector<LinearizedSample>& samples, const std::vector<Eigen::Vector2d>* lobe) {
+  const Eigen::Index unknowns = node_count + (lobe != nullptr ? 1 : 0);
+  std::vector<double> weights(samples.size(), 1.0), squares(samples.size());
+  LinearFit fit;
+  Eigen::MatrixXd normal(unknowns, unknowns);
+  for (int round = 0; round < irls_rounds; ++round) {
+    normal.setZero();
+    Eigen::VectorXd rhs = Eigen::VectorXd::Zero(unknowns);
+    for (std::size_t i = 0; i < samples.size(); ++i) {
+      const LinearizedSample& s = samples[i];
+      const double w = weights[i], share = s.position.share;
+      const Eigen::Index node = s.position.node;
+      const double square = w * s.environment.squaredNorm(), product = w * s.environment.dot(s.base);
+      normal(node, node) += square * (1 - share) * (1 - share);
+      normal(node, node + 1) += square * share * (1 - share);
+      normal(node + 1, node + 1) += square * share * share;
+      rhs[node] += product * (1 - share);
+      rhs[node + 1] += product * share;
+      if (lobe == nullptr) continue;
+      const Eigen::Vector2d& column = (*lobe)[i];
+      const double cross = w * s.environment.dot(column);
+      normal(node, node_count) += cross * (1 - share);
+      normal(node + 1, node_count) += cross * share;
+      normal(node_count, node_count) += w * column.squaredNorm();
+      rhs[node_count] += w * column.dot(s.base);
+    }
+    const double smoothness = 1e-4 * normal.topLeftCorner(node_count, node_count).trace();
+    for (int j = 0; j + 1 < node_count; ++j) {  // empty zeniths follow their neighbours
+      normal(j, j) += smoothness;
+      normal(j + 1, j + 1) += smoothness;
+      normal(j, j + 1) -= smoothness;
+    }
+    normal.triangularView<Eigen::StrictlyLower>() = normal.transpose();
+    normal.diagonal().array() += 1e-12;
+    fit.values = solve_nonnegative(normal, rhs);
+    fit.cost = 0;
+    for (std::size_t i = 0; i < samples.size(); ++i) {
+      const LinearizedSample& s = samples[i];
+      const double e =
+          (1 - s.position.share) * fit.values[s.position.node] + s.position.share * fit.values[s.position.node + 1];
+      Eigen::Vector2d residual = s.base - e * s.environment;
+      if (lobe != nullptr) residual -= fit.values[node_count] * (*lobe)[i];
+      squares[i] = residual.squaredNorm();
+      fit.cost += std::log1p(squares[i] / 4);
+    }
+    fit.cost /= static_cast<double>(std::max<std::size_t>(samples.size(), 1));
+    fit.scale = std::max(median(squares) / 1.4, 1.0);
+    for (std::size_t i = 0; i < samples.size(); ++i) weights[i] = 1 / (1 + squares[i] / (4 * fit.scale));
+  }
+  fit.sigma = (normal.inverse().diagonal() * fit.scale).cwiseMax(0).cwiseSqrt();
+  return fit;
+}
+
+/// Residual of one sample in all parameters of environment and lobe, for automatic differentiation.
+struct LobeResidual {
+  const ReflectionSample& sample;
+  const LinearizedSample& linear;
+  Eigen::Vector3d light, across1, across2;
+  double eta;
+  double diffuse;
+
+  template <class T>
+  bool operator()(const T* environment, const T* strength, const T* log_roughness, const T* turn, T* residual) const {
+    using std::exp;
+    using std::sqrt;
+    Eigen::Matrix<T, 3, 1> half = light.cast<T>() + across1.cast<T>() * turn[0] + across2.cast<T>() * turn[1];
+    half = half / half.norm() + sample.frame.view.cast<T>();
+    const T along = half.dot(sample.frame.view.cast<T>());
+    const T hp = half.dot(sample.frame.right.cast<T>()) / along, hq = half.dot(sample.frame.up.cast<T>()) / along;
+    const T gh = hp * hp + hq * hq, half2 = T(1.0) + gh;
+    const Reflectance<T> r = fresnel_reflectance<T>(gh / half2, eta);
+    const T reflectance = (r.s + r.p) * 0.5, polarized = (r.s - r.p) * 0.5 / (gh + 1e-12);
+    const T alpha2 = exp(2.0 * log_roughness[0]);
+    const double slant2 = 1 + sample.tan2();
+    const T dot = 1.0 + sample.p * hp + sample.q * hq;
+    const T cos2 = dot * dot / (slant2 * half2) + 1e-6;
+    const T x = exp(-(1.0 - cos2) / cos2 / alpha2) / (alpha2 * cos2 * cos2) * std::sqrt(slant2);
+    const Eigen::Vector2d direction = slope_direction(sample);
+    const T kx = strength[0] * x / sample.sigma;
+    const double share = linear.position.share;
+    const T e = environment[linear.position.node] * (1 - share) + environment[linear.position.node + 1] * share;
+    residual[0] = linear.base[0] - e * linear.environment[0] +
+                  kx * (polarized * (hp * hp - hq * hq) + reflectance * diffuse * direction[0]);
+    residual[1] = linear.base[1] - e * linear.environment[1] +
+                  kx * (polarized * 2.0 * hp * hq + reflectance * diffuse * direction[1]);
+    return true;
+  }
+};
+
+struct SmoothProfile {
+  double weight;
+  template <class T>
+  bool operator()(const T* environment, T* residual) const {
+    for (int j = 0; j + 1 < node_count; ++j) residual[j] = weight * (environment[j + 1] - environment[j]);
+    return true;
+  }
+};
+
+struct SampleSet {
+  const std::vector<ReflectionSample>& samples;
+  const std::vector<LinearizedSample>& linear;
+  double eta;
+};
+
+double robust_cost(const SampleSet& set, const EnvironmentProfile& environment, const HighlightLobe& lobe) {
+  double cost = 0;
+  for (std::size_t i = 0; i < set.samples.size(); ++i) {
+    const LinearizedSample& s = set.linear[i];
+    const auto node = static_cast<std::size_t>(s.position.node);
+    const double e =
+        environment.radiance[node] * (1 - s.position.share) + environment.radiance[node + 1] * s.position.share;
+    const Eigen::Vector2d residual =
+        s.base - e * s.environment - lobe.strength * lobe_column(set.samples[i], lobe, set.eta);
+    cost += std::log1p(residual.squaredNorm() / 4);
+  }
+  return cost / static_cast<double>(set.samples.size());
+}
+
+/// Refines all parameters of `fit` together, with Cauchy loss at the residuals' scale.
+void refine_lobe(const SampleSet& set, double scale, DiffuseFit& fit) {
+  const Eigen::Vector3d light = fit.lobe.light;
+  const Eigen::Vector3d across1 = light.unitOrthogonal(), across2 = light.cross(across1);
+  std::array<double, node_count> environment = fit.environment.radiance;
+  double strength = fit.lobe.strength, log_roughness = std::log(fit.lobe.roughness);
+  std::array<double, 2> turn{0, 0};
+
+  ceres::Problem::Options ownership;
+  ownership.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+  ceres::CauchyLoss loss(2 * std::sqrt(scale));
+  ceres::Problem problem(ownership);
+  double weight = 0;
+  for (std::size_t i = 0; i < set.samples.size(); ++i) {
+    const ReflectionSample& s = set.samples[i];
+    const double diffuse = fresnel_factors(s.tan2(), set.eta).diffuse;
+    auto* cost = new ceres::AutoDiffCostFunction<LobeResidual, 2, node_count, 1, 1, 2>(
+        new LobeResidual{s, set.linear[i], light, across1, across2, set.eta, diffuse});
+    problem.AddResidualBlock(cost, &loss, environment.data(), &strength, &log_roughness, turn.data());
+    weight += set.linear[i].environment.squaredNorm();
+  }
+  problem.AddResidualBlock(new ceres::AutoDiffCostFunction<SmoothProfile, node_count - 1, node_count>(
+                               new SmoothProfile{std::sqrt(1e-4 * weight)}),
+                           nullptr, environment.data());
+  for (int j = 0; j < node_count; ++j) problem.SetParameterLowerBound(environment.data(), j, 0.0);
+  problem.SetParameterLowerBound(&strength, 0, 0.0);
+  problem.SetParameterLowerBound(&log_roughness, 0, std::log(0.02));
+  problem.SetParameterUpperBound(&log_roughness, 0, std::log(0.8));
+
+  ceres::Solver::Options options;
+  options.linear_solver_type = ceres::DENSE_NORMAL_CHOLESKY;
+  options.max_num_iterations = 25;
+  options.function_tolerance = 1e-5;
+  options.logging_type = ceres::SILENT;
+  ceres::Solver::Summary summary;
+  ceres::Solve(options, &problem, &summary);
+  if (!summary.IsSolutionUsable()) return;
+
+  DiffuseFit refined = fit;
+  refined.environment.radiance = environment;
+  refined.lobe.strength = strength;
+  refined.lobe.roughness = std::exp(log_roughness);
+  refined.lobe.light = (light + across1 * turn[0] + across2 * turn[1]).normalized();
+  refined.cost = robust_cost(set, refined.environment, refined.lobe);
+  if (!(refined.cost <= fit.cost)) return;
+
+  ceres::Covariance::Options covariance_options;
+  covariance_options.algorithm_type = ceres::DENSE_SVD;
+  covariance_options.null_space_rank = -1;
+  ceres::Covariance covariance(covariance_options);
+  if (covariance.Compute({{&strength, &strength}, {&log_roughness, &log_roughness}, {turn.data(), turn.data()}},
+                         &problem)) {
+    double s = 0, r = 0, t[4] = {};
+    covariance.GetCovarianceBlock(&strength, &strength, &s);
+    covariance.GetCovarianceBlock(&log_roughness, &log_roughness, &r);
+    covariance.GetCovarianceBlock(turn.data(), turn.data(), t);
+    refined.strength_sigma = std::sqrt(scale * s);
+    refined.roughness_sigma = refined.lobe.roughness * std::sqrt(scale * r);
+    refined.light_sigma_rad = std::sqrt(scale * (t[0] + t[3]));
+  }
+  fit = refined;
+}
+
+std::array<double, node_count> nodes_of(const Eigen::VectorXd& values) {
+  std::array<double, node_count> nodes{};
+  std::copy_n(values.data(), node_count, nodes.begin());
+  return nodes;
+}
+
+}  // namespace
+
+double ReflectionSample::radial_stokes() const {
+  const Eigen::Vector2d direction = slope_direction(*this);
+  return (s1 * direction[0] + s2 * direction[1]) / std::max(tan2(), 1e-12);
+}
+
+std::vector<ReflectionSample> collect_samples(const RefinementField& field, Reflection kind,
+                                              std::size_t largest_count) {
+  const auto takes_part = [&](std::size_t i) {
+    return field.usable[i] && field.kind[i] == static_cast<std::uint8_t>(kind);
+  };
+  std::size_t count = 0;
+  for (std::size_t i = 0; i < field.usable.count(); ++i) count += takes_part(i);
+  const double share = static_cast<double>(largest_count) / static_cast<double>(std::max<std::size_t>(count, 1));
+  constexpr double largest_tan2 = 6;  // the rim is too uncertain to learn from
+  std::vector<ReflectionSample> samples;
+  for (int v = 0; v < field.size().height; ++v) {
+    for (int u = 0; u < field.size().width; ++u) {
+      const std::size_t i =
+          static_cast<std::size_t>(v) * static_cast<std::size_t>(field.size().width) + static_cast<std::size_t>(u);
+      if (!takes_part(i) || !is_chosen(i, share)) continue;
+      const Eigen::Vector2d slopes = central_slopes(field, u, v);
+      if (slopes.squaredNorm() > largest_tan2) continue;
+      const double s0 = field.s0[i];
+      samples.push_back({slopes[0], slopes[1], s0, field.s1[i], field.s2[i],
+                         std::sqrt(field.variance[i] + model_error * model_error * s0 * s0), field.frame_at(u, v)});
+    }
+  }
+  return samples;
+}
+
+Shading fit_shading(const std::vector<ReflectionSample>& samples) {
+  Shading shading;
+  if (samples.size() < 100) return shading;
+  const auto count = static_cast<Eigen::Index>(samples.size());
+  Eigen::MatrixXd rows(count, 4);
+  Eigen::VectorXd values(count);
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const ReflectionSample& s = samples[static_cast<std::size_t>(i)];
+    rows(i, 0) = 1;
+    rows.row(i).tail<3>() = normal_of(s.frame, s.p, s.q).transpose();
+    values[i] = s.s0;
+  }
+  shading.harmonics = robust_fit(rows, values);
+  const Eigen::Vector3d direct = robust_fit(rows.rightCols<3>(), values);
+  if (direct.norm() > 0) shading.light = direct.normalized();
+  return shading;
+}
+
+DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, const HighlightLobe& start) {
+  DiffuseFit fit;
+  fit.lobe = start;
+  fit.lobe.strength = 0;
+  if (samples.empty()) return fit;
+  std::vector<LinearizedSample> linear;
+  linear.reserve(samples.size());
+  for (const ReflectionSample& s : samples) linear.push_back(linearize(s, eta));
+  const SampleSet set{samples, linear, eta};
+
+  const LinearFit plain = fit_linear(linear, nullptr);
+  fit.environment.radiance = nodes_of(plain.values);
+  fit.environment_sigma = nodes_of(plain.sigma);
+  fit.cost = fit.cost_without_lobe = plain.cost;
+
+  const std::vector<double> roughnesses =
+      start.strength > 0 ? std::vector{start.roughness} : std::vector{0.1, 0.15, 0.2, 0.25, 0.3, 0.4};
+  double scale = plain.scale;
+  constexpr double worthwhile = 0.995;
+  for (const double roughness : roughnesses) {
+    HighlightLobe lobe{0, roughness, start.light};
+    std::vector<Eigen::Vector2d> column;
+    column.reserve(samples.size());
+    for (const ReflectionSample& s : samples) column.push_back(lobe_column(s, lobe, eta));
+    const LinearFit with = fit_linear(linear, &column);
+    if (with.cost >= fit.cost * worthwhile || with.values[node_count] <= 0) continue;
+    lobe.strength = with.values[node_count];
+    fit.lobe = lobe;
+    fit.environment.radiance = nodes_of(with.values);
+    fit.environment_sigma = nodes_of(with.sigma);
+    fit.strength_sigma = with.sigma[node_count];
+    fit.cost = with.cost;
+    scale = with.scale;
+  }
+  if (fit.lobe.strength > 0) refine_lobe(set, scale, fit);
+  return fit;
+}
+
+SpecularFit fit_specular(const std::vector<ReflectionSample>& samples, double eta) {
+  SpecularFit fit;
+  if (samples.empty()) return fit;
+  const std::size_t count = samples.size();
+  std::vector<Eigen::Vector2d> offset(count), column(count);
+  for (std::size_t i = 0; i < count; ++i) {
+    const ReflectionSample& s = samples[i];
+    const FresnelFactors f = fresnel_factors(s.tan2(), eta);
+    const double ratio = f.specular / f.reflectance;
+    const Eigen::Vector2d direction = slope_direction(s) / s.sigma;
+    offset[i] = Eigen::Vector2d(s.s1, s.s2) / s.sigma + s.s0 * ratio * direction;
+    column[i] = (f.diffuse + ratio) * direction;
+  }
+  std::vector<double> weights(count, 1.0), squares(count);
+  double body = 0, scale = 1, normal = 0;
+  for (int round = 0; round < irls_rounds; ++round) {
+    double rhs = 0;
+    normal = 0;
+    for (std::size_t i = 0; i < count; ++i) {
+      normal += weights[i] * column[i].squaredNorm();
+      rhs += weights[i] * column[i].dot(offset[i]);
+    }
+    body = rhs / std::max(normal, 1e-300);
+    fit.cost = 0;
+    for (std::size_t i = 0; i < count; ++i) {
+      squares[i] = (offset[i] - body * column[i]).squaredNorm();
+      fit.cost += std::log1p(squares[i] / 4);
+    }
+    fit.cost /= static_cast<double>(count);
+    scale = std::max(median(squares) / 1.4, 1.0);
+    for (std::size_t i = 0; i < count; ++i) weights[i] = 1 / (1 + squares[i] / (4 * scale));
+  }
+  fit.body_sigma = std::sqrt(scale / std::max(normal, 1e-300));
+  body = std::max(body, 0.0);
+
+  std::vector<double> environment(count);
+  for (std::size_t i = 0; i < count; ++i) {
+    environment[i] = (samples[i].s0 - body) / fresnel_factors(samples[i].tan2(), eta).reflectance;
+  }
+  std::vector<double> sorted = environment;
+  std::sort(sorted.begin(), sorted.end());
+  const double top = 1.1 * std::max(sorted[static_cast<std::size_t>(0.98 * static_cast<double>(count - 1))], 1e-6);
+  constexpr std::size_t bins = 80;
+  std::array<double, bins + 2> histogram{};
+  for (const double e : environment) {
+    if (e >= 0 && e < top) ++histogram[1 + static_cast<std::size_t>(e / top * bins)];
+  }
+  std::size_t mode = 1;
+  double highest = -1;
+  for (std::size_t i = 1; i <= bins; ++i) {
+    const double smooth = 0.25 * histogram[i - 1] + 0.5 * histogram[i] + 0.25 * histogram[i + 1];
+    if (smooth > highest) {
+      highest = smooth;
+      mode = i;
+    }
+  }
+  const double peak = (static_cast<double>(mode) - 0.5) / bins * top;
+  std::vector<double> near, deviation;
+  for (const double e : environment) {
+    if (std::abs(e - peak) < 0.2 * peak) near.push_back(e);
+  }
+  const double usual = near.empty() ? peak : median(near);
+  for (const double e : near) deviation.push_back(std::abs(e - usual));
+  fit.environment_sigma = 1.4826 * median(deviation);
+  fit.mirror = {std::max(body, 1e-3 * usual), usual};
+  return fit;
+}
+
+}  // namespace malus

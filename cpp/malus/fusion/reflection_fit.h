@@ -1,0 +1,59 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <vector>
+
+#include "malus/core/context.h"
+#include "malus/fusion/refinement_field.h"
+
+namespace malus {
+
+/// A pixel as the fits of the shared reflection parameters see it: slopes are taken as known.
+struct ReflectionSample {
+  double p = 0, q = 0;
+  double s0 = 0, s1 = 0, s2 = 0;
+  double sigma = 1;  ///< of s1 and s2: noise and a small relative model error
+  RayFrame frame;
+
+  double tan2() const { return p * p + q * q; }
+  /// Component of (s1, s2) along the azimuth of the normal: positive where light from inside the body prevails.
+  double radial_stokes() const;
+};
+
+/// Usable pixels of one kind at the current slopes, thinned evenly to at most about `largest_count`.
+std::vector<ReflectionSample> collect_samples(const RefinementField& field, Reflection kind, std::size_t largest_count);
+
+/// Light of a diffuse surface.
+struct Shading {
+  Eigen::Vector3d light = -Eigen::Vector3d::UnitZ();     ///< unit, towards the light: s0 ≈ n · c
+  Eigen::Vector4d harmonics = Eigen::Vector4d::UnitX();  ///< s0 ≈ c0 + c1..3 · n
+};
+
+/// Robust fits of s0 against the normals.
+Shading fit_shading(const std::vector<ReflectionSample>& samples);
+
+/// How well a reflection model explains the Stokes vectors at known slopes: mean of ln(1 + r² / 4).
+struct DiffuseFit {
+  EnvironmentProfile environment;
+  HighlightLobe lobe;
+  double cost = 0;
+  double cost_without_lobe = 0;
+  std::array<double, EnvironmentProfile::node_count> environment_sigma{};
+  double strength_sigma = 0, roughness_sigma = 0, light_sigma_rad = 0;
+};
+
+/// Fits the environment profile and, where it lowers the robust cost, a highlight lobe. `start` is the previous fit's
+/// lobe; a lobe without strength starts from its light direction and several roughnesses.
+DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, const HighlightLobe& start);
+
+struct SpecularFit {
+  MirrorReflection mirror;
+  double cost = 0;
+  double body_sigma = 0, environment_sigma = 0;
+};
+
+/// Fits body light and the surroundings' usual radiance.
+SpecularFit fit_specular(const std::vector<ReflectionSample>& samples, double eta);
+
+}  // namespace malus

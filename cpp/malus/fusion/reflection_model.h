@@ -1,0 +1,100 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <cstdint>
+#include <numbers>
+#include <string_view>
+
+#include "malus/fusion/ray_slopes.h"
+#include "malus/polarization/reflection.h"
+
+namespace malus {
+
+/// Radiance of the surroundings seen in the surface by zenith: piecewise linear, not negative, in units of s0.
+struct EnvironmentProfile {
+  static constexpr int node_count = 9;
+  static constexpr std::array<double, node_count> nodes_rad = [] {
+    std::array<double, node_count> nodes{0, 35, 45, 52, 58, 64, 70, 76, 89};
+    for (double& node : nodes) node *= std::numbers::pi / 180;
+    return nodes;
+  }();
+  std::array<double, node_count> radiance{};
+
+  /// Lower node of a zenith's interval and the share of the upper one.
+  struct Position {
+    int node = 0;
+    double share = 0;
+  };
+  static Position position(double zenith_rad);
+  double value(double zenith_rad) const;
+  /// Derivative by the zenith, per radian.
+  double slope(double zenith_rad) const;
+};
+
+/// Rough reflection of a small source: a microfacet lobe about the half vector of light and view, polarized like its
+/// facets, which is about the half vector and not about the normal.
+struct HighlightLobe {
+  double strength = 0;                                ///< 0 = none
+  double roughness = 0.25;                            ///< alpha of the Beckmann distribution
+  Eigen::Vector3d light = -Eigen::Vector3d::UnitZ();  ///< unit, towards the light, camera frame
+};
+
+/// Specular-dominated reflection: body light is about `body`, the surroundings about `environment`.
+struct MirrorReflection {
+  double body = 0;         ///< s0 of light from inside the body
+  double environment = 0;  ///< radiance of most of the surroundings
+};
+
+/// Everything about reflection that all pixels share.
+struct ReflectionModel {
+  double eta = 1.5;
+  EnvironmentProfile environment;
+  HighlightLobe lobe;
+  MirrorReflection mirror;
+};
+
+/// The lobe as one pixel sees it. Slopes are against the pixel's viewing ray.
+struct LobeAtPixel {
+  double hp = 0, hq = 0;            ///< slopes of the half vector
+  double reflectance = 0;           ///< Fresnel F about the half vector
+  double stokes1 = 0, stokes2 = 0;  ///< polarized reflectance (Rs − Rp) / 2 about it, with its azimuth
+
+  LobeAtPixel() = default;
+  LobeAtPixel(const Eigen::Vector3d& light, const RayFrame& frame, double eta);
+
+  /// Facet density exp(−tan²δ / α²) / (α² cos⁴δ) / cosθ with δ between normal and half vector; with derivatives.
+  struct Density {
+    double value = 0, by_p = 0, by_q = 0;
+  };
+  Density density(double p, double q, double roughness) const;
+};
+
+/// (s1, s2) of a pixel predicted from its slopes and its measured s0, with derivatives by the slopes.
+struct PredictedStokes {
+  double s1 = 0, s1_by_p = 0, s1_by_q = 0;
+  double s2 = 0, s2_by_p = 0, s2_by_q = 0;
+  double body = 0;  ///< s0 of the light from inside the body
+};
+
+/// Forward model of one pixel:
+///   (s1, s2) = (d ρ_d/g − E (Rs−Rp)/2/g) (p² − q², 2 p q) − T (cos 2φ_H, sin 2φ_H),  g = p² + q² = tan²θ.
+/// Diffuse: d = max(s0 − E(θ) F − T_unpolarized, 0). Specular: E = (s0 − d) / F, T = 0, and d blends s0 − environment ·
+/// F where that is a likely body radiance with `mirror.body` elsewhere. The measured s0 removes albedo as an unknown.
+class PixelReflection {
+ public:
+  PixelReflection(const ReflectionModel& model, Reflection kind, double s0, const RayFrame& frame);
+
+  PredictedStokes predict(double p, double q) const;
+
+ private:
+  PredictedStokes predict_diffuse(double p, double q) const;
+  PredictedStokes predict_specular(double p, double q) const;
+
+  const ReflectionModel& model_;
+  Reflection kind_;
+  double s0_;
+  LobeAtPixel lobe_;
+};
+
+}  // namespace malus

@@ -1,0 +1,303 @@
+#include "malus/fusion/tile_solver.h"
+
+#include <ceres/ceres.h>
+#include <dlfcn.h>
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+#include <mutex>
+
+#include "malus/core/parallel.h"
+#include "malus/fusion/quad_costs_internal.h"
+
+namespace malus {
+namespace {
+
+constexpr int ring_px = 2 * quad_px;  // frozen pixels around a tile that its residuals look at
+
+PixelRect grown(const PixelRect& rect, int by, Size size) {
+  return {std::max(rect.u0 - by, 0), std::max(rect.v0 - by, 0), std::min(rect.u1 + by, size.width),
+          std::min(rect.v1 + by, size.height)};
+}
+
+/// Borders of an even division of [0, length) into parts of at most about `largest`, on multiples of the prior blocks.
+std::vector<int> borders(int length, int largest) {
+  const int parts = std::max(1, (length + largest - 1) / largest);
+  std::vector<int> at{0};
+  for (int i = 1; i < parts; ++i) {
+    const int border =
+        static_cast<int>(std::lround(static_cast<double>(length) * i / parts / prior_block_px)) * prior_block_px;
+    if (border > at.back() && border < length) at.push_back(border);
+  }
+  at.push_back(length);
+  return at;
+}
+
+/// Tiles are the unit of parallelism. The BLAS and OpenMP loops inside CHOLMOD would only fight with it for the cores
+/// (and spin while they wait), and the number of their threads would show in the last digits of the result.
+void use_one_thread_inside() {
+  using SetNumber = void (*)(int);
+  static const auto set_blas_threads = reinterpret_cast<SetNumber>(dlsym(RTLD_DEFAULT, "openblas_set_num_threads"));
+  static const auto set_openmp_levels = reinterpret_cast<SetNumber>(dlsym(RTLD_DEFAULT, "omp_set_max_active_levels"));
+  if (set_blas_threads != nullptr) set_blas_threads(1);
+  if (set_openmp_levels != nullptr) set_openmp_levels(0);  // holds for the calling thread
+}
+
+/// One tile's Ceres problem on its own copy of x.
+class TileProblem {
+ public:
+  TileProblem(const RefinementField& field, const Tile& tile, const TileOptions& options)
+      : field_(field),
+        tile_(tile),
+        local_(grown(tile.outer, ring_px, field.size())),
+        prior_loss_(options.prior_robust_gsd) {
+    columns_ = (local_.width() + 1) / quad_px;
+    rows_ = (local_.height() + 1) / quad_px;
+    first_ = {local_.u0 / quad_px, local_.v0 / quad_px};
+    copy_in();
+    ceres::Problem::Options ownership;
+    ownership.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+    ownership.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+    ownership.disable_all_safety_checks = true;
+    problem_ = std::make_unique<ceres::Problem>(ownership);
+    add_parameters();
+    add_costs(options);
+  }
+
+  SolveStatistics solve(const TileOptions& options, const Context& context) {
+    SolveStatistics statistics;
+    if (unknowns_ == 0) return statistics;
+    ceres::Solver::Options solver;
+    solver.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
+    solver.sparse_linear_algebra_library_type = ceres::SUITE_SPARSE;
+    solver.max_num_iterations = options.iterations + 3;  // some may be rejected
+    solver.max_num_consecutive_invalid_steps = 3;
+    solver.initial_trust_region_radius = 1e6;  // almost Gauss–Newton: the start is close
+    solver.jacobi_scaling = false;
+    solver.function_tolerance = solver.parameter_tolerance = solver.gradient_tolerance = 0;
+    solver.num_threads = 1;
+    use_one_thread_inside();
+    solver.logging_type = ceres::SILENT;
+    StopAfter stop(options.iterations, context);
+    solver.callbacks.push_back(&stop);
+    ceres::Solver::Summary summary;
+    ceres::Solve(solver, problem_.get(), &summary);
+    statistics.cost_before = summary.initial_cost;
+    statistics.cost_after = summary.final_cost;
+    statistics.iterations = static_cast<int>(summary.iterations.size()) - 1;
+    statistics.rejected_steps = summary.num_unsuccessful_steps;
+    statistics.failed_tiles = summary.IsSolutionUsable() ? 0 : 1;
+    statistics.solver_seconds = summary.total_time_in_seconds;
+    statistics.linear_solver_seconds = summary.linear_solver_time_in_seconds;
+    return statistics;
+  }
+
+  /// Solution on the outer rectangle, row major.
+  std::vector<double> solution() const {
+    std::vector<double> x;
+    x.reserve(static_cast<std::size_t>(tile_.outer.width()) * static_cast<std::size_t>(tile_.outer.height()));
+    for (int v = tile_.outer.v0; v < tile_.outer.v1; ++v) {
+      for (int u = tile_.outer.u0; u < tile_.outer.u1; ++u) x.push_back(x_[pixel_index(u, v)]);
+    }
+    return x;
+  }
+
+ private:
+  /// Ends after so many accepted steps, or when the user wants to.
+  class StopAfter final : public ceres::IterationCallback {
+   public:
+    StopAfter(int steps, const Context& context) : steps_(steps), context_(context) {}
+    ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override {
+      if (context_.cancelled()) return ceres::SOLVER_ABORT;
+      if (iteration.iteration > 0 && iteration.step_is_successful) --steps_;
+      return steps_ <= 0 ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
+    }
+
+   private:
+    int steps_;
+    const Context& context_;
+  };
+
+  bool is_local(QuadIndex q) const {
+    return q.column >= first_.column && q.row >= first_.row && q.column < first_.column + columns_ &&
+           q.row < first_.row + rows_;
+  }
+  std::size_t quad_offset(QuadIndex q) const {
+    return 4 * (static_cast<std::size_t>(q.row - first_.row) * static_cast<std::size_t>(columns_) +
+                static_cast<std::size_t>(q.column - first_.column));
+  }
+  std::size_t pixel_index(int u, int v) const {
+    return quad_offset({u / quad_px, v / quad_px}) + static_cast<std::size_t>((v % quad_px) * quad_px + u % quad_px);
+  }
+  bool is_unknown(QuadIndex q) const {
+    return quad_px * q.column >= tile_.outer.u0 && quad_px * q.row >= tile_.outer.v0 &&
+           quad_px * q.column < tile_.outer.u1 && quad_px * q.row < tile_.outer.v1;
+  }
+
+  void copy_in() {
+    x_.assign(4 * static_cast<std::size_t>(columns_) * static_cast<std::size_t>(rows_), 0.0);
+    for (int v = local_.v0; v < local_.v1; ++v) {
+      for (int u = local_.u0; u < local_.u1; ++u) {
+        if (field_.is_object(u, v)) x_[pixel_index(u, v)] = field_.x(u, v);
+      }
+    }
+  }
+
+  template <class Visit>
+  void for_each_quad(Visit&& visit) const {
+    for (int row = first_.row; row < first_.row + rows_; ++row) {
+      for (int column = first_.column; column < first_.column + columns_; ++column) {
+        if (quad_has_object(field_, {column, row})) visit(QuadIndex{column, row});
+      }
+    }
+  }
+
+  void add_parameters() {
+    for_each_quad([&](QuadIndex quad) {
+      double* block = x_.data() + quad_offset(quad);
+      problem_->AddParameterBlock(block, 4);
+      if (is_unknown(quad)) {
+        ++unknowns_;
+      } else {
+        problem_->SetParameterBlockConstant(block);
+      }
+    });
+  }
+
+  /// Adds a cost if it depends on an unknown and all it looks at is in this tile's copy.
+  void add(std::unique_ptr<QuadCost> cost, std::unique_ptr<ceres::LossFunction> loss = nullptr) {
+    const auto& quads = cost->quads();
+    if (!std::all_of(quads.begin(), quads.end(), [&](QuadIndex q) { return is_local(q); })) return;
+    if (!std::any_of(quads.begin(), quads.end(), [&](QuadIndex q) { return is_unknown(q); })) return;
+    std::vector<double*> blocks;
+    blocks.reserve(quads.size());
+    for (const QuadIndex quad : quads) blocks.push_back(x_.data() + quad_offset(quad));
+    problem_->AddResidualBlock(cost.get(), loss.get(), blocks);
+    costs_.push_back(std::move(cost));
+    if (loss != nullptr) losses_.push_back(std::move(loss));
+  }
+
+  /// Whether any of the quad's albedo residuals counts. Quads without leave no trace in the sparsity of the system.
+  bool has_albedo_edge(QuadIndex quad) const {
+    for (int v = quad_px * quad.row; v < std::min(quad_px * (quad.row + 1), field_.size().height); ++v) {
+      for (int u = quad_px * quad.column; u < std::min(quad_px * (quad.column + 1), field_.size().width); ++u) {
+        if (field_.edge_weight_right(u, v) > 0 || field_.edge_weight_down(u, v) > 0) return true;
+      }
+    }
+    return false;
+  }
+
+  void add_costs(const TileOptions& options) {
+    for_each_quad([&](QuadIndex quad) {
+      add(std::make_unique<SmoothnessCost>(field_, quad, options.smoothness));
+      for (int v = quad_px * quad.row; v < quad_px * (quad.row + 1); ++v) {
+        for (int u = quad_px * quad.column; u < quad_px * (quad.column + 1); ++u) {
+          if (!field_.is_object(u, v) || field_.stokes_precision(u, v) <= 0) continue;
+          add(std::make_unique<StokesCost>(field_, u, v), std::make_unique<StokesLoss>(field_, u, v));
+        }
+      }
+      if (!has_albedo_edge(quad)) return;
+      add(std::make_unique<AlbedoCost>(field_, quad));
+    });
+    for (int row = local_.v0 / prior_block_px; row * prior_block_px < local_.v1; ++row) {
+      for (int column = local_.u0 / prior_block_px; column * prior_block_px < local_.u1; ++column) {
+        const double weight = field_.block_weight(column, row);
+        if (weight <= 0) continue;
+        add(std::make_unique<PriorBlockCost>(field_, column, row),
+            std::make_unique<ceres::ScaledLoss>(&prior_loss_, weight, ceres::DO_NOT_TAKE_OWNERSHIP));
+      }
+    }
+  }
+
+  const RefinementField& field_;
+  Tile tile_;
+  PixelRect local_;
+  QuadIndex first_;
+  int columns_ = 0, rows_ = 0;
+  std::size_t unknowns_ = 0;
+  std::vector<double> x_;  // quad by quad
+  ceres::CauchyLoss prior_loss_;
+  std::vector<std::unique_ptr<QuadCost>> costs_;
+  std::vector<std::unique_ptr<ceres::LossFunction>> losses_;
+  std::unique_ptr<ceres::Problem> problem_;
+};
+
+/// Weight of a tile at a coordinate: 1 inside, falling linearly to 0 half a margin outside the core.
+double blend_weight(int at, int core0, int core1, int outer0, int outer1) {
+  const auto ramp = [](double inside, double margin) {
+    if (margin <= 0) return 1.0;  // border of the image
+    return std::clamp(0.5 + inside / margin, 0.0, 1.0);
+  };
+  return ramp(at + 0.5 - core0, core0 - outer0) * ramp(core1 - at - 0.5, outer1 - core1);
+}
+
+}  // namespace
+
+std::vector<Tile> divide_into_tiles(Size size, int core_px, int margin_px) {
+  const int margin = (margin_px + prior_block_px - 1) / prior_block_px * prior_block_px;
+  const std::vector<int> us = borders(size.width, core_px), vs = borders(size.height, core_px);
+  std::vector<Tile> tiles;
+  for (std::size_t j = 0; j + 1 < vs.size(); ++j) {
+    for (std::size_t i = 0; i + 1 < us.size(); ++i) {
+      const PixelRect core{us[i], vs[j], us[i + 1], vs[j + 1]};
+      tiles.push_back({core, grown(core, margin, size)});
+    }
+  }
+  return tiles;
+}
+
+SolveStatistics& SolveStatistics::operator+=(const SolveStatistics& other) {
+  cost_before += other.cost_before;
+  cost_after += other.cost_after;
+  iterations += other.iterations;
+  rejected_steps += other.rejected_steps;
+  failed_tiles += other.failed_tiles;
+  solver_seconds += other.solver_seconds;
+  linear_solver_seconds += other.linear_solver_seconds;
+  return *this;
+}
+
+SolveStatistics solve_tiles(RefinementField& field, const std::vector<Tile>& tiles, const TileOptions& options,
+                            double fraction_begin, double fraction_end, const Context& context) {
+  std::vector<std::vector<double>> solutions(tiles.size());
+  std::vector<SolveStatistics> statistics(tiles.size());
+  std::mutex reporting;
+  std::size_t done = 0;
+  parallel_for(context, tiles.size(), 1, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      TileProblem problem(field, tiles[i], options);
+      statistics[i] = problem.solve(options, context);
+      context.check_cancel();
+      solutions[i] = problem.solution();
+      const std::lock_guard lock(reporting);
+      ++done;
+      const double share = static_cast<double>(done) / static_cast<double>(tiles.size());
+      context.progress("fusion", fraction_begin + share * (fraction_end - fraction_begin), "refining the surface");
+    }
+  });
+
+  Image<double> sum(field.size()), weights(field.size());
+  SolveStatistics total;
+  for (std::size_t i = 0; i < tiles.size(); ++i) {
+    total += statistics[i];
+    const PixelRect &core = tiles[i].core, &outer = tiles[i].outer;
+    const double* value = solutions[i].data();
+    for (int v = outer.v0; v < outer.v1; ++v) {
+      const double along_v = blend_weight(v, core.v0, core.v1, outer.v0, outer.v1);
+      for (int u = outer.u0; u < outer.u1; ++u, ++value) {
+        const double weight = along_v * blend_weight(u, core.u0, core.u1, outer.u0, outer.u1);
+        sum(u, v) += weight * *value;
+        weights(u, v) += weight;
+      }
+    }
+  }
+  parallel_rows(context, field.size().height, [&](int v) {
+    for (int u = 0; u < field.size().width; ++u) {
+      if (field.object(u, v)) field.x(u, v) = sum(u, v) / weights(u, v);
+    }
+  });
+  return total;
+}
+
+}  // namespace malus
