@@ -4,6 +4,7 @@
 #include <limits>
 #include <numbers>
 #include <optional>
+#include <sstream>
 #include <vector>
 
 #include "malus/core/parallel.h"
@@ -108,6 +109,11 @@ bool exceeds_diffuse(const PolarizationState& state, const ReflectionOptions& op
 void validate(const PolarizationState& state, const Image<float>* prior_normals, const Image<std::uint8_t>* labels,
               const ReflectionOptions& options) {
   validate_fields(options, "optics");
+  if (!(options.refractive_index >= 1.05 && options.refractive_index <= 3)) {
+    std::ostringstream message;
+    message << "optics.refractive_index = " << options.refractive_index << ", expected a value from 1.05 to 3";
+    throw input_error(message.str());
+  }
   if (prior_normals != nullptr) {
     require_size(*prior_normals, state.size(), "prior normals");
     if (prior_normals->channels() != 3) throw input_error("prior normals: expected 3 channels");

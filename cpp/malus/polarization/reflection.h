@@ -21,16 +21,16 @@ constexpr auto names_of(ReflectionChoice) {
 }
 
 struct ReflectionOptions {
+  // What is known about the object, from the station and so not among the option fields.
   ReflectionChoice reflection = ReflectionChoice::automatic;
   double refractive_index = 1.5;
+
   int region_px = 16;
   double region_strength = 0.02;
   double beyond_diffuse_share = 0.01;
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
-    visit("reflection", self.reflection, any_value, "what governs the polarization of the surface");
-    visit("refractive_index", self.refractive_index, Range{1.05, 3}, "of the surface");
     visit("region_px", self.region_px, Range{1, 4096},
           "auto: side of the cells whose pooled azimuth test decides between diffuse and specular");
     visit("region_strength", self.region_strength, not_negative,
