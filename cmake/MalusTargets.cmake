@@ -3,7 +3,9 @@ add_library(malus_settings INTERFACE)
 target_compile_features(malus_settings INTERFACE cxx_std_20)
 target_compile_options(malus_settings INTERFACE -Wall -Wextra -Wpedantic -Wshadow $<$<BOOL:${MALUS_WERROR}>:-Werror>)
 if(MALUS_SANITIZE)
-  target_compile_options(malus_settings INTERFACE -fsanitize=${MALUS_SANITIZE} -fno-omit-frame-pointer)
+  # Instrumented code makes GCC 12 warn about its own <regex> and <functional>.
+  target_compile_options(malus_settings INTERFACE -fsanitize=${MALUS_SANITIZE} -fno-omit-frame-pointer
+                                                  -Wno-maybe-uninitialized)
   target_link_options(malus_settings INTERFACE -fsanitize=${MALUS_SANITIZE})
 endif()
 

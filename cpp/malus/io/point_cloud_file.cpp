@@ -9,6 +9,7 @@
 #include <cstring>
 #include <limits>
 #include <optional>
+#include <sstream>
 #include <utility>
 
 #include "malus/io/atomic_file.h"
@@ -122,6 +123,12 @@ bool parse_number(std::string_view word, double& value) {
   const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
   if (error == std::errc::result_out_of_range) value = std::numeric_limits<double>::infinity();
   return error != std::errc::invalid_argument && end == word.data() + word.size();
+}
+
+std::string number_text(double value) {
+  std::ostringstream text;
+  text << value;
+  return text.str();
 }
 
 Error malformed_line(const InputFile& file, std::string_view line) {
@@ -330,9 +337,8 @@ Triangles read_ply_faces(PlyReader& reader, const InputFile& file, const PlyElem
     const std::vector<double>& polygon = lists[list];
     for (const double index : polygon) {
       if (!(index >= 0 && index < static_cast<double>(vertices))) {
-        throw file.error("face " + std::to_string(face) + " has the vertex index " +
-                         std::to_string(static_cast<std::int64_t>(index)) + ", expected 0 to " +
-                         std::to_string(vertices - 1));
+        throw file.error("face " + std::to_string(face) + " has the vertex index " + number_text(index) +
+                         ", expected 0 to " + std::to_string(vertices - 1));
       }
     }
     for (std::size_t i = 2; i < polygon.size(); ++i) {
