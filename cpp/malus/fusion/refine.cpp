@@ -119,8 +119,10 @@ RefineResult refine(const PolarizationState& state, const DepthPrior& prior, con
     constexpr int fitted_rounds = 6;
     double lobe_gain = 0;
     if (i < fitted_rounds) lobe_gain = fit_reflection(field, options, report);
-    WeightOptions weights{options.robust_scale, options.relative_error, options.slope_error,
-                          options.prior_weight, options.albedo_weight,  options.albedo_contrast};
+    const double widening = std::max(1.0, options.graduation * std::pow(0.5, i));
+    WeightOptions weights{
+        options.robust_scale * widening, options.relative_error, options.slope_error, options.prior_weight,
+        options.albedo_weight,           options.albedo_contrast};
     if (options.regional_weights && i >= 4 && lobe_gain > 0.15) weights.regional_sigma_px = 2;
     const FitQuality quality = update_weights(field, weights, context);
     const Image<double> before = field.x;

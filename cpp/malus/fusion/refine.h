@@ -29,6 +29,7 @@ struct RefineOptions {
   int tile_px = 320;
   int margin_px = 48;
   double robust_scale = 2.5;
+  double graduation = 8;
   double relative_error = 0.002;
   double slope_error = 0.03;
   double prior_weight = 5;
@@ -47,6 +48,8 @@ struct RefineOptions {
     visit("margin_px", self.margin_px, Range{16, 512}, "overlap of a tile with its neighbours");
     visit("robust_scale", self.robust_scale, Range{0.1, 100},
           "Stokes residual, in standard deviations, that counts half");
+    visit("graduation", self.graduation, Range{1, 100},
+          "factor on robust_scale in the first round, halved every round");
     visit("relative_error", self.relative_error, Range{0, 0.1}, "error of the reflection model as a share of s0");
     visit("slope_error", self.slope_error, Range{0, 1}, "error of the reflection model as a slope");
     visit("prior_weight", self.prior_weight, not_negative, "weight of a full prior block");

@@ -54,6 +54,7 @@ RefinementField make_field(const PolarizationState& state, const DepthPrior& pri
   });
   field.x_prior = field.x;
   field.stokes_precision = field.edge_weight_right = field.edge_weight_down = Image<float>(size);
+  field.mirror_body = Image<float>(size);
   field.regional_weight = Image<float>(size, 1, 1.0f);
   field.log_body = Image<float>(size, 1, none);
   field.block_weight = field.block_mean = Image<float>(field.block_count());

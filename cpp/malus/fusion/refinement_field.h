@@ -31,6 +31,7 @@ struct RefinementField {
 
   ReflectionModel reflection;
   Eigen::Vector4d shading = Eigen::Vector4d::UnitX();  ///< body light / albedo = shading[0] + shading[1..3] · n
+  Image<float> mirror_body;                            ///< s0 of the light from inside, specular regions
   double robust_scale = 2.5;      ///< of the Cauchy loss of the Stokes residuals, in standard deviations
   Image<float> stokes_precision;  ///< 1 / σ² of the Stokes residuals; 0 = not used
   Image<float> regional_weight;   ///< of the Stokes residuals, 0 … 1
@@ -48,7 +49,7 @@ struct RefinementField {
   RaySlopes slopes_at(int u, int v) const { return ray_slopes(camera, u, v); }
   RayFrame frame_at(int u, int v) const { return ray_frame(&camera, u, v); }
   PixelReflection reflection_at(int u, int v) const {
-    return {reflection, kind_at(u, v), static_cast<double>(s0(u, v)), frame_at(u, v)};
+    return {reflection, kind_at(u, v), s0(u, v), mirror_body(u, v), frame_at(u, v)};
   }
   double depth_of(double value) const { return std::exp(value / focal + log_depth_origin); }
 };

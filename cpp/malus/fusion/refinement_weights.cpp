@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "malus/core/parallel.h"
+#include "malus/fusion/fresnel_factors.h"
 #include "malus/fusion/masked_blur.h"
 #include "malus/fusion/quad_costs_internal.h"
 
@@ -14,6 +15,39 @@ namespace {
 
 double square(double x) {
   return x * x;
+}
+
+/// Body light of specular pixels: s0 less the mirror image of the usual surroundings, where that is a likely value; the
+/// neighbours' elsewhere, because steep slopes see other, darker surroundings.
+void estimate_mirror_body(RefinementField& field, const Context& context) {
+  constexpr double likely = 0.5, blur_px = 4, few = 0.02;
+  constexpr float none = std::numeric_limits<float>::quiet_NaN();
+  const MirrorReflection& mirror = field.reflection.mirror;
+  Image<float> body(field.size(), 1, none), weight(field.size(), 1, none), product(field.size(), 1, none);
+  parallel_rows(context, field.size().height, [&](int v) {
+    for (int u = 0; u < field.size().width; ++u) {
+      if (!field.object(u, v) || !field.usable(u, v) || field.kind_at(u, v) != Reflection::specular) continue;
+      const double tan2 = central_slopes(field, u, v).squaredNorm();
+      const double rest = field.s0(u, v) - mirror.environment * fresnel_factors(tan2, field.reflection.eta).reflectance;
+      const double w = 1 / (1 + square(square((rest - mirror.body) / (likely * mirror.body))));
+      body(u, v) = static_cast<float>(rest);
+      weight(u, v) = static_cast<float>(w);
+      product(u, v) = static_cast<float>(w * rest);
+    }
+  });
+  const Image<float> products = masked_blur(product, field.usable, blur_px, context);
+  const Image<float> weights = masked_blur(weight, field.usable, blur_px, context);
+  for (std::size_t i = 0; i < body.count(); ++i) {
+    if (!std::isfinite(body[i])) continue;
+    const double around = (products[i] + few * mirror.body) / (weights[i] + few);
+    const double blend = weight[i] * body[i] + (1 - weight[i]) * around;
+    field.mirror_body[i] = static_cast<float>(std::clamp(blend, 0.0, static_cast<double>(field.s0[i])));
+  }
+}
+
+bool has_specular(const RefinementField& field) {
+  return std::find(field.kind.begin(), field.kind.end(), static_cast<std::uint8_t>(Reflection::specular)) !=
+         field.kind.end();
 }
 
 /// Squared residual in units of its variance (mean of both components) and ln(body / shading) of every pixel.
@@ -81,19 +115,22 @@ void weigh_prior_blocks(RefinementField& field, const WeightOptions& options, co
   const Size blocks = field.block_count();
   parallel_rows(context, blocks.height, [&](int row) {
     for (int column = 0; column < blocks.width; ++column) {
-      double sum = 0;
+      double sum = 0, cos2 = 0;
       int count = 0;
       for (int v = row * prior_block_px; v < std::min((row + 1) * prior_block_px, field.size().height); ++v) {
         for (int u = column * prior_block_px; u < std::min((column + 1) * prior_block_px, field.size().width); ++u) {
           if (!field.object(u, v)) continue;
           sum += field.x_prior(u, v);
+          cos2 += 1 / (1 + central_slopes(field, u, v).squaredNorm());
           ++count;
         }
       }
       if (count == 0) continue;
       const double fill = static_cast<double>(count) / (prior_block_px * prior_block_px);
       field.block_mean(column, row) = static_cast<float>(sum / count);
-      field.block_weight(column, row) = static_cast<float>(fill * square(options.prior_weight));
+      // A point of a cloud is uncertain across the surface; its depth is so by 1 / cos(zenith) more.
+      field.block_weight(column, row) =
+          static_cast<float>(fill * square(options.prior_weight) * std::max(cos2 / count, 0.02));
     }
   });
 }
@@ -116,6 +153,7 @@ FitQuality summarize(const Image<float>& squared) {
 
 FitQuality update_weights(RefinementField& field, const WeightOptions& options, const Context& context) {
   field.robust_scale = options.robust_scale;
+  if (has_specular(field)) estimate_mirror_body(field, context);
   const PixelResiduals residuals = pixel_residuals(field, options, context);
   if (options.regional_sigma_px > 0) weigh_regions(field, residuals.squared, options.regional_sigma_px, context);
   weigh_albedo_edges(field, residuals.log_albedo, options, context);

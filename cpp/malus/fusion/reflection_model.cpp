@@ -66,8 +66,9 @@ LobeAtPixel::Density LobeAtPixel::density(double p, double q, double roughness) 
   return {value, by_cos2 * cos2_by_p + value * p / slant2, by_cos2 * cos2_by_q + value * q / slant2};
 }
 
-PixelReflection::PixelReflection(const ReflectionModel& model, Reflection kind, double s0, const RayFrame& frame)
-    : model_(model), kind_(kind), s0_(s0) {
+PixelReflection::PixelReflection(const ReflectionModel& model, Reflection kind, double s0, double mirror_body,
+                                 const RayFrame& frame)
+    : model_(model), kind_(kind), s0_(s0), mirror_body_(mirror_body) {
   if (kind == Reflection::diffuse && model.lobe.strength > 0) lobe_ = LobeAtPixel(model.lobe.light, frame, model.eta);
 }
 
@@ -107,24 +108,14 @@ PredictedStokes PixelReflection::predict_diffuse(double p, double q) const {
 }
 
 PredictedStokes PixelReflection::predict_specular(double p, double q) const {
-  const double g = p * p + q * q;
-  const FresnelFactors f = fresnel_factors(g, model_.eta);
-  const double body = model_.mirror.body;
-  const double rest = s0_ - model_.mirror.environment * f.reflectance;  // body light if the usual surroundings are seen
-  const double rest_by_g = -model_.mirror.environment * f.reflectance_slope;
-  const double width = 1.2 * body;
-  const double t = (rest - body) / width, t2 = t * t;
-  const double weight = 1 / (1 + t2 * t2);
-  const double blend = body + weight * (rest - body);
-  const double blend_by_rest = weight * (1 - 4 * t2 * t2 * weight);
-
-  PredictedStokes out;
-  out.body = std::clamp(blend, 0.0, s0_);
-  const double body_by_g = blend > 0 && blend < s0_ ? blend_by_rest * rest_by_g : 0.0;
+  const FresnelFactors f = fresnel_factors(p * p + q * q, model_.eta);
+  const double mirrored = s0_ - mirror_body_;
   const double ratio = f.specular / f.reflectance;
   const double ratio_by_g = (f.specular_slope - ratio * f.reflectance_slope) / f.reflectance;
-  const double gain = out.body * f.diffuse - (s0_ - out.body) * ratio;
-  const double gain_by_g = body_by_g * (f.diffuse + ratio) + out.body * f.diffuse_slope - (s0_ - out.body) * ratio_by_g;
+  const double gain = mirror_body_ * f.diffuse - mirrored * ratio;
+  const double gain_by_g = mirror_body_ * f.diffuse_slope - mirrored * ratio_by_g;
+  PredictedStokes out;
+  out.body = mirror_body_;
   add_slope_term(gain, gain_by_g * 2 * p, gain_by_g * 2 * q, p, q, out);
   return out;
 }

@@ -40,7 +40,7 @@ struct HighlightLobe {
   Eigen::Vector3d light = -Eigen::Vector3d::UnitZ();  ///< unit, towards the light, camera frame
 };
 
-/// Specular-dominated reflection: body light is about `body`, the surroundings about `environment`.
+/// Specular-dominated reflection, typical values over the object.
 struct MirrorReflection {
   double body = 0;         ///< s0 of light from inside the body
   double environment = 0;  ///< radiance of most of the surroundings
@@ -79,11 +79,12 @@ struct PredictedStokes {
 
 /// Forward model of one pixel:
 ///   (s1, s2) = (d ρ_d/g − E (Rs−Rp)/2/g) (p² − q², 2 p q) − T (cos 2φ_H, sin 2φ_H),  g = p² + q² = tan²θ.
-/// Diffuse: d = max(s0 − E(θ) F − T_unpolarized, 0). Specular: E = (s0 − d) / F, T = 0, and d blends s0 − environment ·
-/// F where that is a likely body radiance with `mirror.body` elsewhere. The measured s0 removes albedo as an unknown.
+/// Diffuse: d = max(s0 − E(θ) F − T_unpolarized, 0). Specular: d is given, E = (s0 − d) / F, T = 0. The measured s0
+/// removes albedo as an unknown.
 class PixelReflection {
  public:
-  PixelReflection(const ReflectionModel& model, Reflection kind, double s0, const RayFrame& frame);
+  /// mirror_body: s0 of the light from inside a specular body, from 0 to s0; not used for a diffuse one.
+  PixelReflection(const ReflectionModel& model, Reflection kind, double s0, double mirror_body, const RayFrame& frame);
 
   PredictedStokes predict(double p, double q) const;
 
@@ -93,7 +94,7 @@ class PixelReflection {
 
   const ReflectionModel& model_;
   Reflection kind_;
-  double s0_;
+  double s0_, mirror_body_;
   LobeAtPixel lobe_;
 };
 
