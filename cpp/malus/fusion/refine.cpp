@@ -7,9 +7,10 @@
 
 #include "malus/core/depth_normals.h"
 #include "malus/core/parallel.h"
-#include "malus/fusion/refinement_field.h"
+#include "malus/fusion/masked_blur.h"
 #include "malus/fusion/refinement_weights.h"
 #include "malus/fusion/reflection_fit.h"
+#include "malus/fusion/region_choice.h"
 #include "malus/fusion/tile_solver.h"
 
 namespace malus {
@@ -98,6 +99,96 @@ FusedSurface surface_of(const RefinementField& field, const DepthPrior& prior, c
   return surface;
 }
 
+/// Runs rounds of: fit what all pixels share, weigh the residuals, solve.
+class Refiner {
+ public:
+  Refiner(RefinementField& field, const RefineOptions& options, RefineReport& report, const Context& context)
+      : field_(field),
+        options_(options),
+        report_(report),
+        context_(context),
+        tiles_(divide_into_tiles(field.size(), options.tile_px, options.margin_px)),
+        rounds_(options.iterations + (options.search ? search_rounds + heal_rounds : 0)) {
+    report_.tiles = static_cast<int>(tiles_.size());
+  }
+
+  void run() {
+    for (int i = 0; i < options_.iterations; ++i) {
+      const bool regional = i + 2 >= options_.iterations;
+      round(std::max(1.0, options_.graduation * std::pow(0.5, i)), true, regional);
+    }
+    if (options_.search) search();
+    report_.linear_solver_share = total_.linear_solver_seconds / std::max(total_.solver_seconds, 1e-9);
+  }
+
+ private:
+  static constexpr int search_rounds = 4, heal_rounds = 2;
+
+  WeightOptions weights(double widening, bool regional) const {
+    WeightOptions weights;
+    weights.robust_scale = options_.robust_scale * widening;
+    weights.relative_error = options_.relative_error;
+    weights.slope_error = options_.slope_error;
+    weights.prior_weight = options_.prior_weight;
+    weights.prior_robust_gsd = options_.prior_robust_gsd;
+    weights.albedo_weight = options_.albedo_weight;
+    weights.albedo_contrast = options_.albedo_contrast;
+    // Regions that fit badly are shadows or highlights, where there is a source that casts them.
+    constexpr double telling_gain = 0.15, regional_sigma_px = 2;
+    if (regional && options_.regional_weights && lobe_gain_ > telling_gain)
+      weights.regional_sigma_px = regional_sigma_px;
+    return weights;
+  }
+
+  void round(double widening, bool fit, bool regional) {
+    const auto start = std::chrono::steady_clock::now();
+    if (fit) lobe_gain_ = fit_reflection(field_, options_, report_);
+    const FitQuality quality = update_weights(field_, weights(widening, regional), context_);
+    const Image<double> before = field_.x;
+    const TileOptions solve{options_.steps, options_.smoothness, options_.prior_robust_gsd};
+    const double done = static_cast<double>(report_.iterations.size()) / rounds_;
+    const SolveStatistics solved = solve_tiles(field_, tiles_, solve, done, done + 1.0 / rounds_, context_);
+    total_ += solved;
+    report_.iterations.push_back({solved.cost_before, solved.cost_after, quality.robust_cost, quality.median_residual,
+                                  rms_change(field_.x, before, field_.object), solved.rejected_steps,
+                                  seconds_since(start)});
+  }
+
+  void search() {
+    const Image<double> incumbent = field_.x;
+    field_.x = sharpened_prior();
+    for (const double widening : {4.0, 2.0, 1.0, 1.0}) round(widening, false, false);
+    const Image<double> candidate = field_.x;
+    field_.x = incumbent;
+    const RegionChoice choice = take_cheaper_regions(field_, candidate, weights(1, false), context_);
+    report_.regions_compared += choice.regions;
+    report_.regions_taken += choice.taken;
+    if (choice.taken == 0) return;
+    for (int i = 0; i < heal_rounds; ++i) round(1, i + 1 == heal_rounds, true);
+  }
+
+  Image<double> sharpened_prior() const {
+    constexpr double detail_sigma_px = 8;
+    Image<float> prior(field_.size());
+    for (std::size_t i = 0; i < prior.count(); ++i) prior[i] = static_cast<float>(field_.x_prior[i]);
+    const Image<float> smooth = masked_blur(prior, field_.object, detail_sigma_px, context_);
+    Image<double> x = field_.x_prior;
+    for (std::size_t i = 0; i < x.count(); ++i) {
+      if (field_.object[i]) x[i] += options_.search_sharpening * (x[i] - smooth[i]);
+    }
+    return x;
+  }
+
+  RefinementField& field_;
+  const RefineOptions& options_;
+  RefineReport& report_;
+  const Context& context_;
+  std::vector<Tile> tiles_;
+  int rounds_;
+  double lobe_gain_ = 0;
+  SolveStatistics total_;
+};
+
 }  // namespace
 
 RefineResult refine(const PolarizationState& state, const DepthPrior& prior, const RefineInput& input,
@@ -107,36 +198,11 @@ RefineResult refine(const PolarizationState& state, const DepthPrior& prior, con
   RefinementField field = make_field(state, prior, context);
   field.reflection.eta = input.refractive_index.value_or(1.5);
   RefineResult result;
-  RefineReport& report = result.report;
   label_regions(field, input);
-
-  const std::vector<Tile> tiles = divide_into_tiles(field.size(), options.tile_px, options.margin_px);
-  report.tiles = static_cast<int>(tiles.size());
-  const TileOptions tile_options{options.steps, options.smoothness, options.prior_robust_gsd};
-  SolveStatistics total;
-  for (int i = 0; i < options.iterations; ++i) {
-    const auto round_start = std::chrono::steady_clock::now();
-    constexpr int fitted_rounds = 6;
-    double lobe_gain = 0;
-    if (i < fitted_rounds) lobe_gain = fit_reflection(field, options, report);
-    const double widening = std::max(1.0, options.graduation * std::pow(0.5, i));
-    WeightOptions weights{
-        options.robust_scale * widening, options.relative_error, options.slope_error, options.prior_weight,
-        options.albedo_weight,           options.albedo_contrast};
-    if (options.regional_weights && i >= 4 && lobe_gain > 0.15) weights.regional_sigma_px = 2;
-    const FitQuality quality = update_weights(field, weights, context);
-    const Image<double> before = field.x;
-    const SolveStatistics solved = solve_tiles(field, tiles, tile_options, static_cast<double>(i) / options.iterations,
-                                               (i + 1.0) / options.iterations, context);
-    total += solved;
-    report.iterations.push_back({solved.cost_before, solved.cost_after, quality.robust_cost, quality.median_residual,
-                                 rms_change(field.x, before, field.object), solved.rejected_steps,
-                                 seconds_since(round_start)});
-  }
+  Refiner(field, options, result.report, context).run();
   result.surface = surface_of(field, prior, context);
   result.surface.status = "converged";
-  report.linear_solver_share = total.linear_solver_seconds / std::max(total.solver_seconds, 1e-9);
-  report.seconds = seconds_since(start);
+  result.report.seconds = seconds_since(start);
   return result;
 }
 

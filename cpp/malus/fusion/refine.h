@@ -37,6 +37,8 @@ struct RefineOptions {
   double albedo_weight = 10;
   double albedo_contrast = 0.02;
   double smoothness = 0.05;
+  double search_sharpening = 2.5;
+  bool search = true;
   bool lobe = true;
   bool regional_weights = true;
 
@@ -57,6 +59,9 @@ struct RefineOptions {
     visit("albedo_weight", self.albedo_weight, not_negative, "weight of the albedo gradient, diffuse regions");
     visit("albedo_contrast", self.albedo_contrast, Range{1e-4, 10}, "log-albedo step between pixels that counts half");
     visit("smoothness", self.smoothness, not_negative, "weight of the second differences");
+    visit("search_sharpening", self.search_sharpening, Range{-10, 10},
+          "factor on the prior's detail that the search for a better minimum starts with");
+    visit("search", self.search, any_value, "solve from a second start and keep the better regions of both");
     visit("lobe", self.lobe, any_value, "fit a highlight of a small source in diffuse regions");
     visit("regional_weights", self.regional_weights, any_value, "down-weigh regions that fit badly");
   }
@@ -80,9 +85,10 @@ struct RefineReport {
   std::array<double, EnvironmentProfile::node_count> environment_sigma{};
   double lobe_strength_sigma = 0, lobe_roughness_sigma = 0, light_sigma_rad = 0;
   double mirror_body_sigma = 0, mirror_environment_sigma = 0;
-  double specular_share = 0;       ///< of the object's pixels
-  Image<std::uint8_t> label;       ///< 0 = outside, 1 = diffuse, 2 = specular
-  Image<std::uint8_t> confidence;  ///< weight of the polarization of each pixel, 0 … 255
+  double specular_share = 0;                    ///< of the object's pixels
+  Image<std::uint8_t> label;                    ///< 0 = outside, 1 = diffuse, 2 = specular
+  Image<std::uint8_t> confidence;               ///< weight of the polarization of each pixel, 0 … 255
+  int regions_compared = 0, regions_taken = 0;  ///< of the search for a better minimum
   int tiles = 0;
   double seconds = 0;
   double linear_solver_share = 0;  ///< of the time spent in Ceres

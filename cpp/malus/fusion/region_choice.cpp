@@ -1,0 +1,202 @@
+#include "malus/fusion/region_choice.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "malus/core/parallel.h"
+#include "malus/fusion/masked_blur.h"
+
+namespace malus {
+namespace {
+
+constexpr double detail_sigma_px = 8;
+constexpr double different_gsd = 0.3;
+constexpr int grow_px = 3;
+
+double square(double x) {
+  return x * x;
+}
+
+double cauchy(double squared, double scale) {
+  return square(scale) * std::log1p(squared / square(scale));
+}
+
+double stokes_cost(const RefinementField& field, int u, int v) {
+  const double precision = field.stokes_precision(u, v);
+  if (precision <= 0) return 0;
+  const RaySlopes slopes = field.slopes_at(u, v);
+  const PixelReflection reflection = field.reflection_at(u, v);
+  double cost = 0;
+  for (const int step_u : {1, -1}) {
+    if (!field.is_object(u + step_u, v)) continue;
+    const double xu = step_u * (field.x(u + step_u, v) - field.x(u, v));
+    for (const int step_v : {1, -1}) {
+      if (!field.is_object(u, v + step_v)) continue;
+      const double xv = step_v * (field.x(u, v + step_v) - field.x(u, v));
+      const PredictedStokes m = reflection.predict(slopes.p(xu, xv), slopes.q(xu, xv));
+      cost += 0.25 *
+              cauchy(precision * (square(m.s1 - field.s1(u, v)) + square(m.s2 - field.s2(u, v))), field.robust_scale);
+    }
+  }
+  return cost;
+}
+
+/// Adds to every pixel its share of its prior block's cost.
+void add_prior_costs(const RefinementField& field, const WeightOptions& options, Image<float>& costs) {
+  for (int row = 0; row < field.block_count().height; ++row) {
+    for (int column = 0; column < field.block_count().width; ++column) {
+      if (field.block_weight(column, row) <= 0) continue;
+      const int u0 = column * prior_block_px, u1 = std::min(u0 + prior_block_px, field.size().width);
+      const int v0 = row * prior_block_px, v1 = std::min(v0 + prior_block_px, field.size().height);
+      double sum = 0;
+      int count = 0;
+      for (int v = v0; v < v1; ++v) {
+        for (int u = u0; u < u1; ++u) {
+          if (!field.object(u, v)) continue;
+          sum += field.x(u, v);
+          ++count;
+        }
+      }
+      const double squared = square(sum / count - field.block_mean(column, row));
+      const auto share =
+          static_cast<float>(field.block_weight(column, row) * cauchy(squared, options.prior_robust_gsd) / count);
+      for (int v = v0; v < v1; ++v) {
+        for (int u = u0; u < u1; ++u) {
+          if (field.object(u, v)) costs(u, v) += share;
+        }
+      }
+    }
+  }
+}
+
+/// Pixels within `radius` (4-neighbourhood steps) of the set ones, on the object.
+Mask grown(const Mask& mask, const Mask& object, int radius) {
+  Mask result = mask;
+  for (int step = 0; step < radius; ++step) {
+    const Mask before = result;
+    for (int v = 0; v < mask.height(); ++v) {
+      for (int u = 0; u < mask.width(); ++u) {
+        if (before(u, v) || !object(u, v)) continue;
+        const bool near = (u > 0 && before(u - 1, v)) || (v > 0 && before(u, v - 1)) ||
+                          (u + 1 < mask.width() && before(u + 1, v)) || (v + 1 < mask.height() && before(u, v + 1));
+        if (near) result(u, v) = 255;
+      }
+    }
+  }
+  return result;
+}
+
+using Pixels = std::vector<std::size_t>;
+
+/// Connected sets (4-neighbourhood) of a mask.
+std::vector<Pixels> connected_sets(const Mask& mask) {
+  const auto width = static_cast<std::size_t>(mask.width());
+  std::vector<Pixels> sets;
+  Mask seen(mask.size());
+  for (std::size_t start = 0; start < mask.count(); ++start) {
+    if (!mask[start] || seen[start]) continue;
+    Pixels pixels{start};
+    seen[start] = 255;
+    const auto visit = [&](std::size_t next) {
+      if (!mask[next] || seen[next]) return;
+      seen[next] = 255;
+      pixels.push_back(next);
+    };
+    for (std::size_t i = 0; i < pixels.size(); ++i) {
+      const std::size_t pixel = pixels[i], u = pixel % width;
+      if (u > 0) visit(pixel - 1);
+      if (u + 1 < width) visit(pixel + 1);
+      if (pixel >= width) visit(pixel - width);
+      if (pixel + width < mask.count()) visit(pixel + width);
+    }
+    sets.push_back(std::move(pixels));
+  }
+  return sets;
+}
+
+double median(std::vector<double> values) {
+  if (values.empty()) return 0;
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+/// Moves a region by the candidate's difference less its offset on the region's border, which fades in over 3 pixels.
+void move_region(const Pixels& region, const Image<double>& difference, const Mask& object, Image<int>& depth_in_region,
+                 Image<double>& x) {
+  const int width = object.width(), height = object.height();
+  const auto at = [&](std::size_t pixel) {
+    return std::pair{static_cast<int>(pixel % static_cast<std::size_t>(width)),
+                     static_cast<int>(pixel / static_cast<std::size_t>(width))};
+  };
+  for (const std::size_t pixel : region) depth_in_region[pixel] = grow_px;
+  std::vector<double> ring;
+  for (int layer = 1; layer < grow_px; ++layer) {
+    for (const std::size_t pixel : region) {
+      if (depth_in_region[pixel] < layer) continue;
+      const auto [u, v] = at(pixel);
+      for (const auto& [du, dv] : {std::pair{1, 0}, {-1, 0}, {0, 1}, {0, -1}}) {
+        const int nu = u + du, nv = v + dv;
+        if (nu < 0 || nv < 0 || nu >= width || nv >= height || !object(nu, nv)) continue;
+        if (depth_in_region(nu, nv) == layer - 1) depth_in_region[pixel] = std::min(depth_in_region[pixel], layer);
+        if (layer == 1 && depth_in_region(nu, nv) == 0) ring.push_back(difference(nu, nv));
+      }
+    }
+  }
+  const double offset = median(std::move(ring));
+  for (const std::size_t pixel : region) {
+    x[pixel] += (difference[pixel] - offset) * depth_in_region[pixel] / grow_px;
+  }
+  for (const std::size_t pixel : region) depth_in_region[pixel] = 0;
+}
+
+}  // namespace
+
+Image<float> pixel_costs(const RefinementField& field, const WeightOptions& options, const Context& context) {
+  Image<float> costs(field.size());
+  parallel_rows(context, field.size().height, [&](int v) {
+    for (int u = 0; u < field.size().width; ++u) {
+      if (field.object(u, v)) costs(u, v) = static_cast<float>(stokes_cost(field, u, v));
+    }
+  });
+  add_prior_costs(field, options, costs);
+  return costs;
+}
+
+RegionChoice take_cheaper_regions(RefinementField& field, const Image<double>& candidate, const WeightOptions& options,
+                                  const Context& context) {
+  const Image<double> incumbent = field.x;
+  update_weights(field, options, context);
+  const Image<float> cost = pixel_costs(field, options, context);
+  field.x = candidate;
+  update_weights(field, options, context);
+  const Image<float> candidate_cost = pixel_costs(field, options, context);
+  field.x = incumbent;
+
+  Image<double> difference(field.size());
+  Image<float> rough(field.size());
+  for (std::size_t i = 0; i < difference.count(); ++i) {
+    if (field.object[i]) difference[i] = candidate[i] - incumbent[i];
+    rough[i] = static_cast<float>(difference[i]);
+  }
+  const Image<float> smooth = masked_blur(rough, field.object, detail_sigma_px, context);
+  Mask differs(field.size());
+  for (std::size_t i = 0; i < difference.count(); ++i) {
+    differs[i] = field.object[i] && std::abs(difference[i] - smooth[i]) > different_gsd ? 255 : 0;
+  }
+  RegionChoice choice;
+  Image<int> depth_in_region(field.size());
+  for (const Pixels& region : connected_sets(grown(differs, field.object, grow_px))) {
+    ++choice.regions;
+    double gain = 0;
+    for (const std::size_t pixel : region) gain += static_cast<double>(cost[pixel]) - candidate_cost[pixel];
+    if (gain <= 0) continue;
+    ++choice.taken;
+    move_region(region, difference, field.object, depth_in_region, field.x);
+  }
+  return choice;
+}
+
+}  // namespace malus
