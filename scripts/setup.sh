@@ -6,7 +6,7 @@ cd "$root"
 
 packages=(
   g++ cmake ninja-build ccache pkg-config git
-  libeigen3-dev libsuitesparse-dev libopenblas-dev libceres-dev libopencv-dev libtiff-dev libssl-dev
+  libeigen3-dev libsuitesparse-dev libopenblas-dev libceres-dev libopencv-dev libtiff-dev libpng-dev libjpeg-dev libssl-dev
   libtomlplusplus-dev nlohmann-json3-dev libcli11-dev libgtest-dev libbenchmark-dev
   python3 python3-dev python3-venv
 )
@@ -46,10 +46,10 @@ build() {
   [ "$(cat .venv/malus-source-state 2>/dev/null)" = "$state" ] && [ -x build/malus-station ] && return
   say "building (C++ library, malus-station, tests, Python package)"
   .venv/bin/python -m pip install -q --disable-pip-version-check "scikit-build-core>=0.10" "pybind11>=2.12"
+  local settings=(build-dir=build cmake.define.MALUS_BUILD_APP=ON cmake.define.MALUS_BUILD_TESTS=ON
+                  cmake.define.MALUS_WERROR=ON cmake.define.CMAKE_CXX_COMPILER_LAUNCHER=ccache)
   CMAKE_GENERATOR=Ninja .venv/bin/python -m pip install -q --disable-pip-version-check --no-build-isolation \
-    -C build-dir=build -C cmake.define.MALUS_BUILD_APP=ON -C cmake.define.MALUS_BUILD_TESTS=ON \
-    -C cmake.define.MALUS_WERROR=ON -C cmake.define.CMAKE_CXX_COMPILER_LAUNCHER=ccache \
-    ".[test]"
+    "${settings[@]/#/--config-settings=}" ".[test]"
   echo "$state" > .venv/malus-source-state
 }
 

@@ -1,0 +1,208 @@
+#include "malus/fusion/grid_fusion.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "malus/core/depth_normals.h"
+#include "malus/core/parallel.h"
+#include "malus/height/height.h"
+
+namespace malus {
+namespace {
+
+constexpr float none = std::numeric_limits<float>::quiet_NaN();
+
+/// Values at the nodes of a grid over the image; node (i, j) lies at pixel (offset + i · pitch, offset + j · pitch).
+class NodeGrid {
+ public:
+  NodeGrid(Size image, int pitch)
+      : pitch_(pitch),
+        offset_(std::min({pitch / 2, image.width - 1, image.height - 1})),
+        values_({(image.width - 1 - offset_) / pitch + 1, (image.height - 1 - offset_) / pitch + 1}, 1, none) {}
+
+  Image<float>& values() { return values_; }
+  int pixel(int node) const { return offset_ + node * pitch_; }
+
+  /// Bilinear value at a pixel, constant beyond the outer nodes.
+  double at(int u, int v) const {
+    const auto [i0, i1, s] = interval(u, values_.width());
+    const auto [j0, j1, t] = interval(v, values_.height());
+    const double upper = (1 - s) * values_(i0, j0) + s * values_(i1, j0);
+    const double lower = (1 - s) * values_(i0, j1) + s * values_(i1, j1);
+    return (1 - t) * upper + t * lower;
+  }
+
+ private:
+  struct Interval {
+    int low, high;
+    double share;
+  };
+  Interval interval(int pixel, int nodes) const {
+    const double position = std::clamp(static_cast<double>(pixel - offset_) / pitch_, 0.0, static_cast<double>(nodes - 1));
+    const int low = static_cast<int>(position);
+    return {low, std::min(low + 1, nodes - 1), position - low};
+  }
+
+  int pitch_, offset_;
+  Image<float> values_;
+};
+
+/// Gaussian mean along one axis of the finite nodes, as a weighted sum and its weight.
+void blur_axis(const Context& context, const Image<double>& sum, const Image<double>& weight, double sigma, bool along_u,
+               Image<double>& blurred_sum, Image<double>& blurred_weight) {
+  const int reach = static_cast<int>(std::ceil(4 * sigma));
+  std::vector<double> kernel;
+  for (int k = -reach; k <= reach; ++k) kernel.push_back(sigma > 0 ? std::exp(-0.5 * k * k / (sigma * sigma)) : 1.0);
+  parallel_rows(context, sum.height(), [&](int v) {
+    for (int u = 0; u < sum.width(); ++u) {
+      double s = 0, w = 0;
+      for (int k = -reach; k <= reach; ++k) {
+        const int x = along_u ? u + k : u, y = along_u ? v : v + k;
+        if (!sum.contains(x, y)) continue;
+        s += kernel[static_cast<std::size_t>(k + reach)] * sum(x, y);
+        w += kernel[static_cast<std::size_t>(k + reach)] * weight(x, y);
+      }
+      blurred_sum(u, v) = s;
+      blurred_weight(u, v) = w;
+    }
+  });
+}
+
+/// Gaussian mean over the finite nodes (Eq 15). Nodes that no finite one reaches take the mean of wider and wider
+/// Gaussians, so that the transfer is defined everywhere.
+void smooth_nodes(Image<float>& nodes, double sigma, const Context& context) {
+  Image<double> sum(nodes.size()), weight(nodes.size());
+  for (std::size_t i = 0; i < nodes.count(); ++i) {
+    const bool known = std::isfinite(nodes[i]);
+    sum[i] = known ? nodes[i] : 0;
+    weight[i] = known ? 1 : 0;
+  }
+  std::vector<bool> done(nodes.count(), false);
+  const double widest = 2.0 * std::max(nodes.width(), nodes.height());
+  for (double width = sigma; width <= widest; width = std::max(2 * width, 1.0)) {
+    Image<double> s(nodes.size()), w(nodes.size()), s2(nodes.size()), w2(nodes.size());
+    blur_axis(context, sum, weight, width, true, s, w);
+    blur_axis(context, s, w, width, false, s2, w2);
+    bool all = true;
+    for (std::size_t i = 0; i < nodes.count(); ++i) {
+      if (done[i]) continue;
+      done[i] = w2[i] > 1e-3;
+      all = all && done[i];
+      if (done[i]) nodes[i] = static_cast<float>(s2[i] / w2[i]);
+    }
+    if (all) return;
+  }
+}
+
+/// A surface as printed in the paper: mapped to 0 … 1 by its own range.
+struct UnitRange {
+  double low = 0, span = 1;
+
+  explicit UnitRange(const Image<float>& values) {
+    double high = -std::numeric_limits<double>::infinity();
+    low = std::numeric_limits<double>::infinity();
+    for (const float value : values) {
+      if (!std::isfinite(value)) continue;
+      low = std::min<double>(low, value);
+      high = std::max<double>(high, value);
+    }
+    span = high > low ? high - low : 1;
+  }
+  void to_unit(Image<float>& values) const {
+    for (float& value : values) value = static_cast<float>((value - low) / span);
+  }
+};
+
+/// The transfer on heights: returns the fused height, and the square of the detail difference at the nodes, smoothed.
+Image<float> transfer(const Image<float>& polarization, const Image<float>& prior, const GridFusionOptions& options,
+                      NodeGrid& disagreement, const Context& context) {
+  NodeGrid difference(prior.size(), options.grid_px);
+  Image<float>& nodes = difference.values();
+  bool any = false;
+  for (int j = 0; j < nodes.height(); ++j) {
+    for (int i = 0; i < nodes.width(); ++i) {
+      const int u = difference.pixel(i), v = difference.pixel(j);
+      nodes(i, j) = prior(u, v) - polarization(u, v);
+      any = any || std::isfinite(nodes(i, j));
+    }
+  }
+  if (!any) throw data_error("prior and polarization height share no node of the grid, expected surfaces that overlap");
+  disagreement.values() = nodes;
+  smooth_nodes(nodes, options.sigma_nodes, context);
+  for (std::size_t k = 0; k < nodes.count(); ++k) {
+    const float detail = disagreement.values()[k] - nodes[k];
+    disagreement.values()[k] = detail * detail;
+  }
+  smooth_nodes(disagreement.values(), options.sigma_nodes, context);
+
+  Image<float> fused(prior.size(), 1, none);
+  parallel_rows(context, prior.height(), [&](int v) {
+    for (int u = 0; u < prior.width(); ++u) {
+      if (!std::isfinite(prior(u, v))) continue;
+      const float detail = polarization(u, v);
+      fused(u, v) = std::isfinite(detail) ? static_cast<float>(detail + difference.at(u, v)) : prior(u, v);
+    }
+  });
+  return fused;
+}
+
+/// Mean of the finite values.
+double mean_of(const Image<float>& values) {
+  double sum = 0, count = 0;
+  for (const float value : values) {
+    if (!std::isfinite(value)) continue;
+    sum += value;
+    ++count;
+  }
+  return sum / count;
+}
+
+}  // namespace
+
+FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const GridFusionOptions& options,
+                       const Context& context) {
+  validate_fields(options, "grid");
+  require_size(height.height, prior.depth.size(), "polarization height");
+  context.progress("fuse", 0.1, "grid transfer");
+  const double focal = prior.camera.focal();
+  Image<float> polarization = height.height;
+  Image<float> coarse = height_from_depth(prior.depth, prior.camera, height.perspective);
+  const UnitRange polarization_range(polarization), prior_range(coarse);
+  if (options.unit_scaling) {
+    polarization_range.to_unit(polarization);
+    prior_range.to_unit(coarse);
+  }
+  NodeGrid disagreement(prior.depth.size(), options.grid_px);
+  Image<float> fused = transfer(polarization, coarse, options, disagreement, context);
+
+  FusedSurface surface;
+  surface.camera = prior.camera;
+  surface.pose = prior.pose;
+  surface.method = "grid";
+  surface.status = "done";
+  if (height.status != "converged") surface.warnings.push_back("polarization height: " + height.status);
+  surface.depth = Image<float>(fused.size(), 1, none);
+  surface.sigma = Image<float>(fused.size(), 1, none);
+  const double scale = options.unit_scaling ? prior_range.span : 1;
+  const double mean_depth = mean_of(prior.depth);
+  parallel_rows(context, fused.height(), [&](int v) {
+    for (int u = 0; u < fused.width(); ++u) {
+      if (!std::isfinite(fused(u, v))) continue;
+      // What the fusion adds to the prior, in GSD, applied to the prior's own depth.
+      const double change = (fused(u, v) - coarse(u, v)) * scale;
+      const double z = prior.depth(u, v);
+      const double moved = height.perspective ? z * std::exp(-change / focal) : z - change * mean_depth / focal;
+      const double gsd = z / focal;
+      surface.depth(u, v) = static_cast<float>(moved);
+      surface.sigma(u, v) = static_cast<float>(
+          std::sqrt(prior.sigma(u, v) * prior.sigma(u, v) + gsd * gsd * scale * scale * disagreement.at(u, v)));
+    }
+  });
+  surface.normals = normals_from_depth(surface.depth, surface.camera, context);
+  context.progress("fuse", 1.0);
+  return surface;
+}
+
+}  // namespace malus

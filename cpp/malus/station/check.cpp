@@ -1,0 +1,165 @@
+#include "malus/station/check.h"
+
+#include <algorithm>
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <sstream>
+
+#include <Eigen/Geometry>
+
+#include "malus/capture/capture.h"
+#include "malus/io/point_cloud_file.h"
+#include "malus/polarization/decompose.h"
+
+namespace malus {
+namespace {
+
+// Measured with default options on two 2.x GHz cores at 0.35 and 1.75 megapixels (docs/decisions/0003-cost-model.md):
+// seconds a megapixel of the object with one thread, the share of it that a second thread takes away, and memory.
+struct StepCost {
+  double seconds_per_mpx;
+  double parallel_share;
+  double megabytes_per_mpx;
+};
+constexpr StepCost polarization_cost{1.5, 0.8, 90};
+constexpr StepCost prior_cost{12, 0.2, 900};
+constexpr StepCost height_cost{35, 0.3, 1900};
+constexpr StepCost grid_cost{0.5, 0.5, 150};
+constexpr StepCost refine_cost{110, 0.9, 600};
+constexpr StepCost output_cost{2, 0.5, 300};
+
+double seconds(const StepCost& cost, double megapixels, int threads) {
+  return megapixels * cost.seconds_per_mpx * (1 - cost.parallel_share + cost.parallel_share / threads);
+}
+
+std::string with_count(double count, const std::string& noun) {
+  std::ostringstream text;
+  text << static_cast<long long>(count) << ' ' << noun;
+  return text.str();
+}
+
+/// Reads every image and returns their size; warns of clipped ones.
+Size read_images(const Station& station, Plan& plan, const Context& context) {
+  if (station.in_memory()) return station.images.front().size();
+  const StationFile& file = station.file;
+  const CaptureInput input =
+      capture_input(file.polarized, file.camera ? std::optional(file.camera->lens) : file.lens);
+  Size size;
+  for (std::size_t k = 0; k < input.names.size(); ++k) {
+    context.check_cancel();
+    context.progress("check", static_cast<double>(k) / static_cast<double>(input.names.size()), input.names[k]);
+    const RawImage image = input.load(k);
+    if (k == 0) size = image.pixels.size();
+    require_size(image.pixels, size, input.names[k]);
+    const double white = file.polarized.white_level.value_or(image.full_scale_dn);
+    const auto clipped = std::ranges::count_if(image.pixels, [&](float value) { return value >= 0.995 * white; });
+    const double share = static_cast<double>(clipped) / static_cast<double>(image.pixels.count());
+    if (share > 0.01) {
+      plan.warnings.push_back(input.names[k] + ": " + with_count(std::round(100 * share), "% of the pixels are saturated"));
+    }
+    const float brightest = *std::ranges::max_element(image.pixels);
+    if (brightest < 0.2 * white) {
+      plan.warnings.push_back(input.names[k] + ": the brightest pixel is below 20 % of the white level; is white_level right?");
+    }
+  }
+  return size;
+}
+
+Mask read_object(const Station& station, Size size) {
+  if (station.mask) return *station.mask;
+  if (!station.file.polarized.mask) return Mask(size, 1, 255);
+  Mask mask = read_mask(*station.file.polarized.mask);
+  require_size(mask, size, station.file.polarized.mask->string());
+  return mask;
+}
+
+/// How many of the cloud's points fall on the object.
+double points_on_object(const PointCloud& cloud, const CameraSpec& camera, const Mask& object) {
+  double count = 0;
+  for (const Eigen::Vector3d& point : cloud.points) {
+    const Eigen::Vector3d x = camera.pose.cam_from_world(point);
+    if (!(x.z() > 0)) continue;
+    const Eigen::Vector2d pixel = camera.lens.distort(x.hnormalized());
+    const double u = std::round(pixel.x()), v = std::round(pixel.y());
+    if (u >= 0 && v >= 0 && u < object.width() && v < object.height() && object(static_cast<int>(u), static_cast<int>(v)) != 0) ++count;
+  }
+  return count;
+}
+
+void check_prior(const Station& station, const Mask& object, const PriorOptions& options, Plan& plan, const Context& context) {
+  const auto& spec = station.file.prior;
+  if (!station.has_prior()) {
+    plan.warnings.emplace_back("there is no [prior]: only the polarization maps can be made");
+    return;
+  }
+  if (!station.file.camera) {
+    throw input_error(station.file.path.string() + ": [camera] has no pose, expected a camera whose position is known");
+  }
+  if (station.cloud || (spec && spec->cloud)) {
+    const PointCloud cloud = station.cloud ? *station.cloud : read_point_cloud(*spec->cloud, context);
+    const double count = points_on_object(cloud, *station.file.camera, object);
+    if (count < options.min_points) {
+      throw data_error("the cloud has " + with_count(static_cast<double>(cloud.points.size()), "points, of which ") +
+                       with_count(count, "fall on the object, expected at least ") + std::to_string(options.min_points));
+    }
+    plan.does.push_back("prior: " + with_count(count, "of ") + with_count(static_cast<double>(cloud.points.size()), "points fall on the object"));
+  } else if (spec && spec->mesh) {
+    const TriangleMesh mesh = read_mesh(*spec->mesh, context);
+    plan.does.push_back("prior: mesh of " + with_count(static_cast<double>(mesh.triangles.size()), "triangles"));
+  } else {
+    plan.does.emplace_back("prior: depth map");
+  }
+}
+
+}  // namespace
+
+Plan check_station(const Station& station, const Options& options, const Context& context) {
+  Plan plan;
+  plan.name = station.file.name;
+  plan.size = read_images(station, plan, context);
+  const Mask object = read_object(station, plan.size);
+  plan.object_pixels = static_cast<double>(std::ranges::count_if(object, [](std::uint8_t value) { return value != 0; }));
+  const double object_mpx = plan.object_pixels / 1e6, image_mpx = static_cast<double>(plan.size.area()) / 1e6;
+
+  const PolarizedSpec& polarized = station.file.polarized;
+  const std::size_t images = station.in_memory() ? station.images.size() : polarized.images.size();
+  std::string capture = "polarization: " + with_count(static_cast<double>(images), polarized.mosaic ? "mosaic" : "images");
+  if (station.file.camera && station.file.camera->lens.has_distortion()) {
+    capture += ", undistorted from " + std::string(to_string(station.file.camera->lens.model));
+  }
+  plan.does.push_back(capture);
+  check_prior(station, object, options.prior, plan, context);
+
+  plan.seconds = seconds(polarization_cost, image_mpx, context.threads);
+  // The stack itself, and one image as it was read.
+  plan.memory_mb = 60 + image_mpx * 4 * static_cast<double>(images + 3) + image_mpx * polarization_cost.megabytes_per_mpx;
+  if (station.has_prior()) {
+    const bool refined = options.fusion == Fusion::refined;
+    plan.does.emplace_back("height: polarization alone (Eq 9 to 11)");
+    plan.does.emplace_back(refined ? "refine: nonlinear least squares on log depth" : "fuse: grid transfer (Eq 14 to 16)");
+    plan.does.emplace_back("mesh, assess");
+    const StepCost& fusion = refined ? refine_cost : grid_cost;
+    double peak = 0;
+    for (const StepCost* cost : {&prior_cost, &height_cost, &fusion, &output_cost}) {
+      plan.seconds += seconds(*cost, object_mpx, context.threads);
+      peak = std::max(peak, object_mpx * cost->megabytes_per_mpx);
+    }
+    plan.memory_mb = std::max(plan.memory_mb, 60 + image_mpx * polarization_cost.megabytes_per_mpx + peak);
+  }
+  context.progress("check", 1.0);
+  return plan;
+}
+
+std::string plan_to_json(const Plan& plan) {
+  return nlohmann::ordered_json{{"name", plan.name},
+                                {"width", plan.size.width},
+                                {"height", plan.size.height},
+                                {"object_pixels", plan.object_pixels},
+                                {"does", plan.does},
+                                {"warnings", plan.warnings},
+                                {"seconds", plan.seconds},
+                                {"memory_mb", plan.memory_mb}}
+      .dump();
+}
+
+}  // namespace malus

@@ -1,0 +1,32 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "malus/core/context.h"
+#include "malus/core/image.h"
+#include "malus/station/options.h"
+#include "malus/station/station.h"
+
+namespace malus {
+
+/// What a run would do and take.
+struct Plan {
+  std::string name;
+  Size size;                          ///< of the polarized images
+  double object_pixels = 0;
+  std::vector<std::string> does;      ///< one line a step
+  std::vector<std::string> warnings;  ///< what a person should know before starting
+  double seconds = 0;                 ///< expected, with context.threads threads
+  double memory_mb = 0;               ///< expected peak
+};
+
+/// Reads everything a station names, as a run would, without computing anything: images (size, levels, saturation),
+/// mask, labels, and where the prior's points fall. Throws what the run would throw for unusable input.
+/// Time and memory come from measured costs a pixel (docs/decisions/0003-cost-model.md).
+Plan check_station(const Station& station, const Options& options, const Context& context);
+
+/// The plan as JSON.
+std::string plan_to_json(const Plan& plan);
+
+}  // namespace malus

@@ -1,0 +1,73 @@
+#pragma once
+
+#include <array>
+#include <filesystem>
+#include <string>
+#include <string_view>
+
+#include "malus/assess/assess_options.h"
+#include "malus/capture/capture.h"
+#include "malus/core/fields.h"
+#include "malus/fusion/grid_fusion.h"
+#include "malus/fusion/refine.h"
+#include "malus/height/height.h"
+#include "malus/lighting/light.h"
+#include "malus/polarization/decompose.h"
+#include "malus/polarization/reflection.h"
+#include "malus/prior/project_prior.h"
+#include "malus/surface/mesh.h"
+
+namespace malus {
+
+/// Which fusion makes the result.
+enum class Fusion {
+  grid,     ///< the paper's transfer of polarization detail onto the prior (Eq 14 to 16)
+  refined,  ///< nonlinear least squares on log depth
+};
+constexpr auto names_of(Fusion) { return std::to_array<std::string_view>({"grid", "refined"}); }
+
+/// Options of every step. The sections' fields are listed once, in each step's own options struct.
+struct Options {
+  Fusion fusion = Fusion::refined;
+  CaptureOptions capture;
+  DecomposeOptions polarization;
+  PriorOptions prior;
+  ReflectionOptions reflection;
+  LightOptions light;
+  HeightOptions height;
+  GridFusionOptions grid;
+  RefineOptions refine;
+  SurfaceOptions surface;
+  AssessOptions assess;
+
+  template <class Self, class Visitor>
+  static void sections(Self& self, Visitor&& visit) {
+    visit("capture", self.capture);
+    visit("polarization", self.polarization);
+    visit("prior", self.prior);
+    visit("reflection", self.reflection);
+    visit("light", self.light);
+    visit("height", self.height);
+    visit("grid", self.grid);
+    visit("refine", self.refine);
+    visit("surface", self.surface);
+    visit("assess", self.assess);
+  }
+
+  /// Throws an input error naming section, field, value and bound.
+  void validate() const;
+};
+
+/// All values as JSON, {"fusion": …, "section": {"key": value}}.
+std::string options_to_json(const Options& options);
+/// The options with the values of a JSON object of that form replaced; missing ones keep their value. Unknown sections and
+/// keys, wrong types and values out of range are input errors that name them.
+Options options_from_json(const Options& options, std::string_view json);
+/// One assignment as on the command line, "section.key=value" or "fusion=grid".
+void set_option(Options& options, std::string_view assignment);
+/// Options of a TOML file with one table a section.
+Options options_from_file(const Options& options, const std::filesystem::path& path);
+/// Every option with type, default, range and meaning, as JSON {"section": {"key": {"type", "default", "min", "max", "doc"}}}.
+std::string option_schema_json();
+
+}  // namespace malus

@@ -1,0 +1,51 @@
+#include "malus/station/json_fields_internal.h"
+#include "malus/station/quality_json_internal.h"
+
+namespace malus {
+
+Json refine_report_json(const RefineReport& report) {
+  const ReflectionModel& model = report.reflection;
+  Json iterations = Json::array();
+  for (const RefineIteration& i : report.iterations) {
+    iterations.push_back({{"cost_before", i.cost_before},
+                          {"cost_after", i.cost_after},
+                          {"stokes_cost", i.stokes_cost},
+                          {"median_residual", i.median_residual},
+                          {"change_gsd", i.change_gsd},
+                          {"rejected_steps", i.rejected_steps}});
+  }
+  Json environment = Json::array();
+  for (std::size_t k = 0; k < model.environment.radiance.size(); ++k) {
+    environment.push_back({{"zenith_rad", EnvironmentProfile::nodes_rad[k]},
+                           {"radiance", model.environment.radiance[k]},
+                           {"sigma", fields_to_json(report.environment_sigma[k])}});
+  }
+  return {{"refractive_index", {{"value", model.eta}, {"sigma", fields_to_json(report.eta_sigma)}}},
+          {"light",
+           {{"direction", {model.lobe.light.x(), model.lobe.light.y(), model.lobe.light.z()}},
+            {"sigma_rad", fields_to_json(report.light_sigma_rad)}}},
+          {"lobe",
+           {{"strength", model.lobe.strength},
+            {"strength_sigma", fields_to_json(report.lobe_strength_sigma)},
+            {"roughness", model.lobe.roughness},
+            {"roughness_sigma", fields_to_json(report.lobe_roughness_sigma)}}},
+          {"environment", environment},
+          {"mirror",
+           {{"body", model.mirror.body},
+            {"body_sigma", fields_to_json(report.mirror_body_sigma)},
+            {"environment", model.mirror.environment},
+            {"environment_sigma", fields_to_json(report.mirror_environment_sigma)}}},
+          {"specular_share", report.specular_share},
+          {"tiles", report.tiles},
+          {"linear_solver_share", fields_to_json(report.linear_solver_share)},
+          {"iterations", iterations}};
+}
+
+Json quality_json(const std::string& name, const Quality& quality, const Json& refinement) {
+  Json json = {{"name", name}};
+  json.update(fields_to_json(quality));
+  if (!refinement.is_null()) json["refinement"] = refinement;
+  return json;
+}
+
+}  // namespace malus

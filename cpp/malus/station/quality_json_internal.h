@@ -1,0 +1,21 @@
+#pragma once
+
+// Private to the station room: what stands in quality.json.
+
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "malus/assess/quality.h"
+#include "malus/fusion/refine.h"
+
+namespace malus {
+
+using Json = nlohmann::ordered_json;
+
+/// Reflectance, light, convergence and cost of the refinement, with standard deviations.
+Json refine_report_json(const RefineReport& report);
+
+/// The figures under the names of the Quality structs, with the station's name and, after a refinement, its report.
+Json quality_json(const std::string& name, const Quality& quality, const Json& refinement);
+
+}  // namespace malus

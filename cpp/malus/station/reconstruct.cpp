@@ -1,0 +1,218 @@
+#include "malus/station/reconstruct.h"
+
+#include "malus/capture/capture.h"
+#include "malus/core/depth_normals.h"
+#include "malus/io/atomic_file.h"
+#include "malus/io/image_file.h"
+#include "malus/io/point_cloud_file.h"
+#include "malus/polarization/decompose.h"
+#include "malus/prior/project_prior.h"
+#include "malus/station/quality_json_internal.h"
+#include "malus/station/station_inputs_internal.h"
+#include "malus/station/step_runner_internal.h"
+#include "malus/surface/mesh.h"
+
+namespace malus {
+namespace {
+
+/// The camera of the station, or an error that says what is missing.
+const CameraSpec& require_camera(const Station& station) {
+  if (station.file.camera) return *station.file.camera;
+  throw input_error(station.file.path.string() +
+                    ": [camera] has no pose, expected a camera whose position is known (a COLMAP model, or qvec and tvec)");
+}
+
+CaptureInput make_capture_input(const Station& station) {
+  std::optional<LensCamera> lens = station.file.lens;
+  if (station.file.camera) lens = station.file.camera->lens;
+  if (!station.in_memory()) return capture_input(station.file.polarized, lens);
+  CaptureInput input;
+  input.polarized = station.file.polarized;
+  input.lens = lens;
+  input.mask = station.mask;
+  for (std::size_t k = 0; k < station.images.size(); ++k) input.names.push_back("images[" + std::to_string(k) + "]");
+  input.load = [&station](std::size_t k) { return RawImage{station.images[k], 32, true, 1.0}; };
+  return input;
+}
+
+PolarizationStep capture_and_decompose(const Station& station, const Options& options, const Context& context) {
+  if (!station.file.polarized.angles_deg && !station.file.polarized.mosaic) {
+    throw input_error(station.file.path.string() +
+                      ": [polarized] angles_deg = \"auto\" cannot be calibrated by this version, expected the angles in degrees");
+  }
+  const PolarizedStack stack = capture_stack(make_capture_input(station), options.capture, context);
+  return {decompose(stack.images, stack.angles_rad, stack.noise, stack.mask, stack.saturated, options.polarization, context),
+          stack.color, stack.camera, stack.registration_rms_px};
+}
+
+/// The object in the undistorted view: where the polarization state has pixels at all.
+Mask object_mask(const PolarizationState& state) {
+  Mask mask = state.valid;
+  for (std::uint8_t& pixel : mask) pixel = pixel == static_cast<std::uint8_t>(PixelState::outside) ? 0 : 255;
+  return mask;
+}
+
+DepthPrior make_prior(const Station& station, const PolarizationStep& images, const Options& options,
+                      const Context& context) {
+  const Pose& pose = require_camera(station).pose;
+  const Mask mask = object_mask(images.state);
+  const auto project = [&](const auto& source) {
+    return project_prior(source, images.camera, pose, mask, options.prior, context);
+  };
+  if (station.cloud) return project(*station.cloud);
+  if (station.prior_depth) return project(*station.prior_depth);
+  const PriorSpec& spec = station.file.prior.value();
+  if (spec.cloud) return project(read_point_cloud(*spec.cloud));
+  if (spec.mesh) return project(read_mesh(*spec.mesh));
+  return project(read_float_raster(*spec.depth, "prior depth map"));
+}
+
+ReflectionMap make_reflection(const Station& station, const PolarizationStep& images, const DepthPrior* prior,
+                              const Options& options, const Context& context) {
+  const OpticsSpec& optics = station.file.optics;
+  ReflectionOptions known = options.reflection;
+  if (optics.refractive_index) known.refractive_index = *optics.refractive_index;
+  known.reflection = enum_value<ReflectionChoice>(optics.reflection).value();
+  Image<std::uint8_t> labels;
+  if (optics.label_image) labels = read_labels(*optics.label_image);
+  Image<float> normals;
+  if (prior != nullptr) normals = normals_from_depth(prior->depth, images.camera, context);
+  return map_reflection(images.state, &images.camera, prior != nullptr ? &normals : nullptr,
+                        optics.label_image ? &labels : nullptr, known, context);
+}
+
+HeightMap make_height(const PolarizationStep& images, const DepthPrior& prior, const ReflectionMap& reflection,
+                      const Options& options, const Context& context) {
+  const Image<float> normals = normals_from_depth(prior.depth, images.camera, context);
+  const Image<float> height = height_from_depth(prior.depth, images.camera, options.height.perspective);
+  return solve_height({.polarization = images.state,
+                       .reflection = reflection,
+                       .camera = options.height.perspective ? &images.camera : nullptr,
+                       .light = std::nullopt,
+                       .prior_normals = &normals,
+                       .prior_height = &height},
+                      options.height, options.light, context);
+}
+
+RefinementStep make_refined(const Station& station, const PolarizationStep& images, const DepthPrior& prior,
+                          const Options& options, const Context& context) {
+  RefineInput input;
+  input.refractive_index = station.file.optics.refractive_index;
+  input.reflection = enum_value<ReflectionChoice>(station.file.optics.reflection).value();
+  if (station.file.optics.label_image) input.labels = read_labels(*station.file.optics.label_image);
+  RefineResult refined = refine(images.state, prior, input, options.refine, context);
+  return {std::move(refined.surface), refine_report_json(refined.report), std::move(refined.report.label),
+          std::move(refined.report.confidence)};
+}
+
+void write_mesh(const FusedSurface& surface, const PolarizationStep& images, const Options& options,
+                const Context& context, const std::filesystem::path& work, std::vector<std::string>& files) {
+  const Image<float>& color = images.color.empty() ? images.state.i_un : images.color;
+  write_ply(work / "fused/surface.ply", mesh_from_depth(surface, color, options.surface, context));
+  files.emplace_back("fused/surface.ply");
+}
+
+}  // namespace
+
+Reconstruction reconstruct(const Station& station, const Options& options, const RunOptions& run, const Context& context) {
+  options.validate();
+  StationInputs inputs(station, context);
+  StepRunner steps(options, run, context);
+  Reconstruction result;
+
+  // What the images say.
+  PolarizationStep images = steps.run<PolarizationStep>(
+      "polarization",
+      {.after = {},
+       .option_sections = {"capture", "polarization"},
+       .station = {{"polarized", inputs.polarized()}, {"camera", inputs.camera()}}},
+      [&](const Context& c) { return capture_and_decompose(station, options, c); });
+
+  // What stereo says, seen from the station. Without it only the polarization maps can be had.
+  if (station.has_prior() && steps.wants("prior")) {
+    result.prior = steps.run<DepthPrior>("prior",
+                                         {.after = {"polarization"},
+                                          .option_sections = {"prior"},
+                                          .station = {{"prior", inputs.prior()}, {"camera", inputs.camera()}}},
+                                         [&](const Context& c) { return make_prior(station, images, options, c); });
+  }
+  steps.set_info("inputs", inputs.hashes());
+
+  // Diffuse or specular, and the zenith that the degree then means.
+  if (steps.wants("zenith")) {
+    StepInputs zenith{.after = {"polarization"}, .option_sections = {"reflection"}, .station = inputs.optics()};
+    if (result.prior) zenith.after.emplace_back("prior");
+    result.reflection = steps.run<ReflectionMap>("zenith", zenith, [&](const Context& c) {
+      return make_reflection(station, images, result.prior ? &*result.prior : nullptr, options, c);
+    });
+  }
+  if (steps.wants("height") && !result.prior) {
+    throw input_error(station.file.path.string() + ": there is no [prior], expected a cloud, mesh or depth map");
+  }
+
+  // The paper's height from polarization alone (Eq 9 to 11).
+  if (steps.wants("height")) {
+    result.height = steps.run<HeightMap>(
+        "height", {.after = {"polarization", "prior", "zenith"}, .option_sections = {"light", "height"}},
+        [&](const Context& c) { return make_height(images, *result.prior, *result.reflection, options, c); });
+  }
+
+  // One surface of both: the paper's grid transfer (Eq 14 to 16), or the nonlinear refinement.
+  std::string fused_by;
+  Json refinement;
+  if (options.fusion == Fusion::grid && steps.wants("fuse")) {
+    fused_by = "fuse";
+    result.surface = steps.run<FusedSurface>(
+        "fuse", {.after = {"prior", "height"}, .option_sections = {"grid"}},
+        [&](const Context& c) { return fuse_grid(*result.height, *result.prior, options.grid, c); });
+  }
+  if (options.fusion == Fusion::refined && steps.wants("refine")) {
+    fused_by = "refine";
+    RefinementStep refined = steps.run<RefinementStep>(
+        "refine", {.after = {"polarization", "prior"}, .option_sections = {"refine"}, .station = inputs.optics()},
+        [&](const Context& c) { return make_refined(station, images, *result.prior, options, c); });
+    result.surface = std::move(refined.surface);
+    refinement = std::move(refined.report);
+  }
+
+  if (steps.wants("mesh")) {
+    steps.write("mesh", {.after = {"polarization", fused_by}, .option_sections = {"surface"}},
+                [&](const Context& c, const std::filesystem::path& work, std::vector<std::string>& files) {
+                  write_mesh(*result.surface, images, options, c, work, files);
+                });
+  }
+
+  if (steps.wants("assess")) {
+    StepInputs assess_inputs{.after = {"polarization", "prior", "height", fused_by},
+                             .option_sections = {"assess"},
+                             .station = {{"regions", inputs.regions()}}};
+    std::optional<TriangleMesh> reference;
+    if (run.reference) {
+      assess_inputs.station["reference"] = inputs.file(*run.reference);
+      reference = read_mesh(*run.reference);
+    }
+    AssessStep figures = steps.run<AssessStep>("assess", assess_inputs, [&](const Context& c) {
+      const Mask object = object_mask(images.state);
+      AssessStep step;
+      step.quality = assess({.surface = &*result.surface,
+                             .prior = &*result.prior,
+                             .height = &*result.height,
+                             .polarization = &images.state,
+                             .object = &object,
+                             .reference = reference ? &*reference : nullptr,
+                             .registration_rms_px = images.registration_rms_px,
+                             .patches = station.file.patches,
+                             .profiles = station.file.profiles,
+                             .unit = station.file.unit},
+                            options.assess, c);
+      step.file = quality_json(station.file.name, step.quality, refinement);
+      return step;
+    });
+    result.quality = std::move(figures.quality);
+    result.quality_json = figures.file.dump(2);
+  }
+  result.polarization = std::move(images.state);
+  return result;
+}
+
+}  // namespace malus

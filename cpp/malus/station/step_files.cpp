@@ -1,0 +1,209 @@
+#include <cmath>
+
+#include "malus/io/atomic_file.h"
+#include "malus/io/colmap_model.h"
+#include "malus/io/image_file.h"
+#include "malus/io/input_file.h"
+#include "malus/station/json_fields_internal.h"
+#include "malus/station/step_files_internal.h"
+
+namespace malus {
+namespace {
+
+namespace fs = std::filesystem;
+
+void save_raster(const Image<float>& raster, const fs::path& work, const char* name, std::vector<std::string>& files) {
+  create_folder((work / name).parent_path());
+  write_float_tiff(work / name, raster);
+  files.emplace_back(name);
+}
+
+void save_bytes(const Image<std::uint8_t>& raster, const fs::path& work, const char* name, std::vector<std::string>& files) {
+  create_folder((work / name).parent_path());
+  write_png(work / name, raster);
+  files.emplace_back(name);
+}
+
+/// JSON has no infinity or NaN; both come back as NaN.
+double number(const Json& json) { return json.is_number() ? json.get<double>() : std::nan(""); }
+
+Pinhole pinhole_from_json(const Json& json) {
+  return {{json.at("width").get<int>(), json.at("height").get<int>()},
+          json.at("fx").get<double>(),
+          json.at("fy").get<double>(),
+          json.at("cx").get<double>(),
+          json.at("cy").get<double>()};
+}
+
+Pose pose_from_json(const Json& json) {
+  Pose pose;
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) pose.rotation(i, j) = json.at("rotation").at(i).at(j).get<double>();
+    pose.translation[i] = json.at("translation").at(i).get<double>();
+  }
+  return pose;
+}
+
+}  // namespace
+
+Json to_json(const Pinhole& camera) {
+  return {{"width", camera.size.width}, {"height", camera.size.height}, {"fx", camera.fx}, {"fy", camera.fy},
+          {"cx", camera.cx},            {"cy", camera.cy}};
+}
+
+Json to_json(const Pose& pose) {
+  Json rotation = Json::array(), translation = Json::array();
+  for (int i = 0; i < 3; ++i) {
+    rotation.push_back({pose.rotation(i, 0), pose.rotation(i, 1), pose.rotation(i, 2)});
+    translation.push_back(pose.translation[i]);
+  }
+  return {{"rotation", rotation}, {"translation", translation}};
+}
+
+Json save(const PolarizationStep& result, const fs::path& work, std::vector<std::string>& files) {
+  const PolarizationState& state = result.state;
+  save_raster(state.i_un, work, "polarization/unpolarized.tif", files);
+  save_raster(state.rho, work, "polarization/degree.tif", files);
+  save_raster(state.phi, work, "polarization/phase.tif", files);
+  save_raster(state.residual, work, "polarization/residual.tif", files);
+  save_bytes(state.valid, work, "polarization/valid.png", files);
+  if (!result.color.empty()) save_raster(result.color, work, "polarization/color.tif", files);
+  return {{"camera", to_json(result.camera)},
+          {"angles_rad", state.angles_rad},
+          {"exposures", state.exposures},
+          {"noise",
+           {{"full_well_e", state.noise.full_well_e},
+            {"read_noise_e", state.noise.read_noise_e},
+            {"quantization", state.noise.quantization},
+            {"frames_averaged", state.noise.frames_averaged}}},
+          {"registration_rms_px", result.registration_rms_px}};
+}
+
+void load(PolarizationStep& result, const fs::path& work, const Json& notes) {
+  PolarizationState& state = result.state;
+  state.i_un = read_float_raster(work / "polarization/unpolarized.tif");
+  state.rho = read_float_raster(work / "polarization/degree.tif");
+  state.phi = read_float_raster(work / "polarization/phase.tif");
+  state.residual = read_float_raster(work / "polarization/residual.tif");
+  state.valid = read_labels(work / "polarization/valid.png");
+  result.camera = pinhole_from_json(notes.at("camera"));
+  state.angles_rad = notes.at("angles_rad").get<std::vector<double>>();
+  state.exposures = notes.at("exposures").get<std::vector<int>>();
+  const Json& noise = notes.at("noise");
+  state.noise.full_well_e = noise.at("full_well_e").get<double>();
+  state.noise.read_noise_e = noise.at("read_noise_e").get<double>();
+  state.noise.quantization = noise.at("quantization").get<double>();
+  state.noise.frames_averaged = noise.at("frames_averaged").get<int>();
+  result.registration_rms_px.clear();
+  for (const Json& rms : notes.at("registration_rms_px")) result.registration_rms_px.push_back(number(rms));
+  if (fs::exists(work / "polarization/color.tif")) result.color = read_float_raster(work / "polarization/color.tif");
+}
+
+Json save(const DepthPrior& result, const fs::path& work, std::vector<std::string>& files) {
+  save_raster(result.depth, work, "prior/depth.tif", files);
+  save_raster(result.sigma, work, "prior/sigma.tif", files);
+  return {{"camera", to_json(result.camera)},       {"pose", to_json(result.pose)},
+          {"points_total", result.points_total},    {"points_used", result.points_used},
+          {"noise", result.noise},                  {"spacing_px", result.spacing_px},
+          {"smoothing_px", result.smoothing_px},    {"filled_fraction", result.filled_fraction}};
+}
+
+void load(DepthPrior& result, const fs::path& work, const Json& notes) {
+  result.depth = read_float_raster(work / "prior/depth.tif");
+  result.sigma = read_float_raster(work / "prior/sigma.tif");
+  result.camera = pinhole_from_json(notes.at("camera"));
+  result.pose = pose_from_json(notes.at("pose"));
+  result.points_total = number(notes.at("points_total"));
+  result.points_used = number(notes.at("points_used"));
+  result.noise = number(notes.at("noise"));
+  result.spacing_px = number(notes.at("spacing_px"));
+  result.smoothing_px = number(notes.at("smoothing_px"));
+  result.filled_fraction = number(notes.at("filled_fraction"));
+}
+
+Json save(const ReflectionMap& result, const fs::path& work, std::vector<std::string>& files) {
+  save_raster(result.zenith, work, "polarization/zenith.tif", files);
+  save_bytes(result.label, work, "polarization/label.png", files);
+  return Json::object();
+}
+
+void load(ReflectionMap& result, const fs::path& work, const Json&) {
+  result.zenith = read_float_raster(work / "polarization/zenith.tif");
+  result.label = read_labels(work / "polarization/label.png");
+}
+
+Json save(const HeightMap& result, const fs::path& work, std::vector<std::string>& files) {
+  save_raster(result.height, work, "height/height.tif", files);
+  return {{"perspective", result.perspective},
+          {"light", {result.light[0], result.light[1], result.light[2], result.light[3]}},
+          {"status", result.status},
+          {"residual_rms", result.residual_rms},
+          {"unknowns", result.unknowns}};
+}
+
+void load(HeightMap& result, const fs::path& work, const Json& notes) {
+  result.height = read_float_raster(work / "height/height.tif");
+  result.perspective = notes.at("perspective").get<bool>();
+  for (int i = 0; i < 4; ++i) result.light[i] = number(notes.at("light").at(i));
+  result.status = notes.at("status").get<std::string>();
+  result.residual_rms = number(notes.at("residual_rms"));
+  result.unknowns = notes.at("unknowns").get<std::size_t>();
+}
+
+Json save(const FusedSurface& result, const fs::path& work, std::vector<std::string>& files) {
+  save_raster(result.depth, work, "fused/depth.tif", files);
+  save_raster(result.normals, work, "fused/normals.tif", files);
+  save_raster(result.sigma, work, "fused/sigma.tif", files);
+  write_colmap_text(work / "fused/camera.txt", work / "fused/image.txt", result.camera, result.pose, "depth.tif");
+  files.insert(files.end(), {"fused/camera.txt", "fused/image.txt"});
+  return {{"camera", to_json(result.camera)},
+          {"pose", to_json(result.pose)},
+          {"method", result.method},
+          {"status", result.status},
+          {"warnings", result.warnings}};
+}
+
+void load(FusedSurface& result, const fs::path& work, const Json& notes) {
+  result.depth = read_float_raster(work / "fused/depth.tif");
+  result.normals = read_float_raster(work / "fused/normals.tif");
+  result.sigma = read_float_raster(work / "fused/sigma.tif");
+  result.camera = pinhole_from_json(notes.at("camera"));
+  result.pose = pose_from_json(notes.at("pose"));
+  result.method = notes.at("method").get<std::string>();
+  result.status = notes.at("status").get<std::string>();
+  result.warnings = notes.at("warnings").get<std::vector<std::string>>();
+}
+
+Json save(const RefinementStep& result, const fs::path& work, std::vector<std::string>& files) {
+  Json notes = save(result.surface, work, files);
+  save_bytes(result.label, work, "fused/label.png", files);
+  save_bytes(result.confidence, work, "fused/confidence.png", files);
+  notes["report"] = result.report;
+  return notes;
+}
+
+void load(RefinementStep& result, const fs::path& work, const Json& notes) {
+  load(result.surface, work, notes);
+  result.label = read_labels(work / "fused/label.png");
+  result.confidence = read_labels(work / "fused/confidence.png");
+  result.report = notes.at("report");
+}
+
+Json save(const AssessStep& result, const fs::path& work, std::vector<std::string>& files) {
+  if (result.quality.reference && !result.quality.reference->distance.empty()) {
+    save_raster(result.quality.reference->distance, work, "fused/reference_distance.tif", files);
+  }
+  write_file(work / "quality.json", result.file.dump(2) + "\n");
+  files.emplace_back("quality.json");
+  return Json::object();
+}
+
+void load(AssessStep& result, const fs::path& work, const Json&) {
+  result.file = Json::parse(read_file(work / "quality.json", "figures"));
+  fields_from_json(result.quality, result.file);
+  if (result.quality.reference) {
+    result.quality.reference->distance = read_float_raster(work / "fused/reference_distance.tif");
+  }
+}
+
+}  // namespace malus

@@ -1,0 +1,70 @@
+#pragma once
+
+// Private to the station room: the files and notes in which each step's result rests in a workspace.
+
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "malus/assess/quality.h"
+#include "malus/capture/polarized_stack.h"
+#include "malus/core/camera.h"
+#include "malus/core/image.h"
+#include "malus/core/pose.h"
+#include "malus/fusion/fused_surface.h"
+#include "malus/fusion/refine.h"
+#include "malus/height/height_map.h"
+#include "malus/polarization/polarization_state.h"
+#include "malus/polarization/reflection.h"
+#include "malus/prior/depth_prior.h"
+
+namespace malus {
+
+using Json = nlohmann::ordered_json;
+
+/// The polarization step's result: what the images say, before any surface is known.
+struct PolarizationStep {
+  PolarizationState state;
+  Image<float> color;
+  Pinhole camera;
+  std::vector<double> registration_rms_px;
+};
+
+/// The refinement's surface, and what it found out as JSON for quality.json.
+struct RefinementStep {
+  FusedSurface surface;
+  Json report = Json::object();
+  Image<std::uint8_t> label;       ///< as ReflectionMap::label
+  Image<std::uint8_t> confidence;  ///< weight of each pixel's polarization, 0 … 255
+};
+
+/// The figures, and the JSON they stand in: quality.json also has the station's name and the refinement's report.
+struct AssessStep {
+  Quality quality;
+  Json file;
+};
+
+// For each result: `save` writes its rasters below the workspace folder, appends their names to `files` and returns the
+// numbers that go into the manifest; `load` reads both back. What is loaded equals what was saved to the bit.
+
+Json save(const PolarizationStep& result, const std::filesystem::path& work, std::vector<std::string>& files);
+Json save(const DepthPrior& result, const std::filesystem::path& work, std::vector<std::string>& files);
+Json save(const ReflectionMap& result, const std::filesystem::path& work, std::vector<std::string>& files);
+Json save(const HeightMap& result, const std::filesystem::path& work, std::vector<std::string>& files);
+Json save(const FusedSurface& result, const std::filesystem::path& work, std::vector<std::string>& files);
+Json save(const RefinementStep& result, const std::filesystem::path& work, std::vector<std::string>& files);
+Json save(const AssessStep& result, const std::filesystem::path& work, std::vector<std::string>& files);
+
+void load(PolarizationStep& result, const std::filesystem::path& work, const Json& notes);
+void load(DepthPrior& result, const std::filesystem::path& work, const Json& notes);
+void load(ReflectionMap& result, const std::filesystem::path& work, const Json& notes);
+void load(HeightMap& result, const std::filesystem::path& work, const Json& notes);
+void load(FusedSurface& result, const std::filesystem::path& work, const Json& notes);
+void load(RefinementStep& result, const std::filesystem::path& work, const Json& notes);
+void load(AssessStep& result, const std::filesystem::path& work, const Json& notes);
+
+Json to_json(const Pinhole& camera);
+Json to_json(const Pose& pose);
+
+}  // namespace malus

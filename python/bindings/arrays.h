@@ -1,0 +1,48 @@
+#pragma once
+
+#include <pybind11/numpy.h>
+
+#include <cstring>
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "malus/core/image.h"
+
+namespace malus::python {
+
+namespace py = pybind11;
+
+/// Array types that pybind11 converts to on the way in: C-contiguous, of the library's element type.
+template <class T>
+using Array = py::array_t<T, py::array::c_style | py::array::forcecast>;
+
+/// Copies an H×W or H×W×C array; the Python side has checked shape and type.
+template <class T>
+Image<T> to_image(const Array<T>& array) {
+  if (array.ndim() != 2 && array.ndim() != 3) throw py::value_error("expected an array (H, W) or (H, W, C)");
+  const int channels = array.ndim() == 3 ? static_cast<int>(array.shape(2)) : 1;
+  Image<T> image({static_cast<int>(array.shape(1)), static_cast<int>(array.shape(0))}, channels);
+  std::memcpy(image.data(), array.data(), image.count() * sizeof(T));
+  return image;
+}
+
+/// Hands the image's memory to numpy: H×W for one channel, H×W×C otherwise; None for an empty image.
+template <class T>
+py::object to_array(Image<T>&& image) {
+  if (image.empty()) return py::none();
+  auto owner = std::make_unique<Image<T>>(std::move(image));
+  std::vector<py::ssize_t> shape{owner->height(), owner->width()};
+  if (owner->channels() > 1) shape.push_back(owner->channels());
+  T* const data = owner->data();
+  const py::capsule keep(owner.release(), [](void* pointer) { delete static_cast<Image<T>*>(pointer); });
+  return py::array_t<T>(shape, data, keep);
+}
+
+/// A copy of the image for numpy; for rasters that their owner keeps.
+template <class T>
+py::object copy_to_array(const Image<T>& image) {
+  return to_array(Image<T>(image));
+}
+
+}  // namespace malus::python

@@ -1,0 +1,49 @@
+#include <pybind11/eigen.h>
+#include <pybind11/stl.h>
+
+#include "arrays.h"
+#include "bindings.h"
+#include "interruptible.h"
+#include "malus/capture/mosaic.h"
+#include "malus/capture/registration.h"
+#include "malus/station/options.h"
+
+namespace malus::python {
+
+void bind_capture(py::module_& module) {
+  module.def("demosaic", [](const Array<float>& mosaic, int threads) {
+    const Image<float> image = to_image(mosaic);
+    std::array<MosaicChannel, 4> channels;
+    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+      channels = demosaic(image, Mask(image.size()), "mosaic", context);
+    });
+    py::list result;
+    for (MosaicChannel& channel : channels) result.append(to_array(std::move(channel.intensity)));
+    return result;
+  });
+
+  module.def("register_images", [](const std::vector<Array<float>>& arrays, const std::string& options_json,
+                                   int frames_averaged, double full_well_e, double read_noise_e, int threads) {
+    const Options options = options_from_json({}, options_json);
+    const NoiseModel noise{full_well_e, read_noise_e, 0, frames_averaged};
+    std::vector<Image<float>> images;
+    for (const auto& array : arrays) images.push_back(to_image(array));
+    std::vector<ImageRegistration> found;
+    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+      found = register_images(images, noise, options.capture.registration, context);
+    });
+    py::list result;
+    for (const ImageRegistration& image : found) {
+      py::dict entry;
+      entry["status"] = std::string(enum_name(image.status));
+      entry["message"] = image.message;
+      entry["image_from_base"] = Eigen::MatrixXd(image.image_from_base);
+      entry["displacement_px"] = image.displacement_px;
+      entry["rms_px"] = image.rms_px;
+      result.append(entry);
+    }
+    return result;
+  });
+}
+
+}  // namespace malus::python

@@ -1,0 +1,41 @@
+#include <pybind11/stl.h>
+
+#include "arrays.h"
+#include "bindings.h"
+#include "interruptible.h"
+#include "malus/fusion/grid_fusion.h"
+#include "malus/fusion/refine.h"
+#include "malus/station/options.h"
+
+namespace malus::python {
+
+void bind_fusion(py::module_& module) {
+  py::class_<FusedSurface>(module, "FusedSurface")
+      .def_property_readonly("depth", [](const FusedSurface& s) { return copy_to_array(s.depth); })
+      .def_property_readonly("normals", [](const FusedSurface& s) { return copy_to_array(s.normals); })
+      .def_property_readonly("sigma", [](const FusedSurface& s) { return copy_to_array(s.sigma); })
+      .def_readonly("camera", &FusedSurface::camera)
+      .def_readonly("method", &FusedSurface::method)
+      .def_readonly("status", &FusedSurface::status)
+      .def_readonly("warnings", &FusedSurface::warnings);
+  module.def("fuse_grid", [](const HeightMap& height, const DepthPrior& prior, const std::string& options_json, int threads) {
+    const Options options = options_from_json({}, options_json);
+    FusedSurface surface;
+    run_interruptible(threads, py::none(), py::none(),
+                      [&](const Context& context) { surface = fuse_grid(height, prior, options.grid, context); });
+    return surface;
+  });
+  module.def("refine", [](const PolarizationState& state, const DepthPrior& prior, std::optional<double> refractive_index,
+                          const std::string& options_json, int threads) {
+    const Options options = options_from_json({}, options_json);
+    RefineInput input;
+    input.refractive_index = refractive_index;
+    FusedSurface surface;
+    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+      surface = refine(state, prior, input, options.refine, context).surface;
+    });
+    return surface;
+  });
+}
+
+}  // namespace malus::python

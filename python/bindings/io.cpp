@@ -1,0 +1,15 @@
+#include "arrays.h"
+#include "bindings.h"
+#include "malus/io/image_file.h"
+
+namespace malus::python {
+
+void bind_io(py::module_& module) {
+  module.def("read_raster", [](const std::string& path) {
+    if (path.ends_with(".tif")) return to_array(read_float_raster(path));
+    RawImage image = read_image(path);
+    return to_array(std::move(image.pixels));
+  });
+}
+
+}  // namespace malus::python

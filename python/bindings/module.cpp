@@ -1,0 +1,56 @@
+#include <pybind11/pybind11.h>
+
+#include <new>
+
+#include "bindings.h"
+#include "malus/core/error.h"
+#include "malus/core/version.h"
+
+namespace py = pybind11;
+
+namespace {
+
+/// Name in malus.errors of the exception for an error code.
+const char* exception_name(malus::ErrorCode code) {
+  switch (code) {
+    case malus::ErrorCode::input: return "InputError";
+    case malus::ErrorCode::data: return "DataError";
+    case malus::ErrorCode::external: return "ExternalError";
+    case malus::ErrorCode::resource: return "ResourceError";
+    case malus::ErrorCode::interrupted: break;
+  }
+  return nullptr;
+}
+
+void translate(std::exception_ptr error) {
+  try {
+    if (error) std::rethrow_exception(error);
+  } catch (const malus::Error& e) {
+    const char* name = exception_name(e.code());
+    if (name == nullptr) {
+      PyErr_SetString(PyExc_KeyboardInterrupt, e.what());
+    } else {
+      const py::object type = py::module_::import("malus.errors").attr(name);
+      PyErr_SetString(type.ptr(), e.what());
+    }
+  } catch (const std::bad_alloc&) {
+    PyErr_SetString(PyExc_MemoryError, "out of memory");
+  }
+}
+
+}  // namespace
+
+PYBIND11_MODULE(_core, module) {
+  module.doc() = "Private extension of malus; use the package's own modules.";
+  module.attr("version") = malus::version;
+  py::register_exception_translator(&translate);
+  malus::python::bind_io(module);
+  malus::python::bind_capture(module);
+  malus::python::bind_polarization(module);
+  malus::python::bind_prior(module);
+  malus::python::bind_height(module);
+  malus::python::bind_fusion(module);
+  malus::python::bind_surface(module);
+  malus::python::bind_assess(module);
+  malus::python::bind_station(module);
+}

@@ -1,0 +1,76 @@
+#include <pybind11/stl.h>
+
+#include "arrays.h"
+#include "bindings.h"
+#include "interruptible.h"
+#include "malus/polarization/decompose.h"
+#include "malus/polarization/fresnel.h"
+#include "malus/polarization/reflection.h"
+#include "malus/station/options.h"
+
+namespace malus::python {
+namespace {
+
+PolarizationState decompose_arrays(const std::vector<Array<float>>& arrays, const std::vector<double>& angles_rad,
+                                   const std::optional<Array<std::uint8_t>>& mask_array, double full_well_e,
+                                   double read_noise_e, int frames_averaged, const std::string& options_json, int threads) {
+  const Options options = options_from_json({}, options_json);
+  std::vector<Image<float>> images;
+  for (const auto& array : arrays) images.push_back(to_image(array));
+  const Mask mask = mask_array ? to_image(*mask_array) : Mask(images.at(0).size(), 1, 255);
+  PolarizationState state;
+  run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+    state = decompose(images, angles_rad, {full_well_e, read_noise_e, 0, frames_averaged}, mask, {}, options.polarization, context);
+  });
+  return state;
+}
+
+}  // namespace
+
+void bind_polarization(py::module_& module) {
+  module.def("diffuse_degree", py::vectorize(&diffuse_degree));
+  module.def("specular_degree", py::vectorize(&specular_degree));
+  module.def("diffuse_zenith", py::vectorize([](double degree, double eta) { return diffuse_zenith(degree, eta).zenith_rad; }));
+  module.def("specular_zenith", py::vectorize([](double degree, double eta, bool above_brewster) {
+               const auto branch = above_brewster ? SpecularBranch::above_brewster : SpecularBranch::below_brewster;
+               return specular_zenith(degree, eta, branch).zenith_rad;
+             }));
+  module.def("brewster_angle", &brewster_angle);
+
+  py::class_<PolarizationState>(module, "PolarizationState")
+      .def_property_readonly("unpolarized", [](const PolarizationState& s) { return copy_to_array(s.i_un); })
+      .def_property_readonly("degree", [](const PolarizationState& s) { return copy_to_array(s.rho); })
+      .def_property_readonly("phase_rad", [](const PolarizationState& s) { return copy_to_array(s.phi); })
+      .def_property_readonly("residual", [](const PolarizationState& s) { return copy_to_array(s.residual); })
+      .def_property_readonly("valid", [](const PolarizationState& s) { return copy_to_array(s.valid); })
+      .def_property_readonly("angles_rad", [](const PolarizationState& s) { return s.angles_rad; })
+      .def_property_readonly("exposures", [](const PolarizationState& s) { return s.exposures; });
+  module.def("decompose", &decompose_arrays, py::arg("images"), py::arg("angles_rad"), py::arg("mask"),
+             py::arg("full_well_e"), py::arg("read_noise_e"), py::arg("frames_averaged"), py::arg("options"),
+             py::arg("threads"));
+
+  py::class_<ReflectionMap>(module, "ReflectionMap")
+      .def_property_readonly("label", [](const ReflectionMap& r) { return copy_to_array(r.label); })
+      .def_property_readonly("zenith_rad", [](const ReflectionMap& r) { return copy_to_array(r.zenith); })
+      .def_readonly("specular_share", &ReflectionMap::specular_share)
+      .def_readonly("clamped_share", &ReflectionMap::clamped_share);
+  module.def("map_reflection", [](const PolarizationState& state, const std::optional<Pinhole>& camera,
+                                  const std::optional<Array<float>>& normals_array, double refractive_index,
+                                  const std::string& reflection, const std::string& options_json, int threads) {
+    ReflectionOptions options = options_from_json({}, options_json).reflection;
+    options.refractive_index = refractive_index;
+    const auto choice = enum_value<ReflectionChoice>(reflection);
+    if (!choice || *choice == ReflectionChoice::labels) {
+      throw input_error("reflection = \"" + reflection + "\", expected \"auto\", \"diffuse\" or \"specular\"");
+    }
+    options.reflection = *choice;
+    const Image<float> normals = normals_array ? to_image(*normals_array) : Image<float>();
+    ReflectionMap map;
+    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+      map = map_reflection(state, camera ? &*camera : nullptr, normals_array ? &normals : nullptr, nullptr, options, context);
+    });
+    return map;
+  });
+}
+
+}  // namespace malus::python

@@ -1,0 +1,43 @@
+"""Malus: surfaces of heritage objects from shape from polarization fused with multi-view stereo.
+
+    import malus
+    station = malus.Station.load("station.toml")
+    result = malus.reconstruct(station, malus.Options(fusion="refined"))
+    result.depth, result.normals, result.sigma
+
+Frames, angles and units: docs/conventions.md. Each step alone, on arrays: `malus.polarization`, `malus.capture`,
+`malus.prior`, `malus.height`, `malus.fusion`, `malus.surface`, `malus.assess`.
+"""
+
+from malus import assess, capture, fusion, height, polarization, prior, surface
+from malus._core import version as __version__
+from malus.camera import Camera
+from malus.errors import DataError, ExternalError, InputError, MalusError, ResourceError
+from malus.options import Options
+from malus.reconstruction import Progress, Result, check, reconstruct
+from malus.report import write_report
+from malus.station import Station
+
+__all__ = [
+    "Camera",
+    "DataError",
+    "ExternalError",
+    "InputError",
+    "MalusError",
+    "Options",
+    "Progress",
+    "ResourceError",
+    "Result",
+    "Station",
+    "__version__",
+    "assess",
+    "capture",
+    "check",
+    "fusion",
+    "height",
+    "polarization",
+    "prior",
+    "reconstruct",
+    "surface",
+    "write_report",
+]

@@ -1,0 +1,163 @@
+"""Types of the private extension; see the package's own modules for documentation."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+version: str
+
+def option_schema() -> str: ...
+def default_options() -> str: ...
+def check_options(json: str) -> str: ...
+def set_option(json: str, assignment: str) -> str: ...
+def options_from_file(json: str, path: str) -> str: ...
+def step_names() -> list[str]: ...
+def read_raster(path: str) -> Float32: ...
+
+class Station:
+    @staticmethod
+    def load(path: str) -> Station: ...
+    @staticmethod
+    def from_arrays(**values: Any) -> Station: ...
+    def describe(self) -> str: ...
+
+def reconstruct(
+    station: Station,
+    options: str,
+    workspace: str | None,
+    until: str | None,
+    reference: str | None,
+    threads: int,
+    progress: Callable[[str, float, str], None] | None,
+    log: Callable[[str, str], None] | None,
+) -> dict[str, Any]: ...
+def check(station: Station, options: str, threads: int) -> str: ...
+
+class Pinhole:
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    def __init__(self, width: int, height: int, fx: float, fy: float, cx: float, cy: float) -> None: ...
+
+class PolarizationState:
+    @property
+    def unpolarized(self) -> Float32: ...
+    @property
+    def degree(self) -> Float32: ...
+    @property
+    def phase_rad(self) -> Float32: ...
+    @property
+    def residual(self) -> Float32: ...
+    @property
+    def valid(self) -> Bytes: ...
+    @property
+    def angles_rad(self) -> list[float]: ...
+    @property
+    def exposures(self) -> list[int]: ...
+
+class ReflectionMap:
+    specular_share: float
+    clamped_share: float
+    @property
+    def label(self) -> Bytes: ...
+    @property
+    def zenith_rad(self) -> Float32: ...
+
+class DepthPrior:
+    camera: Pinhole
+    points_total: float
+    points_used: float
+    noise: float
+    spacing_px: float
+    smoothing_px: float
+    filled_fraction: float
+    def __init__(self, depth: Float32, sigma: Float32, camera: Pinhole, rotation: Float64, translation: Float64) -> None: ...
+    @property
+    def depth(self) -> Float32: ...
+    @property
+    def sigma(self) -> Float32: ...
+
+class HeightMap:
+    perspective: bool
+    light: Float64
+    status: str
+    residual_rms: float
+    @property
+    def height(self) -> Float32: ...
+
+class FusedSurface:
+    camera: Pinhole
+    method: str
+    status: str
+    warnings: list[str]
+    @property
+    def depth(self) -> Float32: ...
+    @property
+    def normals(self) -> Float32: ...
+    @property
+    def sigma(self) -> Float32: ...
+
+def demosaic(mosaic: Float32, threads: int) -> list[Float32]: ...
+def register_images(
+    images: Sequence[Float32], options: str, frames_averaged: int, full_well_e: float, read_noise_e: float, threads: int
+) -> list[dict[str, Any]]: ...
+def decompose(
+    images: Sequence[Float32],
+    angles_rad: Sequence[float],
+    mask: Bytes | None,
+    full_well_e: float,
+    read_noise_e: float,
+    frames_averaged: int,
+    options: str,
+    threads: int,
+) -> PolarizationState: ...
+def diffuse_degree(zenith_rad: Float64, eta: float) -> Float64: ...
+def specular_degree(zenith_rad: Float64, eta: float) -> Float64: ...
+def diffuse_zenith(degree: Float64, eta: float) -> Float64: ...
+def specular_zenith(degree: Float64, eta: float, above_brewster: bool) -> Float64: ...
+def brewster_angle(eta: float) -> float: ...
+def map_reflection(
+    state: PolarizationState,
+    camera: Pinhole | None,
+    normals: Float32 | None,
+    refractive_index: float,
+    reflection: str,
+    options: str,
+    threads: int,
+) -> ReflectionMap: ...
+def project_points(
+    points: Float64,
+    camera: Pinhole,
+    rotation: Float64,
+    translation: Float64,
+    mask: Bytes | None,
+    options: str,
+    threads: int,
+) -> DepthPrior: ...
+def solve_height(
+    state: PolarizationState,
+    reflection: ReflectionMap,
+    camera: Pinhole | None,
+    light: Float64 | None,
+    normals: Float32 | None,
+    options: str,
+    threads: int,
+) -> HeightMap: ...
+def fuse_grid(height: HeightMap, prior: DepthPrior, options: str, threads: int) -> FusedSurface: ...
+def refine(
+    state: PolarizationState, prior: DepthPrior, refractive_index: float | None, options: str, threads: int
+) -> FusedSurface: ...
+def normals_from_depth(depth: Float32, camera: Pinhole, threads: int) -> Float32: ...
+def mesh_from_depth(surface: FusedSurface, color: Float32 | None, options: str, threads: int) -> dict[str, Any]: ...
+def fit_patch(
+    depth: Float32, camera: Pinhole, x0: int, y0: int, x1: int, y1: int, gsd: float
+) -> dict[str, float] | None: ...

@@ -1,0 +1,39 @@
+"""Camera of a station: lens model and pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass
+class Camera:
+    """Lens camera and its pose.
+
+    `model` is one of SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV, BROWN; `params` in COLMAP's
+    order, but with the principal point in the memory pixel convention (centre of the top-left pixel at (0, 0); COLMAP's
+    minus 0.5). `rotation` (3×3) and `translation` (3) take world points into the camera frame (x right, y down, z
+    forward): x_in_cam = rotation @ x_in_world + translation.
+    """
+
+    model: str
+    width: int
+    height: int
+    params: Sequence[float]
+    rotation: ArrayLike = field(default_factory=lambda: np.eye(3))
+    translation: ArrayLike = field(default_factory=lambda: np.zeros(3))
+
+    def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Rotation (3×3) and translation (3) as float64, checked."""
+        rotation = np.asarray(self.rotation, dtype=np.float64)
+        translation = np.asarray(self.translation, dtype=np.float64)
+        if rotation.shape != (3, 3):
+            raise ValueError(f"rotation has shape {rotation.shape}, expected (3, 3)")
+        if translation.shape != (3,):
+            raise ValueError(f"translation has shape {translation.shape}, expected (3,)")
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
+            raise ValueError("rotation is not a rotation matrix (orthonormal, determinant +1)")
+        return rotation, translation

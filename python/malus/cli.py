@@ -1,0 +1,180 @@
+"""The command line: `malus run STATION.toml -o WORK` and its parts."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import malus
+from malus.demo import example_station
+from malus.errors import InputError, MalusError
+from malus.progress import BarProgress, JsonProgress, ProgressView
+from malus.reconstruction import STEPS
+
+INTERRUPTED = 130
+
+# What each single-step command runs up to; the steps before it are done first if they are not yet.
+STEP_COMMANDS = {
+    "decompose": ("zenith", "intensity, degree, phase and zenith maps (Fig. 5)"),
+    "prior": ("prior", "the photogrammetric surface in the polarized view"),
+    "height": ("height", "height from polarization alone (Fig. 6)"),
+    "fuse": ("fuse", "grid fusion of height and prior (Eq 14 to 16)"),
+    "refine": ("refine", "nonlinear refinement"),
+    "mesh": ("mesh", "metric mesh in object space"),
+    "assess": ("assess", "patches, profiles, comparison with a reference"),
+}
+
+
+class _Parser(argparse.ArgumentParser):
+    """Ends with the exit code of a wrong command line."""
+
+    def error(self, message: str) -> None:  # type: ignore[override]
+        self.print_usage(sys.stderr)
+        raise InputError(message)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="malus", description=malus.__doc__.splitlines()[0] if malus.__doc__ else None)
+    parser.add_argument("--version", action="version", version=f"malus {malus.__version__}")
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="default: all cores")
+    common.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="any option of any step")
+    common.add_argument("--options", type=Path, metavar="FILE.toml", help="options, one table a step")
+    common.add_argument("--fusion", choices=["grid", "refined"], help="the paper's transfer, or the refinement (default)")
+    common.add_argument("--json", action="store_true", help="one JSON object a progress event on standard output")
+    common.add_argument("--quiet", action="store_true", help="errors only")
+
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
+
+    def add(name: str, text: str, *, station: bool = True, work: bool = True) -> argparse.ArgumentParser:
+        command = commands.add_parser(name, help=text, description=text, parents=[common])
+        if station:
+            command.add_argument("station", type=Path, metavar="STATION.toml")
+        if work:
+            command.add_argument("-o", "--output", type=Path, required=True, metavar="WORK", help="workspace folder")
+        return command
+
+    run = add("run", "the whole job: station file in, workspace with mesh, figures and report out")
+    demo = add("demo", "the same on the example that ships with malus", station=False, work=False)
+    demo.add_argument("-o", "--output", type=Path, default=Path("malus-demo"), metavar="WORK")
+    add("check", "read everything, say what would be done, what it would take and what is wrong", work=False)
+    for name, (_, text) in STEP_COMMANDS.items():
+        command = add(name, text)
+        if name == "assess":
+            command.add_argument("--reference", type=Path, metavar="SCAN.ply", help="compare with this cloud or mesh")
+    run.add_argument("--reference", type=Path, metavar="SCAN.ply", help="compare with this cloud or mesh")
+    report = add("report", "rebuild the report of a workspace", station=False, work=False)
+    report.add_argument("work", type=Path, metavar="WORK")
+    options = commands.add_parser("options", help="list every option with its default and meaning")
+    options.set_defaults(json=False, quiet=False)
+    return parser
+
+
+def _view(args: argparse.Namespace) -> ProgressView:
+    if args.json:
+        return JsonProgress()
+    return ProgressView() if args.quiet else BarProgress()
+
+
+def _options(args: argparse.Namespace) -> malus.Options:
+    options = malus.Options()
+    if args.options:
+        options.update_from_file(args.options)
+    for assignment in args.set:
+        options.set(assignment)
+    if args.fusion:
+        options.fusion = args.fusion
+    return options
+
+
+def _reconstruct(args: argparse.Namespace, station_path: Path, until: str | None) -> None:
+    options = _options(args)
+    station = malus.Station.load(station_path)
+    with _view(args) as view:
+        malus.reconstruct(
+            station,
+            options,
+            workspace=args.output,
+            until=until,
+            reference=getattr(args, "reference", None),
+            threads=args.threads,
+            progress=lambda p: view.progress(p.step, p.fraction, p.message),
+            log=view.log,
+        )
+        if until is None:
+            view.progress("report", 0.0, "")
+            page = malus.write_report(args.output)
+            view.progress("report", 1.0, str(page))
+    if not args.quiet and not args.json:
+        _print_summary(args.output)
+
+
+def _print_summary(work: Path) -> None:
+    path = work / "quality.json"
+    if not path.exists():
+        return
+    quality = json.loads(path.read_text())
+    for line in malus.report.summary_lines(quality):
+        print(line)
+
+
+def _check(args: argparse.Namespace) -> None:
+    station = malus.Station.load(args.station)
+    plan = malus.check(station, _options(args), threads=args.threads)
+    if args.json:
+        print(json.dumps(plan))
+        return
+    print(f"station {plan['name']}: {plan['width']} x {plan['height']} px, {plan['object_pixels']} on the object")
+    for line in plan["does"]:
+        print(f"  {line}")
+    print(f"expected: {plan['seconds']:.0f} s, {plan['memory_mb']:.0f} MB")
+    for warning in plan["warnings"]:
+        print(f"warning: {warning}")
+
+
+def _run(arguments: Sequence[str] | None) -> None:
+    args = _parser().parse_args(arguments)
+    if args.command == "options":
+        for name, kind, default, meaning in malus.Options.describe():
+            print(f"{name} = {json.dumps(default)}  ({kind})\n    {meaning}")
+        return
+    if args.threads < 1:
+        raise InputError(f"--threads {args.threads}, expected at least 1")
+    if args.command == "check":
+        _check(args)
+    elif args.command == "report":
+        print(malus.write_report(args.work))
+    elif args.command == "demo":
+        _reconstruct(args, example_station(), None)
+    else:
+        until = STEP_COMMANDS[args.command][0] if args.command in STEP_COMMANDS else None
+        assert until is None or until in STEPS
+        _reconstruct(args, args.station, until)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code (docs: INTERFACES; 0, 2, 3, 4, 5 or 130)."""
+    try:
+        _run(arguments)
+    except MalusError as error:
+        print(f"malus: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("malus: interrupted; finished steps are kept and will not be repeated", file=sys.stderr)
+        return INTERRUPTED
+    except MemoryError:
+        print("malus: out of memory; see `malus check` for what the station needs", file=sys.stderr)
+        return 5
+    except BrokenPipeError:
+        # The reader of our output is gone (`malus … | head`); nothing is left to say.
+        sys.stderr.close()
+        return 0
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,105 @@
+"""Options of every step, checked against the one list that the C++ library keeps."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from malus import _core
+
+_SCHEMA: dict[str, dict[str, dict[str, Any]]] = json.loads(_core.option_schema())
+
+
+class Section:
+    """The options of one step as attributes; assignment checks name, type and range."""
+
+    def __init__(self, options: Options, name: str) -> None:
+        object.__setattr__(self, "_options", options)
+        object.__setattr__(self, "_name", name)
+
+    def __getattr__(self, key: str) -> Any:
+        values = self._options._values[self._name]
+        if key not in values:
+            raise AttributeError(f"no option {self._name}.{key}; there are {', '.join(values)}")
+        return values[key]
+
+    def __setattr__(self, key: str, value: Any) -> None:
+        self._options.update({self._name: {key: value}})
+
+    def __dir__(self) -> list[str]:
+        return list(_SCHEMA[self._name])
+
+    def __repr__(self) -> str:
+        return f"{self._name}({', '.join(f'{k}={v!r}' for k, v in self._options._values[self._name].items())})"
+
+
+class Options:
+    """Options of a reconstruction.
+
+    Every step has a section (`options.height.smoothness`); `fusion` is "refined" (default) or "grid". Sections are given
+    as mappings: ``Options(fusion="grid", height={"smoothness": 0.1})``. Unknown names, wrong types and values out of
+    range raise `malus.InputError`. `Options.describe()` lists everything with type, default and meaning.
+    """
+
+    def __init__(self, fusion: str = "refined", **sections: Mapping[str, Any]) -> None:
+        self._values: dict[str, Any] = json.loads(_core.default_options())
+        self.update({"fusion": fusion, **sections})
+
+    def update(self, changes: Mapping[str, Any]) -> None:
+        """Set several options: ``{"section": {"key": value}}``."""
+        merged = json.loads(json.dumps(self._values))
+        for name, value in changes.items():
+            if isinstance(value, Mapping):
+                merged[name] = {**merged.get(name, {}), **value}
+            else:
+                merged[name] = value
+        self._values = json.loads(_core.check_options(json.dumps(merged)))
+
+    def set(self, assignment: str) -> None:
+        """Set one option from text, as `--set section.key=value` does."""
+        self._values = json.loads(_core.set_option(self.to_json(), assignment))
+
+    def update_from_file(self, path: str | Path) -> None:
+        """Read options from a TOML file with one table a section."""
+        self._values = json.loads(_core.options_from_file(self.to_json(), str(path)))
+
+    @property
+    def fusion(self) -> str:
+        """Which fusion makes the result: "grid" (the paper's transfer) or "refined"."""
+        return str(self._values["fusion"])
+
+    @fusion.setter
+    def fusion(self, value: str) -> None:
+        self.update({"fusion": value})
+
+    def __getattr__(self, name: str) -> Section:
+        if name.startswith("_") or name not in _SCHEMA:
+            raise AttributeError(f"no option section {name}; there are {', '.join(_SCHEMA)}")
+        return Section(self, name)
+
+    def to_dict(self) -> dict[str, Any]:
+        """All values, nested by section."""
+        values: dict[str, Any] = json.loads(self.to_json())
+        return values
+
+    def to_json(self) -> str:
+        """All values as JSON text."""
+        return json.dumps(self._values)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Options) and self._values == other._values
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        sections = ", ".join(f"{name}={value!r}" for name, value in self._values.items())
+        return f"Options({sections})"
+
+    @staticmethod
+    def describe() -> Iterator[tuple[str, str, Any, str]]:
+        """Yield (section.key, type, default, meaning) of every option."""
+        for section, fields in _SCHEMA.items():
+            for key, field in fields.items():
+                yield f"{section}.{key}", field["type"], field["default"], field["doc"]

@@ -1,0 +1,109 @@
+"""Polarization of light: sinusoid fit, Fresnel degrees and zeniths, reflection labels.
+
+Angles are counter-clockwise from image +x as displayed; I(a) = i_un (1 + rho cos 2(a - phi)). See docs/conventions.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from malus import _core
+from malus._arrays import as_image, as_images, as_mask
+from malus._core import Pinhole, PolarizationState, ReflectionMap
+from malus.options import Options
+
+__all__ = [
+    "PolarizationState",
+    "ReflectionMap",
+    "brewster_angle",
+    "decompose",
+    "diffuse_degree",
+    "diffuse_zenith",
+    "map_reflection",
+    "specular_degree",
+    "specular_zenith",
+]
+
+
+def decompose(
+    images: Sequence[ArrayLike] | NDArray[Any],
+    angles_rad: Sequence[float],
+    *,
+    mask: ArrayLike | None = None,
+    full_well_e: float = 20000.0,
+    read_noise_e: float = 8.0,
+    frames_averaged: int = 1,
+    options: Options | None = None,
+    threads: int = 1,
+) -> PolarizationState:
+    """Fit I(a) = (s0 + s1 cos 2a + s2 sin 2a) / 2 at every pixel.
+
+    images: K arrays H×W, linear, in [0, 1] of the white level. angles_rad: K polarizer angles; the same angle several
+    times (modulo π) counts as several exposures. mask: H×W, non-zero = object. The noise model (electrons at white, read
+    noise, averaged frames) sets the expected residual. Returns a state with `unpolarized` = s0 / 2, `degree`, `phase_rad` in
+    [0, π), `residual` (in expected standard deviations) and `valid` (255 = usable), all H×W.
+    Raises ValueError for shapes, malus.DataError for fewer than three distinct angles.
+    """
+    stack = as_images(images, "images")
+    return _core.decompose(
+        stack,
+        [float(a) for a in angles_rad],
+        None if mask is None else as_mask(mask, stack[0].shape),
+        full_well_e,
+        read_noise_e,
+        frames_averaged,
+        (options or Options()).to_json(),
+        threads,
+    )
+
+
+def diffuse_degree(zenith_rad: ArrayLike, refractive_index: float = 1.5) -> NDArray[np.float64]:
+    """Degree of linear polarization of diffuse reflection (Eq 6), any shape."""
+    return _core.diffuse_degree(np.asarray(zenith_rad, dtype=np.float64), refractive_index)
+
+
+def specular_degree(zenith_rad: ArrayLike, refractive_index: float = 1.5) -> NDArray[np.float64]:
+    """Degree of linear polarization of specular reflection (Eq 8), any shape."""
+    return _core.specular_degree(np.asarray(zenith_rad, dtype=np.float64), refractive_index)
+
+
+def diffuse_zenith(degree: ArrayLike, refractive_index: float = 1.5) -> NDArray[np.float64]:
+    """Zenith [rad] of a diffuse degree (Eq 7); degrees above the largest possible one give 90°."""
+    return _core.diffuse_zenith(np.asarray(degree, dtype=np.float64), refractive_index)
+
+
+def specular_zenith(
+    degree: ArrayLike, refractive_index: float = 1.5, *, above_brewster: bool = False
+) -> NDArray[np.float64]:
+    """Zenith [rad] of a specular degree (inverse of Eq 8) on one side of Brewster's angle."""
+    return _core.specular_zenith(np.asarray(degree, dtype=np.float64), refractive_index, above_brewster)
+
+
+def brewster_angle(refractive_index: float = 1.5) -> float:
+    """Brewster's angle [rad]."""
+    return _core.brewster_angle(refractive_index)
+
+
+def map_reflection(
+    state: PolarizationState,
+    *,
+    camera: Pinhole | None = None,
+    prior_normals: ArrayLike | None = None,
+    refractive_index: float = 1.5,
+    reflection: str = "auto",
+    options: Options | None = None,
+    threads: int = 1,
+) -> ReflectionMap:
+    """Label pixels diffuse (1) or specular (2) and read their zenith off the degree.
+
+    camera None = orthographic. prior_normals: H×W×3, unit, camera frame, towards the camera; they decide between diffuse
+    and specular and pick the side of Brewster's angle. Returns `label` (H×W uint8, 0 = outside) and `zenith_rad` (H×W, NaN).
+    """
+    normals = None if prior_normals is None else as_image(prior_normals, "prior_normals", 3)
+    return _core.map_reflection(
+        state, camera, normals, refractive_index, reflection, (options or Options()).to_json(), threads
+    )

@@ -1,0 +1,169 @@
+"""Every mistake a user can make ends with a message that says what and where, the right exit code, and nothing that looks finished."""
+
+from __future__ import annotations
+
+import os
+import struct
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from conftest import edit, malus, malus_station
+
+IMAGES = "images = ["
+ANGLES = "angles_deg = [0, 30, 60, 90, 120, 150]"
+
+
+def expect(station: Path, work: Path, code: int, *words: str, arguments: tuple[str, ...] = ()) -> None:
+    """Both programs must fail alike: exit code, words of the message, no result left behind."""
+    for program in (malus, malus_station):
+        run_words = ("run",) if program is malus else ()
+        outcome = program(*run_words, station, "-o", work, *arguments)
+        assert outcome.code == code, f"{program.__name__}: {outcome}"
+        for word in words:
+            assert word in outcome.err, f"{program.__name__}: {word!r} is not in {outcome.err!r}"
+        assert "Traceback" not in outcome.err
+        assert len(outcome.err.strip().splitlines()) == 1, outcome.err
+        assert not (work / "fused" / "depth.tif").exists()
+        assert not (work / "quality.json").exists()
+        assert not list(work.rglob("*.part"))
+
+
+@pytest.fixture
+def work(tmp_path: Path) -> Path:
+    return tmp_path / "work"
+
+
+def test_station_file_is_missing(tmp_path: Path, work: Path) -> None:
+    expect(tmp_path / "none.toml", work, 2, "none.toml")
+
+
+def test_station_file_is_not_toml(small_station: Path, work: Path) -> None:
+    small_station.write_text("[station\nname=3")
+    expect(small_station, work, 2, "station.toml")
+
+
+def test_unknown_key_names_the_nearest(small_station: Path, work: Path) -> None:
+    edit(small_station, "white_level", "whitelevel")
+    expect(small_station, work, 2, "whitelevel", "white_level")
+
+
+def test_wrong_type(small_station: Path, work: Path) -> None:
+    edit(small_station, "frames_averaged = 16", 'frames_averaged = "many"')
+    expect(small_station, work, 2, "frames_averaged", "many")
+
+
+def test_fewer_than_three_distinct_angles(small_station: Path, work: Path) -> None:
+    # 180 degrees is 0 again, so these are two distinct angles, with several exposures each.
+    edit(small_station, ANGLES, "angles_deg = [0, 180, 90, 270, 0, 90]")
+    expect(small_station, work, 3, "angle", "three")
+
+
+def test_number_of_angles_differs_from_images(small_station: Path, work: Path) -> None:
+    edit(small_station, ANGLES, "angles_deg = [0, 30, 60, 90]")
+    expect(small_station, work, 2, "angles_deg", "6", "4")
+
+
+def test_images_of_different_size(small_station: Path, work: Path) -> None:
+    path = small_station.parent / "pol" / "pol_060.tif"
+    tifffile.imwrite(path, tifffile.imread(path)[:-1])
+    expect(small_station, work, 2, "pol_060.tif", "200", "159", "160")
+
+
+def test_missing_image(small_station: Path, work: Path) -> None:
+    (small_station.parent / "pol" / "pol_060.tif").unlink()
+    expect(small_station, work, 2, "pol_060.tif")
+
+
+@pytest.mark.parametrize("content", ["empty", "truncated", "text"])
+def test_unreadable_image(small_station: Path, work: Path, content: str) -> None:
+    path = small_station.parent / "pol" / "pol_060.tif"
+    data = path.read_bytes()
+    path.write_bytes({"empty": b"", "truncated": data[: len(data) // 2], "text": b"this is not an image" * 50}[content])
+    expect(small_station, work, 2, "pol_060.tif")
+
+
+def test_mask_of_another_size(small_station: Path, work: Path) -> None:
+    tifffile.imwrite(small_station.parent / "mask.tif", np.full((100, 100), 255, np.uint8))
+    edit(small_station, "white_level = 16383", 'white_level = 16383\nmask = "mask.tif"')
+    expect(small_station, work, 2, "mask.tif", "100", "200")
+
+
+def test_all_saturated(small_station: Path, work: Path) -> None:
+    for path in (small_station.parent / "pol").glob("*.tif"):
+        tifffile.imwrite(path, np.full((160, 200), 16383, np.uint16))
+    expect(small_station, work, 3, "saturated")
+
+
+def _write_cloud(station: Path, points: np.ndarray) -> None:
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
+    header += "property float x\nproperty float y\nproperty float z\nend_header\n"
+    (station.parent / "dense" / "cloud.ply").write_bytes(header.encode() + points.astype("<f4").tobytes())
+
+
+def test_cloud_misses_the_view(small_station: Path, work: Path) -> None:
+    _write_cloud(small_station, np.random.default_rng(0).normal(0, 1, (1000, 3)) + [5000, 0, 0])
+    expect(small_station, work, 3, "cloud")
+
+
+def test_nan_in_the_cloud(small_station: Path, work: Path) -> None:
+    points = np.random.default_rng(0).normal(0, 1, (1000, 3))
+    points[17, 1] = np.nan
+    _write_cloud(small_station, points)
+    expect(small_station, work, 2, "cloud.ply", "17")
+
+
+def test_ply_claims_four_billion_vertices(small_station: Path, work: Path) -> None:
+    header = "ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\n"
+    header += "property float x\nproperty float y\nproperty float z\nend_header\n"
+    (small_station.parent / "dense" / "cloud.ply").write_bytes(header.encode() + struct.pack("<9f", *range(9)))
+    expect(small_station, work, 2, "cloud.ply", "4000000000")
+
+
+def test_unknown_option(small_station: Path, work: Path) -> None:
+    expect(small_station, work, 2, "height", "smothness", arguments=("--set", "height.smothness=1"))
+
+
+def test_option_out_of_range(small_station: Path, work: Path) -> None:
+    expect(small_station, work, 2, "grid.grid_px", arguments=("--set", "grid.grid_px=-4"))
+
+
+def test_unknown_argument(small_station: Path, work: Path) -> None:
+    for program in (malus, malus_station):
+        run_words = ("run",) if program is malus else ()
+        outcome = program(*run_words, small_station, "-o", work, "--no-such-thing")
+        assert outcome.code == 2, outcome
+        assert "--no-such-thing" in outcome.err
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_output_not_writable(small_station: Path, tmp_path: Path) -> None:
+    (tmp_path / "closed").mkdir(mode=0o500)
+    expect(small_station, tmp_path / "closed" / "work", 2, "closed")
+
+
+def test_output_is_a_file(small_station: Path, work: Path) -> None:
+    work.write_text("")
+    for program in (malus, malus_station):
+        run_words = ("run",) if program is malus else ()
+        outcome = program(*run_words, small_station, "-o", work)
+        assert outcome.code == 2, outcome
+        assert "work" in outcome.err
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path):
+    """A file system of 1 MB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    done = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", folder], capture_output=True)
+    if done.returncode != 0:
+        pytest.skip("mounting a small disk is not permitted here")
+    yield folder
+    subprocess.run(["umount", folder], check=True)
+
+
+def test_disk_full(small_station: Path, small_disk: Path) -> None:
+    expect(small_station, small_disk / "work", 5, "space")
