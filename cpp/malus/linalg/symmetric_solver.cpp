@@ -3,6 +3,7 @@
 #include <cholmod.h>
 #include <dlfcn.h>
 
+#include <cmath>
 #include <sstream>
 #include <string>
 
@@ -171,6 +172,28 @@ SolveStatus SymmetricSolver::solve(const Matrix& lower, const Eigen::VectorXd& b
   }
   impl_->relative_residual = rest.norm() / scale;
   return impl_->relative_residual <= residual_limit ? SolveStatus::solved : SolveStatus::inaccurate;
+}
+
+double SymmetricSolver::log_determinant() const {
+  if (impl_->factor == nullptr || impl_->factor->xtype != CHOLMOD_REAL) {
+    throw input_error("linear system: factorize a matrix before asking for its determinant");
+  }
+  const cholmod_factor& factor = *impl_->factor;
+  const double* x = static_cast<const double*>(factor.x);
+  double sum = 0;
+  if (factor.is_super == 0) {
+    const int* first = static_cast<const int*>(factor.p);
+    for (std::size_t column = 0; column < factor.n; ++column) sum += std::log(x[first[column]]);
+    return factor.is_ll != 0 ? 2 * sum : sum;
+  }
+  const int* super = static_cast<const int*>(factor.super);
+  const int* rows = static_cast<const int*>(factor.pi);
+  const int* values = static_cast<const int*>(factor.px);
+  for (std::size_t s = 0; s < factor.nsuper; ++s) {
+    const int stride = rows[s + 1] - rows[s] + 1;
+    for (int column = 0; column < super[s + 1] - super[s]; ++column) sum += std::log(x[values[s] + column * stride]);
+  }
+  return 2 * sum;
 }
 
 double SymmetricSolver::relative_residual() const {

@@ -50,6 +50,9 @@ class SymmetricSolver {
   /// of iterative refinement). Returns `inaccurate` if |A x − b| > residual_limit · |b|.
   SolveStatus solve(const Matrix& lower, const Eigen::VectorXd& b, Eigen::VectorXd& x, double residual_limit = 1e-6);
 
+  /// ln det A of the matrix last factorized.
+  double log_determinant() const;
+
   /// |A x − b| / |b| of the last solve.
   double relative_residual() const;
 

@@ -13,15 +13,15 @@ struct DepthPrior {
   Image<float> depth;  ///< z in the station camera, station unit; NaN outside the object
   Image<float> sigma;  ///< one standard deviation of depth, same unit; NaN where depth is
   Pinhole camera;
-  Pose pose;           ///< cam_from_world
+  Pose pose;  ///< cam_from_world
 
   // Block of provenance, for quality.json.
-  double points_total = 0;      ///< in the file
-  double points_used = 0;       ///< visible, inliers
-  double noise = 0;             ///< robust standard deviation of a point about the surface, station unit
-  double spacing_px = 0;        ///< mean distance of neighbouring used points in the view
-  double smoothing_px = 0;      ///< chosen smoothing length
-  double filled_fraction = 0;   ///< share of object pixels farther than 2 · spacing from any point
+  double points_total = 0;     ///< in the file
+  double points_used = 0;      ///< visible, inliers
+  double noise = 0;            ///< robust standard deviation of a point about the surface, station unit
+  double spacing_px = 0;       ///< mean distance of neighbouring used points in the view
+  double smoothing_px = 0;     ///< chosen smoothing length
+  double filled_fraction = 0;  ///< share of object pixels farther than 2 · spacing from any point
 };
 
 }  // namespace malus

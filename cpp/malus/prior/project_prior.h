@@ -1,0 +1,67 @@
+#pragma once
+
+#include <optional>
+
+#include "malus/core/camera.h"
+#include "malus/core/context.h"
+#include "malus/core/fields.h"
+#include "malus/core/geometry.h"
+#include "malus/core/image.h"
+#include "malus/core/pose.h"
+#include "malus/prior/depth_prior.h"
+
+namespace malus {
+
+/// How a coarse surface becomes a depth map of the station.
+struct PriorOptions {
+  std::optional<double> smoothing_px;
+  int neighbors = 16;
+  double outlier_tolerance = 4;
+  double outlier_floor_gsd = 4;
+  double max_slope_deg = 75;
+  int min_points = 30;
+  double raster_sigma_gsd = 1;
+  int max_unknowns = 400000;
+  int sigma_samples = 16;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("smoothing_px", self.smoothing_px, Range{0.1, 1000.0},
+          "length over which the cloud is smoothed, in px; left out = from the cloud's noise and density");
+    visit("neighbors", self.neighbors, Range{3, 100}, "nearest neighbors a point is compared with, in the view");
+    visit("outlier_tolerance", self.outlier_tolerance, Range{1, 100},
+          "largest distance from the neighbors' median depth, in their robust standard deviations");
+    visit("outlier_floor_gsd", self.outlier_floor_gsd, not_negative, "distance from it that is always allowed, in GSD");
+    visit("max_slope_deg", self.max_slope_deg, Range{1, 89},
+          "steepest slope of a visible surface; points farther behind their neighbors are hidden");
+    visit("min_points", self.min_points, Range{3, 1e9}, "fewest visible points on the object");
+    visit("raster_sigma_gsd", self.raster_sigma_gsd, Range{1e-6, 1e6},
+          "standard deviation of a mesh's or a depth map's depth, in GSD (a cloud's is measured)");
+    visit("max_unknowns", self.max_unknowns, Range{1000, 1e7},
+          "largest smoothing system solved at once; larger rasters are solved in overlapping tiles");
+    visit("sigma_samples", self.sigma_samples, Range{4, 1000}, "draws from which the standard deviation is estimated");
+  }
+};
+
+/// Coarse surface from a point cloud (world frame, unit of the station): its visible points (see visible_points.h),
+/// smoothed by a robust thin-plate spline over the mask (see smoothing_spline.h) in log depth, whose smoothing is the
+/// restricted maximum likelihood estimate from the points' scatter. `mask` has the camera's size; depth and sigma are
+/// NaN outside. sigma is the spline's posterior standard deviation, which grows away from the points.
+///
+/// Throws an input error for values that are not finite or a mask of another size, a data error that says where the
+/// points fell if fewer than `min_points` are visible on the object.
+DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const Pose& pose, const Mask& mask,
+                         const PriorOptions& options, const Context& context);
+
+/// Coarse surface from a mesh (world frame): depth of its nearest triangle at each pixel, with perspective-correct
+/// interpolation. Object pixels without a triangle are filled as below. Errors as above, and an input error for a
+/// triangle that names a vertex the mesh does not have.
+DepthPrior project_prior(const TriangleMesh& mesh, const Pinhole& camera, const Pose& pose, const Mask& mask,
+                         const PriorOptions& options, const Context& context);
+
+/// Coarse surface given as a depth map of the station (z, unit of the station, camera's size): finite positive pixels
+/// are taken as they are; other object pixels are filled by a spline through their surroundings.
+DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const Pose& pose, const Mask& mask,
+                         const PriorOptions& options, const Context& context);
+
+}  // namespace malus

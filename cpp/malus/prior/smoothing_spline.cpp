@@ -1,0 +1,304 @@
+#include "malus/prior/smoothing_spline.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <random>
+
+#include "malus/core/error.h"
+
+namespace malus {
+namespace {
+
+/// Keeps parts of the mask without any point solvable, at the height 0 of the reference surface.
+constexpr double ridge = 1e-9;
+
+/// The three quadratic B-splines of a cell, or their derivatives, at t in [0, 1].
+Eigen::Vector3d splines(double t) {
+  return {0.5 * (1 - t) * (1 - t), 0.5 + t - t * t, 0.5 * t * t};
+}
+Eigen::Vector3d spline_slopes(double t) {
+  return {t - 1, 1 - 2 * t, t};
+}
+
+/// ∫ f_uu² + 2 f_uv² + f_vv² + |∇f|² / tension² over one cell as a quadratic form of its 9 coefficients.
+Eigen::Matrix<double, 9, 9> cell_stiffness(double cell_px, double tension_px) {
+  const Eigen::Vector3d second(1, -2, 1);
+  const Eigen::Matrix3d m2 = second * second.transpose();
+  Eigen::Matrix3d m0 = Eigen::Matrix3d::Zero(), m1 = Eigen::Matrix3d::Zero();
+  const double offset = std::sqrt(0.15);  // three Gauss points: exact to degree 5
+  for (const auto& [t, weight] :
+       {std::pair(0.5 - offset, 5.0 / 18), std::pair(0.5, 8.0 / 18), std::pair(0.5 + offset, 5.0 / 18)}) {
+    m0 += weight * splines(t) * splines(t).transpose();
+    m1 += weight * spline_slopes(t) * spline_slopes(t).transpose();
+  }
+  Eigen::Matrix<double, 9, 9> stiffness;
+  for (int a = 0; a < 9; ++a) {
+    for (int b = 0; b < 9; ++b) {
+      const int au = a % 3, av = a / 3, bu = b % 3, bv = b / 3;
+      const double bending = m2(au, bu) * m0(av, bv) + 2 * m1(au, bu) * m1(av, bv) + m0(au, bu) * m2(av, bv);
+      const double slope = m1(au, bu) * m0(av, bv) + m0(au, bu) * m1(av, bv);
+      stiffness(a, b) = bending / (cell_px * cell_px) + slope / (tension_px * tension_px);
+    }
+  }
+  return stiffness;
+}
+
+/// Where column (a, b) of the lower triangle keeps the entry of control point (a + da, b + db).
+int slot_of(int da, int db) {
+  return db == 0 ? da : 5 * db + da;
+}
+
+}  // namespace
+
+SmoothingSpline::SmoothingSpline(const Mask& mask, PixelBox box, double cell_px, double tension_px,
+                                 std::span<const ViewPoint> points, const Context& context)
+    : box_(box),
+      cell_px_(cell_px),
+      columns_(static_cast<int>(std::ceil(box.width() / cell_px))),
+      rows_(static_cast<int>(std::ceil(box.height() / cell_px))),
+      active_(static_cast<std::size_t>(columns_) * static_cast<std::size_t>(rows_), 0),
+      stiffness_(cell_stiffness(cell_px, tension_px)),
+      solver_(context) {
+  for (int v = box.v0; v < box.v1; ++v) {
+    for (int u = box.u0; u < box.u1; ++u) {
+      if (mask(u, v) != 0) active_[cell_of(u, v)] = 1;
+    }
+  }
+  cell_start_.assign(active_.size() + 1, 0);
+  for (const ViewPoint& p : points) {
+    if (!box.contains(p)) continue;
+    active_[cell_of(p.u, p.v)] = 1;
+    ++cell_start_[cell_of(p.u, p.v) + 1];
+  }
+  for (std::size_t c = 0; c < active_.size(); ++c) cell_start_[c + 1] += cell_start_[c];
+  points_.resize(cell_start_.back());
+  std::vector<std::uint32_t> next(cell_start_.begin(), cell_start_.end() - 1);
+  for (const ViewPoint& p : points) {
+    if (box.contains(p)) points_[next[cell_of(p.u, p.v)]++] = p;
+  }
+  weights_.assign(points_.size(), 1.0F);
+  build_pattern();
+}
+
+std::size_t SmoothingSpline::cell_of(double u, double v) const {
+  const int column = std::clamp(static_cast<int>((u + 0.5 - box_.u0) / cell_px_), 0, columns_ - 1);
+  const int row = std::clamp(static_cast<int>((v + 0.5 - box_.v0) / cell_px_), 0, rows_ - 1);
+  return static_cast<std::size_t>(row) * static_cast<std::size_t>(columns_) + static_cast<std::size_t>(column);
+}
+
+SmoothingSpline::Basis SmoothingSpline::basis(double u, double v) const {
+  const double x = (u + 0.5 - box_.u0) / cell_px_, y = (v + 0.5 - box_.v0) / cell_px_;
+  const Eigen::Vector3d bu = splines(x - std::clamp(static_cast<int>(x), 0, columns_ - 1));
+  const Eigen::Vector3d bv = splines(y - std::clamp(static_cast<int>(y), 0, rows_ - 1));
+  Basis result;
+  for (int j = 0; j < 3; ++j) {
+    for (int i = 0; i < 3; ++i) result[static_cast<std::size_t>(3 * j + i)] = bu[i] * bv[j];
+  }
+  return result;
+}
+
+std::array<std::int32_t, 9> SmoothingSpline::cell_unknowns(std::size_t cell) const {
+  const std::size_t columns = static_cast<std::size_t>(columns_);
+  const std::size_t first = cell / columns * (columns + 2) + cell % columns;
+  std::array<std::int32_t, 9> result;
+  for (std::size_t j = 0; j < 3; ++j) {
+    for (std::size_t i = 0; i < 3; ++i) result[3 * j + i] = unknown_[first + j * (columns + 2) + i];
+  }
+  return result;
+}
+
+double SmoothingSpline::value(std::size_t cell, const Basis& weights) const {
+  const auto ids = cell_unknowns(cell);
+  double sum = 0;
+  for (std::size_t k = 0; k < 9; ++k) sum += weights[k] * coefficients_[ids[k]];
+  return sum;
+}
+
+void SmoothingSpline::build_pattern() {
+  const int width = columns_ + 2, height = rows_ + 2;
+  unknown_.assign(static_cast<std::size_t>(width) * static_cast<std::size_t>(height), -1);
+  const auto node = [width](int a, int b) {
+    return static_cast<std::size_t>(b) * static_cast<std::size_t>(width) + static_cast<std::size_t>(a);
+  };
+  for (int row = 0; row < rows_; ++row) {
+    for (int column = 0; column < columns_; ++column) {
+      if (active_[static_cast<std::size_t>(row) * static_cast<std::size_t>(columns_) +
+                  static_cast<std::size_t>(column)] == 0)
+        continue;
+      for (int k = 0; k < 9; ++k) unknown_[node(column + k % 3, row + k / 3)] = 0;
+    }
+  }
+  std::int32_t count = 0;
+  for (std::int32_t& id : unknown_) {
+    if (id == 0) id = count++;
+  }
+  unknowns_ = static_cast<std::size_t>(count);
+
+  matrix_.resize(count, count);
+  matrix_.reserve(static_cast<Eigen::Index>(13 * unknowns_));
+  slots_.assign(13 * unknowns_, -1);
+  std::int32_t entries = 0;
+  for (int b = 0; b < height; ++b) {
+    for (int a = 0; a < width; ++a) {
+      const std::int32_t id = unknown_[node(a, b)];
+      if (id < 0) continue;
+      matrix_.startVec(id);
+      for (int db = 0; db <= 2 && b + db < height; ++db) {
+        for (int da = db == 0 ? 0 : -2; da <= 2; ++da) {
+          if (a + da < 0 || a + da >= width) continue;
+          const std::int32_t other = unknown_[node(a + da, b + db)];
+          if (other < 0) continue;
+          slots_[13 * static_cast<std::size_t>(id) + static_cast<std::size_t>(slot_of(da, db))] = entries++;
+          matrix_.insertBack(other, id) = 0;
+        }
+      }
+    }
+  }
+  matrix_.finalize();
+  coefficients_ = Eigen::VectorXd::Zero(count);
+}
+
+void SmoothingSpline::assemble(double lambda) {
+  lambda_ = lambda;
+  double* values = matrix_.valuePtr();
+  std::fill(values, values + matrix_.nonZeros(), 0.0);
+  for (std::size_t id = 0; id < unknowns_; ++id) values[slots_[13 * id]] = ridge;
+  for (std::size_t cell = 0; cell < active_.size(); ++cell) {
+    if (active_[cell] == 0) continue;
+    Eigen::Matrix<double, 9, 9> block = lambda * lambda * stiffness_;
+    for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
+      const Basis b = basis(points_[i].u, points_[i].v);
+      const Eigen::Map<const Eigen::Matrix<double, 9, 1>> column(b.data());
+      block.noalias() += static_cast<double>(weights_[i]) * column * column.transpose();
+    }
+    const auto ids = cell_unknowns(cell);
+    for (int l = 0; l < 9; ++l) {
+      const std::int32_t* slots = &slots_[13 * static_cast<std::size_t>(ids[static_cast<std::size_t>(l)])];
+      for (int m = l; m < 9; ++m) values[slots[slot_of(m % 3 - l % 3, m / 3 - l / 3)]] += block(m, l);
+    }
+  }
+}
+
+Eigen::VectorXd SmoothingSpline::solved(const Eigen::VectorXd& right) {
+  Eigen::VectorXd x;
+  if (solver_.solve(matrix_, right, x) != SolveStatus::solved) {
+    throw data_error("prior: the smoothing of the points is too ill conditioned to be solved");
+  }
+  return x;
+}
+
+void SmoothingSpline::solve(double lambda) {
+  assemble(lambda);
+  if (solver_.factorize(matrix_) != SolveStatus::solved) {
+    throw data_error("prior: the smoothing of the points has no unique solution");
+  }
+  Eigen::VectorXd right = Eigen::VectorXd::Zero(static_cast<Eigen::Index>(unknowns_));
+  for (std::size_t cell = 0; cell < active_.size(); ++cell) {
+    if (cell_start_[cell] == cell_start_[cell + 1]) continue;
+    const auto ids = cell_unknowns(cell);
+    for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
+      const Basis b = basis(points_[i].u, points_[i].v);
+      for (std::size_t k = 0; k < 9; ++k) right[ids[k]] += static_cast<double>(weights_[i]) * points_[i].height * b[k];
+    }
+  }
+  coefficients_ = solved(right);
+}
+
+void SmoothingSpline::append_residuals(std::vector<double>& residuals) const {
+  for (const ViewPoint& p : points_) residuals.push_back(std::abs(p.height - evaluate(p.u, p.v)));
+}
+
+void SmoothingSpline::reweight(double spread) {
+  for (std::size_t i = 0; i < points_.size(); ++i) {
+    const ViewPoint& p = points_[i];
+    const double ratio = (p.height - evaluate(p.u, p.v)) / (2 * spread);
+    weights_[i] = static_cast<float>(1 / ((1 + ratio * ratio) * (1 + ratio * ratio)));
+  }
+}
+
+double SmoothingSpline::weight_sum() const {
+  double sum = 0;
+  for (const float weight : weights_) sum += weight;
+  return sum;
+}
+
+double SmoothingSpline::penalized_residual() const {
+  double sum = 0;
+  for (std::size_t i = 0; i < points_.size(); ++i) {
+    const ViewPoint& p = points_[i];
+    sum += weights_[i] * p.height * (p.height - evaluate(p.u, p.v));
+  }
+  return sum;
+}
+
+double SmoothingSpline::evaluate(double u, double v) const {
+  return value(cell_of(u, v), basis(u, v));
+}
+
+void SmoothingSpline::evaluate_row(int v, float* out) const {
+  for (int u = box_.u0; u < box_.u1; ++u) {
+    const std::size_t cell = cell_of(u, v);
+    out[u - box_.u0] =
+        active_[cell] == 0 ? std::numeric_limits<float>::quiet_NaN() : static_cast<float>(value(cell, basis(u, v)));
+  }
+}
+
+Image<float> SmoothingSpline::variance(int samples, std::uint64_t seed, const Context& context) {
+  // The form is semidefinite: the little added keeps its Cholesky factor finite.
+  const Eigen::Matrix<double, 9, 9> definite =
+      stiffness_ + 1e-9 * stiffness_.trace() * Eigen::Matrix<double, 9, 9>::Identity();
+  const Eigen::Matrix<double, 9, 9> root = lambda_ * definite.llt().matrixL().toDenseMatrix();
+  const Basis centre = [] {
+    Basis b;
+    const Eigen::Vector3d half = splines(0.5);
+    for (int k = 0; k < 9; ++k) b[static_cast<std::size_t>(k)] = half[k % 3] * half[k / 3];
+    return b;
+  }();
+  std::mt19937_64 generator(seed);
+  std::normal_distribution<double> normal;
+  Image<float> sum({columns_, rows_}, 1, 0.0F);
+  // A draw from the posterior N(0, A⁻¹): solve with the square root of A, row by row of the problem, times white noise.
+  for (int sample = 0; sample < samples; ++sample) {
+    context.check_cancel();
+    Eigen::VectorXd right = Eigen::VectorXd::Zero(static_cast<Eigen::Index>(unknowns_));
+    for (std::size_t cell = 0; cell < active_.size(); ++cell) {
+      if (active_[cell] == 0) continue;
+      Eigen::Matrix<double, 9, 1> noise;
+      for (double& value : noise) value = normal(generator);
+      Eigen::Matrix<double, 9, 1> block = root * noise;
+      for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
+        const Basis b = basis(points_[i].u, points_[i].v);
+        const double scaled = std::sqrt(weights_[i]) * normal(generator);
+        for (int k = 0; k < 9; ++k) block[k] += scaled * b[static_cast<std::size_t>(k)];
+      }
+      const auto ids = cell_unknowns(cell);
+      for (std::size_t k = 0; k < 9; ++k) right[ids[k]] += block[static_cast<Eigen::Index>(k)];
+    }
+    const Eigen::VectorXd drawn = solved(right);
+    for (std::size_t cell = 0; cell < active_.size(); ++cell) {
+      if (active_[cell] == 0) continue;
+      const auto ids = cell_unknowns(cell);
+      double value = 0;
+      for (std::size_t k = 0; k < 9; ++k) value += centre[k] * drawn[ids[k]];
+      sum[cell] += static_cast<float>(value * value / samples);
+    }
+  }
+  Image<float> smooth(sum.size(), 1, 0.0F);
+  for (int row = 0; row < rows_; ++row) {
+    for (int column = 0; column < columns_; ++column) {
+      float total = 0;
+      int count = 0;
+      for (int b = std::max(row - 1, 0); b <= std::min(row + 1, rows_ - 1); ++b) {
+        for (int a = std::max(column - 1, 0); a <= std::min(column + 1, columns_ - 1); ++a) {
+          if (sum(a, b) > 0) total += sum(a, b), ++count;
+        }
+      }
+      if (sum(column, row) > 0) smooth(column, row) = total / static_cast<float>(count);
+    }
+  }
+  return smooth;
+}
+
+}  // namespace malus

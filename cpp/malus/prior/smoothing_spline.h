@@ -1,0 +1,90 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "malus/core/context.h"
+#include "malus/core/image.h"
+#include "malus/linalg/symmetric_solver.h"
+#include "malus/prior/visible_points.h"
+
+namespace malus {
+
+/// Part of a raster: columns [u0, u1), rows [v0, v1).
+struct PixelBox {
+  int u0 = 0, v0 = 0, u1 = 0, v1 = 0;
+
+  int width() const { return u1 - u0; }
+  int height() const { return v1 - v0; }
+  bool contains(const ViewPoint& p) const {
+    return p.u >= u0 - 0.5F && p.v >= v0 - 0.5F && p.u < u1 - 0.5F && p.v < v1 - 0.5F;
+  }
+};
+
+/// Robust thin-plate smoothing spline over the part of a mask inside a box: minimizes
+///   Σ w (height − f(u, v))² + λ² ∫ f_uu² + 2 f_uv² + f_vv² + |∇f|² / tension²
+/// over quadratic B-splines f on a lattice of square cells (a conforming discretization with natural boundary; only
+/// cells that touch the mask take part). λ is in px for heights and noise in one unit. The small tension makes f level
+/// out farther than `tension_px` from all points instead of running away along the last slope.
+class SmoothingSpline {
+ public:
+  SmoothingSpline(const Mask& mask, PixelBox box, double cell_px, double tension_px, std::span<const ViewPoint> points,
+                  const Context& context);
+
+  std::size_t unknowns() const { return unknowns_; }
+  std::size_t points() const { return points_.size(); }
+  /// Minimizes with the present weights.
+  void solve(double lambda);
+  /// Weights 1 / (1 + (r / 2 spread)²)² of the present residuals.
+  void reweight(double spread);
+  /// Appends |height − f| of every point.
+  void append_residuals(std::vector<double>& residuals) const;
+  double weight_sum() const;
+  /// Σ w height (height − f), which at the minimum is Σ w (height − f)² + λ² · energy.
+  double penalized_residual() const;
+  /// ln det of the last normal matrix.
+  double log_determinant() const { return solver_.log_determinant(); }
+
+  /// f along one row of the raster, for columns [box.u0, box.u1); not a number outside active cells.
+  void evaluate_row(int v, float* out) const;
+  double evaluate(double u, double v) const;
+  /// Variance of f for unit noise variance, one value a cell (columns × rows, 0 where inactive): the posterior of the
+  /// last solve by `samples` draws, smoothed over neighbouring cells.
+  Image<float> variance(int samples, std::uint64_t seed, const Context& context);
+
+  double cell_px() const { return cell_px_; }
+  const PixelBox& box() const { return box_; }
+
+ private:
+  using Basis = std::array<double, 9>;
+
+  std::size_t cell_of(double u, double v) const;
+  Basis basis(double u, double v) const;
+  double value(std::size_t cell, const Basis& weights) const;
+  std::array<std::int32_t, 9> cell_unknowns(std::size_t cell) const;
+  void build_pattern();
+  void assemble(double lambda);
+  Eigen::VectorXd solved(const Eigen::VectorXd& right);
+
+  PixelBox box_;
+  double cell_px_;
+  int columns_, rows_;                 ///< of cells; control points are two more each way
+  std::vector<std::uint8_t> active_;   ///< a cell
+  std::vector<std::int32_t> unknown_;  ///< a control point; -1 = none
+  std::size_t unknowns_ = 0;
+  std::vector<ViewPoint> points_;          ///< sorted by cell
+  std::vector<std::uint32_t> cell_start_;  ///< of points_, a cell
+  std::vector<float> weights_;
+  Eigen::Matrix<double, 9, 9> stiffness_;
+  std::vector<std::int32_t> slots_;  ///< 13 a column: where the lower neighbours' entries are
+  double lambda_ = 0;
+  Eigen::VectorXd coefficients_;
+  SymmetricSolver::Matrix matrix_;  ///< lower triangle
+  SymmetricSolver solver_;
+};
+
+}  // namespace malus

@@ -1,0 +1,49 @@
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "malus/core/camera.h"
+#include "malus/core/context.h"
+#include "malus/core/geometry.h"
+#include "malus/core/image.h"
+#include "malus/core/pose.h"
+
+namespace malus {
+
+/// A point of the surface in the station view.
+struct ViewPoint {
+  float u = 0, v = 0;  ///< pixel
+  float height = 0;    ///< f · ln(z / reference depth), in GSD, growing away from the camera
+};
+
+/// Where the points of a cloud went.
+struct PointCensus {
+  std::size_t total = 0, behind = 0, outside = 0, off_object = 0, facing_away = 0, hidden = 0, outliers = 0;
+  std::size_t used = 0;  ///< points behind the view points that were kept
+};
+
+struct VisiblePoints {
+  std::vector<ViewPoint> points;  ///< at most a few a pixel, in row order
+  double reference_depth = 0;     ///< median depth
+  double spacing_px = 0;          ///< of neighbouring points, median over the points
+  PointCensus census;
+};
+
+/// How points are chosen.
+struct VisibilityOptions {
+  int neighbors = 16;
+  double outlier_tolerance = 4;
+  double outlier_floor_gsd = 4;
+  double max_slope_deg = 75;
+};
+
+/// Points of a cloud (world frame) that the station sees on the object: projected by the collinearity equations
+/// (Eq 12, into the undistorted view), in front of the camera, inside the mask, facing the camera where the cloud has
+/// normals, not hidden behind nearer points around them, and not outliers among their nearest neighbours in the view.
+/// Points of one pixel at the same depth are averaged. Throws an input error for values that are not finite or normals
+/// that do not match the points.
+VisiblePoints visible_points(const PointCloud& cloud, const Pinhole& camera, const Pose& pose, const Mask& mask,
+                             const VisibilityOptions& options, const Context& context);
+
+}  // namespace malus
