@@ -14,6 +14,7 @@
 #include "malus/core/error.h"
 #include "malus/core/parallel.h"
 #include "malus/prior/choose_smoothing.h"
+#include "malus/prior/rasterize_mesh.h"
 #include "malus/prior/smoothing_spline.h"
 #include "malus/prior/visible_points.h"
 
@@ -103,41 +104,233 @@ double far_fraction(const Mask& mask, const std::vector<ViewPoint>& points, doub
   return static_cast<double>(far) / static_cast<double>(object);
 }
 
+/// Height above the reference plane in GSD and its variance; NaN outside the mask.
 struct Surface {
-  Image<float> height, variance;  ///< height above the reference plane in GSD; variance for unit noise
-  double spread = 0;
+  Image<float> height, variance;
+  double noise = 0;  ///< standard deviation of a point
 };
 
-Surface fit(const std::vector<ViewPoint>& points, const Mask& mask, double lambda, double cell_px, double tension_px,
-            double spread, const PriorOptions& options, const Context& context) {
-  const PixelBox box = bounding_box(mask);
-  SmoothingSpline spline(mask, box, cell_px, tension_px, points, context);
-  for (int round = 0; round < 5; ++round) {
-    context.progress("prior", 0.3 + 0.1 * round, "smoothing the cloud");
-    spline.solve(lambda);
-    if (round == 4) break;
+/// How the cloud is smoothed.
+struct Smoothing {
+  double lambda = 0, length_px = 0, cell_px = 0, tension_px = 0;
+};
+
+struct SplineFit {
+  SmoothingSpline spline;
+  double noise;
+};
+
+/// Robust smoothing of the points in a box.
+SplineFit fit_robust(const Mask& mask, PixelBox box, const Smoothing& how, std::span<const ViewPoint> points,
+                     const Context& context) {
+  constexpr int rounds = 4;
+  SmoothingSpline spline(mask, box, how.cell_px, how.tension_px, points, context);
+  for (int round = 0; round <= rounds; ++round) {
+    spline.solve(how.lambda);
+    if (round == rounds) break;
     std::vector<double> residuals;
     spline.append_residuals(residuals);
-    spread = std::max(min_spread_gsd, robust_spread(residuals));
-    spline.reweight(spread);
+    spline.reweight(std::max(min_spread_gsd, robust_spread(residuals)));
   }
-  const double noise2 = spline.penalized_residual() / (spline.weight_sum() - 3);
-  const Image<float> variance = spline.variance(options.sigma_samples, context.seed, context);
-  Surface surface{Image<float>(mask.size(), 1, none), Image<float>(mask.size(), 1, none), std::sqrt(noise2)};
+  const double noise2 = spline.penalized_residual() / std::max(spline.weight_sum() - 3, 1.0);
+  return {std::move(spline), std::sqrt(std::max(noise2, 0.0))};
+}
+
+/// Adds weight(u, v) times the spline and its variance to a surface.
+template <class Weight>
+void add_to(Surface& surface, SplineFit& fit, const Mask& mask, int samples, const Context& context, Weight&& weight) {
+  const PixelBox& box = fit.spline.box();
+  const Image<float> variance = fit.spline.variance(samples, context.seed, context);
   parallel_rows(context, box.height(), [&](int row) {
     const int v = box.v0 + row;
-    spline.evaluate_row(v, surface.height.row(v) + box.u0);
+    std::vector<float> heights(static_cast<std::size_t>(box.width()));
+    fit.spline.evaluate_row(v, heights.data());
+    const int cell_row = std::min(static_cast<int>((row + 0.5) / fit.spline.cell_px()), variance.height() - 1);
     for (int u = box.u0; u < box.u1; ++u) {
-      if (mask(u, v) == 0) {
-        surface.height(u, v) = none;
-      } else {
-        surface.variance(u, v) =
-            variance(std::min(static_cast<int>((u - box.u0 + 0.5) / cell_px), variance.width() - 1),
-                     std::min(static_cast<int>((row + 0.5) / cell_px), variance.height() - 1));
-      }
+      if (mask(u, v) == 0) continue;
+      const int column = std::min(static_cast<int>((u - box.u0 + 0.5) / fit.spline.cell_px()), variance.width() - 1);
+      const float share = static_cast<float>(weight(u, v));
+      surface.height(u, v) += share * heights[static_cast<std::size_t>(u - box.u0)];
+      surface.variance(u, v) += share * static_cast<float>(fit.noise * fit.noise) * variance(column, cell_row);
     }
   });
+}
+
+/// One axis of a raster cut into tiles that overlap by twice a margin, in which their weights ramp up and down; the
+/// weights of all tiles add up to 1.
+class TiledAxis {
+ public:
+  TiledAxis(int begin, int end, int tiles, int margin) : begin_(begin), end_(end), tiles_(tiles), margin_(margin) {}
+
+  int tiles() const { return tiles_; }
+  int first(int tile) const { return tile == 0 ? begin_ : std::max(begin_, cut(tile) - margin_); }
+  int last(int tile) const { return tile == tiles_ - 1 ? end_ : std::min(end_, cut(tile + 1) + margin_); }
+  double weight(int tile, int x) const { return rise(tile, x) * (1 - rise(tile + 1, x)); }
+
+ private:
+  int cut(int tile) const {
+    return begin_ + static_cast<int>(static_cast<std::int64_t>(end_ - begin_) * tile / tiles_);
+  }
+  /// From 0 to 1 across the start of a tile.
+  double rise(int tile, int x) const {
+    if (tile == 0) return 1;
+    if (tile == tiles_) return 0;
+    return std::clamp((x + 0.5 - cut(tile) + margin_) / (2.0 * margin_), 0.0, 1.0);
+  }
+
+  int begin_, end_, tiles_, margin_;
+};
+
+/// Surface through all points: one system, or above max_unknowns a coarse one for the whole and overlapping tiles for
+/// what it leaves.
+Surface smooth_cloud(std::vector<ViewPoint> points, const Mask& mask, const Smoothing& how, const PriorOptions& options,
+                     const Context& context) {
+  const PixelBox box = bounding_box(mask);
+  Surface surface{Image<float>(mask.size(), 1, 0.0F), Image<float>(mask.size(), 1, 0.0F), 0};
+  const double unknowns = static_cast<double>(box.width()) * box.height() / (how.cell_px * how.cell_px);
+  if (unknowns <= options.max_unknowns) {
+    SplineFit whole = fit_robust(mask, box, how, points, context);
+    add_to(surface, whole, mask, options.sigma_samples, context, [](int, int) { return 1.0; });
+    surface.noise = whole.noise;
+    return surface;
+  }
+
+  Smoothing coarse = how;
+  coarse.cell_px *= std::sqrt(unknowns / options.max_unknowns);
+  {
+    const SplineFit whole = fit_robust(mask, box, coarse, points, context);
+    for (ViewPoint& p : points) p.height -= static_cast<float>(whole.spline.evaluate(p.u, p.v));
+    parallel_rows(context, box.height(),
+                  [&](int row) { whole.spline.evaluate_row(box.v0 + row, surface.height.row(box.v0 + row) + box.u0); });
+  }
+  // Far from points the tiles level out to the coarse surface, which all of them share: no seams there.
+  const int margin = static_cast<int>(std::ceil(8 * how.length_px + 4 * coarse.cell_px));
+  Smoothing fine = how;
+  fine.tension_px = margin;
+  const int side = std::max(4 * margin, static_cast<int>(how.cell_px * std::sqrt(options.max_unknowns)) - 2 * margin);
+  const TiledAxis columns(box.u0, box.u1, (box.width() + side - 1) / side, margin);
+  const TiledAxis rows(box.v0, box.v1, (box.height() + side - 1) / side, margin);
+  double noise2 = 0, counted = 0;
+  for (int row = 0; row < rows.tiles(); ++row) {
+    for (int column = 0; column < columns.tiles(); ++column) {
+      context.progress("prior", 0.3 + 0.6 * (row * columns.tiles() + column) / (rows.tiles() * columns.tiles()),
+                       "smoothing the cloud");
+      const PixelBox tile{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
+      SplineFit part = fit_robust(mask, tile, fine, points, context);
+      add_to(surface, part, mask, options.sigma_samples, context,
+             [&](int u, int v) { return columns.weight(column, u) * rows.weight(row, v); });
+      noise2 += part.noise * part.noise * static_cast<double>(part.spline.points());
+      counted += static_cast<double>(part.spline.points());
+    }
+  }
+  surface.noise = std::sqrt(noise2 / counted);
   return surface;
+}
+
+/// Smoothing of the cloud: the option, or what its noise and density ask for.
+Smoothing smoothing_for(const VisiblePoints& visible, const Mask& mask, const PriorOptions& options,
+                        const Context& context) {
+  // λ smooths over (λ² / points a square pixel)^¼ pixels.
+  const double spacing_px = visible.spacing_px;
+  Smoothing how;
+  how.lambda = options.smoothing_px ? *options.smoothing_px * *options.smoothing_px / spacing_px
+                                    : choose_smoothing(mask, bounding_box(mask), visible.points, spacing_px, context);
+  how.length_px = std::sqrt(how.lambda * spacing_px);
+  how.cell_px = std::max(1.0, 0.5 * how.length_px);
+  how.tension_px = options.tension_spacings * spacing_px;
+  return how;
+}
+
+DepthPrior empty_prior(const Pinhole& camera, const Pose& pose) {
+  DepthPrior prior;
+  prior.camera = camera;
+  prior.pose = pose;
+  prior.depth = Image<float>(camera.size, 1, none);
+  prior.sigma = Image<float>(camera.size, 1, none);
+  return prior;
+}
+
+float median_of(std::vector<float>& values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+/// Fills object pixels without a depth by a spline through their surroundings.
+void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options, const Context& context) {
+  constexpr int surroundings_px = 8;
+  cv::Mat holes(mask.height(), mask.width(), CV_8U, cv::Scalar(0)), near;
+  for (int v = 0; v < mask.height(); ++v) {
+    for (int u = 0; u < mask.width(); ++u) {
+      if (mask(u, v) != 0 && std::isnan(prior.depth(u, v))) holes.at<std::uint8_t>(v, u) = 1;
+    }
+  }
+  const double hole_pixels = cv::countNonZero(holes);
+  if (hole_pixels == 0) return;
+  const int width = 2 * surroundings_px + 1;
+  cv::dilate(holes, near, cv::getStructuringElement(cv::MORPH_RECT, {width, width}));
+  Mask region(mask.size());
+  std::vector<ViewPoint> points;
+  std::vector<float> depths;
+  for (int v = 0; v < mask.height(); ++v) {
+    for (int u = 0; u < mask.width(); ++u) {
+      region(u, v) = mask(u, v) != 0 && near.at<std::uint8_t>(v, u) != 0;
+      if (region(u, v) != 0 && std::isfinite(prior.depth(u, v))) depths.push_back(prior.depth(u, v));
+    }
+  }
+  if (depths.size() < 3) throw data_error("prior: the object's holes have no depth around them to be filled from");
+  const double focal = prior.camera.focal(), reference = median_of(depths);
+  for (int v = 0; v < mask.height(); ++v) {
+    for (int u = 0; u < mask.width(); ++u) {
+      if (region(u, v) == 0 || !std::isfinite(prior.depth(u, v))) continue;
+      points.push_back({static_cast<float>(u), static_cast<float>(v),
+                        static_cast<float>(focal * std::log(prior.depth(u, v) / reference))});
+    }
+  }
+  const ReferencePlane plane(points);
+  for (ViewPoint& p : points) p.height -= static_cast<float>(plane.at(p.u, p.v));
+  Smoothing how;
+  how.lambda = how.length_px = how.cell_px = 1;
+  how.tension_px = options.tension_spacings;
+  const Surface surface = smooth_cloud(points, region, how, options, context);
+  parallel_rows(context, mask.height(), [&](int v) {
+    for (int u = 0; u < mask.width(); ++u) {
+      if (holes.at<std::uint8_t>(v, u) == 0) continue;
+      const double depth = reference * std::exp((surface.height(u, v) + plane.at(u, v)) / focal);
+      prior.depth(u, v) = static_cast<float>(depth);
+      prior.sigma(u, v) =
+          static_cast<float>(std::hypot(options.raster_sigma_gsd, std::sqrt(surface.variance(u, v))) * depth / focal);
+    }
+  });
+  prior.filled_fraction =
+      hole_pixels / static_cast<double>(std::count_if(mask.begin(), mask.end(), [](auto m) { return m != 0; }));
+}
+
+/// Prior of a depth raster in the station view; `source` names it in messages.
+DepthPrior prior_of_raster(const Image<float>& depth, const std::string& source, const Pinhole& camera,
+                           const Pose& pose, const Mask& mask, const PriorOptions& options, const Context& context) {
+  DepthPrior prior = empty_prior(camera, pose);
+  std::size_t known = 0, elsewhere = 0;
+  for (std::size_t i = 0; i < depth.count(); ++i) {
+    const bool usable = std::isfinite(depth[i]) && depth[i] > 0;
+    if (mask[i] == 0 || !usable) {
+      elsewhere += usable;
+      continue;
+    }
+    ++known;
+    prior.depth[i] = depth[i];
+    prior.sigma[i] = static_cast<float>(options.raster_sigma_gsd * depth[i] / camera.focal());
+  }
+  if (known < static_cast<std::size_t>(options.min_points)) {
+    throw data_error(source + ": " + std::to_string(known) + " object pixels have a depth, expected at least " +
+                     std::to_string(options.min_points) + " (" + std::to_string(elsewhere) +
+                     " pixels outside the mask have one): check that it and the camera pose are in one frame and unit");
+  }
+  fill_holes(prior, mask, options, context);
+  prior.points_total = static_cast<double>(known + elsewhere);
+  prior.points_used = static_cast<double>(known);
+  prior.spacing_px = 1;
+  return prior;
 }
 
 }  // namespace
@@ -150,41 +343,47 @@ DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const P
       cloud, camera, pose, mask,
       {options.neighbors, options.outlier_tolerance, options.outlier_floor_gsd, options.max_slope_deg}, context);
   require_points(visible, options);
-
   const ReferencePlane plane(visible.points);
   for (ViewPoint& p : visible.points) p.height -= static_cast<float>(plane.at(p.u, p.v));
-  const double tension_px = 40 * visible.spacing_px;
-  const PixelBox box = bounding_box(mask);
-  const double density = 1 / (visible.spacing_px * visible.spacing_px);
-  context.progress("prior", 0.2, "choosing the smoothing");
-  const double lambda = options.smoothing_px ? *options.smoothing_px * *options.smoothing_px * std::sqrt(density)
-                                             : choose_smoothing(mask, box, visible.points, visible.spacing_px, context);
-  const double smoothing_px = std::sqrt(lambda / std::sqrt(density));
-  const double cell_px = std::max(1.0, 0.5 * smoothing_px);
-  const Surface surface = fit(visible.points, mask, lambda, cell_px, tension_px, 1, options, context);
+  context.progress("prior", 0.15, "choosing the smoothing");
+  const Smoothing how = smoothing_for(visible, mask, options, context);
+  context.progress("prior", 0.3, "smoothing the cloud");
+  const Surface surface = smooth_cloud(visible.points, mask, how, options, context);
 
-  DepthPrior prior;
-  prior.camera = camera;
-  prior.pose = pose;
-  prior.depth = Image<float>(camera.size, 1, none);
-  prior.sigma = Image<float>(camera.size, 1, none);
+  DepthPrior prior = empty_prior(camera, pose);
   const double focal = camera.focal();
+  const double shared = options.correlated_noise * surface.noise;
   parallel_rows(context, camera.size.height, [&](int v) {
     for (int u = 0; u < camera.size.width; ++u) {
-      const double height = surface.height(u, v) + plane.at(u, v);
-      if (!std::isfinite(height)) continue;
-      const double depth = visible.reference_depth * std::exp(height / focal);
+      if (mask(u, v) == 0) continue;
+      const double depth = visible.reference_depth * std::exp((surface.height(u, v) + plane.at(u, v)) / focal);
       prior.depth(u, v) = static_cast<float>(depth);
-      prior.sigma(u, v) = static_cast<float>(surface.spread * std::sqrt(surface.variance(u, v)) * depth / focal);
+      prior.sigma(u, v) = static_cast<float>(std::sqrt(surface.variance(u, v) + shared * shared) * depth / focal);
     }
   });
   prior.points_total = static_cast<double>(visible.census.total);
   prior.points_used = static_cast<double>(visible.census.used);
-  prior.noise = surface.spread * visible.reference_depth / focal;
+  prior.noise = surface.noise * visible.reference_depth / focal;
   prior.spacing_px = visible.spacing_px;
-  prior.smoothing_px = smoothing_px;
+  prior.smoothing_px = how.length_px;
   prior.filled_fraction = far_fraction(mask, visible.points, 2 * visible.spacing_px);
+  context.progress("prior", 1);
   return prior;
+}
+
+DepthPrior project_prior(const TriangleMesh& mesh, const Pinhole& camera, const Pose& pose, const Mask& mask,
+                         const PriorOptions& options, const Context& context) {
+  validate(camera, pose, mask, options);
+  context.progress("prior", 0, "rasterizing the mesh");
+  return prior_of_raster(rasterize_mesh(mesh, camera, pose, context), "prior mesh", camera, pose, mask, options,
+                         context);
+}
+
+DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const Pose& pose, const Mask& mask,
+                         const PriorOptions& options, const Context& context) {
+  validate(camera, pose, mask, options);
+  require_size(depth, camera.size, "prior depth map");
+  return prior_of_raster(depth, "prior depth map", camera, pose, mask, options, context);
 }
 
 }  // namespace malus

@@ -21,7 +21,9 @@ struct PriorOptions {
   double max_slope_deg = 75;
   int min_points = 30;
   double raster_sigma_gsd = 1;
-  int max_unknowns = 400000;
+  double correlated_noise = 0.45;
+  double tension_spacings = 40;
+  int max_unknowns = 500000;
   int sigma_samples = 16;
 
   template <class Self, class Visitor>
@@ -37,6 +39,10 @@ struct PriorOptions {
     visit("min_points", self.min_points, Range{3, 1e9}, "fewest visible points on the object");
     visit("raster_sigma_gsd", self.raster_sigma_gsd, Range{1e-6, 1e6},
           "standard deviation of a mesh's or a depth map's depth, in GSD (a cloud's is measured)");
+    visit("correlated_noise", self.correlated_noise, Range{0, 10},
+          "share of a point's noise that its neighbors have too, so that smoothing leaves it (for sigma)");
+    visit("tension_spacings", self.tension_spacings, Range{1, 1e6},
+          "distance from all points, in point spacings, beyond which the surface levels out to the plane of the cloud");
     visit("max_unknowns", self.max_unknowns, Range{1000, 1e7},
           "largest smoothing system solved at once; larger rasters are solved in overlapping tiles");
     visit("sigma_samples", self.sigma_samples, Range{4, 1000}, "draws from which the standard deviation is estimated");
@@ -46,7 +52,8 @@ struct PriorOptions {
 /// Coarse surface from a point cloud (world frame, unit of the station): its visible points (see visible_points.h),
 /// smoothed by a robust thin-plate spline over the mask (see smoothing_spline.h) in log depth, whose smoothing is the
 /// restricted maximum likelihood estimate from the points' scatter. `mask` has the camera's size; depth and sigma are
-/// NaN outside. sigma is the spline's posterior standard deviation, which grows away from the points.
+/// NaN outside. sigma² is the spline's posterior variance, which grows away from the points, plus the part of the noise
+/// that neighboring points share.
 ///
 /// Throws an input error for values that are not finite or a mask of another size, a data error that says where the
 /// points fell if fewer than `min_points` are visible on the object.
