@@ -150,7 +150,7 @@ bool StokesCost::Evaluate(double const* const* parameters, double* residuals, do
 }
 
 void StokesLoss::Evaluate(double squared, double rho[3]) const {
-  const double weight = field_.regional_weight(u_, v_), scale2 = field_.robust_scale * field_.robust_scale;
+  const double weight = field_.regional_weight(u_, v_), scale = field_.robust_scale_at(u_, v_), scale2 = scale * scale;
   const double sum = 1 + squared / scale2;
   rho[0] = weight * scale2 * std::log(sum);
   rho[1] = weight / sum;

@@ -10,7 +10,9 @@
 #include "malus/fusion/masked_blur.h"
 #include "malus/fusion/refinement_weights.h"
 #include "malus/fusion/reflection_fit.h"
+#include "malus/fusion/reflection_labels.h"
 #include "malus/fusion/region_choice.h"
+#include "malus/fusion/surface_sigma.h"
 #include "malus/fusion/tile_solver.h"
 
 namespace malus {
@@ -22,24 +24,29 @@ double seconds_since(std::chrono::steady_clock::time_point start) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
-/// Which reflection prevails: the sign of the radial Stokes component at the prior's slopes, weighted by sin²(zenith).
-double specular_evidence(const std::vector<ReflectionSample>& samples) {
-  double specular = 0, all = 0;
-  for (const ReflectionSample& s : samples) {
-    const double weight = s.tan2() / (1 + s.tan2());
-    all += weight;
-    if (s.radial_stokes() < 0) specular += weight;
-  }
-  return all > 0 ? specular / all : 0;
-}
-
-void label_regions(RefinementField& field, const RefineInput& input) {
-  auto kind = Reflection::diffuse;
-  if (input.reflection == ReflectionChoice::specular) kind = Reflection::specular;
-  field.kind.fill(static_cast<std::uint8_t>(kind));
-  if (input.reflection != ReflectionChoice::automatic) return;
-  if (specular_evidence(collect_samples(field, kind, sample_count)) > 0.5) {
-    field.kind.fill(static_cast<std::uint8_t>(Reflection::specular));
+void label_regions(RefinementField& field, const RefineInput& input, const Context& context) {
+  switch (input.reflection) {
+    case ReflectionChoice::automatic:
+      label_reflection(field, context);
+      return;
+    case ReflectionChoice::diffuse:
+      field.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+      return;
+    case ReflectionChoice::specular:
+      field.kind.fill(static_cast<std::uint8_t>(Reflection::specular));
+      return;
+    case ReflectionChoice::labels:
+      label_reflection(field, context);
+      require_size(input.labels, field.size(), "the label image");
+      for (std::size_t i = 0; i < input.labels.count(); ++i) {
+        if (input.labels[i] > 2) {
+          throw input_error("the label image has a pixel " + std::to_string(input.labels[i]) +
+                            ", expected 0 (not known), 1 (diffuse) or 2 (specular)");
+        }
+        if (input.labels[i] == 1) field.kind[i] = static_cast<std::uint8_t>(Reflection::diffuse);
+        if (input.labels[i] == 2) field.kind[i] = static_cast<std::uint8_t>(Reflection::specular);
+      }
+      return;
   }
 }
 
@@ -52,10 +59,9 @@ double fit_reflection(RefinementField& field, const RefineOptions& options, Refi
     field.shading = shading.harmonics;
     HighlightLobe start = field.reflection.lobe;
     if (start.strength == 0) start.light = shading.light;
-    const DiffuseFit fit = fit_diffuse(diffuse, field.reflection.eta, start);
+    const DiffuseFit fit = fit_diffuse(diffuse, field.reflection.eta, options.lobe, start);
     field.reflection.environment = fit.environment;
     field.reflection.lobe = fit.lobe;
-    if (!options.lobe) field.reflection.lobe.strength = 0;
     report.environment_sigma = fit.environment_sigma;
     report.lobe_strength_sigma = fit.strength_sigma;
     report.lobe_roughness_sigma = fit.roughness_sigma;
@@ -95,8 +101,67 @@ FusedSurface surface_of(const RefinementField& field, const DepthPrior& prior, c
     }
   });
   surface.normals = normals_from_depth(surface.depth, surface.camera, context);
-  surface.sigma = prior.sigma;
+  surface.sigma = surface_sigma(field, prior.sigma, context);
   return surface;
+}
+
+/// Label and weight of every pixel's polarization, as images.
+void report_pixels(const RefinementField& field, RefineReport& report) {
+  report.specular_share = specular_share(field);
+  report.label = report.confidence = Image<std::uint8_t>(field.size());
+  for (std::size_t i = 0; i < field.object.count(); ++i) {
+    if (field.object[i]) report.label[i] = field.kind[i];
+  }
+  for (int v = 0; v < field.size().height; ++v) {
+    for (int u = 0; u < field.size().width; ++u) {
+      if (!field.object(u, v)) continue;
+      report.confidence(u, v) = static_cast<std::uint8_t>(std::lround(255 * stokes_weight(field, u, v)));
+    }
+  }
+}
+
+/// s0 of the middle specular pixel.
+double median_specular_s0(const RefinementField& field) {
+  std::vector<float> values;
+  for (std::size_t i = 0; i < field.object.count(); ++i) {
+    if (field.usable[i] && field.kind[i] == static_cast<std::uint8_t>(Reflection::specular))
+      values.push_back(field.s0[i]);
+  }
+  if (values.empty()) return 0;
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+/// What the numbers say about whether to trust the surface.
+void judge(const RefinementField& field, const RefineReport& report, FusedSurface& surface) {
+  surface.status = "converged";
+  const RefineIteration& last = report.iterations.back();
+  if (last.rejected_steps > report.tiles) {
+    surface.status = "not converged";
+    surface.warnings.push_back("The refinement found no better surface than the prior in most of the image.");
+  } else if (last.change_gsd > 0.5) {
+    surface.status = "not converged";
+    surface.warnings.push_back("The surface still moved by " + std::to_string(last.change_gsd) +
+                               " GSD in the last round; more iterations may help.");
+  }
+  // In front of a mirror image as weakly polarized as this a dielectric body would have to be nearly white.
+  constexpr double largest_body_share = 0.7;
+  const double s0 = median_specular_s0(field);
+  if (report.specular_share > 0.5 && report.reflection.mirror.body > largest_body_share * s0) {
+    surface.status = "low confidence";
+    surface.warnings.push_back(
+        "The polarization has the direction of a mirror reflection but is much weaker than a dielectric's: the surface "
+        "is "
+        "probably bare metal, for which the Fresnel formulas used here do not hold.");
+  }
+  constexpr double largest_residual = 3;
+  if (last.median_residual > largest_residual) {
+    surface.status = "low confidence";
+    surface.warnings.push_back(
+        "The reflection model does not explain the measured polarization: the median residual is " +
+        std::to_string(last.median_residual) + " standard deviations.");
+  }
 }
 
 /// Runs rounds of: fit what all pixels share, weigh the residuals, solve.
@@ -126,7 +191,8 @@ class Refiner {
 
   WeightOptions weights(double widening, bool regional) const {
     WeightOptions weights;
-    weights.robust_scale = options_.robust_scale * widening;
+    weights.robust_scale = options_.robust_scale;
+    weights.specular_widening = widening;
     weights.relative_error = options_.relative_error;
     weights.slope_error = options_.slope_error;
     weights.prior_weight = options_.prior_weight;
@@ -198,10 +264,11 @@ RefineResult refine(const PolarizationState& state, const DepthPrior& prior, con
   RefinementField field = make_field(state, prior, context);
   field.reflection.eta = input.refractive_index.value_or(1.5);
   RefineResult result;
-  label_regions(field, input);
+  label_regions(field, input, context);
   Refiner(field, options, result.report, context).run();
   result.surface = surface_of(field, prior, context);
-  result.surface.status = "converged";
+  report_pixels(field, result.report);
+  judge(field, result.report, result.surface);
   result.report.seconds = seconds_since(start);
   return result;
 }

@@ -26,8 +26,8 @@ struct RefineInput {
 struct RefineOptions {
   int iterations = 6;
   int steps = 1;
-  int tile_px = 320;
-  int margin_px = 48;
+  int tile_px = 256;
+  int margin_px = 32;
   double robust_scale = 2.5;
   double graduation = 8;
   double relative_error = 0.002;
@@ -51,7 +51,7 @@ struct RefineOptions {
     visit("robust_scale", self.robust_scale, Range{0.1, 100},
           "Stokes residual, in standard deviations, that counts half");
     visit("graduation", self.graduation, Range{1, 100},
-          "factor on robust_scale in the first round, halved every round");
+          "factor on robust_scale of specular regions in the first round, halved every round");
     visit("relative_error", self.relative_error, Range{0, 0.1}, "error of the reflection model as a share of s0");
     visit("slope_error", self.slope_error, Range{0, 1}, "error of the reflection model as a slope");
     visit("prior_weight", self.prior_weight, not_negative, "weight of a full prior block");

@@ -32,10 +32,11 @@ struct RefinementField {
   ReflectionModel reflection;
   Eigen::Vector4d shading = Eigen::Vector4d::UnitX();  ///< body light / albedo = shading[0] + shading[1..3] · n
   Image<float> mirror_body;                            ///< s0 of the light from inside, specular regions
-  double robust_scale = 2.5;      ///< of the Cauchy loss of the Stokes residuals, in standard deviations
-  Image<float> stokes_precision;  ///< 1 / σ² of the Stokes residuals; 0 = not used
-  Image<float> regional_weight;   ///< of the Stokes residuals, 0 … 1
-  Image<float> log_body;          ///< ln of the light from inside the body; NaN where there is none to compare
+  double robust_scale = 2.5;                           ///< of the Cauchy loss of the Stokes residuals [σ] …
+  double specular_widening = 1;                        ///< … times this in specular regions
+  Image<float> stokes_precision;                       ///< 1 / σ² of the Stokes residuals; 0 = not used
+  Image<float> regional_weight;                        ///< of the Stokes residuals, 0 … 1
+  Image<float> log_body;  ///< ln of the light from inside the body; NaN where there is none to compare
   Image<float> edge_weight_right, edge_weight_down;  ///< albedo-gradient residual to that neighbour
   Image<float> block_weight, block_mean;             ///< prior blocks: weight (1 / GSD²), mean of x_prior
 
@@ -50,6 +51,9 @@ struct RefinementField {
   RayFrame frame_at(int u, int v) const { return ray_frame(&camera, u, v); }
   PixelReflection reflection_at(int u, int v) const {
     return {reflection, kind_at(u, v), s0(u, v), mirror_body(u, v), frame_at(u, v)};
+  }
+  double robust_scale_at(int u, int v) const {
+    return kind_at(u, v) == Reflection::specular ? robust_scale * specular_widening : robust_scale;
   }
   double depth_of(double value) const { return std::exp(value / focal + log_depth_origin); }
 };

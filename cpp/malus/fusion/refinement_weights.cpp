@@ -153,12 +153,22 @@ FitQuality summarize(const Image<float>& squared) {
 
 FitQuality update_weights(RefinementField& field, const WeightOptions& options, const Context& context) {
   field.robust_scale = options.robust_scale;
+  field.specular_widening = options.specular_widening;
   if (has_specular(field)) estimate_mirror_body(field, context);
   const PixelResiduals residuals = pixel_residuals(field, options, context);
   if (options.regional_sigma_px > 0) weigh_regions(field, residuals.squared, options.regional_sigma_px, context);
   weigh_albedo_edges(field, residuals.log_albedo, options, context);
   weigh_prior_blocks(field, options, context);
   return summarize(residuals.squared);
+}
+
+double stokes_weight(const RefinementField& field, int u, int v) {
+  const double precision = field.stokes_precision(u, v);
+  if (precision <= 0) return 0;
+  const Eigen::Vector2d slopes = central_slopes(field, u, v);
+  const PredictedStokes m = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
+  const double misfit = precision * (square(m.s1 - field.s1(u, v)) + square(m.s2 - field.s2(u, v)));
+  return field.regional_weight(u, v) / (1 + misfit / square(field.robust_scale_at(u, v)));
 }
 
 }  // namespace malus

@@ -8,6 +8,7 @@ namespace malus {
 /// How much each residual counts; see RefineOptions for the meaning of the numbers.
 struct WeightOptions {
   double robust_scale = 2.5;
+  double specular_widening = 1;  ///< factor on robust_scale in specular regions
   double relative_error = 0.002;
   double slope_error = 0.03;
   double prior_weight = 5;
@@ -25,5 +26,9 @@ struct FitQuality {
 
 /// Recomputes the robust weights of all residuals, and ln of the body light, at the current surface.
 FitQuality update_weights(RefinementField& field, const WeightOptions& options, const Context& context);
+
+/// Weight, 0 … 1, that the robust loss leaves to a pixel's Stokes residuals at the current surface; 0 where
+/// polarization is not used.
+double stokes_weight(const RefinementField& field, int u, int v);
 
 }  // namespace malus

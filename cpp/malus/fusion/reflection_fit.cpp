@@ -332,7 +332,8 @@ Shading fit_shading(const std::vector<ReflectionSample>& samples) {
   return shading;
 }
 
-DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, const HighlightLobe& start) {
+DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, bool with_lobe,
+                       const HighlightLobe& start) {
   DiffuseFit fit;
   fit.lobe = start;
   fit.lobe.strength = 0;
@@ -346,6 +347,7 @@ DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta,
   fit.environment.radiance = nodes_of(plain.values);
   fit.environment_sigma = nodes_of(plain.sigma);
   fit.cost = fit.cost_without_lobe = plain.cost;
+  if (!with_lobe) return fit;
 
   const std::vector<double> roughnesses =
       start.strength > 0 ? std::vector{start.roughness} : std::vector{0.1, 0.15, 0.2, 0.25, 0.3, 0.4};

@@ -43,9 +43,10 @@ struct DiffuseFit {
   double strength_sigma = 0, roughness_sigma = 0, light_sigma_rad = 0;
 };
 
-/// Fits the environment profile and, where it lowers the robust cost, a highlight lobe. `start` is the previous fit's
-/// lobe; a lobe without strength starts from its light direction and several roughnesses.
-DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, const HighlightLobe& start);
+/// Fits the environment profile and, if wanted and where it lowers the robust cost, a highlight lobe. `start` is the
+/// previous fit's lobe; a lobe without strength starts from its light direction and several roughnesses.
+DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, bool with_lobe,
+                       const HighlightLobe& start);
 
 struct SpecularFit {
   MirrorReflection mirror;

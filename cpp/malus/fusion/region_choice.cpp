@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "malus/core/parallel.h"
+#include "malus/fusion/connected_sets.h"
 #include "malus/fusion/masked_blur.h"
 
 namespace malus {
@@ -36,8 +37,8 @@ double stokes_cost(const RefinementField& field, int u, int v) {
       if (!field.is_object(u, v + step_v)) continue;
       const double xv = step_v * (field.x(u, v + step_v) - field.x(u, v));
       const PredictedStokes m = reflection.predict(slopes.p(xu, xv), slopes.q(xu, xv));
-      cost += 0.25 *
-              cauchy(precision * (square(m.s1 - field.s1(u, v)) + square(m.s2 - field.s2(u, v))), field.robust_scale);
+      cost += 0.25 * cauchy(precision * (square(m.s1 - field.s1(u, v)) + square(m.s2 - field.s2(u, v))),
+                            field.robust_scale_at(u, v));
     }
   }
   return cost;
@@ -88,34 +89,6 @@ Mask grown(const Mask& mask, const Mask& object, int radius) {
   return result;
 }
 
-using Pixels = std::vector<std::size_t>;
-
-/// Connected sets (4-neighbourhood) of a mask.
-std::vector<Pixels> connected_sets(const Mask& mask) {
-  const auto width = static_cast<std::size_t>(mask.width());
-  std::vector<Pixels> sets;
-  Mask seen(mask.size());
-  for (std::size_t start = 0; start < mask.count(); ++start) {
-    if (!mask[start] || seen[start]) continue;
-    Pixels pixels{start};
-    seen[start] = 255;
-    const auto visit = [&](std::size_t next) {
-      if (!mask[next] || seen[next]) return;
-      seen[next] = 255;
-      pixels.push_back(next);
-    };
-    for (std::size_t i = 0; i < pixels.size(); ++i) {
-      const std::size_t pixel = pixels[i], u = pixel % width;
-      if (u > 0) visit(pixel - 1);
-      if (u + 1 < width) visit(pixel + 1);
-      if (pixel >= width) visit(pixel - width);
-      if (pixel + width < mask.count()) visit(pixel + width);
-    }
-    sets.push_back(std::move(pixels));
-  }
-  return sets;
-}
-
 double median(std::vector<double> values) {
   if (values.empty()) return 0;
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
@@ -124,8 +97,8 @@ double median(std::vector<double> values) {
 }
 
 /// Moves a region by the candidate's difference less its offset on the region's border, which fades in over 3 pixels.
-void move_region(const Pixels& region, const Image<double>& difference, const Mask& object, Image<int>& depth_in_region,
-                 Image<double>& x) {
+void move_region(const PixelSet& region, const Image<double>& difference, const Mask& object,
+                 Image<int>& depth_in_region, Image<double>& x) {
   const int width = object.width(), height = object.height();
   const auto at = [&](std::size_t pixel) {
     return std::pair{static_cast<int>(pixel % static_cast<std::size_t>(width)),
@@ -188,7 +161,7 @@ RegionChoice take_cheaper_regions(RefinementField& field, const Image<double>& c
   }
   RegionChoice choice;
   Image<int> depth_in_region(field.size());
-  for (const Pixels& region : connected_sets(grown(differs, field.object, grow_px))) {
+  for (const PixelSet& region : connected_sets(grown(differs, field.object, grow_px))) {
     ++choice.regions;
     double gain = 0;
     for (const std::size_t pixel : region) gain += static_cast<double>(cost[pixel]) - candidate_cost[pixel];

@@ -1,0 +1,78 @@
+#include "malus/fusion/reflection_labels.h"
+
+#include <algorithm>
+#include <limits>
+
+#include "malus/core/parallel.h"
+#include "malus/fusion/connected_sets.h"
+#include "malus/fusion/masked_blur.h"
+
+namespace malus {
+namespace {
+
+struct Evidence {
+  Image<float> weight;    ///< sin² of the zenith; NaN where polarization may not be used
+  Image<float> specular;  ///< the same where the pixel looks specular, else 0
+};
+
+Evidence collect_evidence(const RefinementField& field, const Context& context) {
+  constexpr float none = std::numeric_limits<float>::quiet_NaN();
+  Evidence evidence{Image<float>(field.size(), 1, none), Image<float>(field.size(), 1, none)};
+  parallel_rows(context, field.size().height, [&](int v) {
+    for (int u = 0; u < field.size().width; ++u) {
+      if (!field.object(u, v) || !field.usable(u, v)) continue;
+      const Eigen::Vector2d slopes = central_slopes(field, u, v);
+      const double p = slopes[0], q = slopes[1], tan2 = p * p + q * q;
+      const double radial = field.s1(u, v) * (p * p - q * q) + field.s2(u, v) * 2 * p * q;
+      evidence.weight(u, v) = static_cast<float>(tan2 / (1 + tan2));
+      evidence.specular(u, v) = radial < 0 ? evidence.weight(u, v) : 0.0f;
+    }
+  });
+  return evidence;
+}
+
+}  // namespace
+
+double label_reflection(RefinementField& field, const Context& context) {
+  const Evidence evidence = collect_evidence(field, context);
+  double specular = 0, all = 0;
+  for (std::size_t i = 0; i < evidence.weight.count(); ++i) {
+    if (!(evidence.weight[i] > 0)) continue;
+    all += evidence.weight[i];
+    specular += evidence.specular[i];
+  }
+  const double share = all > 0 ? specular / all : 0;
+  const bool mostly_specular = share > 0.5;
+  const auto usual = static_cast<std::uint8_t>(mostly_specular ? Reflection::specular : Reflection::diffuse);
+  const auto other = static_cast<std::uint8_t>(mostly_specular ? Reflection::diffuse : Reflection::specular);
+  field.kind.fill(usual);
+
+  // Highlights, shadows and noise look like the other kind in places; a different material does so all over a region.
+  constexpr double pooling_px = 20, clear = 0.9;
+  constexpr std::size_t smallest_region_px = 4000;
+  const Image<float> weights = masked_blur(evidence.weight, field.object, pooling_px, context);
+  const Image<float> speculars = masked_blur(evidence.specular, field.object, pooling_px, context);
+  Mask opposite(field.size());
+  for (std::size_t i = 0; i < opposite.count(); ++i) {
+    if (!field.object[i] || !(weights[i] > 0)) continue;
+    const double local = speculars[i] / weights[i];
+    opposite[i] = (mostly_specular ? local < 1 - clear : local > clear) ? 255 : 0;
+  }
+  for (const PixelSet& region : connected_sets(opposite)) {
+    if (region.size() < smallest_region_px) continue;
+    for (const std::size_t pixel : region) field.kind[pixel] = other;
+  }
+  return share;
+}
+
+double specular_share(const RefinementField& field) {
+  double specular = 0, all = 0;
+  for (std::size_t i = 0; i < field.object.count(); ++i) {
+    if (!field.object[i]) continue;
+    ++all;
+    specular += field.kind[i] == static_cast<std::uint8_t>(Reflection::specular);
+  }
+  return specular / all;
+}
+
+}  // namespace malus

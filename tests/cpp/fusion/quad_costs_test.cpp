@@ -1,0 +1,160 @@
+#include <ceres/loss_function.h>
+#include <gtest/gtest.h>
+
+#include <memory>
+#include <random>
+
+#include "malus/fusion/quad_costs_internal.h"
+#include "malus/fusion/refinement_weights.h"
+#include "synthetic_station.h"
+
+namespace malus {
+namespace {
+
+/// A field in mid-refinement, with a hole and a ragged border, so that quads are cut.
+RefinementField rough_field(Reflection kind) {
+  SyntheticOptions options;
+  options.size = {29, 27};
+  options.kind = kind;
+  options.model.environment.radiance = {0.15, 0.2, 0.22, 0.3, 0.35, 0.4, 0.38, 0.5, 0.6};
+  options.model.lobe = {0.02, 0.25, Eigen::Vector3d(-0.35, -0.5, -0.8).normalized()};
+  options.model.mirror = {0.15, 14};
+  SyntheticStation station = make_station(options);
+  for (const auto& [u, v] : {std::pair{10, 10}, {11, 10}, {12, 11}, {17, 4}, {0, 0}, {5, 20}})
+    station.state.valid(u, v) = 0;
+  RefinementField field = make_field(station.state, station.prior, Context{});
+  field.kind.fill(static_cast<std::uint8_t>(kind));
+  field.reflection = options.model;
+  field.shading = {0.3, 0.1, -0.2, -0.6};
+  std::mt19937 random(5);
+  std::normal_distribution<double> gauss(0, 0.2);
+  for (std::size_t i = 0; i < field.x.count(); ++i) {
+    if (field.object[i]) field.x[i] += gauss(random);
+  }
+  update_weights(field, WeightOptions{}, Context{});
+  return field;
+}
+
+/// Largest difference between analytic and numeric derivatives over all costs of a field, relative to the largest
+/// derivative of the cost.
+double largest_difference(const RefinementField& field, const std::vector<std::unique_ptr<QuadCost>>& costs) {
+  double largest = 0;
+  for (const auto& cost : costs) {
+    std::vector<std::array<double, 4>> values;
+    for (const QuadIndex quad : cost->quads()) {
+      std::array<double, 4> value{};
+      for (int i = 0; i < 4; ++i) {
+        const int u = 2 * quad.column + i % 2, v = 2 * quad.row + i / 2;
+        if (field.is_object(u, v)) value[static_cast<std::size_t>(i)] = field.x(u, v);
+      }
+      values.push_back(value);
+    }
+    std::vector<const double*> parameters;
+    for (const auto& value : values) parameters.push_back(value.data());
+    const auto residuals = static_cast<std::size_t>(cost->num_residuals());
+    std::vector<double> at(residuals), before(residuals), after(residuals);
+    std::vector<std::vector<double>> jacobians(values.size(), std::vector<double>(4 * residuals));
+    std::vector<double*> pointers;
+    for (auto& jacobian : jacobians) pointers.push_back(jacobian.data());
+    EXPECT_TRUE(cost->Evaluate(parameters.data(), at.data(), pointers.data()));
+    double scale = 1e-12;
+    for (const auto& jacobian : jacobians) {
+      for (const double derivative : jacobian) scale = std::max(scale, std::abs(derivative));
+    }
+    constexpr double h = 1e-5;
+    for (std::size_t k = 0; k < values.size(); ++k) {
+      for (std::size_t i = 0; i < 4; ++i) {
+        const double keep = values[k][i];
+        values[k][i] = keep - h;
+        cost->Evaluate(parameters.data(), before.data(), nullptr);
+        values[k][i] = keep + h;
+        cost->Evaluate(parameters.data(), after.data(), nullptr);
+        values[k][i] = keep;
+        for (std::size_t r = 0; r < residuals; ++r) {
+          const double numeric = (after[r] - before[r]) / (2 * h);
+          largest = std::max(largest, std::abs(numeric - jacobians[k][4 * r + i]) / scale);
+        }
+      }
+    }
+  }
+  return largest;
+}
+
+template <class Make>
+std::vector<std::unique_ptr<QuadCost>> all_costs(const RefinementField& field, Make&& make) {
+  std::vector<std::unique_ptr<QuadCost>> costs;
+  for (int row = 0; 2 * row < field.size().height; ++row) {
+    for (int column = 0; 2 * column < field.size().width; ++column) {
+      if (quad_has_object(field, {column, row})) make(QuadIndex{column, row}, costs);
+    }
+  }
+  return costs;
+}
+
+class QuadCosts : public testing::TestWithParam<Reflection> {};
+
+TEST_P(QuadCosts, StokesDerivativesAreThoseOfTheResiduals) {
+  const RefinementField field = rough_field(GetParam());
+  const auto costs = all_costs(field, [&](QuadIndex quad, auto& out) {
+    for (int i = 0; i < 4; ++i) {
+      const int u = 2 * quad.column + i % 2, v = 2 * quad.row + i / 2;
+      if (field.is_object(u, v)) out.push_back(std::make_unique<StokesCost>(field, u, v));
+    }
+  });
+  EXPECT_GT(costs.size(), 700u);
+  EXPECT_LT(largest_difference(field, costs), 1e-6);
+}
+
+TEST_P(QuadCosts, AlbedoDerivativesAreThoseOfTheResiduals) {
+  const RefinementField field = rough_field(GetParam());
+  const auto costs =
+      all_costs(field, [&](QuadIndex quad, auto& out) { out.push_back(std::make_unique<AlbedoCost>(field, quad)); });
+  EXPECT_LT(largest_difference(field, costs), 1e-6);
+}
+
+INSTANTIATE_TEST_SUITE_P(Kinds, QuadCosts, testing::Values(Reflection::diffuse, Reflection::specular));
+
+TEST(QuadCosts, SmoothnessAndPriorDerivativesAreThoseOfTheResiduals) {
+  const RefinementField field = rough_field(Reflection::diffuse);
+  auto costs = all_costs(
+      field, [&](QuadIndex quad, auto& out) { out.push_back(std::make_unique<SmoothnessCost>(field, quad, 0.05)); });
+  for (int row = 0; row < field.block_count().height; ++row) {
+    for (int column = 0; column < field.block_count().width; ++column) {
+      costs.push_back(std::make_unique<PriorBlockCost>(field, column, row));
+    }
+  }
+  EXPECT_LT(largest_difference(field, costs), 1e-8);
+}
+
+TEST(StokesLoss, IsCauchyTimesTheRegionalWeight) {
+  RefinementField field = rough_field(Reflection::diffuse);
+  field.regional_weight(3, 3) = 0.25f;
+  const ceres::CauchyLoss cauchy(field.robust_scale);
+  for (const double squared : {0.0, 0.5, 30.0}) {
+    double rho[3], expected[3];
+    StokesLoss(field, 3, 3).Evaluate(squared, rho);
+    cauchy.Evaluate(squared, expected);
+    for (int i = 0; i < 3; ++i) EXPECT_NEAR(rho[i], 0.25 * expected[i], 1e-12);
+  }
+}
+
+TEST(LogShading, DerivativesAreThoseOfTheValue) {
+  const Eigen::Vector4d harmonics(0.3, 0.1, -0.2, -0.6);
+  const Pinhole camera{{100, 100}, 300, 300, 50, 50};
+  const RayFrame frame = ray_frame(&camera, 20, 80);
+  const double h = 1e-6;
+  const LogShading at = log_shading(harmonics, frame, 0.4, -0.7);
+  EXPECT_NEAR(
+      at.by_p,
+      (log_shading(harmonics, frame, 0.4 + h, -0.7).value - log_shading(harmonics, frame, 0.4 - h, -0.7).value) /
+          (2 * h),
+      1e-8);
+  EXPECT_NEAR(
+      at.by_q,
+      (log_shading(harmonics, frame, 0.4, -0.7 + h).value - log_shading(harmonics, frame, 0.4, -0.7 - h).value) /
+          (2 * h),
+      1e-8);
+}
+
+}  // namespace
+}  // namespace malus

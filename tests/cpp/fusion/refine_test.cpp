@@ -1,0 +1,188 @@
+#include "malus/fusion/refine.h"
+
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <cmath>
+#include <limits>
+
+#include "malus/core/error.h"
+#include "malus/fusion/refinement_field.h"
+#include "malus/fusion/tile_solver.h"
+#include "synthetic_station.h"
+
+namespace malus {
+namespace {
+
+RefineOptions quick() {
+  RefineOptions options;
+  options.search = false;
+  options.lobe = false;
+  return options;
+}
+
+double largest_difference_gsd(const Image<float>& a, const Image<float>& b, double gsd) {
+  double largest = 0;
+  for (std::size_t i = 0; i < a.count(); ++i) {
+    if (std::isfinite(a[i])) largest = std::max(largest, std::abs(static_cast<double>(a[i]) - b[i]) / gsd);
+  }
+  return largest;
+}
+
+constexpr double gsd = 500.0 / 900;
+
+TEST(Refine, FindsTheBumpsOfADiffuseSurface) {
+  SyntheticOptions scene;
+  scene.model.environment.radiance.fill(0.1);
+  const SyntheticStation station = make_station(scene);
+  const RefineResult result = refine(station.state, station.prior, {}, quick(), Context{});
+  const double before = rms_error_gsd(station.prior.depth, station.truth, station.prior.camera);
+  const double after = rms_error_gsd(result.surface.depth, station.truth, station.prior.camera);
+  EXPECT_GT(before, 0.6);
+  EXPECT_LT(after, 0.3 * before);
+  EXPECT_EQ(result.report.specular_share, 0);
+  EXPECT_EQ(result.surface.method, "refined");
+  EXPECT_EQ(result.surface.status, "converged");
+  EXPECT_EQ(result.report.iterations.size(), 6u);
+}
+
+TEST(Refine, FindsTheBumpsOfASpecularSurface) {
+  SyntheticOptions scene;
+  scene.kind = Reflection::specular;
+  scene.model.mirror = {0.12, 13};
+  const SyntheticStation station = make_station(scene);
+  const RefineResult result = refine(station.state, station.prior, {}, quick(), Context{});
+  EXPECT_EQ(result.report.specular_share, 1);
+  EXPECT_LT(rms_error_gsd(result.surface.depth, station.truth, station.prior.camera),
+            0.3 * rms_error_gsd(station.prior.depth, station.truth, station.prior.camera));
+}
+
+TEST(Refine, DoesNotDependOnTheNumberOfThreads) {
+  SyntheticOptions scene;
+  scene.size = {112, 96};
+  const SyntheticStation station = make_station(scene);
+  RefineOptions options;
+  options.tile_px = 64;
+  options.margin_px = 16;
+  options.iterations = 2;
+  Context one, three;
+  three.threads = 3;
+  const RefineResult a = refine(station.state, station.prior, {}, options, one);
+  const RefineResult b = refine(station.state, station.prior, {}, options, three);
+  EXPECT_EQ(a.report.tiles, 4);
+  EXPECT_LT(largest_difference_gsd(a.surface.depth, b.surface.depth, gsd), 1e-4);
+}
+
+TEST(Refine, TilesLeaveNoSeam) {
+  SyntheticOptions scene;
+  scene.size = {160, 56};
+  const SyntheticStation station = make_station(scene);
+  RefineOptions whole = quick(), tiled = quick();
+  whole.tile_px = 512;
+  tiled.tile_px = 88;
+  tiled.margin_px = 32;
+  const RefineResult a = refine(station.state, station.prior, {}, whole, Context{});
+  const RefineResult b = refine(station.state, station.prior, {}, tiled, Context{});
+  EXPECT_EQ(a.report.tiles, 1);
+  EXPECT_EQ(b.report.tiles, 2);
+  // Across the border between the tiles the difference to the whole solution does not jump.
+  double jump = 0;
+  for (int v = 0; v < scene.size.height; ++v) {
+    for (int u = 60; u < 110; ++u) {
+      const auto difference = [&](int at) { return (b.surface.depth(at, v) - a.surface.depth(at, v)) / gsd; };
+      jump = std::max(jump, std::abs(static_cast<double>(difference(u + 1) - difference(u))));
+    }
+  }
+  EXPECT_LT(jump, 0.01);
+}
+
+TEST(Refine, SigmaIsPositiveAndCoversTheError) {
+  SyntheticOptions scene;
+  scene.model.environment.radiance.fill(0.1);
+  const SyntheticStation station = make_station(scene);
+  const RefineResult result = refine(station.state, station.prior, {}, quick(), Context{});
+  double covered = 0, count = 0;
+  for (std::size_t i = 0; i < station.truth.count(); ++i) {
+    ASSERT_GT(result.surface.sigma[i], 0);
+    covered += std::abs(result.surface.depth[i] - station.truth[i]) < 2 * result.surface.sigma[i];
+    ++count;
+  }
+  EXPECT_GT(covered / count, 0.9);
+}
+
+TEST(Refine, LeavesPixelsOutsideAlone) {
+  SyntheticStation station = make_station({});
+  for (int v = 20; v < 40; ++v) {
+    for (int u = 33; u < 36; ++u) station.state.valid(u, v) = 0;
+  }
+  station.prior.depth(50, 30) = std::numeric_limits<float>::quiet_NaN();
+  const RefineResult result = refine(station.state, station.prior, {}, quick(), Context{});
+  EXPECT_TRUE(std::isnan(result.surface.depth(34, 30)));
+  EXPECT_TRUE(std::isnan(result.surface.depth(50, 30)));
+  EXPECT_TRUE(std::isfinite(result.surface.depth(51, 30)));
+  EXPECT_EQ(result.report.label(34, 30), 0);
+  EXPECT_EQ(result.report.confidence(34, 30), 0);
+}
+
+TEST(Refine, WarnsOfMetal) {
+  SyntheticOptions scene;
+  scene.kind = Reflection::specular;
+  scene.model.mirror = {0.9, 4};  // direction of a mirror image, degree far below a dielectric's
+  const SyntheticStation station = make_station(scene);
+  const RefineResult result = refine(station.state, station.prior, {}, quick(), Context{});
+  EXPECT_EQ(result.surface.status, "low confidence");
+  ASSERT_FALSE(result.surface.warnings.empty());
+}
+
+TEST(Refine, TakesGivenLabels) {
+  const SyntheticStation station = make_station({});
+  RefineInput input;
+  input.reflection = ReflectionChoice::labels;
+  input.labels = Mask(station.state.size(), 1, 2);
+  RefineOptions options = quick();
+  options.iterations = 1;
+  EXPECT_EQ(refine(station.state, station.prior, input, options, Context{}).report.specular_share, 1);
+  input.labels(3, 3) = 7;
+  EXPECT_THROW(refine(station.state, station.prior, input, options, Context{}), Error);
+  input.labels = Mask({3, 3});
+  EXPECT_THROW(refine(station.state, station.prior, input, options, Context{}), Error);
+}
+
+TEST(Refine, RejectsWhatDoesNotFit) {
+  const SyntheticStation station = make_station({});
+  DepthPrior other = station.prior;
+  other.depth = Image<float>({10, 10}, 1, 500);
+  EXPECT_THROW(refine(station.state, other, {}, {}, Context{}), Error);
+  other = station.prior;
+  other.depth.fill(std::numeric_limits<float>::quiet_NaN());
+  EXPECT_THROW(refine(station.state, other, {}, {}, Context{}), Error);
+  RefineOptions options;
+  options.tile_px = 1;
+  EXPECT_THROW(refine(station.state, station.prior, {}, options, Context{}), Error);
+}
+
+TEST(Refine, StopsWhenAsked) {
+  const SyntheticStation station = make_station({});
+  const std::atomic<bool> cancel = true;
+  Context context;
+  context.cancel = &cancel;
+  EXPECT_THROW(refine(station.state, station.prior, {}, {}, context), Error);
+}
+
+TEST(Tiles, CoverTheImageOnceOnBlockBorders) {
+  const Size size{413, 251};
+  const std::vector<Tile> tiles = divide_into_tiles(size, 100, 20);
+  Image<int> covered(size);
+  for (const Tile& tile : tiles) {
+    EXPECT_EQ(tile.core.u0 % prior_block_px, 0);
+    EXPECT_EQ(tile.outer.v0 % prior_block_px, 0);
+    EXPECT_LE(tile.core.width(), 108);
+    for (int v = tile.core.v0; v < tile.core.v1; ++v) {
+      for (int u = tile.core.u0; u < tile.core.u1; ++u) ++covered(u, v);
+    }
+  }
+  for (const int count : covered) EXPECT_EQ(count, 1);
+}
+
+}  // namespace
+}  // namespace malus
