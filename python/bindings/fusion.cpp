@@ -18,15 +18,16 @@ void bind_fusion(py::module_& module) {
       .def_readonly("method", &FusedSurface::method)
       .def_readonly("status", &FusedSurface::status)
       .def_readonly("warnings", &FusedSurface::warnings);
-  module.def("fuse_grid", [](const HeightMap& height, const DepthPrior& prior, const std::string& options_json, int threads) {
-    const Options options = options_from_json({}, options_json);
-    FusedSurface surface;
-    run_interruptible(threads, py::none(), py::none(),
-                      [&](const Context& context) { surface = fuse_grid(height, prior, options.grid, context); });
-    return surface;
-  });
-  module.def("refine", [](const PolarizationState& state, const DepthPrior& prior, std::optional<double> refractive_index,
-                          const std::string& options_json, int threads) {
+  module.def(
+      "fuse_grid", [](const HeightMap& height, const DepthPrior& prior, const std::string& options_json, int threads) {
+        const Options options = options_from_json({}, options_json);
+        FusedSurface surface;
+        run_interruptible(threads, py::none(), py::none(),
+                          [&](const Context& context) { surface = fuse_grid(height, prior, options.grid, context); });
+        return surface;
+      });
+  module.def("refine", [](const PolarizationState& state, const DepthPrior& prior,
+                          std::optional<double> refractive_index, const std::string& options_json, int threads) {
     const Options options = options_from_json({}, options_json);
     RefineInput input;
     input.refractive_index = refractive_index;

@@ -11,8 +11,8 @@ namespace malus::python {
 namespace py = pybind11;
 
 /// Runs a computation on a worker thread with the GIL released, while the calling thread delivers progress and log
-/// events to the Python callbacks (either may be None) and watches for Ctrl-C, which cancels the computation through its
-/// context. Exceptions of the computation, and of the callbacks, are rethrown here.
+/// events to the Python callbacks (either may be None) and watches for Ctrl-C, which cancels the computation through
+/// its context. Exceptions of the computation, and of the callbacks, are rethrown here.
 void run_interruptible(int threads, const py::object& on_progress, const py::object& on_log,
                        const std::function<void(const Context&)>& compute);
 

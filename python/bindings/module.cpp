@@ -13,11 +13,16 @@ namespace {
 /// Name in malus.errors of the exception for an error code.
 const char* exception_name(malus::ErrorCode code) {
   switch (code) {
-    case malus::ErrorCode::input: return "InputError";
-    case malus::ErrorCode::data: return "DataError";
-    case malus::ErrorCode::external: return "ExternalError";
-    case malus::ErrorCode::resource: return "ResourceError";
-    case malus::ErrorCode::interrupted: break;
+    case malus::ErrorCode::input:
+      return "InputError";
+    case malus::ErrorCode::data:
+      return "DataError";
+    case malus::ErrorCode::external:
+      return "ExternalError";
+    case malus::ErrorCode::resource:
+      return "ResourceError";
+    case malus::ErrorCode::interrupted:
+      break;
   }
   return nullptr;
 }

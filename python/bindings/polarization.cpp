@@ -13,14 +13,16 @@ namespace {
 
 PolarizationState decompose_arrays(const std::vector<Array<float>>& arrays, const std::vector<double>& angles_rad,
                                    const std::optional<Array<std::uint8_t>>& mask_array, double full_well_e,
-                                   double read_noise_e, int frames_averaged, const std::string& options_json, int threads) {
+                                   double read_noise_e, int frames_averaged, const std::string& options_json,
+                                   int threads) {
   const Options options = options_from_json({}, options_json);
   std::vector<Image<float>> images;
   for (const auto& array : arrays) images.push_back(to_image(array));
   const Mask mask = mask_array ? to_image(*mask_array) : Mask(images.at(0).size(), 1, 255);
   PolarizationState state;
   run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-    state = decompose(images, angles_rad, {full_well_e, read_noise_e, 0, frames_averaged}, mask, {}, options.polarization, context);
+    state = decompose(images, angles_rad, {full_well_e, read_noise_e, 0, frames_averaged}, mask, {},
+                      options.polarization, context);
   });
   return state;
 }
@@ -30,7 +32,8 @@ PolarizationState decompose_arrays(const std::vector<Array<float>>& arrays, cons
 void bind_polarization(py::module_& module) {
   module.def("diffuse_degree", py::vectorize(&diffuse_degree));
   module.def("specular_degree", py::vectorize(&specular_degree));
-  module.def("diffuse_zenith", py::vectorize([](double degree, double eta) { return diffuse_zenith(degree, eta).zenith_rad; }));
+  module.def("diffuse_zenith",
+             py::vectorize([](double degree, double eta) { return diffuse_zenith(degree, eta).zenith_rad; }));
   module.def("specular_zenith", py::vectorize([](double degree, double eta, bool above_brewster) {
                const auto branch = above_brewster ? SpecularBranch::above_brewster : SpecularBranch::below_brewster;
                return specular_zenith(degree, eta, branch).zenith_rad;
@@ -67,7 +70,8 @@ void bind_polarization(py::module_& module) {
     const Image<float> normals = normals_array ? to_image(*normals_array) : Image<float>();
     ReflectionMap map;
     run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      map = map_reflection(state, camera ? &*camera : nullptr, normals_array ? &normals : nullptr, nullptr, options, context);
+      map = map_reflection(state, camera ? &*camera : nullptr, normals_array ? &normals : nullptr, nullptr, options,
+                           context);
     });
     return map;
   });

@@ -44,18 +44,19 @@ void bind_prior(py::module_& module) {
       .def_readonly("smoothing_px", &DepthPrior::smoothing_px)
       .def_readonly("filled_fraction", &DepthPrior::filled_fraction);
 
-  module.def("project_points", [](const Array<double>& points, const Pinhole& camera, const Eigen::Matrix3d& rotation,
-                                  const Eigen::Vector3d& translation, const std::optional<Array<std::uint8_t>>& mask_array,
-                                  const std::string& options_json, int threads) {
-    const Options options = options_from_json({}, options_json);
-    const PointCloud cloud = to_cloud(points);
-    const Mask mask = mask_array ? to_image(*mask_array) : Mask(camera.size, 1, 255);
-    DepthPrior prior;
-    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      prior = project_prior(cloud, camera, {rotation, translation}, mask, options.prior, context);
-    });
-    return prior;
-  });
+  module.def("project_points",
+             [](const Array<double>& points, const Pinhole& camera, const Eigen::Matrix3d& rotation,
+                const Eigen::Vector3d& translation, const std::optional<Array<std::uint8_t>>& mask_array,
+                const std::string& options_json, int threads) {
+               const Options options = options_from_json({}, options_json);
+               const PointCloud cloud = to_cloud(points);
+               const Mask mask = mask_array ? to_image(*mask_array) : Mask(camera.size, 1, 255);
+               DepthPrior prior;
+               run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+                 prior = project_prior(cloud, camera, {rotation, translation}, mask, options.prior, context);
+               });
+               return prior;
+             });
 }
 
 }  // namespace malus::python

@@ -88,7 +88,8 @@ void bind_station(py::module_& module) {
   module.def(
       "reconstruct",
       [](const Station& station, const std::string& options_json, const std::optional<std::string>& workspace,
-         const std::optional<std::string>& until, const std::optional<std::string>& reference, int threads, const py::object& on_progress, const py::object& on_log) {
+         const std::optional<std::string>& until, const std::optional<std::string>& reference, int threads,
+         const py::object& on_progress, const py::object& on_log) {
         const Options options = options_from_json({}, options_json);
         RunOptions run;
         if (workspace) run.workspace = *workspace;
@@ -99,8 +100,8 @@ void bind_station(py::module_& module) {
                           [&](const Context& context) { result = reconstruct(station, options, run, context); });
         return to_dict(std::move(result));
       },
-      py::arg("station"), py::arg("options"), py::arg("workspace"), py::arg("until"), py::arg("reference"), py::arg("threads"),
-      py::arg("progress"), py::arg("log"));
+      py::arg("station"), py::arg("options"), py::arg("workspace"), py::arg("until"), py::arg("reference"),
+      py::arg("threads"), py::arg("progress"), py::arg("log"));
 
   module.def("check", [](const Station& station, const std::string& options_json, int threads) {
     std::string plan;

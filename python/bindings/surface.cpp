@@ -36,8 +36,9 @@ void bind_surface(py::module_& module) {
     const Options options = options_from_json({}, options_json);
     const Image<float> color = color_array ? to_image(*color_array) : Image<float>();
     TriangleMesh mesh;
-    run_interruptible(threads, py::none(), py::none(),
-                      [&](const Context& context) { mesh = mesh_from_depth(surface, color, options.surface, context); });
+    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+      mesh = mesh_from_depth(surface, color, options.surface, context);
+    });
     py::dict result;
     result["vertices"] = rows_to_array<double>(mesh.vertices.points);
     result["normals"] = rows_to_array<float>(mesh.vertices.normals);

@@ -71,7 +71,8 @@ class BarProgress(ProgressView):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._bar.stop()
+        if self._console.is_terminal:
+            self._bar.stop()
 
     def progress(self, step: str, fraction: float, message: str) -> None:
         """Advance the step's bar."""

@@ -20,7 +20,7 @@ def expect(station: Path, work: Path, code: int, *words: str, arguments: tuple[s
     """Both programs must fail alike: exit code, words of the message, no result left behind."""
     for program in (malus, malus_station):
         run_words = ("run",) if program is malus else ()
-        outcome = program(*run_words, station, "-o", work, *arguments)
+        outcome = program(*run_words, station, "-o", work, "--quiet", *arguments)
         assert outcome.code == code, f"{program.__name__}: {outcome}"
         for word in words:
             assert word in outcome.err, f"{program.__name__}: {word!r} is not in {outcome.err!r}"

@@ -217,7 +217,7 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
   const ResponseCurve curve = response_curve(input.polarized.response, "response");
   Exposures exposures = load_exposures(input, curve, options, context);
   const Size size = exposures.images[0].size();
-  if (input.mask) require_size(*input.mask, size, "the mask of " + input.names[0]);
+  if (input.mask) require_size(*input.mask, size, input.polarized.mask ? "mask " + input.polarized.mask->string() : "mask");
   if (input.lens && input.lens->size != size) {
     throw input_error(input.names[0] + " is " + to_string(size) + " pixels, but its camera is " +
                       to_string(input.lens->size));

@@ -22,7 +22,9 @@ constexpr std::array<Model, 7> models{{{LensModel::simple_pinhole, "SIMPLE_PINHO
                                        {LensModel::full_opencv, "FULL_OPENCV", 12},
                                        {LensModel::brown, "BROWN", 10}}};
 
-const Model& entry(LensModel model) { return models[static_cast<std::size_t>(model)]; }
+const Model& entry(LensModel model) {
+  return models[static_cast<std::size_t>(model)];
+}
 
 /// OpenCV's ideal → measured model in normalized coordinates; the simpler models have zeros here.
 struct OpenCvDistortion {
@@ -79,9 +81,13 @@ Eigen::Vector2d invert(const Forward& forward, const Eigen::Vector2d& target, Ei
 
 }  // namespace
 
-std::string_view to_string(LensModel model) { return entry(model).name; }
+std::string_view to_string(LensModel model) {
+  return entry(model).name;
+}
 
-int parameter_count(LensModel model) { return entry(model).parameters; }
+int parameter_count(LensModel model) {
+  return entry(model).parameters;
+}
 
 LensModel lens_model(std::string_view name, const std::string& where) {
   std::string names;
@@ -89,7 +95,8 @@ LensModel lens_model(std::string_view name, const std::string& where) {
     if (candidate.name == name) return candidate.model;
     names += (names.empty() ? "" : ", ") + std::string(candidate.name);
   }
-  throw input_error(where + " = \"" + std::string(name) + "\" is not a supported camera model; expected one of " + names);
+  throw input_error(where + " = \"" + std::string(name) + "\" is not a supported camera model; expected one of " +
+                    names);
 }
 
 Pinhole LensCamera::pinhole() const {

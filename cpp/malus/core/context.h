@@ -11,9 +11,9 @@ namespace malus {
 
 /// One progress event: what is being done and how far it is.
 struct Progress {
-  std::string step;      ///< "polarization", "prior", "height", …
-  std::string message;   ///< what is done now, one line
-  double fraction = 0;   ///< of the step, 0 … 1
+  std::string step;     ///< "polarization", "prior", "height", …
+  std::string message;  ///< what is done now, one line
+  double fraction = 0;  ///< of the step, 0 … 1
 };
 
 /// Severity of a log line.

@@ -25,8 +25,14 @@ class Error : public std::runtime_error {
   ErrorCode code_;
 };
 
-inline Error input_error(const std::string& message) { return {ErrorCode::input, message}; }
-inline Error data_error(const std::string& message) { return {ErrorCode::data, message}; }
-inline Error resource_error(const std::string& message) { return {ErrorCode::resource, message}; }
+inline Error input_error(const std::string& message) {
+  return {ErrorCode::input, message};
+}
+inline Error data_error(const std::string& message) {
+  return {ErrorCode::data, message};
+}
+inline Error resource_error(const std::string& message) {
+  return {ErrorCode::resource, message};
+}
 
 }  // namespace malus

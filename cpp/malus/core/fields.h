@@ -43,7 +43,9 @@ inline constexpr Range fraction_range{0.0, 1.0};
 // std::string, an enum with names_of, and std::optional of int or double.
 
 template <class T>
-concept NamedEnum = std::is_enum_v<T> && requires(T value) { names_of(value); };
+concept NamedEnum = std::is_enum_v<T> && requires(T value) {
+  names_of(value);
+};
 
 template <NamedEnum T>
 std::string_view enum_name(T value) {

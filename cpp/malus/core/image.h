@@ -21,7 +21,9 @@ struct Size {
   bool operator==(const Size&) const = default;
 };
 
-inline std::string to_string(Size size) { return std::to_string(size.width) + " x " + std::to_string(size.height); }
+inline std::string to_string(Size size) {
+  return std::to_string(size.width) + " x " + std::to_string(size.height);
+}
 
 /// A raster that owns its pixels: height × width × channels, row major, channels interleaved, no padding.
 /// Pixel coordinates are (u, v) = (column, row) with the centre of the top-left pixel at (0, 0).

@@ -28,7 +28,8 @@ void parallel_rows(const Context& context, int height, Body&& body) {
 template <class T, class Partial>
 T parallel_sum(const Context& context, std::size_t count, std::size_t grain, const T& zero, Partial&& partial) {
   std::vector<T> parts((count + grain - 1) / grain, zero);
-  parallel_for(context, count, grain, [&](std::size_t begin, std::size_t end) { parts[begin / grain] = partial(begin, end); });
+  parallel_for(context, count, grain,
+               [&](std::size_t begin, std::size_t end) { parts[begin / grain] = partial(begin, end); });
   T sum = zero;
   for (const T& part : parts) sum += part;
   return sum;

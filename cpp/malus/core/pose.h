@@ -9,7 +9,9 @@ struct Pose {
   Eigen::Matrix3d rotation = Eigen::Matrix3d::Identity();
   Eigen::Vector3d translation = Eigen::Vector3d::Zero();
 
-  Eigen::Vector3d cam_from_world(const Eigen::Vector3d& x_in_world) const { return rotation * x_in_world + translation; }
+  Eigen::Vector3d cam_from_world(const Eigen::Vector3d& x_in_world) const {
+    return rotation * x_in_world + translation;
+  }
   Eigen::Vector3d world_from_cam(const Eigen::Vector3d& x_in_cam) const {
     return rotation.transpose() * (x_in_cam - translation);
   }

@@ -40,7 +40,8 @@ class NodeGrid {
     double share;
   };
   Interval interval(int pixel, int nodes) const {
-    const double position = std::clamp(static_cast<double>(pixel - offset_) / pitch_, 0.0, static_cast<double>(nodes - 1));
+    const double position =
+        std::clamp(static_cast<double>(pixel - offset_) / pitch_, 0.0, static_cast<double>(nodes - 1));
     const int low = static_cast<int>(position);
     return {low, std::min(low + 1, nodes - 1), position - low};
   }
@@ -50,8 +51,8 @@ class NodeGrid {
 };
 
 /// Gaussian mean along one axis of the finite nodes, as a weighted sum and its weight.
-void blur_axis(const Context& context, const Image<double>& sum, const Image<double>& weight, double sigma, bool along_u,
-               Image<double>& blurred_sum, Image<double>& blurred_weight) {
+void blur_axis(const Context& context, const Image<double>& sum, const Image<double>& weight, double sigma,
+               bool along_u, Image<double>& blurred_sum, Image<double>& blurred_weight) {
   const int reach = static_cast<int>(std::ceil(4 * sigma));
   std::vector<double> kernel;
   for (int k = -reach; k <= reach; ++k) kernel.push_back(sigma > 0 ? std::exp(-0.5 * k * k / (sigma * sigma)) : 1.0);

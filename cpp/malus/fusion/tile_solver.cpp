@@ -1,7 +1,6 @@
 #include "malus/fusion/tile_solver.h"
 
 #include <ceres/ceres.h>
-#include <dlfcn.h>
 
 #include <algorithm>
 #include <cmath>
@@ -10,6 +9,7 @@
 
 #include "malus/core/parallel.h"
 #include "malus/fusion/quad_costs_internal.h"
+#include "malus/linalg/sequential_blas.h"
 
 namespace malus {
 namespace {
@@ -32,16 +32,6 @@ std::vector<int> borders(int length, int largest) {
   }
   at.push_back(length);
   return at;
-}
-
-/// Tiles are the unit of parallelism. The BLAS and OpenMP loops inside CHOLMOD would only fight with it for the cores
-/// (and spin while they wait), and the number of their threads would show in the last digits of the result.
-void use_one_thread_inside() {
-  using SetNumber = void (*)(int);
-  static const auto set_blas_threads = reinterpret_cast<SetNumber>(dlsym(RTLD_DEFAULT, "openblas_set_num_threads"));
-  static const auto set_openmp_levels = reinterpret_cast<SetNumber>(dlsym(RTLD_DEFAULT, "omp_set_max_active_levels"));
-  if (set_blas_threads != nullptr) set_blas_threads(1);
-  if (set_openmp_levels != nullptr) set_openmp_levels(0);  // holds for the calling thread
 }
 
 /// One tile's Ceres problem on its own copy of x.
@@ -77,7 +67,7 @@ class TileProblem {
     solver.jacobi_scaling = false;
     solver.function_tolerance = solver.parameter_tolerance = solver.gradient_tolerance = 0;
     solver.num_threads = 1;
-    use_one_thread_inside();
+    const SequentialBlas sequential;  // tiles are the unit of parallelism
     solver.logging_type = ceres::SILENT;
     StopAfter stop(options.iterations, context);
     solver.callbacks.push_back(&stop);

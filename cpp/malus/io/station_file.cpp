@@ -506,12 +506,8 @@ StationFile read_station_file(const std::filesystem::path& given_path) {
                                                      "center"})) {
     read_camera(*table, station);
   }
-  if (!station.prior && !station.photos) {
-    throw document.error("prior",
-                         "is missing, expected [prior] with a cloud, mesh or depth map, or [photos] to make one from");
-  }
-  if (!station.camera && !station.photos) {
-    throw document.error("camera", "is missing, expected [camera], or [photos] from which it can be found");
+  if (station.prior && !station.camera && !station.photos) {
+    throw document.error("camera", "is missing, expected [camera], in whose view the prior is to be seen");
   }
 
   const auto bars = tables(document, "scale", "tables [[scale]]");

@@ -1,38 +1,15 @@
 #include "malus/linalg/symmetric_solver.h"
 
 #include <cholmod.h>
-#include <dlfcn.h>
 
 #include <cmath>
 #include <sstream>
 #include <string>
 
+#include "malus/linalg/sequential_blas.h"
+
 namespace malus {
 namespace {
-
-/// OpenBLAS, if that is the BLAS, gets the thread count for the time of one call and its old one back.
-class BlasThreads {
- public:
-  explicit BlasThreads(int threads) {
-    set_ = reinterpret_cast<void (*)(int)>(dlsym(RTLD_DEFAULT, "openblas_set_num_threads"));
-    const auto get = reinterpret_cast<int (*)()>(dlsym(RTLD_DEFAULT, "openblas_get_num_threads"));
-    if (set_ == nullptr || get == nullptr) {
-      set_ = nullptr;
-      return;
-    }
-    before_ = get();
-    set_(threads);
-  }
-  ~BlasThreads() {
-    if (set_ != nullptr) set_(before_);
-  }
-  BlasThreads(const BlasThreads&) = delete;
-  BlasThreads& operator=(const BlasThreads&) = delete;
-
- private:
-  void (*set_)(int) = nullptr;
-  int before_ = 1;
-};
 
 /// CHOLMOD's view of an Eigen matrix; shares its memory.
 cholmod_sparse view(const SymmetricSolver::Matrix& lower) {
@@ -132,7 +109,7 @@ SolveStatus SymmetricSolver::factorize(const Matrix& lower) {
     throw input_error("linear system: the matrix has another pattern than the analyzed one");
   }
   impl_->context.check_cancel();
-  const BlasThreads threads(impl_->context.threads);
+  const SequentialBlas sequential;
   cholmod_sparse matrix = view(lower);
   cholmod_factorize(&matrix, impl_->factor, &impl_->common);
   impl_->check("factorizing");
@@ -148,7 +125,7 @@ SolveStatus SymmetricSolver::solve(const Matrix& lower, const Eigen::VectorXd& b
   if (impl_->factor == nullptr || b.size() != impl_->unknowns || lower.rows() != impl_->unknowns) {
     throw input_error("linear system: factorize a matrix of the right-hand side's size first");
   }
-  const BlasThreads threads(impl_->context.threads);
+  const SequentialBlas sequential;
   const auto apply_inverse = [&](const Eigen::VectorXd& right) {
     cholmod_dense dense{};
     dense.nrow = dense.nzmax = dense.d = static_cast<std::size_t>(right.size());

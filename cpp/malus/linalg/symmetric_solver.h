@@ -36,7 +36,6 @@ class SymmetricSolver {
  public:
   using Matrix = Eigen::SparseMatrix<double, Eigen::ColMajor, int>;
 
-  /// BLAS runs on context.threads threads during factorize() and solve().
   explicit SymmetricSolver(const Context& context);
   ~SymmetricSolver();
   SymmetricSolver(SymmetricSolver&&) noexcept;

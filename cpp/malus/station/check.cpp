@@ -1,11 +1,10 @@
 #include "malus/station/check.h"
 
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <sstream>
-
-#include <Eigen/Geometry>
 
 #include "malus/capture/capture.h"
 #include "malus/io/point_cloud_file.h"
@@ -42,8 +41,7 @@ std::string with_count(double count, const std::string& noun) {
 Size read_images(const Station& station, Plan& plan, const Context& context) {
   if (station.in_memory()) return station.images.front().size();
   const StationFile& file = station.file;
-  const CaptureInput input =
-      capture_input(file.polarized, file.camera ? std::optional(file.camera->lens) : file.lens);
+  const CaptureInput input = capture_input(file.polarized, file.camera ? std::optional(file.camera->lens) : file.lens);
   Size size;
   for (std::size_t k = 0; k < input.names.size(); ++k) {
     context.check_cancel();
@@ -55,11 +53,13 @@ Size read_images(const Station& station, Plan& plan, const Context& context) {
     const auto clipped = std::ranges::count_if(image.pixels, [&](float value) { return value >= 0.995 * white; });
     const double share = static_cast<double>(clipped) / static_cast<double>(image.pixels.count());
     if (share > 0.01) {
-      plan.warnings.push_back(input.names[k] + ": " + with_count(std::round(100 * share), "% of the pixels are saturated"));
+      plan.warnings.push_back(input.names[k] + ": " +
+                              with_count(std::round(100 * share), "% of the pixels are saturated"));
     }
     const float brightest = *std::ranges::max_element(image.pixels);
     if (brightest < 0.2 * white) {
-      plan.warnings.push_back(input.names[k] + ": the brightest pixel is below 20 % of the white level; is white_level right?");
+      plan.warnings.push_back(input.names[k] +
+                              ": the brightest pixel is below 20 % of the white level; is white_level right?");
     }
   }
   return size;
@@ -81,12 +81,15 @@ double points_on_object(const PointCloud& cloud, const CameraSpec& camera, const
     if (!(x.z() > 0)) continue;
     const Eigen::Vector2d pixel = camera.lens.distort(x.hnormalized());
     const double u = std::round(pixel.x()), v = std::round(pixel.y());
-    if (u >= 0 && v >= 0 && u < object.width() && v < object.height() && object(static_cast<int>(u), static_cast<int>(v)) != 0) ++count;
+    if (u >= 0 && v >= 0 && u < object.width() && v < object.height() &&
+        object(static_cast<int>(u), static_cast<int>(v)) != 0)
+      ++count;
   }
   return count;
 }
 
-void check_prior(const Station& station, const Mask& object, const PriorOptions& options, Plan& plan, const Context& context) {
+void check_prior(const Station& station, const Mask& object, const PriorOptions& options, Plan& plan,
+                 const Context& context) {
   const auto& spec = station.file.prior;
   if (!station.has_prior()) {
     plan.warnings.emplace_back("there is no [prior]: only the polarization maps can be made");
@@ -100,9 +103,11 @@ void check_prior(const Station& station, const Mask& object, const PriorOptions&
     const double count = points_on_object(cloud, *station.file.camera, object);
     if (count < options.min_points) {
       throw data_error("the cloud has " + with_count(static_cast<double>(cloud.points.size()), "points, of which ") +
-                       with_count(count, "fall on the object, expected at least ") + std::to_string(options.min_points));
+                       with_count(count, "fall on the object, expected at least ") +
+                       std::to_string(options.min_points));
     }
-    plan.does.push_back("prior: " + with_count(count, "of ") + with_count(static_cast<double>(cloud.points.size()), "points fall on the object"));
+    plan.does.push_back("prior: " + with_count(count, "of ") +
+                        with_count(static_cast<double>(cloud.points.size()), "points fall on the object"));
   } else if (spec && spec->mesh) {
     const TriangleMesh mesh = read_mesh(*spec->mesh, context);
     plan.does.push_back("prior: mesh of " + with_count(static_cast<double>(mesh.triangles.size()), "triangles"));
@@ -118,12 +123,14 @@ Plan check_station(const Station& station, const Options& options, const Context
   plan.name = station.file.name;
   plan.size = read_images(station, plan, context);
   const Mask object = read_object(station, plan.size);
-  plan.object_pixels = static_cast<double>(std::ranges::count_if(object, [](std::uint8_t value) { return value != 0; }));
+  plan.object_pixels =
+      static_cast<double>(std::ranges::count_if(object, [](std::uint8_t value) { return value != 0; }));
   const double object_mpx = plan.object_pixels / 1e6, image_mpx = static_cast<double>(plan.size.area()) / 1e6;
 
   const PolarizedSpec& polarized = station.file.polarized;
   const std::size_t images = station.in_memory() ? station.images.size() : polarized.images.size();
-  std::string capture = "polarization: " + with_count(static_cast<double>(images), polarized.mosaic ? "mosaic" : "images");
+  std::string capture =
+      "polarization: " + with_count(static_cast<double>(images), polarized.mosaic ? "mosaic" : "images");
   if (station.file.camera && station.file.camera->lens.has_distortion()) {
     capture += ", undistorted from " + std::string(to_string(station.file.camera->lens.model));
   }
@@ -132,11 +139,13 @@ Plan check_station(const Station& station, const Options& options, const Context
 
   plan.seconds = seconds(polarization_cost, image_mpx, context.threads);
   // The stack itself, and one image as it was read.
-  plan.memory_mb = 60 + image_mpx * 4 * static_cast<double>(images + 3) + image_mpx * polarization_cost.megabytes_per_mpx;
+  plan.memory_mb =
+      60 + image_mpx * 4 * static_cast<double>(images + 3) + image_mpx * polarization_cost.megabytes_per_mpx;
   if (station.has_prior()) {
     const bool refined = options.fusion == Fusion::refined;
     plan.does.emplace_back("height: polarization alone (Eq 9 to 11)");
-    plan.does.emplace_back(refined ? "refine: nonlinear least squares on log depth" : "fuse: grid transfer (Eq 14 to 16)");
+    plan.does.emplace_back(refined ? "refine: nonlinear least squares on log depth"
+                                   : "fuse: grid transfer (Eq 14 to 16)");
     plan.does.emplace_back("mesh, assess");
     const StepCost& fusion = refined ? refine_cost : grid_cost;
     double peak = 0;
@@ -151,14 +160,10 @@ Plan check_station(const Station& station, const Options& options, const Context
 }
 
 std::string plan_to_json(const Plan& plan) {
-  return nlohmann::ordered_json{{"name", plan.name},
-                                {"width", plan.size.width},
-                                {"height", plan.size.height},
-                                {"object_pixels", plan.object_pixels},
-                                {"does", plan.does},
-                                {"warnings", plan.warnings},
-                                {"seconds", plan.seconds},
-                                {"memory_mb", plan.memory_mb}}
+  return nlohmann::ordered_json{{"name", plan.name},          {"width", plan.size.width},
+                                {"height", plan.size.height}, {"object_pixels", plan.object_pixels},
+                                {"does", plan.does},          {"warnings", plan.warnings},
+                                {"seconds", plan.seconds},    {"memory_mb", plan.memory_mb}}
       .dump();
 }
 

@@ -13,7 +13,7 @@ namespace malus {
 /// What a run would do and take.
 struct Plan {
   std::string name;
-  Size size;                          ///< of the polarized images
+  Size size;  ///< of the polarized images
   double object_pixels = 0;
   std::vector<std::string> does;      ///< one line a step
   std::vector<std::string> warnings;  ///< what a person should know before starting

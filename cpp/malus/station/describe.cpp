@@ -29,7 +29,10 @@ std::string describe_station_json(const Station& station) {
                {"profiles", Json::array()}};
   if (file.camera) {
     const LensCamera& lens = file.camera->lens;
-    json["camera"] = {{"model", to_string(lens.model)}, {"width", lens.size.width}, {"height", lens.size.height}, {"params", lens.params}};
+    json["camera"] = {{"model", to_string(lens.model)},
+                      {"width", lens.size.width},
+                      {"height", lens.size.height},
+                      {"params", lens.params}};
   }
   for (const PatchSpec& patch : file.patches) {
     json["patches"].push_back({{"name", patch.name}, {"box", {patch.x0, patch.y0, patch.x1, patch.y1}}});

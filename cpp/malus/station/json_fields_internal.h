@@ -15,13 +15,16 @@ namespace malus {
 using Json = nlohmann::ordered_json;
 
 template <class T>
-concept HasFields = requires(const T& value) { T::fields(value, [](const char*, const auto&) {}); };
+concept HasFields = requires(const T& value) {
+  T::fields(value, [](const char*, const auto&) {});
+};
 
 template <class T>
 concept Sequence = requires(const T& value) {
   value.begin();
   value.end();
-} && !std::is_same_v<T, std::string>;
+}
+&&!std::is_same_v<T, std::string>;
 
 template <class T>
 struct IsStdOptional : std::false_type {};
@@ -36,7 +39,8 @@ Json fields_to_json(const T& value) {
     return value ? fields_to_json(*value) : Json(nullptr);
   } else if constexpr (HasFields<T>) {
     Json json = Json::object();
-    T::fields(value, [&](std::string_view name, const auto& member) { json[std::string(name)] = fields_to_json(member); });
+    T::fields(value,
+              [&](std::string_view name, const auto& member) { json[std::string(name)] = fields_to_json(member); });
     return json;
   } else if constexpr (Sequence<T>) {
     Json json = Json::array();
@@ -56,7 +60,8 @@ void fields_from_json(T& value, const Json& json) {
     value.reset();
     if (!json.is_null()) fields_from_json(value.emplace(), json);
   } else if constexpr (HasFields<T>) {
-    T::fields(value, [&](std::string_view name, auto& member) { fields_from_json(member, json.at(std::string(name))); });
+    T::fields(value,
+              [&](std::string_view name, auto& member) { fields_from_json(member, json.at(std::string(name))); });
   } else if constexpr (Sequence<T>) {
     if constexpr (requires { value.resize(json.size()); }) value.resize(json.size());
     for (std::size_t i = 0; i < value.size(); ++i) fields_from_json(value[i], json.at(i));

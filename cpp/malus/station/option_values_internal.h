@@ -35,7 +35,8 @@ std::string option_type(T example = {}) {
     return option_type<typename T::value_type>() + " or \"auto\"";
   } else if constexpr (NamedEnum<T>) {
     std::string text;
-    for (const std::string_view name : names_of(example)) text += (text.empty() ? "\"" : " | \"") + std::string(name) + '"';
+    for (const std::string_view name : names_of(example))
+      text += (text.empty() ? "\"" : " | \"") + std::string(name) + '"';
     return text;
   } else if constexpr (std::same_as<T, bool>) {
     return "true or false";

@@ -29,7 +29,9 @@ void section_from_json(Section& section, const Json& json, const std::string& na
         found = true;
       }
     });
-    if (!found) throw input_error("unknown option " + name + "." + key + "; did you mean " + name + "." + std::string(nearest_name(key, known)) + "?");
+    if (!found)
+      throw input_error("unknown option " + name + "." + key + "; did you mean " + name + "." +
+                        std::string(nearest_name(key, known)) + "?");
   }
 }
 
@@ -53,9 +55,8 @@ void Options::validate() const {
 
 std::string options_to_json(const Options& options) {
   Json json = {{"fusion", option_to_json(options.fusion)}};
-  Options::sections(options, [&](std::string_view name, const auto& section) {
-    json[std::string(name)] = section_to_json(section);
-  });
+  Options::sections(
+      options, [&](std::string_view name, const auto& section) { json[std::string(name)] = section_to_json(section); });
   return json.dump();
 }
 
@@ -76,7 +77,9 @@ Options options_from_json(const Options& options, std::string_view text) {
         found = true;
       }
     });
-    if (!found) throw input_error("unknown option section " + name + "; did you mean " + std::string(nearest_name(name, known)) + "?");
+    if (!found)
+      throw input_error("unknown option section " + name + "; did you mean " + std::string(nearest_name(name, known)) +
+                        "?");
   }
   result.validate();
   return result;
@@ -90,7 +93,8 @@ void set_option(Options& options, std::string_view assignment) {
     throw input_error("--set " + std::string(assignment) + ", expected section.key=value");
   }
   const Json value = parse_value(std::string(assignment.substr(equals + 1)));
-  const Json change = dot == std::string::npos ? Json{{name, value}} : Json{{name.substr(0, dot), {{name.substr(dot + 1), value}}}};
+  const Json change =
+      dot == std::string::npos ? Json{{name, value}} : Json{{name.substr(0, dot), {{name.substr(dot + 1), value}}}};
   options = options_from_json(options, change.dump());
 }
 

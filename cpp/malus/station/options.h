@@ -24,7 +24,9 @@ enum class Fusion {
   grid,     ///< the paper's transfer of polarization detail onto the prior (Eq 14 to 16)
   refined,  ///< nonlinear least squares on log depth
 };
-constexpr auto names_of(Fusion) { return std::to_array<std::string_view>({"grid", "refined"}); }
+constexpr auto names_of(Fusion) {
+  return std::to_array<std::string_view>({"grid", "refined"});
+}
 
 /// Options of every step. The sections' fields are listed once, in each step's own options struct.
 struct Options {
@@ -60,14 +62,15 @@ struct Options {
 
 /// All values as JSON, {"fusion": …, "section": {"key": value}}.
 std::string options_to_json(const Options& options);
-/// The options with the values of a JSON object of that form replaced; missing ones keep their value. Unknown sections and
-/// keys, wrong types and values out of range are input errors that name them.
+/// The options with the values of a JSON object of that form replaced; missing ones keep their value. Unknown sections
+/// and keys, wrong types and values out of range are input errors that name them.
 Options options_from_json(const Options& options, std::string_view json);
 /// One assignment as on the command line, "section.key=value" or "fusion=grid".
 void set_option(Options& options, std::string_view assignment);
 /// Options of a TOML file with one table a section.
 Options options_from_file(const Options& options, const std::filesystem::path& path);
-/// Every option with type, default, range and meaning, as JSON {"section": {"key": {"type", "default", "min", "max", "doc"}}}.
+/// Every option with type, default, range and meaning, as JSON {"section": {"key": {"type", "default", "min", "max",
+/// "doc"}}}.
 std::string option_schema_json();
 
 }  // namespace malus

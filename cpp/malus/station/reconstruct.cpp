@@ -18,8 +18,24 @@ namespace {
 /// The camera of the station, or an error that says what is missing.
 const CameraSpec& require_camera(const Station& station) {
   if (station.file.camera) return *station.file.camera;
-  throw input_error(station.file.path.string() +
-                    ": [camera] has no pose, expected a camera whose position is known (a COLMAP model, or qvec and tvec)");
+  throw input_error(
+      station.file.path.string() +
+      ": [camera] has no pose, expected a camera whose position is known (a COLMAP model, or qvec and tvec)");
+}
+
+/// Whether a run that ends with this step needs no coarse surface.
+bool needs_no_prior(const std::optional<std::string>& until) {
+  return until == "polarization" || until == "zenith";
+}
+
+Error no_prior(const Station& station) {
+  const std::string where = station.file.path.string();
+  if (station.file.photos) {
+    return input_error(
+        where + ": this version cannot make the prior from [photos], expected [prior] with a cloud, mesh or depth map");
+  }
+  return input_error(
+      where + ": [prior] is missing, expected a cloud, mesh or depth map; without one only `decompose` can be run");
 }
 
 CaptureInput make_capture_input(const Station& station) {
@@ -37,11 +53,13 @@ CaptureInput make_capture_input(const Station& station) {
 
 PolarizationStep capture_and_decompose(const Station& station, const Options& options, const Context& context) {
   if (!station.file.polarized.angles_deg && !station.file.polarized.mosaic) {
-    throw input_error(station.file.path.string() +
-                      ": [polarized] angles_deg = \"auto\" cannot be calibrated by this version, expected the angles in degrees");
+    throw input_error(
+        station.file.path.string() +
+        ": [polarized] angles_deg = \"auto\" cannot be calibrated by this version, expected the angles in degrees");
   }
   const PolarizedStack stack = capture_stack(make_capture_input(station), options.capture, context);
-  return {decompose(stack.images, stack.angles_rad, stack.noise, stack.mask, stack.saturated, options.polarization, context),
+  return {decompose(stack.images, stack.angles_rad, stack.noise, stack.mask, stack.saturated, options.polarization,
+                    context),
           stack.color, stack.camera, stack.registration_rms_px};
 }
 
@@ -77,7 +95,9 @@ ReflectionMap make_reflection(const Station& station, const PolarizationStep& im
   if (optics.label_image) labels = read_labels(*optics.label_image);
   Image<float> normals;
   if (prior != nullptr) normals = normals_from_depth(prior->depth, images.camera, context);
-  return map_reflection(images.state, &images.camera, prior != nullptr ? &normals : nullptr,
+  // Without a camera the rays are taken for parallel.
+  const Pinhole* camera = station.file.camera || station.file.lens ? &images.camera : nullptr;
+  return map_reflection(images.state, camera, prior != nullptr ? &normals : nullptr,
                         optics.label_image ? &labels : nullptr, known, context);
 }
 
@@ -95,7 +115,7 @@ HeightMap make_height(const PolarizationStep& images, const DepthPrior& prior, c
 }
 
 RefinementStep make_refined(const Station& station, const PolarizationStep& images, const DepthPrior& prior,
-                          const Options& options, const Context& context) {
+                            const Options& options, const Context& context) {
   RefineInput input;
   input.refractive_index = station.file.optics.refractive_index;
   input.reflection = enum_value<ReflectionChoice>(station.file.optics.reflection).value();
@@ -114,19 +134,21 @@ void write_mesh(const FusedSurface& surface, const PolarizationStep& images, con
 
 }  // namespace
 
-Reconstruction reconstruct(const Station& station, const Options& options, const RunOptions& run, const Context& context) {
+Reconstruction reconstruct(const Station& station, const Options& options, const RunOptions& run,
+                           const Context& context) {
   options.validate();
+  if (!station.has_prior() && !needs_no_prior(run.until)) throw no_prior(station);
   StationInputs inputs(station, context);
   StepRunner steps(options, run, context);
   Reconstruction result;
 
   // What the images say.
-  PolarizationStep images = steps.run<PolarizationStep>(
-      "polarization",
-      {.after = {},
-       .option_sections = {"capture", "polarization"},
-       .station = {{"polarized", inputs.polarized()}, {"camera", inputs.camera()}}},
-      [&](const Context& c) { return capture_and_decompose(station, options, c); });
+  PolarizationStep images =
+      steps.run<PolarizationStep>("polarization",
+                                  {.after = {},
+                                   .option_sections = {"capture", "polarization"},
+                                   .station = {{"polarized", inputs.polarized()}, {"camera", inputs.camera()}}},
+                                  [&](const Context& c) { return capture_and_decompose(station, options, c); });
 
   // What stereo says, seen from the station. Without it only the polarization maps can be had.
   if (station.has_prior() && steps.wants("prior")) {
@@ -146,10 +168,6 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
       return make_reflection(station, images, result.prior ? &*result.prior : nullptr, options, c);
     });
   }
-  if (steps.wants("height") && !result.prior) {
-    throw input_error(station.file.path.string() + ": there is no [prior], expected a cloud, mesh or depth map");
-  }
-
   // The paper's height from polarization alone (Eq 9 to 11).
   if (steps.wants("height")) {
     result.height = steps.run<HeightMap>(

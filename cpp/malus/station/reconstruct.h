@@ -19,7 +19,7 @@
 namespace malus {
 
 /// The steps of a reconstruction in their order; `report` is made by the Python package from the finished workspace.
-inline constexpr std::array<std::string_view, 8> step_names{"polarization", "prior", "zenith", "height",
+inline constexpr std::array<std::string_view, 8> step_names{"polarization", "prior",  "zenith", "height",
                                                             "fuse",         "refine", "mesh",   "assess"};
 
 /// Where and how far to run.
@@ -40,12 +40,13 @@ struct Reconstruction {
   std::string quality_json;  ///< content of quality.json: the figures, the station's name, the refinement's report
 };
 
-/// The whole job for a station whose camera and prior are given: polarized images and a coarse surface in, metric surface,
-/// mesh and its assessment out.
+/// The whole job for a station whose camera and prior are given: polarized images and a coarse surface in, metric
+/// surface, mesh and its assessment out.
 ///
-/// With a workspace every step's result is written there atomically and recorded in manifest.json; steps that are recorded
-/// with the same inputs, options and version are read back instead of repeated, with the same result to the bit.
-/// Throws Error; what finished steps wrote stays.
-Reconstruction reconstruct(const Station& station, const Options& options, const RunOptions& run, const Context& context);
+/// With a workspace every step's result is written there atomically and recorded in manifest.json; steps that are
+/// recorded with the same inputs, options and version are read back instead of repeated, with the same result to the
+/// bit. Throws Error; what finished steps wrote stays.
+Reconstruction reconstruct(const Station& station, const Options& options, const RunOptions& run,
+                           const Context& context);
 
 }  // namespace malus

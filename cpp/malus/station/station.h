@@ -17,10 +17,10 @@ struct Station {
   StationFile file;
 
   // Data given in memory replaces the files that `file` would name.
-  std::vector<Image<float>> images;        ///< linear, [0, 1] of the white level, one a polarizer position
+  std::vector<Image<float>> images;  ///< linear, [0, 1] of the white level, one a polarizer position
   std::optional<Mask> mask;
-  std::optional<PointCloud> cloud;         ///< world frame
-  std::optional<Image<float>> prior_depth; ///< z in the undistorted view, NaN = none
+  std::optional<PointCloud> cloud;          ///< world frame
+  std::optional<Image<float>> prior_depth;  ///< z in the undistorted view, NaN = none
 
   bool in_memory() const { return !images.empty(); }
   bool has_prior() const { return cloud || prior_depth || file.prior; }

@@ -12,7 +12,10 @@ Json optional_value(const std::optional<T>& value) {
 }
 
 Json lens_to_json(const LensCamera& lens) {
-  return {{"model", to_string(lens.model)}, {"width", lens.size.width}, {"height", lens.size.height}, {"params", lens.params}};
+  return {{"model", to_string(lens.model)},
+          {"width", lens.size.width},
+          {"height", lens.size.height},
+          {"params", lens.params}};
 }
 
 }  // namespace
@@ -88,7 +91,8 @@ Json StationInputs::prior() {
 
 Json StationInputs::regions() {
   Json json = Json::array();
-  for (const PatchSpec& patch : station_.file.patches) json.push_back({patch.name, patch.x0, patch.y0, patch.x1, patch.y1});
+  for (const PatchSpec& patch : station_.file.patches)
+    json.push_back({patch.name, patch.x0, patch.y0, patch.x1, patch.y1});
   for (const ProfileSpec& profile : station_.file.profiles) json.push_back({profile.name, profile.from, profile.to});
   return json;
 }

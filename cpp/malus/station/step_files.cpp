@@ -18,14 +18,17 @@ void save_raster(const Image<float>& raster, const fs::path& work, const char* n
   files.emplace_back(name);
 }
 
-void save_bytes(const Image<std::uint8_t>& raster, const fs::path& work, const char* name, std::vector<std::string>& files) {
+void save_bytes(const Image<std::uint8_t>& raster, const fs::path& work, const char* name,
+                std::vector<std::string>& files) {
   create_folder((work / name).parent_path());
   write_png(work / name, raster);
   files.emplace_back(name);
 }
 
 /// JSON has no infinity or NaN; both come back as NaN.
-double number(const Json& json) { return json.is_number() ? json.get<double>() : std::nan(""); }
+double number(const Json& json) {
+  return json.is_number() ? json.get<double>() : std::nan("");
+}
 
 Pinhole pinhole_from_json(const Json& json) {
   return {{json.at("width").get<int>(), json.at("height").get<int>()},
@@ -47,8 +50,12 @@ Pose pose_from_json(const Json& json) {
 }  // namespace
 
 Json to_json(const Pinhole& camera) {
-  return {{"width", camera.size.width}, {"height", camera.size.height}, {"fx", camera.fx}, {"fy", camera.fy},
-          {"cx", camera.cx},            {"cy", camera.cy}};
+  return {{"width", camera.size.width},
+          {"height", camera.size.height},
+          {"fx", camera.fx},
+          {"fy", camera.fy},
+          {"cx", camera.cx},
+          {"cy", camera.cy}};
 }
 
 Json to_json(const Pose& pose) {
@@ -102,10 +109,14 @@ void load(PolarizationStep& result, const fs::path& work, const Json& notes) {
 Json save(const DepthPrior& result, const fs::path& work, std::vector<std::string>& files) {
   save_raster(result.depth, work, "prior/depth.tif", files);
   save_raster(result.sigma, work, "prior/sigma.tif", files);
-  return {{"camera", to_json(result.camera)},       {"pose", to_json(result.pose)},
-          {"points_total", result.points_total},    {"points_used", result.points_used},
-          {"noise", result.noise},                  {"spacing_px", result.spacing_px},
-          {"smoothing_px", result.smoothing_px},    {"filled_fraction", result.filled_fraction}};
+  return {{"camera", to_json(result.camera)},
+          {"pose", to_json(result.pose)},
+          {"points_total", result.points_total},
+          {"points_used", result.points_used},
+          {"noise", result.noise},
+          {"spacing_px", result.spacing_px},
+          {"smoothing_px", result.smoothing_px},
+          {"filled_fraction", result.filled_fraction}};
 }
 
 void load(DepthPrior& result, const fs::path& work, const Json& notes) {

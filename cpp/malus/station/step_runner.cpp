@@ -33,6 +33,14 @@ std::string StepRunner::key_of(const std::string& step, const StepInputs& inputs
   return keys_[step] = sha256_of_bytes(key.dump());
 }
 
+Context StepRunner::context_of(const std::string& step) const {
+  Context inner = context_;
+  inner.on_progress = [this, step](const Progress& part) {
+    if (part.fraction < 1) context_.progress(step, part.fraction, part.message);
+  };
+  return inner;
+}
+
 StepRunner::Clock::time_point StepRunner::begin(const std::string& step) {
   context_.check_cancel();
   if (workspace_) {
@@ -53,6 +61,8 @@ void StepRunner::finish(const std::string& step, const std::string& key, const s
   context_.progress(step, 1.0);
 }
 
-void StepRunner::report_kept(const std::string& step) const { context_.progress(step, 1.0, "kept from an earlier run"); }
+void StepRunner::report_kept(const std::string& step) const {
+  context_.progress(step, 1.0, "kept from an earlier run");
+}
 
 }  // namespace malus

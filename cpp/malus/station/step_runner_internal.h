@@ -50,7 +50,7 @@ class StepRunner {
       return result;
     }
     const auto start = begin(step);
-    T result = compute(context_);
+    T result = compute(context_of(step));
     std::vector<std::string> files;
     const Json notes = workspace_ ? save(result, workspace_->folder(), files) : Json::object();
     finish(step, key, files, start, notes);
@@ -68,7 +68,7 @@ class StepRunner {
     }
     const auto start = begin(step);
     std::vector<std::string> files;
-    write_files(context_, workspace_->folder(), files);
+    write_files(context_of(step), workspace_->folder(), files);
     finish(step, key, files, start, Json::object());
   }
 
@@ -76,6 +76,8 @@ class StepRunner {
   using Clock = std::chrono::steady_clock;
 
   std::string key_of(const std::string& step, const StepInputs& inputs);
+  /// The context for a step's computation: its parts' progress counts as the step's, which ends with `finish`.
+  Context context_of(const std::string& step) const;
   Clock::time_point begin(const std::string& step);
   void finish(const std::string& step, const std::string& key, const std::vector<std::string>& files,
               Clock::time_point start, const Json& notes);

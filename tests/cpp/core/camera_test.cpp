@@ -10,13 +10,20 @@ namespace {
 LensCamera camera(LensModel model) {
   const Size size{4000, 3000};
   switch (model) {
-    case LensModel::simple_pinhole: return {model, size, {3500, 2010, 1490}};
-    case LensModel::pinhole: return {model, size, {3500, 3510, 2010, 1490}};
-    case LensModel::simple_radial: return {model, size, {3500, 2010, 1490, -0.08}};
-    case LensModel::radial: return {model, size, {3500, 2010, 1490, -0.08, 0.03}};
-    case LensModel::opencv: return {model, size, {3500, 3510, 2010, 1490, -0.08, 0.03, 6e-4, -4e-4}};
-    case LensModel::full_opencv: return {model, size, {3500, 3510, 2010, 1490, -0.08, 0.03, 6e-4, -4e-4, 0.01, 0.002, -0.001, 0.0005}};
-    case LensModel::brown: return {model, size, {21, 0.006, 0.06, 0.03, 1.8e-4, -1.2e-7, 0, 1e-5, -2e-5, 0}};
+    case LensModel::simple_pinhole:
+      return {model, size, {3500, 2010, 1490}};
+    case LensModel::pinhole:
+      return {model, size, {3500, 3510, 2010, 1490}};
+    case LensModel::simple_radial:
+      return {model, size, {3500, 2010, 1490, -0.08}};
+    case LensModel::radial:
+      return {model, size, {3500, 2010, 1490, -0.08, 0.03}};
+    case LensModel::opencv:
+      return {model, size, {3500, 3510, 2010, 1490, -0.08, 0.03, 6e-4, -4e-4}};
+    case LensModel::full_opencv:
+      return {model, size, {3500, 3510, 2010, 1490, -0.08, 0.03, 6e-4, -4e-4, 0.01, 0.002, -0.001, 0.0005}};
+    case LensModel::brown:
+      return {model, size, {21, 0.006, 0.06, 0.03, 1.8e-4, -1.2e-7, 0, 1e-5, -2e-5, 0}};
   }
   throw std::logic_error("no such model");
 }
@@ -36,7 +43,8 @@ TEST_P(LensCameraTest, UndistortInvertsDistort) {
 
 INSTANTIATE_TEST_SUITE_P(Models, LensCameraTest,
                          testing::Values(LensModel::simple_pinhole, LensModel::pinhole, LensModel::simple_radial,
-                                         LensModel::radial, LensModel::opencv, LensModel::full_opencv, LensModel::brown));
+                                         LensModel::radial, LensModel::opencv, LensModel::full_opencv,
+                                         LensModel::brown));
 
 TEST(LensCamera, PinholeProjectsLikeTheLensWithoutDistortion) {
   const LensCamera lens{LensModel::opencv, {640, 480}, {500, 510, 320, 240, 0, 0, 0, 0}};

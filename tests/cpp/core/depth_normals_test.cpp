@@ -13,7 +13,8 @@ TEST(DepthNormals, TiltedPlaneIsExactUpToSecondOrder) {
   const Eigen::Vector3d normal = Eigen::Vector3d(0.3, -0.2, -1).normalized();
   Image<float> depth(camera.size);
   for (int v = 0; v < 48; ++v) {
-    for (int u = 0; u < 64; ++u) depth(u, v) = static_cast<float>(normal.dot(Eigen::Vector3d(0, 0, 500)) / normal.dot(camera.ray(u, v)));
+    for (int u = 0; u < 64; ++u)
+      depth(u, v) = static_cast<float>(normal.dot(Eigen::Vector3d(0, 0, 500)) / normal.dot(camera.ray(u, v)));
   }
   depth(10, 10) = std::numeric_limits<float>::quiet_NaN();
   const Image<float> normals = normals_from_depth(depth, camera, {});

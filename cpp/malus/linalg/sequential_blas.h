@@ -1,0 +1,19 @@
+#pragma once
+
+namespace malus {
+
+/// While one lives, the BLAS (if it is OpenBLAS) and the OpenMP loops that CHOLMOD starts from the calling thread run
+/// on that thread alone. Their own threads would fight with ours for the cores and spin while they wait (measured: as
+/// much system time again as work, for no gain), and their number would show in the last digits of the results.
+class SequentialBlas {
+ public:
+  SequentialBlas();
+  ~SequentialBlas();
+  SequentialBlas(const SequentialBlas&) = delete;
+  SequentialBlas& operator=(const SequentialBlas&) = delete;
+
+ private:
+  int openmp_levels_before_ = 0;
+};
+
+}  // namespace malus
