@@ -115,6 +115,9 @@ struct Smoothing {
   double lambda = 0, length_px = 0, cell_px = 0, tension_px = 0;
 };
 
+/// Mean square of a standard normal variable under the weights of SmoothingSpline::reweight(1).
+constexpr double weighted_gaussian_variance = 0.5808;
+
 struct SplineFit {
   SmoothingSpline spline;
   double noise;
@@ -132,7 +135,8 @@ SplineFit fit_robust(const Mask& mask, PixelBox box, const Smoothing& how, std::
     spline.append_residuals(residuals);
     spline.reweight(std::max(min_spread_gsd, robust_spread(residuals)));
   }
-  const double noise2 = spline.penalized_residual() / std::max(spline.weight_sum() - 3, 1.0);
+  const double noise2 =
+      spline.penalized_residual() / std::max(spline.weight_sum() - 3, 1.0) / weighted_gaussian_variance;
   return {std::move(spline), std::sqrt(std::max(noise2, 0.0))};
 }
 
@@ -195,8 +199,12 @@ Surface smooth_cloud(std::vector<ViewPoint> points, const Mask& mask, const Smoo
     return surface;
   }
 
+  // Much smoother than the tiles, so that their bending is nearly that of the whole surface.
   Smoothing coarse = how;
-  coarse.cell_px *= std::sqrt(unknowns / options.max_unknowns);
+  const double widening = std::max(4.0, std::sqrt(unknowns / options.max_unknowns));
+  coarse.lambda *= widening * widening;
+  coarse.length_px *= widening;
+  coarse.cell_px *= widening;
   {
     const SplineFit whole = fit_robust(mask, box, coarse, points, context);
     for (ViewPoint& p : points) p.height -= static_cast<float>(whole.spline.evaluate(p.u, p.v));
@@ -204,7 +212,7 @@ Surface smooth_cloud(std::vector<ViewPoint> points, const Mask& mask, const Smoo
                   [&](int row) { whole.spline.evaluate_row(box.v0 + row, surface.height.row(box.v0 + row) + box.u0); });
   }
   // Far from points the tiles level out to the coarse surface, which all of them share: no seams there.
-  const int margin = static_cast<int>(std::ceil(8 * how.length_px + 4 * coarse.cell_px));
+  const int margin = static_cast<int>(std::ceil(4 * coarse.length_px));
   Smoothing fine = how;
   fine.tension_px = margin;
   const int side = std::max(4 * margin, static_cast<int>(how.cell_px * std::sqrt(options.max_unknowns)) - 2 * margin);
@@ -233,9 +241,12 @@ Smoothing smoothing_for(const VisiblePoints& visible, const Mask& mask, const Pr
   // λ smooths over (λ² / points a square pixel)^¼ pixels.
   const double spacing_px = visible.spacing_px;
   Smoothing how;
-  how.lambda = options.smoothing_px ? *options.smoothing_px * *options.smoothing_px / spacing_px
-                                    : choose_smoothing(mask, bounding_box(mask), visible.points, spacing_px, context);
-  how.length_px = std::sqrt(how.lambda * spacing_px);
+  how.length_px =
+      options.smoothing_px
+          ? *options.smoothing_px
+          : options.smoothing_scale *
+                std::sqrt(spacing_px * choose_smoothing(mask, bounding_box(mask), visible.points, spacing_px, context));
+  how.lambda = how.length_px * how.length_px / spacing_px;
   how.cell_px = std::max(1.0, 0.5 * how.length_px);
   how.tension_px = options.tension_spacings * spacing_px;
   return how;

@@ -15,13 +15,14 @@ namespace malus {
 /// How a coarse surface becomes a depth map of the station.
 struct PriorOptions {
   std::optional<double> smoothing_px;
+  double smoothing_scale = 1.1;
   int neighbors = 16;
   double outlier_tolerance = 4;
   double outlier_floor_gsd = 4;
   double max_slope_deg = 75;
   int min_points = 30;
   double raster_sigma_gsd = 1;
-  double correlated_noise = 0.45;
+  double correlated_noise = 0.33;
   double tension_spacings = 40;
   int max_unknowns = 500000;
   int sigma_samples = 16;
@@ -30,6 +31,8 @@ struct PriorOptions {
   static void fields(Self& self, Visitor&& visit) {
     visit("smoothing_px", self.smoothing_px, Range{0.1, 1000.0},
           "length over which the cloud is smoothed, in px; left out = from the cloud's noise and density");
+    visit("smoothing_scale", self.smoothing_scale, Range{0.1, 10},
+          "the estimated smoothing length times this; above 1 because neighboring points share some of their noise");
     visit("neighbors", self.neighbors, Range{3, 100}, "nearest neighbors a point is compared with, in the view");
     visit("outlier_tolerance", self.outlier_tolerance, Range{1, 100},
           "largest distance from the neighbors' median depth, in their robust standard deviations");

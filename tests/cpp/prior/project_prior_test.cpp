@@ -1,0 +1,310 @@
+#include "malus/prior/project_prior.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <atomic>
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <random>
+#include <string>
+
+#include "malus/core/error.h"
+#include "malus/prior/rasterize_mesh.h"
+
+namespace malus {
+namespace {
+
+constexpr double focal = 800, distance_mm = 400, gsd_mm = distance_mm / focal;
+
+Pinhole test_camera() {
+  return {{120, 90}, focal, focal, 60, 44};
+}
+
+Pose test_pose() {
+  Pose pose;
+  pose.rotation = (Eigen::AngleAxisd(0.4, Eigen::Vector3d::UnitX()) * Eigen::AngleAxisd(-0.3, Eigen::Vector3d::UnitY()))
+                      .toRotationMatrix();
+  pose.translation = {10, -20, 350};
+  return pose;
+}
+
+Mask full_mask() {
+  return Mask(test_camera().size, 1, 255);
+}
+
+using Depth = std::function<double(double u, double v)>;
+
+double plane_depth(double u, double v) {
+  const Eigen::Vector3d normal = Eigen::Vector3d(0.4, 0.2, -1).normalized();
+  return normal.z() * distance_mm / normal.dot(test_camera().ray(u, v));
+}
+
+double wavy_depth(double u, double v) {
+  return distance_mm + 12 * gsd_mm * std::sin(u / 14) * std::cos(v / 17) + 0.05 * (u - 60);
+}
+
+/// Points of a surface at random pixels, in the world, with Gaussian noise along the ray.
+PointCloud sample(const Depth& depth, int count, double noise_gsd, unsigned seed = 1) {
+  const Pinhole camera = test_camera();
+  std::mt19937 generator(seed);
+  std::uniform_real_distribution<double> u_of(-0.5, camera.size.width - 0.5), v_of(-0.5, camera.size.height - 0.5);
+  std::normal_distribution<double> noise(0, noise_gsd * gsd_mm);
+  PointCloud cloud;
+  for (int i = 0; i < count; ++i) {
+    const double u = u_of(generator), v = v_of(generator);
+    cloud.points.push_back(test_pose().world_from_cam((depth(u, v) + noise(generator)) * camera.ray(u, v)));
+  }
+  return cloud;
+}
+
+void add(PointCloud& cloud, const PointCloud& more) {
+  cloud.points.insert(cloud.points.end(), more.points.begin(), more.points.end());
+  cloud.normals.insert(cloud.normals.end(), more.normals.begin(), more.normals.end());
+}
+
+/// Root mean square depth error in GSD over the pixels `inside`.
+double rms_gsd(
+    const Image<float>& depth, const Depth& truth,
+    const std::function<bool(int, int)>& inside = [](int, int) { return true; }) {
+  double sum = 0;
+  int count = 0;
+  for (int v = 0; v < depth.height(); ++v) {
+    for (int u = 0; u < depth.width(); ++u) {
+      if (!inside(u, v)) continue;
+      const double error = (depth(u, v) - truth(u, v)) / gsd_mm;
+      sum += error * error;
+      ++count;
+    }
+  }
+  return std::sqrt(sum / count);
+}
+
+template <class Source>
+DepthPrior project(const Source& source, const PriorOptions& options = {}, const Mask& mask = full_mask(),
+                   const Context& context = {}) {
+  return project_prior(source, test_camera(), test_pose(), mask, options, context);
+}
+
+/// Code and message of the error that a call throws.
+template <class Call>
+std::pair<ErrorCode, std::string> error_of(Call&& call) {
+  try {
+    call();
+  } catch (const Error& error) {
+    return {error.code(), error.what()};
+  }
+  ADD_FAILURE() << "no error";
+  return {};
+}
+
+void expect_contains(const std::string& text, const std::string& part) {
+  EXPECT_NE(text.find(part), std::string::npos) << text;
+}
+
+TEST(PriorOfCloud, ReproducesNoiselessSurfaces) {
+  EXPECT_LT(rms_gsd(project(sample(plane_depth, 1500, 0)).depth, plane_depth), 0.02);
+  EXPECT_LT(rms_gsd(project(sample(wavy_depth, 3000, 0)).depth, wavy_depth), 0.1);
+}
+
+TEST(PriorOfCloud, SmoothsNoiseIgnoresOutliersAndKnowsItsError) {
+  PointCloud cloud = sample(wavy_depth, 3000, 2);
+  add(cloud, sample([](double u, double v) { return wavy_depth(u, v) + 40 * gsd_mm; }, 100, 10, 7));
+  PriorOptions options;
+  options.correlated_noise = 0;
+  options.smoothing_scale = 1;
+  const DepthPrior prior = project(cloud, options);
+  EXPECT_LT(rms_gsd(prior.depth, wavy_depth), 0.6);
+  EXPECT_NEAR(prior.noise / gsd_mm, 2, 0.3);
+  // Errors of neighboring pixels are one error: the mean of their squares scatters by some 10 %.
+  double sum = 0;
+  for (int v = 0; v < 90; ++v) {
+    for (int u = 0; u < 120; ++u) sum += std::pow((prior.depth(u, v) - wavy_depth(u, v)) / prior.sigma(u, v), 2);
+  }
+  EXPECT_NEAR(std::sqrt(sum / (120.0 * 90)), 0.9, 0.3);
+}
+
+TEST(PriorOfCloud, NoisierCloudIsSmoothedMore) {
+  const double fine = project(sample(wavy_depth, 3000, 0.2)).smoothing_px;
+  const double coarse = project(sample(wavy_depth, 3000, 4)).smoothing_px;
+  EXPECT_GT(coarse, 1.3 * fine);
+}
+
+TEST(PriorOfCloud, SigmaGrowsAwayFromThePoints) {
+  PointCloud cloud = sample(wavy_depth, 4000, 1);
+  std::erase_if(cloud.points,
+                [](const Eigen::Vector3d& x) { return test_camera().project(test_pose().cam_from_world(x)).x() > 70; });
+  PriorOptions options;
+  options.correlated_noise = 0;
+  const DepthPrior prior = project(cloud, options);
+  EXPECT_GT(prior.sigma(110, 45), 3 * prior.sigma(35, 45));
+  EXPECT_LT(std::abs(prior.depth(110, 45) - wavy_depth(110, 45)), 3 * prior.sigma(110, 45));
+  EXPECT_NEAR(prior.filled_fraction, 0.4, 0.05);
+}
+
+TEST(PriorOfCloud, HiddenPointsAreLeftOut) {
+  const auto is_front = [](double u, double) { return u < 60; };
+  const Depth front = [](double, double) { return distance_mm; };
+  const Depth back = [](double, double) { return 1.2 * distance_mm; };
+  PointCloud cloud = sample(back, 3000, 0.1);
+  PointCloud nearer = sample(front, 6000, 0.1, 2);
+  std::erase_if(nearer.points,
+                [](const Eigen::Vector3d& x) { return test_camera().project(test_pose().cam_from_world(x)).x() > 60; });
+  add(cloud, nearer);
+  const DepthPrior prior = project(cloud);
+  EXPECT_LT(rms_gsd(prior.depth, front, [&](int u, int v) { return is_front(u + 12, v); }), 0.5);
+  EXPECT_LT(rms_gsd(prior.depth, back, [&](int u, int v) { return !is_front(u - 12, v); }), 0.5);
+  EXPECT_NEAR(prior.points_used / prior.points_total, 0.75, 0.03);
+}
+
+TEST(PriorOfCloud, PointsFacingAwayAreLeftOut) {
+  const Eigen::Vector3f towards = (test_pose().rotation.transpose() * Eigen::Vector3d(0, 0, -1)).cast<float>();
+  PointCloud cloud = sample(plane_depth, 2000, 0.1);
+  cloud.normals.assign(cloud.points.size(), towards);
+  PointCloud away = sample([](double u, double v) { return plane_depth(u, v) - 3 * gsd_mm; }, 2000, 0.1, 5);
+  away.normals.assign(away.points.size(), -towards);
+  add(cloud, away);
+  const DepthPrior prior = project(cloud);
+  EXPECT_EQ(prior.points_used, 2000);
+  EXPECT_LT(rms_gsd(prior.depth, plane_depth), 0.1);
+}
+
+TEST(PriorOfCloud, IsNaNOutsideTheMaskOnly) {
+  Mask mask = full_mask();
+  for (int v = 0; v < 90; ++v) {
+    for (int u = 0; u < 120; ++u) mask(u, v) = std::hypot(u - 60, v - 45) < 30;
+  }
+  const DepthPrior prior = project(sample(plane_depth, 3000, 0.5), {}, mask);
+  for (int v = 0; v < 90; ++v) {
+    for (int u = 0; u < 120; ++u) {
+      ASSERT_EQ(std::isfinite(prior.depth(u, v)), mask(u, v) != 0);
+      ASSERT_EQ(std::isfinite(prior.sigma(u, v)), mask(u, v) != 0);
+    }
+  }
+}
+
+TEST(PriorOfCloud, TilesAgreeWithOneSystem) {
+  PriorOptions options;
+  options.smoothing_px = 2;
+  const PointCloud cloud = sample(wavy_depth, 4000, 1);
+  const DepthPrior whole = project(cloud, options);
+  options.max_unknowns = 1500;
+  const DepthPrior tiled = project(cloud, options);
+  EXPECT_LT(
+      rms_gsd(tiled.depth, [&](double u, double v) { return whole.depth(static_cast<int>(u), static_cast<int>(v)); }),
+      0.1);
+}
+
+TEST(PriorOfCloud, IsTheSameWithMoreThreads) {
+  const PointCloud cloud = sample(wavy_depth, 3000, 1);
+  Context three;
+  three.threads = 3;
+  const DepthPrior a = project(cloud), b = project(cloud, {}, full_mask(), three);
+  for (std::size_t i = 0; i < a.depth.count(); ++i) {
+    ASSERT_NEAR(a.depth[i], b.depth[i], 1e-5 * gsd_mm + 1e-4);
+    ASSERT_NEAR(a.sigma[i], b.sigma[i], 1e-4 * gsd_mm);
+  }
+}
+
+TEST(PriorOfCloud, StopsWhenCancelled) {
+  const std::atomic<bool> cancel{true};
+  Context context;
+  context.cancel = &cancel;
+  EXPECT_EQ(error_of([&] { project(sample(plane_depth, 500, 0), {}, full_mask(), context); }).first,
+            ErrorCode::interrupted);
+}
+
+TEST(PriorOfCloud, SaysWhereThePointsFellWhenTheyMissTheObject) {
+  PointCloud cloud;
+  for (int i = 0; i < 7; ++i) cloud.points.push_back(test_pose().world_from_cam({0, 0, -10}));
+  for (int i = 0; i < 5; ++i) cloud.points.push_back(test_pose().world_from_cam({1000, 0, 100}));
+  const auto [code, message] = error_of([&] { project(cloud); });
+  EXPECT_EQ(code, ErrorCode::data);
+  expect_contains(message, "0 of 12 points");
+  expect_contains(message, "7 behind");
+  expect_contains(message, "5 outside the image");
+}
+
+TEST(PriorOfCloud, RejectsUnusableInput) {
+  PointCloud cloud = sample(plane_depth, 500, 0);
+  cloud.points[3].y() = std::numeric_limits<double>::quiet_NaN();
+  auto [code, message] = error_of([&] { project(cloud); });
+  EXPECT_EQ(code, ErrorCode::input);
+  expect_contains(message, "point 3");
+
+  cloud = sample(plane_depth, 500, 0);
+  cloud.normals.resize(2);
+  expect_contains(error_of([&] { project(cloud); }).second, "2 normals");
+  cloud.normals.clear();
+  expect_contains(error_of([&] { project(cloud, {}, Mask({3, 2}, 1, 1)); }).second, "3 x 2");
+  expect_contains(error_of([&] { project(cloud, {}, Mask(test_camera().size)); }).second, "no pixel");
+  PriorOptions options;
+  options.neighbors = 1;
+  expect_contains(error_of([&] { project(cloud, options); }).second, "prior.neighbors = 1");
+  Pose pose = test_pose();
+  pose.translation.x() = std::numeric_limits<double>::infinity();
+  EXPECT_EQ(error_of([&] { project_prior(cloud, test_camera(), pose, full_mask(), {}, {}); }).first, ErrorCode::input);
+}
+
+/// Two triangles that show the tilted plane on columns [u0, u1] and all rows, `nearer` times as far away.
+TriangleMesh plane_mesh(double u0, double u1, double nearer) {
+  TriangleMesh mesh;
+  for (const auto& [u, v] : {std::pair(u0, -5.0), std::pair(u1, -5.0), std::pair(u0, 95.0), std::pair(u1, 95.0)}) {
+    mesh.vertices.points.push_back(test_pose().world_from_cam(nearer * plane_depth(u, v) * test_camera().ray(u, v)));
+  }
+  mesh.triangles = {{0, 1, 2}, {1, 3, 2}};
+  return mesh;
+}
+
+TEST(PriorOfMesh, IsExactInPerspectiveAndNearestWins) {
+  TriangleMesh mesh = plane_mesh(-5, 125, 1);
+  const TriangleMesh nearer = plane_mesh(80.5, 125, 0.9);
+  mesh.vertices.points.insert(mesh.vertices.points.end(), nearer.vertices.points.begin(), nearer.vertices.points.end());
+  mesh.triangles.push_back({5, 4, 6});
+  mesh.triangles.push_back({5, 6, 7});
+  const DepthPrior prior = project(mesh);
+  EXPECT_LT(rms_gsd(prior.depth, [](double u, double v) { return plane_depth(u, v) * (u > 80 ? 0.9 : 1.0); }), 1e-3);
+  EXPECT_EQ(prior.filled_fraction, 0);
+}
+
+TEST(PriorOfMesh, RejectsWildIndicesAndAMissedView) {
+  TriangleMesh mesh = plane_mesh(-5, 125, 1);
+  mesh.triangles.push_back({0, 1, 9});
+  const auto [code, message] = error_of([&] { project(mesh); });
+  EXPECT_EQ(code, ErrorCode::input);
+  expect_contains(message, "triangle 2 names vertex 9");
+  EXPECT_EQ(error_of([&] { project(plane_mesh(500, 600, 1)); }).first, ErrorCode::data);
+}
+
+TEST(PriorOfDepthMap, KeepsPixelsAndFillsHoles) {
+  Image<float> depth(test_camera().size);
+  for (int v = 0; v < 90; ++v) {
+    for (int u = 0; u < 120; ++u) depth(u, v) = static_cast<float>(plane_depth(u, v));
+  }
+  const auto in_hole = [](int u, int v) { return std::hypot(u - 50, v - 40) < 6; };
+  for (int v = 0; v < 90; ++v) {
+    for (int u = 0; u < 120; ++u) {
+      if (in_hole(u, v)) depth(u, v) = (u + v) % 2 == 0 ? std::numeric_limits<float>::quiet_NaN() : 0.0F;
+    }
+  }
+  const DepthPrior prior = project(depth);
+  for (int v = 0; v < 90; ++v) {
+    for (int u = 0; u < 120; ++u) {
+      if (!in_hole(u, v)) {
+        ASSERT_EQ(prior.depth(u, v), depth(u, v));
+      }
+    }
+  }
+  EXPECT_LT(rms_gsd(prior.depth, plane_depth, in_hole), 0.02);
+  EXPECT_GT(prior.filled_fraction, 0);
+  EXPECT_GE(prior.sigma(50, 40), prior.sigma(5, 5));
+}
+
+TEST(PriorOfDepthMap, RejectsOtherSizesAndEmptyMaps) {
+  EXPECT_EQ(error_of([] { project(Image<float>({10, 10}, 1, 400.0F)); }).first, ErrorCode::input);
+  EXPECT_EQ(error_of([] { project(Image<float>(test_camera().size)); }).first, ErrorCode::data);
+}
+
+}  // namespace
+}  // namespace malus
