@@ -1,0 +1,186 @@
+#include "malus/fusion/grid_fusion.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <numbers>
+
+#include "malus/core/error.h"
+
+namespace malus {
+namespace {
+
+constexpr float none = std::numeric_limits<float>::quiet_NaN();
+constexpr double focal = 1000, distance_mm = 500, gsd_mm = distance_mm / focal;
+
+using Height = std::function<double(int, int)>;
+
+/// Prior whose perspective height is `height` (GSD, positive towards the camera), up to a constant.
+DepthPrior prior_of(Size size, const Height& height, double sigma_gsd = 1) {
+  DepthPrior prior;
+  prior.camera = {size, focal, focal, size.width / 2.0, size.height / 2.0};
+  prior.pose.translation = {1, 2, 3};
+  prior.depth = Image<float>(size);
+  prior.sigma = Image<float>(size, 1, static_cast<float>(sigma_gsd * gsd_mm));
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = 0; u < size.width; ++u) {
+      prior.depth(u, v) = static_cast<float>(distance_mm * std::exp(-height(u, v) / focal));
+    }
+  }
+  return prior;
+}
+
+HeightMap map_of(Size size, const Height& height, bool perspective = true) {
+  HeightMap map;
+  map.height = Image<float>(size);
+  map.perspective = perspective;
+  map.status = "converged";
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = 0; u < size.width; ++u) map.height(u, v) = static_cast<float>(height(u, v));
+  }
+  return map;
+}
+
+double height_of(const FusedSurface& surface, int u, int v) {
+  return -focal * std::log(surface.depth(u, v) / distance_mm);
+}
+
+TEST(GridFusion, TakesLowFrequenciesFromThePriorAndDetailFromPolarization) {
+  const Size size{320, 240};
+  const double tau = 2 * std::numbers::pi;
+  const auto low = [=](int u, int v) { return 6 * std::sin(tau * u / 320) + 0.05 * v; };
+  // Nodes 4 px apart see it with alternating signs, of which a Gaussian of one node leaves exp(−π² / 2).
+  const auto detail = [=](int u, int v) { return 0.8 * std::cos(tau * (u - 2) / 8) * std::cos(tau * (v - 2) / 8); };
+  const auto drift = [](int u, int v) { return 40 - 0.2 * u + 1e-3 * v * v; };
+  const DepthPrior prior = prior_of(size, low);
+  const FusedSurface fused =
+      fuse_grid(map_of(size, [&](int u, int v) { return detail(u, v) + drift(u, v); }), prior, {}, {});
+  EXPECT_EQ(fused.method, "grid");
+  EXPECT_TRUE(fused.warnings.empty());
+  EXPECT_EQ(fused.pose.translation, prior.pose.translation);
+  double largest = 0;
+  for (int v = 20; v < 220; ++v) {
+    for (int u = 20; u < 300; ++u) {
+      largest = std::max(largest, std::abs(height_of(fused, u, v) - low(u, v) - detail(u, v)));
+    }
+  }
+  EXPECT_LT(largest, 0.06);
+}
+
+TEST(GridFusion, LiteralFormIsTheOnePrinted) {
+  // 0–1 scaling, difference at the nodes (pixels 2 and 6), no smoothing, bilinear, added, scaled back.
+  const Size size{9, 9};
+  const auto prior_depth = [](int u, int v) { return 500 + 2.0 * u + 0.5 * v * v; };
+  const auto polarization = [](int u, int v) { return 3.0 * ((u * 5 + v * 3) % 7) - 4; };
+  DepthPrior prior = prior_of(size, [](int, int) { return 0; });
+  for (int v = 0; v < 9; ++v) {
+    for (int u = 0; u < 9; ++u) prior.depth(u, v) = static_cast<float>(prior_depth(u, v));
+  }
+  GridFusionOptions options;
+  options.sigma_nodes = 0;
+  options.unit_scaling = true;
+  const FusedSurface fused = fuse_grid(map_of(size, polarization, false), prior, options, {});
+
+  const double nearest = 500, farthest = 500 + 16 + 32;
+  const auto prior_unit = [&](int u, int v) { return (farthest - prior_depth(u, v)) / (farthest - nearest); };
+  const auto polarization_unit = [&](int u, int v) { return (polarization(u, v) + 4) / 18; };
+  const auto node = [&](int u, int v) { return prior_unit(u, v) - polarization_unit(u, v); };
+  for (int v = 0; v < 9; ++v) {
+    for (int u = 0; u < 9; ++u) {
+      const double s = std::clamp((u - 2) / 4.0, 0.0, 1.0), t = std::clamp((v - 2) / 4.0, 0.0, 1.0);
+      const double transferred =
+          (1 - t) * ((1 - s) * node(2, 2) + s * node(6, 2)) + t * ((1 - s) * node(2, 6) + s * node(6, 6));
+      const double expected = farthest - (polarization_unit(u, v) + transferred) * (farthest - nearest);
+      EXPECT_NEAR(fused.depth(u, v), expected, 1e-3) << u << ' ' << v;
+    }
+  }
+}
+
+TEST(GridFusion, OrthographicHeightsMoveDepthByTheMeanGsd) {
+  const Size size{40, 40};
+  const DepthPrior prior = prior_of(size, [](int, int) { return 0; });
+  const auto checker = [](int u, int v) { return (u / 4 + v / 4) % 2 == 0 ? 1.0 : -1.0; };
+  const FusedSurface fused = fuse_grid(map_of(size, checker, false), prior, {}, {});
+  EXPECT_NEAR(fused.depth(18, 18), distance_mm - gsd_mm * checker(18, 18), 0.02 * gsd_mm);
+  EXPECT_NEAR(fused.depth(22, 18), distance_mm - gsd_mm * checker(22, 18), 0.02 * gsd_mm);
+}
+
+TEST(GridFusion, GapsKeepThePriorOrNothing) {
+  const Size size{64, 48};
+  DepthPrior prior = prior_of(size, [](int u, int v) { return 0.1 * u - 0.2 * v; });
+  HeightMap height = map_of(size, [](int u, int v) { return 0.1 * u - 0.2 * v + 7; });
+  for (int v = 0; v < 48; ++v) {
+    for (int u = 0; u < 64; ++u) {
+      if (u < 10) prior.depth(u, v) = prior.sigma(u, v) = none;
+      if (v > 30) height.height(u, v) = none;
+    }
+  }
+  height.status = "iteration limit";
+  const FusedSurface fused = fuse_grid(height, prior, {}, {});
+  for (int v = 0; v < 48; ++v) {
+    for (int u = 0; u < 64; ++u) {
+      ASSERT_EQ(std::isnan(fused.depth(u, v)), u < 10);
+      ASSERT_EQ(std::isnan(fused.sigma(u, v)), u < 10);
+      if (u >= 10) {
+        ASSERT_NEAR(fused.depth(u, v), prior.depth(u, v), v > 30 ? 1e-4 : 1e-3 * gsd_mm + 1e-3) << u << ' ' << v;
+      }
+    }
+  }
+  EXPECT_FALSE(std::isnan(fused.normals(30, 20, 2)));
+  EXPECT_TRUE(std::isnan(fused.normals(3, 20, 2)));
+  ASSERT_EQ(fused.warnings.size(), 1U);
+  EXPECT_NE(fused.warnings[0].find("iteration limit"), std::string::npos);
+}
+
+TEST(GridFusion, SigmaAddsTheDisagreementInDetail) {
+  const Size size{80, 80};
+  const DepthPrior prior = prior_of(
+      size, [](int, int) { return 0; }, 0.5);
+  const FusedSurface same = fuse_grid(map_of(size, [](int, int) { return 0; }), prior, {}, {});
+  EXPECT_NEAR(same.sigma(40, 40) / gsd_mm, 0.5, 1e-3);
+  // At the nodes (2 + 4 i) the surface alternates between 2 and −2 GSD.
+  const auto checker = [](int u, int v) { return (u / 4 + v / 4) % 2 == 0 ? 2.0 : -2.0; };
+  const FusedSurface rough = fuse_grid(map_of(size, checker), prior, {}, {});
+  EXPECT_NEAR(rough.sigma(40, 40) / gsd_mm, std::hypot(0.5, 2.0), 0.05);
+}
+
+TEST(GridFusion, IsTheSameWithMoreThreads) {
+  const Size size{123, 77};
+  const DepthPrior prior = prior_of(size, [](int u, int v) { return std::sin(0.1 * u) + 0.1 * v; });
+  const HeightMap height = map_of(size, [](int u, int v) { return std::cos(0.7 * u * v); });
+  Context four;
+  four.threads = 4;
+  const FusedSurface a = fuse_grid(height, prior, {}, {}), b = fuse_grid(height, prior, {}, four);
+  EXPECT_EQ(a.depth, b.depth);
+  EXPECT_EQ(a.sigma, b.sigma);
+}
+
+template <class Call>
+ErrorCode code_of(Call&& call) {
+  try {
+    call();
+  } catch (const Error& error) {
+    return error.code();
+  }
+  ADD_FAILURE() << "no error";
+  return ErrorCode::interrupted;
+}
+
+TEST(GridFusion, RejectsWhatDoesNotFit) {
+  const Size size{32, 32};
+  const DepthPrior prior = prior_of(size, [](int, int) { return 0; });
+  const HeightMap height = map_of(size, [](int, int) { return 0; });
+  EXPECT_EQ(code_of([&] { fuse_grid(map_of({32, 31}, [](int, int) { return 0; }), prior, {}, {}); }), ErrorCode::input);
+  EXPECT_EQ(code_of([&] { fuse_grid(map_of(size, [](int, int) { return none; }), prior, {}, {}); }), ErrorCode::data);
+  GridFusionOptions options;
+  options.grid_px = 0;
+  EXPECT_EQ(code_of([&] { fuse_grid(height, prior, options, {}); }), ErrorCode::input);
+  options = {};
+  options.sigma_nodes = -1;
+  EXPECT_EQ(code_of([&] { fuse_grid(height, prior, options, {}); }), ErrorCode::input);
+}
+
+}  // namespace
+}  // namespace malus
