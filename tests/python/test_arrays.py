@@ -1,0 +1,126 @@
+"""Each step on arrays: figures against truth, shapes checked at the door."""
+
+from __future__ import annotations
+
+import malus
+import numpy as np
+import pytest
+from conftest import SHARED, needs_shared
+
+ANGLES = np.radians([0, 30, 60, 90, 120, 150])
+
+
+def polarized(i_un: np.ndarray, rho: np.ndarray, phi: np.ndarray) -> list[np.ndarray]:
+    return [i_un * (1 + rho * np.cos(2 * (a - phi))) for a in ANGLES]
+
+
+@pytest.fixture
+def maps() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(1)
+    shape = (40, 50)
+    return rng.uniform(0.2, 0.7, shape), rng.uniform(0.05, 0.4, shape), rng.uniform(0, np.pi, shape)
+
+
+def test_decompose_recovers_the_sinusoid(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    i_un, rho, phi = maps
+    state = malus.polarization.decompose(polarized(i_un, rho, phi), ANGLES)
+    np.testing.assert_allclose(state.unpolarized, i_un, atol=1e-6)
+    np.testing.assert_allclose(state.degree, rho, atol=2e-6)
+    np.testing.assert_allclose(np.cos(2 * (state.phase_rad - phi)), 1, atol=1e-6)
+    assert (state.valid == 255).all()
+
+
+def test_decompose_equals_polanalyser(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    polanalyser = pytest.importorskip("polanalyser")
+    rng = np.random.default_rng(2)
+    images = [image + rng.normal(0, 0.003, image.shape) for image in polarized(*maps)]
+    state = malus.polarization.decompose(images, ANGLES)
+    stokes = polanalyser.calcStokes(np.stack([np.float32(i) for i in images]), list(ANGLES))
+    np.testing.assert_allclose(state.unpolarized, polanalyser.cvtStokesToIntensity(stokes) / 2, atol=1e-6)
+    np.testing.assert_allclose(state.degree, polanalyser.cvtStokesToDoLP(stokes), atol=1e-6)
+    aolp = polanalyser.cvtStokesToAoLP(stokes)
+    np.testing.assert_allclose(state.degree * np.sin(2 * (state.phase_rad - aolp)), 0, atol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_any_memory_layout_is_accepted(maps: tuple[np.ndarray, np.ndarray, np.ndarray], dtype: type) -> None:
+    images = [np.asfortranarray(image.astype(dtype)) for image in polarized(*maps)]
+    strided = [np.repeat(image, 2, axis=1)[:, ::2] for image in images]
+    reference = malus.polarization.decompose([np.ascontiguousarray(i) for i in images], ANGLES)
+    np.testing.assert_array_equal(malus.polarization.decompose(images, ANGLES).degree, reference.degree)
+    np.testing.assert_array_equal(malus.polarization.decompose(strided, ANGLES).degree, reference.degree)
+
+
+def test_wrong_shapes_are_named(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    images = polarized(*maps)
+    with pytest.raises(ValueError, match=r"images\[2\] has shape \(39, 50\), expected \(40, 50\)"):
+        malus.polarization.decompose([*images[:2], images[2][1:], *images[3:]], ANGLES)
+    with pytest.raises(ValueError, match=r"images\[0\] has shape \(40,\), expected \(H, W\)"):
+        malus.polarization.decompose([image[:, 0] for image in images], ANGLES)
+    with pytest.raises(ValueError, match=r"mask has shape \(3, 3\), expected \(40, 50\)"):
+        malus.polarization.decompose(images, ANGLES, mask=np.ones((3, 3)))
+    with pytest.raises(ValueError, match="expected numbers"):
+        malus.polarization.decompose([np.full((4, 4), "x")] * 6, ANGLES)
+    with pytest.raises(malus.DataError, match="2 distinct modulo 180 deg, expected at least 3"):
+        malus.polarization.decompose(images, [0, np.pi / 2, np.pi, 0, np.pi / 2, np.pi])
+
+
+def test_fresnel_degrees() -> None:
+    zenith = np.linspace(0, 1.5, 50)
+    for eta in (1.3, 1.5, 1.8):
+        diffuse = malus.polarization.diffuse_degree(zenith, eta)
+        np.testing.assert_allclose(malus.polarization.diffuse_zenith(diffuse, eta), zenith, atol=np.radians(1e-6))
+        s, c = np.sin(zenith), np.cos(zenith)
+        t = np.sqrt(1 - (s / eta) ** 2)
+        rs, rp = ((c - eta * t) / (c + eta * t)) ** 2, ((t - eta * c) / (t + eta * c)) ** 2
+        np.testing.assert_allclose(diffuse, (rs - rp) / (2 - rs - rp), atol=1e-9)
+        np.testing.assert_allclose(malus.polarization.specular_degree(zenith, eta), (rs - rp) / (rs + rp), atol=1e-9)
+    assert malus.polarization.brewster_angle(1.5) == pytest.approx(np.arctan(1.5))
+
+
+def test_options_are_checked() -> None:
+    options = malus.Options(fusion="grid", height={"smoothness": 0.2})
+    assert options.height.smoothness == 0.2
+    options.set("grid.grid_px=8")
+    assert options.grid.grid_px == 8
+    assert malus.Options(**options.to_dict()) == options
+    with pytest.raises(malus.InputError, match="did you mean height.smoothness"):
+        options.height.smothness = 1
+    with pytest.raises(malus.InputError, match="expected a whole number"):
+        options.grid.grid_px = 1.5
+    with pytest.raises(malus.InputError, match="from 1 to"):
+        options.grid.grid_px = 0
+    with pytest.raises(ValueError):
+        malus.Options(fusion="magic")
+    assert all(doc for _, _, _, doc in malus.Options.describe())
+
+
+def mean_normal_error_deg(height: np.ndarray, normal: np.ndarray, mask: np.ndarray) -> float:
+    """Against normals with y up, from central differences of a height in pixels; borders, which lack a side, left out."""
+    inner = mask.copy()
+    inner[1:-1, 1:-1] = mask[1:-1, 1:-1] & mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
+    down, right = np.gradient(height)
+    found = np.stack([-right, down, np.ones_like(height)], -1)
+    found /= np.linalg.norm(found, axis=-1, keepdims=True)
+    cosine = np.clip((found * normal).sum(-1), -1, 1)
+    return float(np.degrees(np.arccos(cosine))[inner].mean())
+
+
+@needs_shared
+@pytest.mark.parametrize(
+    ("name", "limit_deg"),
+    [("sphere_256_n0", 0.05), ("bumpy_256_n0", 0.1), ("sphere_256_n0.005", 2.5), ("bumpy_256_n0.005", 3.0), ("spheretilt30y_128_n0.005", 2.5)],
+)
+def test_height_from_polarization_alone(name: str, limit_deg: float) -> None:
+    data = np.load(SHARED / "data/synthetic" / f"{name}.npz")
+    mask = data["mask"].astype(bool)
+    images = [data["images"][..., k] for k in range(data["images"].shape[-1])]
+    state = malus.polarization.decompose(images, data["angles"], mask=mask)
+    reflection = malus.polarization.map_reflection(state, reflection="diffuse")
+    x, y, z = data["light"]
+    height = malus.height.solve(state, reflection, light=[x, -y, -z, 0.0], options=malus.Options(height={"perspective": False}), threads=2)
+    assert height.status == "converged"
+    assert mean_normal_error_deg(height.height.astype(float), data["normal"], mask) <= limit_deg
+    truth = data["z"][mask] - data["z"][mask].mean()
+    scale = float((height.height[mask] * truth).sum() / (truth * truth).sum())
+    assert scale == pytest.approx(1, abs=0.05)

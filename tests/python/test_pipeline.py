@@ -1,0 +1,248 @@
+"""The whole job on a small station: workspace, resume, interruption, and the same files from both programs."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import malus
+import numpy as np
+import pytest
+import tifffile
+from conftest import edit, malus as run_malus, malus_station, run_program
+
+RASTERS = [
+    "polarization/unpolarized.tif",
+    "polarization/degree.tif",
+    "polarization/phase.tif",
+    "polarization/zenith.tif",
+    "polarization/residual.tif",
+    "prior/depth.tif",
+    "prior/sigma.tif",
+    "height/height.tif",
+    "fused/depth.tif",
+    "fused/normals.tif",
+    "fused/sigma.tif",
+]
+OTHERS = [
+    "manifest.json",
+    "quality.json",
+    "polarization/label.png",
+    "polarization/valid.png",
+    "fused/camera.txt",
+    "fused/image.txt",
+    "fused/surface.ply",
+]
+
+
+@pytest.fixture(scope="module")
+def finished(small_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Workspace of `malus run --fusion grid` on the small station."""
+    work = tmp_path_factory.mktemp("finished") / "work"
+    outcome = run_malus("run", small_station_source / "station.toml", "-o", work, "--fusion", "grid", "--threads", "2")
+    assert outcome.code == 0, outcome.err
+    return work
+
+
+def test_workspace_is_complete(finished: Path) -> None:
+    for name in RASTERS:
+        raster = tifffile.imread(finished / name)
+        assert raster.dtype == np.float32
+        assert raster.shape[:2] == (160, 200), name
+    for name in [*OTHERS, "report/index.html"]:
+        assert (finished / name).stat().st_size > 0, name
+    assert not list(finished.rglob("*.part"))
+
+
+def test_normals_are_unit_and_face_the_camera(finished: Path) -> None:
+    normals = tifffile.imread(finished / "fused/normals.tif")
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-5)
+    assert (normals[..., 2] < 0).all()
+
+
+def test_quality_matches_the_rasters(finished: Path) -> None:
+    quality = json.loads((finished / "quality.json").read_text())
+    assert quality["name"] == "small"
+    assert quality["method"] == "grid"
+    assert quality["coverage"]["fraction"] == 1.0
+    depth = tifffile.imread(finished / "fused/depth.tif").astype(float)
+    words = next(line for line in (finished / "fused/camera.txt").read_text().splitlines() if "PINHOLE" in line and line[0] != "#").split()
+    fx, fy, cx, cy = (float(word) for word in words[4:8])
+    v, u = np.mgrid[45:116, 38:158]
+    z = depth[45:116, 38:158]
+    points = np.stack([(u - cx + 0.5) / fx * z, (v - cy + 0.5) / fy * z, z], -1).reshape(-1, 3)
+    distances = np.linalg.svd(points - points.mean(0), full_matrices=False)[1][-1] / np.sqrt(len(points))
+    assert quality["patches"][0]["fused"]["rmse"] == pytest.approx(distances, rel=1e-4)
+    assert f"{quality['patches'][0]['fused']['rmse_gsd']:.3g}" in (finished / "report/index.html").read_text()
+
+
+def test_report_is_self_contained(finished: Path) -> None:
+    page = (finished / "report/index.html").read_text()
+    assert "http://" not in page
+    assert "https://" not in page
+    assert page.count("data:image/png;base64,") >= 6
+
+
+def test_second_run_repeats_nothing(finished: Path, small_station_source: Path) -> None:
+    before = {name: (finished / name).stat().st_mtime_ns for name in RASTERS + OTHERS[1:]}
+    outcome = run_malus("run", small_station_source / "station.toml", "-o", finished, "--fusion", "grid", "--json")
+    assert outcome.code == 0, outcome.err
+    events = [json.loads(line) for line in outcome.out.splitlines()]
+    kept = {event["step"] for event in events if event.get("message") == "kept from an earlier run"}
+    assert kept == {"polarization", "prior", "zenith", "height", "fuse", "mesh", "assess"}
+    assert before == {name: (finished / name).stat().st_mtime_ns for name in before}
+
+
+def test_changed_option_repeats_only_what_depends_on_it(small_station: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    assert run_malus("run", small_station, "-o", work, "--fusion", "grid", "--quiet").code == 0
+    outcome = run_malus("run", small_station, "-o", work, "--fusion", "grid", "--json", "--set", "grid.grid_px=8")
+    assert outcome.code == 0, outcome.err
+    events = [json.loads(line) for line in outcome.out.splitlines()]
+    kept = {event["step"] for event in events if event.get("message") == "kept from an earlier run"}
+    assert kept == {"polarization", "prior", "zenith", "height"}
+
+
+def assert_close(one: object, other: object) -> None:
+    """Equal JSON, numbers to 1e-9."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        assert list(one) == list(other)
+        for key in one:
+            assert_close(one[key], other[key])
+    elif isinstance(one, list) and isinstance(other, list):
+        assert len(one) == len(other)
+        for a, b in zip(one, other, strict=True):
+            assert_close(a, b)
+    elif isinstance(one, float):
+        assert one == pytest.approx(other, rel=1e-9, abs=1e-12)
+    else:
+        assert one == other
+
+
+def test_executable_makes_the_same_files(finished: Path, small_station_source: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    outcome = malus_station(
+        small_station_source / "station.toml", "-o", work, "--fusion", "grid", "--threads", "2", "--quiet",
+        env={"PATH": "/nonexistent"},
+    )  # fmt: skip
+    assert outcome.code == 0, outcome.err
+    for name in RASTERS + OTHERS[2:]:
+        assert (work / name).read_bytes() == (finished / name).read_bytes(), name
+    # The figures are doubles, printed to the last digit: equal but for rounding in the libraries' vector code.
+    ours, theirs = (json.loads((w / "quality.json").read_text()) for w in (work, finished))
+    assert_close(ours, theirs)
+
+
+def test_one_and_two_threads_agree(finished: Path, small_station_source: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    outcome = run_malus("run", small_station_source / "station.toml", "-o", work, "--fusion", "grid", "--threads", "1", "--quiet")
+    assert outcome.code == 0, outcome.err
+    one, two = (tifffile.imread(w / "fused/depth.tif").astype(float) for w in (work, finished))
+    gsd = json.loads((finished / "quality.json").read_text())["gsd"]
+    assert np.abs(one - two).max() < 1e-3 * gsd
+
+
+def test_python_arrays_give_the_same_surface(finished: Path, small_station_source: Path) -> None:
+    images = [tifffile.imread(p) / np.float32(16383) for p in sorted((small_station_source / "pol").glob("*.tif"))]
+    words = next(line for line in (finished / "fused/camera.txt").read_text().splitlines() if "PINHOLE" in line and line[0] != "#").split()
+    fx, fy, cx, cy = (float(word) for word in words[4:8])
+    image_line = next(line for line in (finished / "fused/image.txt").read_text().splitlines() if line and line[0] != "#").split()
+    w, x, y, z = (float(word) for word in image_line[1:5])
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    camera = malus.Camera("PINHOLE", 200, 160, [fx, fy, cx - 0.5, cy - 0.5], rotation, [float(t) for t in image_line[5:8]])
+    cloud = small_station_source / "dense/cloud.ply"
+    data = cloud.read_bytes()
+    start = data.index(b"end_header\n") + len(b"end_header\n")
+    count = int(next(line for line in data[:start].decode().splitlines() if line.startswith("element vertex")).split()[2])
+    record = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("n", "<f4", 3), ("c", "u1", 3)])
+    points = np.frombuffer(data, record, count, start)
+    station = malus.Station(
+        images,
+        [0, 30, 60, 90, 120, 150],
+        camera,
+        prior_points=np.stack([points["x"], points["y"], points["z"]], -1),
+        frames_averaged=16,
+        full_well_e=20000,
+        read_noise_e=8,
+    )
+    result = malus.reconstruct(station, malus.Options(fusion="grid"), threads=2)
+    expected = tifffile.imread(finished / "fused/depth.tif").astype(float)
+    assert result.depth is not None and result.quality is not None
+    # The file also has the points' normals, which the array form leaves out; the surfaces agree within the noise.
+    assert np.median(np.abs(result.depth - expected)) < 0.5 * result.quality["gsd"]
+    assert result.normals is not None and result.normals.shape == (160, 200, 3)
+
+
+def test_single_steps_share_the_workspace(small_station: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    assert run_malus("decompose", small_station, "-o", work, "--quiet").code == 0
+    assert (work / "polarization/zenith.tif").exists()
+    assert not (work / "height/height.tif").exists()
+    assert run_malus("height", small_station, "-o", work, "--quiet").code == 0
+    assert (work / "height/height.tif").exists()
+    assert not (work / "fused").exists()
+
+
+def test_decompose_needs_no_prior(small_station: Path, tmp_path: Path) -> None:
+    edit(small_station, '[prior]\ncloud = "dense/cloud.ply"\n', "")
+    outcome = run_malus("decompose", small_station, "-o", tmp_path / "work", "--quiet")
+    assert outcome.code == 0, outcome.err
+    assert run_malus("run", small_station, "-o", tmp_path / "work", "--quiet").code == 2
+
+
+def test_check_says_what_would_be_done(small_station: Path) -> None:
+    outcome = run_malus("check", small_station, "--json")
+    assert outcome.code == 0, outcome.err
+    plan = json.loads(outcome.out)
+    assert (plan["width"], plan["height"], plan["object_pixels"]) == (200, 160, 32000)
+    assert plan["seconds"] > 0 and plan["memory_mb"] > 0
+    assert any("points fall on the object" in line for line in plan["does"])
+
+
+def test_ctrl_c_stops_within_a_second_and_leaves_nothing_half_done(small_station: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    command = [sys.executable, "-m", "malus.cli", "run", str(small_station), "-o", str(work), "--fusion", "grid", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ)) as process:
+        assert process.stdout is not None and process.stderr is not None
+        for line in process.stdout:
+            if json.loads(line)["step"] == "height":
+                break
+        start = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        process.stdout.read()
+        error = process.stderr.read()
+        process.wait(timeout=30)
+    assert time.monotonic() - start < 2.0  # one second, and what a loaded test machine adds
+    assert process.returncode == 130
+    assert "Traceback" not in error
+    manifest = json.loads((work / "manifest.json").read_text())
+    assert set(manifest["steps"]) == {"polarization", "prior", "zenith"}
+    assert not list(work.rglob("*.part"))
+    outcome = run_malus("run", small_station, "-o", work, "--fusion", "grid", "--json")
+    assert outcome.code == 0, outcome.err
+    kept = {e["step"] for e in map(json.loads, outcome.out.splitlines()) if e.get("message") == "kept from an earlier run"}
+    assert kept == {"polarization", "prior", "zenith"}
+
+
+def test_help_and_version() -> None:
+    assert run_malus("--version").out.strip() == f"malus {malus.__version__}"
+    assert "STATION.toml" in run_malus("run", "--help").out
+    assert malus_station("--version").code == 0
+
+
+def test_python_is_not_needed_by_the_executable() -> None:
+    program = Path(os.environ.get("MALUS_STATION", Path(__file__).parents[2] / "build/malus-station"))
+    if not program.exists():
+        pytest.skip("malus-station is not built")
+    assert "python" not in run_program("ldd", program).out
