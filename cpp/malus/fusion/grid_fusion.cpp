@@ -25,6 +25,20 @@ class NodeGrid {
   Image<float>& values() { return values_; }
   int pixel(int node) const { return offset_ + node * pitch_; }
 
+  /// Nodes that at() reads for any finite pixel of a raster of the image's size.
+  Mask nodes_under(const Image<float>& image) const {
+    Mask nodes(values_.size());
+    for (int v = 0; v < image.height(); ++v) {
+      const auto [j0, j1, t] = interval(v, values_.height());
+      for (int u = 0; u < image.width(); ++u) {
+        if (!std::isfinite(image(u, v))) continue;
+        const auto [i0, i1, s] = interval(u, values_.width());
+        nodes(i0, j0) = nodes(i1, j0) = nodes(i0, j1) = nodes(i1, j1) = 1;
+      }
+    }
+    return nodes;
+  }
+
   /// Bilinear value at a pixel, constant beyond the outer nodes.
   double at(int u, int v) const {
     const auto [i0, i1, s] = interval(u, values_.width());
@@ -71,9 +85,9 @@ void blur_axis(const Context& context, const Image<double>& sum, const Image<dou
   });
 }
 
-/// Gaussian mean over the finite nodes (Eq 15). Nodes that no finite one reaches take the mean of wider and wider
-/// Gaussians, so that the transfer is defined everywhere.
-void smooth_nodes(Image<float>& nodes, double sigma, const Context& context) {
+/// Gaussian mean over the finite nodes (Eq 15). Needed nodes that no finite one reaches take the mean of wider and
+/// wider Gaussians, so that the transfer is defined wherever it is used.
+void smooth_nodes(Image<float>& nodes, const Mask& needed, double sigma, const Context& context) {
   Image<double> sum(nodes.size()), weight(nodes.size());
   for (std::size_t i = 0; i < nodes.count(); ++i) {
     const bool known = std::isfinite(nodes[i]);
@@ -90,7 +104,7 @@ void smooth_nodes(Image<float>& nodes, double sigma, const Context& context) {
     for (std::size_t i = 0; i < nodes.count(); ++i) {
       if (done[i]) continue;
       done[i] = w2[i] > 1e-3;
-      all = all && done[i];
+      all = all && (done[i] || needed[i] == 0);
       if (done[i]) nodes[i] = static_cast<float>(s2[i] / w2[i]);
     }
     if (all) return;
@@ -131,12 +145,13 @@ Image<float> transfer(const Image<float>& polarization, const Image<float>& prio
   }
   if (!any) throw data_error("prior and polarization height share no node of the grid, expected surfaces that overlap");
   disagreement.values() = nodes;
-  smooth_nodes(nodes, options.sigma_nodes, context);
+  const Mask needed = difference.nodes_under(prior);
+  smooth_nodes(nodes, needed, options.sigma_nodes, context);
   for (std::size_t k = 0; k < nodes.count(); ++k) {
     const float detail = disagreement.values()[k] - nodes[k];
     disagreement.values()[k] = detail * detail;
   }
-  smooth_nodes(disagreement.values(), options.sigma_nodes, context);
+  smooth_nodes(disagreement.values(), needed, options.sigma_nodes, context);
 
   Image<float> fused(prior.size(), 1, none);
   parallel_rows(context, prior.height(), [&](int v) {
