@@ -177,8 +177,11 @@ class Refiner {
     report_.tiles = static_cast<int>(tiles_.size());
   }
 
-  void run() {
+  /// estimate_index: the refractive index is not known.
+  void run(bool estimate_index) {
+    constexpr int rounds_with_estimate = 3;
     for (int i = 0; i < options_.iterations; ++i) {
+      if (estimate_index && i < rounds_with_estimate) estimate_refractive_index();
       const bool regional = i + 2 >= options_.iterations;
       round(std::max(1.0, options_.graduation * std::pow(0.5, i)), true, regional);
     }
@@ -187,7 +190,8 @@ class Refiner {
   }
 
  private:
-  static constexpr int search_rounds = 4, heal_rounds = 2;
+  static constexpr std::array search_widenings{4.0, 2.0, 1.0};
+  static constexpr int search_rounds = search_widenings.size(), heal_rounds = 1;
 
   WeightOptions weights(double widening, bool regional) const {
     WeightOptions weights;
@@ -204,6 +208,16 @@ class Refiner {
     if (regional && options_.regional_weights && lobe_gain_ > telling_gain)
       weights.regional_sigma_px = regional_sigma_px;
     return weights;
+  }
+
+  /// Takes the refractive index from the data, at the surface as it is.
+  void estimate_refractive_index() {
+    constexpr std::size_t index_samples = 8000;
+    const RefractiveIndexFit fit =
+        fit_refractive_index(collect_samples(field_, Reflection::diffuse, index_samples),
+                             collect_samples(field_, Reflection::specular, index_samples), options_.lobe);
+    field_.reflection.eta = fit.eta;
+    report_.eta_sigma = fit.sigma;
   }
 
   void round(double widening, bool fit, bool regional) {
@@ -223,7 +237,7 @@ class Refiner {
   void search() {
     const Image<double> incumbent = field_.x;
     field_.x = sharpened_prior();
-    for (const double widening : {4.0, 2.0, 1.0, 1.0}) round(widening, false, false);
+    for (const double widening : search_widenings) round(widening, false, false);
     const Image<double> candidate = field_.x;
     field_.x = incumbent;
     const RegionChoice choice = take_cheaper_regions(field_, candidate, weights(1, false), context_);
@@ -265,7 +279,7 @@ RefineResult refine(const PolarizationState& state, const DepthPrior& prior, con
   field.reflection.eta = input.refractive_index.value_or(1.5);
   RefineResult result;
   label_regions(field, input, context);
-  Refiner(field, options, result.report, context).run();
+  Refiner(field, options, result.report, context).run(!input.refractive_index);
   result.surface = surface_of(field, prior, context);
   report_pixels(field, result.report);
   judge(field, result.report, result.surface);

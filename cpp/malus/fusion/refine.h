@@ -29,7 +29,7 @@ struct RefineOptions {
   int tile_px = 256;
   int margin_px = 32;
   double robust_scale = 2.5;
-  double graduation = 8;
+  double graduation = 4;
   double relative_error = 0.002;
   double slope_error = 0.03;
   double prior_weight = 5;

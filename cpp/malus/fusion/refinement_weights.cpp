@@ -20,7 +20,8 @@ double square(double x) {
 /// Body light of specular pixels: s0 less the mirror image of the usual surroundings, where that is a likely value; the
 /// neighbours' elsewhere, because steep slopes see other, darker surroundings.
 void estimate_mirror_body(RefinementField& field, const Context& context) {
-  constexpr double likely = 0.5, blur_px = 4, few = 0.02;
+  const double likely = std::clamp(3.3 * field.reflection.mirror.body_spread, 0.25, 0.5);
+  constexpr double blur_px = 4, few = 0.02;
   constexpr float none = std::numeric_limits<float>::quiet_NaN();
   const MirrorReflection& mirror = field.reflection.mirror;
   Image<float> body(field.size(), 1, none), weight(field.size(), 1, none), product(field.size(), 1, none);

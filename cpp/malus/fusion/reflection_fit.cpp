@@ -276,6 +276,19 @@ void refine_lobe(const SampleSet& set, double scale, DiffuseFit& fit) {
   fit = refined;
 }
 
+/// Robust relative spread of s0 less the mirror image of the usual surroundings, where the view is steep enough for
+/// them to be what is seen.
+double body_spread(const std::vector<ReflectionSample>& samples, const MirrorReflection& mirror, double eta) {
+  constexpr double steep_tan2 = 1.0 / 3;  // zenith below 30°
+  std::vector<double> rest, deviation;
+  for (const ReflectionSample& s : samples) {
+    if (s.tan2() < steep_tan2) rest.push_back(s.s0 - mirror.environment * fresnel_factors(s.tan2(), eta).reflectance);
+  }
+  const double middle = median(rest);
+  for (const double value : rest) deviation.push_back(std::abs(value - middle));
+  return 1.4826 * median(std::move(deviation)) / mirror.body;
+}
+
 std::array<double, node_count> nodes_of(const Eigen::VectorXd& values) {
   std::array<double, node_count> nodes{};
   std::copy_n(values.data(), node_count, nodes.begin());
@@ -437,7 +450,30 @@ SpecularFit fit_specular(const std::vector<ReflectionSample>& samples, double et
   for (const double e : near) deviation.push_back(std::abs(e - usual));
   fit.environment_sigma = 1.4826 * median(deviation);
   fit.mirror = {std::max(body, 1e-3 * usual), usual};
+  fit.mirror.body_spread = body_spread(samples, fit.mirror, eta);
   return fit;
+}
+
+RefractiveIndexFit fit_refractive_index(const std::vector<ReflectionSample>& diffuse,
+                                        const std::vector<ReflectionSample>& specular, bool with_lobe) {
+  constexpr double first = 1.3, step = 0.1;
+  constexpr std::size_t tries = 6;
+  HighlightLobe start;
+  if (!diffuse.empty()) start.light = fit_shading(diffuse).light;
+  std::array<double, tries> cost{};
+  for (std::size_t i = 0; i < tries; ++i) {
+    const double eta = first + step * static_cast<double>(i);
+    cost[i] = static_cast<double>(diffuse.size()) * fit_diffuse(diffuse, eta, with_lobe, start).cost +
+              static_cast<double>(specular.size()) * fit_specular(specular, eta).cost;
+  }
+  const auto lowest = static_cast<std::size_t>(std::min_element(cost.begin(), cost.end()) - cost.begin());
+  const std::size_t middle = std::clamp<std::size_t>(lowest, 1, tries - 2);
+  const double slope = 0.5 * (cost[middle + 1] - cost[middle - 1]);
+  const double curvature = cost[middle + 1] - 2 * cost[middle] + cost[middle - 1];
+  const double centre = first + step * static_cast<double>(middle);
+  if (curvature <= 0) return {first + step * static_cast<double>(lowest), step};
+  return {std::clamp(centre - step * slope / curvature, first, first + step * (tries - 1)),
+          step / std::sqrt(curvature)};
 }
 
 }  // namespace malus

@@ -57,4 +57,14 @@ struct SpecularFit {
 /// Fits body light and the surroundings' usual radiance.
 SpecularFit fit_specular(const std::vector<ReflectionSample>& samples, double eta);
 
+struct RefractiveIndexFit {
+  double eta = 1.5;
+  double sigma = 0;  ///< from the curvature of the cost; optimistic, as the slopes are taken as known
+};
+
+/// Refractive index in [1.3, 1.8] for which the samples are explained best, every other parameter fitted to each try:
+/// least of a parabola through the lowest of a series of tries.
+RefractiveIndexFit fit_refractive_index(const std::vector<ReflectionSample>& diffuse,
+                                        const std::vector<ReflectionSample>& specular, bool with_lobe);
+
 }  // namespace malus

@@ -42,8 +42,9 @@ struct HighlightLobe {
 
 /// Specular-dominated reflection, typical values over the object.
 struct MirrorReflection {
-  double body = 0;         ///< s0 of light from inside the body
-  double environment = 0;  ///< radiance of most of the surroundings
+  double body = 0;           ///< s0 of light from inside the body
+  double environment = 0;    ///< radiance of most of the surroundings
+  double body_spread = 0.2;  ///< robust relative standard deviation of the body light over the object
 };
 
 /// Everything about reflection that all pixels share.

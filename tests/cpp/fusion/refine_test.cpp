@@ -134,6 +134,22 @@ TEST(Refine, WarnsOfMetal) {
   ASSERT_FALSE(result.surface.warnings.empty());
 }
 
+TEST(Refine, EstimatesTheRefractiveIndex) {
+  for (const double eta : {1.4, 1.65}) {
+    SyntheticOptions scene;
+    scene.bump_gsd = 0.2;
+    scene.model.eta = eta;
+    const SyntheticStation station = make_station(scene);
+    RefineInput input;
+    input.refractive_index.reset();
+    RefineOptions options = quick();
+    options.iterations = 3;
+    const RefineReport report = refine(station.state, station.prior, input, options, Context{}).report;
+    EXPECT_NEAR(report.reflection.eta, eta, 0.1);
+    EXPECT_GT(report.eta_sigma, 0);
+  }
+}
+
 TEST(Refine, TakesGivenLabels) {
   const SyntheticStation station = make_station({});
   RefineInput input;
