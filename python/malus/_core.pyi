@@ -80,7 +80,9 @@ class DepthPrior:
     spacing_px: float
     smoothing_px: float
     filled_fraction: float
-    def __init__(self, depth: Float32, sigma: Float32, camera: Pinhole, rotation: Float64, translation: Float64) -> None: ...
+    def __init__(
+        self, depth: Float32, sigma: Float32, camera: Pinhole, rotation: Float64, translation: Float64
+    ) -> None: ...
     @property
     def depth(self) -> Float32: ...
     @property

@@ -40,11 +40,15 @@ class _Parser(argparse.ArgumentParser):
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="malus", description=malus.__doc__.splitlines()[0] if malus.__doc__ else None)
     parser.add_argument("--version", action="version", version=f"malus {malus.__version__}")
-    common = argparse.ArgumentParser(add_help=False)
+    common = _Parser(add_help=False)
     common.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="default: all cores")
-    common.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="any option of any step")
+    common.add_argument(
+        "--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="any option of any step"
+    )
     common.add_argument("--options", type=Path, metavar="FILE.toml", help="options, one table a step")
-    common.add_argument("--fusion", choices=["grid", "refined"], help="the paper's transfer, or the refinement (default)")
+    common.add_argument(
+        "--fusion", choices=["grid", "refined"], help="the paper's transfer, or the refinement (default)"
+    )
     common.add_argument("--json", action="store_true", help="one JSON object a progress event on standard output")
     common.add_argument("--quiet", action="store_true", help="errors only")
 

@@ -41,13 +41,22 @@ def _thin(raster: Raster) -> Raster:
     return raster[::step, ::step]
 
 
-def _show(axes: Axes, raster: Raster, title: str, *, cmap: str, limits: tuple[float, float] | None = None,
-          label: str | None = None) -> None:
+def _show(
+    axes: Axes,
+    raster: Raster,
+    title: str,
+    *,
+    cmap: str,
+    limits: tuple[float, float] | None = None,
+    label: str | None = None,
+) -> None:
     finite = raster[np.isfinite(raster)]
     if limits is None and finite.size:
         low, high = np.percentile(finite, [1, 99])
         limits = (float(low), float(high))
-    picture = axes.imshow(_thin(raster), cmap=cmap, vmin=limits[0] if limits else None, vmax=limits[1] if limits else None)
+    picture = axes.imshow(
+        _thin(raster), cmap=cmap, vmin=limits[0] if limits else None, vmax=limits[1] if limits else None
+    )
     axes.set_title(title, fontsize=10)
     axes.set_axis_off()
     if label is not None:
@@ -58,7 +67,9 @@ def _show(axes: Axes, raster: Raster, title: str, *, cmap: str, limits: tuple[fl
 
 def _grid(rows: int, columns: int, shape: tuple[int, ...]) -> tuple[Figure, list[Axes]]:
     width = 5.4
-    figure = Figure(figsize=(width * columns, width * rows * shape[0] / shape[1] * 0.9 + 0.4 * rows), layout="constrained")
+    figure = Figure(
+        figsize=(width * columns, width * rows * shape[0] / shape[1] * 0.9 + 0.4 * rows), layout="constrained"
+    )
     return figure, list(np.atleast_1d(figure.subplots(rows, columns)).ravel())
 
 
@@ -95,10 +106,18 @@ def polarization(work: Path) -> Figure:
     phase = np.degrees(read_raster(folder / "phase.tif"))
     _show(axes[2], phase, "phase, counter-clockwise from image +x", cmap="twilight", limits=(0, 180), label="°")
     _show(axes[3], np.degrees(read_raster(folder / "zenith.tif")), "zenith from degree", cmap="magma", label="°")
-    _show(axes[4], read_raster(folder / "residual.tif"), "residual of the fit over its expectation", cmap="inferno", limits=(0, 3),
-          label="1 = noise")
+    _show(
+        axes[4],
+        read_raster(folder / "residual.tif"),
+        "residual of the fit over its expectation",
+        cmap="inferno",
+        limits=(0, 3),
+        label="1 = noise",
+    )
     label = read_raster(folder / "label.png")
-    _show(axes[5], np.where(label > 0, label, np.nan), "reflection: 1 diffuse, 2 specular", cmap="cividis", limits=(1, 2))
+    _show(
+        axes[5], np.where(label > 0, label, np.nan), "reflection: 1 diffuse, 2 specular", cmap="cividis", limits=(1, 2)
+    )
     return figure
 
 

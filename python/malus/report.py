@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 from malus import _core, figures
 from malus.errors import InputError, ResourceError
 
-
 #: The surfaces that figures compare, in their order.
 SURFACES = ("prior", "polarization", "fused")
 
@@ -77,7 +76,9 @@ def write_report(work: str | Path) -> Path:
     }
     if quality["profiles"]:
         pictures["profile_lines"] = _picture(figures.profile_lines(work, quality["profiles"]))
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
     environment.filters["number"] = _number
     template = environment.from_string(resources.files("malus").joinpath("templates/report.html.j2").read_text())
     page = template.render(

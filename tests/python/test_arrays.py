@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import malus
 import numpy as np
 import pytest
+
+import malus
 from conftest import SHARED, needs_shared
 
 ANGLES = np.radians([0, 30, 60, 90, 120, 150])
@@ -109,7 +110,13 @@ def mean_normal_error_deg(height: np.ndarray, normal: np.ndarray, mask: np.ndarr
 @needs_shared
 @pytest.mark.parametrize(
     ("name", "limit_deg"),
-    [("sphere_256_n0", 0.05), ("bumpy_256_n0", 0.1), ("sphere_256_n0.005", 2.5), ("bumpy_256_n0.005", 3.0), ("spheretilt30y_128_n0.005", 2.5)],
+    [
+        ("sphere_256_n0", 0.05),
+        ("bumpy_256_n0", 0.1),
+        ("sphere_256_n0.005", 2.5),
+        ("bumpy_256_n0.005", 3.0),
+        ("spheretilt30y_128_n0.005", 2.5),
+    ],
 )
 def test_height_from_polarization_alone(name: str, limit_deg: float) -> None:
     data = np.load(SHARED / "data/synthetic" / f"{name}.npz")
@@ -118,7 +125,9 @@ def test_height_from_polarization_alone(name: str, limit_deg: float) -> None:
     state = malus.polarization.decompose(images, data["angles"], mask=mask)
     reflection = malus.polarization.map_reflection(state, reflection="diffuse")
     x, y, z = data["light"]
-    height = malus.height.solve(state, reflection, light=[x, -y, -z, 0.0], options=malus.Options(height={"perspective": False}), threads=2)
+    height = malus.height.solve(
+        state, reflection, light=[x, -y, -z, 0.0], options=malus.Options(height={"perspective": False}), threads=2
+    )
     assert height.status == "converged"
     assert mean_normal_error_deg(height.height.astype(float), data["normal"], mask) <= limit_deg
     truth = data["z"][mask] - data["z"][mask].mean()

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+
 from conftest import edit, malus, malus_station
 
 IMAGES = "images = ["

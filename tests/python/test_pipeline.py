@@ -10,11 +10,13 @@ import sys
 import time
 from pathlib import Path
 
-import malus
 import numpy as np
 import pytest
 import tifffile
-from conftest import edit, malus as run_malus, malus_station, run_program
+
+import malus
+from conftest import edit, malus_station, run_program
+from conftest import malus as run_malus
 
 RASTERS = [
     "polarization/unpolarized.tif",
@@ -71,7 +73,11 @@ def test_quality_matches_the_rasters(finished: Path) -> None:
     assert quality["method"] == "grid"
     assert quality["coverage"]["fraction"] == 1.0
     depth = tifffile.imread(finished / "fused/depth.tif").astype(float)
-    words = next(line for line in (finished / "fused/camera.txt").read_text().splitlines() if "PINHOLE" in line and line[0] != "#").split()
+    words = next(
+        line
+        for line in (finished / "fused/camera.txt").read_text().splitlines()
+        if "PINHOLE" in line and line[0] != "#"
+    ).split()
     fx, fy, cx, cy = (float(word) for word in words[4:8])
     v, u = np.mgrid[45:116, 38:158]
     z = depth[45:116, 38:158]
@@ -140,7 +146,9 @@ def test_executable_makes_the_same_files(finished: Path, small_station_source: P
 
 def test_one_and_two_threads_agree(finished: Path, small_station_source: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
-    outcome = run_malus("run", small_station_source / "station.toml", "-o", work, "--fusion", "grid", "--threads", "1", "--quiet")
+    outcome = run_malus(
+        "run", small_station_source / "station.toml", "-o", work, "--fusion", "grid", "--threads", "1", "--quiet"
+    )
     assert outcome.code == 0, outcome.err
     one, two = (tifffile.imread(w / "fused/depth.tif").astype(float) for w in (work, finished))
     gsd = json.loads((finished / "quality.json").read_text())["gsd"]
@@ -149,9 +157,15 @@ def test_one_and_two_threads_agree(finished: Path, small_station_source: Path, t
 
 def test_python_arrays_give_the_same_surface(finished: Path, small_station_source: Path) -> None:
     images = [tifffile.imread(p) / np.float32(16383) for p in sorted((small_station_source / "pol").glob("*.tif"))]
-    words = next(line for line in (finished / "fused/camera.txt").read_text().splitlines() if "PINHOLE" in line and line[0] != "#").split()
+    words = next(
+        line
+        for line in (finished / "fused/camera.txt").read_text().splitlines()
+        if "PINHOLE" in line and line[0] != "#"
+    ).split()
     fx, fy, cx, cy = (float(word) for word in words[4:8])
-    image_line = next(line for line in (finished / "fused/image.txt").read_text().splitlines() if line and line[0] != "#").split()
+    image_line = next(
+        line for line in (finished / "fused/image.txt").read_text().splitlines() if line and line[0] != "#"
+    ).split()
     w, x, y, z = (float(word) for word in image_line[1:5])
     rotation = np.array(
         [
@@ -160,11 +174,15 @@ def test_python_arrays_give_the_same_surface(finished: Path, small_station_sourc
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-    camera = malus.Camera("PINHOLE", 200, 160, [fx, fy, cx - 0.5, cy - 0.5], rotation, [float(t) for t in image_line[5:8]])
+    camera = malus.Camera(
+        "PINHOLE", 200, 160, [fx, fy, cx - 0.5, cy - 0.5], rotation, [float(t) for t in image_line[5:8]]
+    )
     cloud = small_station_source / "dense/cloud.ply"
     data = cloud.read_bytes()
     start = data.index(b"end_header\n") + len(b"end_header\n")
-    count = int(next(line for line in data[:start].decode().splitlines() if line.startswith("element vertex")).split()[2])
+    count = int(
+        next(line for line in data[:start].decode().splitlines() if line.startswith("element vertex")).split()[2]
+    )
     record = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("n", "<f4", 3), ("c", "u1", 3)])
     points = np.frombuffer(data, record, count, start)
     station = malus.Station(
@@ -212,8 +230,21 @@ def test_check_says_what_would_be_done(small_station: Path) -> None:
 
 def test_ctrl_c_stops_within_a_second_and_leaves_nothing_half_done(small_station: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
-    command = [sys.executable, "-m", "malus.cli", "run", str(small_station), "-o", str(work), "--fusion", "grid", "--json"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ)) as process:
+    command = [
+        sys.executable,
+        "-m",
+        "malus.cli",
+        "run",
+        str(small_station),
+        "-o",
+        str(work),
+        "--fusion",
+        "grid",
+        "--json",
+    ]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ)
+    ) as process:
         assert process.stdout is not None and process.stderr is not None
         for line in process.stdout:
             if json.loads(line)["step"] == "height":
@@ -231,7 +262,9 @@ def test_ctrl_c_stops_within_a_second_and_leaves_nothing_half_done(small_station
     assert not list(work.rglob("*.part"))
     outcome = run_malus("run", small_station, "-o", work, "--fusion", "grid", "--json")
     assert outcome.code == 0, outcome.err
-    kept = {e["step"] for e in map(json.loads, outcome.out.splitlines()) if e.get("message") == "kept from an earlier run"}
+    kept = {
+        e["step"] for e in map(json.loads, outcome.out.splitlines()) if e.get("message") == "kept from an earlier run"
+    }
     assert kept == {"polarization", "prior", "zenith"}
 
 
