@@ -36,6 +36,8 @@ Json refine_report_json(const RefineReport& report) {
             {"environment", model.mirror.environment},
             {"environment_sigma", fields_to_json(report.mirror_environment_sigma)}}},
           {"specular_share", report.specular_share},
+          {"regions_compared", report.regions_compared},
+          {"regions_taken", report.regions_taken},
           {"tiles", report.tiles},
           {"linear_solver_share", fields_to_json(report.linear_solver_share)},
           {"iterations", iterations}};
