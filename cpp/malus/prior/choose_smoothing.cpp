@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstddef>
 
+#include "malus/core/parallel.h"
+
 namespace malus {
 namespace {
 
@@ -54,12 +56,9 @@ class Windows {
   /// Robust weights at this smoothing.
   void reweight(double lambda, int rounds, const Context& context) {
     for (int round = 0; round < rounds; ++round) {
+      solve(lambda, context);
       std::vector<double> residuals;
-      for (SmoothingSpline& spline : splines_) {
-        context.check_cancel();
-        spline.solve(lambda);
-        spline.append_residuals(residuals);
-      }
+      for (const SmoothingSpline& spline : splines_) spline.append_residuals(residuals);
       const double spread = std::max(min_spread_gsd, robust_spread(residuals));
       for (SmoothingSpline& spline : splines_) spline.reweight(spread);
     }
@@ -67,10 +66,9 @@ class Windows {
 
   /// −2 × restricted log likelihood, up to a constant.
   double criterion(double lambda, const Context& context) {
+    solve(lambda, context);
     double weight = 0, residual = 0, determinant = 0;
-    for (SmoothingSpline& spline : splines_) {
-      context.check_cancel();
-      spline.solve(lambda);
+    for (const SmoothingSpline& spline : splines_) {
       weight += spline.weight_sum() - 3;
       residual += spline.penalized_residual();
       determinant += spline.log_determinant() - 2 * std::log(lambda) * (static_cast<double>(spline.unknowns()) - 3);
@@ -79,6 +77,10 @@ class Windows {
   }
 
  private:
+  void solve(double lambda, const Context& context) {
+    parallel_for(context, splines_.size(), 1, [&](std::size_t i, std::size_t) { splines_[i].solve(lambda); });
+  }
+
   std::vector<SmoothingSpline> splines_;
 };
 

@@ -7,6 +7,7 @@
 #include <numbers>
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
+#include <optional>
 #include <sstream>
 #include <string>
 #include <vector>
@@ -86,6 +87,13 @@ PixelBox bounding_box(const Mask& mask) {
   return box;
 }
 
+bool has_object(const Mask& mask, PixelBox box) {
+  for (int v = box.v0; v < box.v1; ++v) {
+    if (std::any_of(mask.row(v) + box.u0, mask.row(v) + box.u1, [](std::uint8_t m) { return m != 0; })) return true;
+  }
+  return false;
+}
+
 /// Share of object pixels farther than `distance_px` from every point.
 double far_fraction(const Mask& mask, const std::vector<ViewPoint>& points, double distance_px) {
   cv::Mat free(mask.height(), mask.width(), CV_8U, cv::Scalar(1)), distance;
@@ -104,10 +112,10 @@ double far_fraction(const Mask& mask, const std::vector<ViewPoint>& points, doub
   return static_cast<double>(far) / static_cast<double>(object);
 }
 
-/// Height above the reference plane in GSD and its variance; NaN outside the mask.
 struct Surface {
-  Image<float> height, variance;
-  double noise = 0;  ///< standard deviation of a point
+  Image<float> height;    ///< above the reference plane, in GSD; only inside the mask
+  Image<float> variance;  ///< of the height, for unit noise
+  double noise = 0;       ///< standard deviation of a point
 };
 
 /// How the cloud is smoothed.
@@ -120,12 +128,13 @@ constexpr double weighted_gaussian_variance = 0.5808;
 
 struct SplineFit {
   SmoothingSpline spline;
-  double noise;
+  Image<float> variance;  ///< for unit noise, a cell
+  double noise2;          ///< variance of a point
 };
 
 /// Robust smoothing of the points in a box.
 SplineFit fit_robust(const Mask& mask, PixelBox box, const Smoothing& how, std::span<const ViewPoint> points,
-                     const Context& context) {
+                     int samples, const Context& context) {
   constexpr int rounds = 4;
   SmoothingSpline spline(mask, box, how.cell_px, how.tension_px, points, context);
   for (int round = 0; round <= rounds; ++round) {
@@ -137,14 +146,15 @@ SplineFit fit_robust(const Mask& mask, PixelBox box, const Smoothing& how, std::
   }
   const double noise2 =
       spline.penalized_residual() / std::max(spline.weight_sum() - 3, 1.0) / weighted_gaussian_variance;
-  return {std::move(spline), std::sqrt(std::max(noise2, 0.0))};
+  Image<float> variance = spline.variance(samples, context.seed, context);
+  return {std::move(spline), std::move(variance), std::max(noise2, 0.0)};
 }
 
-/// Adds weight(u, v) times the spline and its variance to a surface.
+/// Adds weight(u, v) times the spline and its variance for unit noise to a surface.
 template <class Weight>
-void add_to(Surface& surface, SplineFit& fit, const Mask& mask, int samples, const Context& context, Weight&& weight) {
+void add_to(Surface& surface, const SplineFit& fit, const Mask& mask, const Context& context, Weight&& weight) {
   const PixelBox& box = fit.spline.box();
-  const Image<float> variance = fit.spline.variance(samples, context.seed, context);
+  const Image<float>& variance = fit.variance;
   parallel_rows(context, box.height(), [&](int row) {
     const int v = box.v0 + row;
     std::vector<float> heights(static_cast<std::size_t>(box.width()));
@@ -155,7 +165,7 @@ void add_to(Surface& surface, SplineFit& fit, const Mask& mask, int samples, con
       const int column = std::min(static_cast<int>((u - box.u0 + 0.5) / fit.spline.cell_px()), variance.width() - 1);
       const float share = static_cast<float>(weight(u, v));
       surface.height(u, v) += share * heights[static_cast<std::size_t>(u - box.u0)];
-      surface.variance(u, v) += share * static_cast<float>(fit.noise * fit.noise) * variance(column, cell_row);
+      surface.variance(u, v) += share * variance(column, cell_row);
     }
   });
 }
@@ -193,9 +203,9 @@ Surface smooth_cloud(std::vector<ViewPoint> points, const Mask& mask, const Smoo
   Surface surface{Image<float>(mask.size(), 1, 0.0F), Image<float>(mask.size(), 1, 0.0F), 0};
   const double unknowns = static_cast<double>(box.width()) * box.height() / (how.cell_px * how.cell_px);
   if (unknowns <= options.max_unknowns) {
-    SplineFit whole = fit_robust(mask, box, how, points, context);
-    add_to(surface, whole, mask, options.sigma_samples, context, [](int, int) { return 1.0; });
-    surface.noise = whole.noise;
+    const SplineFit whole = fit_robust(mask, box, how, points, options.sigma_samples, context);
+    add_to(surface, whole, mask, context, [](int, int) { return 1.0; });
+    surface.noise = std::sqrt(whole.noise2);
     return surface;
   }
 
@@ -206,7 +216,7 @@ Surface smooth_cloud(std::vector<ViewPoint> points, const Mask& mask, const Smoo
   coarse.length_px *= widening;
   coarse.cell_px *= widening;
   {
-    const SplineFit whole = fit_robust(mask, box, coarse, points, context);
+    const SplineFit whole = fit_robust(mask, box, coarse, points, 0, context);
     for (ViewPoint& p : points) p.height -= static_cast<float>(whole.spline.evaluate(p.u, p.v));
     parallel_rows(context, box.height(),
                   [&](int row) { whole.spline.evaluate_row(box.v0 + row, surface.height.row(box.v0 + row) + box.u0); });
@@ -219,16 +229,24 @@ Surface smooth_cloud(std::vector<ViewPoint> points, const Mask& mask, const Smoo
   const TiledAxis columns(box.u0, box.u1, (box.width() + side - 1) / side, margin);
   const TiledAxis rows(box.v0, box.v1, (box.height() + side - 1) / side, margin);
   double noise2 = 0, counted = 0;
-  for (int row = 0; row < rows.tiles(); ++row) {
-    for (int column = 0; column < columns.tiles(); ++column) {
-      context.progress("prior", 0.3 + 0.6 * (row * columns.tiles() + column) / (rows.tiles() * columns.tiles()),
-                       "smoothing the cloud");
-      const PixelBox tile{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
-      SplineFit part = fit_robust(mask, tile, fine, points, context);
-      add_to(surface, part, mask, options.sigma_samples, context,
+  const int tiles = columns.tiles() * rows.tiles();
+  std::vector<std::optional<SplineFit>> fits(static_cast<std::size_t>(std::max(context.threads, 1)));
+  for (int first = 0; first < tiles; first += static_cast<int>(fits.size())) {
+    context.progress("prior", 0.3 + 0.6 * first / tiles, "smoothing the cloud");
+    parallel_for(context, fits.size(), 1, [&](std::size_t i, std::size_t) {
+      const int tile = first + static_cast<int>(i), column = tile % columns.tiles(), row = tile / columns.tiles();
+      fits[i].reset();
+      if (tile >= tiles) return;
+      const PixelBox area{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
+      if (has_object(mask, area)) fits[i] = fit_robust(mask, area, fine, points, options.sigma_samples, context);
+    });
+    for (std::size_t i = 0; i < fits.size(); ++i) {
+      if (!fits[i]) continue;
+      const int tile = first + static_cast<int>(i), column = tile % columns.tiles(), row = tile / columns.tiles();
+      add_to(surface, *fits[i], mask, context,
              [&](int u, int v) { return columns.weight(column, u) * rows.weight(row, v); });
-      noise2 += part.noise * part.noise * static_cast<double>(part.spline.points());
-      counted += static_cast<double>(part.spline.points());
+      noise2 += fits[i]->noise2 * static_cast<double>(fits[i]->spline.points());
+      counted += static_cast<double>(fits[i]->spline.points());
     }
   }
   surface.noise = std::sqrt(noise2 / counted);
@@ -309,8 +327,8 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
       if (holes.at<std::uint8_t>(v, u) == 0) continue;
       const double depth = reference * std::exp((surface.height(u, v) + plane.at(u, v)) / focal);
       prior.depth(u, v) = static_cast<float>(depth);
-      prior.sigma(u, v) =
-          static_cast<float>(std::hypot(options.raster_sigma_gsd, std::sqrt(surface.variance(u, v))) * depth / focal);
+      prior.sigma(u, v) = static_cast<float>(
+          std::hypot(options.raster_sigma_gsd, surface.noise * std::sqrt(surface.variance(u, v))) * depth / focal);
     }
   });
   prior.filled_fraction =
@@ -363,13 +381,14 @@ DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const P
 
   DepthPrior prior = empty_prior(camera, pose);
   const double focal = camera.focal();
-  const double shared = options.correlated_noise * surface.noise;
+  const double shared2 = options.correlated_noise * options.correlated_noise;
   parallel_rows(context, camera.size.height, [&](int v) {
     for (int u = 0; u < camera.size.width; ++u) {
       if (mask(u, v) == 0) continue;
       const double depth = visible.reference_depth * std::exp((surface.height(u, v) + plane.at(u, v)) / focal);
       prior.depth(u, v) = static_cast<float>(depth);
-      prior.sigma(u, v) = static_cast<float>(std::sqrt(surface.variance(u, v) + shared * shared) * depth / focal);
+      prior.sigma(u, v) =
+          static_cast<float>(surface.noise * std::sqrt(surface.variance(u, v) + shared2) * depth / focal);
     }
   });
   prior.points_total = static_cast<double>(visible.census.total);
