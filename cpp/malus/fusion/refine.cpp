@@ -136,8 +136,10 @@ double median_specular_s0(const RefinementField& field) {
 /// What the numbers say about whether to trust the surface.
 void judge(const RefinementField& field, const RefineReport& report, FusedSurface& surface) {
   surface.status = "converged";
-  const RefineIteration& last = report.iterations.back();
-  if (last.rejected_steps > report.tiles) {
+  const RefineIteration& last = *std::find_if(report.iterations.rbegin(), report.iterations.rend(),
+                                              [](const auto& round) { return !round.search; });
+  constexpr int many_rejections = 4;  // of a tile: no step was accepted
+  if (last.rejected_steps >= many_rejections * report.tiles) {
     surface.status = "not converged";
     surface.warnings.push_back("The refinement found no better surface than the prior in most of the image.");
   } else if (last.change_gsd > 0.5) {
@@ -156,11 +158,11 @@ void judge(const RefinementField& field, const RefineReport& report, FusedSurfac
         "probably bare metal, for which the Fresnel formulas used here do not hold.");
   }
   constexpr double largest_residual = 3;
-  if (last.median_residual > largest_residual) {
+  if (report.median_residual > largest_residual) {
     surface.status = "low confidence";
     surface.warnings.push_back(
         "The reflection model does not explain the measured polarization: the median residual is " +
-        std::to_string(last.median_residual) + " standard deviations.");
+        std::to_string(report.median_residual) + " standard deviations.");
   }
 }
 
@@ -186,12 +188,15 @@ class Refiner {
       round(std::max(1.0, options_.graduation * std::pow(0.5, i)), true, regional);
     }
     if (options_.search) search();
+    const FitQuality quality = update_weights(field_, weights(1, true), context_);
+    report_.stokes_cost = quality.robust_cost;
+    report_.median_residual = quality.median_residual;
     report_.linear_solver_share = total_.linear_solver_seconds / std::max(total_.solver_seconds, 1e-9);
   }
 
  private:
   static constexpr std::array search_widenings{4.0, 2.0, 1.0};
-  static constexpr int search_rounds = search_widenings.size(), heal_rounds = 1;
+  static constexpr int search_rounds = search_widenings.size(), heal_rounds = 2;
 
   WeightOptions weights(double widening, bool regional) const {
     WeightOptions weights;
@@ -225,19 +230,24 @@ class Refiner {
     if (fit) lobe_gain_ = fit_reflection(field_, options_, report_);
     const FitQuality quality = update_weights(field_, weights(widening, regional), context_);
     const Image<double> before = field_.x;
-    const TileOptions solve{options_.steps, options_.smoothness, options_.prior_robust_gsd};
+    // The shared parameters come from the prior's slopes at first: no far step with them.
+    constexpr std::size_t careful_rounds = 2;
+    const int steps = report_.iterations.size() < careful_rounds ? 1 : options_.steps;
+    const TileOptions solve{steps, options_.smoothness, options_.prior_robust_gsd};
     const double done = static_cast<double>(report_.iterations.size()) / rounds_;
     const SolveStatistics solved = solve_tiles(field_, tiles_, solve, done, done + 1.0 / rounds_, context_);
     total_ += solved;
-    report_.iterations.push_back({solved.cost_before, solved.cost_after, quality.robust_cost, quality.median_residual,
-                                  rms_change(field_.x, before, field_.object), solved.rejected_steps,
-                                  seconds_since(start)});
+    report_.iterations.push_back({searching_, solved.cost_before, solved.cost_after, quality.robust_cost,
+                                  quality.median_residual, rms_change(field_.x, before, field_.object),
+                                  solved.rejected_steps, seconds_since(start)});
   }
 
   void search() {
     const Image<double> incumbent = field_.x;
     field_.x = sharpened_prior();
+    searching_ = true;
     for (const double widening : search_widenings) round(widening, false, false);
+    searching_ = false;
     const Image<double> candidate = field_.x;
     field_.x = incumbent;
     const RegionChoice choice = take_cheaper_regions(field_, candidate, weights(1, false), context_);
@@ -266,6 +276,7 @@ class Refiner {
   std::vector<Tile> tiles_;
   int rounds_;
   double lobe_gain_ = 0;
+  bool searching_ = false;
   SolveStatistics total_;
 };
 

@@ -24,8 +24,8 @@ struct RefineInput {
 };
 
 struct RefineOptions {
-  int iterations = 6;
-  int steps = 1;
+  int iterations = 5;
+  int steps = 2;
   int tile_px = 256;
   int margin_px = 32;
   double robust_scale = 2.5;
@@ -45,7 +45,7 @@ struct RefineOptions {
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
     visit("iterations", self.iterations, Range{1, 50}, "rounds of: fit reflection, weigh residuals, solve");
-    visit("steps", self.steps, Range{1, 50}, "Gauss-Newton steps of each solve");
+    visit("steps", self.steps, Range{1, 50}, "Gauss-Newton steps of each solve after the first two, which take one");
     visit("tile_px", self.tile_px, Range{64, 4096}, "largest side of a tile's core");
     visit("margin_px", self.margin_px, Range{16, 512}, "overlap of a tile with its neighbours");
     visit("robust_scale", self.robust_scale, Range{0.1, 100},
@@ -69,6 +69,7 @@ struct RefineOptions {
 
 /// One round of the refinement.
 struct RefineIteration {
+  bool search = false;                     ///< on the way to a second solution, not to the result
   double cost_before = 0, cost_after = 0;  ///< of the solve, summed over tiles
   double stokes_cost = 0;                  ///< mean of ln(1 + r² / 4) over usable pixels, before the solve
   double median_residual = 0;              ///< of the Stokes vectors, in standard deviations, before the solve
@@ -88,6 +89,8 @@ struct RefineReport {
   double specular_share = 0;                    ///< of the object's pixels
   Image<std::uint8_t> label;                    ///< 0 = outside, 1 = diffuse, 2 = specular
   Image<std::uint8_t> confidence;               ///< weight of the polarization of each pixel, 0 … 255
+  double stokes_cost = 0;                       ///< mean of ln(1 + r² / 4) over usable pixels, of the result
+  double median_residual = 0;                   ///< of the result's Stokes vectors, in standard deviations
   int regions_compared = 0, regions_taken = 0;  ///< of the search for a better minimum
   int tiles = 0;
   double seconds = 0;
