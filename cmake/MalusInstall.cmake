@@ -1,19 +1,20 @@
-# The CMake package: find_package(malus) gives malus::malus.
+# The CMake package: find_package(malus) gives malus::malus. Component "development"; a wheel takes "python" only.
 include(GNUInstallDirs)
 include(CMakePackageConfigHelpers)
 
 set(config_dir ${CMAKE_INSTALL_LIBDIR}/cmake/malus)
 install(TARGETS malus EXPORT malus-targets
-        ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR}
-        RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
+        ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT development
+        LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT development
+        RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT development)
 if(TARGET malus-station)
-  install(TARGETS malus-station RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
+  install(TARGETS malus-station RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT development)
 endif()
 install(DIRECTORY cpp/malus ${PROJECT_BINARY_DIR}/generated/malus DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}
-        FILES_MATCHING PATTERN "*.h" PATTERN "*_internal.h" EXCLUDE)
-install(EXPORT malus-targets NAMESPACE malus:: DESTINATION ${config_dir})
+        COMPONENT development FILES_MATCHING PATTERN "*.h" PATTERN "*_internal.h" EXCLUDE)
+install(EXPORT malus-targets NAMESPACE malus:: DESTINATION ${config_dir} COMPONENT development)
 configure_package_config_file(cmake/malus-config.cmake.in ${PROJECT_BINARY_DIR}/malus-config.cmake
                               INSTALL_DESTINATION ${config_dir})
 write_basic_package_version_file(${PROJECT_BINARY_DIR}/malus-config-version.cmake COMPATIBILITY SameMinorVersion)
 install(FILES ${PROJECT_BINARY_DIR}/malus-config.cmake ${PROJECT_BINARY_DIR}/malus-config-version.cmake
-              cmake/FindCHOLMOD.cmake DESTINATION ${config_dir})
+              cmake/FindCHOLMOD.cmake DESTINATION ${config_dir} COMPONENT development)
