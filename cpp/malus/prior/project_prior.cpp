@@ -120,7 +120,7 @@ struct Surface {
 
 /// How the cloud is smoothed.
 struct Smoothing {
-  double lambda = 0, length_px = 0, cell_px = 0, tension_px = 0;
+  double lambda = 0, length_px = 0, cell_px = 0, tension_px = 0, edge_tolerance = 0;
 };
 
 /// Mean square of a standard normal variable under the weights of SmoothingSpline::reweight(1).
@@ -135,15 +135,18 @@ struct SplineFit {
 /// Robust smoothing of the points in a box.
 SplineFit fit_robust(const Mask& mask, PixelBox box, const Smoothing& how, std::span<const ViewPoint> points,
                      int samples, const Context& context) {
-  constexpr int rounds = 4;
+  // Clusters of outliers lose their hold slowly: go on until the weights stand still.
+  constexpr int max_rounds = 8;
+  constexpr double settled = 0.004;
   SmoothingSpline spline(mask, box, how.cell_px, how.tension_px, points, context);
-  for (int round = 0; round <= rounds; ++round) {
+  for (int round = 0; round < max_rounds; ++round) {
     spline.solve(how.lambda);
-    if (round == rounds) break;
+    spline.soften_edges(how.edge_tolerance);
     std::vector<double> residuals;
     spline.append_residuals(residuals);
-    spline.reweight(std::max(min_spread_gsd, robust_spread(residuals)));
+    if (spline.reweight(std::max(min_spread_gsd, robust_spread(residuals))) < settled) break;
   }
+  spline.solve(how.lambda);
   const double noise2 =
       spline.penalized_residual() / std::max(spline.weight_sum() - 3, 1.0) / weighted_gaussian_variance;
   Image<float> variance = spline.variance(samples, context.seed, context);
@@ -265,8 +268,9 @@ Smoothing smoothing_for(const VisiblePoints& visible, const Mask& mask, const Pr
           : options.smoothing_scale *
                 std::sqrt(spacing_px * choose_smoothing(mask, bounding_box(mask), visible.points, spacing_px, context));
   how.lambda = how.length_px * how.length_px / spacing_px;
-  how.cell_px = std::max(1.0, 0.5 * how.length_px);
+  how.cell_px = std::max(1.0, 0.7 * how.length_px);
   how.tension_px = options.tension_spacings * spacing_px;
+  how.edge_tolerance = options.edge_tolerance;
   return how;
 }
 
@@ -321,6 +325,7 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
   Smoothing how;
   how.lambda = how.length_px = how.cell_px = 1;
   how.tension_px = options.tension_spacings;
+  how.edge_tolerance = options.edge_tolerance;
   const Surface surface = smooth_cloud(points, region, how, options, context);
   parallel_rows(context, mask.height(), [&](int v) {
     for (int u = 0; u < mask.width(); ++u) {

