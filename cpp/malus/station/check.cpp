@@ -13,19 +13,20 @@
 namespace malus {
 namespace {
 
-// Measured with default options on two 2.x GHz cores at 0.35 and 1.75 megapixels (docs/decisions/0003-cost-model.md):
-// seconds a megapixel of the object with one thread, the share of it that a second thread takes away, and memory.
+// Measured with default options on two cores (docs/decisions/0003-cost-model.md): seconds a megapixel of the object
+// with one thread, the share of it that threads divide, memory a megapixel and memory that does not depend on the size.
 struct StepCost {
   double seconds_per_mpx;
   double parallel_share;
   double megabytes_per_mpx;
+  double megabytes_fixed;
 };
-constexpr StepCost polarization_cost{1.5, 0.8, 90};
-constexpr StepCost prior_cost{12, 0.2, 900};
-constexpr StepCost height_cost{35, 0.3, 1900};
-constexpr StepCost grid_cost{0.5, 0.5, 150};
-constexpr StepCost refine_cost{110, 0.9, 600};
-constexpr StepCost output_cost{2, 0.5, 300};
+constexpr StepCost polarization_cost{5, 0.7, 90, 0};
+constexpr StepCost prior_cost{26, 0.2, 900, 0};
+constexpr StepCost height_cost{48, 0, 1500, 0};
+constexpr StepCost grid_cost{0.5, 0.5, 150, 0};
+constexpr StepCost refine_cost{420, 0.9, 500, 1000};
+constexpr StepCost output_cost{1.5, 0.5, 300, 0};
 
 double seconds(const StepCost& cost, double megapixels, int threads) {
   return megapixels * cost.seconds_per_mpx * (1 - cost.parallel_share + cost.parallel_share / threads);
@@ -151,7 +152,7 @@ Plan check_station(const Station& station, const Options& options, const Context
     double peak = 0;
     for (const StepCost* cost : {&prior_cost, &height_cost, &fusion, &output_cost}) {
       plan.seconds += seconds(*cost, object_mpx, context.threads);
-      peak = std::max(peak, object_mpx * cost->megabytes_per_mpx);
+      peak = std::max(peak, object_mpx * cost->megabytes_per_mpx + cost->megabytes_fixed);
     }
     plan.memory_mb = std::max(plan.memory_mb, 60 + image_mpx * polarization_cost.megabytes_per_mpx + peak);
   }
