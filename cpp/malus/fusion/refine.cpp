@@ -101,7 +101,7 @@ FusedSurface surface_of(const RefinementField& field, const DepthPrior& prior, c
     }
   });
   surface.normals = normals_from_depth(surface.depth, surface.camera, context);
-  surface.sigma = surface_sigma(field, prior.sigma, context);
+  surface.sigma = surface_sigma(field, context);
   return surface;
 }
 
@@ -205,6 +205,7 @@ class Refiner {
     weights.relative_error = options_.relative_error;
     weights.slope_error = options_.slope_error;
     weights.prior_weight = options_.prior_weight;
+    weights.good_prior_weight = options_.good_prior_weight;
     weights.prior_robust_gsd = options_.prior_robust_gsd;
     weights.albedo_weight = options_.albedo_weight;
     weights.albedo_contrast = options_.albedo_contrast;

@@ -33,6 +33,7 @@ struct RefineOptions {
   double relative_error = 0.002;
   double slope_error = 0.03;
   double prior_weight = 5;
+  double good_prior_weight = 12;
   double prior_robust_gsd = 2;
   double albedo_weight = 10;
   double albedo_contrast = 0.02;
@@ -54,9 +55,12 @@ struct RefineOptions {
           "factor on robust_scale of specular regions in the first round, halved every round");
     visit("relative_error", self.relative_error, Range{0, 0.1}, "error of the reflection model as a share of s0");
     visit("slope_error", self.slope_error, Range{0, 1}, "error of the reflection model as a slope");
-    visit("prior_weight", self.prior_weight, not_negative, "weight of a full prior block");
+    visit("prior_weight", self.prior_weight, not_negative, "least weight of a full prior block, in 1 / GSD …");
+    visit("good_prior_weight", self.good_prior_weight, not_negative,
+          "… and the largest one, in specular regions by the prior's sigma");
     visit("prior_robust_gsd", self.prior_robust_gsd, Range{0.01, 1000}, "distance from the prior that counts half");
-    visit("albedo_weight", self.albedo_weight, not_negative, "weight of the albedo gradient, diffuse regions");
+    visit("albedo_weight", self.albedo_weight, not_negative,
+          "weight of the albedo gradient in diffuse regions, up to 2.5 times that where albedo varies little");
     visit("albedo_contrast", self.albedo_contrast, Range{1e-4, 10}, "log-albedo step between pixels that counts half");
     visit("smoothness", self.smoothness, not_negative, "weight of the second differences");
     visit("search_sharpening", self.search_sharpening, Range{-10, 10},

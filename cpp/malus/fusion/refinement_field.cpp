@@ -26,6 +26,7 @@ double mean_log_depth(const Mask& object, const DepthPrior& prior) {
 RefinementField make_field(const PolarizationState& state, const DepthPrior& prior, const Context& context) {
   const Size size = state.size();
   require_size(prior.depth, size, "the prior's depth");
+  if (!prior.sigma.empty()) require_size(prior.sigma, size, "the prior's sigma");
   RefinementField field;
   field.camera = prior.camera;
   field.focal = prior.camera.focal();
@@ -39,10 +40,14 @@ RefinementField make_field(const PolarizationState& state, const DepthPrior& pri
   field.x = Image<double>(size, 1, std::numeric_limits<double>::quiet_NaN());
   field.s0 = field.s1 = field.s2 = field.variance = Image<float>(size, 1, none);
   field.kind = Image<std::uint8_t>(size);
+  field.prior_sigma = Image<float>(size, 1, none);
   parallel_rows(context, size.height, [&](int v) {
     for (int u = 0; u < size.width; ++u) {
       if (!field.object(u, v)) continue;
       field.x(u, v) = field.focal * (std::log(static_cast<double>(prior.depth(u, v))) - field.log_depth_origin);
+      const double gsd = static_cast<double>(prior.depth(u, v)) / field.focal;
+      const double sigma = prior.sigma.empty() ? none : prior.sigma(u, v);
+      field.prior_sigma(u, v) = static_cast<float>(std::isfinite(sigma) ? sigma / gsd : 1.0);
       const Eigen::Vector3d stokes = state.stokes(u, v);
       const Eigen::Matrix3d covariance = state.stokes_covariance(u, v);
       field.s0(u, v) = static_cast<float>(stokes[0]);

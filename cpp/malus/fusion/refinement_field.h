@@ -25,6 +25,7 @@ struct RefinementField {
   Mask object;
   Mask usable;  ///< non-zero = polarization may be used
   Image<double> x, x_prior;
+  Image<float> prior_sigma;  ///< one standard deviation of x_prior [GSD]
   Image<float> s0, s1, s2;
   Image<float> variance;     ///< of s1 and s2, mean of both
   Image<std::uint8_t> kind;  ///< Reflection

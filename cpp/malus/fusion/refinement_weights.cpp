@@ -96,12 +96,31 @@ void weigh_regions(RefinementField& field, Image<float> squared, double sigma_px
   }
 }
 
+/// Robust standard deviation of the log-albedo steps between horizontal neighbours.
+double albedo_spread(const Image<float>& log_albedo) {
+  std::vector<float> steps;
+  for (int v = 0; v < log_albedo.height(); ++v) {
+    for (int u = 0; u + 1 < log_albedo.width(); ++u) {
+      const float step = std::abs(log_albedo(u + 1, v) - log_albedo(u, v));
+      if (std::isfinite(step)) steps.push_back(step);
+    }
+  }
+  if (steps.empty()) return 0;
+  const auto middle = steps.begin() + static_cast<std::ptrdiff_t>(steps.size() / 2);
+  std::nth_element(steps.begin(), middle, steps.end());
+  return 1.4826 * *middle;
+}
+
 void weigh_albedo_edges(RefinementField& field, const Image<float>& log_albedo, const WeightOptions& options,
                         const Context& context) {
+  // A body of one albedo says more about its shape by its shading than a textured one.
+  constexpr double textured = 0.06, most = 2.5;
+  const double evenness = std::clamp(textured / std::max(albedo_spread(log_albedo), 1e-6), 1.0, most);
+  const double full = square(options.albedo_weight * evenness);
   const auto weight = [&](float here, float next) {
     const double step = static_cast<double>(next) - here;
     if (!std::isfinite(step)) return 0.0f;
-    return static_cast<float>(square(options.albedo_weight) / (1 + square(step / options.albedo_contrast)));
+    return static_cast<float>(full / (1 + square(step / options.albedo_contrast)));
   };
   const int width = field.size().width, height = field.size().height;
   parallel_rows(context, height, [&](int v) {
@@ -112,16 +131,27 @@ void weigh_albedo_edges(RefinementField& field, const Image<float>& log_albedo, 
   });
 }
 
+/// Weight of a full block, 1 / GSD. A mirror's slopes hang on its body light, whose error bends the surface over long
+/// distances; a prior that is known well holds it. A poor prior must still hold what would drift without.
+double block_weight(double prior_sigma_gsd, bool specular, const WeightOptions& options) {
+  if (!specular) return options.prior_weight;
+  constexpr double gain_of_mean = 2.4;
+  const double most = std::max(options.prior_weight, options.good_prior_weight);
+  return std::clamp(gain_of_mean / std::max(prior_sigma_gsd, 1e-6), options.prior_weight, most);
+}
+
 void weigh_prior_blocks(RefinementField& field, const WeightOptions& options, const Context& context) {
   const Size blocks = field.block_count();
   parallel_rows(context, blocks.height, [&](int row) {
     for (int column = 0; column < blocks.width; ++column) {
-      double sum = 0, cos2 = 0;
-      int count = 0;
+      double sum = 0, cos2 = 0, sigma = 0;
+      int count = 0, specular = 0;
       for (int v = row * prior_block_px; v < std::min((row + 1) * prior_block_px, field.size().height); ++v) {
         for (int u = column * prior_block_px; u < std::min((column + 1) * prior_block_px, field.size().width); ++u) {
           if (!field.object(u, v)) continue;
           sum += field.x_prior(u, v);
+          sigma += field.prior_sigma(u, v);
+          specular += field.kind_at(u, v) == Reflection::specular;
           cos2 += 1 / (1 + central_slopes(field, u, v).squaredNorm());
           ++count;
         }
@@ -130,8 +160,8 @@ void weigh_prior_blocks(RefinementField& field, const WeightOptions& options, co
       const double fill = static_cast<double>(count) / (prior_block_px * prior_block_px);
       field.block_mean(column, row) = static_cast<float>(sum / count);
       // A point of a cloud is uncertain across the surface; its depth is so by 1 / cos(zenith) more.
-      field.block_weight(column, row) =
-          static_cast<float>(fill * square(options.prior_weight) * std::max(cos2 / count, 0.02));
+      field.block_weight(column, row) = static_cast<float>(
+          fill * square(block_weight(sigma / count, 2 * specular > count, options)) * std::max(cos2 / count, 0.02));
     }
   });
 }

@@ -12,6 +12,7 @@ struct WeightOptions {
   double relative_error = 0.002;
   double slope_error = 0.03;
   double prior_weight = 5;
+  double good_prior_weight = 12;
   double prior_robust_gsd = 2;
   double albedo_weight = 10;
   double albedo_contrast = 0.02;

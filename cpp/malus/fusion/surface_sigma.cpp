@@ -30,7 +30,7 @@ double slope_variance(const RefinementField& field, int u, int v) {
 
 }  // namespace
 
-Image<float> surface_sigma(const RefinementField& field, const Image<float>& prior_sigma, const Context& context) {
+Image<float> surface_sigma(const RefinementField& field, const Context& context) {
   constexpr float none = std::numeric_limits<float>::quiet_NaN();
   constexpr double low_frequency_px = 24, high_frequency_px = 4;
   Image<float> change(field.size(), 1, none), slope(field.size(), 1, none);
@@ -48,7 +48,7 @@ Image<float> surface_sigma(const RefinementField& field, const Image<float>& pri
     for (int u = 0; u < field.size().width; ++u) {
       if (!field.object(u, v)) continue;
       const double gsd = field.depth_of(field.x(u, v)) / field.focal;
-      const double prior = std::isfinite(prior_sigma(u, v)) ? square(prior_sigma(u, v) / gsd) : 1.0;
+      const double prior = square(field.prior_sigma(u, v));
       const double low = 0.4 * prior + changes(u, v) / 16;
       sigma(u, v) = static_cast<float>(gsd * std::sqrt(low + high_frequency_px * slopes(u, v)));
     }

@@ -13,6 +13,6 @@ namespace malus {
 /// uncertain as the curvature of the pixel's own Stokes residuals says (the diagonal approximation of the normal
 /// equations) at the weights of the solution, so that it grows where they fit badly. The shares were calibrated on
 /// rendered stations.
-Image<float> surface_sigma(const RefinementField& field, const Image<float>& prior_sigma, const Context& context);
+Image<float> surface_sigma(const RefinementField& field, const Context& context);
 
 }  // namespace malus
