@@ -142,7 +142,7 @@ void judge(const RefinementField& field, const RefineReport& report, FusedSurfac
   if (last.rejected_steps >= many_rejections * report.tiles) {
     surface.status = "not converged";
     surface.warnings.push_back("The refinement found no better surface than the prior in most of the image.");
-  } else if (last.change_gsd > 0.5) {
+  } else if (last.change_gsd > 1) {
     surface.status = "not converged";
     surface.warnings.push_back("The surface still moved by " + std::to_string(last.change_gsd) +
                                " GSD in the last round; more iterations may help.");

@@ -24,7 +24,7 @@ struct RefineInput {
 };
 
 struct RefineOptions {
-  int iterations = 5;
+  int iterations = 4;
   int steps = 2;
   int tile_px = 256;
   int margin_px = 32;
