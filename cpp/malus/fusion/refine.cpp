@@ -175,7 +175,8 @@ class Refiner {
         report_(report),
         context_(context),
         tiles_(divide_into_tiles(field.size(), options.tile_px, options.margin_px)),
-        rounds_(options.iterations + (options.search ? search_rounds + heal_rounds : 0)) {
+        searches_(options.search && specular_share(field) > 0),
+        rounds_(options.iterations + (searches_ ? search_rounds + heal_rounds : 0)) {
     report_.tiles = static_cast<int>(tiles_.size());
   }
 
@@ -187,7 +188,7 @@ class Refiner {
       const bool regional = i + 2 >= options_.iterations;
       round(std::max(1.0, options_.graduation * std::pow(0.5, i)), true, regional);
     }
-    if (options_.search) search();
+    if (searches_) search();
     const FitQuality quality = update_weights(field_, weights(1, true), context_);
     report_.stokes_cost = quality.robust_cost;
     report_.median_residual = quality.median_residual;
@@ -275,6 +276,7 @@ class Refiner {
   RefineReport& report_;
   const Context& context_;
   std::vector<Tile> tiles_;
+  bool searches_;  ///< only mirrors gain: what a diffuse body's slopes could flip to, its shading contradicts
   int rounds_;
   double lobe_gain_ = 0;
   bool searching_ = false;

@@ -65,7 +65,8 @@ struct RefineOptions {
     visit("smoothness", self.smoothness, not_negative, "weight of the second differences");
     visit("search_sharpening", self.search_sharpening, Range{-10, 10},
           "factor on the prior's detail that the search for a better minimum starts with");
-    visit("search", self.search, any_value, "solve from a second start and keep the better regions of both");
+    visit("search", self.search, any_value,
+          "with specular regions: solve from a second start and keep the better regions of both");
     visit("lobe", self.lobe, any_value, "fit a highlight of a small source in diffuse regions");
     visit("regional_weights", self.regional_weights, any_value, "down-weigh regions that fit badly");
   }
