@@ -32,7 +32,7 @@ double slope_variance(const RefinementField& field, int u, int v) {
 
 Image<float> surface_sigma(const RefinementField& field, const Context& context) {
   constexpr float none = std::numeric_limits<float>::quiet_NaN();
-  constexpr double low_frequency_px = 24, high_frequency_px = 4;
+  constexpr double low_frequency_px = 24, high_frequency_px = 3;
   Image<float> change(field.size(), 1, none), slope(field.size(), 1, none);
   parallel_rows(context, field.size().height, [&](int v) {
     for (int u = 0; u < field.size().width; ++u) {
@@ -49,7 +49,7 @@ Image<float> surface_sigma(const RefinementField& field, const Context& context)
       if (!field.object(u, v)) continue;
       const double gsd = field.depth_of(field.x(u, v)) / field.focal;
       const double prior = square(field.prior_sigma(u, v));
-      const double low = 0.3 * prior + changes(u, v) / 16;
+      const double low = 0.15 * prior + changes(u, v) / 16;
       sigma(u, v) = static_cast<float>(gsd * std::sqrt(low + high_frequency_px * slopes(u, v)));
     }
   });
