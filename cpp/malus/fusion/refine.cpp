@@ -175,7 +175,7 @@ class Refiner {
         report_(report),
         context_(context),
         tiles_(divide_into_tiles(field.size(), options.tile_px, options.margin_px)),
-        searches_(options.search && specular_share(field) > 0),
+        searches_(options.search && specular_share(field) > worthwhile_share),
         rounds_(options.iterations + (searches_ ? search_rounds + heal_rounds : 0)) {
     report_.tiles = static_cast<int>(tiles_.size());
   }
@@ -196,6 +196,7 @@ class Refiner {
   }
 
  private:
+  static constexpr double worthwhile_share = 0.25;  // of specular pixels, for a search
   static constexpr std::array search_widenings{4.0, 2.0, 1.0};
   static constexpr int search_rounds = search_widenings.size(), heal_rounds = 2;
 
