@@ -131,10 +131,9 @@ void weigh_albedo_edges(RefinementField& field, const Image<float>& log_albedo, 
   });
 }
 
-/// Weight of a full block, 1 / GSD. A mirror's slopes hang on its body light, whose error bends the surface over long
-/// distances; a prior that is known well holds it. A poor prior must still hold what would drift without.
-double block_weight(double prior_sigma_gsd, bool specular, const WeightOptions& options) {
-  if (!specular) return options.prior_weight;
+/// Weight of a full block, 1 / GSD. Errors of the reflection model bend the surface over long distances; a prior that
+/// is known well holds it. A poor prior must still hold what would drift without.
+double block_weight(double prior_sigma_gsd, const WeightOptions& options) {
   constexpr double gain_of_mean = 2.4;
   const double most = std::max(options.prior_weight, options.good_prior_weight);
   return std::clamp(gain_of_mean / std::max(prior_sigma_gsd, 1e-6), options.prior_weight, most);
@@ -145,13 +144,12 @@ void weigh_prior_blocks(RefinementField& field, const WeightOptions& options, co
   parallel_rows(context, blocks.height, [&](int row) {
     for (int column = 0; column < blocks.width; ++column) {
       double sum = 0, cos2 = 0, sigma = 0;
-      int count = 0, specular = 0;
+      int count = 0;
       for (int v = row * prior_block_px; v < std::min((row + 1) * prior_block_px, field.size().height); ++v) {
         for (int u = column * prior_block_px; u < std::min((column + 1) * prior_block_px, field.size().width); ++u) {
           if (!field.object(u, v)) continue;
           sum += field.x_prior(u, v);
           sigma += field.prior_sigma(u, v);
-          specular += field.kind_at(u, v) == Reflection::specular;
           cos2 += 1 / (1 + central_slopes(field, u, v).squaredNorm());
           ++count;
         }
@@ -160,8 +158,8 @@ void weigh_prior_blocks(RefinementField& field, const WeightOptions& options, co
       const double fill = static_cast<double>(count) / (prior_block_px * prior_block_px);
       field.block_mean(column, row) = static_cast<float>(sum / count);
       // A point of a cloud is uncertain across the surface; its depth is so by 1 / cos(zenith) more.
-      field.block_weight(column, row) = static_cast<float>(
-          fill * square(block_weight(sigma / count, 2 * specular > count, options)) * std::max(cos2 / count, 0.02));
+      field.block_weight(column, row) =
+          static_cast<float>(fill * square(block_weight(sigma / count, options)) * std::max(cos2 / count, 0.02));
     }
   });
 }

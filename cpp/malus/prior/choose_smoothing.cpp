@@ -54,48 +54,52 @@ class Windows {
   }
 
   /// Robust weights at this smoothing.
-  void reweight(double lambda, int rounds, const Context& context) {
+  void reweight(const SmoothingStrength& strength, int rounds, const Context& context) {
     for (int round = 0; round < rounds; ++round) {
-      solve(lambda, context);
-      std::vector<double> residuals;
+      solve(strength, context);
+      Residuals residuals;
       for (const SmoothingSpline& spline : splines_) spline.append_residuals(residuals);
-      const double spread = std::max(min_spread_gsd, robust_spread(residuals));
+      const ResidualSpread spread = robust_spread(residuals);
       for (SmoothingSpline& spline : splines_) spline.reweight(spread);
     }
   }
 
   /// −2 × restricted log likelihood, up to a constant.
-  double criterion(double lambda, const Context& context) {
-    solve(lambda, context);
+  double criterion(const SmoothingStrength& strength, const Context& context) {
+    solve(strength, context);
     double weight = 0, residual = 0, determinant = 0;
     for (const SmoothingSpline& spline : splines_) {
-      weight += spline.weight_sum() - 3;
+      const double slopes = 2 * spline.slope_weight_sum();
+      weight += spline.weight_sum() + slopes - 3;
       residual += spline.penalized_residual();
-      determinant += spline.log_determinant() - 2 * std::log(lambda) * (static_cast<double>(spline.unknowns()) - 3);
+      determinant +=
+          spline.log_determinant() - 2 * std::log(strength.lambda) * (static_cast<double>(spline.unknowns()) - 3);
+      if (slopes > 0) determinant -= 2 * std::log(strength.kappa) * slopes;
     }
     return weight * std::log(std::max(residual, 1e-30)) + determinant;
   }
 
  private:
-  void solve(double lambda, const Context& context) {
-    parallel_for(context, splines_.size(), 1, [&](std::size_t i, std::size_t) { splines_[i].solve(lambda); });
+  void solve(const SmoothingStrength& strength, const Context& context) {
+    parallel_for(context, splines_.size(), 1,
+                 [&](std::size_t i, std::size_t) { splines_[i].solve(strength.lambda, strength.kappa); });
   }
 
   std::vector<SmoothingSpline> splines_;
 };
 
-/// Minimum over ln λ by steps of `step` downhill from a start, then a parabola through the last three.
-double minimize(Windows& windows, double start, double step, double low, double high, const Context& context) {
+/// Minimum by steps of `step` downhill from a start, then a parabola through the last three.
+template <class Function>
+double minimize(Function&& function, double start, double step, double low, double high) {
   double x = start;
-  double left = windows.criterion(std::exp(x - step), context), centre = windows.criterion(std::exp(x), context),
-         right = windows.criterion(std::exp(x + step), context);
+  double left = function(x - step), centre = function(x), right = function(x + step);
   while (left < centre && x - step > low) {
     x -= step, right = centre, centre = left;
-    left = windows.criterion(std::exp(x - step), context);
+    left = function(x - step);
   }
   while (right < centre && x + step < high) {
     x += step, left = centre, centre = right;
-    right = windows.criterion(std::exp(x + step), context);
+    right = function(x + step);
   }
   const double curvature = left - 2 * centre + right;
   return curvature > 0 ? x + std::clamp(0.5 * (left - right) / curvature, -1.0, 1.0) * step : x;
@@ -110,17 +114,32 @@ double robust_spread(std::vector<double>& absolute_residuals) {
   return 1.4826 * *middle;
 }
 
-double choose_smoothing(const Mask& mask, PixelBox box, std::span<const ViewPoint> points, double spacing_px,
-                        const Context& context) {
+ResidualSpread robust_spread(Residuals& residuals) {
+  // The median length of a plane vector is 1.1774 standard deviations of its coordinates.
+  return {std::max(min_spread_gsd, robust_spread(residuals.heights)),
+          std::max(min_spread_rad, robust_spread(residuals.slopes) / (1.4826 * 1.1774))};
+}
+
+SmoothingStrength choose_smoothing(const Mask& mask, PixelBox box, std::span<const ViewPoint> points, double spacing_px,
+                                   const Context& context) {
   Windows windows(mask, box, points, spacing_px, context);
+  const bool oriented = std::any_of(points.begin(), points.end(), [](const ViewPoint& p) { return p.has_slope(); });
   // λ that smooths over `lengths` spacings.
   const auto log_lambda = [spacing_px](double lengths) { return 2 * std::log(lengths) + std::log(spacing_px); };
-  double x = log_lambda(1.5);
+  // A normal of 0.1 rad beside a point of 1 GSD is usual.
+  double log_l = log_lambda(1.5), log_k = std::log(10);
+  const auto strength = [&](double l, double k) { return SmoothingStrength{std::exp(l), oriented ? std::exp(k) : 0}; };
   for (int round = 0; round < 2; ++round) {
-    windows.reweight(std::exp(x), 4, context);
-    x = minimize(windows, x, round == 0 ? 0.7 : 0.35, log_lambda(0.2), log_lambda(10), context);
+    const double step = round == 0 ? 0.7 : 0.35;
+    windows.reweight(strength(log_l, log_k), 4, context);
+    if (oriented) {
+      log_k = minimize([&](double k) { return windows.criterion(strength(log_l, k), context); }, log_k, step,
+                       std::log(0.01), std::log(1000));
+    }
+    log_l = minimize([&](double l) { return windows.criterion(strength(l, log_k), context); }, log_l, step,
+                     log_lambda(0.2), log_lambda(10));
   }
-  return std::exp(x);
+  return strength(log_l, log_k);
 }
 
 }  // namespace malus

@@ -11,15 +11,25 @@ namespace malus {
 
 /// Below this a spread is rounding, not noise.
 inline constexpr double min_spread_gsd = 0.01;
+inline constexpr double min_spread_rad = 1e-3;
 
 /// 1.4826 × median of absolute residuals, which it reorders.
 double robust_spread(std::vector<double>& absolute_residuals);
 
-/// Smoothing λ of SmoothingSpline for these points by restricted maximum likelihood (Wahba 1985), the noise variance
-/// profiled out:
-///   (Σw − 3) ln Σ w y (y − f) + ln det A(λ) − (n − 3) 2 ln λ → min,
+/// Spread of heights and slopes, at least what is no longer noise.
+ResidualSpread robust_spread(Residuals& residuals);
+
+/// How much a SmoothingSpline smooths.
+struct SmoothingStrength {
+  double lambda = 0;
+  double kappa = 0;  ///< 0 if no point has a slope
+};
+
+/// Smoothing of SmoothingSpline for these points by restricted maximum likelihood (Wahba 1985), the variance of the
+/// heights profiled out:
+///   (Σw + 2 Σw' − 3) ln (penalized residual) + ln det A(λ, κ) − (n − 3) 2 ln λ − 2 Σw' 2 ln κ → min,
 /// summed over a few windows of the raster, after the points have got robust weights.
-double choose_smoothing(const Mask& mask, PixelBox box, std::span<const ViewPoint> points, double spacing_px,
-                        const Context& context);
+SmoothingStrength choose_smoothing(const Mask& mask, PixelBox box, std::span<const ViewPoint> points, double spacing_px,
+                                   const Context& context);
 
 }  // namespace malus

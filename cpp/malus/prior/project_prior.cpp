@@ -47,6 +47,13 @@ void require_points(const VisiblePoints& visible, const PriorOptions& options) {
   throw data_error(message.str());
 }
 
+/// Takes a surface off a point.
+void lower(ViewPoint& point, double height, const Eigen::Vector2d& slope) {
+  point.height -= static_cast<float>(height);
+  point.slope_u -= static_cast<float>(slope.x());
+  point.slope_v -= static_cast<float>(slope.y());
+}
+
 /// Plane in (u, v) that most points follow, by reweighted least squares: the spline models what is left.
 class ReferencePlane {
  public:
@@ -71,6 +78,7 @@ class ReferencePlane {
     }
   }
   double at(double u, double v) const { return plane_[0] + plane_[1] * u + plane_[2] * v; }
+  Eigen::Vector2d slope() const { return plane_.tail<2>(); }
 
  private:
   Eigen::Vector3d plane_;
@@ -120,7 +128,8 @@ struct Surface {
 
 /// How the cloud is smoothed.
 struct Smoothing {
-  double lambda = 0, length_px = 0, cell_px = 0, tension_px = 0, edge_tolerance = 0;
+  SmoothingStrength strength;
+  double length_px = 0, cell_px = 0, tension_px = 0, edge_tolerance = 0;
 };
 
 /// Mean square of a standard normal variable under the weights of SmoothingSpline::reweight(1).
@@ -140,15 +149,15 @@ SplineFit fit_robust(const Mask& mask, PixelBox box, const Smoothing& how, std::
   constexpr double settled = 0.004;
   SmoothingSpline spline(mask, box, how.cell_px, how.tension_px, points, context);
   for (int round = 0; round < max_rounds; ++round) {
-    spline.solve(how.lambda);
+    spline.solve(how.strength.lambda, how.strength.kappa);
     spline.soften_edges(how.edge_tolerance);
-    std::vector<double> residuals;
+    Residuals residuals;
     spline.append_residuals(residuals);
-    if (spline.reweight(std::max(min_spread_gsd, robust_spread(residuals))) < settled) break;
+    if (spline.reweight(robust_spread(residuals)) < settled) break;
   }
-  spline.solve(how.lambda);
-  const double noise2 =
-      spline.penalized_residual() / std::max(spline.weight_sum() - 3, 1.0) / weighted_gaussian_variance;
+  spline.solve(how.strength.lambda, how.strength.kappa);
+  const double data = spline.weight_sum() + 2 * spline.slope_weight_sum();
+  const double noise2 = spline.penalized_residual() / std::max(data - 3, 1.0) / weighted_gaussian_variance;
   Image<float> variance = spline.variance(samples, context.seed, context);
   return {std::move(spline), std::move(variance), std::max(noise2, 0.0)};
 }
@@ -215,12 +224,15 @@ Surface smooth_cloud(std::vector<ViewPoint> points, const Mask& mask, const Smoo
   // Much smoother than the tiles, so that their bending is nearly that of the whole surface.
   Smoothing coarse = how;
   const double widening = std::max(4.0, std::sqrt(unknowns / options.max_unknowns));
-  coarse.lambda *= widening * widening;
+  coarse.strength.lambda *= widening * widening;
   coarse.length_px *= widening;
   coarse.cell_px *= widening;
   {
     const SplineFit whole = fit_robust(mask, box, coarse, points, 0, context);
-    for (ViewPoint& p : points) p.height -= static_cast<float>(whole.spline.evaluate(p.u, p.v));
+    for (ViewPoint& p : points) {
+      const Eigen::Vector2d slope = whole.spline.evaluate_slope(p.u, p.v);
+      lower(p, whole.spline.evaluate(p.u, p.v), slope);
+    }
     parallel_rows(context, box.height(),
                   [&](int row) { whole.spline.evaluate_row(box.v0 + row, surface.height.row(box.v0 + row) + box.u0); });
   }
@@ -262,12 +274,10 @@ Smoothing smoothing_for(const VisiblePoints& visible, const Mask& mask, const Pr
   // λ smooths over (λ² / points a square pixel)^¼ pixels.
   const double spacing_px = visible.spacing_px;
   Smoothing how;
-  how.length_px =
-      options.smoothing_px
-          ? *options.smoothing_px
-          : options.smoothing_scale *
-                std::sqrt(spacing_px * choose_smoothing(mask, bounding_box(mask), visible.points, spacing_px, context));
-  how.lambda = how.length_px * how.length_px / spacing_px;
+  how.strength = choose_smoothing(mask, bounding_box(mask), visible.points, spacing_px, context);
+  how.length_px = options.smoothing_px ? *options.smoothing_px
+                                       : options.smoothing_scale * std::sqrt(spacing_px * how.strength.lambda);
+  how.strength.lambda = how.length_px * how.length_px / spacing_px;
   how.cell_px = std::max(1.0, 0.7 * how.length_px);
   how.tension_px = options.tension_spacings * spacing_px;
   how.edge_tolerance = options.edge_tolerance;
@@ -316,14 +326,17 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
   for (int v = 0; v < mask.height(); ++v) {
     for (int u = 0; u < mask.width(); ++u) {
       if (region(u, v) == 0 || !std::isfinite(prior.depth(u, v))) continue;
-      points.push_back({static_cast<float>(u), static_cast<float>(v),
-                        static_cast<float>(focal * std::log(prior.depth(u, v) / reference))});
+      ViewPoint point;
+      point.u = static_cast<float>(u);
+      point.v = static_cast<float>(v);
+      point.height = static_cast<float>(focal * std::log(prior.depth(u, v) / reference));
+      points.push_back(point);
     }
   }
   const ReferencePlane plane(points);
-  for (ViewPoint& p : points) p.height -= static_cast<float>(plane.at(p.u, p.v));
+  for (ViewPoint& p : points) lower(p, plane.at(p.u, p.v), plane.slope());
   Smoothing how;
-  how.lambda = how.length_px = how.cell_px = 1;
+  how.strength.lambda = how.length_px = how.cell_px = 1;
   how.tension_px = options.tension_spacings;
   how.edge_tolerance = options.edge_tolerance;
   const Surface surface = smooth_cloud(points, region, how, options, context);
@@ -378,7 +391,7 @@ DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const P
       {options.neighbors, options.outlier_tolerance, options.outlier_floor_gsd, options.max_slope_deg}, context);
   require_points(visible, options);
   const ReferencePlane plane(visible.points);
-  for (ViewPoint& p : visible.points) p.height -= static_cast<float>(plane.at(p.u, p.v));
+  for (ViewPoint& p : visible.points) lower(p, plane.at(p.u, p.v), plane.slope());
   context.progress("prior", 0.15, "choosing the smoothing");
   const Smoothing how = smoothing_for(visible, mask, options, context);
   context.progress("prior", 0.3, "smoothing the cloud");

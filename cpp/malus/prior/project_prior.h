@@ -15,8 +15,8 @@ namespace malus {
 /// How a coarse surface becomes a depth map of the station.
 struct PriorOptions {
   std::optional<double> smoothing_px;
-  double smoothing_scale = 1.1;
-  double edge_tolerance = 30;
+  double smoothing_scale = 0.8;
+  double edge_tolerance = 1;
   int neighbors = 16;
   double outlier_tolerance = 4;
   double outlier_floor_gsd = 4;
@@ -33,8 +33,8 @@ struct PriorOptions {
     visit("smoothing_px", self.smoothing_px, Range{0.1, 1000.0},
           "length over which the cloud is smoothed, in px; left out = from the cloud's noise and density");
     visit("smoothing_scale", self.smoothing_scale, Range{0.1, 10},
-          "the estimated smoothing length times this; above 1 because neighboring points share some of their noise");
-    visit("edge_tolerance", self.edge_tolerance, Range{1, 1e12},
+          "the estimated smoothing length times this; below 1 because what is smoothed away is lost to the fusion, noise is not");
+    visit("edge_tolerance", self.edge_tolerance, Range{0.01, 1e12},
           "bending, over what is usual, at which the smoothing gives way to a step or an occluding edge");
     visit("neighbors", self.neighbors, Range{3, 100}, "nearest neighbors a point is compared with, in the view");
     visit("outlier_tolerance", self.outlier_tolerance, Range{1, 100},
@@ -57,7 +57,8 @@ struct PriorOptions {
 
 /// Coarse surface from a point cloud (world frame, unit of the station): its visible points (see visible_points.h),
 /// smoothed by a robust thin-plate spline over the mask (see smoothing_spline.h) in log depth, whose smoothing is the
-/// restricted maximum likelihood estimate from the points' scatter. `mask` has the camera's size; depth and sigma are
+/// restricted maximum likelihood estimate from the points' scatter. A cloud with normals gives the surface's slopes too,
+/// weighted by how well they agree, and every point counts by its distance across the surface. `mask` has the camera's size; depth and sigma are
 /// NaN outside. sigma² is the spline's posterior variance, which grows away from the points, plus the part of the noise
 /// that neighboring points share.
 ///

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
+#include <opencv2/imgproc.hpp>
 #include <random>
 
 #include "malus/core/error.h"
@@ -45,6 +47,10 @@ Eigen::Matrix<double, 9, 9> cell_stiffness(double cell_px, double tension_px) {
   return stiffness;
 }
 
+Eigen::Matrix2d slope_information(const ViewPoint& p) {
+  return (Eigen::Matrix2d() << p.info_uu, p.info_uv, p.info_uv, p.info_vv).finished();
+}
+
 /// Where column (a, b) of the lower triangle keeps the entry of control point (a + da, b + db).
 int slot_of(int da, int db) {
   return db == 0 ? da : 5 * db + da;
@@ -79,8 +85,36 @@ SmoothingSpline::SmoothingSpline(const Mask& mask, PixelBox box, double cell_px,
     if (box.contains(p)) points_[next[cell_of(p.u, p.v)]++] = p;
   }
   weights_.assign(points_.size(), 1.0F);
-  softening_.assign(active_.size(), 1.0F);
+  slope_weights_.resize(points_.size());
+  std::transform(points_.begin(), points_.end(), slope_weights_.begin(),
+                 [](const ViewPoint& p) { return p.has_slope() ? 1.0F : 0.0F; });
+  set_tilt();
+  softening_ = tilt_;
   build_pattern();
+}
+
+void SmoothingSpline::set_tilt() {
+  // Mean cos² of the points around a cell.
+  constexpr double reach_cells = 2;
+  cv::Mat sum(rows_, columns_, CV_32F, cv::Scalar(0)), count(rows_, columns_, CV_32F, cv::Scalar(0));
+  for (std::size_t cell = 0; cell < active_.size(); ++cell) {
+    const int row = static_cast<int>(cell) / columns_, column = static_cast<int>(cell) % columns_;
+    for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
+      if (!points_[i].has_slope()) continue;
+      sum.at<float>(row, column) += points_[i].facing;
+      count.at<float>(row, column) += 1;
+    }
+  }
+  cv::GaussianBlur(sum, sum, {}, reach_cells);
+  cv::GaussianBlur(count, count, {}, reach_cells);
+  tilt_.assign(active_.size(), 1.0F);
+  for (std::size_t cell = 0; cell < active_.size(); ++cell) {
+    const int row = static_cast<int>(cell) / columns_, column = static_cast<int>(cell) % columns_;
+    if (count.at<float>(row, column) < 1e-4F) continue;
+    const float facing = sum.at<float>(row, column) / count.at<float>(row, column);
+    // Curvature of the surface is f'' cos³ θ, an area of it that of its image over cos θ.
+    tilt_[cell] = std::pow(facing, 2.5F);
+  }
 }
 
 std::size_t SmoothingSpline::cell_of(double u, double v) const {
@@ -100,6 +134,22 @@ SmoothingSpline::Basis SmoothingSpline::basis(double u, double v) const {
   return result;
 }
 
+std::array<SmoothingSpline::Basis, 2> SmoothingSpline::slope_basis(double u, double v) const {
+  const double x = (u + 0.5 - box_.u0) / cell_px_, y = (v + 0.5 - box_.v0) / cell_px_;
+  const double tu = x - std::clamp(static_cast<int>(x), 0, columns_ - 1);
+  const double tv = y - std::clamp(static_cast<int>(y), 0, rows_ - 1);
+  const Eigen::Vector3d bu = splines(tu), bv = splines(tv);
+  const Eigen::Vector3d du = spline_slopes(tu) / cell_px_, dv = spline_slopes(tv) / cell_px_;
+  std::array<Basis, 2> result;
+  for (int j = 0; j < 3; ++j) {
+    for (int i = 0; i < 3; ++i) {
+      result[0][static_cast<std::size_t>(3 * j + i)] = du[i] * bv[j];
+      result[1][static_cast<std::size_t>(3 * j + i)] = bu[i] * dv[j];
+    }
+  }
+  return result;
+}
+
 std::array<std::int32_t, 9> SmoothingSpline::cell_unknowns(std::size_t cell) const {
   const std::size_t columns = static_cast<std::size_t>(columns_);
   const std::size_t first = cell / columns * (columns + 2) + cell % columns;
@@ -115,6 +165,11 @@ double SmoothingSpline::value(std::size_t cell, const Basis& weights) const {
   double sum = 0;
   for (std::size_t k = 0; k < 9; ++k) sum += weights[k] * coefficients_[ids[k]];
   return sum;
+}
+
+Eigen::Vector2d SmoothingSpline::slope_residual(const ViewPoint& p, std::size_t cell) const {
+  const auto basis = slope_basis(p.u, p.v);
+  return {p.slope_u - value(cell, basis[0]), p.slope_v - value(cell, basis[1])};
 }
 
 void SmoothingSpline::build_pattern() {
@@ -161,8 +216,9 @@ void SmoothingSpline::build_pattern() {
   coefficients_ = Eigen::VectorXd::Zero(count);
 }
 
-void SmoothingSpline::assemble(double lambda) {
+void SmoothingSpline::assemble(double lambda, double kappa) {
   lambda_ = lambda;
+  kappa_ = kappa;
   double* values = matrix_.valuePtr();
   std::fill(values, values + matrix_.nonZeros(), 0.0);
   for (std::size_t id = 0; id < unknowns_; ++id) values[slots_[13 * id]] = ridge;
@@ -170,9 +226,16 @@ void SmoothingSpline::assemble(double lambda) {
     if (active_[cell] == 0) continue;
     Eigen::Matrix<double, 9, 9> block = softening_[cell] * lambda * lambda * stiffness_;
     for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
-      const Basis b = basis(points_[i].u, points_[i].v);
+      const ViewPoint& p = points_[i];
+      const Basis b = basis(p.u, p.v);
       const Eigen::Map<const Eigen::Matrix<double, 9, 1>> column(b.data());
-      block.noalias() += static_cast<double>(weights_[i]) * column * column.transpose();
+      block.noalias() += static_cast<double>(weights_[i] * p.facing) * column * column.transpose();
+      if (slope_weights_[i] == 0) continue;
+      const auto slopes = slope_basis(p.u, p.v);
+      Eigen::Matrix<double, 9, 2> columns;
+      columns << Eigen::Map<const Eigen::Matrix<double, 9, 1>>(slopes[0].data()),
+          Eigen::Map<const Eigen::Matrix<double, 9, 1>>(slopes[1].data());
+      block.noalias() += columns * (kappa * kappa * slope_weights_[i] * slope_information(p)) * columns.transpose();
     }
     const auto ids = cell_unknowns(cell);
     for (int l = 0; l < 9; ++l) {
@@ -190,8 +253,8 @@ Eigen::VectorXd SmoothingSpline::solved(const Eigen::VectorXd& right) {
   return x;
 }
 
-void SmoothingSpline::solve(double lambda) {
-  assemble(lambda);
+void SmoothingSpline::solve(double lambda, double kappa) {
+  assemble(lambda, kappa);
   if (solver_.factorize(matrix_) != SolveStatus::solved) {
     throw data_error("prior: the smoothing of the points has no unique solution");
   }
@@ -200,15 +263,27 @@ void SmoothingSpline::solve(double lambda) {
     if (cell_start_[cell] == cell_start_[cell + 1]) continue;
     const auto ids = cell_unknowns(cell);
     for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
-      const Basis b = basis(points_[i].u, points_[i].v);
-      for (std::size_t k = 0; k < 9; ++k) right[ids[k]] += static_cast<double>(weights_[i]) * points_[i].height * b[k];
+      const ViewPoint& p = points_[i];
+      const Basis b = basis(p.u, p.v);
+      for (std::size_t k = 0; k < 9; ++k)
+        right[ids[k]] += static_cast<double>(weights_[i] * p.facing) * p.height * b[k];
+      if (slope_weights_[i] == 0) continue;
+      const auto slopes = slope_basis(p.u, p.v);
+      const Eigen::Vector2d weighted =
+          kappa * kappa * slope_weights_[i] * slope_information(p) * Eigen::Vector2d(p.slope_u, p.slope_v);
+      for (std::size_t k = 0; k < 9; ++k) right[ids[k]] += weighted.x() * slopes[0][k] + weighted.y() * slopes[1][k];
     }
   }
   coefficients_ = solved(right);
 }
 
-void SmoothingSpline::append_residuals(std::vector<double>& residuals) const {
-  for (const ViewPoint& p : points_) residuals.push_back(std::abs(p.height - evaluate(p.u, p.v)));
+void SmoothingSpline::append_residuals(Residuals& residuals) const {
+  for (const ViewPoint& p : points_) {
+    residuals.heights.push_back(std::sqrt(p.facing) * std::abs(p.height - evaluate(p.u, p.v)));
+    if (!p.has_slope()) continue;
+    const Eigen::Vector2d r = slope_residual(p, cell_of(p.u, p.v));
+    residuals.slopes.push_back(std::sqrt(std::max(r.dot(slope_information(p) * r), 0.0)));
+  }
 }
 
 void SmoothingSpline::soften_edges(double tolerance) {
@@ -219,7 +294,7 @@ void SmoothingSpline::soften_edges(double tolerance) {
     const auto ids = cell_unknowns(cell);
     Eigen::Matrix<double, 9, 1> x;
     for (std::size_t k = 0; k < 9; ++k) x[static_cast<Eigen::Index>(k)] = coefficients_[ids[k]];
-    energies.push_back(x.dot(stiffness_ * x));
+    energies.push_back(tilt_[cell] * x.dot(stiffness_ * x));
     mean += energies.back();
   }
   if (energies.empty()) return;
@@ -231,39 +306,60 @@ void SmoothingSpline::soften_edges(double tolerance) {
   auto energy = energies.begin();
   for (std::size_t cell = 0; cell < active_.size(); ++cell) {
     if (active_[cell] != 0)
-      softening_[cell] = static_cast<float>(1 / (1 + std::max(*energy++, 0.0) / (tolerance * typical)));
+      softening_[cell] = tilt_[cell] * static_cast<float>(1 / (1 + std::max(*energy++, 0.0) / (tolerance * typical)));
   }
 }
 
-double SmoothingSpline::reweight(double spread) {
+double SmoothingSpline::reweight(const ResidualSpread& spread) {
   double change = 0;
+  std::size_t data = 0;
+  const auto update = [&](float& weight, double squared_ratio) {
+    const float next = static_cast<float>(1 / ((1 + squared_ratio / 4) * (1 + squared_ratio / 4)));
+    change += std::abs(next - weight);
+    weight = next;
+    ++data;
+  };
   for (std::size_t i = 0; i < points_.size(); ++i) {
     const ViewPoint& p = points_[i];
-    const double ratio = (p.height - evaluate(p.u, p.v)) / (2 * spread);
-    const float weight = static_cast<float>(1 / ((1 + ratio * ratio) * (1 + ratio * ratio)));
-    change += std::abs(weight - weights_[i]);
-    weights_[i] = weight;
+    const std::size_t cell = cell_of(p.u, p.v);
+    const double r = p.height - value(cell, basis(p.u, p.v));
+    update(weights_[i], p.facing * r * r / (spread.height * spread.height));
+    if (!p.has_slope()) continue;
+    const Eigen::Vector2d s = slope_residual(p, cell);
+    update(slope_weights_[i], s.dot(slope_information(p) * s) / (spread.slope * spread.slope));
   }
-  return points_.empty() ? 0 : change / static_cast<double>(points_.size());
+  return data == 0 ? 0 : change / static_cast<double>(data);
 }
 
 double SmoothingSpline::weight_sum() const {
-  double sum = 0;
-  for (const float weight : weights_) sum += weight;
-  return sum;
+  return std::accumulate(weights_.begin(), weights_.end(), 0.0);
+}
+
+double SmoothingSpline::slope_weight_sum() const {
+  return std::accumulate(slope_weights_.begin(), slope_weights_.end(), 0.0);
 }
 
 double SmoothingSpline::penalized_residual() const {
   double sum = 0;
   for (std::size_t i = 0; i < points_.size(); ++i) {
     const ViewPoint& p = points_[i];
-    sum += weights_[i] * p.height * (p.height - evaluate(p.u, p.v));
+    const std::size_t cell = cell_of(p.u, p.v);
+    sum += weights_[i] * p.facing * p.height * (p.height - value(cell, basis(p.u, p.v)));
+    if (slope_weights_[i] == 0) continue;
+    sum += kappa_ * kappa_ * slope_weights_[i] *
+           Eigen::Vector2d(p.slope_u, p.slope_v).dot(slope_information(p) * slope_residual(p, cell));
   }
   return sum;
 }
 
 double SmoothingSpline::evaluate(double u, double v) const {
   return value(cell_of(u, v), basis(u, v));
+}
+
+Eigen::Vector2d SmoothingSpline::evaluate_slope(double u, double v) const {
+  const auto basis = slope_basis(u, v);
+  const std::size_t cell = cell_of(u, v);
+  return {value(cell, basis[0]), value(cell, basis[1])};
 }
 
 void SmoothingSpline::evaluate_row(int v, float* out) const {
@@ -298,9 +394,20 @@ Image<float> SmoothingSpline::variance(int samples, std::uint64_t seed, const Co
       for (double& value : noise) value = normal(generator);
       Eigen::Matrix<double, 9, 1> block = std::sqrt(softening_[cell]) * root * noise;
       for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
-        const Basis b = basis(points_[i].u, points_[i].v);
-        const double scaled = std::sqrt(weights_[i]) * normal(generator);
+        const ViewPoint& p = points_[i];
+        const Basis b = basis(p.u, p.v);
+        const double scaled = std::sqrt(weights_[i] * p.facing) * normal(generator);
         for (int k = 0; k < 9; ++k) block[k] += scaled * b[static_cast<std::size_t>(k)];
+        if (slope_weights_[i] == 0) continue;
+        const auto slopes = slope_basis(p.u, p.v);
+        const double across = normal(generator), down = normal(generator);
+        const Eigen::Vector2d drawn = kappa_ * std::sqrt(slope_weights_[i]) *
+                                      slope_information(p).llt().matrixL().toDenseMatrix() *
+                                      Eigen::Vector2d(across, down);
+        for (int k = 0; k < 9; ++k) {
+          const std::size_t at = static_cast<std::size_t>(k);
+          block[k] += drawn.x() * slopes[0][at] + drawn.y() * slopes[1][at];
+        }
       }
       const auto ids = cell_unknowns(cell);
       for (std::size_t k = 0; k < 9; ++k) right[ids[k]] += block[static_cast<Eigen::Index>(k)];

@@ -25,11 +25,23 @@ struct PixelBox {
   }
 };
 
+/// Absolute residuals of heights (GSD) and slopes (rad), as if seen from the front.
+struct Residuals {
+  std::vector<double> heights, slopes;
+};
+
+/// Robust standard deviations of both, of a slope along one axis.
+struct ResidualSpread {
+  double height = 0, slope = 0;
+};
+
 /// Robust thin-plate smoothing spline over the part of a mask inside a box: minimizes
-///   Σ w (height − f(u, v))² + λ² ∫ f_uu² + 2 f_uv² + f_vv² + |∇f|² / tension²
+///   Σ w facing (height − f)² + κ² Σ w' (slope − ∇f)ᵀ info (slope − ∇f) + λ² ∫ f_uu² + 2 f_uv² + f_vv² + |∇f|² /
+///   tension²
 /// over quadratic B-splines f on a lattice of square cells (a conforming discretization with natural boundary; only
-/// cells that touch the mask take part). λ is in px for heights and noise in one unit. The small tension makes f level
-/// out farther than `tension_px` from all points instead of running away along the last slope.
+/// cells that touch the mask take part). λ is in px for heights and noise in one unit; κ is the noise of a point over
+/// that of a normal (see ViewPoint), in GSD / rad. w and w' are robust weights. The small tension makes f level out
+/// farther than `tension_px` from all points instead of running away along the last slope.
 class SmoothingSpline {
  public:
   SmoothingSpline(const Mask& mask, PixelBox box, double cell_px, double tension_px, std::span<const ViewPoint> points,
@@ -38,17 +50,20 @@ class SmoothingSpline {
   std::size_t unknowns() const { return unknowns_; }
   std::size_t points() const { return points_.size(); }
   /// Minimizes with the present weights.
-  void solve(double lambda);
-  /// Weights 1 / (1 + (r / 2 spread)²)² of the present residuals. Returns by how much weights changed in the mean.
-  double reweight(double spread);
+  void solve(double lambda, double kappa);
+  /// Weights 1 / (1 + (r / 2 spread)²)² of the present residuals, of heights by their spread and of slopes by theirs
+  /// (rad). Returns by how much weights changed in the mean.
+  double reweight(const ResidualSpread& spread);
   /// Lets cells give way in which f bends far more than is usual (steps, occluding edges): their λ² is multiplied by
   /// 1 / (1 + energy / (tolerance · typical)), with the energy of the present f and `typical` the geometric mean of its
   /// mean and median over the cells.
   void soften_edges(double tolerance);
-  /// Appends |height − f| of every point.
-  void append_residuals(std::vector<double>& residuals) const;
+  /// Appends the residual of every point, as if seen from the front.
+  void append_residuals(Residuals& residuals) const;
+  /// Sum of the weights of the points and of their slopes, of which each has two coordinates.
   double weight_sum() const;
-  /// Σ w height (height − f), which at the minimum is Σ w (height − f)² + λ² · energy.
+  double slope_weight_sum() const;
+  /// Sum of squares of data and penalty at the minimum, where it is Σ of weight · datum · residual.
   double penalized_residual() const;
   /// ln det of the last normal matrix.
   double log_determinant() const { return solver_.log_determinant(); }
@@ -56,6 +71,7 @@ class SmoothingSpline {
   /// f along one row of the raster, for columns [box.u0, box.u1); not a number outside active cells.
   void evaluate_row(int v, float* out) const;
   double evaluate(double u, double v) const;
+  Eigen::Vector2d evaluate_slope(double u, double v) const;
   /// Variance of f for unit noise variance, one value a cell (columns × rows, 0 where inactive): the posterior of the
   /// last solve by `samples` draws, smoothed over neighbouring cells.
   Image<float> variance(int samples, std::uint64_t seed, const Context& context);
@@ -68,10 +84,14 @@ class SmoothingSpline {
 
   std::size_t cell_of(double u, double v) const;
   Basis basis(double u, double v) const;
+  /// Derivatives of `basis` by u and v.
+  std::array<Basis, 2> slope_basis(double u, double v) const;
   double value(std::size_t cell, const Basis& weights) const;
+  Eigen::Vector2d slope_residual(const ViewPoint& p, std::size_t cell) const;
   std::array<std::int32_t, 9> cell_unknowns(std::size_t cell) const;
+  void set_tilt();
   void build_pattern();
-  void assemble(double lambda);
+  void assemble(double lambda, double kappa);
   Eigen::VectorXd solved(const Eigen::VectorXd& right);
 
   PixelBox box_;
@@ -82,11 +102,12 @@ class SmoothingSpline {
   std::size_t unknowns_ = 0;
   std::vector<ViewPoint> points_;          ///< sorted by cell
   std::vector<std::uint32_t> cell_start_;  ///< of points_, a cell
-  std::vector<float> weights_;
+  std::vector<float> weights_, slope_weights_;
   Eigen::Matrix<double, 9, 9> stiffness_;  ///< of any cell
+  std::vector<float> tilt_;                ///< factor that turns a cell's bending into that of the surface
   std::vector<float> softening_;           ///< factor of λ², a cell
   std::vector<std::int32_t> slots_;        ///< 13 a column: where the lower neighbours' entries are
-  double lambda_ = 0;
+  double lambda_ = 0, kappa_ = 0;
   Eigen::VectorXd coefficients_;
   SymmetricSolver::Matrix matrix_;  ///< lower triangle
   SymmetricSolver solver_;

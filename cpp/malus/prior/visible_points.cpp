@@ -17,6 +17,7 @@ constexpr float same_surface_gsd = 3;
 
 struct ProjectedPoint {
   float u, v, depth;
+  Eigen::Vector3f normal;  ///< in the camera frame; 0 = none
 };
 
 PointCensus& operator+=(PointCensus& a, const PointCensus& b) {
@@ -52,10 +53,17 @@ std::vector<ProjectedPoint> project(const PointCloud& cloud, const Pinhole& came
       } else if (mask(static_cast<int>(std::floor(pixel.x() + 0.5)), static_cast<int>(std::floor(pixel.y() + 0.5))) ==
                  0) {
         ++counted.off_object;
-      } else if (!cloud.normals.empty() && (pose.rotation * cloud.normals[i].cast<double>()).dot(x) > 0) {
-        ++counted.facing_away;
       } else {
-        out.push_back({static_cast<float>(pixel.x()), static_cast<float>(pixel.y()), static_cast<float>(x.z())});
+        Eigen::Vector3d normal = Eigen::Vector3d::Zero();
+        if (!cloud.normals.empty() && cloud.normals[i].allFinite()) {
+          normal = pose.rotation * cloud.normals[i].cast<double>().stableNormalized();
+        }
+        if (normal.dot(x) > 0) {
+          ++counted.facing_away;
+        } else {
+          out.push_back({static_cast<float>(pixel.x()), static_cast<float>(pixel.y()), static_cast<float>(x.z()),
+                         normal.cast<float>()});
+        }
       }
     }
   });
@@ -84,11 +92,34 @@ struct MergedPoint {
   std::uint32_t merged = 0;  ///< points it stands for
 };
 
+/// Gives a point the plane with this normal (camera frame, any length, 0 = none).
+void set_plane(ViewPoint& point, const Eigen::Vector3d& normal, const Pinhole& camera) {
+  const Eigen::Vector3d ray = camera.ray(point.u, point.v);
+  const double along = normal.dot(ray);
+  if (!(along < 0)) return;
+  const double facing = along * along / (normal.squaredNorm() * ray.squaredNorm());
+  // A normal seen this obliquely says nothing of the slope that a float could hold.
+  if (facing < 1e-4) return;
+  // In the plane z (n · ray) is constant.
+  const double focal = camera.focal();
+  const Eigen::Vector2d slope = -focal / along * Eigen::Vector2d(normal.x() / camera.fx, normal.y() / camera.fy);
+  point.slope_u = static_cast<float>(slope.x());
+  point.slope_v = static_cast<float>(slope.y());
+  point.facing = static_cast<float>(facing);
+  const Eigen::Vector2d down = slope.norm() > 0 ? Eigen::Vector2d(slope.normalized()) : Eigen::Vector2d::Zero();
+  const Eigen::Matrix2d info =
+      facing * Eigen::Matrix2d::Identity() + (facing * facing - facing) * down * down.transpose();
+  point.info_uu = static_cast<float>(info(0, 0));
+  point.info_uv = static_cast<float>(info(0, 1));
+  point.info_vv = static_cast<float>(info(1, 1));
+}
+
 /// Points of one pixel and one surface become one: neighbouring points of a dense cloud are hardly independent, and
 /// what follows stays within a few points a pixel.
-std::vector<MergedPoint> merge_pixels(std::vector<ProjectedPoint> points, double reference_depth, double focal,
-                                      int width, const Context& context) {
-  const auto pixel = [width](const ProjectedPoint& p) {
+std::vector<MergedPoint> merge_pixels(std::vector<ProjectedPoint> points, double reference_depth, const Pinhole& camera,
+                                      const Context& context) {
+  const double focal = camera.focal();
+  const auto pixel = [width = camera.size.width](const ProjectedPoint& p) {
     return static_cast<std::int64_t>(std::floor(p.v + 0.5F)) * width +
            static_cast<std::int64_t>(std::floor(p.u + 0.5F));
   };
@@ -102,14 +133,21 @@ std::vector<MergedPoint> merge_pixels(std::vector<ProjectedPoint> points, double
   std::vector<MergedPoint> merged;
   for (std::size_t i = 0; i < points.size();) {
     double u = 0, v = 0, height = 0, previous = 0;
+    Eigen::Vector3d normal = Eigen::Vector3d::Zero();
     std::uint32_t n = 0;
     const std::int64_t here = pixel(points[i]);
     for (; i < points.size() && pixel(points[i]) == here; ++i) {
       const double next = focal * std::log(points[i].depth / reference_depth);
       if (n > 0 && next - previous > same_surface_gsd) break;
       u += points[i].u, v += points[i].v, height += next, previous = next, ++n;
+      normal += points[i].normal.cast<double>();
     }
-    merged.push_back({{static_cast<float>(u / n), static_cast<float>(v / n), static_cast<float>(height / n)}, n});
+    ViewPoint point;
+    point.u = static_cast<float>(u / n);
+    point.v = static_cast<float>(v / n);
+    point.height = static_cast<float>(height / n);
+    set_plane(point, normal, camera);
+    merged.push_back({point, n});
   }
   return merged;
 }
@@ -272,8 +310,7 @@ VisiblePoints visible_points(const PointCloud& cloud, const Pinhole& camera, con
   std::vector<ProjectedPoint> projected = project(cloud, camera, pose, mask, result.census, context);
   if (projected.empty()) return result;
   result.reference_depth = median_depth(projected);
-  std::vector<MergedPoint> points =
-      merge_pixels(std::move(projected), result.reference_depth, camera.focal(), camera.size.width, context);
+  std::vector<MergedPoint> points = merge_pixels(std::move(projected), result.reference_depth, camera, context);
   judge(points, camera.size, options, true, result, context);
   judge(points, camera.size, options, false, result, context);
   result.points.reserve(points.size());

@@ -11,10 +11,19 @@
 
 namespace malus {
 
-/// A point of the surface in the station view.
+/// A point of the surface in the station view, and the plane it lies in where its normal is known.
+///
+/// The noise of a point has no preferred direction, so on a surface that is inclined by θ to the ray its height is
+/// uncertain by 1 / cos θ. The noise of a normal has none either, so its slope is uncertain by 1 / cos² θ down the
+/// slope and by 1 / cos θ across.
 struct ViewPoint {
-  float u = 0, v = 0;  ///< pixel
-  float height = 0;    ///< f · ln(z / reference depth), in GSD, growing away from the camera
+  float u = 0, v = 0;                           ///< pixel
+  float height = 0;                             ///< f · ln(z / reference depth), in GSD, growing away from the camera
+  float slope_u = 0, slope_v = 0;               ///< of the height, a px
+  float facing = 1;                             ///< cos² θ; 1 without a normal
+  float info_uu = 0, info_uv = 0, info_vv = 0;  ///< of the slope, for a normal of unit (rad) noise; 0 without a normal
+
+  bool has_slope() const { return info_uu > 0; }
 };
 
 /// Where the points of a cloud went.
@@ -41,8 +50,8 @@ struct VisibilityOptions {
 /// Points of a cloud (world frame) that the station sees on the object: projected by the collinearity equations
 /// (Eq 12, into the undistorted view), in front of the camera, inside the mask, facing the camera where the cloud has
 /// normals, not hidden behind nearer points around them, and not outliers among their nearest neighbours in the view.
-/// Points of one pixel at the same depth are averaged. Throws an input error for values that are not finite or normals
-/// that do not match the points.
+/// Points of one pixel at the same depth are averaged, with their normals. Throws an input error for values that are
+/// not finite or normals that do not match the points.
 VisiblePoints visible_points(const PointCloud& cloud, const Pinhole& camera, const Pose& pose, const Mask& mask,
                              const VisibilityOptions& options, const Context& context);
 

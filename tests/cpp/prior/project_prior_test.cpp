@@ -131,6 +131,75 @@ TEST(PriorOfCloud, NoisierCloudIsSmoothedMore) {
   EXPECT_GT(coarse, 1.3 * fine);
 }
 
+/// Gives every point its surface's normal, turned by a random angle of this spread.
+void add_normals(PointCloud& cloud, const Depth& depth, double spread_rad) {
+  const Pinhole camera = test_camera();
+  std::mt19937 generator(3);
+  std::normal_distribution<double> turn(0, spread_rad);
+  for (const Eigen::Vector3d& point : cloud.points) {
+    const Eigen::Vector2d at = camera.project(test_pose().cam_from_world(point));
+    const auto position = [&](double du, double dv) {
+      const Eigen::Vector2d pixel = at + Eigen::Vector2d(du, dv);
+      return Eigen::Vector3d(depth(pixel.x(), pixel.y()) * camera.ray(pixel.x(), pixel.y()));
+    };
+    Eigen::Vector3d normal =
+        (position(0, 0.5) - position(0, -0.5)).cross(position(0.5, 0) - position(-0.5, 0)).normalized();
+    normal =
+        (normal + normal.unitOrthogonal() * turn(generator) + normal.cross(normal.unitOrthogonal()) * turn(generator))
+            .normalized();
+    cloud.normals.push_back((test_pose().rotation.transpose() * normal).cast<float>());
+  }
+}
+
+TEST(PriorOfCloud, NormalsSharpenIt) {
+  PointCloud cloud = sample(wavy_depth, 1500, 2);
+  const double without = rms_gsd(project(cloud).depth, wavy_depth);
+  add_normals(cloud, wavy_depth, 0.05);
+  EXPECT_LT(rms_gsd(project(cloud).depth, wavy_depth), 0.6 * without);
+}
+
+TEST(PriorOfCloud, NormalsThatAreWrongAreNotBelieved) {
+  PointCloud cloud = sample(wavy_depth, 1500, 2);
+  const double without = rms_gsd(project(cloud).depth, wavy_depth);
+  add_normals(cloud, wavy_depth, 0.5);
+  EXPECT_LT(rms_gsd(project(cloud).depth, wavy_depth), 1.2 * without);
+}
+
+TEST(PriorOfCloud, SteepPointsCountByTheirDistanceFromTheSurface) {
+  // A sphere to 80° from its middle, whose points are uncertain by as much in every direction.
+  constexpr double radius_px = 44;
+  const Depth sphere = [](double u, double v) {
+    const double r2 = ((u - 60) * (u - 60) + (v - 44) * (v - 44)) / (radius_px * radius_px);
+    return distance_mm - radius_px * gsd_mm * std::sqrt(std::max(1 - r2, 0.03));
+  };
+  const auto shown = [](int u, int v) { return std::hypot(u - 60, v - 44) < 0.97 * radius_px; };
+  Mask mask = full_mask();
+  for (int v = 0; v < mask.height(); ++v) {
+    for (int u = 0; u < mask.width(); ++u) mask(u, v) = shown(u, v);
+  }
+  PointCloud cloud = sample(sphere, 5000, 0);
+  std::erase_if(cloud.points, [&](const Eigen::Vector3d& x) {
+    const Eigen::Vector2d at = test_camera().project(test_pose().cam_from_world(x));
+    return (at - Eigen::Vector2d(60, 44)).norm() > 0.97 * radius_px;
+  });
+  add_normals(cloud, sphere, 0.05);
+  std::mt19937 generator(5);
+  std::normal_distribution<double> noise(0, 1.0 * gsd_mm);
+  for (Eigen::Vector3d& x : cloud.points) x += Eigen::Vector3d(noise(generator), noise(generator), noise(generator));
+  // Across the surface, so that the rim counts like the middle.
+  double sum = 0, count = 0;
+  const DepthPrior prior = project(cloud, {}, mask);
+  for (int v = 0; v < mask.height(); ++v) {
+    for (int u = 0; u < mask.width(); ++u) {
+      if (std::hypot(u - 60, v - 44) > 0.93 * radius_px) continue;
+      const double r2 = ((u - 60) * (u - 60) + (v - 44) * (v - 44)) / (radius_px * radius_px);
+      sum += std::pow((prior.depth(u, v) - sphere(u, v)) / gsd_mm, 2) * (1 - r2);
+      ++count;
+    }
+  }
+  EXPECT_LT(std::sqrt(sum / count), 0.35);
+}
+
 TEST(PriorOfCloud, SigmaGrowsAwayFromThePoints) {
   PointCloud cloud = sample(wavy_depth, 4000, 1);
   std::erase_if(cloud.points,
