@@ -7,6 +7,7 @@
 
 #include "malus/core/depth_normals.h"
 #include "malus/core/parallel.h"
+#include "malus/fusion/coarse_level.h"
 #include "malus/fusion/masked_blur.h"
 #include "malus/fusion/refinement_weights.h"
 #include "malus/fusion/reflection_fit.h"
@@ -105,6 +106,12 @@ FusedSurface surface_of(const RefinementField& field, const DepthPrior& prior, c
   return surface;
 }
 
+/// Side of a square as large as the object [px].
+double object_side(const RefinementField& field) {
+  return std::sqrt(
+      static_cast<double>(std::count_if(field.object.begin(), field.object.end(), [](auto m) { return m != 0; })));
+}
+
 /// Label and weight of every pixel's polarization, as images.
 void report_pixels(const RefinementField& field, RefineReport& report) {
   report.specular_share = specular_share(field);
@@ -166,33 +173,56 @@ void judge(const RefinementField& field, const RefineReport& report, FusedSurfac
   }
 }
 
-/// Runs rounds of: fit what all pixels share, weigh the residuals, solve.
+/// Part of the progress, 0 … 1.
+struct ProgressRange {
+  double begin = 0, end = 1;
+};
+
+/// Runs rounds of: fit what all pixels share, weigh the residuals, solve. On large images first at half the resolution.
 class Refiner {
  public:
-  Refiner(RefinementField& field, const RefineOptions& options, RefineReport& report, const Context& context)
+  Refiner(RefinementField& field, const RefineOptions& options, RefineReport& report, const Context& context,
+          ProgressRange range = {}, int binning = 1)
       : field_(field),
         options_(options),
         report_(report),
         context_(context),
+        range_(range),
+        binning_(binning),
         tiles_(divide_into_tiles(field.size(), options.tile_px, options.margin_px)),
-        searches_(options.search && specular_share(field) > worthwhile_share),
-        rounds_(options.iterations + (searches_ ? search_rounds + heal_rounds : 0)) {
-    report_.tiles = static_cast<int>(tiles_.size());
-  }
+        mirrors_(specular_share(field) > worthwhile_share),
+        searches_(options.search && mirrors_) {}
 
-  /// estimate_index: the refractive index is not known.
-  void run(bool estimate_index) {
-    constexpr int rounds_with_estimate = 3;
-    for (int i = 0; i < options_.iterations; ++i) {
-      if (estimate_index && i < rounds_with_estimate) estimate_refractive_index();
-      const bool regional = i + 2 >= options_.iterations;
-      round(std::max(1.0, options_.graduation * std::pow(0.5, i)), true, regional);
+  /// estimate_index: the refractive index is not known. Returns what the solver took.
+  SolveStatistics run(bool estimate_index) {
+    // The search for other minima takes most of the time, and what it finds is larger than a few pixels.
+    const bool coarse_first = searches_ && object_side(field_) >= 2 * options_.coarsest_px;
+    if (coarse_first) {
+      const double share = 0.4;
+      const ProgressRange coarse_range{range_.begin, range_.begin + share * (range_.end - range_.begin)};
+      RefinementField coarse = coarsened(field_, context_);
+      total_ += Refiner(coarse, options_, report_, context_, coarse_range, 2 * binning_).run(estimate_index);
+      take_over(field_, coarse, context_);
+      range_.begin = coarse_range.end;
+      rounds_ = options_.fine_iterations;
+      for (int i = 0; i < rounds_; ++i) round(1, true, true);
+    } else {
+      constexpr int rounds_with_estimate = 3;
+      const int first_rounds = options_.iterations + (mirrors_ ? 1 : 0);  // a graduated start needs one more
+      rounds_ = first_rounds + (searches_ ? search_rounds + heal_rounds : 0);
+      for (int i = 0; i < first_rounds; ++i) {
+        if (estimate_index && i < rounds_with_estimate) estimate_refractive_index();
+        const bool regional = i + 2 >= first_rounds;
+        round(std::max(1.0, options_.graduation * std::pow(0.5, i)), true, regional);
+      }
+      if (searches_) search();
     }
-    if (searches_) search();
     const FitQuality quality = update_weights(field_, weights(1, true), context_);
+    report_.tiles = static_cast<int>(tiles_.size());
     report_.stokes_cost = quality.robust_cost;
     report_.median_residual = quality.median_residual;
     report_.linear_solver_share = total_.linear_solver_seconds / std::max(total_.solver_seconds, 1e-9);
+    return total_;
   }
 
  private:
@@ -206,9 +236,10 @@ class Refiner {
     weights.specular_widening = widening;
     weights.relative_error = options_.relative_error;
     weights.slope_error = options_.slope_error;
-    weights.prior_weight = options_.prior_weight;
-    weights.good_prior_weight = options_.good_prior_weight;
-    weights.prior_robust_gsd = options_.prior_robust_gsd;
+    // In a larger GSD the same distance from the prior is a smaller number.
+    weights.prior_weight = binning_ * options_.prior_weight;
+    weights.good_prior_weight = binning_ * options_.good_prior_weight;
+    weights.prior_robust_gsd = options_.prior_robust_gsd / binning_;
     weights.albedo_weight = options_.albedo_weight;
     weights.albedo_contrast = options_.albedo_contrast;
     // Regions that fit badly are shadows or highlights, where there is a source that casts them.
@@ -236,11 +267,12 @@ class Refiner {
     // The shared parameters come from the prior's slopes at first: no far step with them.
     constexpr std::size_t careful_rounds = 2;
     const int steps = report_.iterations.size() < careful_rounds ? 1 : options_.steps;
-    const TileOptions solve{steps, options_.smoothness, options_.prior_robust_gsd};
-    const double done = static_cast<double>(report_.iterations.size()) / rounds_;
-    const SolveStatistics solved = solve_tiles(field_, tiles_, solve, done, done + 1.0 / rounds_, context_);
+    const TileOptions solve{steps, options_.smoothness, options_.prior_robust_gsd / binning_};
+    const auto progress = [&](int done) { return range_.begin + (range_.end - range_.begin) * done / rounds_; };
+    const SolveStatistics solved = solve_tiles(field_, tiles_, solve, progress(done_), progress(done_ + 1), context_);
+    ++done_;
     total_ += solved;
-    report_.iterations.push_back({searching_, solved.cost_before, solved.cost_after, quality.robust_cost,
+    report_.iterations.push_back({binning_, searching_, solved.cost_before, solved.cost_after, quality.robust_cost,
                                   quality.median_residual, rms_change(field_.x, before, field_.object),
                                   solved.rejected_steps, seconds_since(start)});
   }
@@ -276,9 +308,12 @@ class Refiner {
   const RefineOptions& options_;
   RefineReport& report_;
   const Context& context_;
+  ProgressRange range_;
+  int binning_;  ///< pixels of the image along a side of one of the field's
   std::vector<Tile> tiles_;
+  bool mirrors_;
   bool searches_;  ///< only mirrors gain: what a diffuse body's slopes could flip to, its shading contradicts
-  int rounds_;
+  int rounds_ = 1, done_ = 0;
   double lobe_gain_ = 0;
   bool searching_ = false;
   SolveStatistics total_;

@@ -24,8 +24,10 @@ struct RefineInput {
 };
 
 struct RefineOptions {
-  int iterations = 4;
+  int iterations = 3;
+  int fine_iterations = 2;
   int steps = 2;
+  double coarsest_px = 100;
   int tile_px = 256;
   int margin_px = 32;
   double robust_scale = 2.5;
@@ -46,6 +48,10 @@ struct RefineOptions {
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
     visit("iterations", self.iterations, Range{1, 50}, "rounds of: fit reflection, weigh residuals, solve");
+    visit("fine_iterations", self.fine_iterations, Range{1, 50}, "such rounds after those at half the resolution");
+    visit("coarsest_px", self.coarsest_px, Range{16, 1e9},
+          "where a search is worth it, objects are refined at half the resolution first, down to this width and "
+          "height, in px");
     visit("steps", self.steps, Range{1, 50}, "Gauss-Newton steps of each solve after the first two, which take one");
     visit("tile_px", self.tile_px, Range{64, 4096}, "largest side of a tile's core");
     visit("margin_px", self.margin_px, Range{16, 512}, "overlap of a tile with its neighbours");
@@ -74,6 +80,7 @@ struct RefineOptions {
 
 /// One round of the refinement.
 struct RefineIteration {
+  int binning = 1;                         ///< 2 = at half the resolution, and so on
   bool search = false;                     ///< on the way to a second solution, not to the result
   double cost_before = 0, cost_after = 0;  ///< of the solve, summed over tiles
   double stokes_cost = 0;                  ///< mean of ln(1 + r² / 4) over usable pixels, before the solve

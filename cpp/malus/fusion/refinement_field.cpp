@@ -58,12 +58,17 @@ RefinementField make_field(const PolarizationState& state, const DepthPrior& pri
     }
   });
   field.x_prior = field.x;
+  prepare_weights(field);
+  return field;
+}
+
+void prepare_weights(RefinementField& field) {
+  const Size size = field.size();
   field.stokes_precision = field.edge_weight_right = field.edge_weight_down = Image<float>(size);
   field.mirror_body = Image<float>(size);
   field.regional_weight = Image<float>(size, 1, 1.0f);
   field.log_body = Image<float>(size, 1, none);
   field.block_weight = field.block_mean = Image<float>(field.block_count());
-  return field;
 }
 
 Eigen::Vector2d central_gradient(const RefinementField& field, int u, int v) {

@@ -63,6 +63,9 @@ struct RefinementField {
 /// if the sizes differ, a data error if no pixel is left.
 RefinementField make_field(const PolarizationState& state, const DepthPrior& prior, const Context& context);
 
+/// Makes the rasters that are recomputed before each solve.
+void prepare_weights(RefinementField& field);
+
 /// Gradient of x by central differences, one-sided where only one neighbour is on the object, 0 where none is.
 Eigen::Vector2d central_gradient(const RefinementField& field, int u, int v);
 

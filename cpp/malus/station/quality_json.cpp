@@ -7,7 +7,8 @@ Json refine_report_json(const RefineReport& report) {
   const ReflectionModel& model = report.reflection;
   Json iterations = Json::array();
   for (const RefineIteration& i : report.iterations) {
-    iterations.push_back({{"cost_before", i.cost_before},
+    iterations.push_back({{"binning", i.binning},
+                          {"cost_before", i.cost_before},
                           {"cost_after", i.cost_after},
                           {"stokes_cost", i.stokes_cost},
                           {"median_residual", i.median_residual},

@@ -43,7 +43,7 @@ TEST(Refine, FindsTheBumpsOfADiffuseSurface) {
   EXPECT_EQ(result.report.specular_share, 0);
   EXPECT_EQ(result.surface.method, "refined");
   EXPECT_EQ(result.surface.status, "converged");
-  EXPECT_EQ(result.report.iterations.size(), 4u);
+  EXPECT_EQ(result.report.iterations.size(), 3u);
 }
 
 TEST(Refine, FindsTheBumpsOfASpecularSurface) {

@@ -1,0 +1,79 @@
+#include "malus/fusion/coarse_level.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "malus/fusion/refine.h"
+#include "synthetic_station.h"
+
+namespace malus {
+namespace {
+
+SyntheticStation station_of(Size size) {
+  SyntheticOptions options;
+  options.size = size;
+  return make_station(options);
+}
+
+TEST(CoarseLevel, SeesTheSameSurfaceInALargerGsd) {
+  SyntheticStation station = station_of({61, 48});
+  station.state.valid(20, 10) = static_cast<std::uint8_t>(PixelState::saturated);
+  station.state.valid(30, 30) = static_cast<std::uint8_t>(PixelState::outside);
+  const RefinementField fine = make_field(station.state, station.prior, Context{});
+  const RefinementField coarse = coarsened(fine, Context{});
+  ASSERT_EQ(coarse.size(), (Size{31, 24}));
+  // The middle of four pixels lies on the ray of the coarse one, at the same depth and with the same slope.
+  EXPECT_LT((coarse.camera.ray(7, 9) - fine.camera.ray(14.5, 18.5)).norm(), 1e-12);
+  double depth = 0;
+  for (int k = 0; k < 4; ++k) depth += fine.depth_of(fine.x(14 + k % 2, 18 + k / 2)) / 4;
+  EXPECT_NEAR(coarse.depth_of(coarse.x(7, 9)), depth, 1e-4);
+  EXPECT_NEAR(coarse.x(8, 9) - coarse.x(7, 9), fine.x(16, 18) - fine.x(15, 18), 0.05);
+  EXPECT_NEAR(coarse.prior_sigma(7, 9), fine.prior_sigma(14, 18) / 2, 1e-3);
+  EXPECT_NEAR(coarse.variance(7, 9), fine.variance(14, 18) / 4, 0.01 * fine.variance(14, 18));
+  EXPECT_NEAR(coarse.variance(10, 5), fine.variance(20, 11) / 3, 0.01 * fine.variance(20, 11));
+  EXPECT_NE(coarse.object(15, 15), 0);
+}
+
+TEST(CoarseLevel, ItsChangeIsTakenOver) {
+  SyntheticStation station = station_of({60, 48});
+  for (int v = 0; v < 48; ++v) {
+    for (int u = 0; u < 11; ++u) station.state.valid(u, v) = static_cast<std::uint8_t>(PixelState::outside);
+  }
+  RefinementField fine = make_field(station.state, station.prior, Context{});
+  RefinementField coarse = coarsened(fine, Context{});
+  // 0.2 GSD a pixel along u, −0.1 along v.
+  const auto change = [](double u, double v) { return 3 + 0.2 * u - 0.1 * v; };
+  for (int row = 0; row < coarse.size().height; ++row) {
+    for (int column = 0; column < coarse.size().width; ++column) {
+      coarse.x(column, row) += change(2 * column + 0.5, 2 * row + 0.5) / 2;
+    }
+  }
+  coarse.reflection.mirror.body = 0.3;
+  const Image<double> before = fine.x;
+  take_over(fine, coarse, Context{});
+  EXPECT_EQ(fine.reflection.mirror.body, 0.3);
+  for (int v = 2; v < 46; ++v) {
+    for (int u = 14; u < 58; ++u) ASSERT_NEAR(fine.x(u, v) - before(u, v), change(u, v), 1e-9) << u << " " << v;
+  }
+  EXPECT_NEAR(fine.x(11, 20) - before(11, 20), change(11, 20), 0.35);
+  EXPECT_TRUE(std::isnan(fine.x(5, 20)));
+}
+
+TEST(CoarseLevel, LeadsToTheSurfaceThatOneLevelFinds) {
+  SyntheticOptions scene;
+  scene.size = {96, 80};
+  scene.kind = Reflection::specular;
+  scene.model.mirror = {0.12, 13};
+  const SyntheticStation station = make_station(scene);
+  RefineOptions options;
+  options.coarsest_px = 30;
+  const RefineResult result = refine(station.state, station.prior, {}, options, Context{});
+  EXPECT_EQ(result.report.iterations.front().binning, 2);
+  EXPECT_EQ(result.report.iterations.back().binning, 1);
+  EXPECT_LT(rms_error_gsd(result.surface.depth, station.truth, station.prior.camera),
+            0.3 * rms_error_gsd(station.prior.depth, station.truth, station.prior.camera));
+}
+
+}  // namespace
+}  // namespace malus
