@@ -10,6 +10,10 @@ void bind_io(py::module_& module) {
     RawImage image = read_image(path);
     return to_array(std::move(image.pixels));
   });
+  module.def("write_float_tiff",
+             [](const std::string& path, const Array<float>& image) { write_float_tiff(path, to_image(image)); });
+  module.def("write_png16",
+             [](const std::string& path, const Array<std::uint16_t>& image) { write_png16(path, to_image(image)); });
 }
 
 }  // namespace malus::python
