@@ -186,9 +186,7 @@ def write_dem(
     unit: str,
     name: str,
 ) -> None: ...
-def write_ply(
-    path: str, vertices: Float64, normals: Float32, colors: Bytes, triangles: NDArray[np.uint32]
-) -> None: ...
+def write_ply(path: str, vertices: Float64, normals: Float32, colors: Bytes, triangles: NDArray[np.uint32]) -> None: ...
 def write_glb(
     path: str,
     vertices: Float64,

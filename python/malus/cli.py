@@ -12,6 +12,7 @@ from pathlib import Path
 import malus
 from malus.demo import example_station
 from malus.errors import InputError, MalusError
+from malus.exports import FORMATS, MESHES
 from malus.progress import BarProgress, JsonProgress, ProgressView
 from malus.reconstruction import STEPS
 
@@ -73,6 +74,13 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--reference", type=Path, metavar="SCAN.ply", help="compare with this cloud or mesh")
     report = add("report", "rebuild the report of a workspace", station=False, work=False)
     report.add_argument("work", type=Path, metavar="WORK")
+    view = add("view", "open the report of a workspace in the web browser", station=False, work=False)
+    view.add_argument("work", type=Path, metavar="WORK")
+    export = add("export", "write the surface of a workspace for another program", station=False, work=False)
+    export.add_argument("work", type=Path, metavar="WORK")
+    export.add_argument("--format", choices=list(FORMATS), required=True, help="what to write")
+    export.add_argument("--faces", type=int, metavar="N", help=f"at most N triangles ({', '.join(MESHES)})")
+    export.add_argument("-o", "--output", type=Path, metavar="PATH", help="default: in WORK/export/")
     options = commands.add_parser("options", help="list every option with its default and meaning")
     options.set_defaults(json=False, quiet=False)
     return parser
@@ -152,6 +160,10 @@ def _run(arguments: Sequence[str] | None) -> None:
         _check(args)
     elif args.command == "report":
         print(malus.write_report(args.work))
+    elif args.command == "view":
+        print(malus.open_report(args.work))
+    elif args.command == "export":
+        print(malus.export(args.work, args.format, args.output, faces=args.faces, threads=args.threads))
     elif args.command == "demo":
         _reconstruct(args, example_station(), None)
     else:

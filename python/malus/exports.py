@@ -70,9 +70,7 @@ class Exporter:
 
     def mesh(self) -> Mesh:
         """The surface at full size, as in fused/surface.ply."""
-        return mesh_from_depth(
-            self.surface, color=self.workspace.color(), options=self.options, threads=self.threads
-        )
+        return mesh_from_depth(self.surface, color=self.workspace.color(), options=self.options, threads=self.threads)
 
     def pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Where world points (…×3) are seen in the station's image, …×2."""
@@ -86,7 +84,10 @@ class Exporter:
         normal = sample(normals, self.pixels(points)) @ self.rotation
         length = np.linalg.norm(normal, axis=-1, keepdims=True)
         # Where there is no normal the surface faces the camera.
-        return np.where(length > 0.1, normal / np.maximum(length, 0.1), -self.rotation[2]).astype(np.float32)
+        unit: NDArray[np.float32] = np.where(length > 0.1, normal / np.maximum(length, 0.1), -self.rotation[2]).astype(
+            np.float32
+        )
+        return unit
 
     def simplified(self, faces: int | None) -> Mesh:
         """The surface with at most `faces` triangles (quadric error metric); normals and colours from the full rasters."""
@@ -207,7 +208,14 @@ def _write_e57(exporter: Exporter, path: Path, faces: int | None) -> None:
     cloud, _ = exporter.cloud()
     x, y, z = (cloud.vertices * METRES[exporter.unit]).T
     red, green, blue = cloud.colors.T
-    values = {"cartesianX": x, "cartesianY": y, "cartesianZ": z, "colorRed": red, "colorGreen": green, "colorBlue": blue}
+    values = {
+        "cartesianX": x,
+        "cartesianY": y,
+        "cartesianZ": z,
+        "colorRed": red,
+        "colorGreen": green,
+        "colorBlue": blue,
+    }
     with replacing(path) as temporary:
         file = library.E57(str(temporary), mode="w")
         file.write_scan_raw({key: np.ascontiguousarray(value) for key, value in values.items()}, name=exporter.name)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import LightSource
+from matplotlib.colors import Colormap, LightSource, ListedColormap
 from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 from PIL import Image
@@ -59,7 +59,9 @@ class Figure:
 def encode(picture: NDArray[np.uint8], kind: str, **options: Any) -> bytes:
     """Image file of a picture H×W, H×W×2 (grey, alpha), H×W×3 or H×W×4."""
     mode = "LA" if picture.ndim == 3 and picture.shape[2] == 2 else None
-    image = Image.fromarray(np.ascontiguousarray(picture), mode) if mode else Image.fromarray(np.ascontiguousarray(picture))
+    image = (
+        Image.fromarray(np.ascontiguousarray(picture), mode) if mode else Image.fromarray(np.ascontiguousarray(picture))
+    )
     buffer = io.BytesIO()
     image.save(buffer, kind, **options)
     return buffer.getvalue()
@@ -115,8 +117,8 @@ def grey(shade: Raster) -> NDArray[np.uint8]:
 def _draw(drawing: Drawing) -> NDArray[np.uint8]:
     drawing.set_dpi(_DPI)
     canvas = FigureCanvasAgg(drawing)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+    canvas.draw()  # type: ignore[no-untyped-call]
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
 
 
 def _style(axes: Any) -> None:
@@ -134,7 +136,7 @@ class _Map:
     name: str
     title: str
     caption: str
-    cmap: str
+    cmap: str | Colormap
     label: str = ""
     limits: tuple[float, float] | None = None
     ticks: Mapping[float, str] | None = None
@@ -196,14 +198,16 @@ class Plates:
         if bar_height:
             bar_axes = drawing.add_axes((0.2, bar_height * 0.66, 0.6, bar_height * 0.2))
             bar = drawing.colorbar(picture, cax=bar_axes, orientation="horizontal")
-            bar.outline.set_linewidth(0.4)  # type: ignore[operator]
+            bar.outline.set_linewidth(0.4)
             bar_axes.tick_params(labelsize=8, length=2)
             if how.ticks:
                 bar.set_ticks(list(how.ticks), labels=list(how.ticks.values()))
             if how.label:
                 bar_axes.text(1.02, 0.5, how.label, transform=bar_axes.transAxes, fontsize=8, va="center")
         summary: list[Any] = [how.title, how.label, finite.size, finite.mean() if finite.size else None]
-        summary += [float(p) for p in np.percentile(finite, _PERCENTILES)] if finite.size else [None] * len(_PERCENTILES)
+        summary += (
+            [float(p) for p in np.percentile(finite, _PERCENTILES)] if finite.size else [None] * len(_PERCENTILES)
+        )
         return Figure(
             how.name,
             how.title,
@@ -254,7 +258,13 @@ class Plates:
         )
         yield self._map(
             self.raster(folder + "degree.tif"),
-            _Map("degree", "Degree of linear polarization", "Amplitude of the fitted sinusoid over its mean.", "viridis", "ρ"),
+            _Map(
+                "degree",
+                "Degree of linear polarization",
+                "Amplitude of the fitted sinusoid over its mean.",
+                "viridis",
+                "ρ",
+            ),
         )
         yield self._map(
             np.degrees(self.thinned(folder + "phase.tif")),
@@ -279,7 +289,7 @@ class Plates:
             np.where(labels > 0, labels, np.nan).astype(np.float32),
             _Map(
                 "reflection", "Kind of reflection", "Which reflection dominates the polarization of a pixel.",
-                "cividis", limits=(1, 2), ticks={1.0: "diffuse", 2.0: "specular"},
+                ListedColormap(["#3a7ca5", "#e0a13b"]), limits=(0.5, 2.5), ticks={1.0: "diffuse", 2.0: "specular"},
             ),
         )  # fmt: skip
 
@@ -288,7 +298,13 @@ class Plates:
         raster = self.raster("height/height.tif")
         yield self._map(
             raster,
-            _Map("polarization_height", "Height from polarization alone", "In pixels, before any fusion.", "viridis", "GSD"),
+            _Map(
+                "polarization_height",
+                "Height from polarization alone",
+                "In pixels, before any fusion.",
+                "viridis",
+                "GSD",
+            ),
         )
         yield self._map(
             hillshade(flattened(-raster), float(self.step)),
@@ -299,7 +315,9 @@ class Plates:
         """One standard deviation of the fused depth, and what fusion changed."""
         yield self._map(
             self.raster("fused/sigma.tif"),
-            _Map("sigma", "Standard deviation of the fused depth", "One σ, along the optical axis.", "viridis", self.unit),
+            _Map(
+                "sigma", "Standard deviation of the fused depth", "One σ, along the optical axis.", "viridis", self.unit
+            ),
         )
         difference = self.raster("fused/depth.tif") - self.raster("prior/depth.tif")
         spread = float(np.nanpercentile(np.abs(difference), 98)) or 1.0
@@ -313,7 +331,14 @@ class Plates:
         if self.workspace.has("fused/confidence.png"):
             yield self._map(
                 self.raster("fused/confidence.png") / np.float32(255),
-                _Map("confidence", "Weight of polarization", "1: the pixel's polarization was believed.", "gray", "", (0, 1)),
+                _Map(
+                    "confidence",
+                    "Weight of polarization",
+                    "1: the pixel's polarization was believed.",
+                    "gray",
+                    "",
+                    (0, 1),
+                ),
             )
 
     def reference(self) -> Iterator[Figure]:
@@ -329,7 +354,11 @@ class Plates:
             raster, _Map("reference_distance", "Distance to the reference", caption, "RdBu", "GSD", (-spread, spread))
         )
         yield self._histogram(
-            "reference_histogram", "Distances to the reference", "distance [GSD]", {"fused": reference["histogram_gsd"]}, {}
+            "reference_histogram",
+            "Distances to the reference",
+            "distance [GSD]",
+            {"fused": reference["histogram_gsd"]},
+            {},
         )
 
     # ---- plots ----
@@ -363,23 +392,30 @@ class Plates:
     def profiles(self) -> Iterator[Figure]:
         """Sections through prior, polarization height and fused surface (Fig. 12 and 13)."""
         for number, profile in enumerate(self.quality["profiles"], 1):
-            drawing = Drawing(figsize=(9.6, 3.1), layout="constrained")
-            axes = drawing.subplots()
+            drawing = Drawing(figsize=(9.6, 4.2), layout="constrained")
+            above, below = drawing.subplots(2, 1, sharex=True, height_ratios=(5, 2))
             along = _values(profile["position"])
             present = [name for name in COLORS if profile[name]]
             for name in present:
-                axes.plot(
+                above.plot(
                     along, _values(profile[name]), color=COLORS[name], lw=1.5 if name == "fused" else 1.1, label=name
                 )
-            axes.set_xlabel(f"along the profile [{self.unit}]", fontsize=9)
-            axes.set_ylabel(f"height [{self.unit}]", fontsize=9)
-            axes.margins(x=0.01)
-            _style(axes)
-            axes.legend(fontsize=8, frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
+            above.set_ylabel(f"height [{self.unit}]", fontsize=9)
+            above.margins(x=0.01)
+            above.legend(fontsize=8, frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
+            if profile["prior"] and profile["fused"]:
+                difference = (_values(profile["fused"]) - _values(profile["prior"])) / self.gsd
+                below.fill_between(along, difference, color=COLORS["fused"], alpha=0.25, lw=0)
+                below.plot(along, difference, color=COLORS["fused"], lw=0.9)
+            below.set_ylabel("fused − prior\n[GSD]", fontsize=9)
+            below.set_xlabel(f"along the profile [{self.unit}]", fontsize=9)
+            for axes in (above, below):
+                _style(axes)
             columns = [profile["position"], *(profile[name] for name in present)]
             yield Figure(
                 f"profile_{number}", f"Profile {profile['name']}",
-                "Height above the chord of the fused section, towards the camera; polarization alone has no absolute height.",
+                "Height above the chord of the fused section, towards the camera; polarization alone has no absolute height. "
+                "Below, what fusion changed.",
                 _draw(drawing), [f"position_{self.unit}", *(f"{name}_{self.unit}" for name in present)],
                 list(zip(*columns, strict=True)),
             )  # fmt: skip
@@ -409,7 +445,12 @@ class Plates:
         if notes:
             axes.legend(fontsize=8, frameon=False)
         rows = [
-            [surface, histogram["low"] + k * histogram["bin_width"], histogram["low"] + (k + 1) * histogram["bin_width"], n]
+            [
+                surface,
+                histogram["low"] + k * histogram["bin_width"],
+                histogram["low"] + (k + 1) * histogram["bin_width"],
+                n,
+            ]
             for surface, histogram in bins.items()
             for k, n in enumerate(histogram["counts"])
         ]

@@ -26,6 +26,7 @@ MESH_TRIANGLES = 80000
 #: Whole number that stands for 1 in a normal; 4096 steps are 0.03 degrees.
 _NORMAL_SCALE = 2047
 _QUALITY = 88
+_MIDDLE_GREY = 0.42
 
 
 def base64_text(content: bytes) -> str:
@@ -65,9 +66,7 @@ def _object_window(depth: Raster) -> _Window:
     known = np.isfinite(depth)
     rows, columns = np.nonzero(known.any(1))[0], np.nonzero(known.any(0))[0]
     extent = (rows[-1] + 1 - rows[0], columns[-1] + 1 - columns[0])
-    return _Window(
-        slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1), step_for(extent, NORMALS_SIDE_PX)
-    )
+    return _Window(slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1), step_for(extent, NORMALS_SIDE_PX))
 
 
 def _normals_of(normals: Raster, window: _Window) -> NDArray[np.float64]:
@@ -122,12 +121,15 @@ def relighting(workspace: Workspace) -> dict[str, Any]:
     flat = np.where(known, 1.0, np.nan).astype(np.float32)
     display = _core.display_image(albedo(picture, fused).astype(np.float32), flat, 99.0)
     mask = np.where(known, 255, 0).astype(np.uint8)
+    linear = (display[known].mean(-1) / 255) ** 2.2
     slopes = fused[known][:, :2] / np.maximum(fused[known][:, 2:], 0.05)
     return {
         "width": width,
         "height": height,
         "step": window.step,
         "scale": _NORMAL_SCALE,
+        # What makes the middle of the object mid-grey under the first light.
+        "brightness": float(np.clip(_MIDDLE_GREY / max(float(np.median(linear)), 1e-3), 0.3, 3)),
         "mean_slope": [float(x) for x in np.median(slopes, axis=0)],
         "fused": _packed_normals(fused),
         "prior": _packed_normals(prior),

@@ -64,7 +64,9 @@ class Workspace:
 
     def color(self) -> Raster:
         """Linear image of the object without polarization, H×W×3 if it was taken in colour, else H×W."""
-        return self.raster("polarization/color.tif" if self.has("polarization/color.tif") else "polarization/unpolarized.tif")
+        return self.raster(
+            "polarization/color.tif" if self.has("polarization/color.tif") else "polarization/unpolarized.tif"
+        )
 
     @cached_property
     def _fused_notes(self) -> dict[str, Any]:
@@ -89,8 +91,9 @@ class Workspace:
 
     def surface(self) -> FusedSurface:
         """The fused surface."""
-        names = ("fused/depth.tif", "fused/normals.tif", "fused/sigma.tif")
-        return FusedSurface(*(self.raster(name) for name in names), self.camera, *self.pose)
+        depth, normals, sigma = (self.raster(f"fused/{name}.tif") for name in ("depth", "normals", "sigma"))
+        rotation, translation = self.pose
+        return FusedSurface(depth, normals, sigma, self.camera, rotation, translation)
 
     def options(self) -> Options:
         """The options of the run that made it."""

@@ -30,7 +30,8 @@
   texture.needsUpdate = true;
   const material = new THREE.MeshStandardMaterial({map: texture, roughness: 0.85, metalness: 0, side: THREE.DoubleSide});
   const scene = new THREE.Scene();
-  scene.add(new THREE.Mesh(geometry, material));
+  const surface = new THREE.Mesh(geometry, material);
+  scene.add(surface);
 
   const renderer = new THREE.WebGLRenderer({canvas, antialias: true, alpha: true, preserveDrawingBuffer: true});
   renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
@@ -45,7 +46,7 @@
 
   function distance() {
     const half = Math.tan(camera.fov * Math.PI / 360);
-    return 1.06 * Math.max(data.extent[1] / 2 / half, data.extent[0] / 2 / half / camera.aspect) + data.extent[2] / 2;
+    return 1.12 * Math.max(data.extent[1] / 2 / half, data.extent[0] / 2 / half / camera.aspect) + data.extent[2] / 2;
   }
 
   function home() {
@@ -106,7 +107,7 @@
     const act = {
       ArrowLeft: () => turn(-0.1, 0), ArrowRight: () => turn(0.1, 0), ArrowUp: () => turn(0, 0.1),
       ArrowDown: () => turn(0, -0.1), '+': () => zoom(1.25), '=': () => zoom(1.25), '-': () => zoom(0.8),
-      0: () => { home(); redraw(); }
+      0: () => root.querySelector('[data-act=reset]').click()
     }[event.key];
     if (!act) return;
     act();
@@ -119,12 +120,18 @@
     material.color.set(paint === 'plain' ? 0x9a958c : 0xffffff);
     material.wireframe = paint === 'wires';
     material.needsUpdate = true;
+    surface.scale.z = Number(control('depth').value);
+    root.querySelector('output').textContent = surface.scale.z.toFixed(2);
     redraw();
   });
   root.querySelector('[data-act=in]').addEventListener('click', () => zoom(1.5));
   root.querySelector('[data-act=out]').addEventListener('click', () => zoom(1 / 1.5));
-  root.querySelector('[data-act=reset]').addEventListener('click', () => { home(); redraw(); });
+  root.querySelector('[data-act=reset]').addEventListener('click', () => {
+    home();
+    redraw();
+  });
   new ResizeObserver(redraw).observe(canvas);
+  root.querySelector('output').textContent = '1.00';
   draw();
   home();
   draw();
