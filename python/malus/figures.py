@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import Colormap, LightSource, ListedColormap
+from matplotlib.colors import Colormap, ListedColormap
 from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 from PIL import Image
@@ -99,12 +99,25 @@ def flattened(depth: Raster) -> Raster:
     return relief.astype(np.float32)
 
 
+def _slope(relief: Raster, axis: int) -> Raster:
+    """Mean of the differences to both neighbours along an axis, of the one that exists at borders, 0 without any."""
+    steps = np.diff(relief, axis=axis)
+    empty = np.full_like(np.take(relief, [0], axis=axis), np.nan)
+    before, after = np.concatenate([empty, steps], axis), np.concatenate([steps, empty], axis)
+    slope = np.where(np.isnan(before), after, np.where(np.isnan(after), before, (before + after) / 2))
+    return np.nan_to_num(slope)
+
+
 def hillshade(relief: Raster, pixel: float, azimuth_deg: float = 315, altitude_deg: float = 40) -> Raster:
-    """Relief shading, 0 … 1, NaN where there is no relief; lit from `azimuth_deg` (clockwise from up); `pixel`: its size."""
-    known = np.isfinite(relief)
-    filled = np.where(known, relief, np.nanmedian(relief)).astype(float)
-    shade = LightSource(azdeg=azimuth_deg, altdeg=altitude_deg).hillshade(filled, dx=pixel, dy=pixel)
-    return np.where(known, shade, np.nan).astype(np.float32)
+    """Cosine of the angle between normal and light, 0 … 1, NaN where there is no relief; nothing is stretched.
+
+    The light comes from `azimuth_deg` (clockwise from up) and `altitude_deg`; `pixel`: its size in the relief's unit.
+    """
+    azimuth, altitude = np.radians(azimuth_deg), np.radians(altitude_deg)
+    right, up = _slope(relief, 1) / pixel, -_slope(relief, 0) / pixel
+    towards = np.sin(altitude) - np.cos(altitude) * (np.sin(azimuth) * right + np.cos(azimuth) * up)
+    shade = np.clip(towards / np.sqrt(1 + right**2 + up**2), 0, 1)
+    return np.where(np.isfinite(relief), shade, np.nan).astype(np.float32)
 
 
 def grey(shade: Raster) -> NDArray[np.uint8]:
@@ -329,17 +342,14 @@ class Plates:
             ),
         )  # fmt: skip
         if self.workspace.has("fused/confidence.png"):
+            known = np.isfinite(self.relief["fused"])
             yield self._map(
-                self.raster("fused/confidence.png") / np.float32(255),
+                np.where(known, self.raster("fused/confidence.png") / np.float32(255), np.float32(np.nan)),
                 _Map(
-                    "confidence",
-                    "Weight of polarization",
-                    "1: the pixel's polarization was believed.",
-                    "gray",
-                    "",
-                    (0, 1),
+                    "confidence", "Weight of polarization", "Which pixels' polarization the refinement believed.",
+                    "cividis", "", (0, 1), {0.0: "none", 0.5: "half", 1.0: "full"},
                 ),
-            )
+            )  # fmt: skip
 
     def reference(self) -> Iterator[Figure]:
         """Signed distances to the reference, and their histogram."""

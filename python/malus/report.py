@@ -18,6 +18,7 @@ from malus._files import write_bytes, write_text
 from malus.errors import ExternalError, InputError
 from malus.figures import Figure, Plates, encode, grey
 from malus.options import Options
+from malus.reconstruction import STEPS
 from malus.workspace import Workspace
 
 #: The surfaces that figures compare, in their order.
@@ -155,6 +156,7 @@ def write_report(work: str | Path) -> Path:
         others=[(name, title) for name, title in _OTHERS if quality.get(name)],
         worst_registration=registration.index(max(registration)) if registration else None,
         changed=_changed_options(manifest["options"]),
+        steps=[step for step in STEPS if step in manifest["steps"]],
         versions=[
             *manifest["versions"].items(),
             ("python", platform.python_version()),

@@ -24,7 +24,8 @@
   geometry.setIndex(new THREE.BufferAttribute(await unpack.indices(data.indices), 1));
   geometry.computeVertexNormals();
 
-  const texture = new THREE.Texture(await unpack.picture(unpack.block('relight-data').color, 'image/webp'));
+  const relight = unpack.block('relight-data');
+  const texture = new THREE.Texture(await unpack.picture(relight.color, 'image/webp'));
   texture.colorSpace = THREE.SRGBColorSpace;
   texture.anisotropy = 4;
   texture.needsUpdate = true;
@@ -114,24 +115,27 @@
     event.preventDefault();
   });
   controls.addEventListener('change', redraw);
-  root.addEventListener('input', () => {
+  function apply() {
     const paint = control('paint').value;
     material.map = paint === 'plain' ? null : texture;
-    material.color.set(paint === 'plain' ? 0x9a958c : 0xffffff);
+    if (paint === 'plain') material.color.set(0x9a958c);
+    else material.color.setScalar(Math.min(1, relight.brightness));
     material.wireframe = paint === 'wires';
     material.needsUpdate = true;
     surface.scale.z = Number(control('depth').value);
     root.querySelector('output').textContent = surface.scale.z.toFixed(2);
     redraw();
-  });
+  }
+  root.addEventListener('input', apply);
   root.querySelector('[data-act=in]').addEventListener('click', () => zoom(1.5));
   root.querySelector('[data-act=out]').addEventListener('click', () => zoom(1 / 1.5));
   root.querySelector('[data-act=reset]').addEventListener('click', () => {
+    root.querySelector('form').reset();
     home();
-    redraw();
+    apply();
   });
   new ResizeObserver(redraw).observe(canvas);
-  root.querySelector('output').textContent = '1.00';
+  apply();
   draw();
   home();
   draw();

@@ -220,6 +220,7 @@
   function reset() {
     ({light, zoom, pan} = structuredClone(start));
     held = false;
+    root.querySelector('form').reset();
     redraw();
   }
 
