@@ -40,11 +40,11 @@ class Figure:
 
     def png(self) -> bytes:
         """Picture as PNG."""
-        return encode(self.picture, "PNG")
+        return encode(self.picture, "PNG", compress_level=4)
 
     def webp(self) -> bytes:
         """Picture as WebP, a fifth of the size, for the page."""
-        return encode(self.picture, "WEBP", quality=86)
+        return encode(self.picture, "WEBP", quality=86, method=2)
 
     def csv(self) -> str:
         """Numbers as CSV; missing ones are empty."""

@@ -39,7 +39,7 @@ def pack(values: NDArray[Any]) -> str:
     flat = values.ravel().astype(np.int64)
     steps = (np.diff(flat, prepend=0) & 0xFFFF).astype(np.uint16)
     planes = np.concatenate([(steps & 0xFF).astype(np.uint8), (steps >> 8).astype(np.uint8)])
-    return base64_text(zlib.compress(planes.tobytes(), 9))
+    return base64_text(zlib.compress(planes.tobytes(), 6))
 
 
 def pack_indices(triangles: NDArray[np.uint32]) -> str:
@@ -47,7 +47,7 @@ def pack_indices(triangles: NDArray[np.uint32]) -> str:
     flat = triangles.ravel().astype(np.int64)
     steps = (np.diff(flat, prepend=0) & 0xFFFFFFFF).astype(np.uint32)
     planes = np.concatenate([((steps >> shift) & 0xFF).astype(np.uint8) for shift in (0, 8, 16, 24)])
-    return base64_text(zlib.compress(planes.tobytes(), 9))
+    return base64_text(zlib.compress(planes.tobytes(), 6))
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ class _Window:
 
 def _object_window(depth: Raster) -> _Window:
     known = np.isfinite(depth)
-    rows, columns = np.nonzero(known.any(1))[0], np.nonzero(known.any(0))[0]
-    extent = (rows[-1] + 1 - rows[0], columns[-1] + 1 - columns[0])
-    return _Window(slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1), step_for(extent, NORMALS_SIDE_PX))
+    (top, *_, bottom), (left, *_, right) = (np.nonzero(known.any(axis))[0].tolist() for axis in (1, 0))
+    step = step_for((bottom + 1 - top, right + 1 - left), NORMALS_SIDE_PX)
+    return _Window(slice(top, bottom + 1), slice(left, right + 1), step)
 
 
 def _normals_of(normals: Raster, window: _Window) -> NDArray[np.float64]:

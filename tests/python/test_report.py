@@ -198,7 +198,7 @@ def test_large_stations_are_averaged_down(monkeypatch: pytest.MonkeyPatch, work:
     monkeypatch.setattr(viewer, "NORMALS_SIDE_PX", 64)
     monkeypatch.setattr(viewer, "MESH_TRIANGLES", 2000)
     workspace = malus.Workspace(work)
-    data = viewer.relighting(workspace)
+    data = json.loads(json.dumps(viewer.relighting(workspace)))
     assert (data["step"], data["width"], data["height"]) == (4, 50, 40)
     assert data["gsd"] == pytest.approx(4 * workspace.quality["gsd"])
     image = Image.open(io.BytesIO(base64.b64decode(data["color"])))
