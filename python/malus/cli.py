@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import malus
+from malus import m3c2
 from malus.demo import example_station
 from malus.errors import InputError, MalusError
 from malus.exports import FORMATS, MESHES
@@ -71,6 +72,7 @@ def _parser() -> argparse.ArgumentParser:
         command = add(name, text)
         if name == "assess":
             command.add_argument("--reference", type=Path, metavar="SCAN.ply", help="compare with this cloud or mesh")
+            command.add_argument("--m3c2", action="store_true", help="compare with the reference by M3C2 too (py4dgeo)")
     run.add_argument("--reference", type=Path, metavar="SCAN.ply", help="compare with this cloud or mesh")
     report = add("report", "rebuild the report of a workspace", station=False, work=False)
     report.add_argument("work", type=Path, metavar="WORK")
@@ -105,6 +107,8 @@ def _options(args: argparse.Namespace) -> malus.Options:
 
 def _reconstruct(args: argparse.Namespace, station_path: Path, until: str | None) -> None:
     options = _options(args)
+    if getattr(args, "m3c2", False) and args.reference is None:
+        raise InputError("--m3c2 compares with a reference, expected --reference SCAN.ply")
     station = malus.Station.load(station_path)
     with _view(args) as view:
         malus.reconstruct(
@@ -117,6 +121,10 @@ def _reconstruct(args: argparse.Namespace, station_path: Path, until: str | None
             progress=lambda p: view.progress(p.step, p.fraction, p.message),
             log=view.log,
         )
+        if getattr(args, "m3c2", False):
+            view.progress("m3c2", 0.0, "")
+            m3c2.compare(args.output, args.reference)
+            view.progress("m3c2", 1.0, "")
         if until is None:
             view.progress("report", 0.0, "")
             page = malus.write_report(args.output)

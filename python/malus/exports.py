@@ -6,35 +6,23 @@ Maps (displacement, normal map) lie on the grid of the elevation model: the plan
 
 from __future__ import annotations
 
-import importlib
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from malus import _core
+from malus._extra import extra
 from malus._files import replacing, writing
-from malus.errors import ExternalError, InputError
+from malus.errors import InputError
 from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
 from malus.workspace import Workspace
 
 #: Metres in each unit that a station may have.
 METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "ft": 0.3048}
-
-
-def _extra(module: str, package: str, purpose: str) -> ModuleType:
-    """Import a package that only some exports need."""
-    try:
-        return importlib.import_module(module)
-    except ImportError:
-        raise ExternalError(
-            f"{purpose} needs the Python package {package}, which is not installed; "
-            f"expected after: pip install 'malus[export]'"
-        ) from None
 
 
 def sample(raster: NDArray[Any], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -94,7 +82,7 @@ class Exporter:
         mesh = self.mesh()
         if faces is None or len(mesh.triangles) <= faces:
             return mesh
-        library = _extra("fast_simplification", "fast-simplification", "a mesh with fewer triangles (--faces)")
+        library = extra("fast_simplification", "fast-simplification", "a mesh with fewer triangles (--faces)")
         # Single precision suffices about the middle: the library works in it.
         middle = mesh.vertices.mean(0)
         vertices, triangles = library.simplify(
@@ -179,14 +167,14 @@ def _write_displacement(exporter: Exporter, path: Path, faces: int | None) -> No
     if path.suffix != ".exr":
         _core.write_float_tiff(str(path), elevation)
         return
-    library = _extra("OpenEXR", "OpenEXR", f"{path}: EXR")
+    library = extra("OpenEXR", "OpenEXR", f"{path}: EXR")
     header = {"compression": library.ZIP_COMPRESSION, "type": library.scanlineimage}
     with replacing(path) as temporary, library.File(header, {"Y": elevation}) as file:
         file.write(str(temporary))
 
 
 def _write_las(exporter: Exporter, path: Path, faces: int | None) -> None:
-    library = _extra("laspy", "laspy", f"{path}: LAS")
+    library = extra("laspy", "laspy", f"{path}: LAS")
     cloud, sigma = exporter.cloud()
     header = library.LasHeader(point_format=7, version="1.4")
     header.offsets = cloud.vertices.mean(0)
@@ -204,7 +192,7 @@ def _write_las(exporter: Exporter, path: Path, faces: int | None) -> None:
 
 
 def _write_e57(exporter: Exporter, path: Path, faces: int | None) -> None:
-    library = _extra("pye57", "pye57", f"{path}: E57")
+    library = extra("pye57", "pye57", f"{path}: E57")
     cloud, _ = exporter.cloud()
     x, y, z = (cloud.vertices * METRES[exporter.unit]).T
     red, green, blue = cloud.colors.T

@@ -353,22 +353,22 @@ class Plates:
 
     def reference(self) -> Iterator[Figure]:
         """Signed distances to the reference, and their histogram."""
-        reference = self.quality["reference"]
-        if not reference or not self.workspace.has("fused/reference_distance.tif"):
-            return
-        raster = self.raster("fused/reference_distance.tif") / np.float32(self.gsd)
+        if self.quality["reference"] and self.workspace.has("fused/reference_distance.tif"):
+            yield from self._distances("reference", "Distance to the reference", self.quality["reference"])
+
+    def m3c2(self) -> Iterator[Figure]:
+        """The same by M3C2."""
+        if self.workspace.m3c2 and self.workspace.has("fused/m3c2_distance.tif"):
+            yield from self._distances("m3c2", "M3C2 distance to the reference", self.workspace.m3c2)
+
+    def _distances(self, name: str, title: str, figures: Mapping[str, Any]) -> Iterator[Figure]:
+        raster = self.raster(f"fused/{name}_distance.tif") / np.float32(self.gsd)
         finite = np.abs(raster[np.isfinite(raster)])
         spread = float(np.percentile(finite, 95)) if finite.size else 1.0
         caption = "Positive (blue): the surface lies in front of the reference."
-        yield self._map(
-            raster, _Map("reference_distance", "Distance to the reference", caption, "RdBu", "GSD", (-spread, spread))
-        )
+        yield self._map(raster, _Map(f"{name}_distance", title, caption, "RdBu", "GSD", (-spread, spread)))
         yield self._histogram(
-            "reference_histogram",
-            "Distances to the reference",
-            "distance [GSD]",
-            {"fused": reference["histogram_gsd"]},
-            {},
+            f"{name}_histogram", f"{title}, histogram", "distance [GSD]", {"fused": figures["histogram_gsd"]}, {}
         )
 
     # ---- plots ----

@@ -51,7 +51,7 @@ def summary_lines(quality: Mapping[str, Any]) -> list[str]:
 
 
 class _Quality:
-    """Numbers of quality.json by their path ("patches.0.fused.rmse_gsd")."""
+    """Numbers of quality.json by their path ("patches.0.fused.rmse_gsd"), and of m3c2.json ("m3c2.…")."""
 
     def __init__(self, quality: Mapping[str, Any]) -> None:
         self._quality = quality
@@ -94,6 +94,7 @@ def _figures(plates: Plates) -> dict[str, list[Figure]]:
         "patches": list(plates.patches()),
         "uncertainty": list(plates.uncertainty()),
         "reference": list(plates.reference()),
+        "m3c2": list(plates.m3c2()),
     }
 
 
@@ -123,9 +124,10 @@ def _sections(quality: Mapping[str, Any], figures: Mapping[str, list[Figure]]) -
     every = [
         ("overview", "Overview"), ("compare", "Before and after"), ("explore", "Relight and turn"), ("relief", "Relief"),
         ("polarization", "Polarization"), ("height", "Height"), ("profiles", "Profiles"), ("patches", "Patches"),
-        ("uncertainty", "Uncertainty"), ("reference", "Reference"), *_OTHERS, ("provenance", "Provenance"),
+        ("uncertainty", "Uncertainty"), ("reference", "Reference"), ("m3c2", "M3C2"), *_OTHERS, ("provenance", "Provenance"),
     ]  # fmt: skip
     absent = {name for name in ("profiles", "patches", "reference", "scale", "photos") if not quality.get(name)}
+    absent |= {"m3c2"} - {name for name, group in figures.items() if group}
     return [(name, title) for name, title in every if name not in absent]
 
 
@@ -135,7 +137,8 @@ def write_report(work: str | Path) -> Path:
     quality, manifest = workspace.quality, workspace.manifest
     plates = Plates(workspace)
     figures = _figures(plates)
-    numbers = _Quality(quality)
+    m3c2 = workspace.m3c2
+    numbers = _Quality({**quality, "m3c2": m3c2})
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -146,6 +149,7 @@ def write_report(work: str | Path) -> Path:
     registration = [-1.0 if rms is None else rms for rms in quality["registration_rms_px"]]
     page = template.render(
         quality=quality,
+        m3c2=m3c2,
         manifest=manifest,
         figures=figures,
         compare=_compare(plates),

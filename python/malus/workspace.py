@@ -46,6 +46,11 @@ class Workspace:
         """Inputs, options, versions and steps, manifest.json."""
         return _read_json(self.folder / "manifest.json", "there is none; this is not a workspace of malus")
 
+    @cached_property
+    def m3c2(self) -> dict[str, Any] | None:
+        """Figures of `malus assess --m3c2`, m3c2.json; None if it was not run."""
+        return _read_json(self.folder / "m3c2.json", "") if self.has("m3c2.json") else None
+
     def path(self, name: str) -> Path:
         """Path of a file of the workspace; InputError if it is not there."""
         path = self.folder / name
