@@ -66,10 +66,10 @@ void bind_surface(py::module_& module) {
     result["triangles"] = rows_to_array<std::uint32_t>(mesh.triangles);
     return result;
   });
-  module.def("display_image", [](const Array<float>& color_array, const Array<float>& depth_array,
-                                 double white_percentile) {
-    return to_array(display_image(to_image(color_array), to_image(depth_array), white_percentile, {}));
-  });
+  module.def("display_image",
+             [](const Array<float>& color_array, const Array<float>& depth_array, double white_percentile) {
+               return to_array(display_image(to_image(color_array), to_image(depth_array), white_percentile, {}));
+             });
   module.def("dem_from_mesh", [](const Array<double>& vertices, const Array<std::uint32_t>& triangles,
                                  const FusedSurface& surface, const std::string& options_json, int threads) {
     const Options options = options_from_json({}, options_json);

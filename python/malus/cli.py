@@ -68,12 +68,10 @@ def _parser() -> argparse.ArgumentParser:
     demo = add("demo", "the same on the example that ships with malus", station=False, work=False)
     demo.add_argument("-o", "--output", type=Path, default=Path("malus-demo"), metavar="WORK")
     add("check", "read everything, say what would be done, what it would take and what is wrong", work=False)
-    for name, (_, text) in STEP_COMMANDS.items():
-        command = add(name, text)
-        if name == "assess":
-            command.add_argument("--reference", type=Path, metavar="SCAN.ply", help="compare with this cloud or mesh")
-            command.add_argument("--m3c2", action="store_true", help="compare with the reference by M3C2 too (py4dgeo)")
-    run.add_argument("--reference", type=Path, metavar="SCAN.ply", help="compare with this cloud or mesh")
+    steps = {name: add(name, text) for name, (_, text) in STEP_COMMANDS.items()}
+    for command in (run, steps["assess"]):
+        command.add_argument("--reference", type=Path, metavar="SCAN.ply", help="compare with this cloud or mesh")
+        command.add_argument("--m3c2", action="store_true", help="compare with the reference by M3C2 too (py4dgeo)")
     report = add("report", "rebuild the report of a workspace", station=False, work=False)
     report.add_argument("work", type=Path, metavar="WORK")
     view = add("view", "open the report of a workspace in the web browser", station=False, work=False)

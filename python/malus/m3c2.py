@@ -7,7 +7,9 @@ for every point how small a distance it could have detected. It complements the 
 from __future__ import annotations
 
 import json
+import logging
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,17 @@ CORE_POINTS = 200000
 _POINTS_IN_CYLINDER = 25
 _NORMAL_FACTOR = 3.0
 _BINS = 50
+
+
+def _py4dgeo() -> ModuleType:
+    library = extra("py4dgeo", "py4dgeo", "M3C2", "m3c2")
+    # On import it begins to print to standard output and to write py4dgeo.log where it is run.
+    logger = logging.getLogger("py4dgeo")
+    for handler in list(logger.handlers):
+        logger.removeHandler(handler)
+        handler.close()
+    logger.setLevel(logging.WARNING)
+    return library
 
 
 def _spacing(points: NDArray[np.float64], area: float) -> float:
@@ -92,7 +105,7 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
 
     Raises malus.InputError, DataError if nothing of the reference is near, ExternalError without py4dgeo.
     """
-    library = extra("py4dgeo", "py4dgeo", "M3C2", "m3c2")
+    library = _py4dgeo()
     if radius is not None and not radius > 0:
         raise InputError(f"radius {radius}, expected a positive length")
     workspace = Workspace(work)

@@ -46,6 +46,9 @@ def summary_lines(quality: Mapping[str, Any]) -> list[str]:
         fits = {name: patch[name] for name in SURFACES if patch[name] is not None}
         shares = ", ".join(f"{name} {_number(fit['rmse_gsd'])}" for name, fit in fits.items())
         lines.append(f"  patch {patch['name']}: plane RMSE / GSD: {shares}")
+    if quality["reference"]:
+        distance = quality["reference"]["distance_gsd"]
+        lines.append(f"  reference: RMSE / GSD {_number(distance['rmse'])}, robust {_number(distance['mad'])}")
     lines += [f"  warning: {warning}" for warning in quality["warnings"]]
     return lines
 

@@ -34,9 +34,15 @@ def scan_behind(work: Path, distance: float, path: Path) -> Path:
 
 
 @needs_py4dgeo
-def test_distance_to_a_moved_copy_is_the_motion(work: Path, tmp_path: Path) -> None:
+def test_distance_to_a_moved_copy_is_the_motion(
+    work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("py4dgeo")
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
     figures = m3c2.compare(work, scan_behind(work, 0.2, tmp_path / "scan.xyz"))
+    assert capsys.readouterr() == ("", "")
+    assert not list(Path().iterdir())
     gsd = malus.Workspace(work).quality["gsd"]
     distance = tifffile.imread(work / "fused/m3c2_distance.tif")
     assert distance.shape == (160, 200)

@@ -19,6 +19,7 @@ from PIL import Image
 
 import malus
 from conftest import malus as run_malus
+from conftest import run_program
 from malus import figures, viewer
 
 
@@ -221,3 +222,17 @@ def test_view_opens_the_page(work: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr("webbrowser.open", lambda address: False)
     with pytest.raises(malus.ExternalError, match="no web browser"):
         malus.report.open_report(work)
+
+
+def test_views_start_in_a_browser(work: Path, tmp_path: Path) -> None:
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("chromium is not installed")
+    outcome = run_program(
+        chromium, "--headless", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
+        "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", f"--user-data-dir={tmp_path}",
+        "--virtual-time-budget=20000", "--dump-dom", (work / "report/index.html").resolve().as_uri(),
+    )  # fmt: skip
+    assert '<div class="view ready" id="relight">' in outcome.out, outcome.err
+    assert '<div class="view ready" id="mesh">' in outcome.out, outcome.err
+    assert "Light from 313° (clockwise from up)" in outcome.out

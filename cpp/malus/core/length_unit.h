@@ -15,12 +15,8 @@ struct LengthUnit {
   int epsg = 0;  ///< code of the unit in the EPSG registry; 0 = it has none
 };
 
-inline constexpr std::array<LengthUnit, 6> length_units{{{"um", 1e-6, 0},
-                                                         {"mm", 1e-3, 1025},
-                                                         {"cm", 1e-2, 1033},
-                                                         {"m", 1, 9001},
-                                                         {"in", 0.0254, 0},
-                                                         {"ft", 0.3048, 9002}}};
+inline constexpr std::array<LengthUnit, 6> length_units{
+    {{"um", 1e-6, 0}, {"mm", 1e-3, 1025}, {"cm", 1e-2, 1033}, {"m", 1, 9001}, {"in", 0.0254, 0}, {"ft", 0.3048, 9002}}};
 
 /// Unit of that name, or an input error that lists the known ones.
 inline const LengthUnit& length_unit(std::string_view name) {

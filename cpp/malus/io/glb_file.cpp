@@ -91,8 +91,8 @@ std::vector<std::array<float, 2>> texture_coordinates(const std::vector<Eigen::V
   coordinates.reserve(points.size());
   for (const Eigen::Vector3d& x : points) {
     const Eigen::Vector2d pixel = texture.camera.project(texture.pose.cam_from_world(x));
-    coordinates.push_back({static_cast<float>((pixel.x() + 0.5) / size.width),
-                           static_cast<float>((pixel.y() + 0.5) / size.height)});
+    coordinates.push_back(
+        {static_cast<float>((pixel.x() + 0.5) / size.width), static_cast<float>((pixel.y() + 0.5) / size.height)});
   }
   return coordinates;
 }
@@ -122,8 +122,8 @@ Json camera_matrix(const Pose& pose, double metres) {
   return matrix;
 }
 
-Json document(const TriangleMesh& mesh, const ProjectedTexture& texture, const LengthUnit& unit, const std::string& name,
-              Buffer& buffer) {
+Json document(const TriangleMesh& mesh, const ProjectedTexture& texture, const LengthUnit& unit,
+              const std::string& name, Buffer& buffer) {
   const std::size_t count = mesh.vertices.points.size();
   const Positions positions = positions_in_metres(mesh.vertices.points, unit.metres);
   Json accessors = Json::array(), attributes;
@@ -195,7 +195,8 @@ void write_glb(const std::filesystem::path& path, const TriangleMesh& mesh, cons
   json.resize((json.size() + 3) / 4 * 4, ' ');
   const std::size_t total = 12 + 8 + json.size() + 8 + buffer.bytes().size();
   if (total > std::numeric_limits<std::uint32_t>::max()) {
-    throw resource_error("cannot write " + path.string() + ": it would exceed 4 GB, the most that a GLB file can hold; "
+    throw resource_error("cannot write " + path.string() +
+                         ": it would exceed 4 GB, the most that a GLB file can hold; "
                          "lower surface.glb_triangles");
   }
   AtomicFile file(path);

@@ -204,7 +204,7 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
     std::optional<TriangleMesh> reference;
     if (run.reference) {
       assess_inputs.station["reference"] = inputs.file(*run.reference);
-      reference = read_mesh(*run.reference);
+      reference = read_cloud_or_mesh(*run.reference, context, "reference");
     }
     AssessStep figures = steps.run<AssessStep>("assess", assess_inputs, [&](const Context& c) {
       const Mask object = object_mask(images.state);

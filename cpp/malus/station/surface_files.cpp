@@ -12,8 +12,8 @@ void write_surface_files(const FusedSurface& surface, const Image<float>& color,
   write_ply(work / "fused/surface.ply", mesh);
   files.emplace_back("fused/surface.ply");
 
-  const Image<std::uint8_t> texture =
-      fit_within(display_image(color, surface.depth, options.white_percentile, context), options.glb_texture_px, context);
+  const Image<std::uint8_t> texture = fit_within(display_image(color, surface.depth, options.white_percentile, context),
+                                                 options.glb_texture_px, context);
   const ProjectedTexture projected{texture, surface.camera, surface.pose};
   SurfaceOptions coarse = options;
   coarse.subsample = subsample_for(mesh.triangles.size(), options.glb_triangles, options);

@@ -15,8 +15,8 @@
 namespace malus {
 
 /// Writes fused/surface.ply, fused/surface.glb and fused/dem.tif below the workspace folder and appends their names to
-/// `files`. `color` is linear. A surface that has no elevation model (its plane is seen edge-on) goes without dem.tif, with a
-/// warning in the log.
+/// `files`. `color` is linear. A surface that has no elevation model (its plane is seen edge-on) goes without dem.tif,
+/// with a warning in the log.
 void write_surface_files(const FusedSurface& surface, const Image<float>& color, const SurfaceOptions& options,
                          const LengthUnit& unit, const std::string& name, const Context& context,
                          const std::filesystem::path& work, std::vector<std::string>& files);

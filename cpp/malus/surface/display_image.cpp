@@ -54,7 +54,8 @@ Image<std::uint8_t> display_image(const Image<float>& color, const Image<float>&
     for (int u = 0; u < color.width(); ++u) {
       for (int c = 0; c < 3; ++c) {
         const double value = factor * color(u, v, color.channels() == 3 ? c : 0);
-        display(u, v, c) = value > 0 ? table[static_cast<std::size_t>(std::min(value, 1.0) * steps + 0.5)] : std::uint8_t{0};
+        display(u, v, c) =
+            value > 0 ? table[static_cast<std::size_t>(std::min(value, 1.0) * steps + 0.5)] : std::uint8_t{0};
       }
     }
   });

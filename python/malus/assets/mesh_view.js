@@ -16,7 +16,7 @@
   for (let i = 0; i < count; ++i) {
     for (let c = 0; c < 3; ++c) positions[3 * i + c] = planes[c * count + i] / 65535 * data.size - data.extent[c] / 2;
     coordinates[2 * i] = uv[i] / 65535;
-    coordinates[2 * i + 1] = 1 - uv[count + i] / 65535;
+    coordinates[2 * i + 1] = uv[count + i] / 65535;
   }
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute('position', new THREE.BufferAttribute(positions, 3));
@@ -27,9 +27,27 @@
   const relight = unpack.block('relight-data');
   const texture = new THREE.Texture(await unpack.picture(relight.color, 'image/webp'));
   texture.colorSpace = THREE.SRGBColorSpace;
+  texture.flipY = false;
   texture.anisotropy = 4;
   texture.needsUpdate = true;
-  const material = new THREE.MeshStandardMaterial({map: texture, roughness: 0.85, metalness: 0, side: THREE.DoubleSide});
+
+  // The fused normals of every pixel shade the mesh, so that it shows what is finer than its triangles.
+  async function normalMap() {
+    const planes = await unpack.normals(relight, 'fused'), pixels = relight.width * relight.height;
+    const half = THREE.DataUtils.toHalfFloat, values = new Uint16Array(4 * pixels);
+    for (let i = 0; i < pixels; ++i) {
+      const x = planes[i] / relight.scale, y = planes[pixels + i] / relight.scale;
+      values.set([half(0.5 + x / 2), half(0.5 + y / 2), half(0.5 + Math.sqrt(Math.max(0, 1 - x * x - y * y)) / 2), half(1)], 4 * i);
+    }
+    const map = new THREE.DataTexture(values, relight.width, relight.height, THREE.RGBAFormat, THREE.HalfFloatType);
+    map.minFilter = map.magFilter = THREE.LinearFilter;
+    map.needsUpdate = true;
+    return map;
+  }
+  const material = new THREE.MeshStandardMaterial({
+    map: texture, normalMap: await normalMap(), normalMapType: THREE.ObjectSpaceNormalMap, roughness: 0.85, metalness: 0,
+    side: THREE.DoubleSide
+  });
   const scene = new THREE.Scene();
   const surface = new THREE.Mesh(geometry, material);
   scene.add(surface);

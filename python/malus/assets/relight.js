@@ -76,8 +76,8 @@
     return handle;
   }
 
-  async function normalTexture(packed) {
-    const planes = await unpack.words(packed, Int16Array), count = width * height, pairs = new Float32Array(2 * count);
+  async function normalTexture(surface) {
+    const planes = await unpack.normals(data, surface), count = width * height, pairs = new Float32Array(2 * count);
     for (let i = 0; i < count; ++i) {
       pairs[2 * i] = planes[i];
       pairs[2 * i + 1] = planes[count + i];
@@ -86,7 +86,7 @@
     return texture(0, () => gl.texImage2D(gl.TEXTURE_2D, 0, gl.RG16F, width, height, 0, gl.RG, gl.FLOAT, pairs));
   }
 
-  const maps = {fused: await normalTexture(data.fused), prior: await normalTexture(data.prior)};
+  const maps = {fused: await normalTexture('fused'), prior: await normalTexture('prior')};
   const image = await unpack.picture(data.color, 'image/webp');
   gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, false);
   texture(1, () => gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image));

@@ -26,6 +26,12 @@ const unpack = (() => {
     return values;
   }
 
+  // Normals of a surface of the relighting data, decoded once: two planes, x and y, times `scale`.
+  const decoded = {};
+  function normals(data, surface) {
+    return decoded[surface] ??= words(data[surface], Int16Array);
+  }
+
   async function picture(base64, type) {
     const image = new Image();
     image.src = `data:${type};base64,${base64}`;
@@ -35,5 +41,5 @@ const unpack = (() => {
 
   // The page's JSON block of that id.
   const block = id => JSON.parse(document.getElementById(id).textContent);
-  return {words, indices, picture, block};
+  return {words, indices, normals, picture, block};
 })();

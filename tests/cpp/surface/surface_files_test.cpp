@@ -110,9 +110,12 @@ TEST(Glb, RefusesAMeshThatHasNoTriangles) {
   const TemporaryFolder folder;
   const FusedSurface surface = ball();
   const Image<std::uint8_t> texture({80, 60}, 3, 128);
-  expect_error(ErrorCode::input, [&] {
-    write_glb(folder / "none.glb", {}, {texture, surface.camera, surface.pose}, length_unit("mm"), "none");
-  }, "no triangles");
+  expect_error(
+      ErrorCode::input,
+      [&] {
+        write_glb(folder / "none.glb", {}, {texture, surface.camera, surface.pose}, length_unit("mm"), "none");
+      },
+      "no triangles");
   EXPECT_TRUE(std::filesystem::is_empty(folder.path()));
 }
 
