@@ -175,6 +175,8 @@ def _write_displacement(exporter: Exporter, path: Path, faces: int | None) -> No
 
 def _write_las(exporter: Exporter, path: Path, faces: int | None) -> None:
     library = extra("laspy", "laspy", f"{path}: LAS")
+    if path.suffix.lower() == ".laz":
+        extra("lazrs", "lazrs", f"{path}: LAZ")
     cloud, sigma = exporter.cloud()
     header = library.LasHeader(point_format=7, version="1.4")
     header.offsets = cloud.vertices.mean(0)

@@ -160,9 +160,11 @@ def test_exr_displacement_equals_the_tiff(workspace: malus.Workspace, tmp_path: 
         np.testing.assert_array_equal(file.channels()["Y"].pixels, tiff)
 
 
-def test_las_reads_back(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["a.las", "a.laz"])
+def test_las_reads_back(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path, name: str) -> None:
     laspy = pytest.importorskip("laspy")
-    cloud = laspy.read(malus.export(workspace.folder, "las", tmp_path / "a.las"))
+    pytest.importorskip("lazrs")
+    cloud = laspy.read(malus.export(workspace.folder, "las", tmp_path / name))
     np.testing.assert_allclose(cloud.xyz, points.reshape(-1, 3), atol=1e-3 * workspace.quality["gsd"])
     np.testing.assert_allclose(cloud.sigma, workspace.raster("fused/sigma.tif").ravel(), rtol=1e-5)
     assert cloud.red.max() > 255

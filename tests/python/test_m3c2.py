@@ -15,7 +15,8 @@ import malus
 from conftest import malus as run_malus
 from malus import m3c2
 
-needs_py4dgeo = pytest.mark.filterwarnings("ignore")
+# The packages that py4dgeo imports warn about each other.
+uses_py4dgeo = pytest.mark.filterwarnings("ignore")
 
 
 @pytest.fixture
@@ -33,7 +34,7 @@ def scan_behind(work: Path, distance: float, path: Path) -> Path:
     return path
 
 
-@needs_py4dgeo
+@uses_py4dgeo
 def test_distance_to_a_moved_copy_is_the_motion(
     work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -57,7 +58,7 @@ def test_distance_to_a_moved_copy_is_the_motion(
     assert (work / "report/figures/m3c2_distance.png").exists()
 
 
-@needs_py4dgeo
+@uses_py4dgeo
 def test_a_scan_elsewhere_is_refused(work: Path, tmp_path: Path) -> None:
     pytest.importorskip("py4dgeo")
     with pytest.raises(malus.DataError, match="same frame and unit"):

@@ -207,6 +207,22 @@ def test_large_stations_are_averaged_down(monkeypatch: pytest.MonkeyPatch, work:
     assert viewer.mesh_view(workspace)["triangles"] <= 2200
 
 
+def test_colour_images_are_shown_in_colour(finished_grid: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    shutil.copytree(finished_grid, work)
+    intensity = tifffile.imread(work / "polarization/unpolarized.tif")
+    tifffile.imwrite(
+        work / "polarization/color.tif", np.stack([intensity, 0.6 * intensity, 0.3 * intensity], -1), photometric="rgb"
+    )
+    workspace = malus.Workspace(work)
+    for picture in (
+        malus.exports.Exporter(workspace).picture(),
+        np.array(Image.open(io.BytesIO(base64.b64decode(viewer.relighting(workspace)["color"])))),
+    ):
+        red, green, blue = picture[..., :3].reshape(-1, 3).mean(0)
+        assert red > 1.15 * green > 1.3 * blue
+
+
 def test_report_and_view_say_what_is_missing(tmp_path: Path) -> None:
     outcome = run_malus("report", tmp_path / "none")
     assert outcome.code == 2 and "quality.json" in outcome.err
