@@ -25,6 +25,8 @@ COLORS = {"prior": "#b0702a", "polarization": "#2f7fb3", "fused": "#1d2733"}
 #: Figures of a map's values in its CSV file.
 _PERCENTILES = (0, 1, 5, 25, 50, 75, 95, 99, 100)
 _DPI = 150
+#: Sine of the angle beyond grazing light at which relief shading becomes black.
+_BEYOND_GRAZING = 0.342
 
 
 @dataclass(frozen=True)
@@ -108,15 +110,18 @@ def _slope(relief: Raster, axis: int) -> Raster:
     return np.nan_to_num(slope)
 
 
-def hillshade(relief: Raster, pixel: float, azimuth_deg: float = 315, altitude_deg: float = 40) -> Raster:
-    """Cosine of the angle between normal and light, 0 … 1, NaN where there is no relief; nothing is stretched.
+def hillshade(relief: Raster, pixel: float, azimuth_deg: float = 315, altitude_deg: float = 45) -> Raster:
+    """Relief shading, 0 … 1, NaN where there is no relief; not stretched, so that two pictures can be compared.
 
-    The light comes from `azimuth_deg` (clockwise from up) and `altitude_deg`; `pixel`: its size in the relief's unit.
+    It is linear in the cosine of the angle between normal and light and reaches black 20° beyond the grazing angle: round objects
+    keep form on their far side. The light comes from `azimuth_deg` (clockwise from up) and `altitude_deg`; `pixel`: its size in the
+    relief's unit.
     """
     azimuth, altitude = np.radians(azimuth_deg), np.radians(altitude_deg)
     right, up = _slope(relief, 1) / pixel, -_slope(relief, 0) / pixel
     towards = np.sin(altitude) - np.cos(altitude) * (np.sin(azimuth) * right + np.cos(azimuth) * up)
-    shade = np.clip(towards / np.sqrt(1 + right**2 + up**2), 0, 1)
+    cosine = towards / np.sqrt(1 + right**2 + up**2)
+    shade = np.clip((cosine + _BEYOND_GRAZING) / (1 + _BEYOND_GRAZING), 0, 1)
     return np.where(np.isfinite(relief), shade, np.nan).astype(np.float32)
 
 
@@ -232,7 +237,7 @@ class Plates:
 
     def shadings(self) -> Iterator[Figure]:
         """Relief shading of prior and fused surface, the fused one from two more directions."""
-        about = "Relief shading of the depth map after one plane is taken out, light 40° above the plane from the "
+        about = "Relief shading of the depth map after one plane is taken out, light 45° above the plane from the "
         for name, surface, azimuth, side in (
             ("hillshade_prior", "prior", 315, "upper left"),
             ("hillshade_fused", "fused", 315, "upper left"),

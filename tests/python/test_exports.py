@@ -101,6 +101,14 @@ def test_dem_of_the_run_is_a_geotiff_of_the_surface(finished_grid: Path, workspa
     assert abs(np.nanmedian(elevation)) < 3
 
 
+def test_dem_made_from_python_is_that_of_the_run(workspace: malus.Workspace, tmp_path: Path) -> None:
+    dem = exports.Exporter(workspace).dem()
+    malus.surface.write_dem(tmp_path / "dem.tif", dem, unit="mm", name="small")
+    assert (tmp_path / "dem.tif").read_bytes() == workspace.path("fused/dem.tif").read_bytes()
+    with pytest.raises(malus.InputError, match="furlong"):
+        malus.surface.write_dem(tmp_path / "other.tif", dem, unit="furlong", name="small")
+
+
 def test_obj_reads_back_with_its_texture(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
     path = malus.export(workspace.folder, "obj", tmp_path / "a.obj")
     mesh, _ = load_scene(path)
