@@ -24,7 +24,7 @@ from malus.workspace import Workspace
 #: The surfaces that figures compare, in their order.
 SURFACES = ("prior", "polarization", "fused")
 #: Parts of quality.json that only some runs have, with their headings; shown number by number.
-_OTHERS = (("scale", "Scale"), ("photos", "Photographs"))
+_OTHERS = (("photogrammetry", "Photographs"), ("sweep", "Stereo sweep"))
 
 
 def _number(value: Any, digits: int = 3) -> str:
@@ -127,9 +127,10 @@ def _sections(quality: Mapping[str, Any], figures: Mapping[str, list[Figure]]) -
     every = [
         ("overview", "Overview"), ("compare", "Before and after"), ("explore", "Relight and turn"), ("relief", "Relief"),
         ("polarization", "Polarization"), ("height", "Height"), ("profiles", "Profiles"), ("patches", "Patches"),
-        ("uncertainty", "Uncertainty"), ("reference", "Reference"), ("m3c2", "M3C2"), *_OTHERS, ("provenance", "Provenance"),
+        ("uncertainty", "Uncertainty"), ("reference", "Reference"), ("m3c2", "M3C2"), ("scale", "Scale"), *_OTHERS, ("provenance", "Provenance"),
     ]  # fmt: skip
-    absent = {name for name in ("profiles", "patches", "reference", "scale", "photos") if not quality.get(name)}
+    optional = ("profiles", "patches", "reference", "scale", *(name for name, _ in _OTHERS))
+    absent = {name for name in optional if not quality.get(name)}
     absent |= {"m3c2"} - {name for name, group in figures.items() if group}
     return [(name, title) for name, title in every if name not in absent]
 
@@ -153,6 +154,7 @@ def write_report(work: str | Path) -> Path:
     page = template.render(
         quality=quality,
         m3c2=m3c2,
+        scale=quality.get("scale"),
         manifest=manifest,
         figures=figures,
         compare=_compare(plates),

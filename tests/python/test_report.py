@@ -224,6 +224,32 @@ def test_colour_images_are_shown_in_colour(finished_grid: Path, tmp_path: Path) 
         assert red > 1.15 * green > 1.3 * blue
 
 
+def test_scale_and_photos_are_shown_when_they_are_known(finished_grid: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    shutil.copytree(finished_grid, work)
+    quality = json.loads((work / "quality.json").read_text())
+    bar = {
+        "name": "bar <1>",
+        "check": True,
+        "distance": 31.504,
+        "adjusted": 31.5071,
+        "residual": 0.0031,
+        "sigma": 0.009,
+    }
+    bar |= {"rms_px": 0.12, "worst_px": 0.31, "worst_image": "view_03.jpg"}
+    quality["scale"] = {
+        "status": "converged", "scale": 12.5, "sigma": 0.004, "unit_weight": 1.07, "redundancy": 5, "distances": [bar],
+    }  # fmt: skip
+    quality["photogrammetry"] = {"program": "COLMAP 3.8", "registered": 12, "station": {"matches": 345}}
+    (work / "quality.json").write_text(json.dumps(quality))
+    malus.write_report(work)
+    text = (work / "report/index.html").read_text()
+    shown = {path: text for path, _, text in Page(text).numbers}
+    assert shown["scale.distances.0.residual"] == "0.0031" and shown["scale.distances.0.adjusted"] == "31.5071"
+    assert shown["photogrammetry.station.matches"] == "345" and shown["photogrammetry.program"] == "COLMAP 3.8"
+    assert "bar &lt;1&gt;" in text and "bar <1>" not in text
+
+
 def test_report_and_view_say_what_is_missing(tmp_path: Path) -> None:
     outcome = run_malus("report", tmp_path / "none")
     assert outcome.code == 2 and "quality.json" in outcome.err
