@@ -1,3 +1,4 @@
+#include <pybind11/eigen.h>
 #include <pybind11/stl.h>
 
 #include "arrays.h"
@@ -11,6 +12,16 @@ namespace malus::python {
 
 void bind_fusion(py::module_& module) {
   py::class_<FusedSurface>(module, "FusedSurface")
+      .def(py::init([](const Array<float>& depth, const Array<float>& normals, const Array<float>& sigma,
+                       const Pinhole& camera, const Eigen::Matrix3d& rotation, const Eigen::Vector3d& translation) {
+        FusedSurface surface;
+        surface.depth = to_image(depth);
+        surface.normals = to_image(normals);
+        surface.sigma = to_image(sigma);
+        surface.camera = camera;
+        surface.pose = {rotation, translation};
+        return surface;
+      }))
       .def_property_readonly("depth", [](const FusedSurface& s) { return copy_to_array(s.depth); })
       .def_property_readonly("normals", [](const FusedSurface& s) { return copy_to_array(s.normals); })
       .def_property_readonly("sigma", [](const FusedSurface& s) { return copy_to_array(s.sigma); })

@@ -1,6 +1,7 @@
 #include "arrays.h"
 #include "bindings.h"
 #include "malus/io/image_file.h"
+#include "malus/io/point_cloud_file.h"
 
 namespace malus::python {
 
@@ -10,6 +11,16 @@ void bind_io(py::module_& module) {
     RawImage image = read_image(path);
     return to_array(std::move(image.pixels));
   });
+  module.def("read_points", [](const std::string& path) {
+    const PointCloud cloud = read_point_cloud(path, {}, "reference");
+    py::array_t<double> array({static_cast<py::ssize_t>(cloud.points.size()), py::ssize_t{3}});
+    std::memcpy(array.mutable_data(), cloud.points.data(), cloud.points.size() * sizeof(Eigen::Vector3d));
+    return array;
+  });
+  module.def("write_float_tiff",
+             [](const std::string& path, const Array<float>& image) { write_float_tiff(path, to_image(image)); });
+  module.def("write_png16",
+             [](const std::string& path, const Array<std::uint16_t>& image) { write_png16(path, to_image(image)); });
 }
 
 }  // namespace malus::python

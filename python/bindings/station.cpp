@@ -5,6 +5,7 @@
 #include "bindings.h"
 #include "clouds.h"
 #include "interruptible.h"
+#include "malus/core/length_unit.h"
 #include "malus/station/check.h"
 #include "malus/station/describe.h"
 #include "malus/station/options.h"
@@ -24,7 +25,7 @@ Station station_from_arrays(const std::vector<Array<float>>& images, const std::
                             std::optional<double> read_noise_e) {
   Station station;
   station.file.name = name;
-  station.file.unit = unit;
+  station.file.unit = length_unit(unit).name;
   station.file.polarized.angles_deg = angles_deg;
   station.file.polarized.frames_averaged = frames_averaged;
   station.file.polarized.full_well_e = full_well_e;

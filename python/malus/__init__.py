@@ -13,10 +13,12 @@ from malus import assess, capture, fusion, height, polarization, prior, surface
 from malus._core import version as __version__
 from malus.camera import Camera
 from malus.errors import DataError, ExternalError, InputError, MalusError, ResourceError
+from malus.exports import export
 from malus.options import Options
 from malus.reconstruction import Progress, Result, check, reconstruct
-from malus.report import write_report
+from malus.report import open_report, write_report
 from malus.station import Station
+from malus.workspace import Workspace
 
 __all__ = [
     "Camera",
@@ -29,12 +31,15 @@ __all__ = [
     "ResourceError",
     "Result",
     "Station",
+    "Workspace",
     "__version__",
     "assess",
     "capture",
     "check",
+    "export",
     "fusion",
     "height",
+    "open_report",
     "polarization",
     "prior",
     "reconstruct",

@@ -19,6 +19,9 @@ def set_option(json: str, assignment: str) -> str: ...
 def options_from_file(json: str, path: str) -> str: ...
 def step_names() -> list[str]: ...
 def read_raster(path: str) -> Float32: ...
+def read_points(path: str) -> Float64: ...
+def write_float_tiff(path: str, image: Float32) -> None: ...
+def write_png16(path: str, image: NDArray[np.uint16]) -> None: ...
 
 class Station:
     @staticmethod
@@ -101,6 +104,15 @@ class FusedSurface:
     method: str
     status: str
     warnings: list[str]
+    def __init__(
+        self,
+        depth: Float32,
+        normals: Float32,
+        sigma: Float32,
+        camera: Pinhole,
+        rotation: Float64,
+        translation: Float64,
+    ) -> None: ...
     @property
     def depth(self) -> Float32: ...
     @property
@@ -160,6 +172,34 @@ def refine(
 ) -> FusedSurface: ...
 def normals_from_depth(depth: Float32, camera: Pinhole, threads: int) -> Float32: ...
 def mesh_from_depth(surface: FusedSurface, color: Float32 | None, options: str, threads: int) -> dict[str, Any]: ...
+def display_image(color: Float32, depth: Float32, white_percentile: float) -> Bytes: ...
+def dem_from_mesh(
+    vertices: Float64, triangles: NDArray[np.uint32], surface: FusedSurface, options: str, threads: int
+) -> dict[str, Any]: ...
+def write_dem(
+    path: str,
+    elevation: Float32,
+    pixel: float,
+    origin: Float64,
+    right: Float64,
+    up: Float64,
+    normal: Float64,
+    unit: str,
+    name: str,
+) -> None: ...
+def write_ply(path: str, vertices: Float64, normals: Float32, colors: Bytes, triangles: NDArray[np.uint32]) -> None: ...
+def write_glb(
+    path: str,
+    vertices: Float64,
+    normals: Float32,
+    triangles: NDArray[np.uint32],
+    texture: Bytes,
+    camera: Pinhole,
+    rotation: Float64,
+    translation: Float64,
+    unit: str,
+    name: str,
+) -> None: ...
 def fit_patch(
     depth: Float32, camera: Pinhole, x0: int, y0: int, x1: int, y1: int, gsd: float
 ) -> dict[str, float] | None: ...

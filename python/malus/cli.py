@@ -10,8 +10,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import malus
+from malus import m3c2
 from malus.demo import example_station
 from malus.errors import InputError, MalusError
+from malus.exports import FORMATS, MESHES
 from malus.progress import BarProgress, JsonProgress, ProgressView
 from malus.reconstruction import STEPS
 
@@ -66,13 +68,19 @@ def _parser() -> argparse.ArgumentParser:
     demo = add("demo", "the same on the example that ships with malus", station=False, work=False)
     demo.add_argument("-o", "--output", type=Path, default=Path("malus-demo"), metavar="WORK")
     add("check", "read everything, say what would be done, what it would take and what is wrong", work=False)
-    for name, (_, text) in STEP_COMMANDS.items():
-        command = add(name, text)
-        if name == "assess":
-            command.add_argument("--reference", type=Path, metavar="SCAN.ply", help="compare with this cloud or mesh")
-    run.add_argument("--reference", type=Path, metavar="SCAN.ply", help="compare with this cloud or mesh")
+    steps = {name: add(name, text) for name, (_, text) in STEP_COMMANDS.items()}
+    for command in (run, steps["assess"]):
+        command.add_argument("--reference", type=Path, metavar="SCAN.ply", help="compare with this cloud or mesh")
+        command.add_argument("--m3c2", action="store_true", help="compare with the reference by M3C2 too (py4dgeo)")
     report = add("report", "rebuild the report of a workspace", station=False, work=False)
     report.add_argument("work", type=Path, metavar="WORK")
+    view = add("view", "open the report of a workspace in the web browser", station=False, work=False)
+    view.add_argument("work", type=Path, metavar="WORK")
+    export = add("export", "write the surface of a workspace for another program", station=False, work=False)
+    export.add_argument("work", type=Path, metavar="WORK")
+    export.add_argument("--format", choices=list(FORMATS), required=True, help="what to write")
+    export.add_argument("--faces", type=int, metavar="N", help=f"at most N triangles ({', '.join(MESHES)})")
+    export.add_argument("-o", "--output", type=Path, metavar="PATH", help="default: in WORK/export/")
     options = commands.add_parser("options", help="list every option with its default and meaning")
     options.set_defaults(json=False, quiet=False)
     return parser
@@ -97,6 +105,8 @@ def _options(args: argparse.Namespace) -> malus.Options:
 
 def _reconstruct(args: argparse.Namespace, station_path: Path, until: str | None) -> None:
     options = _options(args)
+    if getattr(args, "m3c2", False) and args.reference is None:
+        raise InputError("--m3c2 compares with a reference, expected --reference SCAN.ply")
     station = malus.Station.load(station_path)
     with _view(args) as view:
         malus.reconstruct(
@@ -109,6 +119,10 @@ def _reconstruct(args: argparse.Namespace, station_path: Path, until: str | None
             progress=lambda p: view.progress(p.step, p.fraction, p.message),
             log=view.log,
         )
+        if getattr(args, "m3c2", False):
+            view.progress("m3c2", 0.0, "")
+            m3c2.compare(args.output, args.reference)
+            view.progress("m3c2", 1.0, "")
         if until is None:
             view.progress("report", 0.0, "")
             page = malus.write_report(args.output)
@@ -152,6 +166,10 @@ def _run(arguments: Sequence[str] | None) -> None:
         _check(args)
     elif args.command == "report":
         print(malus.write_report(args.work))
+    elif args.command == "view":
+        print(malus.open_report(args.work))
+    elif args.command == "export":
+        print(malus.export(args.work, args.format, args.output, faces=args.faces, threads=args.threads))
     elif args.command == "demo":
         _reconstruct(args, example_station(), None)
     else:

@@ -1,193 +1,490 @@
-"""The report's pictures, each drawn from a finished workspace."""
+"""The report's figures, each drawn from a finished workspace, with the numbers behind it."""
 
 from __future__ import annotations
 
+import csv
 import io
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import LightSource
-from matplotlib.figure import Figure
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import Colormap, ListedColormap
+from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
+from PIL import Image
 
-from malus import _core
+from malus.workspace import Raster, Workspace
 
-#: Long side of the pictures' data in pixels: larger rasters are thinned, a report is for looking.
+#: Long side of the pictures' data in pixels: larger rasters are averaged down, a report is for looking.
 MAX_SIDE_PX = 1600
 #: Colours of the three surfaces in every plot.
-COLORS = {"prior": "#9a6b3f", "polarization": "#3a7ca5", "fused": "#1b1b1b"}
-
-Raster = NDArray[np.float32]
-
-
-def read_raster(path: Path) -> Raster:
-    """Float TIFF or 8-bit PNG of a workspace, H×W or H×W×3, float32."""
-    raster: Raster = _core.read_raster(str(path))
-    return raster
+COLORS = {"prior": "#b0702a", "polarization": "#2f7fb3", "fused": "#1d2733"}
+#: Figures of a map's values in its CSV file.
+_PERCENTILES = (0, 1, 5, 25, 50, 75, 95, 99, 100)
+_DPI = 150
+#: Sine of the angle beyond grazing light at which relief shading becomes black.
+_BEYOND_GRAZING = 0.342
 
 
-def to_png(figure: Figure) -> bytes:
-    """Figure as a PNG file."""
+@dataclass(frozen=True)
+class Figure:
+    """One figure: picture, caption, and its numbers as a table."""
+
+    name: str
+    title: str
+    caption: str
+    picture: NDArray[np.uint8]
+    header: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+
+    def png(self) -> bytes:
+        """Picture as PNG."""
+        return encode(self.picture, "PNG", compress_level=4)
+
+    def webp(self) -> bytes:
+        """Picture as WebP, a fifth of the size, for the page."""
+        return encode(self.picture, "WEBP", quality=86, method=2)
+
+    def csv(self) -> str:
+        """Numbers as CSV; missing ones are empty."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(self.header)
+        for row in self.rows:
+            writer.writerow("" if value is None or value != value else value for value in row)
+        return text.getvalue()
+
+
+def encode(picture: NDArray[np.uint8], kind: str, **options: Any) -> bytes:
+    """Image file of a picture H×W, H×W×2 (grey, alpha), H×W×3 or H×W×4."""
+    mode = "LA" if picture.ndim == 3 and picture.shape[2] == 2 else None
+    image = (
+        Image.fromarray(np.ascontiguousarray(picture), mode) if mode else Image.fromarray(np.ascontiguousarray(picture))
+    )
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110, bbox_inches="tight")
+    image.save(buffer, kind, **options)
     return buffer.getvalue()
 
 
-def _thin(raster: Raster) -> Raster:
-    step = max(1, -(-max(raster.shape[:2]) // MAX_SIDE_PX))
-    return raster[::step, ::step]
+def reduced(raster: NDArray[Any], step: int) -> Raster:
+    """Means over blocks of step × step pixels, NaN left out; the last block of a row or column may be smaller."""
+    if step == 1:
+        return raster.astype(np.float32)
+    rows, columns = np.arange(0, raster.shape[0], step), np.arange(0, raster.shape[1], step)
+    known = np.isfinite(raster)
+
+    def sums(values: NDArray[Any]) -> NDArray[np.float64]:
+        return np.asarray(np.add.reduceat(np.add.reduceat(values, rows, axis=0, dtype=np.float64), columns, axis=1))
+
+    count = sums(known)
+    total = sums(np.where(known, raster, 0))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
 
 
-def _show(
-    axes: Axes,
-    raster: Raster,
-    title: str,
-    *,
-    cmap: str,
-    limits: tuple[float, float] | None = None,
-    label: str | None = None,
-) -> None:
-    finite = raster[np.isfinite(raster)]
-    if limits is None and finite.size:
-        low, high = np.percentile(finite, [1, 99])
-        limits = (float(low), float(high))
-    picture = axes.imshow(
-        _thin(raster), cmap=cmap, vmin=limits[0] if limits else None, vmax=limits[1] if limits else None
-    )
-    axes.set_title(title, fontsize=10)
-    axes.set_axis_off()
-    if label is not None:
-        bar = axes.figure.colorbar(picture, ax=axes, fraction=0.04, pad=0.02)
-        bar.set_label(label, fontsize=8)
-        bar.ax.tick_params(labelsize=7)
+def step_for(shape: Sequence[int], limit: int) -> int:
+    """Smallest block size with which no side is longer than the limit."""
+    return max(1, -(-max(shape[0], shape[1]) // limit))
 
 
-def _grid(rows: int, columns: int, shape: tuple[int, ...]) -> tuple[Figure, list[Axes]]:
-    width = 5.4
-    figure = Figure(
-        figsize=(width * columns, width * rows * shape[0] / shape[1] * 0.9 + 0.4 * rows), layout="constrained"
-    )
-    return figure, list(np.atleast_1d(figure.subplots(rows, columns)).ravel())
-
-
-def hillshade(depth: Raster, pixel: float) -> Raster:
-    """Relief shading of a depth map lit from the upper left, 0 … 1, NaN where there is no depth; `pixel` is the GSD."""
+def flattened(depth: Raster) -> Raster:
+    """Relief of a depth map, towards the camera: minus the depth, without the plane that fits it."""
     relief = -depth.astype(float)
-    filled = np.where(np.isfinite(relief), relief, np.nanmedian(relief))
-    # A plane takes out the pose of the object, so that the shading shows its form.
-    v, u = np.mgrid[: depth.shape[0], : depth.shape[1]]
-    ok = np.isfinite(relief)
-    design = np.stack([u[ok], v[ok], np.ones(ok.sum())], -1)
-    coefficients = np.linalg.lstsq(design[::37], relief[ok][::37], rcond=None)[0]
-    filled = filled - (u * coefficients[0] + v * coefficients[1] + coefficients[2])
-    shade = LightSource(azdeg=315, altdeg=40).hillshade(filled, dx=pixel, dy=pixel, vert_exag=1.0)
-    return np.where(ok, shade, np.nan).astype(np.float32)
+    known = np.isfinite(relief)
+    v, u = np.nonzero(known)
+    design = np.stack([u, v, np.ones(len(u))], -1)
+    stride = max(1, len(u) // 20000)
+    coefficients = np.linalg.lstsq(design[::stride], relief[known][::stride], rcond=None)[0]
+    relief[known] -= design @ coefficients
+    return relief.astype(np.float32)
 
 
-def surfaces(work: Path, quality: Mapping[str, Any]) -> Figure:
-    """Relief shading of prior and fused surface side by side."""
-    prior, fused = read_raster(work / "prior/depth.tif"), read_raster(work / "fused/depth.tif")
-    figure, axes = _grid(1, 2, fused.shape)
-    for ax, depth, title in ((axes[0], prior, "prior (stereo)"), (axes[1], fused, f"fused ({quality['method']})")):
-        _show(ax, hillshade(depth, quality["gsd"]), title, cmap="gray", limits=(0.0, 1.0))
-    return figure
+def _slope(relief: Raster, axis: int) -> Raster:
+    """Mean of the differences to both neighbours along an axis, of the one that exists at borders, 0 without any."""
+    steps = np.diff(relief, axis=axis)
+    empty = np.full_like(np.take(relief, [0], axis=axis), np.nan)
+    before, after = np.concatenate([empty, steps], axis), np.concatenate([steps, empty], axis)
+    slope = np.where(np.isnan(before), after, np.where(np.isnan(after), before, (before + after) / 2))
+    return np.nan_to_num(slope)
 
 
-def polarization(work: Path) -> Figure:
-    """Intensity, degree, phase and zenith (the paper's Fig. 5), with the fit's residual and the labels."""
-    folder = work / "polarization"
-    intensity = read_raster(folder / "unpolarized.tif")
-    figure, axes = _grid(3, 2, intensity.shape)
-    _show(axes[0], intensity, "unpolarized intensity", cmap="gray", label="of white")
-    _show(axes[1], read_raster(folder / "degree.tif"), "degree of linear polarization", cmap="viridis", label="ρ")
-    phase = np.degrees(read_raster(folder / "phase.tif"))
-    _show(axes[2], phase, "phase, counter-clockwise from image +x", cmap="twilight", limits=(0, 180), label="°")
-    _show(axes[3], np.degrees(read_raster(folder / "zenith.tif")), "zenith from degree", cmap="magma", label="°")
-    _show(
-        axes[4],
-        read_raster(folder / "residual.tif"),
-        "residual of the fit over its expectation",
-        cmap="inferno",
-        limits=(0, 3),
-        label="1 = noise",
-    )
-    label = read_raster(folder / "label.png")
-    _show(
-        axes[5], np.where(label > 0, label, np.nan), "reflection: 1 diffuse, 2 specular", cmap="cividis", limits=(1, 2)
-    )
-    return figure
+def hillshade(relief: Raster, pixel: float, azimuth_deg: float = 315, altitude_deg: float = 45) -> Raster:
+    """Relief shading, 0 … 1, NaN where there is no relief; not stretched, so that two pictures can be compared.
+
+    It is linear in the cosine of the angle between normal and light and reaches black 20° beyond the grazing angle: round objects
+    keep form on their far side. The light comes from `azimuth_deg` (clockwise from up) and `altitude_deg`; `pixel`: its size in the
+    relief's unit.
+    """
+    azimuth, altitude = np.radians(azimuth_deg), np.radians(altitude_deg)
+    right, up = _slope(relief, 1) / pixel, -_slope(relief, 0) / pixel
+    towards = np.sin(altitude) - np.cos(altitude) * (np.sin(azimuth) * right + np.cos(azimuth) * up)
+    cosine = towards / np.sqrt(1 + right**2 + up**2)
+    shade = np.clip((cosine + _BEYOND_GRAZING) / (1 + _BEYOND_GRAZING), 0, 1)
+    return np.where(np.isfinite(relief), shade, np.nan).astype(np.float32)
 
 
-def height(work: Path, quality: Mapping[str, Any]) -> Figure:
-    """Height from polarization alone as a map and as relief (Fig. 6 and 7)."""
-    raster = read_raster(work / "height/height.tif")
-    figure, axes = _grid(1, 2, raster.shape)
-    _show(axes[0], raster, "height from polarization alone", cmap="terrain", label="GSD")
-    _show(axes[1], hillshade(-raster, 1.0), "the same, relief shading", cmap="gray", limits=(0.0, 1.0))
-    return figure
+def grey(shade: Raster) -> NDArray[np.uint8]:
+    """Shading 0 … 1 as grey with alpha, transparent where it is NaN."""
+    known = np.isfinite(shade)
+    level = np.rint(255 * np.clip(np.where(known, shade, 0), 0, 1)).astype(np.uint8)
+    return np.stack([level, np.where(known, 255, 0).astype(np.uint8)], -1)
 
 
-def sigma(work: Path, quality: Mapping[str, Any]) -> Figure:
-    """One standard deviation of the fused depth."""
-    raster = read_raster(work / "fused/sigma.tif")
-    figure, axes = _grid(1, 2, raster.shape)
-    unit = quality["unit"]
-    _show(axes[0], raster, "standard deviation of the fused depth", cmap="viridis", label=unit)
-    difference = read_raster(work / "fused/depth.tif") - read_raster(work / "prior/depth.tif")
-    spread = float(np.nanpercentile(np.abs(difference), 98)) or 1.0
-    _show(axes[1], difference, "fused minus prior", cmap="RdBu", limits=(-spread, spread), label=unit)
-    return figure
+def _draw(drawing: Drawing) -> NDArray[np.uint8]:
+    drawing.set_dpi(_DPI)
+    canvas = FigureCanvasAgg(drawing)
+    canvas.draw()  # type: ignore[no-untyped-call]
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
 
 
-def profile_lines(work: Path, profiles: list[Mapping[str, Any]]) -> Figure:
-    """Where the sections run, on the intensity image (Fig. 11)."""
-    intensity = read_raster(work / "polarization/unpolarized.tif")
-    figure, axes = _grid(1, 1, intensity.shape)
-    low, high = np.nanpercentile(intensity, [1, 99])
-    axes[0].imshow(intensity, cmap="gray", vmin=low, vmax=high)
-    axes[0].set_axis_off()
-    for profile in profiles:
-        (u0, v0), (u1, v1) = profile["from_px"], profile["to_px"]
-        axes[0].plot([u0, u1], [v0, v1], color="#e4572e", lw=1.5)
-        axes[0].text(u0, v0, f" {profile['name']}", color="#e4572e", fontsize=12, va="bottom")
-    return figure
+def _style(axes: Any) -> None:
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.tick_params(labelsize=8, color="#8a8f96")
+    axes.grid(color="#e3e6ea", lw=0.6)
+    axes.set_axisbelow(True)
 
 
-def _values(values: list[float | None]) -> NDArray[np.float64]:
+@dataclass(frozen=True)
+class _Map:
+    """How one raster is shown."""
+
+    name: str
+    title: str
+    caption: str
+    cmap: str | Colormap
+    label: str = ""
+    limits: tuple[float, float] | None = None
+    ticks: Mapping[float, str] | None = None
+
+
+class Plates:
+    """Draws the figures of one workspace."""
+
+    def __init__(self, workspace: Workspace) -> None:
+        self.workspace = workspace
+        self.quality = workspace.quality
+        self.unit = str(self.quality["unit"])
+        self.gsd = float(self.quality["gsd"])
+        camera = workspace.camera
+        self.step = step_for((camera.height, camera.width), MAX_SIDE_PX)
+
+    def raster(self, name: str) -> Raster:
+        """A raster of the workspace at the size of the pictures."""
+        return reduced(self.workspace.raster(name), self.step)
+
+    def thinned(self, name: str) -> Raster:
+        """The same without averaging, for angles and labels."""
+        return self.workspace.raster(name)[:: self.step, :: self.step]
+
+    @cached_property
+    def relief(self) -> dict[str, Raster]:
+        """Relief of prior and fused surface in the station's unit."""
+        return {name: flattened(self.raster(f"{name}/depth.tif")) for name in ("prior", "fused")}
+
+    def shade(self, surface: str, azimuth_deg: float = 315) -> Raster:
+        """Relief shading of a surface."""
+        return hillshade(self.relief[surface], self.gsd * self.step, azimuth_deg)
+
+    def object_box(self) -> tuple[slice, slice]:
+        """Rows and columns of the pictures that hold the object, with a small margin."""
+        known = np.isfinite(self.relief["fused"])
+        rows, columns = np.nonzero(known.any(1))[0], np.nonzero(known.any(0))[0]
+        margin = max(4, max(known.shape) // 60)
+        return (
+            slice(max(0, rows[0] - margin), rows[-1] + 1 + margin),
+            slice(max(0, columns[0] - margin), columns[-1] + 1 + margin),
+        )
+
+    # ---- maps ----
+
+    def _map(self, raster: Raster, how: _Map) -> Figure:
+        finite = raster[np.isfinite(raster)].astype(float)
+        limits = how.limits
+        if limits is None:
+            limits = tuple(np.percentile(finite, [1, 99])) if finite.size else (0.0, 1.0)
+        shape = raster.shape
+        width = 6.4
+        # Room for the colour bar below the picture.
+        drawing = Drawing(figsize=(width, width * shape[0] / shape[1] + (0.55 if how.label or how.ticks else 0.0)))
+        bar_height = 0.55 / drawing.get_figheight() if how.label or how.ticks else 0.0
+        axes = drawing.add_axes((0, bar_height, 1, 1 - bar_height))
+        picture = axes.imshow(raster, cmap=how.cmap, vmin=limits[0], vmax=limits[1], interpolation="antialiased")
+        axes.set_axis_off()
+        if bar_height:
+            bar_axes = drawing.add_axes((0.2, bar_height * 0.66, 0.6, bar_height * 0.2))
+            bar = drawing.colorbar(picture, cax=bar_axes, orientation="horizontal")
+            bar.outline.set_linewidth(0.4)
+            bar_axes.tick_params(labelsize=8, length=2)
+            if how.ticks:
+                bar.set_ticks(list(how.ticks), labels=list(how.ticks.values()))
+            if how.label:
+                bar_axes.text(1.02, 0.5, how.label, transform=bar_axes.transAxes, fontsize=8, va="center")
+        summary: list[Any] = [how.title, how.label, finite.size, finite.mean() if finite.size else None]
+        summary += (
+            [float(p) for p in np.percentile(finite, _PERCENTILES)] if finite.size else [None] * len(_PERCENTILES)
+        )
+        return Figure(
+            how.name,
+            how.title,
+            how.caption,
+            _draw(drawing),
+            ["map", "unit", "pixels", "mean", *(f"p{p:02d}" for p in _PERCENTILES)],
+            [summary],
+        )
+
+    def shadings(self) -> Iterator[Figure]:
+        """Relief shading of prior and fused surface, the fused one from two more directions."""
+        about = "Relief shading of the depth map after one plane is taken out, light 45° above the plane from the "
+        for name, surface, azimuth, side in (
+            ("hillshade_prior", "prior", 315, "upper left"),
+            ("hillshade_fused", "fused", 315, "upper left"),
+            ("hillshade_fused_right", "fused", 45, "upper right"),
+            ("hillshade_fused_below", "fused", 180, "bottom"),
+        ):
+            label = "Prior (stereo)" if surface == "prior" else f"Fused ({self.quality['method']})"
+            yield self._map(
+                self.shade(surface, azimuth),
+                _Map(name, f"{label}, light from the {side}", about + side + ".", "gray", limits=(0, 1)),
+            )
+
+    def elevations(self) -> Iterator[Figure]:
+        """Elevation of prior and fused surface above the plane that fits them (Fig. 8)."""
+        finite = self.relief["fused"][np.isfinite(self.relief["fused"])]
+        low, high = (float(p) for p in np.percentile(finite, [0.5, 99.5]))
+        for surface in ("prior", "fused"):
+            yield self._map(
+                self.relief[surface],
+                _Map(
+                    f"elevation_{surface}",
+                    f"Elevation, {surface}",
+                    "Along the optical axis, above the plane that fits the depth map; positive towards the camera.",
+                    "viridis",
+                    self.unit,
+                    (low, high),
+                ),
+            )
+
+    def polarization(self) -> Iterator[Figure]:
+        """Intensity, degree, phase, zenith, residual and labels (Fig. 5)."""
+        folder = "polarization/"
+        yield self._map(
+            self.raster(folder + "unpolarized.tif"),
+            _Map("intensity", "Unpolarized intensity", "Mean over a turn of the polarizer.", "gray", "of white"),
+        )
+        yield self._map(
+            self.raster(folder + "degree.tif"),
+            _Map(
+                "degree",
+                "Degree of linear polarization",
+                "Amplitude of the fitted sinusoid over its mean.",
+                "viridis",
+                "ρ",
+            ),
+        )
+        yield self._map(
+            np.degrees(self.thinned(folder + "phase.tif")),
+            _Map(
+                "phase", "Phase", "Polarizer angle of the brightest image, counter-clockwise from image +x.",
+                "twilight", "°", (0, 180),
+            ),
+        )  # fmt: skip
+        yield self._map(
+            np.degrees(self.raster(folder + "zenith.tif")),
+            _Map("zenith", "Zenith from the degree", "Angle of normal and viewing ray by Eq 7 or 8.", "magma", "°"),
+        )
+        yield self._map(
+            self.raster(folder + "residual.tif"),
+            _Map(
+                "residual", "Residual of the fit", "In expected standard deviations: 1 is noise alone.",
+                "inferno", "σ", (0, 3),
+            ),
+        )  # fmt: skip
+        labels = self.thinned("fused/label.png" if self.workspace.has("fused/label.png") else folder + "label.png")
+        yield self._map(
+            np.where(labels > 0, labels, np.nan).astype(np.float32),
+            _Map(
+                "reflection", "Kind of reflection", "Which reflection dominates the polarization of a pixel.",
+                ListedColormap(["#3a7ca5", "#e0a13b"]), limits=(0.5, 2.5), ticks={1.0: "diffuse", 2.0: "specular"},
+            ),
+        )  # fmt: skip
+
+    def height(self) -> Iterator[Figure]:
+        """Height from polarization alone as a map and as relief (Fig. 6 and 7)."""
+        raster = self.raster("height/height.tif")
+        yield self._map(
+            raster,
+            _Map(
+                "polarization_height",
+                "Height from polarization alone",
+                "In pixels, before any fusion.",
+                "viridis",
+                "GSD",
+            ),
+        )
+        yield self._map(
+            hillshade(flattened(-raster), float(self.step)),
+            _Map("polarization_relief", "Its relief shading", "Light from the upper left.", "gray", limits=(0, 1)),
+        )
+
+    def uncertainty(self) -> Iterator[Figure]:
+        """One standard deviation of the fused depth, and what fusion changed."""
+        yield self._map(
+            self.raster("fused/sigma.tif"),
+            _Map(
+                "sigma", "Standard deviation of the fused depth", "One σ, along the optical axis.", "viridis", self.unit
+            ),
+        )
+        difference = self.raster("fused/depth.tif") - self.raster("prior/depth.tif")
+        spread = float(np.nanpercentile(np.abs(difference), 98)) or 1.0
+        yield self._map(
+            difference,
+            _Map(
+                "fused_minus_prior", "Fused minus prior depth", "Blue: the fused surface lies farther away.",
+                "RdBu", self.unit, (-spread, spread),
+            ),
+        )  # fmt: skip
+        if self.workspace.has("fused/confidence.png"):
+            known = np.isfinite(self.relief["fused"])
+            yield self._map(
+                np.where(known, self.raster("fused/confidence.png") / np.float32(255), np.float32(np.nan)),
+                _Map(
+                    "confidence", "Weight of polarization", "Which pixels' polarization the refinement believed.",
+                    "cividis", "", (0, 1), {0.0: "none", 0.5: "half", 1.0: "full"},
+                ),
+            )  # fmt: skip
+
+    def reference(self) -> Iterator[Figure]:
+        """Signed distances to the reference, and their histogram."""
+        if self.quality["reference"] and self.workspace.has("fused/reference_distance.tif"):
+            yield from self._distances("reference", "Distance to the reference", self.quality["reference"])
+
+    def m3c2(self) -> Iterator[Figure]:
+        """The same by M3C2."""
+        if self.workspace.m3c2 and self.workspace.has("fused/m3c2_distance.tif"):
+            yield from self._distances("m3c2", "M3C2 distance to the reference", self.workspace.m3c2)
+
+    def _distances(self, name: str, title: str, figures: Mapping[str, Any]) -> Iterator[Figure]:
+        raster = self.raster(f"fused/{name}_distance.tif") / np.float32(self.gsd)
+        finite = np.abs(raster[np.isfinite(raster)])
+        spread = float(np.percentile(finite, 95)) if finite.size else 1.0
+        caption = "Positive (blue): the surface lies in front of the reference."
+        yield self._map(raster, _Map(f"{name}_distance", title, caption, "RdBu", "GSD", (-spread, spread)))
+        yield self._histogram(
+            f"{name}_histogram", f"{title}, histogram", "distance [GSD]", {"fused": figures["histogram_gsd"]}, {}
+        )
+
+    # ---- plots ----
+
+    def profile_lines(self) -> Figure:
+        """Where the sections run, on the picture they were taken from (Fig. 11)."""
+        intensity = self.raster("polarization/unpolarized.tif")
+        width = 6.4
+        drawing = Drawing(figsize=(width, width * intensity.shape[0] / intensity.shape[1]))
+        axes = drawing.add_axes((0, 0, 1, 1))
+        low, high = np.nanpercentile(intensity, [1, 99])
+        axes.imshow(intensity, cmap="gray", vmin=low, vmax=high)
+        axes.set_axis_off()
+        axes.set(xlim=(-0.5, intensity.shape[1] - 0.5), ylim=(intensity.shape[0] - 0.5, -0.5))
+        rows = []
+        for profile in self.quality["profiles"]:
+            (u0, v0), (u1, v1) = profile["from_px"], profile["to_px"]
+            rows.append([profile["name"], u0, v0, u1, v1])
+            line = np.array([[u0, v0], [u1, v1]]) / self.step
+            axes.plot(*line.T, color="white", lw=3, solid_capstyle="round")
+            axes.plot(*line.T, color="#d1495b", lw=1.6, solid_capstyle="round")
+            axes.annotate(
+                profile["name"], line[0], xytext=(6, 6), textcoords="offset points", color="white", fontsize=10,
+                bbox={"boxstyle": "round,pad=0.25", "fc": "#d1495b", "ec": "none"},
+            )  # fmt: skip
+        return Figure(
+            "profile_lines", "Where the profiles run", "On the unpolarized image; the number stands at the start.",
+            _draw(drawing), ["profile", "from_u_px", "from_v_px", "to_u_px", "to_v_px"], rows,
+        )  # fmt: skip
+
+    def profiles(self) -> Iterator[Figure]:
+        """Sections through prior, polarization height and fused surface (Fig. 12 and 13)."""
+        for number, profile in enumerate(self.quality["profiles"], 1):
+            drawing = Drawing(figsize=(9.6, 4.2), layout="constrained")
+            above, below = drawing.subplots(2, 1, sharex=True, height_ratios=(5, 2))
+            along = _values(profile["position"])
+            present = [name for name in COLORS if profile[name]]
+            for name in present:
+                above.plot(
+                    along, _values(profile[name]), color=COLORS[name], lw=1.5 if name == "fused" else 1.1, label=name
+                )
+            above.set_ylabel(f"height [{self.unit}]", fontsize=9)
+            above.margins(x=0.01)
+            above.legend(fontsize=8, frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
+            if profile["prior"] and profile["fused"]:
+                difference = (_values(profile["fused"]) - _values(profile["prior"])) / self.gsd
+                below.fill_between(along, difference, color=COLORS["fused"], alpha=0.25, lw=0)
+                below.plot(along, difference, color=COLORS["fused"], lw=0.9)
+            below.set_ylabel("fused − prior\n[GSD]", fontsize=9)
+            below.set_xlabel(f"along the profile [{self.unit}]", fontsize=9)
+            for axes in (above, below):
+                _style(axes)
+            columns = [profile["position"], *(profile[name] for name in present)]
+            yield Figure(
+                f"profile_{number}", f"Profile {profile['name']}",
+                "Height above the chord of the fused section, towards the camera; polarization alone has no absolute height. "
+                "Below, what fusion changed.",
+                _draw(drawing), [f"position_{self.unit}", *(f"{name}_{self.unit}" for name in present)],
+                list(zip(*columns, strict=True)),
+            )  # fmt: skip
+
+    def _histogram(
+        self, name: str, title: str, axis: str, bins: Mapping[str, Mapping[str, Any]], notes: Mapping[str, str]
+    ) -> Figure:
+        drawing = Drawing(figsize=(6.4, 3.3), layout="constrained")
+        axes = drawing.subplots()
+        low, high = np.inf, -np.inf
+        for surface, histogram in bins.items():
+            counts = np.array(histogram["counts"], dtype=float)
+            edges = histogram["low"] + histogram["bin_width"] * np.arange(len(counts) + 1)
+            total = counts.sum() + histogram["below"] + histogram["above"]
+            axes.stairs(
+                100 * counts / max(total, 1), edges, color=COLORS[surface], lw=1.5, fill=surface == "fused",
+                alpha=0.85 if surface == "fused" else 1, label=notes.get(surface, surface),
+            )  # fmt: skip
+            used = np.nonzero(counts)[0]
+            if used.size:
+                low, high = min(low, edges[used[0]]), max(high, edges[used[-1] + 1])
+        if low < high:
+            axes.set_xlim(low - 0.05 * (high - low), high + 0.05 * (high - low))
+        axes.set_xlabel(axis, fontsize=9)
+        axes.set_ylabel("share of pixels [%]", fontsize=9)
+        _style(axes)
+        if notes:
+            axes.legend(fontsize=8, frameon=False)
+        rows = [
+            [
+                surface,
+                histogram["low"] + k * histogram["bin_width"],
+                histogram["low"] + (k + 1) * histogram["bin_width"],
+                n,
+            ]
+            for surface, histogram in bins.items()
+            for k, n in enumerate(histogram["counts"])
+        ]
+        header = ["surface", "from_gsd", "to_gsd", "count"]
+        return Figure(name, title, "Share of the pixels in each class of distance.", _draw(drawing), header, rows)
+
+    def patches(self) -> Iterator[Figure]:
+        """Distances of flat patches to their fitted planes, prior and fused (Fig. 15)."""
+        for number, patch in enumerate(self.quality["patches"], 1):
+            fits = {name: patch[name] for name in ("prior", "fused") if patch[name] is not None}
+            if fits:
+                yield self._histogram(
+                    f"patch_{number}",
+                    f"Patch {patch['name']}",
+                    "distance to the fitted plane [GSD]",
+                    {name: fit["histogram_gsd"] for name, fit in fits.items()},
+                    {name: f"{name}: RMSE {fit['rmse_gsd']:.3g} GSD" for name, fit in fits.items()},
+                )
+
+
+def _values(values: Sequence[float | None]) -> NDArray[np.float64]:
     return np.array([np.nan if value is None else value for value in values], dtype=float)
-
-
-def profile(profile: Mapping[str, Any], unit: str) -> Figure:
-    """One section through prior, polarization height and fused surface (Fig. 12 and 13)."""
-    figure = Figure(figsize=(10, 3.2), layout="constrained")
-    axes = figure.subplots()
-    along = _values(profile["position"])
-    for name, color in COLORS.items():
-        if profile[name]:
-            axes.plot(along, _values(profile[name]), color=color, lw=1.4 if name == "fused" else 1.0, label=name)
-    axes.set_xlabel(f"along the section [{unit}]")
-    axes.set_ylabel(f"height [{unit}]")
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=8, frameon=False, ncols=3)
-    return figure
-
-
-def histogram(patch: Mapping[str, Any]) -> Figure:
-    """Distances of a flat patch to its fitted plane, prior and fused (Fig. 15)."""
-    figure = Figure(figsize=(5.4, 3.2), layout="constrained")
-    axes = figure.subplots()
-    for name in ("prior", "fused"):
-        fit = patch[name]
-        if fit is not None:
-            bins = fit["histogram_gsd"]
-            edges = bins["low"] + bins["bin_width"] * np.arange(len(bins["counts"]) + 1)
-            shares = np.array(bins["counts"], dtype=float) / max(fit["count"], 1)
-            axes.stairs(shares, edges, color=COLORS[name], lw=1.4, label=f"{name}: RMSE {fit['rmse_gsd']:.3f} GSD")
-    axes.set_xlabel("distance to the fitted plane [GSD]")
-    axes.set_ylabel("share of pixels")
-    axes.set_title(f"patch {patch['name']}", fontsize=10)
-    axes.legend(fontsize=8, frameon=False)
-    return figure

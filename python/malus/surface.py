@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,40 @@ class Mesh:
     normals: NDArray[np.float32]
     colors: NDArray[np.uint8]
     triangles: NDArray[np.uint32]
+
+
+@dataclass(frozen=True)
+class Dem:
+    """Elevation above the plane fitted to a surface.
+
+    elevation: H×W float32, station unit, towards the camera, NaN = none. pixel: size of a pixel. The centre of the top-left
+    pixel lies at `origin` in the world; `right` and `up` (towards smaller rows) lie in the plane, `normal` points to the camera.
+    """
+
+    elevation: NDArray[np.float32]
+    pixel: float
+    origin: NDArray[np.float64]
+    right: NDArray[np.float64]
+    up: NDArray[np.float64]
+    normal: NDArray[np.float64]
+
+    def points(self) -> NDArray[np.float64]:
+        """World points of all pixels, H×W×3, NaN where there is no elevation."""
+        rows, columns = np.meshgrid(*(np.arange(float(n)) for n in self.elevation.shape), indexing="ij")
+        offset = np.multiply.outer(columns, self.right) - np.multiply.outer(rows, self.up)
+        height = np.multiply.outer(self.elevation.astype(np.float64), self.normal)
+        points: NDArray[np.float64] = self.origin + self.pixel * offset + height
+        return points
+
+
+def dem_from_mesh(mesh: Mesh, surface: FusedSurface, *, options: Options | None = None, threads: int = 1) -> Dem:
+    """Elevation model of a surface's mesh in the plane fitted to it; the pixel is options.surface.dem_pixel."""
+    return Dem(**_core.dem_from_mesh(mesh.vertices, mesh.triangles, surface, (options or Options()).to_json(), threads))
+
+
+def write_dem(path: str | Path, dem: Dem, *, unit: str, name: str) -> None:
+    """Write an elevation model as GeoTIFF in a local coordinate system (x right, y up, in `unit`, e.g. "mm")."""
+    _core.write_dem(str(path), dem.elevation, dem.pixel, dem.origin, dem.right, dem.up, dem.normal, unit, name)
 
 
 def normals_from_depth(depth: ArrayLike, camera: Pinhole, *, threads: int = 1) -> NDArray[np.float32]:

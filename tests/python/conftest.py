@@ -107,6 +107,15 @@ to = [190, 80]
     return folder
 
 
+@pytest.fixture(scope="session")
+def finished_grid(small_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Workspace of `malus run --fusion grid` on the small station; read it, do not change it."""
+    work = tmp_path_factory.mktemp("finished") / "work"
+    outcome = malus("run", small_station_source / "station.toml", "-o", work, "--fusion", "grid", "--threads", "2")
+    assert outcome.code == 0, outcome.err
+    return work
+
+
 @pytest.fixture
 def small_station(small_station_source: Path, tmp_path: Path) -> Path:
     """A private copy of the small station's file, for tests that change it."""

@@ -13,6 +13,8 @@
 #include "malus/io/atomic_file.h"
 #include "malus/io/image_file.h"
 
+struct tiff;  // libtiff's TIFF
+
 namespace malus::codecs {
 
 /// What a header says.
@@ -35,6 +37,9 @@ RawImage decode_jpeg(std::string_view bytes, const HeaderCheck& check);
 RawImage decode_tiff(std::string_view bytes, const HeaderCheck& check);
 
 void encode_png(AtomicFile& file, const void* pixels, Size size, int channels, int bits);
-void encode_float_tiff(AtomicFile& file, const Image<float>& image);
+/// JPEG file of an 8-bit image of 1 or 3 channels; quality 1 … 100.
+std::string encode_jpeg(const Image<std::uint8_t>& image, int quality);
+/// `add_tags` may set further fields before the pixels are written; null = none.
+void encode_float_tiff(AtomicFile& file, const Image<float>& image, const std::function<void(tiff*)>& add_tags = {});
 
 }  // namespace malus::codecs

@@ -6,6 +6,7 @@
 // clang-format on
 
 #include <csetjmp>
+#include <cstdlib>
 #include <stdexcept>
 #include <vector>
 
@@ -73,6 +74,48 @@ bool read_rows(Reader& reader, JSAMPLE* row, Image<float>& pixels) {
   return true;
 }
 
+struct Writer {
+  jpeg_compress_struct jpeg{};
+  jpeg_error_mgr errors{};
+  std::jmp_buf jump{};
+  char message[JMSG_LENGTH_MAX] = {};
+  unsigned char* bytes = nullptr;
+  unsigned long size = 0;
+  bool created = false;
+
+  ~Writer() {
+    if (created) jpeg_destroy_compress(&jpeg);
+    std::free(bytes);
+  }
+};
+
+void fail_writing(j_common_ptr jpeg) {
+  auto& writer = *static_cast<Writer*>(jpeg->client_data);
+  jpeg->err->format_message(jpeg, writer.message);
+  std::longjmp(writer.jump, 1);
+}
+
+bool write_rows(Writer& writer, const Image<std::uint8_t>& image, int quality) {
+  if (setjmp(writer.jump)) return false;
+  jpeg_create_compress(&writer.jpeg);
+  writer.created = true;
+  jpeg_mem_dest(&writer.jpeg, &writer.bytes, &writer.size);
+  writer.jpeg.image_width = static_cast<JDIMENSION>(image.width());
+  writer.jpeg.image_height = static_cast<JDIMENSION>(image.height());
+  writer.jpeg.input_components = image.channels();
+  writer.jpeg.in_color_space = image.channels() == 1 ? JCS_GRAYSCALE : JCS_RGB;
+  jpeg_set_defaults(&writer.jpeg);
+  jpeg_set_quality(&writer.jpeg, quality, TRUE);
+  jpeg_start_compress(&writer.jpeg, TRUE);
+  for (int v = 0; v < image.height(); ++v) {
+    // libjpeg's interface is not const-correct; it only reads.
+    JSAMPLE* row = const_cast<JSAMPLE*>(image.row(v));
+    jpeg_write_scanlines(&writer.jpeg, &row, 1);
+  }
+  jpeg_finish_compress(&writer.jpeg);
+  return true;
+}
+
 }  // namespace
 
 RawImage decode_jpeg(std::string_view bytes, const HeaderCheck& check) {
@@ -95,6 +138,16 @@ RawImage decode_jpeg(std::string_view bytes, const HeaderCheck& check) {
   std::vector<JSAMPLE> row(static_cast<std::size_t>(header.size.width) * static_cast<std::size_t>(header.channels));
   if (!read_rows(reader, row.data(), image.pixels)) throw std::runtime_error(reader.message);
   return image;
+}
+
+std::string encode_jpeg(const Image<std::uint8_t>& image, int quality) {
+  Writer writer;
+  writer.jpeg.err = jpeg_std_error(&writer.errors);
+  writer.errors.error_exit = fail_writing;
+  writer.errors.output_message = print_nothing;
+  writer.jpeg.client_data = &writer;
+  if (!write_rows(writer, image, quality)) throw resource_error("cannot encode a JPEG: " + std::string(writer.message));
+  return {reinterpret_cast<const char*>(writer.bytes), writer.size};
 }
 
 }  // namespace malus::codecs

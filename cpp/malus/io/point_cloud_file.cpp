@@ -564,6 +564,13 @@ TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context
   return mesh;
 }
 
+TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context& context, const std::string& what) {
+  InputFile file(path, what);
+  if (is_ply(path)) return read_ply(file, PlyParts::vertices_and_faces, context);
+  require_text(path, file);
+  return {read_xyz(file, context), {}};
+}
+
 void write_ply(const std::filesystem::path& path, const PointCloud& cloud) {
   write(path, cloud, nullptr);
 }

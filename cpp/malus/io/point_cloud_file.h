@@ -29,6 +29,10 @@ PointCloud read_point_cloud(const std::filesystem::path& path, const Context& co
 TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context = {},
                        const std::string& what = "mesh");
 
+/// Reads what read_mesh reads, and every point cloud that read_point_cloud reads as a mesh without triangles.
+TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context& context = {},
+                                const std::string& what = "cloud or mesh");
+
 /// Writes binary little-endian PLY, atomically (see AtomicFile): x, y, z, then normals (float) and colours (uchar)
 /// where there are any. Coordinates are float unless rounding to float could move a point by more than a thousandth of
 /// the mean vertex spacing (diagonal of the bounding box / √count), as it does in a national grid; then they are

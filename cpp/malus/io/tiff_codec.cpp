@@ -276,7 +276,7 @@ RawImage decode_tiff(std::string_view bytes, const HeaderCheck& check) {
   return image;
 }
 
-void encode_float_tiff(AtomicFile& file, const Image<float>& image) {
+void encode_float_tiff(AtomicFile& file, const Image<float>& image, const std::function<void(TIFF*)>& add_tags) {
   Errors errors;
   const Options options(errors);
   Target target{.file = file};
@@ -301,6 +301,7 @@ void encode_float_tiff(AtomicFile& file, const Image<float>& image) {
   TIFFSetField(tiff.get(), TIFFTAG_PHOTOMETRIC,
                static_cast<std::uint16_t>(image.channels() == 3 ? PHOTOMETRIC_RGB : PHOTOMETRIC_MINISBLACK));
   TIFFSetField(tiff.get(), TIFFTAG_ROWSPERSTRIP, static_cast<std::uint32_t>(rows_per_strip));
+  if (add_tags) add_tags(tiff.get());
   std::uint32_t strip = 0;
   for (int v = 0; v < image.height(); v += rows_per_strip, ++strip) {
     const std::size_t samples = static_cast<std::size_t>(std::min(rows_per_strip, image.height() - v)) * row_samples;

@@ -2,7 +2,6 @@
 
 #include "malus/capture/capture.h"
 #include "malus/core/depth_normals.h"
-#include "malus/io/atomic_file.h"
 #include "malus/io/image_file.h"
 #include "malus/io/point_cloud_file.h"
 #include "malus/polarization/decompose.h"
@@ -10,7 +9,7 @@
 #include "malus/station/quality_json_internal.h"
 #include "malus/station/station_inputs_internal.h"
 #include "malus/station/step_runner_internal.h"
-#include "malus/surface/mesh.h"
+#include "malus/station/surface_files_internal.h"
 
 namespace malus {
 namespace {
@@ -125,13 +124,6 @@ RefinementStep make_refined(const Station& station, const PolarizationStep& imag
           std::move(refined.report.confidence)};
 }
 
-void write_mesh(const FusedSurface& surface, const PolarizationStep& images, const Options& options,
-                const Context& context, const std::filesystem::path& work, std::vector<std::string>& files) {
-  const Image<float>& color = images.color.empty() ? images.state.i_un : images.color;
-  write_ply(work / "fused/surface.ply", mesh_from_depth(surface, color, options.surface, context));
-  files.emplace_back("fused/surface.ply");
-}
-
 }  // namespace
 
 Reconstruction reconstruct(const Station& station, const Options& options, const RunOptions& run,
@@ -194,9 +186,14 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
   }
 
   if (steps.wants("mesh")) {
-    steps.write("mesh", {.after = {"polarization", fused_by}, .option_sections = {"surface"}},
+    steps.write("mesh",
+                {.after = {"polarization", fused_by},
+                 .option_sections = {"surface"},
+                 .station = {{"name", station.file.name}, {"unit", station.file.unit}}},
                 [&](const Context& c, const std::filesystem::path& work, std::vector<std::string>& files) {
-                  write_mesh(*result.surface, images, options, c, work, files);
+                  write_surface_files(*result.surface, images.color.empty() ? images.state.i_un : images.color,
+                                      options.surface, length_unit(station.file.unit), station.file.name, c, work,
+                                      files);
                 });
   }
 
@@ -207,7 +204,7 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
     std::optional<TriangleMesh> reference;
     if (run.reference) {
       assess_inputs.station["reference"] = inputs.file(*run.reference);
-      reference = read_mesh(*run.reference);
+      reference = read_cloud_or_mesh(*run.reference, context, "reference");
     }
     AssessStep figures = steps.run<AssessStep>("assess", assess_inputs, [&](const Context& c) {
       const Mask object = object_mask(images.state);

@@ -10,6 +10,7 @@
 
 #include "malus/core/depth_normals.h"
 #include "malus/core/parallel.h"
+#include "malus/surface/display_image.h"
 
 namespace malus {
 namespace {
@@ -168,31 +169,6 @@ std::vector<std::size_t> starts_of(const std::vector<std::size_t>& counts) {
   return starts;
 }
 
-/// Linear value in [0, 1] to 8-bit sRGB (IEC 61966-2-1).
-std::uint8_t srgb(double linear) {
-  const double x = std::clamp(linear, 0.0, 1.0);
-  const double encoded = x <= 0.0031308 ? 12.92 * x : 1.055 * std::pow(x, 1 / 2.4) - 0.055;
-  return static_cast<std::uint8_t>(std::lround(255 * encoded));
-}
-
-/// Factor that takes the percentile of the colour on the surface to 1; from at most about a million evenly spread
-/// pixels.
-double white_factor(const Image<float>& color, const Image<float>& depth, double percentile) {
-  const std::size_t stride = std::max<std::size_t>(1, depth.count() / 1000003);
-  const auto channels = static_cast<std::size_t>(color.channels());
-  std::vector<float> values;
-  for (std::size_t i = 0; i < depth.count(); i += stride) {
-    if (!usable(depth[i])) continue;
-    for (std::size_t c = 0; c < channels; ++c) {
-      if (const float value = color[i * channels + c]; std::isfinite(value)) values.push_back(value);
-    }
-  }
-  if (values.empty()) return 1;
-  const auto rank = static_cast<std::ptrdiff_t>(percentile / 100 * static_cast<double>(values.size() - 1));
-  std::nth_element(values.begin(), values.begin() + rank, values.end());
-  return values[rank] > 0 ? 1.0 / values[rank] : 1;
-}
-
 void require_consistent(const FusedSurface& surface, const Image<float>& color) {
   require_size(surface.depth, surface.camera.size, "the depth map");
   if (!surface.normals.empty()) {
@@ -291,20 +267,12 @@ void fill_normals(const FusedSurface& surface, const Grid& grid, const VertexNum
   });
 }
 
-void fill_colors(const Image<float>& color, const Image<float>& depth, double white_percentile, const Grid& grid,
-                 const VertexNumbers& numbers, const Context& context, std::vector<Rgb>& colors) {
-  if (color.empty()) return;
-  constexpr int steps = 1 << 14;  // finer than 8-bit sRGB everywhere, its steepest slope included
-  std::vector<std::uint8_t> table(steps + 1);
-  for (int i = 0; i <= steps; ++i) table[static_cast<std::size_t>(i)] = srgb(static_cast<double>(i) / steps);
-  const double factor = white_factor(color, depth, white_percentile);
+void fill_colors(const Image<std::uint8_t>& display, const Grid& grid, const VertexNumbers& numbers,
+                 const Context& context, std::vector<Rgb>& colors) {
   colors.resize(numbers.count);
   for_vertices(numbers, context, [&](int i, int j, std::size_t vertex) {
-    for (int c = 0; c < 3; ++c) {
-      const double value = factor * color(grid.pixel(i), grid.pixel(j), color.channels() == 3 ? c : 0);
-      colors[vertex][static_cast<std::size_t>(c)] =
-          value > 0 ? table[static_cast<std::size_t>(std::min(value, 1.0) * steps + 0.5)] : std::uint8_t{0};
-    }
+    const std::uint8_t* pixel = &display(grid.pixel(i), grid.pixel(j));
+    colors[vertex] = {pixel[0], pixel[1], pixel[2]};
   });
 }
 
@@ -327,9 +295,18 @@ TriangleMesh mesh_from_depth(const FusedSurface& surface, const Image<float>& co
     mesh.vertices.points[vertex] = surface.pose.world_from_cam(grid.point({i, j}));
   });
   fill_normals(surface, grid, numbers, context, mesh.vertices.normals);
-  fill_colors(color, surface.depth, options.white_percentile, grid, numbers, context, mesh.vertices.colors);
+  if (!color.empty()) {
+    fill_colors(display_image(color, surface.depth, options.white_percentile, context), grid, numbers, context,
+                mesh.vertices.colors);
+  }
   context.progress("mesh", 1, std::to_string(mesh.triangles.size()) + " triangles");
   return mesh;
+}
+
+int subsample_for(std::size_t triangles, int limit, const SurfaceOptions& options) {
+  constexpr int largest = 64;
+  const double factor = std::ceil(std::sqrt(static_cast<double>(triangles) / limit));
+  return static_cast<int>(std::clamp(factor * options.subsample, 1.0 * options.subsample, 1.0 * largest));
 }
 
 }  // namespace malus

@@ -15,6 +15,8 @@ struct SurfaceOptions {
   double step_ratio = 3;
   double white_percentile = 99.5;
   std::optional<double> dem_pixel;
+  int glb_triangles = 500000;
+  int glb_texture_px = 4096;
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
@@ -29,6 +31,10 @@ struct SurfaceOptions {
           "intensity percentile that becomes white in the vertex colours");
     visit("dem_pixel", self.dem_pixel, Range{1e-9, 1e9},
           "pixel of the elevation model in the station's unit; auto = GSD x subsample");
+    visit("glb_triangles", self.glb_triangles, Range{100, 1e9},
+          "surface.glb takes every n-th pixel as a vertex, n so large that it has about as many triangles at most");
+    visit("glb_texture_px", self.glb_texture_px, Range{16, 16384},
+          "longest side of the texture in surface.glb; larger images are reduced by averaging");
   }
 };
 
@@ -48,5 +54,9 @@ struct SurfaceOptions {
 /// Throws an input error if rasters disagree in size or options are out of range, a data error if no triangle is left.
 TriangleMesh mesh_from_depth(const FusedSurface& surface, const Image<float>& color, const SurfaceOptions& options,
                              const Context& context);
+
+/// The subsample with which a surface whose mesh has `triangles` at options.subsample has `limit` or about as many; at
+/// least options.subsample, at most the option's bound.
+int subsample_for(std::size_t triangles, int limit, const SurfaceOptions& options);
 
 }  // namespace malus

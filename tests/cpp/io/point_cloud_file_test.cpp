@@ -275,5 +275,18 @@ TEST(PointCloudFile, RenderedCloudLoads) {
   for (const Eigen::Vector3f& normal : cloud.normals) ASSERT_NEAR(normal.norm(), 1, 1e-3);
 }
 
+TEST(PointCloudFile, CloudOrMesh) {
+  const TemporaryFolder folder;
+  const auto text = folder.write("a.xyz", "0 0 0\n1 0 0\n0 1 0\n");
+  EXPECT_EQ(read_cloud_or_mesh(text).vertices.points.size(), 3u);
+  EXPECT_TRUE(read_cloud_or_mesh(text).triangles.empty());
+  TriangleMesh mesh = read_cloud_or_mesh(text);
+  write_ply(folder / "cloud.ply", mesh.vertices);
+  EXPECT_TRUE(read_cloud_or_mesh(folder / "cloud.ply").triangles.empty());
+  mesh.triangles.push_back({0, 1, 2});
+  write_ply(folder / "mesh.ply", mesh);
+  EXPECT_EQ(read_cloud_or_mesh(folder / "mesh.ply").triangles, mesh.triangles);
+}
+
 }  // namespace
 }  // namespace malus

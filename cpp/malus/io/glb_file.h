@@ -1,0 +1,32 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+
+#include "malus/core/camera.h"
+#include "malus/core/geometry.h"
+#include "malus/core/image.h"
+#include "malus/core/length_unit.h"
+#include "malus/core/pose.h"
+
+namespace malus {
+
+/// The photograph of a mesh: every vertex takes its colour from where this camera sees it.
+struct ProjectedTexture {
+  const Image<std::uint8_t>&
+      image;  ///< sRGB, 1 or 3 channels, covers the whole view; may be smaller than the camera's size
+  const Pinhole& camera;
+  const Pose& pose;
+};
+
+/// Writes a mesh with a texture as binary glTF 2.0, atomically: one file, in metres (`unit` is the mesh's), in the
+/// mesh's own frame and therefore not turned to glTF's y up. Positions are 32-bit floats about the middle of the
+/// bounding box, which is the node's translation, so that a national grid loses nothing. UV = pixel grid of the camera;
+/// the texture is a JPEG, the material rough and not metallic. A second node carries the camera, to look from where the
+/// photograph was taken. Throws an input error for a mesh without triangles or with normals that are not one a vertex,
+/// a resource error when it cannot be written or would exceed 4 GB.
+void write_glb(const std::filesystem::path& path, const TriangleMesh& mesh, const ProjectedTexture& texture,
+               const LengthUnit& unit, const std::string& name);
+
+}  // namespace malus

@@ -1,0 +1,29 @@
+#include "malus/surface/dem_file.h"
+
+#include <cstdio>
+
+#include "malus/io/geotiff_file.h"
+
+namespace malus {
+namespace {
+
+std::string text_of(const Eigen::Vector3d& vector) {
+  char text[96];
+  std::snprintf(text, sizeof text, "%.12g %.12g %.12g", vector.x(), vector.y(), vector.z());
+  return text;
+}
+
+}  // namespace
+
+void write_dem(const std::filesystem::path& path, const Dem& dem, const LengthUnit& unit, const std::string& name) {
+  write_geotiff(path, dem.elevation,
+                {.pixel = dem.pixel,
+                 .unit = unit,
+                 .title = name + ": plane fitted to the object",
+                 .metadata = {{"WORLD_ORIGIN", text_of(dem.origin)},
+                              {"WORLD_X_AXIS", text_of(dem.right)},
+                              {"WORLD_Y_AXIS", text_of(dem.up)},
+                              {"WORLD_Z_AXIS", text_of(dem.normal)}}});
+}
+
+}  // namespace malus

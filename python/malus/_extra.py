@@ -1,0 +1,19 @@
+"""Packages that only some work needs."""
+
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+
+from malus.errors import ExternalError
+
+
+def extra(module: str, package: str, purpose: str, group: str = "export") -> ModuleType:
+    """Import a module; ExternalError that names package, purpose and the extra to install if it is not there."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise ExternalError(
+            f"{purpose} needs the Python package {package}, which is not installed; "
+            f"expected after: pip install 'malus[{group}]'"
+        ) from None

@@ -1,0 +1,161 @@
+// The mesh viewer: the surface in space, with the same colours, to turn, move and zoom.
+(async () => {
+  const root = document.getElementById('mesh');
+  if (!root) return;
+  const canvas = root.querySelector('canvas'), control = name => root.querySelector(`[name=${name}]`);
+  const probe = document.createElement('canvas').getContext('webgl2');
+  if (!probe || typeof DecompressionStream === 'undefined') {
+    root.classList.add('unavailable');
+    return;
+  }
+  probe.getExtension('WEBGL_lose_context')?.loseContext();
+
+  const data = unpack.block('mesh-data'), count = data.vertices;
+  const planes = await unpack.words(data.positions, Uint16Array), uv = await unpack.words(data.uv, Uint16Array);
+  const positions = new Float32Array(3 * count), coordinates = new Float32Array(2 * count);
+  for (let i = 0; i < count; ++i) {
+    for (let c = 0; c < 3; ++c) positions[3 * i + c] = planes[c * count + i] / 65535 * data.size - data.extent[c] / 2;
+    coordinates[2 * i] = uv[i] / 65535;
+    coordinates[2 * i + 1] = uv[count + i] / 65535;
+  }
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute('position', new THREE.BufferAttribute(positions, 3));
+  geometry.setAttribute('uv', new THREE.BufferAttribute(coordinates, 2));
+  geometry.setIndex(new THREE.BufferAttribute(await unpack.indices(data.indices), 1));
+  geometry.computeVertexNormals();
+
+  const relight = unpack.block('relight-data');
+  const texture = new THREE.Texture(await unpack.picture(relight.color, 'image/webp'));
+  texture.colorSpace = THREE.SRGBColorSpace;
+  texture.flipY = false;
+  texture.anisotropy = 4;
+  texture.needsUpdate = true;
+
+  // The fused normals of every pixel shade the mesh, so that it shows what is finer than its triangles.
+  async function normalMap() {
+    const planes = await unpack.normals(relight, 'fused'), pixels = relight.width * relight.height;
+    const half = THREE.DataUtils.toHalfFloat, values = new Uint16Array(4 * pixels);
+    for (let i = 0; i < pixels; ++i) {
+      const x = planes[i] / relight.scale, y = planes[pixels + i] / relight.scale;
+      values.set([half(0.5 + x / 2), half(0.5 + y / 2), half(0.5 + Math.sqrt(Math.max(0, 1 - x * x - y * y)) / 2), half(1)], 4 * i);
+    }
+    const map = new THREE.DataTexture(values, relight.width, relight.height, THREE.RGBAFormat, THREE.HalfFloatType);
+    map.minFilter = map.magFilter = THREE.LinearFilter;
+    map.needsUpdate = true;
+    return map;
+  }
+  const material = new THREE.MeshStandardMaterial({
+    map: texture, normalMap: await normalMap(), normalMapType: THREE.ObjectSpaceNormalMap, roughness: 0.85, metalness: 0,
+    side: THREE.DoubleSide
+  });
+  const scene = new THREE.Scene();
+  const surface = new THREE.Mesh(geometry, material);
+  scene.add(surface);
+
+  const renderer = new THREE.WebGLRenderer({canvas, antialias: true, alpha: true, preserveDrawingBuffer: true});
+  renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
+  const radius = Math.hypot(...data.extent) / 2;
+  const camera = new THREE.PerspectiveCamera(32, 1, radius / 100, radius * 100);
+  const lamp = new THREE.DirectionalLight(0xffffff, 2.6);
+  scene.add(new THREE.AmbientLight(0xffffff, 0.7), lamp, lamp.target);
+
+  const controls = new THREE.OrbitControls(camera, canvas);
+  controls.enableDamping = false;
+  controls.zoomToCursor = true;
+
+  function distance() {
+    const half = Math.tan(camera.fov * Math.PI / 360);
+    return 1.12 * Math.max(data.extent[1] / 2 / half, data.extent[0] / 2 / half / camera.aspect) + data.extent[2] / 2;
+  }
+
+  function home() {
+    const eye = new THREE.Vector3(...data.eye).normalize();
+    // A little from the side, so that the form shows.
+    eye.x += 0.35;
+    eye.y += 0.22;
+    camera.position.copy(eye.normalize().multiplyScalar(distance()));
+    controls.target.set(0, 0, 0);
+    controls.update();
+  }
+
+  let waiting = false;
+  function draw() {
+    waiting = false;
+    const {clientWidth: w, clientHeight: h} = canvas;
+    const size = renderer.getPixelRatio();
+    if (canvas.width !== Math.floor(w * size) || canvas.height !== Math.floor(h * size)) {
+      renderer.setSize(w, h, false);
+      camera.aspect = w / h;
+      camera.updateProjectionMatrix();
+    }
+    // The light stands to the upper left of the viewer.
+    const across = new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, 0);
+    const up = new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, 1);
+    const far = camera.position.distanceTo(controls.target);
+    lamp.position.copy(camera.position).addScaledVector(across, -0.9 * far).addScaledVector(up, 0.9 * far);
+    lamp.target.position.copy(controls.target);
+    renderer.render(scene, camera);
+  }
+  function redraw() {
+    if (!waiting) requestAnimationFrame(draw);
+    waiting = true;
+  }
+
+  // Turns the viewer about the target, angles in radians.
+  function turn(sideways, upwards) {
+    const offset = camera.position.clone().sub(controls.target), length = offset.length();
+    const azimuth = Math.atan2(offset.x, offset.z) + sideways;
+    const polar = Math.min(Math.PI - 0.05, Math.max(0.05, Math.acos(offset.y / length) - upwards));
+    camera.position.set(Math.sin(polar) * Math.sin(azimuth), Math.cos(polar), Math.sin(polar) * Math.cos(azimuth))
+        .multiplyScalar(length).add(controls.target);
+    controls.update();
+    redraw();
+  }
+  function zoom(factor) {
+    camera.position.sub(controls.target).multiplyScalar(1 / factor).add(controls.target);
+    controls.update();
+    redraw();
+  }
+
+  canvas.addEventListener('pointerdown', () => canvas.focus({preventScroll: true}));
+  // As with the picture beside it, the wheel scrolls the page until the view has been chosen.
+  canvas.addEventListener('wheel', event => {
+    if (document.activeElement !== canvas && !event.ctrlKey) event.stopImmediatePropagation();
+  }, {capture: true});
+  canvas.addEventListener('keydown', event => {
+    const act = {
+      ArrowLeft: () => turn(-0.1, 0), ArrowRight: () => turn(0.1, 0), ArrowUp: () => turn(0, 0.1),
+      ArrowDown: () => turn(0, -0.1), '+': () => zoom(1.25), '=': () => zoom(1.25), '-': () => zoom(0.8),
+      0: () => root.querySelector('[data-act=reset]').click()
+    }[event.key];
+    if (!act) return;
+    act();
+    event.preventDefault();
+  });
+  controls.addEventListener('change', redraw);
+  function apply() {
+    const paint = control('paint').value;
+    material.map = paint === 'plain' ? null : texture;
+    if (paint === 'plain') material.color.set(0x9a958c);
+    else material.color.setScalar(Math.min(1, relight.brightness));
+    material.wireframe = paint === 'wires';
+    material.needsUpdate = true;
+    surface.scale.z = Number(control('depth').value);
+    root.querySelector('output').textContent = surface.scale.z.toFixed(2);
+    redraw();
+  }
+  root.addEventListener('input', apply);
+  root.querySelector('[data-act=in]').addEventListener('click', () => zoom(1.5));
+  root.querySelector('[data-act=out]').addEventListener('click', () => zoom(1 / 1.5));
+  root.querySelector('[data-act=reset]').addEventListener('click', () => {
+    root.querySelector('form').reset();
+    home();
+    apply();
+  });
+  new ResizeObserver(redraw).observe(canvas);
+  apply();
+  draw();
+  home();
+  draw();
+  root.classList.add('ready');
+})();

@@ -1,0 +1,258 @@
+"""The surface of a workspace for other programs: meshes, point clouds, elevation, maps for renderers.
+
+Meshes and clouds are in the world frame and the station's unit, but for GLB and E57, which are metres by their standards.
+Maps (displacement, normal map) lie on the grid of the elevation model: the plane fitted to the object, seen straight on.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malus import _core
+from malus._extra import extra
+from malus._files import replacing, writing
+from malus.errors import InputError
+from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
+from malus.workspace import Workspace
+
+#: Metres in each unit that a station may have.
+METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "ft": 0.3048}
+
+
+def sample(raster: NDArray[Any], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bilinear values of a raster (H×W×C) at pixels (…×2: u, v); beyond the border the nearest pixel counts."""
+    height, width = raster.shape[:2]
+    u = np.clip(pixels[..., 0], 0, width - 1)
+    v = np.clip(pixels[..., 1], 0, height - 1)
+    u0 = np.minimum(u.astype(int), max(width - 2, 0))
+    v0 = np.minimum(v.astype(int), max(height - 2, 0))
+    u1, v1 = np.minimum(u0 + 1, width - 1), np.minimum(v0 + 1, height - 1)
+    s, t = (u - u0)[..., None], (v - v0)[..., None]
+    top = (1 - s) * raster[v0, u0] + s * raster[v0, u1]
+    bottom = (1 - s) * raster[v1, u0] + s * raster[v1, u1]
+    return np.asarray((1 - t) * top + t * bottom, dtype=np.float64)
+
+
+class Exporter:
+    """Makes what the formats need from a workspace, each thing once."""
+
+    def __init__(self, workspace: Workspace, threads: int = 1) -> None:
+        self.workspace = workspace
+        self.threads = threads
+        self.unit = str(workspace.quality["unit"])
+        self.name = str(workspace.quality["name"])
+        self.options = workspace.options()
+        self.surface = workspace.surface()
+        self.rotation, self.translation = workspace.pose
+
+    def picture(self) -> NDArray[np.uint8]:
+        """The object without polarization, sRGB, H×W×3."""
+        color = self.workspace.color()
+        return _core.display_image(color, self.surface.depth, self.options.surface.white_percentile)
+
+    def mesh(self) -> Mesh:
+        """The surface at full size, as in fused/surface.ply."""
+        return mesh_from_depth(self.surface, color=self.workspace.color(), options=self.options, threads=self.threads)
+
+    def pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where world points (…×3) are seen in the station's image, …×2."""
+        camera = self.workspace.camera
+        x, y, z = np.moveaxis(points @ self.rotation.T + self.translation, -1, 0)
+        return np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1)
+
+    def world_normals(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Fused unit normals at world points (…×3) of the surface, world frame."""
+        normals = np.nan_to_num(self.surface.normals.astype(float))
+        normal = sample(normals, self.pixels(points)) @ self.rotation
+        length = np.linalg.norm(normal, axis=-1, keepdims=True)
+        # Where there is no normal the surface faces the camera.
+        unit: NDArray[np.float32] = np.where(length > 0.1, normal / np.maximum(length, 0.1), -self.rotation[2]).astype(
+            np.float32
+        )
+        return unit
+
+    def simplified(self, faces: int | None) -> Mesh:
+        """The surface with at most `faces` triangles (quadric error metric); normals and colours from the full rasters."""
+        mesh = self.mesh()
+        if faces is None or len(mesh.triangles) <= faces:
+            return mesh
+        library = extra("fast_simplification", "fast-simplification", "a mesh with fewer triangles (--faces)")
+        # Single precision suffices about the middle: the library works in it.
+        middle = mesh.vertices.mean(0)
+        vertices, triangles = library.simplify(
+            (mesh.vertices - middle).astype(np.float32), mesh.triangles.astype(np.int32), target_count=faces
+        )
+        points = np.asarray(vertices, dtype=np.float64) + middle
+        colors = sample(self.picture(), self.pixels(points))
+        return Mesh(points, self.world_normals(points), np.rint(colors).astype(np.uint8), triangles.astype(np.uint32))
+
+    def texture_coordinates(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Place of world points in the texture, N×2: 0 … 1 from the left and from the bottom."""
+        camera = self.workspace.camera
+        pixels = self.pixels(points)
+        return np.stack([(pixels[:, 0] + 0.5) / camera.width, 1 - (pixels[:, 1] + 0.5) / camera.height], -1)
+
+    def dem(self) -> Dem:
+        """Elevation above the plane fitted to the object."""
+        return dem_from_mesh(self.mesh(), self.surface, options=self.options, threads=self.threads)
+
+    def cloud(self) -> tuple[Mesh, NDArray[np.float64]]:
+        """The surface's vertices (as a mesh) and their standard deviations of depth."""
+        mesh = self.mesh()
+        sigma = sample(self.surface.sigma[..., None], self.pixels(mesh.vertices))[:, 0]
+        return mesh, sigma
+
+
+def _write_ply(exporter: Exporter, path: Path, faces: int | None) -> None:
+    mesh = exporter.simplified(faces)
+    _core.write_ply(str(path), mesh.vertices, mesh.normals, mesh.colors, mesh.triangles)
+
+
+def _write_glb(exporter: Exporter, path: Path, faces: int | None) -> None:
+    mesh = exporter.simplified(faces)
+    _core.write_glb(
+        str(path), mesh.vertices, mesh.normals, mesh.triangles, exporter.picture(), exporter.workspace.camera,
+        exporter.rotation, exporter.translation, exporter.unit, exporter.name,
+    )  # fmt: skip
+
+
+def _write_obj(exporter: Exporter, path: Path, faces: int | None) -> None:
+    from PIL import Image
+
+    mesh = exporter.simplified(faces)
+    texture, material = path.with_suffix(".png"), path.with_suffix(".mtl")
+    with replacing(texture) as temporary:
+        Image.fromarray(exporter.picture()).save(temporary)
+    with replacing(material) as temporary:
+        temporary.write_text(f"newmtl photograph\nKd 1 1 1\nKs 0 0 0\nmap_Kd {texture.name}\n", encoding="utf-8")
+    # OBJ counts from 1.
+    corners = np.repeat(mesh.triangles.astype(np.int64) + 1, 3, axis=1)
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+        file.write(f"# {exporter.name}, lengths in {exporter.unit}, world frame\nmtllib {material.name}\n")
+        np.savetxt(file, mesh.vertices, "v %.9g %.9g %.9g")
+        np.savetxt(file, exporter.texture_coordinates(mesh.vertices), "vt %.7f %.7f")
+        np.savetxt(file, mesh.normals, "vn %.5f %.5f %.5f")
+        file.write("usemtl photograph\n")
+        np.savetxt(file, corners, "f %d/%d/%d %d/%d/%d %d/%d/%d")
+
+
+def _write_dem(exporter: Exporter, path: Path, faces: int | None) -> None:
+    with replacing(path) as temporary:
+        shutil.copyfile(exporter.workspace.path("fused/dem.tif"), temporary)
+
+
+def _write_normal_map(exporter: Exporter, path: Path, faces: int | None) -> None:
+    dem = exporter.dem()
+    points = dem.points()
+    known = np.isfinite(dem.elevation)
+    normals = np.zeros((*dem.elevation.shape, 3), np.float32)
+    normals[..., 2] = 1
+    frame = np.stack([dem.right, dem.up, dem.normal], -1)
+    normals[known] = exporter.world_normals(points[known]) @ frame
+    if path.suffix == ".png":
+        _core.write_png16(str(path), np.rint((normals + 1) / 2 * 65535).astype(np.uint16))
+    else:
+        _core.write_float_tiff(str(path), normals)
+
+
+def _write_displacement(exporter: Exporter, path: Path, faces: int | None) -> None:
+    # Renderers know no missing values: there the surface stays on its plane.
+    elevation = np.nan_to_num(exporter.dem().elevation)
+    if path.suffix != ".exr":
+        _core.write_float_tiff(str(path), elevation)
+        return
+    library = extra("OpenEXR", "OpenEXR", f"{path}: EXR")
+    header = {"compression": library.ZIP_COMPRESSION, "type": library.scanlineimage}
+    with replacing(path) as temporary, library.File(header, {"Y": elevation}) as file:
+        file.write(str(temporary))
+
+
+def _write_las(exporter: Exporter, path: Path, faces: int | None) -> None:
+    library = extra("laspy", "laspy", f"{path}: LAS")
+    if path.suffix.lower() == ".laz":
+        extra("lazrs", "lazrs", f"{path}: LAZ")
+    cloud, sigma = exporter.cloud()
+    header = library.LasHeader(point_format=7, version="1.4")
+    header.offsets = cloud.vertices.mean(0)
+    # LAS stores whole numbers: steps of a thousandth of a pixel or finer.
+    header.scales = np.full(3, 10.0 ** np.floor(np.log10(1e-3 * exporter.workspace.quality["gsd"])))
+    for name in ("sigma", "normal_x", "normal_y", "normal_z"):
+        header.add_extra_dim(library.ExtraBytesParams(name=name, type=np.float32))
+    points = library.LasData(header)
+    points.x, points.y, points.z = cloud.vertices.T
+    points.red, points.green, points.blue = cloud.colors.T.astype(np.uint16) * 257
+    points.sigma = sigma.astype(np.float32)
+    points.normal_x, points.normal_y, points.normal_z = cloud.normals.T
+    with replacing(path) as temporary:
+        points.write(str(temporary))
+
+
+def _write_e57(exporter: Exporter, path: Path, faces: int | None) -> None:
+    library = extra("pye57", "pye57", f"{path}: E57")
+    cloud, _ = exporter.cloud()
+    x, y, z = (cloud.vertices * METRES[exporter.unit]).T
+    red, green, blue = cloud.colors.T
+    values = {
+        "cartesianX": x,
+        "cartesianY": y,
+        "cartesianZ": z,
+        "colorRed": red,
+        "colorGreen": green,
+        "colorBlue": blue,
+    }
+    with replacing(path) as temporary:
+        file = library.E57(str(temporary), mode="w")
+        file.write_scan_raw({key: np.ascontiguousarray(value) for key, value in values.items()}, name=exporter.name)
+        file.close()
+
+
+Writer = Callable[[Exporter, Path, "int | None"], None]
+
+#: Of each format: its writer, its file in WORK/export/ and the endings that a path may have.
+FORMATS: dict[str, tuple[Writer, str, tuple[str, ...]]] = {
+    "obj": (_write_obj, "surface.obj", (".obj",)),
+    "ply": (_write_ply, "surface.ply", (".ply",)),
+    "glb": (_write_glb, "surface.glb", (".glb",)),
+    "normal-map": (_write_normal_map, "normal_map.png", (".png", ".tif", ".tiff")),
+    "displacement": (_write_displacement, "displacement.tif", (".tif", ".tiff", ".exr")),
+    "dem": (_write_dem, "dem.tif", (".tif", ".tiff")),
+    "las": (_write_las, "surface.las", (".las", ".laz")),
+    "e57": (_write_e57, "surface.e57", (".e57",)),
+}
+#: The formats that have triangles.
+MESHES = ("obj", "ply", "glb")
+
+
+def export(
+    work: str | Path, format: str, output: str | Path | None = None, *, faces: int | None = None, threads: int = 1
+) -> Path:
+    """Write the surface of a workspace in one of FORMATS; returns the file's path, WORK/export/… without `output`.
+
+    - obj, ply, glb: mesh with texture (obj, glb) or vertex colours (ply); at most `faces` triangles if given.
+    - normal-map: PNG of 3 × 16 bits, OpenGL and Blender convention (red = right, green = up, blue = towards the viewer;
+      0 … 65535 for −1 … 1), or TIFF of 3 floats in −1 … 1. displacement: float TIFF or EXR, elevation above the plane in the
+      station's unit, 0 where there is none. Both on the grid of the elevation model, that is of `dem`, GeoTIFF.
+    - las: points with colour, normal and standard deviation, station unit. e57: points with colour, metres.
+
+    Raises malus.InputError, or ExternalError if the format needs a package that is not installed.
+    """
+    if format not in FORMATS:
+        raise InputError(f"format {format!r}, expected one of {', '.join(FORMATS)}")
+    if faces is not None and format not in MESHES:
+        raise InputError(f"--faces is for {', '.join(MESHES)}, not for {format}")
+    if faces is not None and faces < 4:
+        raise InputError(f"--faces {faces}, expected at least 4")
+    write, name, endings = FORMATS[format]
+    path = Path(work) / "export" / name if output is None else Path(output)
+    if path.suffix.lower() not in endings:
+        raise InputError(f"{path}: ends in {path.suffix!r}, expected {' or '.join(endings)} for {format}")
+    exporter = Exporter(Workspace(work), threads)
+    with writing(path):
+        write(exporter, path, faces)
+    return path

@@ -1,0 +1,159 @@
+"""Distances between the surface and a reference scan by M3C2 (Lague, Brodu and Leroux 2013), through py4dgeo.
+
+M3C2 averages both clouds in a cylinder along the local normal, so that noise and density of the clouds hardly matter, and says
+for every point how small a distance it could have detected. It complements the comparison of quality.json, which is point to surface.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malus import _core
+from malus._extra import extra
+from malus._files import write_text
+from malus.errors import DataError, InputError
+from malus.workspace import Workspace
+
+#: Core points at most, about: larger stations have one for every n × n pixels.
+CORE_POINTS = 200000
+#: Points of the surface that a cylinder should hold, and normals' radius over the cylinder's.
+_POINTS_IN_CYLINDER = 25
+_NORMAL_FACTOR = 3.0
+_BINS = 50
+
+
+def _py4dgeo() -> ModuleType:
+    library = extra("py4dgeo", "py4dgeo", "M3C2", "m3c2")
+    # On import it begins to print to standard output and to write py4dgeo.log where it is run.
+    logger = logging.getLogger("py4dgeo")
+    for handler in list(logger.handlers):
+        logger.removeHandler(handler)
+        handler.close()
+    logger.setLevel(logging.WARNING)
+    return library
+
+
+def _spacing(points: NDArray[np.float64], area: float) -> float:
+    return float(np.sqrt(area / max(len(points), 1)))
+
+
+def _grid_points(workspace: Workspace) -> NDArray[np.float64]:
+    """World points of all pixels, H×W×3, NaN where there is no depth."""
+    camera, (rotation, translation) = workspace.camera, workspace.pose
+    depth = workspace.raster("fused/depth.tif").astype(float)
+    v, u = np.indices(depth.shape)
+    x = (u - camera.cx) / camera.fx * depth
+    y = (v - camera.cy) / camera.fy * depth
+    points: NDArray[np.float64] = (np.stack([x, y, depth], -1) - translation) @ rotation
+    return points
+
+
+def _aligned(points: NDArray[np.float64], comparison: dict[str, Any] | None) -> NDArray[np.float64]:
+    """Points where the alignment of `malus assess` put them in the reference's frame; as they are without one."""
+    if not comparison:
+        return points
+    motion = comparison["reference_from_surface"]
+    rotation = np.array(motion["rotation"]).reshape(3, 3)
+    moved: NDArray[np.float64] = motion["scale"] * points @ rotation.T + np.array(motion["translation"])
+    return moved
+
+
+def _summary(distances: NDArray[np.float64], detectable: NDArray[np.float64], gsd: float) -> dict[str, Any]:
+    known = np.isfinite(distances)
+    values = distances[known] / gsd
+    spread = float(np.percentile(np.abs(values), 99)) or 1.0
+    counts, edges = np.histogram(values, _BINS, (-spread, spread))
+    limit = detectable[known & np.isfinite(detectable)] / gsd
+    significant = np.abs(distances) > detectable
+    median = float(np.median(values))
+    return {
+        "compared_fraction": float(known.mean()),
+        "distance_gsd": {
+            "count": int(known.sum()),
+            "mean": float(values.mean()),
+            "rmse": float(np.sqrt(np.mean(values**2))),
+            "mad": float(1.4826 * np.median(np.abs(values - median))),
+            "p05": float(np.percentile(values, 5)),
+            "median": median,
+            "p95": float(np.percentile(values, 95)),
+        },
+        "detection_limit_median_gsd": float(np.median(limit)) if limit.size else None,
+        "significant_fraction": float(significant[known].mean()),
+        "histogram_gsd": {
+            "low": -spread,
+            "bin_width": float(edges[1] - edges[0]),
+            "counts": counts.tolist(),
+            "below": int((values < -spread).sum()),
+            "above": int((values > spread).sum()),
+        },
+    }
+
+
+def compare(work: str | Path, reference: str | Path, *, radius: float | None = None) -> dict[str, Any]:
+    """Compare the fused surface of a workspace with a scan; writes WORK/m3c2.json and WORK/fused/m3c2_distance.tif.
+
+    `reference`: PLY or XYZ, world frame, of a mesh its vertices; the alignment that `malus assess` found is applied. `radius` of the
+    cylinders in the station's unit; by default they hold about 25 points of the sparser cloud. The map (H×W, station unit, NaN = not
+    compared) is positive where the surface lies in front of the reference. Returns the content of m3c2.json.
+
+    Raises malus.InputError, DataError if nothing of the reference is near, ExternalError without py4dgeo.
+    """
+    library = _py4dgeo()
+    if radius is not None and not radius > 0:
+        raise InputError(f"radius {radius}, expected a positive length")
+    workspace = Workspace(work)
+    gsd = float(workspace.quality["gsd"])
+    scan = _core.read_points(str(reference))
+    grid = _aligned(_grid_points(workspace), workspace.quality["reference"])
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(grid).all(-1))
+    step = int(max(1, np.ceil(np.sqrt(known.sum() / CORE_POINTS))))
+    core = known[::step, ::step]
+    surface, core_points = grid[known], grid[::step, ::step][core]
+    middle = surface.mean(0)
+    low, high = surface.min(0) - 50 * gsd, surface.max(0) + 50 * gsd
+    near = scan[((scan >= low) & (scan <= high)).all(1)]
+    if len(near) < 10:
+        raise DataError(
+            f"{reference}: {len(near)} points lie near the surface, expected more; is it in the same frame and unit?"
+        )
+    # The area that both clouds share is about that of the surface's pixels.
+    sparser = max(gsd, _spacing(near, len(surface) * gsd**2))
+    chosen = radius or float(np.sqrt(_POINTS_IN_CYLINDER / np.pi)) * sparser
+    library.set_memory_policy(library.MemoryPolicy.COREPOINTS)
+    algorithm = library.M3C2(
+        epochs=(library.Epoch(near - middle), library.Epoch(surface - middle)),
+        corepoints=core_points - middle,
+        cyl_radius=chosen,
+        max_distance=50 * gsd,
+        normal_radii=[_NORMAL_FACTOR * chosen],
+        cloud_for_normals=library.Epoch(surface - middle),
+        orientation_vector=-workspace.pose[0][2],
+    )
+    distances, uncertainty = algorithm.run()
+    if not np.isfinite(distances).any():
+        raise DataError(
+            f"{reference}: no point of the surface has {chosen:.4g} around it in the reference, expected a larger radius"
+        )
+    small = np.full(core.shape, np.nan, np.float32)
+    small[core] = distances
+    full = np.kron(small, np.ones((step, step), np.float32))[: known.shape[0], : known.shape[1]]
+    _core.write_float_tiff(
+        str(workspace.folder / "fused/m3c2_distance.tif"), np.where(known, full, np.nan).astype(np.float32)
+    )
+    figures = {
+        "reference": str(reference),
+        "reference_points": len(near),
+        "cylinder_radius": chosen,
+        "normal_radius": _NORMAL_FACTOR * chosen,
+        "pixels_per_core_point": step * step,
+        **_summary(np.asarray(distances, float), np.asarray(uncertainty["lodetection"], float), gsd),
+    }
+    write_text(workspace.folder / "m3c2.json", json.dumps(figures, indent=2) + "\n")
+    return figures

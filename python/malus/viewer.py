@@ -1,0 +1,179 @@
+"""What the report's interactive views need, packed small enough for one page: normal maps, colours, a mesh.
+
+Numbers travel as base64 of Deflate. A plane of 16-bit whole numbers is stored as differences to the value before it, low bytes
+first and then high bytes: smooth data shrink to about one byte a value. assets/unpack.js undoes it.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malus import _core, figures
+from malus.figures import reduced, step_for
+from malus.surface import Mesh, mesh_from_depth, normals_from_depth
+from malus.workspace import Raster, Workspace
+
+#: Longest side of the relighting viewer's normal map: larger stations are averaged down, so that the page stays light.
+NORMALS_SIDE_PX = 2048
+#: Triangles of the mesh in the page, at most about.
+MESH_TRIANGLES = 80000
+#: Whole number that stands for 1 in a normal; 4096 steps are 0.03 degrees.
+_NORMAL_SCALE = 2047
+_QUALITY = 88
+_MIDDLE_GREY = 0.42
+
+
+def base64_text(content: bytes) -> str:
+    """Base64 as text."""
+    return base64.b64encode(content).decode()
+
+
+def pack(values: NDArray[Any]) -> str:
+    """Whole numbers that fit 16 bits (signed or unsigned), differences modulo 2^16, as base64 of Deflate."""
+    flat = values.ravel().astype(np.int64)
+    steps = (np.diff(flat, prepend=0) & 0xFFFF).astype(np.uint16)
+    planes = np.concatenate([(steps & 0xFF).astype(np.uint8), (steps >> 8).astype(np.uint8)])
+    return base64_text(zlib.compress(planes.tobytes(), 6))
+
+
+def pack_indices(triangles: NDArray[np.uint32]) -> str:
+    """Vertex numbers of triangles as differences, 32 bits in four planes."""
+    flat = triangles.ravel().astype(np.int64)
+    steps = (np.diff(flat, prepend=0) & 0xFFFFFFFF).astype(np.uint32)
+    planes = np.concatenate([((steps >> shift) & 0xFF).astype(np.uint8) for shift in (0, 8, 16, 24)])
+    return base64_text(zlib.compress(planes.tobytes(), 6))
+
+
+@dataclass(frozen=True)
+class _Window:
+    """The part of the rasters that holds the object, and the averaging."""
+
+    rows: slice
+    columns: slice
+    step: int
+
+    def of(self, raster: Raster) -> Raster:
+        return reduced(raster[self.rows, self.columns], self.step)
+
+
+def _object_window(depth: Raster) -> _Window:
+    known = np.isfinite(depth)
+    (top, *_, bottom), (left, *_, right) = (np.nonzero(known.any(axis))[0].tolist() for axis in (1, 0))
+    step = step_for((bottom + 1 - top, right + 1 - left), NORMALS_SIDE_PX)
+    return _Window(slice(top, bottom + 1), slice(left, right + 1), step)
+
+
+def _normals_of(normals: Raster, window: _Window) -> NDArray[np.float64]:
+    """Unit normals of the window in the viewer's frame (x right, y up, z to the viewer), NaN where there are none."""
+    mean = np.stack([window.of(normals[..., c]) for c in range(3)], -1).astype(float) * (1, -1, -1)
+    return np.asarray(mean / np.linalg.norm(mean, axis=-1, keepdims=True), dtype=np.float64)
+
+
+def _packed_normals(normals: NDArray[np.float64]) -> str:
+    whole = np.rint(np.nan_to_num(normals[..., :2]) * _NORMAL_SCALE).astype(np.int16)
+    return pack(np.moveaxis(whole, -1, 0))
+
+
+def albedo(picture: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Colour without the shading of the light it was taken under.
+
+    The shading is first-order in the normal, fitted to the picture's brightness by iteratively reweighted least squares (Cauchy), and
+    kept above a fifth of its median, so that shadows are not blown up. picture: H×W×3, linear; normals: H×W×3, NaN = none.
+    """
+    known = np.isfinite(normals).all(-1)
+    brightness = picture[known].mean(-1)
+    design = np.concatenate([normals[known], np.ones((len(brightness), 1))], -1)
+    stride = max(1, len(brightness) // 50000)
+    few, target = design[::stride], brightness[::stride]
+    weight = np.ones(len(target))
+    coefficients = np.zeros(4)
+    for _ in range(10):
+        coefficients = np.linalg.lstsq(few * weight[:, None], target * weight, rcond=None)[0]
+        residual = target - few @ coefficients
+        spread = 1.4826 * np.median(np.abs(residual)) + 1e-12
+        weight = 1 / np.sqrt(1 + (residual / (2.4 * spread)) ** 2)
+    shading = design @ coefficients
+    middle = float(np.median(shading))
+    result = np.zeros_like(picture)
+    result[known] = picture[known] * (middle / np.maximum(shading, 0.2 * middle))[:, None]
+    return result
+
+
+def relighting(workspace: Workspace) -> dict[str, Any]:
+    """Data of the relighting viewer: size, packed normals of both surfaces, colour with the object as alpha, mean slopes."""
+    depth = workspace.raster("fused/depth.tif")
+    window = _object_window(depth)
+    fused = _normals_of(workspace.raster("fused/normals.tif"), window)
+    prior_depth = workspace.raster("prior/depth.tif")
+    prior = _normals_of(normals_from_depth(prior_depth, workspace.camera), window)
+    color = workspace.color()
+    channels = [color[..., c] for c in range(3)] if color.ndim == 3 else [color] * 3
+    picture = np.stack([window.of(channel) for channel in channels], -1).astype(float)
+    picture = np.nan_to_num(picture)
+    known = np.isfinite(fused).all(-1)
+    height, width = known.shape
+    flat = np.where(known, 1.0, np.nan).astype(np.float32)
+    display = _core.display_image(albedo(picture, fused).astype(np.float32), flat, 99.0)
+    mask = np.where(known, 255, 0).astype(np.uint8)
+    linear = (display[known].mean(-1) / 255) ** 2.2
+    slopes = fused[known][:, :2] / np.maximum(fused[known][:, 2:], 0.05)
+    return {
+        "width": width,
+        "height": height,
+        "step": window.step,
+        "scale": _NORMAL_SCALE,
+        # What makes the middle of the object mid-grey under the first light.
+        "brightness": float(np.clip(_MIDDLE_GREY / max(float(np.median(linear)), 1e-3), 0.3, 3)),
+        "mean_slope": [float(x) for x in np.median(slopes, axis=0)],
+        "fused": _packed_normals(fused),
+        "prior": _packed_normals(prior),
+        "color": base64_text(figures.encode(np.dstack([display, mask]), "WEBP", quality=_QUALITY)),
+        "gsd": float(workspace.quality["gsd"]) * window.step,
+        "unit": str(workspace.quality["unit"]),
+    }
+
+
+def _page_mesh(workspace: Workspace) -> Mesh:
+    """The surface with a vertex at every n-th pixel, about MESH_TRIANGLES triangles."""
+    depth = workspace.raster("fused/depth.tif")
+    options = workspace.options()
+    factor = np.ceil(np.sqrt(2 * np.isfinite(depth).sum() / MESH_TRIANGLES))
+    options.surface.subsample = int(np.clip(factor, 1, 64))
+    return mesh_from_depth(workspace.surface(), options=options)
+
+
+def mesh_view(workspace: Workspace) -> dict[str, Any]:
+    """Data of the mesh viewer: packed vertices as the station sees them (x right, y up), texture coordinates, triangles."""
+    mesh = _page_mesh(workspace)
+    rotation, translation = workspace.pose
+    in_camera = mesh.vertices @ rotation.T + translation
+    camera = workspace.camera
+    u = camera.fx * in_camera[:, 0] / in_camera[:, 2] + camera.cx
+    v = camera.fy * in_camera[:, 1] / in_camera[:, 2] + camera.cy
+    window = _object_window(workspace.raster("fused/depth.tif"))
+    # The texture is the relighting viewer's colour image: its window of the pixel grid.
+    width = -(-(window.columns.stop - window.columns.start) // window.step) * window.step
+    height = -(-(window.rows.stop - window.rows.start) // window.step) * window.step
+    uv = np.stack([(u - window.columns.start + 0.5) / width, (v - window.rows.start + 0.5) / height])
+    view = in_camera * (1, -1, -1)
+    low, high = view.min(0), view.max(0)
+    size = float((high - low).max())
+    whole = np.rint((view - low) / size * 65535).astype(np.uint16)
+    return {
+        "vertices": len(view),
+        "triangles": len(mesh.triangles),
+        "positions": pack(whole.T),
+        "uv": pack(np.rint(np.clip(uv, 0, 1) * 65535).astype(np.uint16)),
+        "indices": pack_indices(mesh.triangles),
+        "size": size,
+        "unit": str(workspace.quality["unit"]),
+        # Where the station stands, in the mesh's own frame.
+        "eye": [float(x) for x in -(low + high) / 2],
+        "extent": [float(x) for x in high - low],
+    }

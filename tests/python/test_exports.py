@@ -1,0 +1,222 @@
+"""Exports, each read back by a program that is not ours."""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+import malus
+from conftest import malus as run_malus
+from malus import exports
+
+
+@pytest.fixture(scope="module")
+def workspace(finished_grid: Path) -> malus.Workspace:
+    return malus.Workspace(finished_grid)
+
+
+@pytest.fixture(scope="module")
+def points(workspace: malus.Workspace) -> np.ndarray:
+    """World points of all pixels by the conventions' own formula, H×W×3."""
+    camera, (rotation, translation) = workspace.camera, workspace.pose
+    depth = workspace.raster("fused/depth.tif").astype(float)
+    v, u = np.indices(depth.shape)
+    in_camera = np.stack([(u - camera.cx) / camera.fx * depth, (v - camera.cy) / camera.fy * depth, depth], -1)
+    return (in_camera - translation) @ rotation
+
+
+def assert_on_surface(vertices: np.ndarray, workspace: malus.Workspace, largest: float, median: float) -> None:
+    """The vertices are no farther from the depth map, along their rays, than this."""
+    camera, (rotation, translation) = workspace.camera, workspace.pose
+    x, y, z = (vertices @ rotation.T + translation).T
+    pixels = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1)
+    depth = workspace.raster("fused/depth.tif")[..., None]
+    error = np.abs(exports.sample(depth, pixels)[:, 0] - z)
+    assert error.max() < largest
+    assert np.median(error) < median
+
+
+def load_scene(path: Path):  # type: ignore[no-untyped-def]
+    trimesh = pytest.importorskip("trimesh")
+    loaded = trimesh.load(path)
+    return next(iter(loaded.geometry.values())) if hasattr(loaded, "geometry") else loaded, loaded
+
+
+def test_glb_of_the_run_is_textured_metres_in_the_world_frame(
+    finished_grid: Path, workspace: malus.Workspace, points: np.ndarray
+) -> None:
+    mesh, scene = load_scene(finished_grid / "fused/surface.glb")
+    matrix, _ = scene.graph[scene.graph.nodes_geometry[0]]
+    vertices = (mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3]) * 1000
+    assert len(vertices) == points.shape[0] * points.shape[1]
+    np.testing.assert_allclose(vertices, points.reshape(-1, 3), atol=1e-4)
+    texture = mesh.visual.material.baseColorTexture
+    assert texture.size == (200, 160)
+    v, u = np.indices((160, 200))
+    # trimesh turns glTF's v about.
+    np.testing.assert_allclose(mesh.visual.uv[:, 0], (u.ravel() + 0.5) / 200, atol=1e-5)
+    np.testing.assert_allclose(mesh.visual.uv[:, 1], 1 - (v.ravel() + 0.5) / 160, atol=1e-5)
+    colors = np.asarray(mesh.visual.to_color().vertex_colors)[:, :3].astype(float)
+    expected = exports.Exporter(workspace).picture().reshape(-1, 3).astype(float)
+    assert np.corrcoef(colors.mean(1), expected.mean(1))[0, 1] > 0.9
+    normals = np.asarray(mesh.vertex_normals)
+    assert (normals @ workspace.pose[0][2] < 0).mean() > 0.999
+
+
+def test_glb_camera_looks_from_the_station(finished_grid: Path, workspace: malus.Workspace) -> None:
+    content = (finished_grid / "fused/surface.glb").read_bytes()
+    document = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
+    node = next(node for node in document["nodes"] if "camera" in node)
+    world_from_gl = np.array(node["matrix"]).reshape(4, 4).T
+    rotation, translation = workspace.pose
+    np.testing.assert_allclose(world_from_gl[:3, 3] * 1000, -rotation.T @ translation, rtol=1e-9)
+    np.testing.assert_allclose(world_from_gl[:3, 2], -rotation[2], atol=1e-9)
+
+
+def test_dem_of_the_run_is_a_geotiff_of_the_surface(finished_grid: Path, workspace: malus.Workspace) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    with rasterio.open(finished_grid / "fused/dem.tif") as file:
+        elevation, transform, tags, crs = file.read(1), file.transform, file.tags(), file.crs
+        assert np.isnan(file.nodata) and file.units == ("mm",)
+    assert "millimetre" in crs.to_wkt() and not crs.is_geographic and not crs.is_projected
+    frame = {
+        name: np.array([float(x) for x in tags[f"WORLD_{name}"].split()])
+        for name in ("ORIGIN", "X_AXIS", "Y_AXIS", "Z_AXIS")
+    }
+    rows, columns = np.nonzero(np.isfinite(elevation))
+    assert len(rows) > 0.9 * elevation.size
+    x = transform.c + transform.a * (columns + 0.5)
+    y = transform.f + transform.e * (rows + 0.5)
+    world = frame["ORIGIN"] + np.multiply.outer(x, frame["X_AXIS"]) + np.multiply.outer(y, frame["Y_AXIS"])
+    world += np.multiply.outer(elevation[rows, columns].astype(float), frame["Z_AXIS"])
+    gsd = workspace.quality["gsd"]
+    # Half a pixel aside would show in the median.
+    assert_on_surface(world, workspace, gsd, 0.02 * gsd)
+    assert abs(np.nanmedian(elevation)) < 3
+
+
+def test_dem_made_from_python_is_that_of_the_run(workspace: malus.Workspace, tmp_path: Path) -> None:
+    dem = exports.Exporter(workspace).dem()
+    malus.surface.write_dem(tmp_path / "dem.tif", dem, unit="mm", name="small")
+    assert (tmp_path / "dem.tif").read_bytes() == workspace.path("fused/dem.tif").read_bytes()
+    with pytest.raises(malus.InputError, match="furlong"):
+        malus.surface.write_dem(tmp_path / "other.tif", dem, unit="furlong", name="small")
+
+
+def test_obj_reads_back_with_its_texture(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
+    path = malus.export(workspace.folder, "obj", tmp_path / "a.obj")
+    mesh, _ = load_scene(path)
+    np.testing.assert_allclose(mesh.bounds, [points.min((0, 1)), points.max((0, 1))], atol=1e-4)
+    assert len(mesh.faces) > 60000
+    assert mesh.visual.material.image.size == (200, 160)
+    assert {p.name for p in tmp_path.iterdir()} == {"a.obj", "a.mtl", "a.png"}
+    # Left of the texture is left of the station's image.
+    camera, (rotation, translation) = workspace.camera, workspace.pose
+    x, _, z = (np.asarray(mesh.vertices) @ rotation.T + translation).T
+    np.testing.assert_allclose(mesh.visual.uv[:, 0], (camera.fx * x / z + camera.cx + 0.5) / 200, atol=1e-4)
+
+
+def test_meshes_with_fewer_faces_stay_on_the_surface(workspace: malus.Workspace, tmp_path: Path) -> None:
+    pytest.importorskip("fast_simplification")
+    gsd = workspace.quality["gsd"]
+    for name, scale in (("ply", 1), ("glb", 1000)):
+        path = malus.export(workspace.folder, name, tmp_path / f"a.{name}", faces=5000)
+        mesh, scene = load_scene(path)
+        vertices = np.asarray(mesh.vertices)
+        if name == "glb":
+            matrix, _ = scene.graph[scene.graph.nodes_geometry[0]]
+            vertices = (vertices + matrix[:3, 3]) * scale
+        assert 4000 < len(mesh.faces) <= 5000
+        assert_on_surface(vertices, workspace, 4 * gsd, 0.2 * gsd)
+        assert (np.asarray(mesh.vertex_normals) @ workspace.pose[0][2] < 0).mean() > 0.99
+
+
+def test_normal_map_is_opengl_and_displacement_fits_it(workspace: malus.Workspace, tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    path = malus.export(workspace.folder, "normal-map", tmp_path / "n.png")
+    with warnings.catch_warnings():
+        # That a picture has no place on the Earth is as it should be.
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        file = rasterio.open(path)
+    with file:
+        assert file.dtypes == ("uint16",) * 3
+        png = np.moveaxis(file.read(), 0, -1) / 65535 * 2 - 1
+    floats = tifffile.imread(malus.export(workspace.folder, "normal-map", tmp_path / "n.tif"))
+    displacement = tifffile.imread(malus.export(workspace.folder, "displacement", tmp_path / "d.tif"))
+    assert png.shape == floats.shape == (*displacement.shape, 3)
+    np.testing.assert_allclose(png, floats, atol=2e-5)
+    np.testing.assert_allclose(np.linalg.norm(floats, axis=-1), 1, atol=1e-5)
+    pixel = exports.Exporter(workspace).dem().pixel
+    down, right = np.gradient(displacement.astype(float), pixel)
+    inner = (slice(20, -20), slice(20, -20))
+    # Green is up: where the surface rises upwards, the normal leans down.
+    for expected, channel in ((-right, 0), (down, 1)):
+        slope = floats[..., channel][inner] / floats[..., 2][inner]
+        assert np.corrcoef(slope.ravel(), expected[inner].ravel())[0, 1] > 0.8
+
+
+def test_exr_displacement_equals_the_tiff(workspace: malus.Workspace, tmp_path: Path) -> None:
+    library = pytest.importorskip("OpenEXR")
+    tiff = tifffile.imread(malus.export(workspace.folder, "displacement", tmp_path / "d.tif"))
+    with library.File(str(malus.export(workspace.folder, "displacement", tmp_path / "d.exr"))) as file:
+        np.testing.assert_array_equal(file.channels()["Y"].pixels, tiff)
+
+
+@pytest.mark.parametrize("name", ["a.las", "a.laz"])
+def test_las_reads_back(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path, name: str) -> None:
+    laspy = pytest.importorskip("laspy")
+    pytest.importorskip("lazrs")
+    cloud = laspy.read(malus.export(workspace.folder, "las", tmp_path / name))
+    np.testing.assert_allclose(cloud.xyz, points.reshape(-1, 3), atol=1e-3 * workspace.quality["gsd"])
+    np.testing.assert_allclose(cloud.sigma, workspace.raster("fused/sigma.tif").ravel(), rtol=1e-5)
+    assert cloud.red.max() > 255
+
+
+def test_e57_reads_back_in_metres(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
+    library = pytest.importorskip("pye57")
+    file = library.E57(str(malus.export(workspace.folder, "e57", tmp_path / "a.e57")))
+    scan = file.read_scan_raw(0)
+    file.close()
+    xyz = np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], -1) * 1000
+    np.testing.assert_allclose(xyz, points.reshape(-1, 3), atol=1e-6)
+
+
+def test_dem_export_is_that_of_the_run(finished_grid: Path, tmp_path: Path) -> None:
+    path = malus.export(finished_grid, "dem", tmp_path / "a.tif")
+    assert path.read_bytes() == (finished_grid / "fused/dem.tif").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--format", "stl"], "invalid choice"),
+        (["--format", "las", "--faces", "10"], "--faces is for"),
+        (["--format", "obj", "--faces", "2"], "at least 4"),
+        (["--format", "displacement", "-o", "d.png"], "expected .tif"),
+        ([], "--format"),
+    ],
+)
+def test_wrong_requests_are_explained(finished_grid: Path, arguments: list[str], message: str) -> None:
+    outcome = run_malus("export", finished_grid, *arguments)
+    assert outcome.code == 2
+    assert message in outcome.err and "Traceback" not in outcome.err
+
+
+def test_missing_package_is_named(finished_grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "laspy", None)
+    with pytest.raises(malus.ExternalError, match=r"laspy.*malus\[export\]"):
+        malus.export(finished_grid, "las", tmp_path / "a.las")
+    assert not list(tmp_path.iterdir())
+
+
+def test_failed_export_leaves_nothing(finished_grid: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(malus.InputError, match="cannot be written"):
+        malus.export(finished_grid, "e57", tmp_path / "file" / "a.e57")
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]

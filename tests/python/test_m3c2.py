@@ -1,0 +1,77 @@
+"""M3C2 against a scan whose distance is known by construction."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+import malus
+from conftest import malus as run_malus
+from malus import m3c2
+
+# The packages that py4dgeo imports warn about each other.
+uses_py4dgeo = pytest.mark.filterwarnings("ignore")
+
+
+@pytest.fixture
+def work(finished_grid: Path, tmp_path: Path) -> Path:
+    shutil.copytree(finished_grid, tmp_path / "work")
+    return tmp_path / "work"
+
+
+def scan_behind(work: Path, distance: float, path: Path) -> Path:
+    """The surface's points moved away from the camera along the mean normal, as XYZ text."""
+    cloud = malus.exports.Exporter(malus.Workspace(work)).mesh()
+    normal = cloud.normals.astype(float).mean(0)
+    normal /= np.linalg.norm(normal)
+    np.savetxt(path, cloud.vertices - distance * normal, "%.6f")
+    return path
+
+
+@uses_py4dgeo
+def test_distance_to_a_moved_copy_is_the_motion(
+    work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("py4dgeo")
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    figures = m3c2.compare(work, scan_behind(work, 0.2, tmp_path / "scan.xyz"))
+    assert capsys.readouterr() == ("", "")
+    assert not list(Path().iterdir())
+    gsd = malus.Workspace(work).quality["gsd"]
+    distance = tifffile.imread(work / "fused/m3c2_distance.tif")
+    assert distance.shape == (160, 200)
+    # The surface is in front of the scan: positive. Slopes make the distance along the normal a little shorter.
+    assert np.nanmedian(distance) == pytest.approx(0.2, rel=0.1)
+    assert figures["distance_gsd"]["median"] == pytest.approx(np.nanmedian(distance) / gsd, rel=1e-3)
+    assert figures["compared_fraction"] > 0.95
+    assert json.loads((work / "m3c2.json").read_text()) == figures
+    malus.write_report(work)
+    page = (work / "report/index.html").read_text()
+    assert f'data-path="m3c2.distance_gsd.median">{figures["distance_gsd"]["median"]:.3g}<' in page
+    assert (work / "report/figures/m3c2_distance.png").exists()
+
+
+@uses_py4dgeo
+def test_a_scan_elsewhere_is_refused(work: Path, tmp_path: Path) -> None:
+    pytest.importorskip("py4dgeo")
+    with pytest.raises(malus.DataError, match="same frame and unit"):
+        m3c2.compare(work, scan_behind(work, 1e4, tmp_path / "scan.xyz"))
+    assert not (work / "m3c2.json").exists()
+
+
+def test_m3c2_without_a_reference_is_refused(small_station: Path, tmp_path: Path) -> None:
+    outcome = run_malus("assess", small_station, "-o", tmp_path / "work", "--m3c2")
+    assert outcome.code == 2 and "--reference" in outcome.err
+
+
+def test_missing_py4dgeo_is_named(work: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "py4dgeo", None)
+    with pytest.raises(malus.ExternalError, match=r"py4dgeo.*malus\[m3c2\]"):
+        m3c2.compare(work, work / "fused/surface.ply")

@@ -1,0 +1,281 @@
+"""The report: every number is quality.json's, nothing comes from the network, the interactive data are what the rasters say."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import io
+import json
+import re
+import shutil
+import zlib
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+import malus
+from conftest import malus as run_malus
+from conftest import run_program
+from malus import figures, viewer
+
+
+class Page(HTMLParser):
+    """What the tests ask of the page: its data elements, addresses, ids, images without a description, JSON blocks."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.numbers: list[tuple[str, str, str]] = []
+        self.addresses: list[str] = []
+        self.ids: list[str] = []
+        self.bare_images = 0
+        self.blocks: dict[str, str] = {}
+        self._number: dict[str, str | None] | None = None
+        self._block: str | None = None
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = dict(attrs)
+        self.addresses += [value for key, value in attrs if key in ("src", "href") and value]
+        if values.get("id"):
+            self.ids.append(str(values["id"]))
+        if tag == "img" and not values.get("alt"):
+            self.bare_images += 1
+        if tag == "data":
+            self._number = values
+        if tag == "script" and values.get("type") == "application/json":
+            self._block = values["id"]
+
+    def handle_data(self, data: str) -> None:
+        if self._number is not None:
+            self.numbers.append((str(self._number["data-path"]), str(self._number["value"]), data))
+            self._number = None
+        if self._block is not None:
+            self.blocks[self._block] = data
+            self._block = None
+
+
+@pytest.fixture(scope="module")
+def work(finished_grid: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("report") / "work"
+    shutil.copytree(finished_grid, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(work: Path) -> Page:
+    return Page((work / "report/index.html").read_text())
+
+
+def at(quality: object, path: str) -> object:
+    for key in path.split("."):
+        quality = quality[int(key)] if isinstance(quality, list) else quality[key]  # type: ignore[index]
+    return quality
+
+
+def test_every_number_is_that_of_quality_json(work: Path, page: Page) -> None:
+    quality = json.loads((work / "quality.json").read_text())
+    paths = {path for path, _, _ in page.numbers}
+    assert {
+        "gsd",
+        "coverage.fraction",
+        "patches.0.fused.rmse_gsd",
+        "patches.0.prior.rmse_gsd",
+        "sigma.median_gsd",
+    } <= paths
+    for path, exact, text in page.numbers:
+        value = at(quality, path)
+        if value is None:
+            assert (exact, text) == ("", "–"), path
+            continue
+        assert float(exact) == value, path
+        # What is read is the value, or a hundred times it as per cent, rounded.
+        rounded = {f"{v:.{n}g}" for v in (value, 100 * value) for n in range(2, 10)} | {f"{value:.0f}"}
+        assert text in rounded, path
+
+
+def test_page_is_self_contained_and_described(work: Path, page: Page) -> None:
+    for address in page.addresses:
+        if address.startswith(("data:", "#")):
+            continue
+        assert re.fullmatch(r"figures/[a-z0-9_]+\.(png|csv)", address), address
+        assert (work / "report" / address).is_file(), address
+    assert page.bare_images == 0
+    assert len(page.ids) == len(set(page.ids))
+    for section in (
+        "overview",
+        "compare",
+        "explore",
+        "relief",
+        "polarization",
+        "height",
+        "profiles",
+        "patches",
+        "uncertainty",
+    ):
+        assert section in page.ids and f"#{section}" in page.addresses, section
+    assert (work / "report/index.html").stat().st_size < 4e6
+
+
+def test_figures_lie_beside_the_page_with_their_numbers(work: Path) -> None:
+    folder = work / "report/figures"
+    pictures = {path.stem for path in folder.glob("*.png")}
+    assert pictures == {path.stem for path in folder.glob("*.csv")}
+    quality = json.loads((work / "quality.json").read_text())
+    with (folder / "profile_1.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    profile = quality["profiles"][0]
+    assert [float(row["position_mm"]) for row in rows] == profile["position"]
+    assert [float(row["fused_mm"]) for row in rows] == profile["fused"]
+    with (folder / "patch_1.csv").open() as file:
+        counts = [int(row["count"]) for row in csv.DictReader(file) if row["surface"] == "fused"]
+    assert counts == quality["patches"][0]["fused"]["histogram_gsd"]["counts"]
+    with (folder / "degree.csv").open() as file:
+        row = next(csv.DictReader(file))
+    degree = tifffile.imread(work / "polarization/degree.tif")
+    assert float(row["p50"]) == pytest.approx(np.nanmedian(degree), rel=1e-6)
+
+
+def unpack(text: str) -> np.ndarray:
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8).astype(np.int64)
+    low, high = np.split(planes, 2)
+    return (np.cumsum(low + 256 * high) & 0xFFFF).astype(np.uint16)
+
+
+def test_relighting_data_are_the_fused_normals(work: Path, page: Page) -> None:
+    data = json.loads(page.blocks["relight-data"])
+    assert (data["width"], data["height"], data["step"]) == (200, 160, 1)
+    normals = tifffile.imread(work / "fused/normals.tif")
+    right, up = unpack(data["fused"]).view(np.int16).reshape(2, 160, 200) / data["scale"]
+    np.testing.assert_allclose(right, normals[..., 0], atol=0.6 / data["scale"])
+    np.testing.assert_allclose(up, -normals[..., 1], atol=0.6 / data["scale"])
+
+
+def test_mesh_data_are_the_depth_map(work: Path, page: Page) -> None:
+    data = json.loads(page.blocks["mesh-data"])
+    positions = unpack(data["positions"]).reshape(3, -1) / 65535 * data["size"]
+    depth = tifffile.imread(work / "fused/depth.tif")
+    assert data["extent"][2] == pytest.approx(float(depth.max() - depth.min()), rel=1e-3)
+    u, v = unpack(data["uv"]).reshape(2, -1) / 65535 * np.array([[200], [160]]) - 0.5
+    nearest = depth[np.rint(v).astype(int), np.rint(u).astype(int)]
+    np.testing.assert_allclose(positions[2].max() - positions[2], nearest - depth.min(), atol=2e-3)
+
+
+def test_reduced_means_leave_out_what_is_missing() -> None:
+    raster = np.array([[1, 3, 10], [np.nan, 5, np.nan]], np.float32)
+    np.testing.assert_allclose(figures.reduced(raster, 2), [[3, 10]])
+    assert np.isnan(figures.reduced(np.full((2, 2), np.nan, np.float32), 2)).all()
+
+
+@pytest.mark.parametrize(("slope", "azimuth", "brighter"), [(0.3, 90, False), (0.3, 270, True), (-0.3, 90, True)])
+def test_hillshade_is_linear_in_the_cosine_to_the_light(slope: float, azimuth: float, brighter: bool) -> None:
+    relief = np.tile(slope * 2.0 * np.arange(20, dtype=np.float32), (15, 1))
+    relief[3, 4] = np.nan
+    shade = figures.hillshade(relief, 2.0, azimuth, 50)
+    sign = 1 if brighter else -1
+    angle = np.arctan(abs(slope))
+    black = np.sin(np.radians(20))
+    expected = (np.sin(np.radians(50) + sign * angle) + black) / (1 + black)
+    np.testing.assert_allclose(shade[np.isfinite(relief)], expected, rtol=1e-3)
+    assert np.isnan(shade[3, 4])
+
+
+def test_albedo_is_free_of_the_light() -> None:
+    rng = np.random.default_rng(3)
+    slopes = rng.normal(0, 0.4, (60, 80, 2))
+    normals = np.concatenate([-slopes, np.ones((60, 80, 1))], -1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    paint = rng.choice([0.2, 0.5], (60, 80))
+    light = np.array([0.3, 0.4, 0.85])
+    picture = (paint * (normals @ light + 0.1))[..., None] * np.ones(3)
+    removed = viewer.albedo(picture, normals)[..., 0]
+    assert np.std(removed[paint == 0.5]) < 0.02 * np.mean(removed[paint == 0.5]) + 0.02
+    assert np.mean(removed[paint == 0.5]) / np.mean(removed[paint == 0.2]) == pytest.approx(2.5, rel=0.05)
+
+
+def test_large_stations_are_averaged_down(monkeypatch: pytest.MonkeyPatch, work: Path) -> None:
+    monkeypatch.setattr(viewer, "NORMALS_SIDE_PX", 64)
+    monkeypatch.setattr(viewer, "MESH_TRIANGLES", 2000)
+    workspace = malus.Workspace(work)
+    data = json.loads(json.dumps(viewer.relighting(workspace)))
+    assert (data["step"], data["width"], data["height"]) == (4, 50, 40)
+    assert data["gsd"] == pytest.approx(4 * workspace.quality["gsd"])
+    image = Image.open(io.BytesIO(base64.b64decode(data["color"])))
+    assert image.size == (50, 40)
+    assert viewer.mesh_view(workspace)["triangles"] <= 2200
+
+
+def test_colour_images_are_shown_in_colour(finished_grid: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    shutil.copytree(finished_grid, work)
+    intensity = tifffile.imread(work / "polarization/unpolarized.tif")
+    tifffile.imwrite(
+        work / "polarization/color.tif", np.stack([intensity, 0.6 * intensity, 0.3 * intensity], -1), photometric="rgb"
+    )
+    workspace = malus.Workspace(work)
+    for picture in (
+        malus.exports.Exporter(workspace).picture(),
+        np.array(Image.open(io.BytesIO(base64.b64decode(viewer.relighting(workspace)["color"])))),
+    ):
+        red, green, blue = picture[..., :3].reshape(-1, 3).mean(0)
+        assert red > 1.15 * green > 1.3 * blue
+
+
+def test_scale_and_photos_are_shown_when_they_are_known(finished_grid: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    shutil.copytree(finished_grid, work)
+    quality = json.loads((work / "quality.json").read_text())
+    bar = {
+        "name": "bar <1>",
+        "check": True,
+        "distance": 31.504,
+        "adjusted": 31.5071,
+        "residual": 0.0031,
+        "sigma": 0.009,
+    }
+    bar |= {"rms_px": 0.12, "worst_px": 0.31, "worst_image": "view_03.jpg"}
+    quality["scale"] = {
+        "status": "converged", "scale": 12.5, "sigma": 0.004, "unit_weight": 1.07, "redundancy": 5, "distances": [bar],
+    }  # fmt: skip
+    quality["photogrammetry"] = {"program": "COLMAP 3.8", "registered": 12, "station": {"matches": 345}}
+    (work / "quality.json").write_text(json.dumps(quality))
+    malus.write_report(work)
+    text = (work / "report/index.html").read_text()
+    shown = {path: text for path, _, text in Page(text).numbers}
+    assert shown["scale.distances.0.residual"] == "0.0031" and shown["scale.distances.0.adjusted"] == "31.5071"
+    assert shown["photogrammetry.station.matches"] == "345" and shown["photogrammetry.program"] == "COLMAP 3.8"
+    assert "bar &lt;1&gt;" in text and "bar <1>" not in text
+
+
+def test_report_and_view_say_what_is_missing(tmp_path: Path) -> None:
+    outcome = run_malus("report", tmp_path / "none")
+    assert outcome.code == 2 and "quality.json" in outcome.err
+    outcome = run_malus("view", tmp_path)
+    assert outcome.code == 2 and "malus report" in outcome.err
+
+
+def test_view_opens_the_page(work: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
+    page = malus.report.open_report(work)
+    assert opened == [page.as_uri()] and page == (work / "report/index.html").resolve()
+    monkeypatch.setattr("webbrowser.open", lambda address: False)
+    with pytest.raises(malus.ExternalError, match="no web browser"):
+        malus.report.open_report(work)
+
+
+def test_views_start_in_a_browser(work: Path, tmp_path: Path) -> None:
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("chromium is not installed")
+    outcome = run_program(
+        chromium, "--headless", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
+        "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", f"--user-data-dir={tmp_path}",
+        "--virtual-time-budget=20000", "--dump-dom", (work / "report/index.html").resolve().as_uri(),
+    )  # fmt: skip
+    assert '<div class="view ready" id="relight">' in outcome.out, outcome.err
+    assert '<div class="view ready" id="mesh">' in outcome.out, outcome.err
+    assert "Light from 313° (clockwise from up)" in outcome.out
