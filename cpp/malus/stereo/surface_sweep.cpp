@@ -109,26 +109,15 @@ class SurfaceSweep {
       masks.push_back(halved(masks.back()));
       cameras.push_back(halved(cameras.back()));
     }
-    context_.progress("sweep", 0, "surface of the triangulated points");
-    FirstSurface first = first_surface(input_.points, cameras.back(), input_.pose, masks.back(), options_.min_points,
-                                       context_);
-    result_.points_total = static_cast<double>(input_.points.size());
-    result_.points_used = static_cast<double>(first.points_used);
-    surface_ = std::move(first.log_depth);
+    enter_level(levels - 1, references, masks, cameras);
+    start();
 
     for (int k = levels - 1; k >= 0; --k) {
-      const auto at = static_cast<std::size_t>(k);
-      level_.reference = std::move(references[at]);
-      level_.mask = std::move(masks[at]);
-      level_.camera = cameras[at];
-      level_.reduction = 1 << k;
-      if (k + 1 < levels) surface_ = doubled(surface_, level_.mask, context_);
-      fill_gaps(surface_, level_.mask);
-      rate_ = photos_.prepare(level_, surface_, k + 1 == levels, context_);
-      if (k + 1 == levels) {
-        const double wanted = std::ceil(first.range * rate_ / first_step_px);
-        const int most = static_cast<int>(std::ceil(options_.max_search / first_step_px));
-        sweep({first_step_px, std::clamp(static_cast<int>(std::min(wanted, 1e6)), 6, most), true, 1.0});
+      if (k + 1 < levels) {
+        enter_level(k, references, masks, cameras);
+        surface_ = doubled(surface_, level_.mask, context_);
+        fill_gaps(surface_, level_.mask);
+        rate_ = photos_.prepare(level_, surface_, false, context_);
       }
       if (k > 0) {
         for (const Sweep& step : coarse_sweeps) sweep(step);
@@ -141,6 +130,48 @@ class SurfaceSweep {
   }
 
  private:
+  void enter_level(int k, std::vector<Image<float>>& references, std::vector<Mask>& masks,
+                   const std::vector<Pinhole>& cameras) {
+    const auto at = static_cast<std::size_t>(k);
+    level_.reference = std::move(references[at]);
+    level_.mask = std::move(masks[at]);
+    level_.camera = cameras[at];
+    level_.reduction = 1 << k;
+  }
+
+  MatchSettings match_settings() const {
+    MatchSettings settings;
+    settings.radius = options_.window_radius;
+    settings.best = std::min(options_.best_views, static_cast<int>(level_.views.size()));
+    settings.max_views = options_.max_views;
+    settings.noise_variance = static_cast<float>(options_.noise * options_.noise);
+    settings.compare_halves = level_.reduction == 1 && level_.views.size() >= 3;
+    return settings;
+  }
+
+  /// The coarsest level: surface of the triangulated points, then a sweep over its range.
+  void start() {
+    context_.progress("sweep", 0, "surface of the triangulated points");
+    const std::vector<StationPoint> points =
+        points_on_object(input_.points, level_, input_.pose, options_.min_points);
+    std::vector<double> depths;
+    for (const StationPoint& point : points) depths.push_back(point.log_depth);
+    const auto middle = depths.begin() + static_cast<std::ptrdiff_t>(depths.size() / 2);
+    std::nth_element(depths.begin(), middle, depths.end());
+    surface_ = Image<float>(level_.mask.size(), 1, static_cast<float>(*middle));
+    photos_.prepare(level_, surface_, true, context_);
+    FirstSurface first =
+        first_surface(points, level_, input_.pose, match_settings(), options_.min_points, context_);
+    result_.points_total = static_cast<double>(input_.points.size());
+    result_.points_used = static_cast<double>(first.points_used);
+    surface_ = std::move(first.log_depth);
+    fill_gaps(surface_, level_.mask);
+    rate_ = photos_.prepare(level_, surface_, true, context_);
+    const double wanted = std::ceil(first.range * rate_ / first_step_px);
+    const double most = std::ceil(options_.max_search / first_step_px);
+    sweep({first_step_px, static_cast<int>(std::clamp(wanted, 6.0, std::max(most, 6.0))), true, 1.0});
+  }
+
   void sweep(const Sweep& step) {
     const auto start = std::chrono::steady_clock::now();
     PassSettings settings;
@@ -149,11 +180,7 @@ class SurfaceSweep {
     settings.regularize = step.regularize;
     settings.small_step = static_cast<float>(options_.small_step);
     settings.large_step = static_cast<float>(options_.large_step);
-    settings.match.radius = options_.window_radius;
-    settings.match.best = std::min(options_.best_views, static_cast<int>(level_.views.size()));
-    settings.match.max_views = options_.max_views;
-    settings.match.noise_variance = static_cast<float>(options_.noise * options_.noise);
-    settings.match.compare_halves = level_.reduction == 1 && level_.views.size() >= 3;
+    settings.match = match_settings();
 
     surface_ = median_filtered(surface_, 1, context_);
     surface_ = smoothed(surface_, step.smooth_px, smoothing_limit_px / rate_, context_);

@@ -84,16 +84,21 @@ std::vector<float> window_sums(int radius, const std::vector<float>& padded, std
 /// Puts values into lists that are sorted per pixel, largest first.
 void insert(const std::vector<float>& values, std::vector<std::vector<float>>& best) {
   const std::size_t n = values.size();
-  std::array<float, chunk> rest;
+  Eigen::Array<float, chunk, 1> rest;
   for (std::size_t begin = 0; begin < n; begin += chunk) {
-    const std::size_t count = std::min(chunk, n - begin);
-    std::copy_n(&values[begin], count, rest.begin());
+    const auto count = static_cast<Eigen::Index>(std::min(chunk, n - begin));
+    rest.head(count) = ConstValues(&values[begin], count);
     for (std::vector<float>& list : best) {
-      float* const kept = &list[begin];
-      for (std::size_t i = 0; i < count; ++i) {
+      Values kept(&list[begin], count);
+      for (Eigen::Index i = 0; i + 4 <= count; i += 4) {
+        const Eigen::Array4f a = kept.segment<4>(i), b = rest.segment<4>(i);
+        kept.segment<4>(i) = a.max(b);
+        rest.segment<4>(i) = a.min(b);
+      }
+      for (Eigen::Index i = count / 4 * 4; i < count; ++i) {
         const float a = kept[i], b = rest[i];
-        kept[i] = a > b ? a : b;
-        rest[i] = a > b ? b : a;
+        kept[i] = std::max(a, b);
+        rest[i] = std::min(a, b);
       }
     }
   }
@@ -115,7 +120,7 @@ void average(const std::vector<std::vector<float>>& best, const std::vector<floa
 
 }  // namespace
 
-TileMatcher::TileMatcher(const MatchLevel& level, PixelBox tile, const Image<float>& log_depth,
+TileMatcher::TileMatcher(const MatchLevel& level, PixelBox tile, const Surface& log_depth,
                          const MatchSettings& settings)
     : tile_(tile),
       padded_{tile.u0 - settings.radius, tile.v0 - settings.radius, tile.u1 + settings.radius,
@@ -135,7 +140,7 @@ TileMatcher::TileMatcher(const MatchLevel& level, PixelBox tile, const Image<flo
   }
 }
 
-void TileMatcher::take_reference(const MatchLevel& level, const Image<float>& log_depth) {
+void TileMatcher::take_reference(const MatchLevel& level, const Surface& log_depth) {
   const std::size_t n = stride_ * rows_;
   depth_.assign(n, 0.0F);
   weight_.assign(n, 0.0F);
@@ -189,10 +194,10 @@ void TileMatcher::choose_views(const MatchLevel& level) {
   constexpr float margin = 2;
   const std::size_t n = stride_ * rows_, width = static_cast<std::size_t>(tile_.width());
   const auto radius = static_cast<std::size_t>(settings_.radius);
-  std::vector<float> x(n), y(n);
   std::vector<std::pair<double, std::size_t>> ranking;
   for (const MatchView& candidate : level.views) {
     View view{&candidate, std::vector<float>(tile_pixels(), 0.0F), {}};
+    std::vector<float> x(n), y(n);
     project(view, 0, x, y);
     const float max_x = static_cast<float>(candidate.image->width() - 1) - margin;
     const float max_y = static_cast<float>(candidate.image->height() - 1) - margin;
@@ -204,6 +209,8 @@ void TileMatcher::choose_views(const MatchLevel& level) {
       pixels += view.seen[i];
     }
     if (pixels == 0) continue;
+    view.path[0] = std::move(x);
+    view.path[3] = std::move(y);
     ranking.emplace_back(-pixels * candidate.quality, views_.size());
     views_.push_back(std::move(view));
   }
@@ -217,7 +224,7 @@ void TileMatcher::choose_views(const MatchLevel& level) {
   count_.assign(tile_pixels(), 0.0F);
   half_count_.fill(count_);
   for (View& view : views_) {
-    view.path.fill(std::vector<float>(n));
+    for (const std::size_t k : {1, 2, 4, 5}) view.path[k].resize(n);
     auto& half = half_count_[static_cast<std::size_t>(view.view->subset)];
     for (std::size_t i = 0; i < count_.size(); ++i) {
       count_[i] += view.seen[i];
@@ -234,7 +241,7 @@ void TileMatcher::prepare(float centre, float half_range) {
   for (View& view : views_) {
     auto& path = view.path;
     project(view, centre - half_range, near_x, near_y);
-    project(view, centre, path[0], path[3]);
+    if (centre != projected_) project(view, centre, path[0], path[3]);
     project(view, centre + half_range, far_x, far_y);
     for (std::size_t i = 0; i < n; ++i) {
       path[1][i] = 0.5F * (far_x[i] - near_x[i]);
@@ -243,6 +250,7 @@ void TileMatcher::prepare(float centre, float half_range) {
       path[5][i] = 0.5F * (far_y[i] + near_y[i]) - path[3][i];
     }
   }
+  projected_ = centre;
 }
 
 template <int radius>

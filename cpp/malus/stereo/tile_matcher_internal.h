@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstddef>
+#include <functional>
 #include <vector>
 
 #include "malus/core/camera.h"
@@ -49,7 +50,11 @@ class TileMatcher {
   };
 
   /// `log_depth` is the base surface over the whole level, NaN outside the object.
-  TileMatcher(const MatchLevel& level, PixelBox tile, const Image<float>& log_depth, const MatchSettings& settings);
+  TileMatcher(const MatchLevel& level, PixelBox tile, const Image<float>& log_depth, const MatchSettings& settings)
+      : TileMatcher(level, tile, [&](int u, int v) { return log_depth(u, v); }, settings) {}
+  /// The same with a base surface of one depth.
+  TileMatcher(const MatchLevel& level, PixelBox tile, float log_depth, const MatchSettings& settings)
+      : TileMatcher(level, tile, [&](int, int) { return log_depth; }, settings) {}
 
   /// Views that see any pixel of the tile; without any, every score is 0.
   std::size_t views() const { return views_.size(); }
@@ -63,6 +68,10 @@ class TileMatcher {
   void score(float offset, Scores& scores);
 
  private:
+  using Surface = std::function<float(int u, int v)>;
+
+  TileMatcher(const MatchLevel& level, PixelBox tile, const Surface& log_depth, const MatchSettings& settings);
+
   struct View {
     const MatchView* view;
     std::vector<float> seen;              ///< 1 or 0, a pixel of the tile
@@ -70,7 +79,7 @@ class TileMatcher {
   };
 
   std::size_t tile_pixels() const { return static_cast<std::size_t>(tile_.width()) * static_cast<std::size_t>(tile_.height()); }
-  void take_reference(const MatchLevel& level, const Image<float>& log_depth);
+  void take_reference(const MatchLevel& level, const Surface& log_depth);
   void choose_views(const MatchLevel& level);
   void project(const View& view, float offset, std::vector<float>& x, std::vector<float>& y) const;
   void correlate(const View& view, float t);
@@ -88,6 +97,7 @@ class TileMatcher {
   std::vector<float> count_;
   std::array<std::vector<float>, 2> half_count_;
   float centre_ = 0, half_range_ = 1;
+  float projected_ = 0;  ///< offset at which the paths' first coefficients are
   // Scratch of score().
   std::vector<float> correlation_, sums_;
   std::vector<std::vector<float>> best_;
