@@ -35,15 +35,15 @@ struct SweepOptions {
   int max_views = 12;
   int min_level_px = 100;
   int min_points = 10;
-  double noise = 0.004;
-  double min_parallax = 0.4;
+  double noise = 0.002;
+  double min_parallax = 0.6;
   double max_angle_deg = 70;
   int max_search = 64;
   double small_step = 0.02;
   double large_step = 0.15;
   double min_score = 0.3;
   double min_agreement = 0.5;
-  double sigma_scale = 1;
+  double sigma_scale = 2.2;
   double sigma_floor_gsd = 0.05;
 
   template <class Self, class Visitor>
