@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "malus/core/parallel.h"
+#include "malus/stereo/small_regions_internal.h"
 
 namespace malus {
 namespace {
@@ -15,6 +16,8 @@ constexpr float none = std::numeric_limits<float>::quiet_NaN();
 constexpr int radius = 4;
 /// Difference up to which halves agree, px of parallax.
 constexpr float agreeing_px = 1;
+/// A region ends where the surface jumps by more, px of parallax.
+constexpr double region_step_px = 2;
 /// Without halves: standard deviation at full correlation, px of parallax.
 constexpr double lone_sigma_px = 0.5;
 
@@ -67,6 +70,15 @@ void judge(const PassResult& pass, const HalvesDifference& halves, double rate, 
       result.confidence(u, v) = static_cast<float>(pass.score(u, v) * agreement);
     }
   });
+  Image<float> kept(mask.size(), 1, none);
+  for (std::size_t i = 0; i < kept.count(); ++i) {
+    if (std::isfinite(result.depth[i])) kept[i] = pass.log_depth[i];
+  }
+  remove_small_regions(kept, region_step_px / rate, options.min_region_px);
+  for (std::size_t i = 0; i < kept.count(); ++i) {
+    if (!std::isfinite(kept[i])) result.depth[i] = result.sigma[i] = result.confidence[i] = none;
+  }
+
   std::vector<float> scores, sigmas;
   double object = 0;
   for (std::size_t i = 0; i < mask.count(); ++i) {

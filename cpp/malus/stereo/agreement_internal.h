@@ -18,7 +18,8 @@ struct HalvesDifference {
 /// Errors of halves are alike in size and partly the same error (the station's noise, the window's smoothing), so
 ///   sigma = sigma_scale / 2 · root mean square of the halves' difference around the pixel / share that agrees,
 /// where each pixel's difference is the larger of both sweeps', and at least `sigma_floor_gsd`. Pixels fail where less
-/// than `min_agreement` of the pixels around agree to a px of parallax or the correlation is below `min_score`. Without
+/// than `min_agreement` of the pixels around agree to a px of parallax or the correlation is below `min_score`, and in
+/// connected regions of fewer than `min_region_px`. Without
 /// halves sigma is the depth of half a px of parallax over the correlation.
 ///
 /// `rate`: px of parallax a unit of ln z. `focal`: of the station, px.

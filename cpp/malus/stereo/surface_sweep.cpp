@@ -90,6 +90,9 @@ constexpr std::array coarse_sweeps{Sweep{0.5, 6, true, 1.0}};
 constexpr std::array finest_sweeps{Sweep{0.5, 4, true, 1.0}, Sweep{0.25, 3, true, 1.5}};
 constexpr double first_step_px = 0.7;
 
+/// Below this share of the object with a depth there is a warning.
+constexpr double least_completeness = 0.3;
+
 /// Largest change of a surface's ln z between neighbors that is smoothed over, in steps of one px of parallax.
 constexpr double smoothing_limit_px = 1.5;
 
@@ -218,6 +221,13 @@ class SurfaceSweep {
     }
     const HalvesDifference halves{&difference_px_, &wide_difference_px_};
     judge(pass_, halves, rate_, input_.camera.focal(), level_.mask, options_, context_, result_);
+    if (result_.completeness < least_completeness) {
+      std::ostringstream message;
+      message << "surface sweep: the photos agree on " << std::lround(100 * result_.completeness)
+              << " % of the object only; a surface without texture or with mirror images needs another source of depth, "
+                 "and what was found may be wrong by more than its sigma";
+      context_.log(LogLevel::warning, message.str());
+    }
   }
 
   const SweepInput& input_;
