@@ -87,7 +87,7 @@ struct Sweep {
 };
 
 constexpr std::array coarse_sweeps{Sweep{0.5, 6, true, 1.0}};
-constexpr std::array finest_sweeps{Sweep{0.5, 4, true, 1.0}, Sweep{0.25, 3, true, 1.5}};
+constexpr std::array finest_sweeps{Sweep{0.5, 3, true, 1.0}, Sweep{0.25, 2, true, 1.5}};
 constexpr double first_step_px = 0.7;
 
 /// Below this share of the object with a depth there is a warning.
@@ -172,7 +172,7 @@ class SurfaceSweep {
     rate_ = photos_.prepare(level_, surface_, true, context_);
     const double wanted = std::ceil(first.range * rate_ / first_step_px);
     const double most = std::ceil(options_.max_search / first_step_px);
-    sweep({first_step_px, static_cast<int>(std::clamp(wanted, 6.0, std::max(most, 6.0))), true, 1.0});
+    sweep({first_step_px, static_cast<int>(std::clamp(wanted, 12.0, std::max(most, 12.0))), true, 1.0});
   }
 
   void sweep(const Sweep& step) {
