@@ -89,6 +89,8 @@ struct Sweep {
 constexpr std::array coarse_sweeps{Sweep{0.5, 6, true, 1.0}};
 constexpr std::array finest_sweeps{Sweep{0.5, 3, true, 1.0}, Sweep{0.25, 2, true, 1.5}};
 constexpr double first_step_px = 0.7;
+/// Offset that the penalties of the options are for, px of parallax.
+constexpr double penalty_step_px = 0.5;
 
 /// Below this share of the object with a depth there is a warning.
 constexpr double least_completeness = 0.3;
@@ -181,8 +183,10 @@ class SurfaceSweep {
     settings.half_count = step.half_count;
     settings.step = static_cast<float>(step.step_px / rate_);
     settings.regularize = step.regularize;
-    settings.small_step = static_cast<float>(options_.small_step);
-    settings.large_step = static_cast<float>(options_.large_step);
+    // Penalties are of a change of the surface, so those of finer offsets are smaller.
+    const double fineness = step.step_px / penalty_step_px;
+    settings.small_step = static_cast<float>(options_.small_step * fineness);
+    settings.large_step = static_cast<float>(options_.large_step * fineness);
     settings.match = match_settings();
 
     surface_ = median_filtered(surface_, 1, context_);
