@@ -157,16 +157,14 @@ class SurfaceSweep {
   /// The coarsest level: surface of the triangulated points, then a sweep over its range.
   void start() {
     context_.progress("sweep", 0, "surface of the triangulated points");
-    const std::vector<StationPoint> points =
-        points_on_object(input_.points, level_, input_.pose, options_.min_points);
+    const std::vector<StationPoint> points = points_on_object(input_.points, level_, input_.pose, options_.min_points);
     std::vector<double> depths;
     for (const StationPoint& point : points) depths.push_back(point.log_depth);
     const auto middle = depths.begin() + static_cast<std::ptrdiff_t>(depths.size() / 2);
     std::nth_element(depths.begin(), middle, depths.end());
     surface_ = Image<float>(level_.mask.size(), 1, static_cast<float>(*middle));
     photos_.prepare(level_, surface_, true, context_);
-    FirstSurface first =
-        first_surface(points, level_, input_.pose, match_settings(), options_.min_points, context_);
+    FirstSurface first = first_surface(points, level_, input_.pose, match_settings(), options_.min_points, context_);
     result_.points_total = static_cast<double>(input_.points.size());
     result_.points_used = static_cast<double>(first.points_used);
     surface_ = std::move(first.log_depth);
@@ -211,7 +209,7 @@ class SurfaceSweep {
       for (float& value : difference_px_) value *= static_cast<float>(step.step_px);
     }
     surface_ = pass_.log_depth;
-    context_.progress("sweep", 1.0 / level_.reduction, "1 / " + std::to_string(level_.reduction) + " resolution");
+    context_.progress("sweep", 1.0 / level_.reduction, "1/" + std::to_string(level_.reduction) + " resolution");
   }
 
   void finish() {
@@ -228,8 +226,8 @@ class SurfaceSweep {
     if (result_.completeness < least_completeness) {
       std::ostringstream message;
       message << "surface sweep: the photos agree on " << std::lround(100 * result_.completeness)
-              << " % of the object only; a surface without texture or with mirror images needs another source of depth, "
-                 "and what was found may be wrong by more than its sigma";
+              << " % of the object only; a surface without texture or with mirror images needs another source of "
+                 "depth, and what was found may be wrong by more than its sigma";
       context_.log(LogLevel::warning, message.str());
     }
   }
