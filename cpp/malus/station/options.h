@@ -15,6 +15,7 @@
 #include "malus/polarization/decompose.h"
 #include "malus/polarization/reflection.h"
 #include "malus/prior/project_prior.h"
+#include "malus/stereo/surface_sweep.h"
 #include "malus/surface/mesh.h"
 
 namespace malus {
@@ -33,6 +34,7 @@ struct Options {
   Fusion fusion = Fusion::refined;
   CaptureOptions capture;
   DecomposeOptions polarization;
+  SweepOptions sweep;
   PriorOptions prior;
   ReflectionOptions reflection;
   LightOptions light;
@@ -46,6 +48,7 @@ struct Options {
   static void sections(Self& self, Visitor&& visit) {
     visit("capture", self.capture);
     visit("polarization", self.polarization);
+    visit("sweep", self.sweep);
     visit("prior", self.prior);
     visit("reflection", self.reflection);
     visit("light", self.light);
