@@ -114,7 +114,7 @@ struct RefineResult {
   RefineReport report;
 };
 
-/// Refines the prior with the polarization: nonlinear least squares on log-depth with Ceres, docs/method.md section 3.
+/// Refines the prior with the polarization: nonlinear least squares on log-depth with Ceres, docs/method.md section 4.
 ///
 /// Unknown: x = f (ln z − mean) of every pixel with a finite prior and a known Stokes vector. Residuals: (s1, s2)
 /// against the forward model on the four one-sided difference pairs, neighbouring albedos in diffuse regions, block
