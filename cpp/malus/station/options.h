@@ -12,6 +12,7 @@
 #include "malus/fusion/refine.h"
 #include "malus/height/height.h"
 #include "malus/lighting/light.h"
+#include "malus/photogrammetry/photos_options.h"
 #include "malus/polarization/decompose.h"
 #include "malus/polarization/reflection.h"
 #include "malus/prior/project_prior.h"
@@ -33,6 +34,7 @@ struct Options {
   Fusion fusion = Fusion::refined;
   CaptureOptions capture;
   DecomposeOptions polarization;
+  PhotosOptions photos;
   PriorOptions prior;
   ReflectionOptions reflection;
   LightOptions light;
@@ -46,6 +48,7 @@ struct Options {
   static void sections(Self& self, Visitor&& visit) {
     visit("capture", self.capture);
     visit("polarization", self.polarization);
+    visit("photos", self.photos);
     visit("prior", self.prior);
     visit("reflection", self.reflection);
     visit("light", self.light);

@@ -31,8 +31,9 @@ bool needs_no_prior(const std::optional<std::string>& until) {
 Error no_prior(const Station& station) {
   const std::string where = station.file.path.string();
   if (station.file.photos) {
-    return input_error(
-        where + ": this version cannot make the prior from [photos], expected [prior] with a cloud, mesh or depth map");
+    return input_error(where +
+                       ": making the prior from [photos] takes the Python program `malus run`; this one expects [prior] "
+                       "with a cloud, mesh or depth map");
   }
   return input_error(
       where + ": [prior] is missing, expected a cloud, mesh or depth map; without one only `decompose` can be run");
@@ -78,6 +79,9 @@ DepthPrior make_prior(const Station& station, const PolarizationStep& images, co
     return project_prior(source, images.camera, pose, mask, options.prior, context);
   };
   if (station.cloud) return project(*station.cloud);
+  if (station.prior_depth && station.prior_sigma) {
+    return project_prior(*station.prior_depth, *station.prior_sigma, images.camera, pose, mask, options.prior, context);
+  }
   if (station.prior_depth) return project(*station.prior_depth);
   const PriorSpec& spec = station.file.prior.value();
   if (spec.cloud) return project(read_point_cloud(*spec.cloud));
@@ -147,7 +151,7 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
       steps.run<PolarizationStep>("polarization",
                                   {.after = {},
                                    .option_sections = {"capture", "polarization"},
-                                   .station = {{"polarized", inputs.polarized()}, {"camera", inputs.camera()}}},
+                                   .station = {{"polarized", inputs.polarized()}, {"lens", inputs.lens()}}},
                                   [&](const Context& c) { return capture_and_decompose(station, options, c); });
 
   // What stereo says, seen from the station. Without it only the polarization maps can be had.
@@ -204,6 +208,7 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
     StepInputs assess_inputs{.after = {"polarization", "prior", "height", fused_by},
                              .option_sections = {"assess"},
                              .station = {{"regions", inputs.regions()}}};
+    if (station.photogrammetry_json) assess_inputs.station["photogrammetry"] = *station.photogrammetry_json;
     std::optional<TriangleMesh> reference;
     if (run.reference) {
       assess_inputs.station["reference"] = inputs.file(*run.reference);
@@ -223,7 +228,7 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
                              .profiles = station.file.profiles,
                              .unit = station.file.unit},
                             options.assess, c);
-      step.file = quality_json(station.file.name, step.quality, refinement);
+      step.file = quality_json(station.file.name, step.quality, refinement, station.photogrammetry_json);
       return step;
     });
     result.quality = std::move(figures.quality);
