@@ -9,6 +9,7 @@ void bind_io(pybind11::module_& module);
 void bind_capture(pybind11::module_& module);
 void bind_polarization(pybind11::module_& module);
 void bind_prior(pybind11::module_& module);
+void bind_stereo(pybind11::module_& module);
 void bind_height(pybind11::module_& module);
 void bind_fusion(pybind11::module_& module);
 void bind_surface(pybind11::module_& module);

@@ -53,6 +53,7 @@ PYBIND11_MODULE(_core, module) {
   malus::python::bind_capture(module);
   malus::python::bind_polarization(module);
   malus::python::bind_prior(module);
+  malus::python::bind_stereo(module);
   malus::python::bind_height(module);
   malus::python::bind_fusion(module);
   malus::python::bind_surface(module);

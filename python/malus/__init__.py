@@ -6,10 +6,10 @@
     result.depth, result.normals, result.sigma
 
 Frames, angles and units: docs/conventions.md. Each step alone, on arrays: `malus.polarization`, `malus.capture`,
-`malus.prior`, `malus.height`, `malus.fusion`, `malus.surface`, `malus.assess`.
+`malus.stereo`, `malus.prior`, `malus.height`, `malus.fusion`, `malus.surface`, `malus.assess`.
 """
 
-from malus import assess, capture, fusion, height, polarization, prior, surface
+from malus import assess, capture, fusion, height, polarization, prior, stereo, surface
 from malus._core import version as __version__
 from malus.camera import Camera
 from malus.errors import DataError, ExternalError, InputError, MalusError, ResourceError
@@ -38,6 +38,7 @@ __all__ = [
     "polarization",
     "prior",
     "reconstruct",
+    "stereo",
     "surface",
     "write_report",
 ]

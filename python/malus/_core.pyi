@@ -72,6 +72,20 @@ class ReflectionMap:
     @property
     def zenith_rad(self) -> Float32: ...
 
+CameraValues = tuple[str, int, int, list[float], Float64, Float64]
+
+def sweep_surface(
+    intensity: Float32,
+    camera: CameraValues,
+    views: list[tuple[Float32, CameraValues]],
+    points: Float64,
+    mask: Bytes | None,
+    options: str,
+    threads: int,
+    progress: Callable[[str, float, str], None] | None,
+    log: Callable[[str, str], None] | None,
+) -> dict[str, Any]: ...
+
 class DepthPrior:
     camera: Pinhole
     points_total: float

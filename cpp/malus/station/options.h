@@ -16,6 +16,7 @@
 #include "malus/polarization/decompose.h"
 #include "malus/polarization/reflection.h"
 #include "malus/prior/project_prior.h"
+#include "malus/stereo/surface_sweep.h"
 #include "malus/surface/mesh.h"
 
 namespace malus {
@@ -35,6 +36,7 @@ struct Options {
   CaptureOptions capture;
   DecomposeOptions polarization;
   PhotosOptions photos;
+  SweepOptions sweep;
   PriorOptions prior;
   ReflectionOptions reflection;
   LightOptions light;
@@ -49,6 +51,7 @@ struct Options {
     visit("capture", self.capture);
     visit("polarization", self.polarization);
     visit("photos", self.photos);
+    visit("sweep", self.sweep);
     visit("prior", self.prior);
     visit("reflection", self.reflection);
     visit("light", self.light);

@@ -1,0 +1,127 @@
+#include "malus/stereo/first_surface_internal.h"
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <sstream>
+#include <utility>
+
+#include "malus/core/error.h"
+#include "malus/core/parallel.h"
+#include "malus/prior/project_prior.h"
+
+namespace malus {
+namespace {
+
+/// A starting surface needs no more; they are taken evenly.
+constexpr std::size_t most_points = 4000;
+
+/// Value below which this share of the values is; reorders them.
+double quantile(std::vector<double>& values, double share) {
+  const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), at, values.end());
+  return *at;
+}
+
+/// Lowest correlation of a point's window, parallel to the image, that is taken to be on the surface. The best
+/// `min_points` are always kept.
+constexpr float visible_score = 0.6F;
+
+/// Correlation of each point's window with the photos at the point's depth.
+std::vector<float> point_scores(const std::vector<StationPoint>& points, const MatchLevel& level,
+                                const MatchSettings& settings, const Context& context) {
+  std::vector<float> scores(points.size(), 0.0F);
+  parallel_for(context, points.size(), 64, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t k = begin; k < end; ++k) {
+      const StationPoint& point = points[k];
+      const PixelBox pixel{point.u, point.v, point.u + 1, point.v + 1};
+      TileMatcher matcher(level, pixel, static_cast<float>(point.log_depth), settings);
+      if (matcher.views() == 0) continue;
+      TileMatcher::Scores found;
+      matcher.prepare(0, 1e-3F);
+      matcher.score(0, found);
+      scores[k] = found.all.front();
+    }
+  });
+  return scores;
+}
+
+}  // namespace
+
+std::vector<StationPoint> points_on_object(const std::vector<Eigen::Vector3d>& points, const MatchLevel& level,
+                                           const Pose& pose, int min_points) {
+  const Mask& mask = level.mask;
+  std::vector<StationPoint> found;
+  std::size_t behind = 0, outside = 0, off_object = 0;
+  for (const Eigen::Vector3d& point : points) {
+    if (!point.allFinite()) throw input_error("surface sweep: points: coordinates must be finite numbers");
+    const Eigen::Vector3d x = pose.cam_from_world(point);
+    if (!(x.z() > 0)) {
+      ++behind;
+      continue;
+    }
+    const Eigen::Vector2d pixel = level.camera.project(x);
+    if (!(pixel.array() > -0.5).all() || pixel.x() >= mask.width() - 0.5 || pixel.y() >= mask.height() - 0.5) {
+      ++outside;
+      continue;
+    }
+    const int u = static_cast<int>(std::lround(pixel.x())), v = static_cast<int>(std::lround(pixel.y()));
+    if (mask(u, v) == 0) {
+      ++off_object;
+      continue;
+    }
+    found.push_back({point, u, v, std::log(x.z())});
+  }
+  if (static_cast<int>(found.size()) < min_points) {
+    std::ostringstream message;
+    message << "surface sweep: " << found.size() << " of " << points.size()
+            << " triangulated points fall on the object in the station's view, expected at least " << min_points << " ("
+            << behind << " behind the camera, " << outside << " outside the image, " << off_object
+            << " outside the mask): check the station's pose and mask, or photograph with more overlap";
+    throw data_error(message.str());
+  }
+  return found;
+}
+
+FirstSurface first_surface(const std::vector<StationPoint>& points, const MatchLevel& level, const Pose& pose,
+                           const MatchSettings& settings, int min_points, const Context& context) {
+  std::vector<StationPoint> used;
+  const std::size_t count = std::min(points.size(), most_points);
+  for (std::size_t k = 0; k < count; ++k) used.push_back(points[k * points.size() / count]);
+  const std::vector<float> scores = point_scores(used, level, settings, context);
+  std::vector<float> ranked = scores;
+  const auto fewest = static_cast<std::size_t>(min_points);
+  std::nth_element(ranked.begin(), ranked.begin() + static_cast<std::ptrdiff_t>(fewest - 1), ranked.end(),
+                   std::greater<>());
+  const float least = std::min(visible_score, ranked[fewest - 1]);
+  PointCloud cloud;
+  std::vector<StationPoint> visible;
+  for (std::size_t k = 0; k < count; ++k) {
+    if (scores[k] < least) continue;
+    visible.push_back(used[k]);
+    cloud.points.push_back(used[k].world);
+  }
+
+  PriorOptions options;
+  options.min_points = 3;
+  const DepthPrior prior = project_prior(cloud, level.camera, pose, level.mask, options, context);
+  FirstSurface first;
+  first.points_used = visible.size();
+  first.log_depth = prior.depth;
+  std::vector<double> relative_sigma, residuals;
+  for (std::size_t i = 0; i < prior.depth.count(); ++i) {
+    if (!std::isfinite(prior.depth[i])) continue;
+    first.log_depth[i] = std::log(prior.depth[i]);
+    relative_sigma.push_back(prior.sigma[i] / prior.depth[i]);
+  }
+  for (const StationPoint& point : visible) {
+    const double residual = std::abs(point.log_depth - first.log_depth(point.u, point.v));
+    if (std::isfinite(residual)) residuals.push_back(residual);
+  }
+  // A few per cent of triangulated points are wrong: they must not set the range.
+  first.range = std::max(3 * quantile(relative_sigma, 0.9), 1.5 * quantile(residuals, 0.95));
+  return first;
+}
+
+}  // namespace malus

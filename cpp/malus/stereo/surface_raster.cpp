@@ -1,0 +1,135 @@
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "malus/core/parallel.h"
+#include "malus/stereo/surface_raster_internal.h"
+
+namespace malus {
+namespace {
+
+constexpr float none = std::numeric_limits<float>::quiet_NaN();
+
+}  // namespace
+
+void fill_gaps(Image<float>& log_depth, const Mask& mask) {
+  struct Pixel {
+    int u, v;
+  };
+  const auto around = [&](Pixel p, auto&& visit) {
+    for (int v = p.v - 1; v <= p.v + 1; ++v) {
+      for (int u = p.u - 1; u <= p.u + 1; ++u) {
+        if (log_depth.contains(u, v) && (u != p.u || v != p.v)) visit(u, v);
+      }
+    }
+  };
+  const auto is_gap = [&](int u, int v) { return mask(u, v) != 0 && !std::isfinite(log_depth(u, v)); };
+  const auto mean_around = [&](Pixel p) {
+    double sum = 0;
+    int count = 0;
+    around(p, [&](int u, int v) {
+      if (!std::isfinite(log_depth(u, v))) return;
+      sum += log_depth(u, v);
+      ++count;
+    });
+    return count > 0 ? static_cast<float>(sum / count) : none;
+  };
+  std::vector<Pixel> ring;
+  for (int v = 0; v < mask.height(); ++v) {
+    for (int u = 0; u < mask.width(); ++u) {
+      if (is_gap(u, v) && std::isfinite(mean_around({u, v}))) ring.push_back({u, v});
+    }
+  }
+  while (!ring.empty()) {
+    std::vector<float> values;
+    for (const Pixel p : ring) values.push_back(mean_around(p));
+    for (std::size_t i = 0; i < ring.size(); ++i) log_depth(ring[i].u, ring[i].v) = values[i];
+    std::vector<Pixel> next;
+    for (const Pixel p : ring) {
+      around(p, [&](int u, int v) {
+        if (is_gap(u, v)) next.push_back({u, v});
+      });
+    }
+    const auto before = [](Pixel a, Pixel b) { return a.v != b.v ? a.v < b.v : a.u < b.u; };
+    std::sort(next.begin(), next.end(), before);
+    next.erase(std::unique(next.begin(), next.end(), [](Pixel a, Pixel b) { return a.u == b.u && a.v == b.v; }),
+               next.end());
+    ring = std::move(next);
+  }
+}
+
+Image<float> median_filtered(const Image<float>& log_depth, int radius, const Context& context) {
+  Image<float> result(log_depth.size(), 1, none);
+  parallel_rows(context, log_depth.height(), [&](int v) {
+    std::vector<float> window;
+    for (int u = 0; u < log_depth.width(); ++u) {
+      if (!std::isfinite(log_depth(u, v))) continue;
+      window.clear();
+      for (int j = std::max(v - radius, 0); j <= std::min(v + radius, log_depth.height() - 1); ++j) {
+        for (int i = std::max(u - radius, 0); i <= std::min(u + radius, log_depth.width() - 1); ++i) {
+          if (std::isfinite(log_depth(i, j))) window.push_back(log_depth(i, j));
+        }
+      }
+      const auto middle = window.begin() + static_cast<std::ptrdiff_t>(window.size() / 2);
+      std::nth_element(window.begin(), middle, window.end());
+      result(u, v) = *middle;
+    }
+  });
+  return result;
+}
+
+Image<float> smoothed(const Image<float>& log_depth, double sigma_px, double largest_step, const Context& context) {
+  Image<float> result(log_depth.size(), 1, none);
+  const int radius = std::max(1, static_cast<int>(std::ceil(2 * sigma_px))), side = 2 * radius + 1;
+  std::vector<float> weights(static_cast<std::size_t>(side * side)), limits(weights.size());
+  for (int j = -radius; j <= radius; ++j) {
+    for (int i = -radius; i <= radius; ++i) {
+      const auto k = static_cast<std::size_t>((j + radius) * side + i + radius);
+      weights[k] = static_cast<float>(std::exp(-0.5 * (i * i + j * j) / (sigma_px * sigma_px)));
+      limits[k] = static_cast<float>(largest_step * std::hypot(i, j));
+    }
+  }
+  parallel_rows(context, log_depth.height(), [&](int v) {
+    for (int u = 0; u < log_depth.width(); ++u) {
+      const float here = log_depth(u, v);
+      if (!std::isfinite(here)) continue;
+      float sum = 0, weight = 0;
+      for (int j = -radius; j <= radius; ++j) {
+        for (int i = -radius; i <= radius; ++i) {
+          // Opposite pixels count together or not at all: one side alone would shift a slope.
+          if (!log_depth.contains(u + i, v + j) || !log_depth.contains(u - i, v - j)) continue;
+          const auto k = static_cast<std::size_t>((j + radius) * side + i + radius);
+          const float a = log_depth(u + i, v + j) - here, b = log_depth(u - i, v - j) - here;
+          if (!(std::abs(a) <= limits[k]) || !(std::abs(b) <= limits[k])) continue;
+          sum += weights[k] * a;
+          weight += weights[k];
+        }
+      }
+      result(u, v) = here + sum / weight;
+    }
+  });
+  return result;
+}
+
+Image<float> doubled(const Image<float>& log_depth, const Mask& mask, const Context& context) {
+  Image<float> result(mask.size(), 1, none);
+  parallel_rows(context, mask.height(), [&](int v) {
+    for (int u = 0; u < mask.width(); ++u) {
+      if (mask(u, v) == 0) continue;
+      float sum = 0;
+      int count = 0;
+      for (const int j : {v / 2, (v + 1) / 2}) {
+        for (const int i : {u / 2, (u + 1) / 2}) {
+          if (!log_depth.contains(i, j) || !std::isfinite(log_depth(i, j))) continue;
+          sum += log_depth(i, j);
+          ++count;
+        }
+      }
+      if (count > 0) result(u, v) = sum / static_cast<float>(count);
+    }
+  });
+  return result;
+}
+
+}  // namespace malus

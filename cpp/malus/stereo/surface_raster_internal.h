@@ -1,0 +1,19 @@
+#pragma once
+
+#include "malus/core/context.h"
+#include "malus/core/image.h"
+
+namespace malus {
+
+/// Surfaces between sweeps: rasters of ln z, NaN = none.
+
+/// Fills pixels of the mask that have no value from the nearest ones that have, ring by ring.
+void fill_gaps(Image<float>& log_depth, const Mask& mask);
+/// Each pixel becomes the median of its (2 radius + 1)² surroundings.
+Image<float> median_filtered(const Image<float>& log_depth, int radius, const Context& context);
+/// Gaussian mean of sigma `sigma_px` over pixels whose value differs by at most `largest_step` a pixel of distance.
+Image<float> smoothed(const Image<float>& log_depth, double sigma_px, double largest_step, const Context& context);
+/// Value at twice the resolution (see `halved`), bilinear; NaN outside the mask and where no pixel around has one.
+Image<float> doubled(const Image<float>& log_depth, const Mask& mask, const Context& context);
+
+}  // namespace malus

@@ -1,0 +1,247 @@
+#include "malus/stereo/surface_sweep.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <sstream>
+#include <string>
+#include <utility>
+
+#include "malus/core/error.h"
+#include "malus/core/parallel.h"
+#include "malus/stereo/agreement_internal.h"
+#include "malus/stereo/first_surface_internal.h"
+#include "malus/stereo/intensity_pyramid_internal.h"
+#include "malus/stereo/surface_raster_internal.h"
+#include "malus/stereo/sweep_pass_internal.h"
+#include "malus/stereo/view_choice_internal.h"
+
+namespace malus {
+namespace {
+
+void require_finite(const Image<float>& image, const std::string& name) {
+  for (const float value : image) {
+    if (!std::isfinite(value)) throw input_error(name + ": intensities must be finite numbers");
+  }
+}
+
+void validate(const SweepInput& input, std::span<const SweepView> views, const SweepOptions& options) {
+  validate_fields(options, "sweep");
+  if (input.camera.size.area() == 0) throw input_error("surface sweep: the station's camera has no pixels");
+  require_size(input.intensity, input.camera.size, "surface sweep: the station's intensity");
+  require_size(input.mask, input.camera.size, "surface sweep: mask");
+  require_finite(input.intensity, "surface sweep: the station's intensity");
+  if (std::none_of(input.mask.begin(), input.mask.end(), [](std::uint8_t m) { return m != 0; })) {
+    throw input_error("surface sweep: mask: no pixel is set, expected the object's pixels to be non-zero");
+  }
+  if (views.empty()) {
+    throw data_error("surface sweep: no photos, expected at least one whose pose is known");
+  }
+  for (std::size_t k = 0; k < views.size(); ++k) {
+    const std::string name = "surface sweep: photo " + std::to_string(k);
+    views[k].camera.validate(name);
+    require_size(views[k].intensity, views[k].camera.size, name);
+    require_finite(views[k].intensity, name);
+    if (!views[k].pose.rotation.allFinite() || !views[k].pose.translation.allFinite()) {
+      throw input_error(name + ": the pose is not finite");
+    }
+  }
+}
+
+float median_of(const Image<float>& values) {
+  std::vector<float> finite;
+  for (const float value : values) {
+    if (std::isfinite(value)) finite.push_back(value);
+  }
+  if (finite.empty()) return 0;
+  const auto middle = finite.begin() + static_cast<std::ptrdiff_t>(finite.size() / 2);
+  std::nth_element(finite.begin(), middle, finite.end());
+  return *middle;
+}
+
+/// The station's linear intensity coded like the photos.
+Image<float> coded(const Image<float>& intensity, double gamma, const Context& context) {
+  Image<float> result(intensity.size());
+  const auto exponent = static_cast<float>(1 / gamma);
+  parallel_rows(context, intensity.height(), [&](int v) {
+    for (int u = 0; u < intensity.width(); ++u) result(u, v) = std::pow(std::max(intensity(u, v), 0.0F), exponent);
+  });
+  return result;
+}
+
+/// Levels such that the coarsest image's shorter side keeps `min_level_px`.
+int level_count(Size size, int min_level_px) {
+  int levels = 1;
+  for (int side = std::min(size.width, size.height); side >= 2 * min_level_px; side = (side + 1) / 2) ++levels;
+  return levels;
+}
+
+/// One sweep of a level; steps in px of the level.
+struct Sweep {
+  double step_px;
+  int half_count;
+  bool regularize;
+  double smooth_px;  ///< the surface is smoothed by this before the sweep
+};
+
+constexpr std::array coarse_sweeps{Sweep{0.5, 6, true, 1.0}};
+constexpr std::array finest_sweeps{Sweep{0.5, 4, true, 1.0}, Sweep{0.25, 3, false, 1.0}};
+constexpr double first_step_px = 0.7;
+
+/// Largest change of a surface's ln z between neighbors that is smoothed over, in steps of one px of parallax.
+constexpr double smoothing_limit_px = 1.5;
+
+class SurfaceSweep {
+ public:
+  SurfaceSweep(const SweepInput& input, std::span<const SweepView> views, const SweepOptions& options,
+               const Context& context)
+      : input_(input), options_(options), context_(context), photos_(input, views, options, context) {}
+
+  SweepResult run() {
+    const int levels = level_count(input_.camera.size, options_.min_level_px);
+    std::vector<Image<float>> references =
+        intensity_pyramid(coded(input_.intensity, options_.station_gamma, context_), levels, context_);
+    std::vector<Mask> masks{input_.mask};
+    std::vector<Pinhole> cameras{input_.camera};
+    while (static_cast<int>(masks.size()) < levels) {
+      masks.push_back(halved(masks.back()));
+      cameras.push_back(halved(cameras.back()));
+    }
+    enter_level(levels - 1, references, masks, cameras);
+    start();
+
+    for (int k = levels - 1; k >= 0; --k) {
+      if (k + 1 < levels) {
+        enter_level(k, references, masks, cameras);
+        surface_ = doubled(surface_, level_.mask, context_);
+        fill_gaps(surface_, level_.mask);
+        rate_ = photos_.prepare(level_, surface_, false, context_);
+      }
+      if (k > 0) {
+        for (const Sweep& step : coarse_sweeps) sweep(step);
+      } else {
+        for (const Sweep& step : finest_sweeps) sweep(step);
+      }
+    }
+    finish();
+    return std::move(result_);
+  }
+
+ private:
+  void enter_level(int k, std::vector<Image<float>>& references, std::vector<Mask>& masks,
+                   const std::vector<Pinhole>& cameras) {
+    const auto at = static_cast<std::size_t>(k);
+    level_.reference = std::move(references[at]);
+    level_.mask = std::move(masks[at]);
+    level_.camera = cameras[at];
+    level_.reduction = 1 << k;
+  }
+
+  MatchSettings match_settings() const {
+    MatchSettings settings;
+    settings.radius = options_.window_radius;
+    settings.best = std::min(options_.best_views, static_cast<int>(level_.views.size()));
+    settings.max_views = options_.max_views;
+    settings.noise_variance = static_cast<float>(options_.noise * options_.noise);
+    settings.compare_halves = level_.reduction == 1 && level_.views.size() >= 3;
+    return settings;
+  }
+
+  /// The coarsest level: surface of the triangulated points, then a sweep over its range.
+  void start() {
+    context_.progress("sweep", 0, "surface of the triangulated points");
+    const std::vector<StationPoint> points =
+        points_on_object(input_.points, level_, input_.pose, options_.min_points);
+    std::vector<double> depths;
+    for (const StationPoint& point : points) depths.push_back(point.log_depth);
+    const auto middle = depths.begin() + static_cast<std::ptrdiff_t>(depths.size() / 2);
+    std::nth_element(depths.begin(), middle, depths.end());
+    surface_ = Image<float>(level_.mask.size(), 1, static_cast<float>(*middle));
+    photos_.prepare(level_, surface_, true, context_);
+    FirstSurface first =
+        first_surface(points, level_, input_.pose, match_settings(), options_.min_points, context_);
+    result_.points_total = static_cast<double>(input_.points.size());
+    result_.points_used = static_cast<double>(first.points_used);
+    surface_ = std::move(first.log_depth);
+    fill_gaps(surface_, level_.mask);
+    rate_ = photos_.prepare(level_, surface_, true, context_);
+    const double wanted = std::ceil(first.range * rate_ / first_step_px);
+    const double most = std::ceil(options_.max_search / first_step_px);
+    sweep({first_step_px, static_cast<int>(std::clamp(wanted, 6.0, std::max(most, 6.0))), true, 1.0});
+  }
+
+  void sweep(const Sweep& step) {
+    const auto start = std::chrono::steady_clock::now();
+    PassSettings settings;
+    settings.half_count = step.half_count;
+    settings.step = static_cast<float>(step.step_px / rate_);
+    settings.regularize = step.regularize;
+    settings.small_step = static_cast<float>(options_.small_step);
+    settings.large_step = static_cast<float>(options_.large_step);
+    settings.match = match_settings();
+
+    surface_ = median_filtered(surface_, 1, context_);
+    surface_ = smoothed(surface_, step.smooth_px, smoothing_limit_px / rate_, context_);
+    fill_gaps(surface_, level_.mask);
+    const Image<float> before = surface_;
+    pass_ = run_pass(level_, surface_, settings, context_);
+    step_ = settings.step;
+    SweepPassReport report;
+    Image<float> change(before.size());
+    for (std::size_t i = 0; i < before.count(); ++i) change[i] = std::abs(pass_.log_depth[i] - before[i]);
+    const double gsd = 1 / input_.camera.focal();
+    report.reduction = level_.reduction;
+    report.offsets = 2 * step.half_count + 1;
+    report.step_gsd = settings.step / gsd;
+    report.score = median_of(pass_.score);
+    report.change_gsd = median_of(change) / gsd;
+    report.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    result_.passes.push_back(report);
+    if (step.regularize && level_.reduction == 1) wide_difference_px_ = scaled(pass_.difference, step.step_px);
+    surface_ = pass_.log_depth;
+    context_.progress("sweep", 1.0 / level_.reduction, "1 / " + std::to_string(level_.reduction) + " resolution");
+  }
+
+  static Image<float> scaled(Image<float> values, double factor) {
+    for (float& value : values) value *= static_cast<float>(factor);
+    return values;
+  }
+
+  void finish() {
+    result_.views_total = photos_.total();
+    result_.views_used = static_cast<int>(level_.views.size());
+    result_.halves_compared = level_.views.size() >= 3;
+    AgreementInput agreement;
+    agreement.pass = &pass_;
+    agreement.wide_difference_px = &wide_difference_px_;
+    agreement.step = step_;
+    agreement.rate = rate_;
+    agreement.focal = input_.camera.focal();
+    agreement.halves_compared = result_.halves_compared;
+    judge(agreement, level_.mask, options_, context_, result_);
+  }
+
+  const SweepInput& input_;
+  const SweepOptions& options_;
+  const Context& context_;
+  ViewChoice photos_;
+  MatchLevel level_;
+  Image<float> surface_;  ///< ln z at the present level
+  double rate_ = 1;       ///< px of parallax at the present level a unit of ln z
+  float step_ = 0;
+  PassResult pass_;
+  Image<float> wide_difference_px_;
+  SweepResult result_;
+};
+
+}  // namespace
+
+SweepResult sweep_surface(const SweepInput& input, std::span<const SweepView> views, const SweepOptions& options,
+                          const Context& context) {
+  validate(input, views, options);
+  return SurfaceSweep(input, views, options, context).run();
+}
+
+}  // namespace malus

@@ -1,0 +1,122 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <span>
+#include <vector>
+
+#include "malus/core/camera.h"
+#include "malus/core/context.h"
+#include "malus/core/fields.h"
+#include "malus/core/image.h"
+#include "malus/core/pose.h"
+
+namespace malus {
+
+/// An ordinary photo of the object: intensity in [0, 1] as the file codes it, camera with its distortion, pose.
+struct SweepView {
+  Image<float> intensity;
+  LensCamera camera;
+  Pose pose;
+};
+
+/// The station's view and what is known of the surface.
+struct SweepInput {
+  Image<float> intensity;  ///< unpolarized, linear, in [0, 1], undistorted
+  Pinhole camera;
+  Pose pose;
+  Mask mask;                            ///< of the camera's size; non-zero = object
+  std::vector<Eigen::Vector3d> points;  ///< triangulated points, world frame; those off the object do not matter
+};
+
+struct SweepOptions {
+  double station_gamma = 2.2;
+  int window_radius = 3;
+  int best_views = 5;
+  int max_views = 12;
+  int min_level_px = 100;
+  int min_points = 10;
+  double noise = 0.004;
+  double min_parallax = 0.4;
+  double max_angle_deg = 70;
+  int max_search = 64;
+  double small_step = 0.02;
+  double large_step = 0.15;
+  double min_score = 0.3;
+  double min_agreement = 0.5;
+  double sigma_scale = 1;
+  double sigma_floor_gsd = 0.05;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("station_gamma", self.station_gamma, Range{0.2, 5},
+          "the station's linear intensity is raised to 1 / this, to be coded like the photos; 1 = they are coded alike");
+    visit("window_radius", self.window_radius, Range{1, 4}, "of the square windows that are compared, in px");
+    visit("best_views", self.best_views, Range{1, 16}, "photos that count at a pixel: those that match best");
+    visit("max_views", self.max_views, Range{1, 64}, "photos that are compared in one part of the image");
+    visit("min_level_px", self.min_level_px, Range{16, 1e6}, "shorter side of the coarsest image, at least, in px");
+    visit("min_points", self.min_points, Range{3, 1e9}, "fewest triangulated points on the object");
+    visit("noise", self.noise, Range{1e-5, 1}, "standard deviation of an intensity, coded, of white");
+    visit("min_parallax", self.min_parallax, fraction_range,
+          "photos with less parallax than this, of the photos' median, are left out if others suffice");
+    visit("max_angle_deg", self.max_angle_deg, Range{1, 89}, "largest angle between a photo's view and the station's");
+    visit("max_search", self.max_search, Range{4, 1000},
+          "farthest offset from the triangulated points' surface, in px of the coarsest image");
+    visit("small_step", self.small_step, not_negative, "penalty of neighbors one offset apart, in correlation");
+    visit("large_step", self.large_step, not_negative, "penalty of neighbors farther apart, in correlation");
+    visit("min_score", self.min_score, fraction_range, "lowest mean correlation of a pixel that is kept");
+    visit("min_agreement", self.min_agreement, fraction_range,
+          "share of the pixels around it at which the two halves of the photos must agree for a pixel to be kept");
+    visit("sigma_scale", self.sigma_scale, Range{0, 100}, "factor of the standard deviation");
+    visit("sigma_floor_gsd", self.sigma_floor_gsd, not_negative, "smallest standard deviation, in GSD");
+  }
+};
+
+/// One sweep, for the report.
+struct SweepPassReport {
+  int reduction = 1;     ///< pixels of the station's image a pixel
+  int offsets = 0;       ///< tried at each pixel
+  double step_gsd = 0;   ///< between them, in GSD of the station's image
+  double score = 0;      ///< median correlation
+  double change_gsd = 0; ///< median absolute change of the surface
+  double seconds = 0;
+};
+
+/// Depth of the station's view; NaN = none.
+struct SweepResult {
+  Image<float> depth;       ///< z in the station's camera, unit of the world
+  Image<float> sigma;       ///< one standard deviation of depth, same unit; NaN where depth is
+  Image<float> confidence;  ///< mean correlation of the best photos times the agreement of the halves around, 0 … 1
+  int views_total = 0;
+  int views_used = 0;
+  double points_total = 0;
+  double points_used = 0;       ///< on the object
+  double completeness = 0;      ///< share of the mask that has a depth
+  double median_score = 0;      ///< of the pixels kept
+  double median_sigma_gsd = 0;
+  bool halves_compared = false; ///< two disjoint subsets of photos were compared; needs three photos
+  std::vector<SweepPassReport> passes;
+};
+
+/// Depth of every pixel of the station's view by comparing it with the photos.
+///
+/// Coarse to fine: offsets from the previous level's surface (at first from a spline through the triangulated points)
+/// are warped into the photos through their true cameras, compared by normalized cross-correlation over square windows
+/// that lie on that surface, and scored by the mean of the best photos, which leaves out those that are occluded or see
+/// the surface at too flat an angle. Coarse levels are regularized by semi-global matching (Hirschmüller 2008); the last
+/// sweep takes each pixel's best offset with a parabola's sub-step. Photos are compared at the level of their pyramid
+/// that matches the station's resolution. Two disjoint halves of the photos are scored separately: from their
+/// differences comes sigma, and where they do not agree there is no depth. With one or two photos there are no halves:
+/// sigma is larger and the log has a warning.
+///
+/// Correlation does not see gain and offset; `station_gamma` brings the linear station to the photos' coding, which
+/// makes that nearly enough.
+///
+/// Memory: the inputs as pyramids (4/3 of their floats), 7 rasters of the station's size, and less than 64 MB a thread.
+/// Results do not depend on the number of threads.
+///
+/// Errors: an input error for sizes that do not match, values that are not finite, cameras that are not usable; a data
+/// error for no photo, too few points on the object, or no photo that sees it.
+SweepResult sweep_surface(const SweepInput& input, std::span<const SweepView> views, const SweepOptions& options,
+                          const Context& context);
+
+}  // namespace malus

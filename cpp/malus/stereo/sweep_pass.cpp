@@ -1,0 +1,139 @@
+#include "malus/stereo/sweep_pass_internal.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "malus/core/parallel.h"
+#include "malus/stereo/semi_global_internal.h"
+
+namespace malus {
+namespace {
+
+constexpr float none = std::numeric_limits<float>::quiet_NaN();
+constexpr int tile_side = 128;
+/// Pixels around a tile over which its semi-global paths run in.
+constexpr int run_in = 12;
+/// Offsets over which a pixel's path through a photo is taken as one parabola.
+constexpr int parabola_offsets = 16;
+
+struct Peak {
+  float label = 0;  ///< with its sub-step
+  float curvature = 0;
+  int index = 0;
+};
+
+/// Smallest value, refined by the parabola through it and its neighbours.
+Peak lowest(const float* costs, std::size_t labels, std::size_t stride) {
+  Peak peak;
+  for (std::size_t d = 1; d < labels; ++d) {
+    if (costs[d * stride] < costs[static_cast<std::size_t>(peak.index) * stride]) peak.index = static_cast<int>(d);
+  }
+  peak.label = static_cast<float>(peak.index);
+  if (peak.index == 0 || peak.index + 1 == static_cast<int>(labels)) return peak;
+  const auto d = static_cast<std::size_t>(peak.index);
+  const float before = costs[(d - 1) * stride], here = costs[d * stride], after = costs[(d + 1) * stride];
+  peak.curvature = before + after - 2 * here;
+  if (peak.curvature > 0) peak.label += 0.5F * (before - after) / peak.curvature;
+  return peak;
+}
+
+bool any_set(const Mask& mask, PixelBox box) {
+  for (int v = box.v0; v < box.v1; ++v) {
+    for (int u = box.u0; u < box.u1; ++u) {
+      if (mask(u, v) != 0) return true;
+    }
+  }
+  return false;
+}
+
+/// Matching costs (1 − correlation) of every offset, pixels of the tile × offsets.
+struct TileCosts {
+  std::vector<float> all;
+  std::array<std::vector<float>, 2> half;
+};
+
+TileCosts tile_costs(TileMatcher& matcher, const PassSettings& settings, std::size_t pixels, const Context& context) {
+  const int labels = 2 * settings.half_count + 1;
+  const auto stride = static_cast<std::size_t>(labels);
+  TileCosts costs;
+  costs.all.resize(pixels * stride);
+  if (settings.match.compare_halves) costs.half.fill(costs.all);
+  TileMatcher::Scores scores;
+  const auto store = [&](const std::vector<float>& values, std::size_t label, std::vector<float>& out) {
+    for (std::size_t i = 0; i < pixels; ++i) out[i * stride + label] = 1 - values[i];
+  };
+  for (int begin = 0; begin < labels; begin += parabola_offsets) {
+    const int end = std::min(labels, begin + parabola_offsets);
+    const float first = settings.step * static_cast<float>(begin - settings.half_count);
+    const float last = settings.step * static_cast<float>(end - 1 - settings.half_count);
+    matcher.prepare(0.5F * (first + last), std::max(0.5F * (last - first), 0.5F * settings.step));
+    for (int label = begin; label < end; ++label) {
+      context.check_cancel();
+      matcher.score(settings.step * static_cast<float>(label - settings.half_count), scores);
+      store(scores.all, static_cast<std::size_t>(label), costs.all);
+      if (!settings.match.compare_halves) continue;
+      for (std::size_t k = 0; k < 2; ++k) store(scores.half[k], static_cast<std::size_t>(label), costs.half[k]);
+    }
+  }
+  return costs;
+}
+
+void sweep_tile(const MatchLevel& level, const Image<float>& log_depth, PixelBox inner, const PassSettings& settings,
+                const Context& context, PassResult& result) {
+  const int margin = settings.regularize ? run_in : 0;
+  const PixelBox tile{std::max(inner.u0 - margin, 0), std::max(inner.v0 - margin, 0),
+                      std::min(inner.u1 + margin, level.mask.width()),
+                      std::min(inner.v1 + margin, level.mask.height())};
+  TileMatcher matcher(level, tile, log_depth, settings.match);
+  if (matcher.views() == 0) return;
+  const auto width = static_cast<std::size_t>(tile.width()), height = static_cast<std::size_t>(tile.height());
+  const auto labels = static_cast<std::size_t>(2 * settings.half_count + 1);
+  const TileCosts costs = tile_costs(matcher, settings, width * height, context);
+  std::vector<float> aggregated = costs.all;
+  if (settings.regularize) {
+    aggregate_semi_globally(aggregated, width, height, labels, settings.small_step, settings.large_step, context);
+  }
+  for (int v = inner.v0; v < inner.v1; ++v) {
+    for (int u = inner.u0; u < inner.u1; ++u) {
+      const std::size_t i =
+          static_cast<std::size_t>(v - tile.v0) * width + static_cast<std::size_t>(u - tile.u0);
+      if (level.mask(u, v) == 0 || matcher.seen()[i] == 0) continue;
+      const Peak peak = lowest(&aggregated[i * labels], labels, 1);
+      const float* const raw = &costs.all[i * labels];
+      const auto at = static_cast<std::size_t>(peak.index);
+      result.log_depth(u, v) = log_depth(u, v) + settings.step * (peak.label - static_cast<float>(settings.half_count));
+      result.score(u, v) = 1 - raw[at];
+      const bool inside = at > 0 && at + 1 < labels;
+      result.curvature(u, v) = inside ? std::max(0.0F, raw[at - 1] + raw[at + 1] - 2 * raw[at]) : 0.0F;
+      if (settings.match.compare_halves && matcher.halves_see(i)) {
+        result.difference(u, v) = lowest(&costs.half[0][i * labels], labels, 1).label -
+                                  lowest(&costs.half[1][i * labels], labels, 1).label;
+      }
+    }
+  }
+}
+
+}  // namespace
+
+PassResult run_pass(const MatchLevel& level, const Image<float>& log_depth, const PassSettings& settings,
+                    const Context& context) {
+  const Size size = level.mask.size();
+  PassResult result{Image<float>(size, 1, none), Image<float>(size, 1, none), Image<float>(size, 1, none),
+                    Image<float>(size, 1, none)};
+  const int columns = (size.width + tile_side - 1) / tile_side, rows = (size.height + tile_side - 1) / tile_side;
+  parallel_for(context, static_cast<std::size_t>(columns) * static_cast<std::size_t>(rows), 1,
+               [&](std::size_t begin, std::size_t end) {
+                 for (std::size_t k = begin; k < end; ++k) {
+                   const int u0 = static_cast<int>(k) % columns * tile_side;
+                   const int v0 = static_cast<int>(k) / columns * tile_side;
+                   const PixelBox inner{u0, v0, std::min(u0 + tile_side, size.width),
+                                        std::min(v0 + tile_side, size.height)};
+                   if (any_set(level.mask, inner)) sweep_tile(level, log_depth, inner, settings, context, result);
+                 }
+               });
+  return result;
+}
+
+}  // namespace malus

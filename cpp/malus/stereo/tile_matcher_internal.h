@@ -1,0 +1,107 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <functional>
+#include <vector>
+
+#include "malus/core/camera.h"
+#include "malus/core/image.h"
+#include "malus/prior/smoothing_spline.h"
+#include "malus/stereo/view_projection_internal.h"
+
+namespace malus {
+
+/// A photo at the pyramid level whose resolution matches the station's.
+struct MatchView {
+  const Image<float>* image = nullptr;
+  float scale = 1;  ///< image pixels a pixel of the full photo
+  const ViewProjection* projection = nullptr;
+  int subset = 0;      ///< 0 or 1: the disjoint halves that are compared
+  double quality = 1;  ///< preference among views that see a pixel
+};
+
+/// The station's view at one pyramid level and the photos to compare it with.
+struct MatchLevel {
+  Image<float> reference;
+  Mask mask;
+  Pinhole camera;
+  int reduction = 1;  ///< pixels of the station's image a pixel of the level
+  std::vector<MatchView> views;
+};
+
+/// How photos are compared.
+struct MatchSettings {
+  int radius = 3;             ///< of the square window, px
+  int best = 5;               ///< views averaged
+  int max_views = 12;         ///< compared in one tile
+  float noise_variance = 0;   ///< of an intensity; keeps flat windows from matching by their noise
+  bool compare_halves = true; ///< score the two disjoint subsets too
+};
+
+/// Normalized cross-correlation of one tile of the station's view with the photos, for surfaces offset from a base
+/// surface. The windows lie on the base surface, and so follow its slope.
+class TileMatcher {
+ public:
+  /// Mean of the best views' correlations (negative ones count as 0), a value a pixel of the tile.
+  struct Scores {
+    std::vector<float> all;
+    std::array<std::vector<float>, 2> half;  ///< of the two subsets
+  };
+
+  /// `log_depth` is the base surface over the whole level, NaN outside the object.
+  TileMatcher(const MatchLevel& level, PixelBox tile, const Image<float>& log_depth, const MatchSettings& settings)
+      : TileMatcher(level, tile, [&](int u, int v) { return log_depth(u, v); }, settings) {}
+  /// The same with a base surface of one depth.
+  TileMatcher(const MatchLevel& level, PixelBox tile, float log_depth, const MatchSettings& settings)
+      : TileMatcher(level, tile, [&](int, int) { return log_depth; }, settings) {}
+
+  /// Views that see any pixel of the tile; without any, every score is 0.
+  std::size_t views() const { return views_.size(); }
+  /// Views a pixel is seen by.
+  const std::vector<float>& seen() const { return count_; }
+  /// Whether both halves see a pixel.
+  bool halves_see(std::size_t pixel) const { return half_count_[0][pixel] > 0 && half_count_[1][pixel] > 0; }
+  /// Prepares for offsets of ln z in [centre − half_range, centre + half_range], over which a pixel's path through a
+  /// photo is taken as a parabola.
+  void prepare(float centre, float half_range);
+  void score(float offset, Scores& scores);
+
+ private:
+  using Surface = std::function<float(int u, int v)>;
+
+  TileMatcher(const MatchLevel& level, PixelBox tile, const Surface& log_depth, const MatchSettings& settings);
+
+  struct View {
+    const MatchView* view;
+    std::vector<float> seen;              ///< 1 or 0, a pixel of the tile
+    std::array<std::vector<float>, 6> path;  ///< x0 x1 x2 y0 y1 y2, a pixel of the padded tile
+  };
+
+  std::size_t tile_pixels() const { return static_cast<std::size_t>(tile_.width()) * static_cast<std::size_t>(tile_.height()); }
+  void take_reference(const MatchLevel& level, const Surface& log_depth);
+  void choose_views(const MatchLevel& level);
+  void project(const View& view, float offset, std::vector<float>& x, std::vector<float>& y) const;
+  void correlate(const View& view, float t);
+  template <int radius>
+  void correlate(const View& view, float t);
+
+  PixelBox tile_, padded_;
+  MatchSettings settings_;
+  double reduction_;
+  std::size_t stride_, rows_;             ///< of the padded tile
+  std::vector<float> depth_;              ///< base surface, padded
+  std::vector<float> weight_, weighted_;  ///< 1 on the object; times the reference, padded
+  std::vector<float> inverse_count_, mean_, inverse_deviation_;  ///< of the reference's windows
+  std::vector<View> views_;
+  std::vector<float> count_;
+  std::array<std::vector<float>, 2> half_count_;
+  float centre_ = 0, half_range_ = 1;
+  float projected_ = 0;  ///< offset at which the paths' first coefficients are
+  // Scratch of score().
+  std::vector<float> correlation_, sums_;
+  std::vector<std::vector<float>> best_;
+  std::array<std::vector<std::vector<float>>, 2> half_best_;
+};
+
+}  // namespace malus

@@ -1,0 +1,132 @@
+#include "malus/stereo/view_choice_internal.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <sstream>
+
+#include "malus/core/error.h"
+#include "malus/stereo/intensity_pyramid_internal.h"
+
+namespace malus {
+namespace {
+
+/// Pixels at which photos are judged, along either side of the image.
+constexpr int samples_a_side = 24;
+/// Angle up to which a photo is preferred the more the larger it is; from twice this on it is the less.
+constexpr double best_angle_rad = 20 * std::numbers::pi / 180;
+/// A lens that the sweep's polynomial misses by more is reported.
+constexpr double largest_fit_error_px = 0.05;
+
+double median(std::vector<double> values) {
+  if (values.empty()) return 0;
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+}  // namespace
+
+ViewChoice::ViewChoice(const SweepInput& input, std::span<const SweepView> views, const SweepOptions& options,
+                       const Context& context)
+    : station_(input.camera), options_(options) {
+  for (const SweepView& view : views) {
+    photos_.push_back({ViewProjection(input.camera, input.pose, view.camera, view.pose), {view.intensity}});
+    const Photo& photo = photos_.back();
+    if (photo.projection.fit_error_px() > largest_fit_error_px) {
+      std::ostringstream message;
+      message << "surface sweep: photo " << photos_.size() - 1 << ": the lens is approximated to "
+              << photo.projection.fit_error_px() << " px only";
+      context.log(LogLevel::warning, message.str());
+    }
+  }
+}
+
+void ViewChoice::measure(const MatchLevel& level, const Image<float>& log_depth) {
+  const int step = std::max(1, std::min(level.mask.width(), level.mask.height()) / samples_a_side);
+  for (Photo& photo : photos_) {
+    std::vector<double> parallax, resolution, angle;
+    double total = 0;
+    const Size size = photo.pyramid.front().size();
+    for (int v = 0; v < level.mask.height(); v += step) {
+      for (int u = 0; u < level.mask.width(); u += step) {
+        if (level.mask(u, v) == 0 || !std::isfinite(log_depth(u, v))) continue;
+        ++total;
+        constexpr double delta = 1e-3;
+        const double z = std::exp(log_depth(u, v)), x = u * level.reduction, y = v * level.reduction;
+        const Eigen::Vector2d pixel = photo.projection.project(x, y, z);
+        if (!(pixel.array() >= 0).all() || pixel.x() > size.width - 1 || pixel.y() > size.height - 1) continue;
+        const Eigen::Vector2d farther = photo.projection.project(x, y, z * (1 + delta));
+        const Eigen::Vector3d point = z * station_.ray(x, y);
+        const double scale = photo.projection.focal() / photo.projection.depth_in_view(x, y, z) /
+                             (station_.focal() / z);
+        resolution.push_back(scale);
+        parallax.push_back((farther - pixel).norm() / delta / scale);
+        const Eigen::Vector3d away = (photo.projection.centre_in_station() - point).normalized();
+        angle.push_back(std::acos(std::clamp(-away.dot(point.normalized()), -1.0, 1.0)));
+      }
+    }
+    photo.parallax = median(parallax);
+    photo.resolution = resolution.empty() ? 1 : median(resolution);
+    const double a = median(angle), share = total > 0 ? static_cast<double>(angle.size()) / total : 0;
+    const bool usable = !angle.empty() && a <= options_.max_angle_deg * std::numbers::pi / 180 && photo.parallax > 0;
+    photo.quality = usable ? share * std::min(1.0, a / best_angle_rad) * std::min(1.0, 2 * best_angle_rad / a) : 0;
+    const Eigen::Vector3d& centre = photo.projection.centre_in_station();
+    photo.azimuth_rad = std::atan2(centre.y(), centre.x());
+  }
+}
+
+void ViewChoice::choose() {
+  std::vector<Photo*> used;
+  std::vector<double> parallax;
+  for (Photo& photo : photos_) {
+    if (photo.quality <= 0) continue;
+    used.push_back(&photo);
+    parallax.push_back(photo.parallax);
+  }
+  if (used.empty()) {
+    std::ostringstream message;
+    message << "surface sweep: none of " << photos_.size()
+            << " photos sees the object of the station's view from another direction within " << options_.max_angle_deg
+            << " deg: check the poses, or photograph the object from around the station";
+    throw data_error(message.str());
+  }
+  const double least = options_.min_parallax * median(parallax);
+  const auto enough = static_cast<std::size_t>(2 * options_.best_views);
+  std::sort(used.begin(), used.end(), [](const Photo* a, const Photo* b) { return a->parallax > b->parallax; });
+  while (used.size() > 1 && used.back()->parallax < least &&
+         (used.size() > enough || used.back()->parallax < 0.25 * least)) {
+    used.back()->quality = 0;
+    used.pop_back();
+  }
+  std::sort(used.begin(), used.end(), [](const Photo* a, const Photo* b) { return a->azimuth_rad < b->azimuth_rad; });
+  for (std::size_t k = 0; k < used.size(); ++k) used[k]->subset = static_cast<int>(k % 2);
+}
+
+double ViewChoice::prepare(MatchLevel& level, const Image<float>& log_depth, bool choose_photos,
+                           const Context& context) {
+  if (choose_photos) {
+    measure(level, log_depth);
+    choose();
+  }
+  level.views.clear();
+  std::vector<double> parallax;
+  for (Photo& photo : photos_) {
+    if (photo.quality <= 0) continue;
+    // Level whose pixels are between 0.7 and 1.4 of the station level's.
+    const double ratio = photo.resolution * level.reduction;
+    const int depth = std::max(0, static_cast<int>(std::lround(std::log2(std::max(ratio, 1e-3)))));
+    while (static_cast<int>(photo.pyramid.size()) <= depth) {
+      const Image<float>& last = photo.pyramid.back();
+      if (std::min(last.width(), last.height()) < 16) break;
+      photo.pyramid.push_back(halved(last, context));
+    }
+    const auto at = std::min(static_cast<std::size_t>(depth), photo.pyramid.size() - 1);
+    level.views.push_back({&photo.pyramid[at], 1.0F / static_cast<float>(1 << at), &photo.projection, photo.subset,
+                           photo.quality});
+    parallax.push_back(photo.parallax / level.reduction);
+  }
+  return median(parallax);
+}
+
+}  // namespace malus

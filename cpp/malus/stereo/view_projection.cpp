@@ -1,0 +1,101 @@
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+
+#include "malus/stereo/view_projection_internal.h"
+
+namespace malus {
+namespace {
+
+constexpr double outside = -1e6;
+
+}  // namespace
+
+ViewProjection::ViewProjection(const Pinhole& station, const Pose& station_pose, const LensCamera& camera,
+                               const Pose& pose)
+    : station_(station),
+      view_from_station_(pose.rotation * station_pose.rotation.transpose()),
+      translation_(pose.translation - view_from_station_ * station_pose.translation),
+      centre_in_station_(-view_from_station_.transpose() * translation_) {
+  const Pinhole k = camera.pinhole();
+  fx_ = k.fx;
+  fy_ = k.fy;
+  cx_ = k.cx;
+  cy_ = k.cy;
+  fit_lens(camera);
+}
+
+void ViewProjection::fit_lens(const LensCamera& camera) {
+  constexpr int side = 13;
+  Eigen::MatrixXd rows(2 * side * side, 5);
+  Eigen::VectorXd right(2 * side * side);
+  int n = 0;
+  for (int j = 0; j < side; ++j) {
+    for (int i = 0; i < side; ++i, n += 2) {
+      const Eigen::Vector2d pixel(i * (camera.size.width - 1.0) / (side - 1),
+                                  j * (camera.size.height - 1.0) / (side - 1));
+      const Eigen::Vector2d ideal = camera.undistort(pixel);
+      const double x = ideal.x(), y = ideal.y(), r2 = ideal.squaredNorm();
+      max_r2_ = std::max(max_r2_, 1.05 * r2);
+      rows.row(n) << x * r2, x * r2 * r2, x * r2 * r2 * r2, 2 * x * y, r2 + 2 * x * x;
+      rows.row(n + 1) << y * r2, y * r2 * r2, y * r2 * r2 * r2, r2 + 2 * y * y, 2 * x * y;
+      right[n] = (pixel.x() - cx_) / fx_ - x;
+      right[n + 1] = (pixel.y() - cy_) / fy_ - y;
+    }
+  }
+  if (!camera.has_distortion()) return;
+  // Columns differ by powers of the field's radius; scaled, the system is well conditioned.
+  const Eigen::VectorXd scale = rows.colwise().norm().cwiseMax(1e-30).cwiseInverse();
+  const Eigen::VectorXd lens = scale.asDiagonal() * (rows * scale.asDiagonal()).colPivHouseholderQr().solve(right);
+  k1_ = lens[0];
+  k2_ = lens[1];
+  k3_ = lens[2];
+  p1_ = lens[3];
+  p2_ = lens[4];
+  fit_error_px_ = (rows * lens - right).cwiseAbs().maxCoeff() * focal();
+}
+
+Eigen::Vector2d ViewProjection::measured(const Eigen::Vector2d& ideal) const {
+  const double x = ideal.x(), y = ideal.y(), r2 = ideal.squaredNorm();
+  const double radial = 1 + r2 * (k1_ + r2 * (k2_ + r2 * k3_));
+  return {fx_ * (x * radial + 2 * p1_ * x * y + p2_ * (r2 + 2 * x * x)) + cx_,
+          fy_ * (y * radial + p1_ * (r2 + 2 * y * y) + 2 * p2_ * x * y) + cy_};
+}
+
+Eigen::Vector2d ViewProjection::project(double u, double v, double z) const {
+  const Eigen::Vector3d point = z * (view_from_station_ * station_.ray(u, v)) + translation_;
+  if (!(point.z() > 0)) return {outside, outside};
+  const Eigen::Vector2d ideal = point.head<2>() / point.z();
+  return ideal.squaredNorm() > max_r2_ ? Eigen::Vector2d(outside, outside) : measured(ideal);
+}
+
+double ViewProjection::depth_in_view(double u, double v, double z) const {
+  return z * view_from_station_.row(2).dot(station_.ray(u, v)) + translation_.z();
+}
+
+void ViewProjection::project_row(double u0, double v, double spacing, const float* z, std::size_t count, float* x,
+                                 float* y) const {
+  const Eigen::Vector3f start = (view_from_station_ * station_.ray(spacing * u0, spacing * v)).cast<float>();
+  const Eigen::Vector3f step = (view_from_station_.col(0) * (spacing / station_.fx)).cast<float>();
+  const Eigen::Vector3f shift = translation_.cast<float>();
+  const auto fx = static_cast<float>(fx_), fy = static_cast<float>(fy_);
+  const auto cx = static_cast<float>(cx_), cy = static_cast<float>(cy_);
+  const auto k1 = static_cast<float>(k1_), k2 = static_cast<float>(k2_), k3 = static_cast<float>(k3_);
+  const auto p1 = static_cast<float>(p1_), p2 = static_cast<float>(p2_), max_r2 = static_cast<float>(max_r2_);
+  constexpr auto away = static_cast<float>(outside);
+  for (std::size_t i = 0; i < count; ++i) {
+    const auto at = static_cast<float>(static_cast<int>(i));
+    const float inverse = 1.0F / (z[i] * (start.z() + at * step.z()) + shift.z());
+    const float a = (z[i] * (start.x() + at * step.x()) + shift.x()) * inverse;
+    const float b = (z[i] * (start.y() + at * step.y()) + shift.y()) * inverse;
+    const float r2 = a * a + b * b, ab = 2.0F * a * b;
+    const float radial = 1.0F + r2 * (k1 + r2 * (k2 + r2 * k3));
+    const float px = fx * (a * radial + p1 * ab + p2 * (r2 + 2.0F * a * a)) + cx;
+    const float py = fy * (b * radial + p1 * (r2 + 2.0F * b * b) + p2 * ab) + cy;
+    const bool seen = (inverse > 0.0F) & (r2 <= max_r2);
+    x[i] = seen ? px : away;
+    y[i] = seen ? py : away;
+  }
+}
+
+}  // namespace malus

@@ -1,0 +1,87 @@
+#include <pybind11/eigen.h>
+#include <pybind11/stl.h>
+
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "arrays.h"
+#include "bindings.h"
+#include "clouds.h"
+#include "interruptible.h"
+#include "malus/station/options.h"
+#include "malus/stereo/surface_sweep.h"
+
+namespace malus::python {
+namespace {
+
+/// model, width, height, params, rotation, translation of a malus.Camera.
+using CameraValues =
+    std::tuple<std::string, int, int, std::vector<double>, Eigen::Matrix3d, Eigen::Vector3d>;
+
+std::pair<LensCamera, Pose> to_camera(const CameraValues& values, const std::string& name) {
+  const auto& [model, width, height, params, rotation, translation] = values;
+  LensCamera camera{lens_model(model, name + ".model"), {width, height}, params};
+  camera.validate(name);
+  return {std::move(camera), {rotation, translation}};
+}
+
+py::dict to_dict(const SweepPassReport& pass) {
+  py::dict entry;
+  entry["reduction"] = pass.reduction;
+  entry["offsets"] = pass.offsets;
+  entry["step_gsd"] = pass.step_gsd;
+  entry["score"] = pass.score;
+  entry["change_gsd"] = pass.change_gsd;
+  entry["seconds"] = pass.seconds;
+  return entry;
+}
+
+}  // namespace
+
+void bind_stereo(py::module_& module) {
+  module.def("sweep_surface", [](const Array<float>& intensity, const CameraValues& station_camera,
+                                 const std::vector<std::pair<Array<float>, CameraValues>>& photos,
+                                 const Array<double>& points, const std::optional<Array<std::uint8_t>>& mask,
+                                 const std::string& options_json, int threads, const py::object& on_progress,
+                                 const py::object& on_log) {
+    const Options options = options_from_json({}, options_json);
+    SweepInput input;
+    input.intensity = to_image(intensity);
+    const auto [camera, pose] = to_camera(station_camera, "camera");
+    if (camera.has_distortion()) {
+      throw input_error("camera: the station's view must be undistorted, this camera has distortion");
+    }
+    input.camera = camera.pinhole();
+    input.pose = pose;
+    input.mask = mask ? to_image(*mask) : Mask(input.camera.size, 1, 255);
+    input.points = to_cloud(points).points;
+    std::vector<SweepView> views;
+    for (const auto& [image, values] : photos) {
+      auto [view_camera, view_pose] = to_camera(values, "views[" + std::to_string(views.size()) + "]");
+      views.push_back({to_image(image), std::move(view_camera), view_pose});
+    }
+    SweepResult found;
+    run_interruptible(threads, on_progress, on_log, [&](const Context& context) {
+      found = sweep_surface(input, views, options.sweep, context);
+    });
+    py::dict result;
+    result["depth"] = to_array(std::move(found.depth));
+    result["sigma"] = to_array(std::move(found.sigma));
+    result["confidence"] = to_array(std::move(found.confidence));
+    result["views_total"] = found.views_total;
+    result["views_used"] = found.views_used;
+    result["points_total"] = static_cast<std::size_t>(found.points_total);
+    result["points_used"] = static_cast<std::size_t>(found.points_used);
+    result["completeness"] = found.completeness;
+    result["median_score"] = found.median_score;
+    result["median_sigma_gsd"] = found.median_sigma_gsd;
+    result["halves_compared"] = found.halves_compared;
+    py::list passes;
+    for (const SweepPassReport& pass : found.passes) passes.append(to_dict(pass));
+    result["passes"] = passes;
+    return result;
+  });
+}
+
+}  // namespace malus::python

@@ -1,0 +1,115 @@
+"""Depth of the station's view from ordinary photos, by a surface sweep."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from malus import _core
+from malus._arrays import as_image, as_mask
+from malus.camera import Camera
+from malus.options import Options
+
+__all__ = ["SweepPass", "SweepResult", "sweep"]
+
+
+@dataclass(frozen=True)
+class SweepPass:
+    """One sweep of offsets about the surface of the one before."""
+
+    reduction: int
+    """Pixels of the station's image a pixel of the level."""
+    offsets: int
+    """Tried at each pixel."""
+    step_gsd: float
+    """Between offsets, in GSD."""
+    score: float
+    """Median correlation at the offsets found."""
+    change_gsd: float
+    """Median absolute change of the surface, in GSD."""
+    seconds: float
+
+
+@dataclass(frozen=True)
+class SweepResult:
+    """Depth of every pixel of the station's view; H×W float32 rasters, NaN = none."""
+
+    depth: NDArray[np.float32]
+    """z in the station's camera, unit of the world."""
+    sigma: NDArray[np.float32]
+    """One standard deviation of depth, same unit."""
+    confidence: NDArray[np.float32]
+    """Mean correlation of the best photos times the share of pixels around where both halves of the photos agree."""
+    views_total: int
+    views_used: int
+    points_total: int
+    points_used: int
+    """Triangulated points on the object."""
+    completeness: float
+    """Share of the mask that has a depth."""
+    median_score: float
+    median_sigma_gsd: float
+    halves_compared: bool
+    """Whether two disjoint halves of the photos were compared, which needs three."""
+    passes: list[SweepPass]
+
+
+def _camera_values(
+    camera: Camera,
+) -> tuple[str, int, int, list[float], NDArray[np.float64], NDArray[np.float64]]:
+    rotation, translation = camera.pose()
+    return camera.model, camera.width, camera.height, [float(p) for p in camera.params], rotation, translation
+
+
+def _as_view_image(image: ArrayLike, camera: Camera, name: str) -> NDArray[np.float32]:
+    array = as_image(image, name)
+    if array.shape != (camera.height, camera.width):
+        raise ValueError(f"{name} has shape {array.shape}, expected {(camera.height, camera.width)} as its camera")
+    return array
+
+
+def sweep(
+    intensity: ArrayLike,
+    camera: Camera,
+    views: Sequence[tuple[ArrayLike, Camera]],
+    points: ArrayLike,
+    mask: ArrayLike | None = None,
+    options: Options | None = None,
+    threads: int = 1,
+    progress: Callable[[str, float, str], None] | None = None,
+    log: Callable[[str, str], None] | None = None,
+) -> SweepResult:
+    """Depth, its standard deviation and a confidence in the station's view.
+
+    intensity: H×W, the station's unpolarized intensity, linear, in [0, 1], undistorted. camera: its camera (without
+    distortion) and pose. views: photos (H'×W', in [0, 1] as the file codes them) with their cameras (any lens model) and
+    poses. points: N×3, triangulated points in the world's frame, from which the search starts. mask: H×W, non-zero =
+    object. options: section `sweep`; `sweep.station_gamma=1` if the station is coded like the photos. progress gets
+    (step, fraction, message), log (level, message).
+
+    Raises InputError for values that cannot be used, DataError if no photo sees the object or too few points are on it.
+    Method: coarse-to-fine offsets from a surface, windowed normalized cross-correlation with the best photos,
+    semi-global matching (Hirschmüller 2008) on all but the last sweep; sigma from disjoint halves of the photos.
+    """
+    cloud = np.ascontiguousarray(points, dtype=np.float64)
+    if cloud.ndim != 2 or cloud.shape[1] != 3:
+        raise ValueError(f"points has shape {cloud.shape}, expected (N, 3)")
+    found = _core.sweep_surface(
+        _as_view_image(intensity, camera, "intensity"),
+        _camera_values(camera),
+        [
+            (_as_view_image(image, view, f"views[{k}]"), _camera_values(view))
+            for k, (image, view) in enumerate(views)
+        ],
+        cloud,
+        None if mask is None else as_mask(mask, (camera.height, camera.width)),
+        (options or Options()).to_json(),
+        threads,
+        progress,
+        log,
+    )
+    passes = [SweepPass(**values) for values in found.pop("passes")]
+    return SweepResult(passes=passes, **found)
