@@ -73,7 +73,7 @@ struct Normal {
 
 Normal normal_equations(const std::vector<Ends>& ends, std::span<const KnownDistance> distances, double log_scale) {
   const auto unknowns = static_cast<Eigen::Index>(1 + 6 * ends.size());
-  Normal normal{Eigen::MatrixXd::Zero(unknowns, unknowns), Eigen::VectorXd::Zero(unknowns)};
+  Normal normal{Eigen::MatrixXd::Zero(unknowns, unknowns), Eigen::VectorXd::Zero(unknowns), 0};
   for (std::size_t i = 0; i < ends.size(); ++i) {
     const auto first = static_cast<Eigen::Index>(1 + 6 * i);
     for (int k = 0; k < 2; ++k) {
@@ -111,7 +111,10 @@ double length_sigma(const Eigen::MatrixXd& covariance, const Ends& ends, std::si
 }
 
 DistanceFit fit_of(const KnownDistance& distance, const Ends& ends, std::span<const MarkedView> views, double scale) {
-  DistanceFit fit{.name = distance.name, .check = distance.check, .distance = distance.distance};
+  DistanceFit fit;
+  fit.name = distance.name;
+  fit.check = distance.check;
+  fit.distance = distance.distance;
   fit.adjusted = scale * (ends.point[0] - ends.point[1]).norm();
   fit.residual = fit.adjusted - fit.distance;
   double squares = 0, count = 0;

@@ -6,6 +6,7 @@
 #include "malus/io/image_file.h"
 #include "malus/io/point_cloud_file.h"
 #include "malus/polarization/decompose.h"
+#include "malus/polarization/unpolarized.h"
 #include "malus/prior/project_prior.h"
 #include "malus/station/quality_json_internal.h"
 #include "malus/station/station_inputs_internal.h"
@@ -59,9 +60,11 @@ PolarizationStep capture_and_decompose(const Station& station, const Options& op
         ": [polarized] angles_deg = \"auto\" cannot be calibrated by this version, expected the angles in degrees");
   }
   const PolarizedStack stack = capture_stack(make_capture_input(station), options.capture, context);
-  return {decompose(stack.images, stack.angles_rad, stack.noise, stack.mask, stack.saturated, options.polarization,
-                    context),
-          stack.color, stack.camera, stack.registration_rms_px};
+  PolarizationState state = decompose(stack.images, stack.angles_rad, stack.noise, stack.mask, stack.saturated,
+                                      options.polarization, context);
+  Image<float> scene;
+  if (station.file.photos) scene = unpolarized_intensity(stack.images, state.angles_rad, context);
+  return {std::move(state), stack.color, std::move(scene), stack.camera, stack.registration_rms_px};
 }
 
 /// The object in the undistorted view: where the polarization state has pixels at all.
@@ -151,7 +154,8 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
       steps.run<PolarizationStep>("polarization",
                                   {.after = {},
                                    .option_sections = {"capture", "polarization"},
-                                   .station = {{"polarized", inputs.polarized()}, {"lens", inputs.lens()}}},
+                                   .station = {{"polarized", inputs.polarized()}, {"lens", inputs.lens()},
+                                               {"photos", station.file.photos.has_value()}}},
                                   [&](const Context& c) { return capture_and_decompose(station, options, c); });
 
   // What stereo says, seen from the station. Without it only the polarization maps can be had.
@@ -235,6 +239,7 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
     result.quality_json = figures.file.dump(2);
   }
   result.polarization = std::move(images.state);
+  result.scene = std::move(images.scene);
   return result;
 }
 

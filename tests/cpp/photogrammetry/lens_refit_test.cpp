@@ -10,7 +10,7 @@ TEST(AsColmapCamera, BrownAgreesEverywhereInTheImage) {
   const LensRefit refit = as_colmap_camera(brown);
   EXPECT_EQ(refit.camera.model, LensModel::full_opencv);
   EXPECT_LT(refit.rms_px, 0.02);
-  for (const Eigen::Vector2d pixel : {Eigen::Vector2d(13, 17), {2000, 1500}, {3990, 40}, {700, 2950}}) {
+  for (const Eigen::Vector2d& pixel : {Eigen::Vector2d(13, 17), {2000, 1500}, {3990, 40}, {700, 2950}}) {
     const Eigen::Vector2d back = refit.camera.distort(brown.undistort(pixel));
     EXPECT_LT((back - pixel).norm(), 0.1);
   }
