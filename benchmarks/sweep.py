@@ -17,6 +17,7 @@ import argparse
 import json
 import resource
 import time
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -75,8 +76,7 @@ def read_gray(path: Path) -> Array:
 
 def load(folder: Path) -> Scene:
     meta = json.loads((folder / "meta.json").read_text())
-    distorted = False
-    cameras = read_cameras(folder / ("gt_sparse_distorted" if distorted else "gt_sparse"))
+    cameras = read_cameras(folder / "gt_sparse")
     polarized = sorted((folder / "pol" / "lownoise").glob("pol_*.png"))
     # Angles are evenly spaced, so the mean over them has no polarization.
     intensity = np.mean([read_gray(path) for path in polarized], axis=0)
@@ -164,45 +164,51 @@ def sgbm_depth(scene: Scene, pairs: int) -> Array:
 
     chosen = sorted(scene.views, key=lambda view: abs(angle(view[1]) - 15))[:pairs]
     near, far = np.percentile(scene.truth[scene.mask], [0.5, 99.5]) + np.array([-5, 5]) * scene.gsd
+    v, u = np.nonzero(scene.mask)
+    seen = np.linalg.inv(k0) @ np.stack([u, v, np.ones_like(u)])[:, ::53].astype(float)
     maps = []
     for image, camera in chosen:
-        photo = np.uint8(255 * image)
         k1 = projection(malus.Camera("PINHOLE", camera.width, camera.height, camera.params))[:, :3]
         r1, t1 = camera.pose()
-        rotation = r1 @ r0.T
-        shift = t1 - rotation @ t0
-        # SGBM needs horizontal baselines: turned by a quarter where it is vertical.
-        size = (int(1.5 * max(shape)), int(1.5 * max(shape)))
-        rect0, rect1, p0, p1, q, *_ = cv2.stereoRectify(k0, None, k1, None, shape[::-1], rotation, shift,
-                                                        flags=cv2.CALIB_ZERO_DISPARITY, alpha=-1, newImageSize=size)  # fmt: skip
-        vertical = abs(p1[1, 3]) > abs(p1[0, 3])
-        left = cv2.remap(station, *cv2.initUndistortRectifyMap(k0, None, rect0, p0, size, cv2.CV_32FC1), cv2.INTER_CUBIC)
-        right = cv2.remap(photo, *cv2.initUndistortRectifyMap(k1, None, rect1, p1, size, cv2.CV_32FC1), cv2.INTER_CUBIC)
-        if vertical:
-            left, right = cv2.transpose(left), cv2.transpose(right)
-        # Disparity of the depth range, from the range in the rectified station camera.
-        v, u = np.nonzero(scene.mask)
-        pick = slice(None, None, 97)
-        rays = np.linalg.inv(k0) @ np.stack([u[pick], v[pick], np.ones_like(u[pick])]).astype(float)
-        z = np.concatenate([(rect0 @ (rays * depth))[2] for depth in (near, far)])
-        f, b = p0[0, 0], p1[1 if vertical else 0, 3]
-        offset = p0[0, 2] - p1[0, 2] if not vertical else p0[1, 2] - p1[1, 2]
-        disparity = -b / z + offset
-        low = int(np.floor(disparity.min())) - 2
-        count = int(np.ceil((disparity.max() - low + 4) / 16)) * 16
-        matcher = cv2.StereoSGBM_create(low, count, 5, 8 * 25, 32 * 25, 1, 0, 5, 100, 2, cv2.STEREO_SGBM_MODE_HH)
-        disparity = np.float32(matcher.compute(left, right)) / 16
-        disparity[disparity < low] = np.nan
-        if vertical:
-            disparity = cv2.transpose(disparity)
-        # Station pixel → rectified pixel → depth; its z in the rectified frame back along the station's ray.
+        turn = r1 @ r0.T
+        baseline = -turn.T @ (t1 - turn @ t0)  # the photo's centre in the station's frame
+        # Common orientation: x along the baseline to the right of whichever camera is left, z between both axes.
+        forward = np.array([0, 0, 1.0]) + turn[2]
+        across = baseline / np.linalg.norm(baseline)
+        forward -= across * (across @ forward)
+        forward /= np.linalg.norm(forward)
+        common = np.stack([across, np.cross(forward, across), forward])
+        focal = k0[0, 0]
+        # Each picture just holds the object: the station's principal point from its outline, the photo's so that the
+        # farthest depth has no disparity.
+        at = focal * (common @ seen)[:2] / (common @ seen)[2]
+        centre0 = 20 - at.min(1)
+        size = tuple(int(n) for n in np.ceil(np.ptp(at, axis=1) + 40))
+        z = np.stack([(common @ seen)[2] * depth for depth in (near, far)])
+        disparity = focal * np.linalg.norm(baseline) / z  # x_station - x_photo, but for the principal points
+        shift = np.floor(disparity.min()) - 2
+        count = int(np.ceil((disparity.max() - shift + 4) / 16)) * 16
+        new0 = np.array([[focal, 0, centre0[0]], [0, focal, centre0[1]], [0, 0, 1]])
+        new1 = new0 + np.array([[0, 0, shift], [0, 0, 0], [0, 0, 0]])
+        # SGBM leaves `count` columns at the left without an answer.
+        new0[0, 2] += count
+        new1[0, 2] += count
+        size = (size[0] + count, size[1])
+        left = cv2.warpPerspective(station, new0 @ common @ np.linalg.inv(k0), size, flags=cv2.INTER_CUBIC)
+        right = cv2.warpPerspective(np.uint8(255 * image), new1 @ common @ turn.T @ np.linalg.inv(k1), size,
+                                    flags=cv2.INTER_CUBIC)  # fmt: skip
+        matcher = cv2.StereoSGBM_create(0, count, 5, 8 * 25, 32 * 25, 1, 0, 5, 100, 2, cv2.STEREO_SGBM_MODE_HH)
+        found = np.float32(matcher.compute(left, right)) / 16
+        found[found < 0] = np.nan
+        # Station pixel → rectified pixel → depth along the station's ray.
         v, u = np.indices(shape)
-        rays = np.einsum("ij,jhw->ihw", rect0 @ np.linalg.inv(k0), np.stack([u, v, np.ones_like(u)]).astype(float))
-        x = np.float32(f * rays[0] / rays[2] + p0[0, 2])
-        y = np.float32(p0[1, 1] * rays[1] / rays[2] + p0[1, 2])
-        d = cv2.remap(disparity, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
-        maps.append(-b / (d - offset) / rays[2])
-    with np.errstate(all="ignore"):
+        rays = np.einsum("ij,jhw->ihw", common @ np.linalg.inv(k0), np.stack([u, v, np.ones_like(u)]).astype(float))
+        x = np.float32(focal * rays[0] / rays[2] + new0[0, 2])
+        y = np.float32(focal * rays[1] / rays[2] + new0[1, 2])
+        d = cv2.remap(found, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
+        maps.append(focal * np.linalg.norm(baseline) / (d + shift) / rays[2])
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
         return np.nanmedian(maps, axis=0)
 
 

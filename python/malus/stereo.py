@@ -93,10 +93,7 @@ def sweep(
     found = _core.sweep_surface(
         _as_view_image(intensity, camera, "intensity"),
         camera.values(),
-        [
-            (_as_view_image(image, view, f"views[{k}]"), view.values())
-            for k, (image, view) in enumerate(views)
-        ],
+        [(_as_view_image(image, view, f"views[{k}]"), view.values()) for k, (image, view) in enumerate(views)],
         cloud,
         None if mask is None else as_mask(mask, (camera.height, camera.width)),
         (options or Options()).to_json(),

@@ -7,19 +7,23 @@
 
 namespace malus {
 
-/// What the last sweeps left for judging them.
-struct AgreementInput {
-  const PassResult* pass = nullptr;                ///< of the last sweep
-  const Image<float>* wide_difference_px = nullptr;  ///< of the halves in the wider sweep before, px of parallax
-  float step = 0;                                  ///< of the last sweep, in ln z
-  double rate = 1;                                 ///< px of parallax a unit of ln z
-  double focal = 1;
-  bool halves_compared = true;
+/// By how much the two disjoint halves of the photos differ, in px of parallax; NaN where one of them is blind.
+struct HalvesDifference {
+  const Image<float>* fine = nullptr;  ///< in the last sweep
+  const Image<float>* wide = nullptr;  ///< in the one before, which reaches farther
 };
 
-/// Depth, sigma and confidence from the last sweep and from how far the disjoint halves of the photos agree around each
-/// pixel; drops pixels that fail.
-void judge(const AgreementInput& input, const Mask& mask, const SweepOptions& options, const Context& context,
-           SweepResult& result);
+/// Depth, sigma, confidence and their figures from the last sweep.
+///
+/// Errors of halves are alike in size and partly the same error (the station's noise, the window's smoothing), so
+///   sigma = sigma_scale / 2 · root mean square of the halves' difference around the pixel / share that agrees,
+/// where each pixel's difference is the larger of both sweeps', and at least `sigma_floor_gsd`. Pixels fail where less
+/// than `min_agreement` of the pixels around agree to a px of parallax or the correlation is below `min_score`, and in
+/// connected regions of fewer than `min_region_px`. Without
+/// halves sigma is the depth of half a px of parallax over the correlation.
+///
+/// `rate`: px of parallax a unit of ln z. `focal`: of the station, px.
+void judge(const PassResult& pass, const HalvesDifference& halves, double rate, double focal, const Mask& mask,
+           const SweepOptions& options, const Context& context, SweepResult& result);
 
 }  // namespace malus

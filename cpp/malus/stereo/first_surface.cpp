@@ -24,6 +24,10 @@ double quantile(std::vector<double>& values, double share) {
   return *at;
 }
 
+double object_pixels(const Mask& mask) {
+  return static_cast<double>(std::count_if(mask.begin(), mask.end(), [](std::uint8_t m) { return m != 0; }));
+}
+
 /// Lowest correlation of a point's window, parallel to the image, that is taken to be on the surface. The best
 /// `min_points` are always kept.
 constexpr float visible_score = 0.6F;
@@ -103,8 +107,11 @@ FirstSurface first_surface(const std::vector<StationPoint>& points, const MatchL
     cloud.points.push_back(used[k].world);
   }
 
+  // A surface to start from: the smoothing need not be the best, nor the variance exact.
   PriorOptions options;
   options.min_points = 3;
+  options.smoothing_px = std::max(1.0, std::sqrt(object_pixels(level.mask) / static_cast<double>(visible.size())));
+  options.sigma_samples = 4;
   const DepthPrior prior = project_prior(cloud, level.camera, pose, level.mask, options, context);
   FirstSurface first;
   first.points_used = visible.size();
@@ -120,7 +127,7 @@ FirstSurface first_surface(const std::vector<StationPoint>& points, const MatchL
     if (std::isfinite(residual)) residuals.push_back(residual);
   }
   // A few per cent of triangulated points are wrong: they must not set the range.
-  first.range = std::max(3 * quantile(relative_sigma, 0.9), 1.5 * quantile(residuals, 0.95));
+  first.range = std::max(5 * quantile(relative_sigma, 0.9), 2 * quantile(residuals, 0.95));
   return first;
 }
 

@@ -87,8 +87,11 @@ struct Sweep {
 };
 
 constexpr std::array coarse_sweeps{Sweep{0.5, 6, true, 1.0}};
-constexpr std::array finest_sweeps{Sweep{0.5, 4, true, 1.0}, Sweep{0.25, 3, false, 1.0}};
+constexpr std::array finest_sweeps{Sweep{0.5, 3, true, 1.0}, Sweep{0.25, 2, true, 1.5}};
 constexpr double first_step_px = 0.7;
+
+/// Below this share of the object with a depth there is a warning.
+constexpr double least_completeness = 0.3;
 
 /// Largest change of a surface's ln z between neighbors that is smoothed over, in steps of one px of parallax.
 constexpr double smoothing_limit_px = 1.5;
@@ -169,7 +172,7 @@ class SurfaceSweep {
     rate_ = photos_.prepare(level_, surface_, true, context_);
     const double wanted = std::ceil(first.range * rate_ / first_step_px);
     const double most = std::ceil(options_.max_search / first_step_px);
-    sweep({first_step_px, static_cast<int>(std::clamp(wanted, 6.0, std::max(most, 6.0))), true, 1.0});
+    sweep({first_step_px, static_cast<int>(std::clamp(wanted, 12.0, std::max(most, 12.0))), true, 1.0});
   }
 
   void sweep(const Sweep& step) {
@@ -187,7 +190,6 @@ class SurfaceSweep {
     fill_gaps(surface_, level_.mask);
     const Image<float> before = surface_;
     pass_ = run_pass(level_, surface_, settings, context_);
-    step_ = settings.step;
     SweepPassReport report;
     Image<float> change(before.size());
     for (std::size_t i = 0; i < before.count(); ++i) change[i] = std::abs(pass_.log_depth[i] - before[i]);
@@ -199,28 +201,33 @@ class SurfaceSweep {
     report.change_gsd = median_of(change) / gsd;
     report.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     result_.passes.push_back(report);
-    if (step.regularize && level_.reduction == 1) wide_difference_px_ = scaled(pass_.difference, step.step_px);
+    if (level_.reduction == 1) {
+      wide_difference_px_ = std::move(difference_px_);
+      difference_px_ = std::move(pass_.difference);
+      for (float& value : difference_px_) value *= static_cast<float>(step.step_px);
+    }
     surface_ = pass_.log_depth;
     context_.progress("sweep", 1.0 / level_.reduction, "1 / " + std::to_string(level_.reduction) + " resolution");
-  }
-
-  static Image<float> scaled(Image<float> values, double factor) {
-    for (float& value : values) value *= static_cast<float>(factor);
-    return values;
   }
 
   void finish() {
     result_.views_total = photos_.total();
     result_.views_used = static_cast<int>(level_.views.size());
     result_.halves_compared = level_.views.size() >= 3;
-    AgreementInput agreement;
-    agreement.pass = &pass_;
-    agreement.wide_difference_px = &wide_difference_px_;
-    agreement.step = step_;
-    agreement.rate = rate_;
-    agreement.focal = input_.camera.focal();
-    agreement.halves_compared = result_.halves_compared;
-    judge(agreement, level_.mask, options_, context_, result_);
+    if (!result_.halves_compared) {
+      context_.log(LogLevel::warning, "surface sweep: " + std::to_string(result_.views_used) +
+                                          " usable photo(s): no disjoint halves to compare, sigma is a guess from the "
+                                          "correlation; at least 3 photos are needed, 8 or more are good");
+    }
+    const HalvesDifference halves{&difference_px_, &wide_difference_px_};
+    judge(pass_, halves, rate_, input_.camera.focal(), level_.mask, options_, context_, result_);
+    if (result_.completeness < least_completeness) {
+      std::ostringstream message;
+      message << "surface sweep: the photos agree on " << std::lround(100 * result_.completeness)
+              << " % of the object only; a surface without texture or with mirror images needs another source of depth, "
+                 "and what was found may be wrong by more than its sigma";
+      context_.log(LogLevel::warning, message.str());
+    }
   }
 
   const SweepInput& input_;
@@ -230,9 +237,8 @@ class SurfaceSweep {
   MatchLevel level_;
   Image<float> surface_;  ///< ln z at the present level
   double rate_ = 1;       ///< px of parallax at the present level a unit of ln z
-  float step_ = 0;
   PassResult pass_;
-  Image<float> wide_difference_px_;
+  Image<float> difference_px_, wide_difference_px_;  ///< of the halves, in the last full sweep and the one before
   SweepResult result_;
 };
 

@@ -35,16 +35,17 @@ struct SweepOptions {
   int max_views = 12;
   int min_level_px = 100;
   int min_points = 10;
-  double noise = 0.004;
-  double min_parallax = 0.4;
+  double noise = 0.002;
+  double min_parallax = 0.6;
   double max_angle_deg = 70;
   int max_search = 64;
   double small_step = 0.02;
   double large_step = 0.15;
   double min_score = 0.3;
-  double min_agreement = 0.5;
-  double sigma_scale = 1;
-  double sigma_floor_gsd = 0.05;
+  double min_agreement = 0.6;
+  int min_region_px = 400;
+  double sigma_scale = 2.6;
+  double sigma_floor_gsd = 0.2;
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
@@ -66,7 +67,9 @@ struct SweepOptions {
     visit("min_score", self.min_score, fraction_range, "lowest mean correlation of a pixel that is kept");
     visit("min_agreement", self.min_agreement, fraction_range,
           "share of the pixels around it at which the two halves of the photos must agree for a pixel to be kept");
-    visit("sigma_scale", self.sigma_scale, Range{0, 100}, "factor of the standard deviation");
+    visit("min_region_px", self.min_region_px, not_negative,
+          "fewest connected pixels that are kept: what agrees by chance comes in small regions");
+    visit("sigma_scale", self.sigma_scale, Range{0, 100}, "standard deviation of depth over half the difference of the halves");
     visit("sigma_floor_gsd", self.sigma_floor_gsd, not_negative, "smallest standard deviation, in GSD");
   }
 };

@@ -12,7 +12,8 @@ namespace malus {
 namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
-constexpr int tile_side = 128;
+/// Tiles are larger where there are few offsets, which keeps their memory alike and their margins a smaller share.
+constexpr int few_offsets = 16, tile_side = 128, tile_side_of_few = 192;
 /// Pixels around a tile over which its semi-global paths run in.
 constexpr int run_in = 12;
 /// Offsets over which a pixel's path through a photo is taken as one parabola.
@@ -20,22 +21,17 @@ constexpr int parabola_offsets = 16;
 
 struct Peak {
   float label = 0;  ///< with its sub-step
-  float curvature = 0;
   int index = 0;
 };
 
-/// Smallest value, refined by the parabola through it and its neighbours.
-Peak lowest(const float* costs, std::size_t labels, std::size_t stride) {
-  Peak peak;
-  for (std::size_t d = 1; d < labels; ++d) {
-    if (costs[d * stride] < costs[static_cast<std::size_t>(peak.index) * stride]) peak.index = static_cast<int>(d);
-  }
-  peak.label = static_cast<float>(peak.index);
-  if (peak.index == 0 || peak.index + 1 == static_cast<int>(labels)) return peak;
-  const auto d = static_cast<std::size_t>(peak.index);
-  const float before = costs[(d - 1) * stride], here = costs[d * stride], after = costs[(d + 1) * stride];
-  peak.curvature = before + after - 2 * here;
-  if (peak.curvature > 0) peak.label += 0.5F * (before - after) / peak.curvature;
+/// Smallest cost, refined by the parabola through it and its neighbors.
+Peak lowest(const float* costs, std::size_t labels) {
+  const auto at = static_cast<std::size_t>(std::min_element(costs, costs + labels) - costs);
+  Peak peak{static_cast<float>(at), static_cast<int>(at)};
+  if (at == 0 || at + 1 == labels) return peak;
+  const float before = costs[at - 1], after = costs[at + 1];
+  const float curvature = before + after - 2 * costs[at];
+  if (curvature > 0) peak.label += 0.5F * (before - after) / curvature;
   return peak;
 }
 
@@ -100,16 +96,12 @@ void sweep_tile(const MatchLevel& level, const Image<float>& log_depth, PixelBox
       const std::size_t i =
           static_cast<std::size_t>(v - tile.v0) * width + static_cast<std::size_t>(u - tile.u0);
       if (level.mask(u, v) == 0 || matcher.seen()[i] == 0) continue;
-      const Peak peak = lowest(&aggregated[i * labels], labels, 1);
-      const float* const raw = &costs.all[i * labels];
-      const auto at = static_cast<std::size_t>(peak.index);
+      const Peak peak = lowest(&aggregated[i * labels], labels);
       result.log_depth(u, v) = log_depth(u, v) + settings.step * (peak.label - static_cast<float>(settings.half_count));
-      result.score(u, v) = 1 - raw[at];
-      const bool inside = at > 0 && at + 1 < labels;
-      result.curvature(u, v) = inside ? std::max(0.0F, raw[at - 1] + raw[at + 1] - 2 * raw[at]) : 0.0F;
+      result.score(u, v) = 1 - costs.all[i * labels + static_cast<std::size_t>(peak.index)];
       if (settings.match.compare_halves && matcher.halves_see(i)) {
-        result.difference(u, v) = lowest(&costs.half[0][i * labels], labels, 1).label -
-                                  lowest(&costs.half[1][i * labels], labels, 1).label;
+        result.difference(u, v) = lowest(&costs.half[0][i * labels], labels).label -
+                                  lowest(&costs.half[1][i * labels], labels).label;
       }
     }
   }
@@ -120,16 +112,16 @@ void sweep_tile(const MatchLevel& level, const Image<float>& log_depth, PixelBox
 PassResult run_pass(const MatchLevel& level, const Image<float>& log_depth, const PassSettings& settings,
                     const Context& context) {
   const Size size = level.mask.size();
-  PassResult result{Image<float>(size, 1, none), Image<float>(size, 1, none), Image<float>(size, 1, none),
-                    Image<float>(size, 1, none)};
-  const int columns = (size.width + tile_side - 1) / tile_side, rows = (size.height + tile_side - 1) / tile_side;
+  PassResult result{Image<float>(size, 1, none), Image<float>(size, 1, none), Image<float>(size, 1, none)};
+  const int side = 2 * settings.half_count + 1 <= few_offsets ? tile_side_of_few : tile_side;
+  const int columns = (size.width + side - 1) / side, rows = (size.height + side - 1) / side;
   parallel_for(context, static_cast<std::size_t>(columns) * static_cast<std::size_t>(rows), 1,
                [&](std::size_t begin, std::size_t end) {
                  for (std::size_t k = begin; k < end; ++k) {
-                   const int u0 = static_cast<int>(k) % columns * tile_side;
-                   const int v0 = static_cast<int>(k) / columns * tile_side;
-                   const PixelBox inner{u0, v0, std::min(u0 + tile_side, size.width),
-                                        std::min(v0 + tile_side, size.height)};
+                   const int u0 = static_cast<int>(k) % columns * side;
+                   const int v0 = static_cast<int>(k) / columns * side;
+                   const PixelBox inner{u0, v0, std::min(u0 + side, size.width),
+                                        std::min(v0 + side, size.height)};
                    if (any_set(level.mask, inner)) sweep_tile(level, log_depth, inner, settings, context, result);
                  }
                });

@@ -20,7 +20,6 @@ struct PassSettings {
 struct PassResult {
   Image<float> log_depth;
   Image<float> score;       ///< correlation at the offset found, 0 … 1
-  Image<float> curvature;   ///< of the correlation there, a squared step; 0 at the end of the range
   Image<float> difference;  ///< between the best offsets of the two disjoint subsets, in steps; NaN where one is blind
 };
 

@@ -13,7 +13,7 @@ using ConstValues = Eigen::Map<const Eigen::ArrayXf>;
 
 constexpr std::size_t chunk = 64;
 
-/// Bilinear samples along x0 + t x1 + t² x2, y likewise; beyond the image its border goes on.
+/// Bilinear interpolation along x0 + t x1 + t² x2, y likewise; beyond the image its border goes on.
 void sample_row(const Image<float>& image, const std::array<const float*, 6>& path, float t, std::size_t count,
                 float* out) {
   // The last cell's right neighbour must exist, so the coordinates stop just short of the last pixel.

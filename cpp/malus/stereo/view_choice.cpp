@@ -31,8 +31,9 @@ ViewChoice::ViewChoice(const SweepInput& input, std::span<const SweepView> views
                        const Context& context)
     : station_(input.camera), options_(options) {
   for (const SweepView& view : views) {
-    photos_.push_back({ViewProjection(input.camera, input.pose, view.camera, view.pose), {view.intensity}});
-    const Photo& photo = photos_.back();
+    photos_.emplace_back(ViewProjection(input.camera, input.pose, view.camera, view.pose));
+    Photo& photo = photos_.back();
+    photo.pyramid.push_back(view.intensity);
     if (photo.projection.fit_error_px() > largest_fit_error_px) {
       std::ostringstream message;
       message << "surface sweep: photo " << photos_.size() - 1 << ": the lens is approximated to "

@@ -1,7 +1,7 @@
 #pragma once
 
-#include <memory>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "malus/core/context.h"
@@ -27,6 +27,8 @@ class ViewChoice {
 
  private:
   struct Photo {
+    explicit Photo(ViewProjection p) : projection(std::move(p)) {}
+
     ViewProjection projection;
     std::vector<Image<float>> pyramid;
     double parallax = 0;    ///< px of the station's image a unit of ln z, median

@@ -1,0 +1,357 @@
+#include "malus/stereo/surface_sweep.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "malus/core/error.h"
+
+namespace malus {
+namespace {
+
+constexpr double distance_mm = 400, focal = 500, gsd_mm = distance_mm / focal;
+constexpr Size station_size{160, 120};
+
+/// Height of the scene's surface above z = distance_mm in the world, which is the station's frame before its pose.
+using Surface = std::function<double(double x, double y)>;
+
+double plane(double x, double y) {
+  return distance_mm + 0.25 * x - 0.15 * y;
+}
+
+double bumps(double x, double y) {
+  return distance_mm + 5 * gsd_mm * std::sin(x / 12) * std::cos(y / 15) + 0.1 * x;
+}
+
+/// Reflectance of the surface at (x, y): a sum of waves down to a few GSD without a period in sight.
+double texture(double x, double y) {
+  double sum = 0.5, amplitude = 0.11;
+  for (int octave = 0; octave < 4; ++octave) {
+    const double k = 0.21 * std::pow(1.9, octave), turn = 1.1 * octave;
+    const double a = x * std::cos(turn) + y * std::sin(turn), b = y * std::cos(turn) - x * std::sin(turn);
+    sum += amplitude * (std::sin(k * a + octave) + std::sin(1.17 * k * b + 2 * octave));
+    amplitude *= 0.6;
+  }
+  return std::clamp(sum, 0.02, 1.0);
+}
+
+Pose looking_from(const Eigen::Vector3d& centre) {
+  const Eigen::Vector3d forward = (Eigen::Vector3d(0, 0, distance_mm) - centre).normalized();
+  const Eigen::Vector3d right = Eigen::Vector3d::UnitY().cross(forward).normalized();
+  Pose pose;
+  pose.rotation.row(0) = right;
+  pose.rotation.row(1) = forward.cross(right);
+  pose.rotation.row(2) = forward;
+  pose.translation = -pose.rotation * centre;
+  return pose;
+}
+
+/// Where the ray from `origin` meets the surface.
+Eigen::Vector3d meet(const Surface& surface, const Eigen::Vector3d& origin, const Eigen::Vector3d& direction) {
+  double t = (distance_mm - origin.z()) / direction.z();
+  for (int iteration = 0; iteration < 10; ++iteration) {
+    const Eigen::Vector3d point = origin + t * direction;
+    t += (surface(point.x(), point.y()) - point.z()) / direction.z();
+  }
+  return origin + t * direction;
+}
+
+/// Photo of the surface through a lens, 2 × 2 rays a pixel; `gain` and `offset` as a camera of its own would have.
+SweepView photo(const Surface& surface, const Eigen::Vector3d& centre, const LensCamera& camera, double gain = 1,
+                double offset = 0) {
+  SweepView view{Image<float>(camera.size), camera, looking_from(centre)};
+  for (int v = 0; v < camera.size.height; ++v) {
+    for (int u = 0; u < camera.size.width; ++u) {
+      // Over a pixel the lens shifts and scales evenly enough.
+      const Eigen::Vector2d ideal = camera.undistort(Eigen::Vector2d(u, v));
+      double sum = 0;
+      for (const double dv : {-0.25, 0.25}) {
+        for (const double du : {-0.25, 0.25}) {
+          const Eigen::Vector2d shifted = ideal + Eigen::Vector2d(du, dv) / camera.pinhole().focal();
+          const Eigen::Vector3d direction = view.pose.rotation.transpose() * shifted.homogeneous();
+          const Eigen::Vector3d point = meet(surface, view.pose.centre(), direction);
+          sum += texture(point.x(), point.y());
+        }
+      }
+      view.intensity(u, v) = static_cast<float>(gain * sum / 4 + offset);
+    }
+  }
+  return view;
+}
+
+LensCamera distorted_lens() {
+  return {LensModel::opencv, {190, 140}, {560, 555, 93, 71, -0.25, 0.1, 0.002, -0.001}};
+}
+
+struct Scene {
+  SweepInput input;
+  std::vector<SweepView> views;
+  Image<double> truth{station_size};
+};
+
+/// Station at the origin and photos around it, seeing the surface from 15° to 20° aside.
+Scene make_scene(const Surface& surface, int photos) {
+  const LensCamera lens{LensModel::pinhole, station_size, {focal, focal, 79, 60.5}};
+  Scene scene;
+  const SweepView station = photo(surface, {0, 0, 0}, lens);
+  scene.input.intensity = station.intensity;
+  scene.input.camera = lens.pinhole();
+  scene.input.pose = station.pose;
+  scene.input.mask = Mask(station_size, 1, 255);
+  for (int v = 0; v < station_size.height; ++v) {
+    for (int u = 0; u < station_size.width; ++u) {
+      const Eigen::Vector3d point =
+          meet(surface, station.pose.centre(), station.pose.rotation.transpose() * lens.pinhole().ray(u, v));
+      scene.truth(u, v) = station.pose.cam_from_world(point).z();
+      if (u % 16 == 8 && v % 16 == 8) scene.input.points.push_back(point);
+    }
+  }
+  for (int k = 0; k < photos; ++k) {
+    const double turn = 2 * 3.14159265 * k / std::max(photos, 1) + 0.4;
+    const Eigen::Vector3d centre(125 * std::cos(turn), 125 * std::sin(turn), 10.0 * k);
+    scene.views.push_back(photo(surface, centre, distorted_lens(), 0.7 + 0.03 * k, 0.05));
+  }
+  return scene;
+}
+
+SweepOptions test_options() {
+  SweepOptions options;
+  options.station_gamma = 1;
+  options.min_level_px = 50;
+  return options;
+}
+
+struct Errors {
+  double completeness = 0, median_gsd = 0, rms_gsd = 0, within_2_sigma = 0;
+};
+
+/// Of the pixels `border` px inside the image.
+Errors errors_of(const SweepResult& result, const Image<double>& truth, int border = 6) {
+  std::vector<double> errors;
+  double squares = 0, covered = 0, pixels = 0;
+  for (int v = border; v < truth.height() - border; ++v) {
+    for (int u = border; u < truth.width() - border; ++u) {
+      ++pixels;
+      if (!std::isfinite(result.depth(u, v))) continue;
+      const double error = std::abs(result.depth(u, v) - truth(u, v));
+      errors.push_back(error / gsd_mm);
+      squares += std::pow(error / gsd_mm, 2);
+      covered += error <= 2 * result.sigma(u, v) ? 1 : 0;
+    }
+  }
+  if (errors.empty()) return {};
+  const auto n = static_cast<double>(errors.size());
+  std::nth_element(errors.begin(), errors.begin() + static_cast<std::ptrdiff_t>(errors.size() / 2), errors.end());
+  return {n / pixels, errors[errors.size() / 2], std::sqrt(squares / n), covered / n};
+}
+
+template <class Call>
+std::pair<ErrorCode, std::string> error_of(Call&& call) {
+  try {
+    call();
+  } catch (const Error& error) {
+    return {error.code(), error.what()};
+  }
+  ADD_FAILURE() << "no error";
+  return {};
+}
+
+void expect_contains(const std::string& text, const std::string& part) {
+  EXPECT_NE(text.find(part), std::string::npos) << text;
+}
+
+class SweepOfBumps : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() { scene_ = new Scene(make_scene(bumps, 6)); }
+  static void TearDownTestSuite() {
+    delete scene_;
+    scene_ = nullptr;
+  }
+
+  static Scene* scene_;
+};
+
+Scene* SweepOfBumps::scene_ = nullptr;
+
+TEST(SurfaceSweep, FindsAPlaneThroughDistortedLenses) {
+  const Scene scene = make_scene(plane, 6);
+  const SweepResult result = sweep_surface(scene.input, scene.views, test_options(), {});
+  const Errors errors = errors_of(result, scene.truth);
+  EXPECT_GT(errors.completeness, 0.99);
+  EXPECT_LT(errors.median_gsd, 0.1);
+  EXPECT_LT(errors.rms_gsd, 0.25);
+  EXPECT_EQ(result.views_used, 6);
+  EXPECT_TRUE(result.halves_compared);
+}
+
+TEST_F(SweepOfBumps, FindsBumpsAndKnowsItsError) {
+  const SweepResult result = sweep_surface(scene_->input, scene_->views, test_options(), {});
+  const Errors errors = errors_of(result, scene_->truth);
+  EXPECT_GT(errors.completeness, 0.99);
+  EXPECT_LT(errors.median_gsd, 0.15);
+  EXPECT_LT(errors.rms_gsd, 0.35);
+  EXPECT_GT(errors.within_2_sigma, 0.85);
+  EXPECT_FALSE(result.passes.empty());
+  EXPECT_GT(result.median_score, 0.9);
+}
+
+TEST_F(SweepOfBumps, StartsFromFewRoughPoints) {
+  SweepInput input = scene_->input;
+  std::vector<Eigen::Vector3d> few;
+  for (std::size_t k = 0; k < input.points.size(); k += 4) few.push_back(input.points[k]);
+  for (std::size_t k = 0; k < few.size(); ++k) few[k].z() += (k % 2 == 0 ? 1 : -1) * 3 * gsd_mm;
+  few.push_back({0, 0, 0.7 * distance_mm});
+  few.push_back({10, 10, 2 * distance_mm});
+  input.points = few;
+  const Errors errors = errors_of(sweep_surface(input, scene_->views, test_options(), {}), scene_->truth);
+  EXPECT_GT(errors.completeness, 0.98);
+  EXPECT_LT(errors.median_gsd, 0.15);
+}
+
+TEST_F(SweepOfBumps, OneOrTwoPhotosGiveAWarningAndALargerSigma) {
+  const SweepResult many = sweep_surface(scene_->input, scene_->views, test_options(), {});
+  for (const std::size_t photos : {1U, 2U}) {
+    std::string warnings;
+    Context context;
+    context.on_log = [&](LogLevel level, const std::string& text) {
+      if (level == LogLevel::warning) warnings += text;
+    };
+    const SweepResult few =
+        sweep_surface(scene_->input, std::span(scene_->views).first(photos), test_options(), context);
+    expect_contains(warnings, "no disjoint halves");
+    EXPECT_FALSE(few.halves_compared);
+    EXPECT_GT(few.median_sigma_gsd, 2 * many.median_sigma_gsd);
+    const Errors errors = errors_of(few, scene_->truth);
+    EXPECT_GT(errors.completeness, 0.9);
+    EXPECT_LT(errors.median_gsd, 0.4);
+  }
+}
+
+TEST_F(SweepOfBumps, IsTheSameWithMoreThreads) {
+  Context three;
+  three.threads = 3;
+  const SweepResult a = sweep_surface(scene_->input, scene_->views, test_options(), {});
+  const SweepResult b = sweep_surface(scene_->input, scene_->views, test_options(), three);
+  for (std::size_t i = 0; i < a.depth.count(); ++i) {
+    ASSERT_EQ(std::isfinite(a.depth[i]), std::isfinite(b.depth[i]));
+    if (!std::isfinite(a.depth[i])) continue;
+    ASSERT_EQ(a.depth[i], b.depth[i]);
+    ASSERT_EQ(a.sigma[i], b.sigma[i]);
+  }
+}
+
+TEST_F(SweepOfBumps, IsNaNOutsideTheMaskAndGoodUpToItsBorder) {
+  SweepInput input = scene_->input;
+  for (int v = 0; v < station_size.height; ++v) {
+    for (int u = 0; u < station_size.width; ++u) input.mask(u, v) = std::hypot(u - 80, v - 60) < 40;
+  }
+  const SweepResult result = sweep_surface(input, scene_->views, test_options(), {});
+  double squares = 0, pixels = 0;
+  for (int v = 0; v < station_size.height; ++v) {
+    for (int u = 0; u < station_size.width; ++u) {
+      if (input.mask(u, v) == 0) {
+        ASSERT_TRUE(std::isnan(result.depth(u, v)));
+      } else if (std::isfinite(result.depth(u, v))) {
+        squares += std::pow((result.depth(u, v) - scene_->truth(u, v)) / gsd_mm, 2);
+        ++pixels;
+      }
+    }
+  }
+  EXPECT_GT(pixels, 0.98 * 40 * 40 * 3.14);
+  EXPECT_LT(std::sqrt(squares / pixels), 0.6);
+}
+
+TEST_F(SweepOfBumps, PhotosOfTwiceTheResolutionMatchToo) {
+  LensCamera fine = distorted_lens();
+  fine.size = {380, 280};
+  for (const std::size_t k : {0U, 1U, 2U, 3U}) fine.params[k] *= 2;
+  std::vector<SweepView> views;
+  for (const SweepView& view : scene_->views) views.push_back(photo(bumps, view.pose.centre(), fine));
+  const Errors errors = errors_of(sweep_surface(scene_->input, views, test_options(), {}), scene_->truth);
+  EXPECT_GT(errors.completeness, 0.99);
+  EXPECT_LT(errors.median_gsd, 0.15);
+}
+
+TEST_F(SweepOfBumps, WhatDoesNotMatchHasNoDepthOrALargeSigma) {
+  std::vector<SweepView> views = scene_->views;
+  unsigned state = 1;
+  for (SweepView& view : views) {
+    for (float& value : view.intensity) {
+      state = state * 1664525U + 1013904223U;
+      value = static_cast<float>(state >> 8) / 16777216.0F;
+    }
+  }
+  const SweepResult result = sweep_surface(scene_->input, views, test_options(), {});
+  EXPECT_LT(result.completeness, 0.1);
+}
+
+TEST_F(SweepOfBumps, SaysWhatIsMissing) {
+  const auto run = [](const SweepInput& input, const std::vector<SweepView>& views) {
+    return error_of([&] { sweep_surface(input, views, test_options(), {}); });
+  };
+  auto [code, message] = run(scene_->input, {});
+  EXPECT_EQ(code, ErrorCode::data);
+  expect_contains(message, "no photos");
+
+  std::vector<SweepView> elsewhere = scene_->views;
+  const Eigen::DiagonalMatrix<double, 3> about_face(-1, 1, -1);
+  for (SweepView& view : elsewhere) view.pose = {about_face * view.pose.rotation, about_face * view.pose.translation};
+  std::tie(code, message) = run(scene_->input, elsewhere);
+  EXPECT_EQ(code, ErrorCode::data);
+  expect_contains(message, "none of 6 photos sees the object");
+
+  SweepInput input = scene_->input;
+  input.points.resize(4);
+  std::tie(code, message) = run(input, scene_->views);
+  EXPECT_EQ(code, ErrorCode::data);
+  expect_contains(message, "4 of 4 triangulated points");
+
+  input = scene_->input;
+  input.points.front().x() = std::numeric_limits<double>::quiet_NaN();
+  std::tie(code, message) = run(input, scene_->views);
+  EXPECT_EQ(code, ErrorCode::input);
+  expect_contains(message, "points: coordinates must be finite");
+
+  input = scene_->input;
+  input.mask = Mask({10, 10}, 1, 255);
+  std::tie(code, message) = run(input, scene_->views);
+  EXPECT_EQ(code, ErrorCode::input);
+  expect_contains(message, "mask is 10 x 10 pixels, expected 160 x 120");
+  input.mask = Mask(station_size);
+  std::tie(code, message) = run(input, scene_->views);
+  expect_contains(message, "mask: no pixel is set");
+
+  std::vector<SweepView> views = scene_->views;
+  views[2].intensity(3, 3) = std::numeric_limits<float>::infinity();
+  std::tie(code, message) = run(scene_->input, views);
+  EXPECT_EQ(code, ErrorCode::input);
+  expect_contains(message, "photo 2: intensities must be finite");
+  views[2].intensity = Image<float>({5, 5});
+  std::tie(code, message) = run(scene_->input, views);
+  expect_contains(message, "photo 2 is 5 x 5 pixels, expected 190 x 140");
+
+  SweepOptions options = test_options();
+  options.window_radius = 9;
+  std::tie(code, message) = error_of([&] { sweep_surface(scene_->input, scene_->views, options, {}); });
+  EXPECT_EQ(code, ErrorCode::input);
+  expect_contains(message, "sweep.window_radius = 9");
+}
+
+TEST_F(SweepOfBumps, StopsWhenCancelled) {
+  const std::atomic<bool> cancel{true};
+  Context context;
+  context.cancel = &cancel;
+  EXPECT_EQ(error_of([&] { sweep_surface(scene_->input, scene_->views, test_options(), context); }).first,
+            ErrorCode::interrupted);
+}
+
+}  // namespace
+}  // namespace malus

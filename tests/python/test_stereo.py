@@ -1,0 +1,98 @@
+"""The surface sweep on arrays: a textured plane seen by pinhole cameras, truth by construction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import malus
+
+WIDTH, HEIGHT, FOCAL, DISTANCE = 120, 100, 400.0, 300.0
+
+
+def texture(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    value = np.full_like(x, 0.5)
+    for octave in range(4):
+        k, turn = 0.25 * 1.9**octave, 1.1 * octave
+        a, b = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+        value += 0.1 * 0.6**octave * (np.sin(k * a + octave) + np.sin(1.17 * k * b))
+    return np.clip(value, 0, 1)
+
+
+def camera_at(centre: tuple[float, float, float]) -> malus.Camera:
+    c = np.array(centre)
+    forward = np.array([0, 0, DISTANCE]) - c
+    forward /= np.linalg.norm(forward)
+    right = np.cross([0, 1, 0], forward)
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return malus.Camera("PINHOLE", WIDTH, HEIGHT, [FOCAL, FOCAL, 59.5, 49.5], rotation, -rotation @ c)
+
+
+def seen(camera: malus.Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Image of the plane z = 300 + x / 4 and its depth."""
+    rotation, translation = camera.pose()
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    rays = np.stack([(u - 59.5) / FOCAL, (v - 49.5) / FOCAL, np.ones_like(u)], -1) @ rotation
+    centre = -rotation.T @ translation
+    depth = (DISTANCE + centre[0] / 4 - centre[2]) / (rays[..., 2] - rays[..., 0] / 4)
+    points = centre + depth[..., None] * rays
+    return texture(points[..., 0], points[..., 1]), depth
+
+
+@pytest.fixture(scope="module")
+def scene() -> dict[str, object]:
+    station = camera_at((0, 0, 0))
+    image, depth = seen(station)
+    turns = 2 * np.pi * np.arange(5) / 5
+    cameras = [camera_at((90 * np.cos(a), 90 * np.sin(a), 0)) for a in turns]
+    v, u = np.mgrid[5:HEIGHT:12, 5:WIDTH:12]
+    z = depth[v, u]
+    points = np.stack([(u - 59.5) / FOCAL * z, (v - 49.5) / FOCAL * z, z], -1).reshape(-1, 3)
+    return {
+        "intensity": image,
+        "camera": station,
+        "views": [(0.8 * seen(c)[0] + 0.1, c) for c in cameras],
+        "points": points,
+        "options": malus.Options(sweep={"station_gamma": 1.0, "min_level_px": 40}),
+        "depth": depth,
+    }
+
+
+def arguments(scene: dict[str, object], **changes: object) -> dict[str, object]:
+    return {**{name: value for name, value in scene.items() if name != "depth"}, **changes}
+
+
+def test_sweep_finds_the_plane(scene: dict[str, object]) -> None:
+    steps: list[float] = []
+    result = malus.stereo.sweep(**arguments(scene, progress=lambda _, fraction, __: steps.append(fraction)))
+    error = np.abs(result.depth - scene["depth"])[6:-6, 6:-6] / (DISTANCE / FOCAL)
+    assert np.isfinite(error).mean() > 0.99
+    assert np.nanmedian(error) < 0.1
+    assert result.depth.dtype == result.sigma.dtype == np.float32
+    assert result.views_used == 5
+    assert result.halves_compared
+    assert steps == sorted(steps)
+    again = malus.stereo.sweep(**arguments(scene, threads=2))
+    np.testing.assert_array_equal(result.depth, again.depth)
+
+
+def test_arguments_are_checked(scene: dict[str, object]) -> None:
+    views = scene["views"]
+    with pytest.raises(ValueError, match=r"intensity has shape \(3, 3\), expected \(100, 120\)"):
+        malus.stereo.sweep(**arguments(scene, intensity=np.ones((3, 3))))
+    with pytest.raises(ValueError, match=r"views\[1\] has shape \(4, 4\), expected \(100, 120\)"):
+        malus.stereo.sweep(**arguments(scene, views=[views[0], (np.ones((4, 4)), views[1][1])]))
+    with pytest.raises(ValueError, match=r"points has shape \(3,\), expected \(N, 3\)"):
+        malus.stereo.sweep(**arguments(scene, points=np.ones(3)))
+    with pytest.raises(ValueError, match=r"mask has shape"):
+        malus.stereo.sweep(**arguments(scene, mask=np.ones((2, 2))))
+    with pytest.raises(malus.DataError, match="no photos"):
+        malus.stereo.sweep(**arguments(scene, views=[]))
+    with pytest.raises(malus.DataError, match="3 of 3 triangulated points"):
+        malus.stereo.sweep(**arguments(scene, points=scene["points"][:3]))
+    bent = malus.Camera("SIMPLE_RADIAL", WIDTH, HEIGHT, [FOCAL, 59.5, 49.5, 0.1])
+    with pytest.raises(malus.InputError, match="must be undistorted"):
+        malus.stereo.sweep(**arguments(scene, camera=bent))
+    with pytest.raises(malus.InputError, match="MAGIC"):
+        malus.stereo.sweep(**arguments(scene, camera=malus.Camera("MAGIC", WIDTH, HEIGHT, [1.0])))
