@@ -8,6 +8,7 @@
 #include "cameras.h"
 #include "interruptible.h"
 #include "malus/io/colmap_model.h"
+#include "malus/photogrammetry/feature_matching.h"
 #include "malus/photogrammetry/lens_refit.h"
 #include "malus/photogrammetry/scale_adjustment.h"
 #include "malus/photogrammetry/target_detection.h"
@@ -69,6 +70,30 @@ py::dict scale_of(const std::vector<std::pair<std::string, CameraValues>>& views
   return to_dict(adjustment);
 }
 
+/// Matches (K×2, uint32) of every pair of photos, given each photo's descriptors (N×128, uint8).
+py::list matches_of(const std::vector<Array<std::uint8_t>>& photos,
+                    const std::vector<std::pair<std::size_t, std::size_t>>& pairs, int threads,
+                    const py::object& on_progress) {
+  std::vector<Descriptors> descriptors;
+  for (const auto& photo : photos) {
+    if (photo.ndim() != 2 || photo.shape(1) != 128) throw py::value_error("descriptors must have the shape (N, 128)");
+    descriptors.emplace_back(Eigen::Map<const Descriptors>(photo.data(), photo.shape(0), 128));
+  }
+  std::vector<std::vector<std::pair<std::uint32_t, std::uint32_t>>> found;
+  run_interruptible(threads, on_progress, py::none(),
+                    [&](const Context& context) { found = match_pairs(descriptors, pairs, {}, context); });
+  py::list result;
+  for (const auto& matches : found) {
+    py::array_t<std::uint32_t> array({static_cast<py::ssize_t>(matches.size()), py::ssize_t{2}});
+    for (std::size_t i = 0; i < matches.size(); ++i) {
+      array.mutable_at(static_cast<py::ssize_t>(i), 0) = matches[i].first;
+      array.mutable_at(static_cast<py::ssize_t>(i), 1) = matches[i].second;
+    }
+    result.append(array);
+  }
+  return result;
+}
+
 /// name → (camera and pose, keypoints, keypoints that see a point)
 py::dict images_of(const ColmapModel& model) {
   py::dict images;
@@ -124,6 +149,7 @@ void bind_photogrammetry(py::module_& module) {
     }
     return found;
   });
+  module.def("match_pairs", &matches_of);
   module.def("adjust_scale", &scale_of);
 }
 

@@ -12,7 +12,8 @@ struct PhotosOptions {
   bool guided_matching = true;
   int exhaustive_limit = 80;
   int min_inliers = 15;
-  int search_limit_s = 60;
+  double max_error_px = 1;
+  int search_limit_s = 30;
   double mark_sigma_px = 0.3;
   double target_sigma_px = 0.1;
   double distance_sigma_relative = 1e-4;
@@ -26,8 +27,11 @@ struct PhotosOptions {
     visit("exhaustive_limit", self.exhaustive_limit, Range{2, 1e6},
           "most photos of which every pair is matched; of more, only photos near each other in their names' order");
     visit("min_inliers", self.min_inliers, Range{6, 1e4}, "fewest matches that make two photos a pair");
+    visit("max_error_px", self.max_error_px, Range{0.01, 100},
+          "points with a larger mean reprojection error (and more than 2.5 times all points') are left out of the last "
+          "adjustments");
     visit("search_limit_s", self.search_limit_s, Range{5, 1e6},
-          "longest search for a first pair of photos before the next assumption on the focal length is tried, in s");
+          "longest search for a first pair, for 20 photos, before the next assumption on the focal length is tried, in s");
     visit("mark_sigma_px", self.mark_sigma_px, Range{1e-3, 100}, "standard deviation of a mark in [[scale]], in px");
     visit("target_sigma_px", self.target_sigma_px, Range{1e-3, 100},
           "standard deviation of a coded target's center, in px");

@@ -1,10 +1,15 @@
-"""What is in a COLMAP database: features and verified pairs are counted here, because exit codes do not tell."""
+"""COLMAP's database: features and verified pairs are counted here, because exit codes do not tell; matches are stored.
+
+Names of images in it are quoted as in an address, so that spaces do not break COLMAP's lists.
+"""
 
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
+from urllib.parse import quote, unquote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,26 +18,65 @@ from numpy.typing import NDArray
 _PAIR_BASE = 2147483647
 
 
+def quoted(name: str) -> str:
+    """An image's name in COLMAP's files."""
+    return quote(name, safe="/")
+
+
+def unquoted(name: str) -> str:
+    """The name of an image by that in COLMAP's files."""
+    return unquote(name)
+
+
 def feature_counts(database: Path) -> dict[str, int]:
     """Number of features of every image, by name."""
     with closing(sqlite3.connect(database)) as connection:
         rows = connection.execute(
             "SELECT images.name, COALESCE(keypoints.rows, 0) FROM images LEFT JOIN keypoints USING (image_id)"
         )
-        return {str(name): int(count) for name, count in rows}
+        return {unquoted(name): int(count) for name, count in rows}
 
 
 def camera_of(database: Path, image: str) -> int:
     """Camera number of an image."""
     with closing(sqlite3.connect(database)) as connection:
-        row = connection.execute("SELECT camera_id FROM images WHERE name = ?", (image,)).fetchone()
+        row = connection.execute("SELECT camera_id FROM images WHERE name = ?", (quoted(image),)).fetchone()
         return int(row[0])
+
+
+def _image_names(connection: sqlite3.Connection) -> dict[int, str]:
+    rows = connection.execute("SELECT image_id, name FROM images")
+    return {int(number): unquoted(name) for number, name in rows}
+
+
+def read_descriptors(database: Path) -> dict[str, NDArray[np.uint8]]:
+    """SIFT descriptors (N×128) of every image, by name."""
+    with closing(sqlite3.connect(database)) as connection:
+        names = _image_names(connection)
+        rows = connection.execute("SELECT image_id, cols, data FROM descriptors")
+        found = {names[number]: np.frombuffer(data or b"", np.uint8).reshape(-1, cols) for number, cols, data in rows}
+        return {name: found.get(name, np.empty((0, 128), np.uint8)) for name in names.values()}
+
+
+def write_matches(
+    database: Path, pairs: Sequence[tuple[str, str]], matches: Sequence[NDArray[np.uint32]]
+) -> None:
+    """Store the matches (K×2 indices of features) of pairs of images, for COLMAP to verify."""
+    with closing(sqlite3.connect(database)) as connection, connection:
+        numbers = {name: number for number, name in _image_names(connection).items()}
+        for (first, second), indices in zip(pairs, matches, strict=True):
+            a, b = numbers[first], numbers[second]
+            ordered = indices if a < b else indices[:, ::-1]
+            connection.execute(
+                "INSERT INTO matches (pair_id, rows, cols, data) VALUES (?, ?, 2, ?)",
+                (min(a, b) * _PAIR_BASE + max(a, b), len(indices), np.ascontiguousarray(ordered, "<u4").tobytes()),
+            )
 
 
 def verified_pairs(database: Path) -> dict[tuple[str, str], int]:
     """Matches that agree with one geometry, by pair of image names; pairs without any are left out."""
     with closing(sqlite3.connect(database)) as connection:
-        names = {int(number): str(name) for number, name in connection.execute("SELECT image_id, name FROM images")}
+        names = _image_names(connection)
         rows = connection.execute("SELECT pair_id, rows FROM two_view_geometries WHERE rows > 0")
         pairs: dict[tuple[str, str], int] = {}
         for pair, count in rows:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from malus import _core
 from malus.camera import Camera
+from malus.photogrammetry.database import unquoted
 
 
 @dataclass(frozen=True)
@@ -42,10 +43,10 @@ class SparseModel:
         """Read a COLMAP model, binary or text. Raises InputError for a damaged one."""
         model = _core.ColmapModel.read(str(folder))
         images = {}
-        for name, (values, features, observations) in model.images().items():
+        for quoted_name, (values, features, observations) in model.images().items():
             lens, width, height, params, rotation, translation = values
             camera = Camera(lens, width, height, params, rotation, translation)
-            images[name] = RegisteredImage(camera, (lens, width, height, *params), features, observations)
+            images[unquoted(quoted_name)] = RegisteredImage(camera, (lens, width, height, *params), features, observations)
         points, errors, lengths = model.points()
         return SparseModel(images, points, errors, lengths)
 

@@ -125,14 +125,14 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
             "exhaustive": len(photos) <= options.exhaustive_limit,
         },
         ["matches.db"],
-        lambda: _match(bench, len(photos)),
+        lambda: _match(bench, [photo.name for photo in photos]),
     )
     pairs = {(first, second): count for first, second, count in matches["pairs"]}
     diagnosis.check_connections([photo.name for photo in photos], pairs, bench.log)
     mapping = stage("mapping", {"min_inliers": options.min_inliers}, ["sparse", "mapping.db"],
                     lambda: _map(bench, groups, pairs))  # fmt: skip
     diagnosis.check_mapping(mapping, [photo.name for photo in photos], pairs, bench.log)
-    stage("adjustment", {}, ["adjusted"], lambda: _adjust(bench, mapping["best"], known is not None, len(photos)))
+    stage("adjustment", {"max_error_px": options.max_error_px}, ["adjusted"], lambda: _adjust(bench, mapping["best"], known is not None, len(photos)))
     model = SparseModel.read(bench.folder / "adjusted")
     return PhotoCameras(
         folder=bench.folder / "adjusted",
@@ -148,7 +148,7 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
 def _copy(bench: Bench, photos: Sequence[Photo]) -> dict[str, Any]:
     for index, photo in enumerate(photos):
         bench.report("copies", index / len(photos), f"copy of photo {index + 1}/{len(photos)}")
-        write_proxy(photo, bench.images / photo.name)
+        write_proxy(photo, bench.images / database.quoted(photo.name))
     return {}
 
 
@@ -160,32 +160,21 @@ def _find_features(bench: Bench, groups: Sequence[CameraGroup]) -> dict[str, Any
     return {"counts": {photo.name: counts.get(photo.name, 0) for group in groups for photo in group.photos}}
 
 
-def _match(bench: Bench, count: int) -> dict[str, Any]:
+def _match(bench: Bench, names: Sequence[str]) -> dict[str, Any]:
     target = bench.folder / "matches.db"
     shutil.copyfile(bench.folder / "features.db", target)
-    arguments: dict[str, object] = {"database_path": target, **bench.matching_options()}
-    if count <= bench.options.photos.exhaustive_limit:
-        # Small blocks, of which COLMAP reports each.
-        arguments["ExhaustiveMatching.block_size"] = max(4, -(-count // 6))
-        bench.colmap.run("exhaustive_matcher", arguments, bench.log_file("matches"), on_line=_block_reader(bench))
+    bench.match("matches", target, pairs_to_match(names, bench.options.photos.exhaustive_limit))
+    return {"pairs": [[*pair, count] for pair, count in sorted(database.verified_pairs(target).items())]}
+
+
+def pairs_to_match(names: Sequence[str], exhaustive_limit: int) -> list[tuple[str, str]]:
+    """Every pair of few photos; of many, those at most ten apart in their order, and those 16, 32, 64, … apart."""
+    count = len(names)
+    if count <= exhaustive_limit:
+        distances = list(range(1, count))
     else:
-        arguments |= {"SequentialMatching.overlap": 10, "SequentialMatching.quadratic_overlap": 1}
-        reader = bench.counter("matches", r"Matching image \[(\d+)/(\d+)\]", "matches of photo")
-        bench.colmap.run("sequential_matcher", arguments, bench.log_file("matches"), on_line=reader)
-    return {"pairs": [[*names, count] for names, count in sorted(database.verified_pairs(target).items())]}
-
-
-def _block_reader(bench: Bench) -> Any:
-    expression = re.compile(r"Matching block \[(\d+)/(\d+), (\d+)/(\d+)\]")
-
-    def read(line: str) -> None:
-        match = expression.search(line)
-        if match:
-            row, rows, column, columns = (int(text) for text in match.groups())
-            done, total = (row - 1) * columns + column, rows * columns
-            bench.report("matches", done / total, f"matches of block {done}/{total}")
-
-    return read
+        distances = [*range(1, 11), *(2**power for power in range(4, count.bit_length()))]
+    return [(names[i], names[i + d]) for d in distances for i in range(count - d)]
 
 
 def _map(bench: Bench, groups: Sequence[CameraGroup], pairs: dict[tuple[str, str], int]) -> dict[str, Any]:
@@ -262,19 +251,16 @@ def _run_mapper(
 
 
 def _adjust(bench: Bench, best: str, fixed: bool, count: int) -> dict[str, Any]:
-    target = bench.folder / "adjusted"
-    target.mkdir()
     bench.report("adjustment", 0, "adjustment of all photos")
     refine = int(not fixed)
-    bench.colmap.run(
-        "bundle_adjuster",
+    bench.adjust(
+        "adjustment",
+        bench.folder / best,
+        bench.folder / "adjusted",
         {
-            "input_path": bench.folder / best,
-            "output_path": target,
             "BundleAdjustment.refine_focal_length": refine,
             "BundleAdjustment.refine_extra_params": refine,
             "BundleAdjustment.refine_principal_point": int(not fixed and count >= _MIN_PHOTOS_PRINCIPAL_POINT),
         },
-        bench.log_file("adjustment"),
     )
     return {}

@@ -62,6 +62,7 @@ def place_station(bench: Bench, photos: PhotoCameras, station: StationView) -> P
         "lens": None if station.lens is None else [station.lens.model, *map(float, station.lens.params)],
         "shared_with": station.shared_with,
         "max_features": bench.options.photos.max_features,
+        "max_error_px": bench.options.photos.max_error_px,
     }
     notes = bench.journal.stage(
         "station", inputs, ["station.db", "station", "placed"], lambda: _place(bench, photos, station, pixels)
@@ -110,16 +111,15 @@ def _place(
         log,
     )  # fmt: skip
     bench.report("station", 0.8, "adjustment with the station")
-    bench.colmap.run(
-        "bundle_adjuster",
+    bench.adjust(
+        "station",
+        triangulated,
+        placed,
         {
-            "input_path": triangulated,
-            "output_path": placed,
             "BundleAdjustment.refine_focal_length": refine,
             "BundleAdjustment.refine_extra_params": refine,
             "BundleAdjustment.refine_principal_point": 0,
         },
-        log,
     )
     _check(SparseModel.read(placed), station, failure)
     return {"matches": matches}
@@ -135,14 +135,8 @@ def _reader(station: StationView, source: Path, shape: tuple[int, ...]) -> dict[
 
 
 def _match(bench: Bench, source: Path, names: list[str]) -> dict[str, int]:
-    pairs_file = bench.folder / "station_pairs.txt"
-    pairs_file.write_text("".join(f"{STATION_IMAGE} {name}\n" for name in names))
     bench.report("station", 0.1, "matches of the station's image")
-    bench.colmap.run(
-        "matches_importer",
-        {"database_path": source, "match_list_path": pairs_file, "match_type": "pairs", **bench.matching_options()},
-        bench.log_file("station"),
-    )
+    bench.match("station", source, [(name, STATION_IMAGE) for name in names])
     found: dict[str, int] = {}
     for pair, count in database.verified_pairs(source).items():
         if STATION_IMAGE in pair:
