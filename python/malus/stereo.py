@@ -85,7 +85,7 @@ def sweep(
 
     Raises InputError for values that cannot be used, DataError if no photo sees the object or too few points are on it.
     Method: coarse-to-fine offsets from a surface, windowed normalized cross-correlation with the best photos,
-    semi-global matching (Hirschmüller 2008) on all but the last sweep; sigma from disjoint halves of the photos.
+    semi-global matching (Hirschmüller 2008); sigma from disjoint halves of the photos.
     """
     cloud = np.ascontiguousarray(points, dtype=np.float64)
     if cloud.ndim != 2 or cloud.shape[1] != 3:

@@ -7,9 +7,9 @@ namespace malus {
 /// How cameras are found from ordinary photos, and how the model gets its scale. The work itself is done by COLMAP,
 /// which the Python package drives; the options are listed here with those of every other step.
 struct PhotosOptions {
-  int max_features = 4096;
+  int max_features = 8192;
   int max_side_px = 3200;
-  bool guided_matching = true;
+  bool guided_matching = false;
   int exhaustive_limit = 80;
   int min_inliers = 15;
   double max_error_px = 1;

@@ -1,11 +1,10 @@
-#include "malus/stereo/agreement_internal.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <vector>
 
 #include "malus/core/parallel.h"
+#include "malus/stereo/agreement_internal.h"
 #include "malus/stereo/small_regions_internal.h"
 
 namespace malus {

@@ -1,5 +1,3 @@
-#include "malus/stereo/first_surface_internal.h"
-
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -10,6 +8,7 @@
 #include "malus/core/error.h"
 #include "malus/core/parallel.h"
 #include "malus/prior/project_prior.h"
+#include "malus/stereo/first_surface_internal.h"
 
 namespace malus {
 namespace {
@@ -112,7 +111,9 @@ FirstSurface first_surface(const std::vector<StationPoint>& points, const MatchL
   options.min_points = 3;
   options.smoothing_px = std::max(1.0, std::sqrt(object_pixels(level.mask) / static_cast<double>(visible.size())));
   options.sigma_samples = 4;
-  const DepthPrior prior = project_prior(cloud, level.camera, pose, level.mask, options, context);
+  Context silent = context;
+  silent.on_progress = nullptr;
+  const DepthPrior prior = project_prior(cloud, level.camera, pose, level.mask, options, silent);
   FirstSurface first;
   first.points_used = visible.size();
   first.log_depth = prior.depth;

@@ -32,8 +32,8 @@ std::vector<StationPoint> points_on_object(const std::vector<Eigen::Vector3d>& p
                                            const Pose& pose, int min_points);
 
 /// Spline (see `project_prior`) through those of the points that look the same in the station's view and in the photos:
-/// points of what lies behind the object, seen by photos only, do not. Its range covers the points' scatter about it and
-/// its own standard deviation.
+/// points of what lies behind the object, seen by photos only, do not. Its range covers the points' scatter about it
+/// and its own standard deviation.
 FirstSurface first_surface(const std::vector<StationPoint>& points, const MatchLevel& level, const Pose& pose,
                            const MatchSettings& settings, int min_points, const Context& context);
 

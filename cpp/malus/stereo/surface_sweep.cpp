@@ -89,6 +89,8 @@ struct Sweep {
 constexpr std::array coarse_sweeps{Sweep{0.5, 6, true, 1.0}};
 constexpr std::array finest_sweeps{Sweep{0.5, 3, true, 1.0}, Sweep{0.25, 2, true, 1.5}};
 constexpr double first_step_px = 0.7;
+/// Offset that the penalties of the options are for, px of parallax.
+constexpr double penalty_step_px = 0.5;
 
 /// Below this share of the object with a depth there is a warning.
 constexpr double least_completeness = 0.3;
@@ -155,16 +157,14 @@ class SurfaceSweep {
   /// The coarsest level: surface of the triangulated points, then a sweep over its range.
   void start() {
     context_.progress("sweep", 0, "surface of the triangulated points");
-    const std::vector<StationPoint> points =
-        points_on_object(input_.points, level_, input_.pose, options_.min_points);
+    const std::vector<StationPoint> points = points_on_object(input_.points, level_, input_.pose, options_.min_points);
     std::vector<double> depths;
     for (const StationPoint& point : points) depths.push_back(point.log_depth);
     const auto middle = depths.begin() + static_cast<std::ptrdiff_t>(depths.size() / 2);
     std::nth_element(depths.begin(), middle, depths.end());
     surface_ = Image<float>(level_.mask.size(), 1, static_cast<float>(*middle));
     photos_.prepare(level_, surface_, true, context_);
-    FirstSurface first =
-        first_surface(points, level_, input_.pose, match_settings(), options_.min_points, context_);
+    FirstSurface first = first_surface(points, level_, input_.pose, match_settings(), options_.min_points, context_);
     result_.points_total = static_cast<double>(input_.points.size());
     result_.points_used = static_cast<double>(first.points_used);
     surface_ = std::move(first.log_depth);
@@ -181,8 +181,10 @@ class SurfaceSweep {
     settings.half_count = step.half_count;
     settings.step = static_cast<float>(step.step_px / rate_);
     settings.regularize = step.regularize;
-    settings.small_step = static_cast<float>(options_.small_step);
-    settings.large_step = static_cast<float>(options_.large_step);
+    // Penalties are of a change of the surface, so those of finer offsets are smaller.
+    const double fineness = step.step_px / penalty_step_px;
+    settings.small_step = static_cast<float>(options_.small_step * fineness);
+    settings.large_step = static_cast<float>(options_.large_step * fineness);
     settings.match = match_settings();
 
     surface_ = median_filtered(surface_, 1, context_);
@@ -207,7 +209,7 @@ class SurfaceSweep {
       for (float& value : difference_px_) value *= static_cast<float>(step.step_px);
     }
     surface_ = pass_.log_depth;
-    context_.progress("sweep", 1.0 / level_.reduction, "1 / " + std::to_string(level_.reduction) + " resolution");
+    context_.progress("sweep", 1.0 / level_.reduction, "1/" + std::to_string(level_.reduction) + " resolution");
   }
 
   void finish() {
@@ -224,8 +226,8 @@ class SurfaceSweep {
     if (result_.completeness < least_completeness) {
       std::ostringstream message;
       message << "surface sweep: the photos agree on " << std::lround(100 * result_.completeness)
-              << " % of the object only; a surface without texture or with mirror images needs another source of depth, "
-                 "and what was found may be wrong by more than its sigma";
+              << " % of the object only; a surface without texture or with mirror images needs another source of "
+                 "depth, and what was found may be wrong by more than its sigma";
       context_.log(LogLevel::warning, message.str());
     }
   }

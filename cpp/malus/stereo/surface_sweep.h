@@ -32,7 +32,7 @@ struct SweepOptions {
   double station_gamma = 2.2;
   int window_radius = 3;
   int best_views = 5;
-  int max_views = 12;
+  int max_views = 10;
   int min_level_px = 100;
   int min_points = 10;
   double noise = 0.002;
@@ -50,7 +50,7 @@ struct SweepOptions {
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
     visit("station_gamma", self.station_gamma, Range{0.2, 5},
-          "the station's linear intensity is raised to 1 / this, to be coded like the photos; 1 = they are coded alike");
+          "the station's linear intensity is raised to 1 / this, to be coded like the photos; 1 = as it is");
     visit("window_radius", self.window_radius, Range{1, 4}, "of the square windows that are compared, in px");
     visit("best_views", self.best_views, Range{1, 16}, "photos that count at a pixel: those that match best");
     visit("max_views", self.max_views, Range{1, 64}, "photos that are compared in one part of the image");
@@ -69,18 +69,19 @@ struct SweepOptions {
           "share of the pixels around it at which the two halves of the photos must agree for a pixel to be kept");
     visit("min_region_px", self.min_region_px, not_negative,
           "fewest connected pixels that are kept: what agrees by chance comes in small regions");
-    visit("sigma_scale", self.sigma_scale, Range{0, 100}, "standard deviation of depth over half the difference of the halves");
+    visit("sigma_scale", self.sigma_scale, Range{0, 100},
+          "standard deviation of depth over half the difference of the halves");
     visit("sigma_floor_gsd", self.sigma_floor_gsd, not_negative, "smallest standard deviation, in GSD");
   }
 };
 
 /// One sweep, for the report.
 struct SweepPassReport {
-  int reduction = 1;     ///< pixels of the station's image a pixel
-  int offsets = 0;       ///< tried at each pixel
-  double step_gsd = 0;   ///< between them, in GSD of the station's image
-  double score = 0;      ///< median correlation
-  double change_gsd = 0; ///< median absolute change of the surface
+  int reduction = 1;      ///< pixels of the station's image a pixel
+  int offsets = 0;        ///< tried at each pixel
+  double step_gsd = 0;    ///< between them, in GSD of the station's image
+  double score = 0;       ///< median correlation
+  double change_gsd = 0;  ///< median absolute change of the surface
   double seconds = 0;
 };
 
@@ -92,11 +93,11 @@ struct SweepResult {
   int views_total = 0;
   int views_used = 0;
   double points_total = 0;
-  double points_used = 0;       ///< on the object
-  double completeness = 0;      ///< share of the mask that has a depth
-  double median_score = 0;      ///< of the pixels kept
+  double points_used = 0;   ///< on the object
+  double completeness = 0;  ///< share of the mask that has a depth
+  double median_score = 0;  ///< of the pixels kept
   double median_sigma_gsd = 0;
-  bool halves_compared = false; ///< two disjoint subsets of photos were compared; needs three photos
+  bool halves_compared = false;  ///< two disjoint subsets of photos were compared; needs three photos
   std::vector<SweepPassReport> passes;
 };
 
@@ -105,17 +106,17 @@ struct SweepResult {
 /// Coarse to fine: offsets from the previous level's surface (at first from a spline through the triangulated points)
 /// are warped into the photos through their true cameras, compared by normalized cross-correlation over square windows
 /// that lie on that surface, and scored by the mean of the best photos, which leaves out those that are occluded or see
-/// the surface at too flat an angle. Coarse levels are regularized by semi-global matching (Hirschmüller 2008); the last
-/// sweep takes each pixel's best offset with a parabola's sub-step. Photos are compared at the level of their pyramid
-/// that matches the station's resolution. Two disjoint halves of the photos are scored separately: from their
-/// differences comes sigma, and where they do not agree there is no depth. With one or two photos there are no halves:
-/// sigma is larger and the log has a warning.
+/// the surface at too flat an angle. Each sweep is regularized by semi-global matching (Hirschmüller 2008), finer
+/// sweeps the less, and ends with a parabola's sub-step. Photos are compared at the level of their pyramid that matches
+/// the station's resolution. Two disjoint halves of the photos are scored separately: from their differences comes
+/// sigma, and where they do not agree there is no depth. With one or two photos there are no halves: sigma is larger
+/// and the log has a warning.
 ///
 /// Correlation does not see gain and offset; `station_gamma` brings the linear station to the photos' coding, which
 /// makes that nearly enough.
 ///
-/// Memory: the inputs as pyramids (4/3 of their floats), 7 rasters of the station's size, and less than 64 MB a thread.
-/// Results do not depend on the number of threads.
+/// Memory: the inputs as pyramids (4/3 of their floats), 12 rasters of the station's size, and less than 64 MB a
+/// thread. Results do not depend on the number of threads.
 ///
 /// Errors: an input error for sizes that do not match, values that are not finite, cameras that are not usable; a data
 /// error for no photo, too few points on the object, or no photo that sees it.

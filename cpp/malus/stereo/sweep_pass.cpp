@@ -1,5 +1,3 @@
-#include "malus/stereo/sweep_pass_internal.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -7,6 +5,7 @@
 
 #include "malus/core/parallel.h"
 #include "malus/stereo/semi_global_internal.h"
+#include "malus/stereo/sweep_pass_internal.h"
 
 namespace malus {
 namespace {
@@ -93,15 +92,14 @@ void sweep_tile(const MatchLevel& level, const Image<float>& log_depth, PixelBox
   }
   for (int v = inner.v0; v < inner.v1; ++v) {
     for (int u = inner.u0; u < inner.u1; ++u) {
-      const std::size_t i =
-          static_cast<std::size_t>(v - tile.v0) * width + static_cast<std::size_t>(u - tile.u0);
+      const std::size_t i = static_cast<std::size_t>(v - tile.v0) * width + static_cast<std::size_t>(u - tile.u0);
       if (level.mask(u, v) == 0 || matcher.seen()[i] == 0) continue;
       const Peak peak = lowest(&aggregated[i * labels], labels);
       result.log_depth(u, v) = log_depth(u, v) + settings.step * (peak.label - static_cast<float>(settings.half_count));
       result.score(u, v) = 1 - costs.all[i * labels + static_cast<std::size_t>(peak.index)];
       if (settings.match.compare_halves && matcher.halves_see(i)) {
-        result.difference(u, v) = lowest(&costs.half[0][i * labels], labels).label -
-                                  lowest(&costs.half[1][i * labels], labels).label;
+        result.difference(u, v) =
+            lowest(&costs.half[0][i * labels], labels).label - lowest(&costs.half[1][i * labels], labels).label;
       }
     }
   }
@@ -120,8 +118,7 @@ PassResult run_pass(const MatchLevel& level, const Image<float>& log_depth, cons
                  for (std::size_t k = begin; k < end; ++k) {
                    const int u0 = static_cast<int>(k) % columns * side;
                    const int v0 = static_cast<int>(k) / columns * side;
-                   const PixelBox inner{u0, v0, std::min(u0 + side, size.width),
-                                        std::min(v0 + side, size.height)};
+                   const PixelBox inner{u0, v0, std::min(u0 + side, size.width), std::min(v0 + side, size.height)};
                    if (any_set(level.mask, inner)) sweep_tile(level, log_depth, inner, settings, context, result);
                  }
                });

@@ -32,11 +32,11 @@ struct MatchLevel {
 
 /// How photos are compared.
 struct MatchSettings {
-  int radius = 3;             ///< of the square window, px
-  int best = 5;               ///< views averaged
-  int max_views = 12;         ///< compared in one tile
-  float noise_variance = 0;   ///< of an intensity; keeps flat windows from matching by their noise
-  bool compare_halves = true; ///< score the two disjoint subsets too
+  int radius = 3;              ///< of the square window, px
+  int best = 5;                ///< views averaged
+  int max_views = 12;          ///< compared in one tile
+  float noise_variance = 0;    ///< of an intensity; keeps flat windows from matching by their noise
+  bool compare_halves = true;  ///< score the two disjoint subsets too
 };
 
 /// Normalized cross-correlation of one tile of the station's view with the photos, for surfaces offset from a base
@@ -51,10 +51,12 @@ class TileMatcher {
 
   /// `log_depth` is the base surface over the whole level, NaN outside the object.
   TileMatcher(const MatchLevel& level, PixelBox tile, const Image<float>& log_depth, const MatchSettings& settings)
-      : TileMatcher(level, tile, [&](int u, int v) { return log_depth(u, v); }, settings) {}
+      : TileMatcher(
+            level, tile, [&](int u, int v) { return log_depth(u, v); }, settings) {}
   /// The same with a base surface of one depth.
   TileMatcher(const MatchLevel& level, PixelBox tile, float log_depth, const MatchSettings& settings)
-      : TileMatcher(level, tile, [&](int, int) { return log_depth; }, settings) {}
+      : TileMatcher(
+            level, tile, [&](int, int) { return log_depth; }, settings) {}
 
   /// Views that see any pixel of the tile; without any, every score is 0.
   std::size_t views() const { return views_.size(); }
@@ -74,11 +76,13 @@ class TileMatcher {
 
   struct View {
     const MatchView* view;
-    std::vector<float> seen;              ///< 1 or 0, a pixel of the tile
+    std::vector<float> seen;                 ///< 1 or 0, a pixel of the tile
     std::array<std::vector<float>, 6> path;  ///< x0 x1 x2 y0 y1 y2, a pixel of the padded tile
   };
 
-  std::size_t tile_pixels() const { return static_cast<std::size_t>(tile_.width()) * static_cast<std::size_t>(tile_.height()); }
+  std::size_t tile_pixels() const {
+    return static_cast<std::size_t>(tile_.width()) * static_cast<std::size_t>(tile_.height());
+  }
   void take_reference(const MatchLevel& level, const Surface& log_depth);
   void choose_views(const MatchLevel& level);
   void project(const View& view, float offset, std::vector<float>& x, std::vector<float>& y) const;
@@ -89,9 +93,9 @@ class TileMatcher {
   PixelBox tile_, padded_;
   MatchSettings settings_;
   double reduction_;
-  std::size_t stride_, rows_;             ///< of the padded tile
-  std::vector<float> depth_;              ///< base surface, padded
-  std::vector<float> weight_, weighted_;  ///< 1 on the object; times the reference, padded
+  std::size_t stride_, rows_;                                    ///< of the padded tile
+  std::vector<float> depth_;                                     ///< base surface, padded
+  std::vector<float> weight_, weighted_;                         ///< 1 on the object; times the reference, padded
   std::vector<float> inverse_count_, mean_, inverse_deviation_;  ///< of the reference's windows
   std::vector<View> views_;
   std::vector<float> count_;

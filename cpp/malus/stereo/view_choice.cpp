@@ -1,5 +1,3 @@
-#include "malus/stereo/view_choice_internal.h"
-
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -7,6 +5,7 @@
 
 #include "malus/core/error.h"
 #include "malus/stereo/intensity_pyramid_internal.h"
+#include "malus/stereo/view_choice_internal.h"
 
 namespace malus {
 namespace {
@@ -59,8 +58,8 @@ void ViewChoice::measure(const MatchLevel& level, const Image<float>& log_depth)
         if (!(pixel.array() >= 0).all() || pixel.x() > size.width - 1 || pixel.y() > size.height - 1) continue;
         const Eigen::Vector2d farther = photo.projection.project(x, y, z * (1 + delta));
         const Eigen::Vector3d point = z * station_.ray(x, y);
-        const double scale = photo.projection.focal() / photo.projection.depth_in_view(x, y, z) /
-                             (station_.focal() / z);
+        const double scale =
+            photo.projection.focal() / photo.projection.depth_in_view(x, y, z) / (station_.focal() / z);
         resolution.push_back(scale);
         parallax.push_back((farther - pixel).norm() / delta / scale);
         const Eigen::Vector3d away = (photo.projection.centre_in_station() - point).normalized();
@@ -123,8 +122,8 @@ double ViewChoice::prepare(MatchLevel& level, const Image<float>& log_depth, boo
       photo.pyramid.push_back(halved(last, context));
     }
     const auto at = std::min(static_cast<std::size_t>(depth), photo.pyramid.size() - 1);
-    level.views.push_back({&photo.pyramid[at], 1.0F / static_cast<float>(1 << at), &photo.projection, photo.subset,
-                           photo.quality});
+    level.views.push_back(
+        {&photo.pyramid[at], 1.0F / static_cast<float>(1 << at), &photo.projection, photo.subset, photo.quality});
     parallax.push_back(photo.parallax / level.reduction);
   }
   return median(parallax);

@@ -20,9 +20,9 @@ class ViewChoice {
   int total() const { return static_cast<int>(photos_.size()); }
   /// Sets level.views to the photos that see the surface well: under an angle that is neither too flat nor nearly the
   /// station's own; each at the level of its pyramid that matches the station's resolution. Returns the parallax of
-  /// their median, px of the level a unit of ln z. On the first call (`choose`) the photos are chosen and split into two
-  /// halves that see the surface from the same sides; later calls keep the choice. Throws a data error if no photo sees
-  /// the surface.
+  /// their median, px of the level a unit of ln z. On the first call (`choose`) the photos are chosen and split into
+  /// two halves that see the surface from the same sides; later calls keep the choice. Throws a data error if no photo
+  /// sees the surface.
   double prepare(MatchLevel& level, const Image<float>& log_depth, bool choose, const Context& context);
 
  private:
@@ -31,9 +31,9 @@ class ViewChoice {
 
     ViewProjection projection;
     std::vector<Image<float>> pyramid;
-    double parallax = 0;    ///< px of the station's image a unit of ln z, median
-    double resolution = 1;  ///< px of the photo a px of the station
-    double quality = 0;     ///< 0 = not used
+    double parallax = 0;     ///< px of the station's image a unit of ln z, median
+    double resolution = 1;   ///< px of the photo a px of the station
+    double quality = 0;      ///< 0 = not used
     double azimuth_rad = 0;  ///< of the camera's centre about the station's axis
     int subset = 0;
   };

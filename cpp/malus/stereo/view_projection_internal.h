@@ -9,8 +9,8 @@
 namespace malus {
 
 /// Projection of points of the station view into a photo, in single precision and without branches, for loops over
-/// many pixels. The lens is k1 k2 k3 p1 p2 of OpenCV's model, fitted to the camera's own on a grid over its image: exact
-/// for the models without a denominator, to `fit_error_px` for FULL_OPENCV and BROWN.
+/// many pixels. The lens is k1 k2 k3 p1 p2 of OpenCV's model, fitted to the camera's own on a grid over its image:
+/// exact for the models without a denominator, to `fit_error_px` for FULL_OPENCV and BROWN.
 class ViewProjection {
  public:
   ViewProjection(const Pinhole& station, const Pose& station_pose, const LensCamera& camera, const Pose& pose);

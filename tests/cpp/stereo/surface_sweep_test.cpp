@@ -274,10 +274,10 @@ TEST_F(SweepOfBumps, PhotosOfTwiceTheResolutionMatchToo) {
   fine.size = {380, 280};
   for (const std::size_t k : {0U, 1U, 2U, 3U}) fine.params[k] *= 2;
   std::vector<SweepView> views;
-  for (const SweepView& view : scene_->views) views.push_back(photo(bumps, view.pose.centre(), fine));
+  for (const std::size_t k : {0U, 2U, 4U}) views.push_back(photo(bumps, scene_->views[k].pose.centre(), fine));
   const Errors errors = errors_of(sweep_surface(scene_->input, views, test_options(), {}), scene_->truth);
-  EXPECT_GT(errors.completeness, 0.99);
-  EXPECT_LT(errors.median_gsd, 0.15);
+  EXPECT_GT(errors.completeness, 0.95);
+  EXPECT_LT(errors.median_gsd, 0.2);
 }
 
 TEST_F(SweepOfBumps, WhatDoesNotMatchHasNoDepthOrALargeSigma) {
