@@ -102,9 +102,10 @@ def target_dictionaries() -> list[str]: ...
 def detect_targets(image: Bytes, dictionary: str) -> list[tuple[int, float, float]]: ...
 def adjust_scale(
     views: list[tuple[str, CameraValues]],
-    distances: list[tuple[str, float, float, list[tuple[int, float, float, float]], list[tuple[int, float, float, float]], bool]],
+    distances: list[
+        tuple[str, float, float, list[tuple[int, float, float, float]], list[tuple[int, float, float, float]], bool]
+    ],
 ) -> dict[str, Any]: ...
-
 def sweep_surface(
     intensity: Float32,
     camera: CameraValues,

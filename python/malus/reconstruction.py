@@ -150,9 +150,7 @@ def _with_photos(
     lens = cameras.station
     if "camera" in description:
         given = description["camera"]
-        lens = Camera(
-            given["model"], given["width"], given["height"], given["params"], lens.rotation, lens.translation
-        )
+        lens = Camera(given["model"], given["width"], given["height"], given["params"], lens.rotation, lens.translation)
     else:
         # Now that the lens is known, the images can be undistorted.
         images = run(station._core.with_photogrammetry(lens.values(), None, None, "{}"), "polarization", None)

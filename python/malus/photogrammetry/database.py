@@ -58,9 +58,7 @@ def read_descriptors(database: Path) -> dict[str, NDArray[np.uint8]]:
         return {name: found.get(name, np.empty((0, 128), np.uint8)) for name in names.values()}
 
 
-def write_matches(
-    database: Path, pairs: Sequence[tuple[str, str]], matches: Sequence[NDArray[np.uint32]]
-) -> None:
+def write_matches(database: Path, pairs: Sequence[tuple[str, str]], matches: Sequence[NDArray[np.uint32]]) -> None:
     """Store the matches (K×2 indices of features) of pairs of images, for COLMAP to verify."""
     with closing(sqlite3.connect(database)) as connection, connection:
         numbers = {name: number for number, name in _image_names(connection).items()}

@@ -47,7 +47,7 @@ def _lens(sensor: ElementTree.Element, where: str) -> tuple[str, int, int, list[
     centres are at +0.5.
     """
     if sensor.get("type", "frame") != "frame":
-        raise InputError(f"{where}: camera type {sensor.get('type')!r}, expected \"frame\"")
+        raise InputError(f'{where}: camera type {sensor.get("type")!r}, expected "frame"')
     size = sensor.find("resolution")
     calibrations = sensor.findall("calibration")
     adjusted = [c for c in calibrations if c.get("class") == "adjusted"]
@@ -61,7 +61,9 @@ def _lens(sensor: ElementTree.Element, where: str) -> tuple[str, int, int, list[
     }
     for name in ("b2", "k4", "p3", "p4"):
         if values.get(name):
-            raise InputError(f"{where}: <{name}> = {values[name]} is not supported, expected 0; fit the cameras without it")
+            raise InputError(
+                f"{where}: <{name}> = {values[name]} is not supported, expected 0; fit the cameras without it"
+            )
     if "f" not in values:
         raise InputError(f"{where}: <calibration> has no <f>")
     width, height = (int(_numbers(size.get(key), 1, f"{where}: {key}")[0]) for key in ("width", "height"))

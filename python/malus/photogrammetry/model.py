@@ -46,7 +46,9 @@ class SparseModel:
         for quoted_name, (values, features, observations) in model.images().items():
             lens, width, height, params, rotation, translation = values
             camera = Camera(lens, width, height, params, rotation, translation)
-            images[unquoted(quoted_name)] = RegisteredImage(camera, (lens, width, height, *params), features, observations)
+            images[unquoted(quoted_name)] = RegisteredImage(
+                camera, (lens, width, height, *params), features, observations
+            )
         points, errors, lengths = model.points()
         return SparseModel(images, points, errors, lengths)
 

@@ -19,7 +19,7 @@ from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.journal import sha256_of
 from malus.photogrammetry.model import SparseModel, colmap_params
 from malus.photogrammetry.photos import Photo, write_proxy
-from malus.photogrammetry.program import Stopped
+from malus.photogrammetry.program import SearchStoppedError
 
 #: Lens model that is calibrated from the photos.
 SELF_CALIBRATED = "OPENCV"
@@ -132,7 +132,12 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
     mapping = stage("mapping", {"min_inliers": options.min_inliers}, ["sparse", "mapping.db"],
                     lambda: _map(bench, groups, pairs))  # fmt: skip
     diagnosis.check_mapping(mapping, [photo.name for photo in photos], pairs, bench.log)
-    stage("adjustment", {"max_error_px": options.max_error_px}, ["adjusted"], lambda: _adjust(bench, mapping["best"], known is not None, len(photos)))
+    stage(
+        "adjustment",
+        {"max_error_px": options.max_error_px},
+        ["adjusted"],
+        lambda: _adjust(bench, mapping["best"], known is not None, len(photos)),
+    )
     model = SparseModel.read(bench.folder / "adjusted")
     return PhotoCameras(
         folder=bench.folder / "adjusted",
@@ -241,7 +246,7 @@ def _run_mapper(
     stopped = False
     try:
         bench.colmap.run("mapper", arguments, bench.log_file("mapping"), on_line=read, keep_going=keep_going)
-    except Stopped:
+    except SearchStoppedError:
         stopped = True
     models = {}
     for folder in sorted(target.iterdir()):

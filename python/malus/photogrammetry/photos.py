@@ -123,7 +123,8 @@ def to_bytes(intensity: NDArray[np.float32], *, gamma: float) -> NDArray[np.uint
     if not high > low:
         return np.zeros(intensity.shape, np.uint8)
     stretched = np.clip((np.nan_to_num(intensity, nan=low) - low) / (high - low), 0, 1) ** (1 / gamma)
-    return np.rint(255 * stretched).astype(np.uint8)
+    copy: NDArray[np.uint8] = np.rint(255 * stretched).astype(np.uint8)
+    return copy
 
 
 def write_proxy(photo: Photo, target: Path) -> None:

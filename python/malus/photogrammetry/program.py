@@ -21,7 +21,7 @@ _GRACE_S = 3.0
 _TAIL_LINES = 5
 
 
-class Stopped(Exception):
+class SearchStoppedError(Exception):
     """The child was ended because `keep_going` said so."""
 
 
@@ -50,7 +50,9 @@ class Colmap:
             raise ExternalError(f"{self.path} does not start: {error}") from None
         match = re.search(r"COLMAP (\d+\.\d+[\w.]*)", help_text)
         if match is None:
-            raise ExternalError(f"{self.path} does not say which COLMAP it is, expected `colmap help` to name its version")
+            raise ExternalError(
+                f"{self.path} does not say which COLMAP it is, expected `colmap help` to name its version"
+            )
         return match.group(1)
 
     def _environment(self) -> dict[str, str]:
@@ -69,7 +71,7 @@ class Colmap:
     ) -> None:
         """Run `colmap COMMAND --key value …`, its output going to the file `log` and line by line to `on_line`.
 
-        Raises ExternalError with the last lines of its output when it fails, and Stopped when `keep_going` returned
+        Raises ExternalError with the last lines of its output when it fails, and SearchStoppedError when `keep_going` returned
         False. Ctrl-C, or any error here, ends the child with everything it started.
         """
         words = [self.path, command]
@@ -127,7 +129,7 @@ class Colmap:
                         if on_line is not None:
                             on_line(text)
                 if keep_going is not None and not keep_going():
-                    raise Stopped
+                    raise SearchStoppedError
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:

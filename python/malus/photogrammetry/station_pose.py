@@ -72,9 +72,7 @@ def place_station(bench: Bench, photos: PhotoCameras, station: StationView) -> P
     return PlacedStation(folder, model, model.images[STATION_IMAGE].camera, notes["matches"], notes["seconds"])
 
 
-def _place(
-    bench: Bench, photos: PhotoCameras, station: StationView, pixels: NDArray[np.uint8]
-) -> dict[str, Any]:
+def _place(bench: Bench, photos: PhotoCameras, station: StationView, pixels: NDArray[np.uint8]) -> dict[str, Any]:
     source = bench.folder / "station.db"
     shutil.copyfile(photos.database, source)
     bench.images.mkdir(exist_ok=True)
