@@ -170,5 +170,12 @@ def _with_photos(
 
 def check(station: Station, options: Options | None = None, *, threads: int = 1) -> dict[str, Any]:
     """Read everything a station names and say what a run would do, its expected time and memory, and what is wrong."""
-    plan: dict[str, Any] = json.loads(_core.check(station._core, (options or Options()).to_json(), threads))
+    settings = options or Options()
+    plan: dict[str, Any] = json.loads(_core.check(station._core, settings.to_json(), threads))
+    if _needs_photos(station, None):
+        does, warnings, seconds = photogrammetry.plan(station.describe(), settings, threads)
+        # After the polarization step, whose image is placed among the photos.
+        plan["does"][1:1] = does
+        plan["warnings"] += warnings
+        plan["seconds"] += seconds
     return plan

@@ -180,6 +180,14 @@ def test_killed_run_goes_on_and_leaves_no_child(
     assert set(after) == {"mapper"}, "finished stages were repeated"
 
 
+def test_check_says_what_would_be_done(photo_station: Path, fake_colmap: Path) -> None:
+    outcome = malus("check", photo_station)
+    assert outcome.code == 0, outcome
+    for words in ("4 with 1 self-calibrated lens", "6 pairs", "COLMAP 3.8", "no [[scale]]", "EXIF"):
+        assert words in outcome.out, words
+    assert not fake_colmap.exists()
+
+
 def test_cpp_program_says_who_can(photo_station: Path, tmp_path: Path) -> None:
     outcome = malus_station(photo_station, "-o", tmp_path / "work", "--quiet")
     assert outcome.code == 2

@@ -76,7 +76,7 @@ def find_cameras(
     photos = list_photos(Path(said["folder"]), said["exclude"])
     folder.mkdir(parents=True, exist_ok=True)
     bench = Bench(Colmap(threads), folder, Journal(folder), options, progress, log)
-    known = _known_lens(said.get("camera"), log)
+    known = known_lens(said.get("camera"), log)
     solved = solve_photos(bench, photos, known)
     relief = solved.model.relief()
     if not solved.calibrated and relief < diagnosis.FLAT_RELIEF:
@@ -123,7 +123,7 @@ def find_cameras(
     )
 
 
-def _known_lens(said: Mapping[str, Any] | None, log: Log) -> Camera | None:
+def known_lens(said: Mapping[str, Any] | None, log: Log) -> Camera | None:
     """The photos' calibrated lens in one of COLMAP's models."""
     if said is None:
         return None
