@@ -7,6 +7,7 @@ cd "$root"
 packages=(
   g++ cmake ninja-build ccache pkg-config git
   libeigen3-dev libsuitesparse-dev libopenblas-dev libceres-dev libopencv-dev libtiff-dev libpng-dev libjpeg-dev libssl-dev
+  colmap
   libtomlplusplus-dev nlohmann-json3-dev libcli11-dev libgtest-dev libbenchmark-dev
   python3 python3-dev python3-venv
 )

@@ -21,6 +21,20 @@ void bind_io(py::module_& module) {
              [](const std::string& path, const Array<float>& image) { write_float_tiff(path, to_image(image)); });
   module.def("write_png16",
              [](const std::string& path, const Array<std::uint16_t>& image) { write_png16(path, to_image(image)); });
+  module.def("read_image_dn", [](const std::string& path) {
+    RawImage image;
+    {
+      const py::gil_scoped_release release;
+      image = read_image(path, "photo");
+    }
+    return py::make_tuple(to_array(std::move(image.pixels)), image.full_scale_dn);
+  });
+  module.def("image_size", [](const std::string& path) {
+    const Size size = read_image_size(path, "photo");
+    return py::make_tuple(size.width, size.height);
+  });
+  module.def("write_png",
+             [](const std::string& path, const Array<std::uint8_t>& image) { write_png(path, to_image(image)); });
 }
 
 }  // namespace malus::python

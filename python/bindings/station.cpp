@@ -3,6 +3,7 @@
 
 #include "arrays.h"
 #include "bindings.h"
+#include "cameras.h"
 #include "clouds.h"
 #include "interruptible.h"
 #include "malus/core/length_unit.h"
@@ -42,6 +43,19 @@ Station station_from_arrays(const std::vector<Array<float>>& images, const std::
   return station;
 }
 
+/// The station with the camera and the prior that its photos gave, and what is to be reported of them.
+Station with_photogrammetry(const Station& station, const CameraValues& camera,
+                            const std::optional<Array<float>>& depth, const std::optional<Array<float>>& sigma,
+                            const std::string& figures) {
+  Station result = station;
+  const auto [lens, pose] = to_camera(camera, "camera");
+  result.file.camera = CameraSpec{lens, pose};
+  if (depth) result.prior_depth = to_image(*depth);
+  if (sigma) result.prior_sigma = to_image(*sigma);
+  result.photogrammetry_json = figures;
+  return result;
+}
+
 py::dict to_dict(Reconstruction&& run) {
   py::dict result;
   const auto raster = [&](const char* name, Image<float>&& image) { result[name] = to_array(std::move(image)); };
@@ -54,6 +68,8 @@ py::dict to_dict(Reconstruction&& run) {
   raster("prior_sigma", std::move(prior.sigma));
   raster("polarization_height", std::move(run.height.value_or(HeightMap{}).height));
   raster("unpolarized", std::move(run.polarization.i_un));
+  raster("scene", std::move(run.scene));
+  result["valid"] = to_array(std::move(run.polarization.valid));
   raster("degree", std::move(run.polarization.rho));
   raster("phase_rad", std::move(run.polarization.phi));
   raster("zenith_rad", std::move(run.reflection.value_or(ReflectionMap{}).zenith));
@@ -84,7 +100,9 @@ void bind_station(py::module_& module) {
                   py::arg("translation"), py::arg("prior_points"), py::arg("prior_depth"), py::arg("mask"),
                   py::arg("name"), py::arg("unit"), py::arg("refractive_index"), py::arg("reflection"),
                   py::arg("frames_averaged"), py::arg("full_well_e"), py::arg("read_noise_e"))
-      .def("describe", &describe_station_json);
+      .def("describe", &describe_station_json)
+      .def("with_photogrammetry", &with_photogrammetry, py::arg("camera"), py::arg("prior_depth"),
+           py::arg("prior_sigma"), py::arg("figures"));
 
   module.def(
       "reconstruct",

@@ -7,6 +7,7 @@
 
 #include "arrays.h"
 #include "bindings.h"
+#include "cameras.h"
 #include "clouds.h"
 #include "interruptible.h"
 #include "malus/station/options.h"
@@ -14,16 +15,6 @@
 
 namespace malus::python {
 namespace {
-
-/// model, width, height, params, rotation, translation of a malus.Camera.
-using CameraValues = std::tuple<std::string, int, int, std::vector<double>, Eigen::Matrix3d, Eigen::Vector3d>;
-
-std::pair<LensCamera, Pose> to_camera(const CameraValues& values, const std::string& name) {
-  const auto& [model, width, height, params, rotation, translation] = values;
-  LensCamera camera{lens_model(model, name + ".model"), {width, height}, params};
-  camera.validate(name);
-  return {std::move(camera), {rotation, translation}};
-}
 
 py::dict to_dict(const SweepPassReport& pass) {
   py::dict entry;

@@ -9,7 +9,7 @@ Frames, angles and units: docs/conventions.md. Each step alone, on arrays: `malu
 `malus.stereo`, `malus.prior`, `malus.height`, `malus.fusion`, `malus.surface`, `malus.assess`.
 """
 
-from malus import assess, capture, fusion, height, polarization, prior, stereo, surface
+from malus import assess, capture, fusion, height, photogrammetry, polarization, prior, stereo, surface
 from malus._core import version as __version__
 from malus.camera import Camera
 from malus.errors import DataError, ExternalError, InputError, MalusError, ResourceError
@@ -40,6 +40,7 @@ __all__ = [
     "fusion",
     "height",
     "open_report",
+    "photogrammetry",
     "polarization",
     "prior",
     "reconstruct",

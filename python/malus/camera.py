@@ -37,3 +37,8 @@ class Camera:
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
             raise ValueError("rotation is not a rotation matrix (orthonormal, determinant +1)")
         return rotation, translation
+
+    def values(self) -> tuple[str, int, int, list[float], NDArray[np.float64], NDArray[np.float64]]:
+        """Everything as plain values, checked, as the C++ library takes it."""
+        rotation, translation = self.pose()
+        return self.model, self.width, self.height, [float(p) for p in self.params], rotation, translation

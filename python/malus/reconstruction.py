@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from malus import _core
+from malus import _core, photogrammetry
+from malus.camera import Camera
 from malus.options import Options
 from malus.station import Station
 
@@ -68,18 +71,36 @@ def reconstruct(
     repeated; without one everything stays in memory. `until` names the last step to run (see STEPS). `reference` is a PLY
     cloud or mesh in the world frame to compare the surface with. `progress` and `log` are called from this thread. Ctrl-C stops within a second; what a finished step wrote stays.
 
-    Raises malus.InputError, DataError or ResourceError.
+    A station with [photos] and no [prior] gets its pose and its prior from the photos (malus.photogrammetry, needs the
+    program COLMAP); progress then has the steps "photos" and "sweep" too.
+
+    Raises malus.InputError, DataError, ExternalError or ResourceError.
     """
-    outcome = _core.reconstruct(
-        station._core,
-        (options or Options()).to_json(),
-        None if workspace is None else str(workspace),
-        until,
-        None if reference is None else str(reference),
-        threads,
-        None if progress is None else lambda step, fraction, message: progress(Progress(step, fraction, message)),
-        log,
-    )
+    settings = options or Options()
+
+    def report(step: str, fraction: float, message: str) -> None:
+        if progress is not None:
+            progress(Progress(step, fraction, message))
+
+    def run(core: _core.Station, last: str | None, scan: str | Path | None) -> dict[str, Any]:
+        return _core.reconstruct(
+            core,
+            settings.to_json(),
+            None if workspace is None else str(workspace),
+            last,
+            None if scan is None else str(scan),
+            threads,
+            None if progress is None else report,
+            log,
+        )
+
+    core = station._core
+    if _needs_photos(station, until):
+        with _photogrammetry_folder(workspace) as folder:
+            core = _with_photos(station, settings, folder, run, threads, report, log or (lambda _, __: None))
+    outcome = run(core, until, reference)
+    for intermediate in ("scene", "valid"):
+        del outcome[intermediate]
     quality = outcome.pop("quality")
     return Result(
         **outcome,
@@ -88,7 +109,73 @@ def reconstruct(
     )
 
 
+def _needs_photos(station: Station, until: str | None) -> bool:
+    """Whether camera pose and prior are to be made from photos for what is asked."""
+    return station.describe()["prior"] == "photos" and until not in ("polarization", "zenith")
+
+
+@contextmanager
+def _photogrammetry_folder(workspace: str | Path | None) -> Iterator[Path]:
+    """Where the front end keeps its files: in the workspace, or for the time of the run."""
+    if workspace is not None:
+        yield Path(workspace) / "prior" / "colmap"
+        return
+    with tempfile.TemporaryDirectory(prefix="malus-") as folder:
+        yield Path(folder)
+
+
+def _with_photos(
+    station: Station,
+    options: Options,
+    folder: Path,
+    run: Callable[[_core.Station, str | None, str | Path | None], dict[str, Any]],
+    threads: int,
+    report: Callable[[str, float, str], None],
+    log: Callable[[str, str], None],
+) -> _core.Station:
+    """The station with the camera and the prior that its photos give: polarization first, whose unpolarized image is
+    placed among the photos, then the sweep in its view.
+    """
+    description = station.describe()
+    images = run(station._core, "polarization", None)
+    cameras = photogrammetry.find_cameras(
+        description,
+        images["scene"],
+        folder,
+        options=options,
+        threads=threads,
+        progress=lambda fraction, message: report("photos", fraction, message),
+        log=log,
+    )
+    lens = cameras.station
+    if "camera" in description:
+        given = description["camera"]
+        lens = Camera(given["model"], given["width"], given["height"], given["params"], lens.rotation, lens.translation)
+    else:
+        # Now that the lens is known, the images can be undistorted.
+        images = run(station._core.with_photogrammetry(lens.values(), None, None, "{}"), "polarization", None)
+    depth, sigma, sweep = photogrammetry.sweep_station(
+        cameras,
+        images["scene"],
+        np.where(images["valid"] != 0, np.uint8(255), np.uint8(0)),
+        folder,
+        options=options,
+        threads=threads,
+        progress=lambda fraction, message: report("sweep", fraction, message),
+        log=log,
+    )
+    figures = {**cameras.figures, "sweep": sweep}
+    return station._core.with_photogrammetry(lens.values(), depth, sigma, json.dumps(figures))
+
+
 def check(station: Station, options: Options | None = None, *, threads: int = 1) -> dict[str, Any]:
     """Read everything a station names and say what a run would do, its expected time and memory, and what is wrong."""
-    plan: dict[str, Any] = json.loads(_core.check(station._core, (options or Options()).to_json(), threads))
+    settings = options or Options()
+    plan: dict[str, Any] = json.loads(_core.check(station._core, settings.to_json(), threads))
+    if _needs_photos(station, None):
+        does, warnings, seconds = photogrammetry.plan(station.describe(), settings, threads)
+        # After the polarization step, whose image is placed among the photos.
+        plan["does"][1:1] = does
+        plan["warnings"] += warnings
+        plan["seconds"] += seconds
     return plan

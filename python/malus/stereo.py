@@ -57,13 +57,6 @@ class SweepResult:
     passes: list[SweepPass]
 
 
-def _camera_values(
-    camera: Camera,
-) -> tuple[str, int, int, list[float], NDArray[np.float64], NDArray[np.float64]]:
-    rotation, translation = camera.pose()
-    return camera.model, camera.width, camera.height, [float(p) for p in camera.params], rotation, translation
-
-
 def _as_view_image(image: ArrayLike, camera: Camera, name: str) -> NDArray[np.float32]:
     array = as_image(image, name)
     if array.shape != (camera.height, camera.width):
@@ -99,8 +92,8 @@ def sweep(
         raise ValueError(f"points has shape {cloud.shape}, expected (N, 3)")
     found = _core.sweep_surface(
         _as_view_image(intensity, camera, "intensity"),
-        _camera_values(camera),
-        [(_as_view_image(image, view, f"views[{k}]"), _camera_values(view)) for k, (image, view) in enumerate(views)],
+        camera.values(),
+        [(_as_view_image(image, view, f"views[{k}]"), view.values()) for k, (image, view) in enumerate(views)],
         cloud,
         None if mask is None else as_mask(mask, (camera.height, camera.width)),
         (options or Options()).to_json(),

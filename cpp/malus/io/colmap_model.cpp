@@ -421,6 +421,11 @@ std::string binary_header(const Map& records) {
 
 }  // namespace
 
+void ColmapModel::scale(double factor) {
+  for (auto& [id, registered] : images) registered.pose.translation *= factor;
+  for (auto& [id, point] : points) point.position *= factor;
+}
+
 const ColmapImage& ColmapModel::image(const std::string& name, const std::string& where) const {
   constexpr int names_shown = 8;
   std::string names;

@@ -50,6 +50,8 @@ struct ColmapModel {
 
   /// Image of that name; an input error lists the names there are. `where` names file and field.
   const ColmapImage& image(const std::string& name, const std::string& where) const;
+  /// Multiplies every length by a factor.
+  void scale(double factor);
 };
 
 enum class ColmapFormat { text, binary };

@@ -78,4 +78,9 @@ DepthPrior project_prior(const TriangleMesh& mesh, const Pinhole& camera, const 
 DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context);
 
+/// The same with each pixel's standard deviation (same unit and size) in place of `raster_sigma_gsd`; pixels whose sigma
+/// is not finite and positive count as without depth.
+DepthPrior project_prior(const Image<float>& depth, const Image<float>& sigma, const Pinhole& camera, const Pose& pose,
+                         const Mask& mask, const PriorOptions& options, const Context& context);
+
 }  // namespace malus

@@ -93,6 +93,7 @@ void check_prior(const Station& station, const Mask& object, const PriorOptions&
                  const Context& context) {
   const auto& spec = station.file.prior;
   if (!station.has_prior()) {
+    if (station.file.photos) return;  // The Python package makes it, and says so.
     plan.warnings.emplace_back("there is no [prior]: only the polarization maps can be made");
     return;
   }
@@ -142,7 +143,7 @@ Plan check_station(const Station& station, const Options& options, const Context
   // The stack itself, and one image as it was read.
   plan.memory_mb =
       60 + image_mpx * 4 * static_cast<double>(images + 3) + image_mpx * polarization_cost.megabytes_per_mpx;
-  if (station.has_prior()) {
+  if (station.has_prior() || station.file.photos) {
     const bool refined = options.fusion == Fusion::refined;
     plan.does.emplace_back("height: polarization alone (Eq 9 to 11)");
     plan.does.emplace_back(refined ? "refine: nonlinear least squares on log depth"

@@ -12,6 +12,7 @@
 #include "malus/fusion/refine.h"
 #include "malus/height/height.h"
 #include "malus/lighting/light.h"
+#include "malus/photogrammetry/photos_options.h"
 #include "malus/polarization/decompose.h"
 #include "malus/polarization/reflection.h"
 #include "malus/prior/project_prior.h"
@@ -34,6 +35,7 @@ struct Options {
   Fusion fusion = Fusion::refined;
   CaptureOptions capture;
   DecomposeOptions polarization;
+  PhotosOptions photos;
   SweepOptions sweep;
   PriorOptions prior;
   ReflectionOptions reflection;
@@ -48,6 +50,7 @@ struct Options {
   static void sections(Self& self, Visitor&& visit) {
     visit("capture", self.capture);
     visit("polarization", self.polarization);
+    visit("photos", self.photos);
     visit("sweep", self.sweep);
     visit("prior", self.prior);
     visit("reflection", self.reflection);

@@ -3,6 +3,7 @@
 // Private to the station room: what stands in quality.json.
 
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <string>
 
 #include "malus/assess/quality.h"
@@ -15,7 +16,9 @@ using Json = nlohmann::ordered_json;
 /// Reflectance, light, convergence and cost of the refinement, with standard deviations.
 Json refine_report_json(const RefineReport& report);
 
-/// The figures under the names of the Quality structs, with the station's name and, after a refinement, its report.
-Json quality_json(const std::string& name, const Quality& quality, const Json& refinement);
+/// The figures under the names of the Quality structs, with the station's name, after a refinement its report, and the
+/// members of what the photogrammetry says of itself (JSON of an object), if there was one.
+Json quality_json(const std::string& name, const Quality& quality, const Json& refinement,
+                  const std::optional<std::string>& photogrammetry);
 
 }  // namespace malus

@@ -5,6 +5,7 @@
 #include "malus/io/image_file.h"
 #include "malus/io/point_cloud_file.h"
 #include "malus/polarization/decompose.h"
+#include "malus/polarization/unpolarized.h"
 #include "malus/prior/project_prior.h"
 #include "malus/station/quality_json_internal.h"
 #include "malus/station/station_inputs_internal.h"
@@ -30,8 +31,9 @@ bool needs_no_prior(const std::optional<std::string>& until) {
 Error no_prior(const Station& station) {
   const std::string where = station.file.path.string();
   if (station.file.photos) {
-    return input_error(
-        where + ": this version cannot make the prior from [photos], expected [prior] with a cloud, mesh or depth map");
+    return input_error(where +
+                       ": making the prior from [photos] takes the Python program `malus run`; this one expects [prior] "
+                       "with a cloud, mesh or depth map");
   }
   return input_error(
       where + ": [prior] is missing, expected a cloud, mesh or depth map; without one only `decompose` can be run");
@@ -57,9 +59,11 @@ PolarizationStep capture_and_decompose(const Station& station, const Options& op
         ": [polarized] angles_deg = \"auto\" cannot be calibrated by this version, expected the angles in degrees");
   }
   const PolarizedStack stack = capture_stack(make_capture_input(station), options.capture, context);
-  return {decompose(stack.images, stack.angles_rad, stack.noise, stack.mask, stack.saturated, options.polarization,
-                    context),
-          stack.color, stack.camera, stack.registration_rms_px};
+  PolarizationState state = decompose(stack.images, stack.angles_rad, stack.noise, stack.mask, stack.saturated,
+                                      options.polarization, context);
+  Image<float> scene;
+  if (station.file.photos) scene = unpolarized_intensity(stack.images, state.angles_rad, context);
+  return {std::move(state), stack.color, std::move(scene), stack.camera, stack.registration_rms_px};
 }
 
 /// The object in the undistorted view: where the polarization state has pixels at all.
@@ -77,6 +81,9 @@ DepthPrior make_prior(const Station& station, const PolarizationStep& images, co
     return project_prior(source, images.camera, pose, mask, options.prior, context);
   };
   if (station.cloud) return project(*station.cloud);
+  if (station.prior_depth && station.prior_sigma) {
+    return project_prior(*station.prior_depth, *station.prior_sigma, images.camera, pose, mask, options.prior, context);
+  }
   if (station.prior_depth) return project(*station.prior_depth);
   const PriorSpec& spec = station.file.prior.value();
   if (spec.cloud) return project(read_point_cloud(*spec.cloud));
@@ -139,7 +146,8 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
       steps.run<PolarizationStep>("polarization",
                                   {.after = {},
                                    .option_sections = {"capture", "polarization"},
-                                   .station = {{"polarized", inputs.polarized()}, {"camera", inputs.camera()}}},
+                                   .station = {{"polarized", inputs.polarized()}, {"lens", inputs.lens()},
+                                               {"photos", station.file.photos.has_value()}}},
                                   [&](const Context& c) { return capture_and_decompose(station, options, c); });
 
   // What stereo says, seen from the station. Without it only the polarization maps can be had.
@@ -201,6 +209,7 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
     StepInputs assess_inputs{.after = {"polarization", "prior", "height", fused_by},
                              .option_sections = {"assess"},
                              .station = {{"regions", inputs.regions()}}};
+    if (station.photogrammetry_json) assess_inputs.station["photogrammetry"] = *station.photogrammetry_json;
     std::optional<TriangleMesh> reference;
     if (run.reference) {
       assess_inputs.station["reference"] = inputs.file(*run.reference);
@@ -220,13 +229,14 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
                              .profiles = station.file.profiles,
                              .unit = station.file.unit},
                             options.assess, c);
-      step.file = quality_json(station.file.name, step.quality, refinement);
+      step.file = quality_json(station.file.name, step.quality, refinement, station.photogrammetry_json);
       return step;
     });
     result.quality = std::move(figures.quality);
     result.quality_json = figures.file.dump(2);
   }
   result.polarization = std::move(images.state);
+  result.scene = std::move(images.scene);
   return result;
 }
 

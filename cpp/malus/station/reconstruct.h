@@ -32,6 +32,7 @@ struct RunOptions {
 /// What was computed; a step that was not run leaves its member empty.
 struct Reconstruction {
   PolarizationState polarization;
+  Image<float> scene;  ///< for a station with photos: unpolarized intensity of all that is in view, object or not
   std::optional<DepthPrior> prior;
   std::optional<ReflectionMap> reflection;
   std::optional<HeightMap> height;

@@ -21,6 +21,9 @@ struct Station {
   std::optional<Mask> mask;
   std::optional<PointCloud> cloud;          ///< world frame
   std::optional<Image<float>> prior_depth;  ///< z in the undistorted view, NaN = none
+  std::optional<Image<float>> prior_sigma;  ///< standard deviation of prior_depth; nothing = PriorOptions' share of GSD
+  /// What the photogrammetry says of itself that made camera and prior: JSON of an object, repeated in quality.json.
+  std::optional<std::string> photogrammetry_json;
 
   bool in_memory() const { return !images.empty(); }
   bool has_prior() const { return cloud || prior_depth || file.prior; }

@@ -66,11 +66,14 @@ Json StationInputs::optics() {
   return json;
 }
 
+Json StationInputs::lens() {
+  if (station_.file.camera) return lens_to_json(station_.file.camera->lens);
+  return station_.file.lens ? lens_to_json(*station_.file.lens) : Json(nullptr);
+}
+
 Json StationInputs::camera() {
-  Json json = Json::object();
-  if (station_.file.lens) json["lens"] = lens_to_json(*station_.file.lens);
+  Json json = {{"lens", lens()}};
   if (const auto& camera = station_.file.camera) {
-    json["lens"] = lens_to_json(camera->lens);
     json["pose"] = std::vector<double>(camera->pose.rotation.data(), camera->pose.rotation.data() + 9);
     json["translation"] = std::vector<double>(camera->pose.translation.data(), camera->pose.translation.data() + 3);
   }
@@ -86,6 +89,7 @@ Json StationInputs::prior() {
   }
   if (station_.cloud) json["cloud"] = array(station_.cloud->points.data(), station_.cloud->points.size());
   if (station_.prior_depth) json["depth"] = array(station_.prior_depth->data(), station_.prior_depth->count());
+  if (station_.prior_sigma) json["sigma"] = array(station_.prior_sigma->data(), station_.prior_sigma->count());
   return json;
 }
 

@@ -21,6 +21,9 @@ class StationInputs {
 
   Json polarized();
   Json optics();
+  /// The lens alone, which is all that undistortion depends on.
+  Json lens();
+  /// Lens and pose.
   Json camera();
   Json prior();
   /// [[patch]] and [[profile]].

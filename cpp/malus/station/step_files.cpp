@@ -75,7 +75,9 @@ Json save(const PolarizationStep& result, const fs::path& work, std::vector<std:
   save_raster(state.residual, work, "polarization/residual.tif", files);
   save_bytes(state.valid, work, "polarization/valid.png", files);
   if (!result.color.empty()) save_raster(result.color, work, "polarization/color.tif", files);
+  if (!result.scene.empty()) save_raster(result.scene, work, "polarization/scene.tif", files);
   return {{"camera", to_json(result.camera)},
+          {"has_scene", !result.scene.empty()},
           {"angles_rad", state.angles_rad},
           {"exposures", state.exposures},
           {"noise",
@@ -104,6 +106,7 @@ void load(PolarizationStep& result, const fs::path& work, const Json& notes) {
   result.registration_rms_px.clear();
   for (const Json& rms : notes.at("registration_rms_px")) result.registration_rms_px.push_back(number(rms));
   if (fs::exists(work / "polarization/color.tif")) result.color = read_float_raster(work / "polarization/color.tif");
+  if (notes.at("has_scene").get<bool>()) result.scene = read_float_raster(work / "polarization/scene.tif");
 }
 
 Json save(const DepthPrior& result, const fs::path& work, std::vector<std::string>& files) {

@@ -27,6 +27,7 @@ using Json = nlohmann::ordered_json;
 struct PolarizationStep {
   PolarizationState state;
   Image<float> color;
+  Image<float> scene;  ///< unpolarized intensity beyond the object too; empty unless the station is to be found by it
   Pinhole camera;
   std::vector<double> registration_rms_px;
 };

@@ -1,0 +1,156 @@
+#include <pybind11/eigen.h>
+#include <pybind11/stl.h>
+
+#include <optional>
+
+#include "arrays.h"
+#include "bindings.h"
+#include "cameras.h"
+#include "interruptible.h"
+#include "malus/io/colmap_model.h"
+#include "malus/photogrammetry/feature_matching.h"
+#include "malus/photogrammetry/lens_refit.h"
+#include "malus/photogrammetry/scale_adjustment.h"
+#include "malus/photogrammetry/target_detection.h"
+
+namespace malus::python {
+namespace {
+
+/// Index of the photo, x, y, standard deviation in px.
+using MarkValues = std::tuple<std::size_t, double, double, double>;
+/// Name, distance, its standard deviation, marks of both ends, whether it is held out.
+using DistanceValues =
+    std::tuple<std::string, double, double, std::vector<MarkValues>, std::vector<MarkValues>, bool>;
+
+std::vector<PointMark> to_marks(const std::vector<MarkValues>& values) {
+  std::vector<PointMark> marks;
+  for (const auto& [view, x, y, sigma_px] : values) marks.push_back({view, {x, y}, sigma_px});
+  return marks;
+}
+
+py::dict to_dict(const ScaleAdjustment& adjustment) {
+  py::dict result;
+  result["status"] = adjustment.status;
+  result["scale"] = adjustment.scale;
+  result["sigma"] = adjustment.sigma;
+  result["unit_weight"] = adjustment.unit_weight;
+  result["redundancy"] = adjustment.redundancy;
+  py::list distances;
+  for (const DistanceFit& fit : adjustment.distances) {
+    py::dict entry;
+    entry["name"] = fit.name;
+    entry["check"] = fit.check;
+    entry["distance"] = fit.distance;
+    entry["adjusted"] = fit.adjusted;
+    entry["residual"] = fit.residual;
+    entry["sigma"] = fit.sigma;
+    entry["rms_px"] = fit.rms_px;
+    entry["worst_px"] = fit.worst_px;
+    entry["worst_image"] = fit.worst_image;
+    distances.append(entry);
+  }
+  result["distances"] = distances;
+  return result;
+}
+
+py::dict scale_of(const std::vector<std::pair<std::string, CameraValues>>& views,
+                  const std::vector<DistanceValues>& distances) {
+  std::vector<MarkedView> marked;
+  for (const auto& [name, values] : views) {
+    auto [camera, pose] = to_camera(values, name);
+    marked.push_back({name, std::move(camera), pose});
+  }
+  std::vector<KnownDistance> known;
+  for (const auto& [name, distance, sigma, a, b, check] : distances) {
+    known.push_back({name, distance, sigma, to_marks(a), to_marks(b), check});
+  }
+  ScaleAdjustment adjustment;
+  run_interruptible(1, py::none(), py::none(),
+                    [&](const Context& context) { adjustment = adjust_scale(marked, known, context); });
+  return to_dict(adjustment);
+}
+
+/// Matches (K×2, uint32) of every pair of photos, given each photo's descriptors (N×128, uint8).
+py::list matches_of(const std::vector<Array<std::uint8_t>>& photos,
+                    const std::vector<std::pair<std::size_t, std::size_t>>& pairs, int threads,
+                    const py::object& on_progress) {
+  std::vector<Descriptors> descriptors;
+  for (const auto& photo : photos) {
+    if (photo.ndim() != 2 || photo.shape(1) != 128) throw py::value_error("descriptors must have the shape (N, 128)");
+    descriptors.emplace_back(Eigen::Map<const Descriptors>(photo.data(), photo.shape(0), 128));
+  }
+  std::vector<std::vector<std::pair<std::uint32_t, std::uint32_t>>> found;
+  run_interruptible(threads, on_progress, py::none(),
+                    [&](const Context& context) { found = match_pairs(descriptors, pairs, {}, context); });
+  py::list result;
+  for (const auto& matches : found) {
+    py::array_t<std::uint32_t> array({static_cast<py::ssize_t>(matches.size()), py::ssize_t{2}});
+    for (std::size_t i = 0; i < matches.size(); ++i) {
+      array.mutable_at(static_cast<py::ssize_t>(i), 0) = matches[i].first;
+      array.mutable_at(static_cast<py::ssize_t>(i), 1) = matches[i].second;
+    }
+    result.append(array);
+  }
+  return result;
+}
+
+/// name → (camera and pose, keypoints, keypoints that see a point)
+py::dict images_of(const ColmapModel& model) {
+  py::dict images;
+  for (const auto& [id, image] : model.images) {
+    std::size_t seen = 0;
+    for (const ColmapKeypoint& keypoint : image.keypoints) seen += keypoint.point_id != ColmapKeypoint::no_point;
+    images[py::str(image.name)] =
+        py::make_tuple(to_values(model.cameras.at(image.camera_id), image.pose), image.keypoints.size(), seen);
+  }
+  return images;
+}
+
+/// Positions (N×3), reprojection errors in px (N) and numbers of photos (N).
+py::tuple points_of(const ColmapModel& model) {
+  const auto count = static_cast<py::ssize_t>(model.points.size());
+  py::array_t<double> positions({count, py::ssize_t{3}});
+  py::array_t<double> errors(count);
+  py::array_t<std::int64_t> lengths(count);
+  py::ssize_t row = 0;
+  for (const auto& [id, point] : model.points) {
+    for (int k = 0; k < 3; ++k) positions.mutable_at(row, k) = point.position[k];
+    errors.mutable_at(row) = point.error_px;
+    lengths.mutable_at(row) = static_cast<std::int64_t>(point.track.size());
+    ++row;
+  }
+  return py::make_tuple(positions, errors, lengths);
+}
+
+}  // namespace
+
+void bind_photogrammetry(py::module_& module) {
+  py::class_<ColmapModel>(module, "ColmapModel")
+      .def_static("read", [](const std::string& folder) { return read_colmap_model(folder); })
+      .def("write",
+           [](const ColmapModel& model, const std::string& folder) {
+             write_colmap_model(folder, model, ColmapFormat::binary);
+           })
+      .def("scale", &ColmapModel::scale)
+      .def("images", &images_of)
+      .def("points", &points_of);
+
+  module.def("as_colmap_camera", [](const CameraValues& values) {
+    auto [camera, pose] = to_camera(values, "camera");
+    const LensRefit refit = as_colmap_camera(camera);
+    return py::make_tuple(to_values(refit.camera, pose), refit.rms_px);
+  });
+  module.def("pinhole_of", [](const CameraValues& values) { return to_camera(values, "camera").first.pinhole(); });
+  module.def("target_dictionaries", &target_dictionaries);
+  module.def("detect_targets", [](const Array<std::uint8_t>& pixels, const std::string& dictionary) {
+    std::vector<std::tuple<int, double, double>> found;
+    for (const CodedTarget& target : detect_targets(to_image(pixels), dictionary)) {
+      found.emplace_back(target.id, target.center.x(), target.center.y());
+    }
+    return found;
+  });
+  module.def("match_pairs", &matches_of);
+  module.def("adjust_scale", &scale_of);
+}
+
+}  // namespace malus::python

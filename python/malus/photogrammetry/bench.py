@@ -1,0 +1,148 @@
+"""What every stage works with: the program, the folder, the options, and where progress and warnings go."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from malus import _core
+from malus.options import Options
+from malus.photogrammetry import database
+from malus.photogrammetry.journal import Journal
+from malus.photogrammetry.model import SparseModel
+from malus.photogrammetry.program import Colmap
+
+#: Points are kept up to this many times the mean reprojection error, whatever the limit.
+_ERRORS_KEPT = 2.5
+#: Part of the whole that each stage takes, about.
+SHARES = {
+    "copies": (0.00, 0.04),
+    "features": (0.04, 0.20),
+    "matches": (0.20, 0.60),
+    "mapping": (0.60, 0.80),
+    "adjustment": (0.80, 0.84),
+    "station": (0.84, 0.98),
+    "station_features": (0.84, 0.86),
+    "scale": (0.98, 1.00),
+}
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Shared by the stages of one station's photogrammetry, all of whose files are below `folder`."""
+
+    colmap: Colmap
+    folder: Path
+    journal: Journal
+    options: Options
+    progress: Callable[[float, str], None]
+    """Receives the share of the whole that is done, and what is being done."""
+    log: Callable[[str, str], None]
+    """Receives a level (info, warning) and a message."""
+
+    @property
+    def images(self) -> Path:
+        """Folder of the images that COLMAP sees."""
+        return self.folder / "images"
+
+    def report(self, stage: str, fraction: float, message: str) -> None:
+        """Report that `fraction` of a stage is done."""
+        start, end = SHARES[stage]
+        self.progress(start + (end - start) * min(max(fraction, 0.0), 1.0), message)
+
+    def counter(self, stage: str, pattern: str, message: str) -> Callable[[str], None]:
+        """A line reader that reports progress from lines with a count and a total, the groups of `pattern`."""
+        expression = re.compile(pattern)
+
+        def read(line: str) -> None:
+            match = expression.search(line)
+            if match:
+                done, total = int(match[1]), int(match[2])
+                self.report(stage, done / total, f"{message} {done}/{total}")
+
+        return read
+
+    def log_file(self, name: str) -> Path:
+        """Where the output of a stage is kept."""
+        return self.folder / f"{name}.log"
+
+    def extract_features(self, stage: str, target: Path, names: list[str], reader: dict[str, object]) -> None:
+        """Find the features of images that share one camera, which `reader` (ImageReader.*) describes."""
+        names_file = self.folder / f"{stage}_names.txt"
+        names_file.write_text("".join(f"{database.quoted(name)}\n" for name in names))
+        photos = self.options.photos
+        self.colmap.run(
+            "feature_extractor",
+            {
+                "database_path": target,
+                "image_path": self.images,
+                "image_list_path": names_file,
+                "ImageReader.single_camera": 1,
+                **{f"ImageReader.{key}": value for key, value in reader.items()},
+                "SiftExtraction.use_gpu": 0,
+                "SiftExtraction.num_threads": self.colmap.threads,
+                "SiftExtraction.max_num_features": photos.max_features,
+                "SiftExtraction.max_image_size": photos.max_side_px,
+            },
+            self.log_file(stage),
+            on_line=self.counter(stage, r"Processed file \[(\d+)/(\d+)\]", "features of photo"),
+        )
+
+    def adjust(self, stage: str, source: Path, target: Path, refine: dict[str, object]) -> None:
+        """Leave out points with large residuals, which are mostly wrong matches, and adjust the rest."""
+        filtered = target.with_name(f"{target.name}_filtered")
+        for folder in (filtered, target):
+            folder.mkdir(parents=True, exist_ok=True)
+        log = self.log_file(stage)
+        limit_px = max(self.options.photos.max_error_px, _ERRORS_KEPT * SparseModel.read(source).mean_error_px)
+        self.colmap.run(
+            "point_filtering",
+            {
+                "input_path": source,
+                "output_path": filtered,
+                "min_track_len": 2,
+                "max_reproj_error": limit_px,
+                "min_tri_angle": 1.5,
+            },
+            log,
+        )
+        self.colmap.run("bundle_adjuster", {"input_path": filtered, "output_path": target, **refine}, log)
+        shutil.rmtree(filtered)
+
+    def match(self, stage: str, target: Path, pairs: list[tuple[str, str]]) -> None:
+        """Match pairs of images in a database and have COLMAP verify them.
+
+        The search among descriptors is ours, with COLMAP's criteria: its own takes most of a run on a processor.
+        """
+        photos = self.options.photos
+        descriptors = database.read_descriptors(target)
+        names = sorted(descriptors)
+        index = {name: number for number, name in enumerate(names)}
+        found = _core.match_pairs(
+            [descriptors[name] for name in names],
+            [(index[first], index[second]) for first, second in pairs],
+            self.colmap.threads,
+            lambda _, fraction, message: self.report(stage, 0.5 * fraction, f"matches of {message}"),
+        )
+        database.write_matches(target, pairs, found)
+        pairs_file = self.folder / f"{stage}_pairs.txt"
+        lines = (f"{database.quoted(first)} {database.quoted(second)}\n" for first, second in pairs)
+        pairs_file.write_text("".join(lines))
+        self.report(stage, 0.5, "verifying matches")
+        self.colmap.run(
+            "matches_importer",
+            {
+                "database_path": target,
+                "match_list_path": pairs_file,
+                "match_type": "pairs",
+                "SiftMatching.use_gpu": 0,
+                "SiftMatching.num_threads": self.colmap.threads,
+                "SiftMatching.guided_matching": photos.guided_matching,
+                "SiftMatching.min_num_inliers": photos.min_inliers,
+            },
+            self.log_file(stage),
+            on_line=self.counter(stage, r"Matching block \[(\d+)/(\d+)\]", "verified block"),
+        )

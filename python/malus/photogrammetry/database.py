@@ -1,0 +1,105 @@
+"""COLMAP's database: features and verified pairs are counted here, because exit codes do not tell; matches are stored.
+
+Names of images in it are quoted as in an address, so that spaces do not break COLMAP's lists.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+from urllib.parse import quote, unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: COLMAP numbers a pair of images a < b as a × this + b.
+_PAIR_BASE = 2147483647
+
+
+def quoted(name: str) -> str:
+    """An image's name in COLMAP's files."""
+    return quote(name, safe="/")
+
+
+def unquoted(name: str) -> str:
+    """The name of an image by that in COLMAP's files."""
+    return unquote(name)
+
+
+def feature_counts(database: Path) -> dict[str, int]:
+    """Number of features of every image, by name."""
+    with closing(sqlite3.connect(database)) as connection:
+        rows = connection.execute(
+            "SELECT images.name, COALESCE(keypoints.rows, 0) FROM images LEFT JOIN keypoints USING (image_id)"
+        )
+        return {unquoted(name): int(count) for name, count in rows}
+
+
+def camera_of(database: Path, image: str) -> int:
+    """Camera number of an image."""
+    with closing(sqlite3.connect(database)) as connection:
+        row = connection.execute("SELECT camera_id FROM images WHERE name = ?", (quoted(image),)).fetchone()
+        return int(row[0])
+
+
+def _image_names(connection: sqlite3.Connection) -> dict[int, str]:
+    rows = connection.execute("SELECT image_id, name FROM images")
+    return {int(number): unquoted(name) for number, name in rows}
+
+
+def read_descriptors(database: Path) -> dict[str, NDArray[np.uint8]]:
+    """SIFT descriptors (N×128) of every image, by name."""
+    with closing(sqlite3.connect(database)) as connection:
+        names = _image_names(connection)
+        rows = connection.execute("SELECT image_id, cols, data FROM descriptors")
+        found = {names[number]: np.frombuffer(data or b"", np.uint8).reshape(-1, cols) for number, cols, data in rows}
+        return {name: found.get(name, np.empty((0, 128), np.uint8)) for name in names.values()}
+
+
+def write_matches(database: Path, pairs: Sequence[tuple[str, str]], matches: Sequence[NDArray[np.uint32]]) -> None:
+    """Store the matches (K×2 indices of features) of pairs of images, for COLMAP to verify."""
+    with closing(sqlite3.connect(database)) as connection, connection:
+        numbers = {name: number for number, name in _image_names(connection).items()}
+        for (first, second), indices in zip(pairs, matches, strict=True):
+            a, b = numbers[first], numbers[second]
+            ordered = indices if a < b else indices[:, ::-1]
+            connection.execute(
+                "INSERT INTO matches (pair_id, rows, cols, data) VALUES (?, ?, 2, ?)",
+                (min(a, b) * _PAIR_BASE + max(a, b), len(indices), np.ascontiguousarray(ordered, "<u4").tobytes()),
+            )
+
+
+def verified_pairs(database: Path) -> dict[tuple[str, str], int]:
+    """Matches that agree with one geometry, by pair of image names; pairs without any are left out."""
+    with closing(sqlite3.connect(database)) as connection:
+        names = _image_names(connection)
+        rows = connection.execute("SELECT pair_id, rows FROM two_view_geometries WHERE rows > 0")
+        pairs: dict[tuple[str, str], int] = {}
+        for pair, count in rows:
+            second = pair % _PAIR_BASE
+            first = (pair - second) // _PAIR_BASE
+            pairs[names[first], names[second]] = int(count)
+        return pairs
+
+
+def set_camera(database: Path, camera_id: int, params: NDArray[np.float64]) -> None:
+    """Replace the assumed parameters (COLMAP's order and pixel convention) of a camera; the model stays."""
+    with closing(sqlite3.connect(database)) as connection, connection:
+        connection.execute(
+            "UPDATE cameras SET params = ? WHERE camera_id = ?",
+            (np.ascontiguousarray(params, "<f8").tobytes(), camera_id),
+        )
+
+
+def connected_groups(names: list[str], pairs: dict[tuple[str, str], int]) -> list[list[str]]:
+    """Groups of images that are linked by pairs, the largest first; images without a pair are groups of their own."""
+    group = {name: {name} for name in names}
+    for first, second in pairs:
+        if group[first] is not group[second]:
+            group[first] |= group[second]
+            for name in group[second]:
+                group[name] = group[first]
+    distinct = {id(members): members for members in group.values()}
+    return sorted((sorted(members) for members in distinct.values()), key=len, reverse=True)

@@ -1,0 +1,126 @@
+"""What went wrong with photographs, in words that say what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from malus.errors import DataError
+from malus.photogrammetry.database import connected_groups
+
+Log = Callable[[str, str], None]
+
+#: Fewer features than this do not link a photo to others reliably.
+FEW_FEATURES = 200
+#: Points within this share of a plane make the focal length a matter of guessing.
+FLAT_RELIEF = 0.02
+_LISTED = 6
+
+_OVERLAP = (
+    "photograph from more positions, so that neighboring photos show the same part from directions 10° to 30° apart, and "
+    "surround a shiny or plain object with texture (newspaper, a printed pattern)"
+)
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names for a message, not too many of them."""
+    more = len(names) - _LISTED
+    return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def too_few_photos(count: int, expected: int) -> str:
+    """Message for a folder with next to no photos."""
+    return (
+        f"[photos] has {count} photo{'s' * (count != 1)}, expected at least {expected}, better 8 to 20, from different "
+        "directions around the station's; see docs/capture.md"
+    )
+
+
+def check_features(counts: Mapping[str, int], log: Log) -> None:
+    """Warn of photos with few features; DataError when hardly any photo has enough."""
+    few = [name for name, count in counts.items() if count < FEW_FEATURES]
+    if len(counts) - len(few) < 2:
+        raise DataError(
+            f"[photos]: {len(few)} of {len(counts)} photos have fewer than {FEW_FEATURES} features ({listed(few)}): they "
+            "are blurred, dark or show plain surfaces; place texture around the object and use sharp, well exposed photos"
+        )
+    if few:
+        log("warning", f"few features in {listed(few)}: blurred, dark or plain; these photos may stay without position")
+
+
+def check_connections(names: Sequence[str], pairs: Mapping[tuple[str, str], int], log: Log) -> None:
+    """Warn when photos show something else; DataError when no three photos show the same."""
+    groups = connected_groups(list(names), dict(pairs))
+    if len(groups[0]) < 3:
+        raise DataError(
+            f"[photos]: no three of the {len(names)} photos show enough of the same surface ({len(pairs)} pairs match); "
+            + _OVERLAP
+        )
+    for group in groups[1:]:
+        log(
+            "warning",
+            f"{listed(group)}: nothing in common with the other {len(groups[0])} photos, left out; if the object is shown, "
+            "photograph the views in between",
+        )
+
+
+def check_mapping(
+    mapping: Mapping[str, Any], names: Sequence[str], pairs: Mapping[tuple[str, str], int], log: Log
+) -> None:
+    """Warn of photos without position and of models in pieces; DataError when there is no model."""
+    if mapping["best"] is None:
+        raise DataError(_no_model(mapping, names, pairs))
+    registered = mapping["models"][mapping["best"]]
+    pieces = [model for name, model in mapping["models"].items() if name != mapping["best"]]
+    for piece in pieces:
+        others = [name for name in piece if name not in registered]
+        if others:
+            log(
+                "warning",
+                f"the photos make two models that do not hold together; {listed(others)} are left out of the larger "
+                f"({len(registered)} photos): photograph the views between the two, with overlap to both",
+            )
+    in_pieces = {name for piece in pieces for name in piece}
+    missing = [name for name in names if name not in registered and name not in in_pieces]
+    if missing:
+        log(
+            "warning",
+            f"no position was found for {listed(missing)}: too few matches with the other photos; add photos from "
+            "directions in between",
+        )
+
+
+def _no_model(mapping: Mapping[str, Any], names: Sequence[str], pairs: Mapping[tuple[str, str], int]) -> str:
+    start = f"[photos]: {len(pairs)} pairs of the {len(names)} photos match, but no first pair fixes the geometry"
+    if not mapping["known"]:
+        return (
+            f"{start}, with {mapping['attempts']} assumptions on the unknown focal length. Usual causes: a flat scene or a "
+            "long lens, with which the focal length cannot be told from the distance. Give the calibrated lens as "
+            "[photos] camera = { model, width, height, params }, or photos with EXIF focal length, or photograph the object "
+            "on a tilted or deeper, textured scene from directions up to 40° apart"
+        )
+    return (
+        f"{start}. Usual causes: all photos from nearly one direction, or a calibration that does not belong to them "
+        f"(another focal length or focus). Check [photos] camera; {_OVERLAP}"
+    )
+
+
+def station_not_registered(matches: Mapping[str, int], least: int) -> str:
+    """Message for a station whose image does not fit to the photos."""
+    best = sorted(matches.items(), key=lambda item: -item[1])[:3]
+    found = ", ".join(f"{name}: {count}" for name, count in best) or "none with any"
+    return (
+        f"the station's image could not be placed among the photos (matches, best first: {found}; at least {least} are "
+        "needed with several photos). Take a few photos near the station's direction and distance, with the same texture "
+        "around the object in view, and check that [camera] is the polarized images' own calibration"
+    )
+
+
+def unknown_focal_on_flat_scene(relief: float) -> str:
+    """Message for a self-calibration that has nothing to hold on to."""
+    return (
+        f"[photos]: the scene is flat (depth {100 * relief:.1f} % of its extent) and the photos' camera is not calibrated: "
+        "focal length and distance cannot be told apart, and the model would be bent or stretched. Give the calibrated lens "
+        "as [photos] camera = { model, width, height, params }, or photograph the object with something deeper around it "
+        "(boxes, a tilted board with texture) from directions up to 40° apart"
+    )

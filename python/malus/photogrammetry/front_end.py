@@ -1,0 +1,211 @@
+"""From photos and the station's image to the station's place and the depth in its view: the main path.
+
+photos → their cameras (photo_cameras) → the station among them (station_pose) → metric scale (scale) → surface sweep in
+the station's view (malus.stereo) → depth with sigma. Everything is kept below one folder, and what is done is not done
+again (journal).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malus import _core, stereo
+from malus.camera import Camera
+from malus.errors import DataError
+from malus.options import Options
+from malus.photogrammetry import diagnosis
+from malus.photogrammetry.bench import Bench
+from malus.photogrammetry.journal import Journal
+from malus.photogrammetry.model import SparseModel
+from malus.photogrammetry.photo_cameras import solve_photos
+from malus.photogrammetry.photos import Photo, describe_photo, list_photos, read_gray
+from malus.photogrammetry.program import Colmap
+from malus.photogrammetry.scale import adjust_scale, scale_model
+from malus.photogrammetry.station_pose import STATION_IMAGE, StationView, lens_of_raster, place_station
+
+Report = Callable[[float, str], None]
+Log = Callable[[str, str], None]
+
+
+@dataclass(frozen=True)
+class StationCameras:
+    """Cameras in the station's unit, in COLMAP's frame scaled: the world of the result."""
+
+    station: Camera
+    """Lens (undistorted raster's if it was given, else as calibrated) and pose."""
+    photos: list[tuple[Photo, Camera]]
+    model: SparseModel
+    figures: dict[str, Any]
+    """For quality.json: `photogrammetry` and `scale`."""
+
+
+def _camera(description: Mapping[str, Any]) -> Camera:
+    return Camera(
+        description["model"], description["width"], description["height"], description["params"],
+        description.get("rotation", np.eye(3)), description.get("translation", np.zeros(3)),
+    )  # fmt: skip
+
+
+def find_cameras(
+    station: Mapping[str, Any],
+    unpolarized: NDArray[np.float32],
+    folder: Path,
+    *,
+    options: Options,
+    threads: int,
+    progress: Report,
+    log: Log,
+) -> StationCameras:
+    """Cameras of a station's photos and of the station itself.
+
+    station: what `Station.describe` says. unpolarized: H×W intensity of the station's view, linear, undistorted if its
+    lens is known. folder: where COLMAP's files, logs and marks of finished stages are kept.
+
+    Raises InputError for files that are wrong, DataError, saying what to photograph, for photos that do not do, and
+    ExternalError when COLMAP is missing or fails.
+    """
+    said = station["photos"]
+    photos = list_photos(Path(said["folder"]), said["exclude"])
+    folder.mkdir(parents=True, exist_ok=True)
+    bench = Bench(Colmap(threads), folder, Journal(folder), options, progress, log)
+    known = known_lens(said.get("camera"), log)
+    solved = solve_photos(bench, photos, known)
+    relief = solved.model.relief()
+    if not solved.calibrated and relief < diagnosis.FLAT_RELIEF:
+        raise DataError(diagnosis.unknown_focal_on_flat_scene(relief))
+
+    lens = lens_of_raster(_camera(station["camera"])) if "camera" in station else None
+    shared = None if lens is not None else _photo_of_same_camera(station, photos, solved.model, unpolarized.shape, log)
+    placed = place_station(bench, solved, StationView(unpolarized, lens, shared))
+
+    by_name = {photo.name: photo for photo in photos}
+    registered = {name: image.camera for name, image in placed.model.images.items() if name != STATION_IMAGE}
+    bench.report("scale", 0.0, "scale from known distances")
+    scale = adjust_scale(station["scale"], photos, registered, options, log)
+    factor = 1.0 if scale is None else float(scale["scale"])
+    scale_model(placed.folder, folder / "model", factor)
+    model = SparseModel.read(folder / "model")
+    cameras = {name: image.camera for name, image in model.images.items()}
+    figures: dict[str, Any] = {
+        "photogrammetry": {
+            "program": f"COLMAP {bench.colmap.version}",
+            "photos": len(photos),
+            "registered": len(registered),
+            "unregistered": solved.unregistered,
+            "self_calibrated": not solved.calibrated,
+            "reprojection_px": model.mean_error_px,
+            "points": len(model.points),
+            "relief": relief,
+            "station": {
+                "matches": sum(placed.matches.values()),
+                "photos_matched": len(placed.matches),
+                "points_seen": model.images[STATION_IMAGE].observations,
+                "lens": "given" if lens is not None else "of the photos" if shared is not None else "self-calibrated",
+            },
+            "seconds": {**solved.seconds, "station": placed.seconds},
+        },
+        "scale": scale,
+    }
+    progress(1.0, f"{len(registered)} of {len(photos)} photos")
+    return StationCameras(
+        station=cameras[STATION_IMAGE],
+        photos=[(by_name[name], cameras[name]) for name in sorted(registered)],
+        model=model,
+        figures=figures,
+    )
+
+
+def known_lens(said: Mapping[str, Any] | None, log: Log) -> Camera | None:
+    """The photos' calibrated lens in one of COLMAP's models."""
+    if said is None:
+        return None
+    values, rms_px = _core.as_colmap_camera(_camera(said).values())
+    if rms_px > 0.05:
+        log("warning", f"[photos].camera is met to {rms_px:.2f} px only by the lens model that COLMAP has for it")
+    return Camera(*values)
+
+
+def _photo_of_same_camera(
+    station: Mapping[str, Any], photos: list[Photo], model: SparseModel, shape: tuple[int, ...], log: Log
+) -> str | None:
+    """A registered photo of the station's camera, lens and focal length, as far as the files say."""
+    first = describe_photo(Path(station["polarized_files"][0]), "station") if station.get("polarized_files") else None
+    if first is not None and (first.height, first.width) == shape:
+        for photo in photos:
+            if photo.name in model.images and photo.camera_key == first.camera_key:
+                log(
+                    "warning",
+                    f"the station's lens is not given ([camera] is missing); that of the photos is used, since {photo.name} "
+                    "is of the same size and says nothing else. If focus or zoom differ, the surface is wrong: calibrate",
+                )
+                return photo.name
+    log(
+        "warning",
+        "the station's lens is not given ([camera] is missing) and is no photo's: it is calibrated from this one image, "
+        "which determines its focal length and distance badly; give [camera] model, width, height and params",
+    )
+    return None
+
+
+def sweep_station(
+    cameras: StationCameras,
+    unpolarized: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    folder: Path,
+    *,
+    options: Options,
+    threads: int,
+    progress: Report,
+    log: Log,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], dict[str, Any]]:
+    """Depth and its standard deviation (H×W) in the station's undistorted view, and the sweep's figures.
+
+    Kept below `folder` and read back when nothing that matters has changed.
+    """
+    raster = lens_of_raster(cameras.station)
+    assert raster is not None
+    view = replace(raster, rotation=cameras.station.rotation, translation=cameras.station.translation)
+    journal = Journal(folder)
+    outputs = ["sweep_depth.tif", "sweep_sigma.tif", "sweep_confidence.tif"]
+
+    def run() -> dict[str, Any]:
+        found = stereo.sweep(
+            np.nan_to_num(unpolarized),
+            view,
+            [(read_gray(photo.path), camera) for photo, camera in cameras.photos],
+            cameras.model.points,
+            mask,
+            options,
+            threads,
+            lambda _, fraction, message: progress(fraction, message),
+            log,
+        )
+        for name, raster_values in zip(outputs, (found.depth, found.sigma, found.confidence), strict=True):
+            _core.write_float_tiff(str(folder / name), raster_values)
+        return {
+            "views": found.views_used,
+            "points": found.points_used,
+            "completeness": found.completeness,
+            "score": found.median_score,
+            "sigma_gsd": found.median_sigma_gsd,
+        }
+
+    inputs = {
+        "view": repr(view.values()),
+        "photos": [(photo.name, repr(camera.values())) for photo, camera in cameras.photos],
+        "image": hashlib.sha256(np.ascontiguousarray(unpolarized).tobytes() + mask.tobytes()).hexdigest(),
+        "points": hashlib.sha256(cameras.model.points.tobytes()).hexdigest(),
+        "options": json.loads(options.to_json())["sweep"],
+    }
+    figures = journal.stage("sweep", inputs, outputs, run)
+    progress(1.0, "")
+    depth, sigma = (_core.read_raster(str(folder / name)) for name in outputs[:2])
+    return depth, sigma, figures

@@ -1,0 +1,113 @@
+"""Cameras of an Agisoft Metashape project, exported as cameras.xml."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malus.camera import Camera
+from malus.errors import InputError
+
+
+def _numbers(text: str | None, count: int, where: str) -> list[float]:
+    try:
+        values = [float(word) for word in (text or "").split()]
+    except ValueError:
+        values = []
+    if len(values) != count or not np.isfinite(values).all():
+        raise InputError(f"{where} = {text!r}, expected {count} numbers")
+    return values
+
+
+def _chunk_transform(chunk: ElementTree.Element, where: str) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Rotation, translation and scale of world_from_chunk; identity where the chunk has none."""
+    rotation, translation, scale = np.eye(3), np.zeros(3), 1.0
+    transform = chunk.find("transform")
+    if transform is None:
+        return rotation, translation, scale
+    element = transform.find("rotation")
+    if element is not None:
+        rotation = np.array(_numbers(element.text, 9, f"{where}: <rotation>")).reshape(3, 3)
+    element = transform.find("translation")
+    if element is not None:
+        translation = np.array(_numbers(element.text, 3, f"{where}: <translation>"))
+    element = transform.find("scale")
+    if element is not None:
+        scale = _numbers(element.text, 1, f"{where}: <scale>")[0]
+    return rotation, translation, scale
+
+
+def _lens(sensor: ElementTree.Element, where: str) -> tuple[str, int, int, list[float]]:
+    """Metashape's frame camera, which like OpenCV goes from ideal to measured coordinates:
+    x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) + p1 (r² + 2x²) + 2 p2 x y, u = w/2 + cx + f x' + b1 x' + b2 y'. Its pixel
+    centres are at +0.5.
+    """
+    if sensor.get("type", "frame") != "frame":
+        raise InputError(f'{where}: camera type {sensor.get("type")!r}, expected "frame"')
+    size = sensor.find("resolution")
+    calibrations = sensor.findall("calibration")
+    adjusted = [c for c in calibrations if c.get("class") == "adjusted"]
+    if size is None or not calibrations:
+        raise InputError(f"{where} has no <resolution> or no <calibration>, expected both")
+    calibration = (adjusted or calibrations)[-1]
+    values = {
+        child.tag: _numbers(child.text, 1, f"{where}: <{child.tag}>")[0]
+        for child in calibration
+        if child.tag != "resolution"
+    }
+    for name in ("b2", "k4", "p3", "p4"):
+        if values.get(name):
+            raise InputError(
+                f"{where}: <{name}> = {values[name]} is not supported, expected 0; fit the cameras without it"
+            )
+    if "f" not in values:
+        raise InputError(f"{where}: <calibration> has no <f>")
+    width, height = (int(_numbers(size.get(key), 1, f"{where}: {key}")[0]) for key in ("width", "height"))
+    focal_y = values["f"]
+    focal_x = focal_y + values.get("b1", 0.0)
+    center = [width / 2 + values.get("cx", 0.0) - 0.5, height / 2 + values.get("cy", 0.0) - 0.5]
+    # The tangential terms are named the other way round in OpenCV.
+    terms = [values.get(name, 0.0) for name in ("k1", "k2", "p2", "p1", "k3")]
+    return "FULL_OPENCV", width, height, [focal_x, focal_y, *center, *terms, 0.0, 0.0, 0.0]
+
+
+def read_metashape(path: str | Path, chunk: int = 0) -> dict[str, Camera]:
+    """Cameras with lens and pose, by label, of one chunk of a Metashape cameras.xml.
+
+    The world frame and unit are those of the chunk's transform (its own frame if it has none); cameras without a position
+    are left out. Poses come out as cam_from_world, lenses as FULL_OPENCV. Raises InputError naming file and element.
+    """
+    file = Path(path)
+    try:
+        root = ElementTree.parse(file).getroot()
+    except (OSError, ElementTree.ParseError) as error:
+        raise InputError(f"{file}: not a cameras.xml ({error})") from None
+    chunks: Sequence[ElementTree.Element] = root.findall("chunk")
+    if not 0 <= chunk < len(chunks):
+        raise InputError(f"{file}: chunk {chunk} of {len(chunks)}, expected one that is there")
+    source = chunks[chunk]
+    rotation, translation, scale = _chunk_transform(source, str(file))
+    lenses = {
+        sensor.get("id"): _lens(sensor, f'{file}: sensor "{sensor.get("label", sensor.get("id"))}"')
+        for sensor in source.iterfind("sensors/sensor")
+        if sensor.find("calibration") is not None
+    }
+    cameras: dict[str, Camera] = {}
+    for element in source.iter("camera"):
+        transform = element.find("transform")
+        if transform is None:
+            continue
+        label = element.get("label") or str(element.get("id"))
+        where = f'{file}: camera "{label}"'
+        if element.get("sensor_id") not in lenses:
+            raise InputError(f"{where} has sensor {element.get('sensor_id')!r}, which has no calibration")
+        chunk_from_cam = np.array(_numbers(transform.text, 16, f"{where}: <transform>")).reshape(4, 4)
+        world_from_cam = rotation @ chunk_from_cam[:3, :3]
+        center = scale * rotation @ chunk_from_cam[:3, 3] + translation
+        model, width, height, params = lenses[element.get("sensor_id")]
+        cameras[label] = Camera(model, width, height, params, world_from_cam.T, -world_from_cam.T @ center)
+    return cameras

@@ -1,0 +1,271 @@
+"""Cameras of the photos alone: features, matches, mapping, a last adjustment with the principal point."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from malus.camera import Camera
+from malus.errors import DataError, InputError
+from malus.photogrammetry import database, diagnosis
+from malus.photogrammetry.bench import Bench
+from malus.photogrammetry.journal import sha256_of
+from malus.photogrammetry.model import SparseModel, colmap_params
+from malus.photogrammetry.photos import Photo, write_proxy
+from malus.photogrammetry.program import SearchStoppedError
+
+#: Lens model that is calibrated from the photos.
+SELF_CALIBRATED = "OPENCV"
+#: Focal lengths, in longer image sides, that are assumed in turn when nothing is known: a usual lens, a portrait lens, a
+#: long macro lens. The adjustment corrects what is roughly right.
+FOCAL_ASSUMPTIONS = (1.2, 2.4, 5.0)
+MIN_PHOTOS = 3
+_ENOUGH_SHARE = 0.8
+_PHOTOS_A_SEARCH_LIMIT = 20
+#: Photos from which a last adjustment can tell the principal point from the poses.
+_MIN_PHOTOS_PRINCIPAL_POINT = 6
+
+
+@dataclass(frozen=True)
+class CameraGroup:
+    """Photos of one camera."""
+
+    photos: list[Photo]
+    known: Camera | None
+    """Calibrated lens, kept as it is."""
+
+    @property
+    def focal_px(self) -> float | None:
+        """Focal length by EXIF."""
+        return self.photos[0].focal_px
+
+    def reader(self) -> dict[str, object]:
+        """Options of COLMAP's image reader."""
+        if self.known is not None:
+            params = ",".join(repr(float(p)) for p in colmap_params(self.known))
+            return {"camera_model": self.known.model, "camera_params": params}
+        if self.focal_px is not None:
+            first = self.photos[0]
+            params = f"{self.focal_px!r},{self.focal_px!r},{first.width / 2},{first.height / 2},0,0,0,0"
+            return {"camera_model": SELF_CALIBRATED, "camera_params": params}
+        return {"camera_model": SELF_CALIBRATED}
+
+
+def group_by_camera(photos: Sequence[Photo], known: Camera | None) -> list[CameraGroup]:
+    """Groups of photos that share a camera: all of them if it is given, else by size and EXIF data."""
+    if known is not None:
+        for photo in photos:
+            if (photo.width, photo.height) != (known.width, known.height):
+                raise InputError(
+                    f"{photo.path} has {photo.width} x {photo.height} pixels, but [photos].camera is for "
+                    f"{known.width} x {known.height}; exclude the photo or leave the camera out"
+                )
+        return [CameraGroup(list(photos), known)]
+    groups: dict[tuple[object, ...], list[Photo]] = {}
+    for photo in photos:
+        groups.setdefault(photo.camera_key, []).append(photo)
+    return [CameraGroup(members, None) for members in groups.values()]
+
+
+@dataclass(frozen=True)
+class PhotoCameras:
+    """Where the photos' model is and how it came about."""
+
+    folder: Path
+    """Of the adjusted model."""
+    database: Path
+    model: SparseModel
+    calibrated: bool
+    unregistered: list[str]
+    pairs: int
+    seconds: dict[str, float]
+
+
+def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) -> PhotoCameras:
+    """Find the cameras of the photos. `known`: their calibrated lens, in one of COLMAP's models.
+
+    Raises DataError, saying what to photograph, when they cannot be found; ExternalError when COLMAP fails.
+    """
+    if len(photos) < MIN_PHOTOS:
+        raise DataError(diagnosis.too_few_photos(len(photos), MIN_PHOTOS))
+    groups = group_by_camera(photos, known)
+    seconds: dict[str, float] = {}
+
+    def stage(name: str, inputs: dict[str, Any], outputs: list[str], run: Any) -> dict[str, Any]:
+        notes = bench.journal.stage(name, inputs, outputs, run)
+        seconds[name] = notes["seconds"]
+        return notes
+
+    hashes = {photo.name: sha256_of(photo.path) for photo in photos}
+    stage("copies", {"photos": hashes, "colmap": bench.colmap.version}, ["images"], lambda: _copy(bench, photos))
+    options = bench.options.photos
+    features = stage(
+        "features",
+        {
+            "groups": [[group.reader(), [photo.name for photo in group.photos]] for group in groups],
+            "max_features": options.max_features,
+            "max_side_px": options.max_side_px,
+        },
+        ["features.db"],
+        lambda: _find_features(bench, groups),
+    )
+    diagnosis.check_features(features["counts"], bench.log)
+    matches = stage(
+        "matches",
+        {
+            "guided": options.guided_matching,
+            "min_inliers": options.min_inliers,
+            "exhaustive": len(photos) <= options.exhaustive_limit,
+        },
+        ["matches.db"],
+        lambda: _match(bench, [photo.name for photo in photos]),
+    )
+    pairs = {(first, second): count for first, second, count in matches["pairs"]}
+    diagnosis.check_connections([photo.name for photo in photos], pairs, bench.log)
+    mapping = stage("mapping", {"min_inliers": options.min_inliers}, ["sparse", "mapping.db"],
+                    lambda: _map(bench, groups, pairs))  # fmt: skip
+    diagnosis.check_mapping(mapping, [photo.name for photo in photos], pairs, bench.log)
+    stage(
+        "adjustment",
+        {"max_error_px": options.max_error_px},
+        ["adjusted"],
+        lambda: _adjust(bench, mapping["best"], known is not None, len(photos)),
+    )
+    model = SparseModel.read(bench.folder / "adjusted")
+    return PhotoCameras(
+        folder=bench.folder / "adjusted",
+        database=bench.folder / "mapping.db",
+        model=model,
+        calibrated=known is not None,
+        unregistered=[photo.name for photo in photos if photo.name not in model.images],
+        pairs=len(pairs),
+        seconds=seconds,
+    )
+
+
+def _copy(bench: Bench, photos: Sequence[Photo]) -> dict[str, Any]:
+    for index, photo in enumerate(photos):
+        bench.report("copies", index / len(photos), f"copy of photo {index + 1}/{len(photos)}")
+        write_proxy(photo, bench.images / database.quoted(photo.name))
+    return {}
+
+
+def _find_features(bench: Bench, groups: Sequence[CameraGroup]) -> dict[str, Any]:
+    target = bench.folder / "features.db"
+    for group in groups:
+        bench.extract_features("features", target, [photo.name for photo in group.photos], group.reader())
+    counts = database.feature_counts(target)
+    return {"counts": {photo.name: counts.get(photo.name, 0) for group in groups for photo in group.photos}}
+
+
+def _match(bench: Bench, names: Sequence[str]) -> dict[str, Any]:
+    target = bench.folder / "matches.db"
+    shutil.copyfile(bench.folder / "features.db", target)
+    bench.match("matches", target, pairs_to_match(names, bench.options.photos.exhaustive_limit))
+    return {"pairs": [[*pair, count] for pair, count in sorted(database.verified_pairs(target).items())]}
+
+
+def pairs_to_match(names: Sequence[str], exhaustive_limit: int) -> list[tuple[str, str]]:
+    """Every pair of few photos; of many, those at most ten apart in their order, and those 16, 32, 64, … apart."""
+    count = len(names)
+    if count <= exhaustive_limit:
+        distances = list(range(1, count))
+    else:
+        distances = [*range(1, 11), *(2**power for power in range(4, count.bit_length()))]
+    return [(names[i], names[i + d]) for d in distances for i in range(count - d)]
+
+
+def _map(bench: Bench, groups: Sequence[CameraGroup], pairs: dict[tuple[str, str], int]) -> dict[str, Any]:
+    """Map with the lens as known, or with one assumption on the focal length after the other until most photos fit."""
+    names = [photo.name for group in groups for photo in group.photos]
+    reachable = len(database.connected_groups(names, pairs)[0])
+    unknown = [group for group in groups if group.known is None and group.focal_px is None]
+    tried: list[dict[str, Any]] = []
+    for factor in FOCAL_ASSUMPTIONS if unknown else (None,):
+        source = bench.folder / "mapping.db"
+        shutil.copyfile(bench.folder / "matches.db", source)
+        for group in unknown:
+            first = group.photos[0]
+            focal = float(factor or 1) * max(first.width, first.height)
+            params = np.array([focal, focal, first.width / 2, first.height / 2, 0, 0, 0, 0])
+            database.set_camera(source, database.camera_of(source, first.name), params)
+        models, stopped = _run_mapper(bench, source, len(tried), groups, len(names))
+        best = max(models, key=lambda name: len(models[name]), default=None)
+        tried.append({"focal": factor, "models": models, "best": best, "stopped": stopped})
+        if best is not None and len(models[best]) >= _ENOUGH_SHARE * reachable:
+            break
+    chosen = max(tried, key=lambda attempt: len(attempt["models"].get(attempt["best"], [])))
+    chosen["known"] = not unknown
+    chosen["attempts"] = len(tried)
+    return chosen
+
+
+def _run_mapper(
+    bench: Bench, source: Path, attempt: int, groups: Sequence[CameraGroup], count: int
+) -> tuple[dict[str, list[str]], bool]:
+    """Models by folder (below the bench's), each with the names of its photos, and whether the search was given up."""
+    target = bench.folder / "sparse" / f"attempt_{attempt}"
+    target.mkdir(parents=True)
+    fixed = all(group.known is not None for group in groups)
+    arguments: dict[str, object] = {
+        "database_path": source,
+        "image_path": bench.images,
+        "output_path": target,
+        "Mapper.num_threads": bench.colmap.threads,
+        "Mapper.min_num_matches": bench.options.photos.min_inliers,
+        "Mapper.min_model_size": MIN_PHOTOS,
+    }
+    if fixed:
+        arguments |= {
+            "Mapper.ba_refine_focal_length": 0,
+            "Mapper.ba_refine_extra_params": 0,
+            "Mapper.init_min_tri_angle": 8,
+        }
+    limit_s = bench.options.photos.search_limit_s * max(1.0, count / _PHOTOS_A_SEARCH_LIMIT)
+    registered, search_start = 0, time.monotonic()
+
+    def read(line: str) -> None:
+        nonlocal registered, search_start
+        if "Finding good initial image pair" in line:
+            registered = 0
+        match = re.search(r"Registering image #\d+ \((\d+)\)", line)
+        if match:
+            registered = int(match[1])
+            bench.report("mapping", registered / count, f"position of photo {registered}/{count}")
+
+    def keep_going() -> bool:
+        return registered >= MIN_PHOTOS or time.monotonic() - search_start < limit_s
+
+    stopped = False
+    try:
+        bench.colmap.run("mapper", arguments, bench.log_file("mapping"), on_line=read, keep_going=keep_going)
+    except SearchStoppedError:
+        stopped = True
+    models = {}
+    for folder in sorted(target.iterdir()):
+        if (folder / "images.bin").exists():
+            models[folder.relative_to(bench.folder).as_posix()] = sorted(SparseModel.read(folder).images)
+    return models, stopped
+
+
+def _adjust(bench: Bench, best: str, fixed: bool, count: int) -> dict[str, Any]:
+    bench.report("adjustment", 0, "adjustment of all photos")
+    refine = int(not fixed)
+    bench.adjust(
+        "adjustment",
+        bench.folder / best,
+        bench.folder / "adjusted",
+        {
+            "BundleAdjustment.refine_focal_length": refine,
+            "BundleAdjustment.refine_extra_params": refine,
+            "BundleAdjustment.refine_principal_point": int(not fixed and count >= _MIN_PHOTOS_PRINCIPAL_POINT),
+        },
+    )
+    return {}

@@ -1,0 +1,138 @@
+"""The photos of a station: which they are, what their files say of the camera, and their copies for COLMAP."""
+
+from __future__ import annotations
+
+import fnmatch
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import ExifTags, Image, UnidentifiedImageError
+
+from malus import _core
+from malus.errors import InputError, MalusError
+
+SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff"})
+#: Diagonal of the 36 × 24 mm frame to which 35-mm-equivalent focal lengths refer.
+_FULL_FRAME_DIAGONAL_MM = 43.27
+_MM_PER_RESOLUTION_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A photograph's file and what is known of its camera without looking at the picture."""
+
+    name: str
+    """Path below the photos' folder, with slashes."""
+    path: Path
+    width: int
+    height: int
+    maker: str = ""
+    """Camera and lens as the file names them; empty if it does not."""
+    focal_px: float | None = None
+    """Focal length by the file's EXIF data."""
+
+    @property
+    def camera_key(self) -> tuple[int, int, str, float | None]:
+        """What photos of one camera, lens and focal length share."""
+        return self.width, self.height, self.maker, None if self.focal_px is None else round(self.focal_px, 1)
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdigit() else (-1, part.lower()) for part in re.split(r"(\d+)", name)]
+
+
+def _number(value: object) -> float | None:
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if math.isfinite(number) and number > 0 else None
+
+
+def _exif(path: Path, width: int, height: int) -> tuple[str, float | None]:
+    """Camera and lens, and the focal length in pixels, as far as the file says."""
+    try:
+        with Image.open(path) as image:
+            exif = image.getexif()
+            detail = exif.get_ifd(ExifTags.IFD.Exif)
+    except (OSError, UnidentifiedImageError, ValueError, SyntaxError):
+        return "", None
+    tags = ExifTags.Base
+    names = [exif.get(tags.Make), exif.get(tags.Model), detail.get(tags.LensModel)]
+    maker = " ".join(str(name).strip("\x00 ") for name in names if name)
+    focal_mm = _number(detail.get(tags.FocalLength))
+    resolution = _number(detail.get(tags.FocalPlaneXResolution))
+    unit = _MM_PER_RESOLUTION_UNIT.get(int(detail.get(tags.FocalPlaneResolutionUnit, 2) or 2), 25.4)
+    written = _number(detail.get(tags.ExifImageWidth))
+    if focal_mm and resolution:
+        # The resolution refers to the image as the camera wrote it.
+        scale = max(width, height) / max(written or width, _number(detail.get(tags.ExifImageHeight)) or height)
+        return maker, focal_mm * resolution / unit * scale
+    equivalent = _number(detail.get(tags.FocalLengthIn35mmFilm))
+    if equivalent:
+        return maker, equivalent / _FULL_FRAME_DIAGONAL_MM * math.hypot(width, height)
+    return maker, None
+
+
+def describe_photo(path: Path, name: str) -> Photo:
+    """Size and EXIF data of one file. Raises InputError for what is not a readable image."""
+    width, height = _core.image_size(str(path))
+    maker, focal_px = _exif(path, width, height)
+    return Photo(name, path, width, height, maker, focal_px)
+
+
+def list_photos(folder: Path, exclude: Sequence[str]) -> list[Photo]:
+    """The photos below a folder in natural order of their names (PNG, TIFF, JPEG), without those whose name or path
+    below the folder matches a pattern of `exclude`.
+
+    Raises InputError for a pattern that matches none of the files, and for files that are not readable images.
+    """
+    files = [p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES and p.is_file()]
+    names = {p.relative_to(folder).as_posix(): p for p in files if not any(q.startswith(".") for q in p.parts)}
+    for pattern in exclude:
+        if not any(_matches(name, pattern) for name in names):
+            raise InputError(f'[photos] exclude = ["{pattern}"]: no photo in {folder} has that name')
+    kept = sorted((n for n in names if not any(_matches(n, pattern) for pattern in exclude)), key=_natural)
+    return [describe_photo(names[name], name) for name in kept]
+
+
+def _matches(name: str, pattern: str) -> bool:
+    return fnmatch.fnmatch(name, pattern) or fnmatch.fnmatch(name.rsplit("/", 1)[-1], pattern)
+
+
+def read_gray(path: Path) -> NDArray[np.float32]:
+    """Intensity of a photo as its file codes it, in [0, 1] of full scale, H×W: the mean of its channels."""
+    pixels, full_scale = _core.read_image_dn(str(path))
+    gray = pixels if pixels.ndim == 2 else pixels.mean(axis=2, dtype=np.float32)
+    return np.asarray(gray / np.float32(full_scale), dtype=np.float32)
+
+
+def to_bytes(intensity: NDArray[np.float32], *, gamma: float) -> NDArray[np.uint8]:
+    """An 8-bit image in which features can be found: intensities from the 0.1 to the 99.9 percentile, to the power of
+    1 / gamma (1 for what is gamma-encoded already). NaN becomes black.
+    """
+    finite = intensity[np.isfinite(intensity)]
+    if finite.size == 0:
+        return np.zeros(intensity.shape, np.uint8)
+    low, high = np.percentile(finite, [0.1, 99.9])
+    if not high > low:
+        return np.zeros(intensity.shape, np.uint8)
+    stretched = np.clip((np.nan_to_num(intensity, nan=low) - low) / (high - low), 0, 1) ** (1 / gamma)
+    copy: NDArray[np.uint8] = np.rint(255 * stretched).astype(np.uint8)
+    return copy
+
+
+def write_proxy(photo: Photo, target: Path) -> None:
+    """Write a photo's 8-bit copy, a PNG whatever its name. Raises InputError for a damaged file."""
+    pixels, full_scale = _core.read_image_dn(str(photo.path))
+    gray = pixels if pixels.ndim == 2 else pixels.mean(axis=2, dtype=np.float32)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        _core.write_png(str(target), to_bytes(gray, gamma=1.0 if full_scale == 255 else 2.2))
+    except MalusError as error:
+        raise InputError(f"{photo.path}: no copy could be written for COLMAP ({error})") from None

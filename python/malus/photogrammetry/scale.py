@@ -1,0 +1,131 @@
+"""Scale of the model from the known distances of a station file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malus import _core
+from malus.camera import Camera
+from malus.errors import DataError
+from malus.options import Options
+from malus.photogrammetry.diagnosis import listed
+from malus.photogrammetry.photos import Photo, read_gray, to_bytes
+
+#: Residuals beyond this many standard deviations are likely mistakes.
+_SUSPICIOUS = 4.0
+
+Log = Callable[[str, str], None]
+Mark = tuple[str, float, float]
+#: Target id → where each photo shows it, for one dictionary.
+Targets = dict[int, list[Mark]]
+
+
+@dataclass(frozen=True)
+class _Ends:
+    """Marks of both ends of one distance, and their standard deviation."""
+
+    a: list[Mark]
+    b: list[Mark]
+    sigma_px: float
+
+
+def find_targets(photos: Sequence[Photo], dictionary: str) -> Targets:
+    """Coded targets of a dictionary in every photo. Raises InputError for a dictionary that there is not."""
+    targets: Targets = {}
+    for photo in photos:
+        image: NDArray[np.uint8] = to_bytes(read_gray(photo.path), gamma=1.0)
+        for number, x, y in _core.detect_targets(image, dictionary):
+            targets.setdefault(number, []).append((photo.name, x, y))
+    return targets
+
+
+def _ends(bar: Mapping[str, Any], found: Mapping[str, Targets], options: Options) -> _Ends:
+    if "targets" in bar:
+        targets = found[bar["targets_dictionary"]]
+        a, b = (targets.get(number, []) for number in bar["targets"])
+        return _Ends(a, b, options.photos.target_sigma_px)
+    a, b = ([(mark["image"], mark["x"], mark["y"]) for mark in bar[end]] for end in "ab")
+    return _Ends(a, b, options.photos.mark_sigma_px)
+
+
+def adjust_scale(
+    bars: Sequence[Mapping[str, Any]],
+    photos: Sequence[Photo],
+    cameras: Mapping[str, Camera],
+    options: Options,
+    log: Log,
+) -> dict[str, Any] | None:
+    """Scale (station units a model unit) from the [[scale]] tables of a station, with residuals and standard deviations.
+
+    cameras: registered photos by name, in the model's frame. Distances that cannot be measured are left out with a
+    warning. None when the station has no [[scale]]; DataError when none of its distances can be measured.
+    """
+    if not bars:
+        log("warning", "there is no [[scale]]: the result is in an arbitrary unit, shape without size")
+        return None
+    dictionaries = {str(bar["targets_dictionary"]) for bar in bars if "targets" in bar}
+    found = {name: find_targets(photos, name) for name in sorted(dictionaries)}
+    names = sorted(cameras)
+    index = {name: number for number, name in enumerate(names)}
+    distances, reasons = [], []
+    for number, bar in enumerate(bars, 1):
+        ends = _ends(bar, found, options)
+        marks = [[(index[n], x, y, ends.sigma_px) for n, x, y in end if n in index] for end in (ends.a, ends.b)]
+        if min(len(end) for end in marks) < 2:
+            reasons.append(_reason(number, bar, ends, index))
+            log("warning", reasons[-1] + "; this distance is left out")
+            continue
+        sigma = max(options.photos.distance_sigma_relative, 1e-9) * bar["distance"]
+        distances.append((f"[[scale]] {number}", bar["distance"], sigma, *marks, bar["check"]))
+    if all(distance[-1] for distance in distances):
+        why = ("; " + "; ".join(reasons)) if reasons else ""
+        raise DataError(f"[[scale]]: no distance determines the scale, expected one without check = true{why}")
+    views = [(name, cameras[name].values()) for name in names]
+    result: dict[str, Any] = _core.adjust_scale(views, distances)
+    _warn(result, log)
+    return result
+
+
+def _reason(number: int, bar: Mapping[str, Any], ends: _Ends, registered: Mapping[str, int]) -> str:
+    if "targets" in bar:
+        seen = {
+            target: [name for name, _, _ in end if name in registered]
+            for target, end in zip(bar["targets"], (ends.a, ends.b), strict=True)
+        }
+        text = ", ".join(f"target {target} in {len(photos)} photos" for target, photos in seen.items())
+        return f"[[scale]] {number}: found {text} with a position, expected each in two or more"
+    missing = sorted({name for name, _, _ in [*ends.a, *ends.b] if name not in registered})
+    return f"[[scale]] {number} is marked in photos without a position ({listed(missing)}), fewer than two are left at an end"
+
+
+def _warn(result: Mapping[str, Any], log: Log) -> None:
+    if result["status"] != "converged":
+        log("warning", "the adjustment of the scale did not converge")
+    if result["redundancy"] > 0 and result["unit_weight"] > _SUSPICIOUS:
+        worst = max(result["distances"], key=lambda fit: float(fit["worst_px"]))
+        log(
+            "warning",
+            f"[[scale]]: marks and distances disagree by {result['unit_weight']:.1f} times their standard deviation; the "
+            f"worst mark is that of {worst['name']} in {worst['worst_image']}, {worst['worst_px']:.1f} px off",
+        )
+    for fit in result["distances"]:
+        if abs(fit["residual"]) > _SUSPICIOUS * fit["sigma"]:
+            log(
+                "warning",
+                f"{fit['name']}: {fit['adjusted']:.6g} in the model, {fit['distance']:.6g} given, "
+                f"{abs(fit['residual']) / fit['sigma']:.1f} standard deviations apart",
+            )
+
+
+def scale_model(source: Path, target: Path, factor: float) -> None:
+    """Copy a COLMAP model with all its lengths multiplied."""
+    model = _core.ColmapModel.read(str(source))
+    model.scale(factor)
+    target.mkdir(parents=True, exist_ok=True)
+    model.write(str(target))

@@ -1,0 +1,346 @@
+"""Stations whose prior is made from photos: what goes wrong is said, what is done is not done again."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import malus as package
+from conftest import EXAMPLE, edit, malus, malus_station
+from malus import _core
+from malus.photogrammetry import database, photo_cameras
+from malus.photogrammetry.journal import Journal
+from malus.photogrammetry.metashape import read_metashape
+from malus.photogrammetry.photos import list_photos, to_bytes
+
+#: A program that behaves like `colmap` as far as the environment variable FAKE says, and notes what it was asked.
+FAKE = """#!{python}
+import os, sqlite3, sys, time
+command = sys.argv[1]
+if command == "help":
+    print("COLMAP 3.8 -- fake")
+    sys.exit(0)
+with open(os.environ["FAKE_LOG"], "a") as log:
+    log.write(command + "\\n")
+arguments = dict(zip(sys.argv[2::2], sys.argv[3::2]))
+mode = os.environ.get("FAKE", "")
+if mode == "fail":
+    print("Check failed: something inside", file=sys.stderr)
+    sys.exit(1)
+if mode == "hang" and command == "mapper":
+    time.sleep(600)
+if command == "feature_extractor":
+    base = sqlite3.connect(arguments["--database_path"])
+    base.executescript(
+        "CREATE TABLE cameras (camera_id INTEGER PRIMARY KEY AUTOINCREMENT, model INTEGER, width INTEGER, height INTEGER,"
+        " params BLOB, prior_focal_length INTEGER);"
+        "CREATE TABLE images (image_id INTEGER PRIMARY KEY AUTOINCREMENT, name TEXT, camera_id INTEGER);"
+        "CREATE TABLE keypoints (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
+        "CREATE TABLE descriptors (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
+        "CREATE TABLE matches (pair_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
+        "CREATE TABLE two_view_geometries (pair_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB, config INTEGER)")
+    base.execute("INSERT INTO cameras VALUES (1, 4, 96, 64, x'', 0)")
+    for number, name in enumerate(open(arguments["--image_list_path"]).read().split(), 1):
+        base.execute("INSERT INTO images VALUES (?, ?, 1)", (number, name))
+        rows = 10 if mode == "plain" else 900
+        base.execute("INSERT INTO keypoints VALUES (?, ?, 6, x'')", (number, rows))
+        base.execute("INSERT INTO descriptors VALUES (?, 0, 128, x'')", (number,))
+    base.commit()
+elif command == "matches_importer":
+    base = sqlite3.connect(arguments["--database_path"])
+    if mode != "apart":
+        numbers = [row[0] for row in base.execute("SELECT image_id FROM images")]
+        for a in numbers:
+            for b in numbers:
+                if a < b and not (mode == "stranger" and b == numbers[-1]):
+                    base.execute("INSERT INTO two_view_geometries VALUES (?, 100, 2, x'', 3)", (a * 2147483647 + b,))
+    base.commit()
+"""
+
+
+@pytest.fixture
+def photo_station(small_station: Path) -> Path:
+    """The small station with four small photos in place of camera pose and prior."""
+    folder = small_station.parent / "views"
+    folder.mkdir()
+    for number in range(4):
+        with Image.open(EXAMPLE / "views" / f"view_0{number}.jpg") as image:
+            image.resize((96, 64)).save(folder / f"view {number}.jpg")
+    edit(small_station, 'colmap_model = "sparse"\nimage = "station.jpg"',
+         'model = "PINHOLE"\nwidth = 200\nheight = 160\nparams = [1937.0, 1937.0, 100.0, 80.0]')  # fmt: skip
+    edit(small_station, '[prior]\ncloud = "dense/cloud.ply"', '[photos]\nfolder = "views"')
+    return small_station
+
+
+@pytest.fixture
+def fake_colmap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Put the fake program in place; returns the file with the commands it was given."""
+    program = tmp_path / "fake" / "colmap"
+    program.parent.mkdir()
+    program.write_text(FAKE.format(python=sys.executable))
+    program.chmod(0o755)
+    log = tmp_path / "fake" / "commands"
+    monkeypatch.setenv("MALUS_COLMAP", str(program))
+    monkeypatch.setenv("FAKE_LOG", str(log))
+    return log
+
+
+def fails(station: Path, work: Path, code: int, *words: str) -> str:
+    outcome = malus("prior", station, "-o", work, "--threads", "1")
+    assert outcome.code == code, outcome
+    for word in words:
+        assert word in outcome.err, f"{word!r} is not in {outcome.err!r}"
+    assert "Traceback" not in outcome.err
+    assert not (work / "prior" / "depth.tif").exists()
+    return outcome.err
+
+
+def test_program_is_missing(photo_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MALUS_COLMAP", "colmap-that-is-not-there")
+    fails(photo_station, tmp_path / "work", 4, "colmap-that-is-not-there", "apt install colmap")
+
+
+def test_program_fails(photo_station: Path, tmp_path: Path, fake_colmap: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FAKE", "fail")
+    fails(photo_station, tmp_path / "work", 4, "feature_extractor", "exit code 1", "something inside", "features.log")
+
+
+def test_two_photos_only(photo_station: Path, tmp_path: Path, fake_colmap: Path) -> None:
+    for number in (2, 3):
+        (photo_station.parent / "views" / f"view {number}.jpg").unlink()
+    fails(photo_station, tmp_path / "work", 3, "2 photos", "at least 3")
+
+
+def test_damaged_photo_is_named(photo_station: Path, tmp_path: Path, fake_colmap: Path) -> None:
+    path = photo_station.parent / "views" / "view 2.jpg"
+    path.write_bytes(path.read_bytes()[:600])
+    fails(photo_station, tmp_path / "work", 2, "view 2.jpg")
+    path.write_bytes(b"not an image")
+    fails(photo_station, tmp_path / "work", 2, "view 2.jpg")
+
+
+def test_excluded_photo_that_is_not_there(photo_station: Path, tmp_path: Path, fake_colmap: Path) -> None:
+    edit(photo_station, 'folder = "views"', 'folder = "views"\nexclude = ["none.jpg"]')
+    fails(photo_station, tmp_path / "work", 2, "exclude", "none.jpg")
+
+
+@pytest.mark.parametrize(
+    ("mode", "words"),
+    [
+        ("plain", ("features", "texture")),
+        ("apart", ("same surface", "photograph")),
+        ("", ("focal length", "tilted")),
+        ("stranger", ("view 3.jpg", "nothing in common")),
+    ],
+)
+def test_photos_that_do_not_do(
+    photo_station: Path,
+    tmp_path: Path,
+    fake_colmap: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    mode: str,
+    words: tuple[str, ...],
+) -> None:
+    """Plain photos, photos without overlap, no first pair, a photo of something else."""
+    monkeypatch.setenv("FAKE", mode)
+    fails(photo_station, tmp_path / "work", 3, *words)
+
+
+def test_killed_run_goes_on_and_leaves_no_child(
+    photo_station: Path, tmp_path: Path, fake_colmap: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE", "hang")
+    command = [sys.executable, "-m", "malus.cli", "prior", str(photo_station), "-o", str(tmp_path / "work"), "--quiet"]
+    run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    for _ in range(300):
+        if fake_colmap.exists() and "mapper" in fake_colmap.read_text():
+            break
+        time.sleep(0.1)
+    run.send_signal(signal.SIGINT)
+    _, err = run.communicate(timeout=30)
+    assert run.returncode == 130, err
+    children = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True).stdout
+    assert str(tmp_path / "fake" / "colmap") not in children
+
+    before = fake_colmap.read_text().split()
+    assert before == ["feature_extractor", "matches_importer", "mapper"]
+    monkeypatch.setenv("FAKE", "")
+    fails(photo_station, tmp_path / "work", 3, "focal length")
+    after = fake_colmap.read_text().split()[len(before) :]
+    assert set(after) == {"mapper"}, "finished stages were repeated"
+
+
+def test_check_says_what_would_be_done(photo_station: Path, fake_colmap: Path) -> None:
+    outcome = malus("check", photo_station)
+    assert outcome.code == 0, outcome
+    for words in ("4 with 1 self-calibrated lens", "6 pairs", "COLMAP 3.8", "no [[scale]]", "EXIF"):
+        assert words in outcome.out, words
+    assert not fake_colmap.exists()
+
+
+def test_cpp_program_says_who_can(photo_station: Path, tmp_path: Path) -> None:
+    outcome = malus_station(photo_station, "-o", tmp_path / "work", "--quiet")
+    assert outcome.code == 2
+    assert "malus run" in outcome.err
+
+
+def test_journal_repeats_only_what_changed(tmp_path: Path) -> None:
+    runs: list[str] = []
+
+    def stage(journal: Journal, name: str, value: int) -> None:
+        def run() -> dict[str, object]:
+            runs.append(name)
+            (tmp_path / name).write_text("x" * value)
+            return {}
+
+        journal.stage(name, {"value": value}, [name], run)
+
+    for first, second, expected in ((1, 1, ["a", "b"]), (1, 1, []), (1, 2, ["b"]), (2, 2, ["a", "b"])):
+        runs.clear()
+        journal = Journal(tmp_path)
+        stage(journal, "a", first)
+        stage(journal, "b", second)
+        assert runs == expected
+    (tmp_path / "b").unlink()
+    runs.clear()
+    journal = Journal(tmp_path)
+    stage(journal, "a", 2)
+    stage(journal, "b", 2)
+    assert runs == ["b"]
+
+
+def test_photos_are_listed_naturally_and_excluded_by_pattern(tmp_path: Path) -> None:
+    for name in ("p_10.png", "p_9.png", "sub/p_1.png", "blurred_1.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        _core.write_png(str(tmp_path / name), np.zeros((8, 12), np.uint8))
+    photos = list_photos(tmp_path, ["blurred_*"])
+    assert [photo.name for photo in photos] == ["p_9.png", "p_10.png", "sub/p_1.png"]
+    assert (photos[0].width, photos[0].height) == (12, 8)
+
+
+def test_exif_gives_the_focal_length(tmp_path: Path) -> None:
+    image = Image.new("L", (3000, 2000))
+    exif = image.getexif()
+    exif[0x0110] = "Camera"
+    exif.get_ifd(0x8769)[0xA405] = 50
+    image.save(tmp_path / "a.jpg", exif=exif)
+    photo = list_photos(tmp_path, [])[0]
+    assert photo.maker == "Camera"
+    assert photo.focal_px == pytest.approx(50 / 43.27 * np.hypot(3000, 2000), rel=1e-3)
+
+
+def test_copies_are_stretched() -> None:
+    values = np.linspace(0.1, 0.3, 10000, dtype=np.float32).reshape(100, 100)
+    values[0, 0] = np.nan
+    stretched = to_bytes(values, gamma=1.0)
+    assert stretched.min() == 0
+    assert stretched.max() == 255
+    assert abs(int(stretched[50, 0]) - 127) <= 2
+
+
+def test_pairs_of_many_photos_are_few() -> None:
+    names = [str(k) for k in range(200)]
+    pairs = photo_cameras.pairs_to_match(names, 80)
+    assert len(pairs) == len(set(pairs)) < 3000
+    assert ("0", "1") in pairs and ("3", "67") in pairs
+    assert len(photo_cameras.pairs_to_match(names[:20], 80)) == 190
+
+
+def test_groups_of_connected_photos() -> None:
+    groups = database.connected_groups(["a", "b", "c", "d"], {("a", "b"): 20, ("b", "c"): 30})
+    assert groups == [["a", "b", "c"], ["d"]]
+
+
+METASHAPE = """<document version="1.5.0"><chunk><sensors><sensor id="0" label="cam" type="frame">
+<resolution width="1000" height="800"/><calibration class="adjusted"><f>2000</f><cx>3.5</cx><cy>-2</cy><k1>-0.1</k1>
+<p1>1e-3</p1><p2>2e-3</p2></calibration></sensor></sensors>
+<cameras><camera id="0" label="a.jpg" sensor_id="0"><transform>1 0 0 1  0 1 0 2  0 0 1 3  0 0 0 1</transform></camera>
+<camera id="1" label="unplaced" sensor_id="0"/></cameras>
+<transform><rotation>0 -1 0 1 0 0 0 0 1</rotation><translation>10 20 30</translation><scale>2</scale></transform>
+</chunk></document>"""
+
+
+def test_metashape_cameras(tmp_path: Path) -> None:
+    path = tmp_path / "cameras.xml"
+    path.write_text(METASHAPE)
+    cameras = read_metashape(path)
+    assert list(cameras) == ["a.jpg"]
+    camera = cameras["a.jpg"]
+    rotation, translation = camera.pose()
+    # The centre (1, 2, 3) of the chunk, doubled, turned by 90° about z and moved.
+    np.testing.assert_allclose(-rotation.T @ translation, [10 - 4, 20 + 2, 30 + 6], atol=1e-12)
+    assert camera.params[:4] == [2000, 2000, 503.0, 397.5]
+    assert list(camera.params[4:9]) == [-0.1, 0.0, 2e-3, 1e-3, 0.0]
+    path.write_text(METASHAPE.replace("<k1>", "<b2>0.5</b2><k1>"))
+    with pytest.raises(package.InputError, match="b2"):
+        read_metashape(path)
+    path.write_text("<document>")
+    with pytest.raises(package.InputError, match=r"cameras\.xml"):
+        read_metashape(path)
+
+
+@pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
+def test_real_colmap_finds_cameras_scale_and_prior(tmp_path: Path) -> None:
+    """The demo station at half size with six of its photos; scale from two points of the demo's own model."""
+    folder = tmp_path / "station"
+    (folder / "views").mkdir(parents=True)
+    (folder / "pol").mkdir()
+    used = ["view_00.jpg", "view_02.jpg", "view_03.jpg", "view_05.jpg", "view_07.jpg", "view_09.jpg"]
+    truth = _core.ColmapModel.read(str(EXAMPLE / "sparse")).images()
+    marks: dict[str, list[str]] = {"a": [], "b": []}
+    ends = {"a": np.array([-60.0, -30.0, 0.0]), "b": np.array([55.0, 35.0, 0.0])}
+    for name in used:
+        with Image.open(EXAMPLE / "views" / name) as image:
+            image.save(folder / "views" / name, quality=97)
+        _, _, _, (fx, fy, cx, cy), rotation, translation = truth[name][0]
+        for end, point in ends.items():
+            x = rotation @ point + translation
+            u, v = fx * x[0] / x[2] + cx, fy * x[1] / x[2] + cy
+            marks[end].append(f'{{ image = "{name}", x = {u:.3f}, y = {v:.3f} }}')
+    for path in sorted((EXAMPLE / "pol").glob("*.png")):
+        shutil.copy(path, folder / "pol")
+    _, width, height, (fx, fy, cx, cy), *_ = truth["station.jpg"][0]
+    _, photo_width, photo_height, (px, py, pcx, pcy), *_ = truth[used[0]][0]
+    station = folder / "station.toml"
+    station.write_text(f"""
+[polarized]
+images = "pol"
+white_level = 16383
+[camera]
+model = "PINHOLE"
+width = {width}
+height = {height}
+params = [{fx}, {fy}, {cx + 0.5}, {cy + 0.5}]
+[photos]
+folder = "views"
+camera = {{ model = "PINHOLE", width = {photo_width}, height = {photo_height}, params = [{px}, {py}, {pcx + 0.5}, {pcy + 0.5}] }}
+[[scale]]
+distance = {np.linalg.norm(ends["a"] - ends["b"])}
+a = [{", ".join(marks["a"])}]
+b = [{", ".join(marks["b"])}]
+""")
+    options = ("--set", "photos.max_features=1500", "--threads", str(os.cpu_count() or 1))
+    outcome = malus("prior", station, "-o", tmp_path / "work", *options)
+    assert outcome.code == 0, outcome
+    model = _core.ColmapModel.read(str(tmp_path / "work" / "prior" / "colmap" / "model")).images()
+    assert set(used) <= set(model)
+
+    def centers(images: dict[str, tuple[package.photogrammetry.RegisteredImage, int, int]]) -> np.ndarray:
+        return np.array([-np.array(images[n][0][4]).T @ images[n][0][5] for n in used])  # type: ignore[index]
+
+    found, true = centers(model), centers(truth)
+    spread = [np.linalg.norm(c - c.mean(axis=0)) for c in (found, true)]
+    assert spread[0] / spread[1] == pytest.approx(1, abs=2e-3)
+    again = malus("prior", station, "-o", tmp_path / "work", *options, "--json")
+    steps = [json.loads(line) for line in again.out.splitlines()]
+    assert any(step.get("message") == "kept from an earlier run" and step["step"] == "prior" for step in steps)
