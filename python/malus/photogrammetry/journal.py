@@ -46,7 +46,9 @@ class Journal:
         `outputs` are files or folders below the journal's folder. They are removed before the stage is run. The notes
         must be JSON and get the seconds it took.
         """
-        text = json.dumps({"stage": name, "version": _core.version, "inputs": inputs, "after": self._previous}, sort_keys=True)
+        text = json.dumps(
+            {"stage": name, "version": _core.version, "inputs": inputs, "after": self._previous}, sort_keys=True
+        )
         self._previous = key = hashlib.sha256(text.encode()).hexdigest()
         mark = self._marks / f"{name}.json"
         done = self._read(mark)
