@@ -138,32 +138,35 @@ def _with_photos(
     """
     description = station.describe()
     images = run(station._core, "polarization", None)
-    cameras = photogrammetry.find_cameras(
-        description,
-        images["scene"],
-        folder,
-        options=options,
-        threads=threads,
-        progress=lambda fraction, message: report("photos", fraction, message),
-        log=log,
-    )
-    lens = cameras.station
-    if "camera" in description:
-        given = description["camera"]
-        lens = Camera(given["model"], given["width"], given["height"], given["params"], lens.rotation, lens.translation)
-    else:
-        # Now that the lens is known, the images can be undistorted.
-        images = run(station._core.with_photogrammetry(lens.values(), None, None, "{}"), "polarization", None)
-    depth, sigma, sweep = photogrammetry.sweep_station(
-        cameras,
-        images["scene"],
-        np.where(images["valid"] != 0, np.uint8(255), np.uint8(0)),
-        folder,
-        options=options,
-        threads=threads,
-        progress=lambda fraction, message: report("sweep", fraction, message),
-        log=log,
-    )
+    with photogrammetry.exclusive(folder):
+        cameras = photogrammetry.find_cameras(
+            description,
+            images["scene"],
+            folder,
+            options=options,
+            threads=threads,
+            progress=lambda fraction, message: report("photos", fraction, message),
+            log=log,
+        )
+        lens = cameras.station
+        if "camera" in description:
+            given = description["camera"]
+            lens = Camera(
+                given["model"], given["width"], given["height"], given["params"], lens.rotation, lens.translation
+            )
+        else:
+            # Now that the lens is known, the images can be undistorted.
+            images = run(station._core.with_photogrammetry(lens.values(), None, None, "{}"), "polarization", None)
+        depth, sigma, sweep = photogrammetry.sweep_station(
+            cameras,
+            images["scene"],
+            np.where(images["valid"] != 0, np.uint8(255), np.uint8(0)),
+            folder,
+            options=options,
+            threads=threads,
+            progress=lambda fraction, message: report("sweep", fraction, message),
+            log=log,
+        )
     figures = {**cameras.figures, "sweep": sweep}
     return station._core.with_photogrammetry(lens.values(), depth, sigma, json.dumps(figures))
 

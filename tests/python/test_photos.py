@@ -194,6 +194,14 @@ def test_cpp_program_says_who_can(photo_station: Path, tmp_path: Path) -> None:
     assert "malus run" in outcome.err
 
 
+def test_folder_belongs_to_one_process(tmp_path: Path) -> None:
+    with package.photogrammetry.exclusive(tmp_path / "a"):
+        with pytest.raises(package.InputError, match="in use"), package.photogrammetry.exclusive(tmp_path / "a"):
+            pass
+    with pytest.raises(package.ResourceError, match="No space"), package.photogrammetry.exclusive(tmp_path / "a"):
+        raise OSError(28, "No space left on device")
+
+
 def test_journal_repeats_only_what_changed(tmp_path: Path) -> None:
     runs: list[str] = []
 

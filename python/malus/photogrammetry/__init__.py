@@ -5,6 +5,7 @@ runs it for stations with [photos] and no [prior]; `find_cameras` and `sweep_sta
 reads the cameras of an Agisoft Metashape project.
 """
 
+from malus.photogrammetry.folder import exclusive
 from malus.photogrammetry.front_end import StationCameras, find_cameras, sweep_station
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.model import RegisteredImage, SparseModel
@@ -16,6 +17,7 @@ __all__ = [
     "RegisteredImage",
     "SparseModel",
     "StationCameras",
+    "exclusive",
     "find_cameras",
     "list_photos",
     "plan",

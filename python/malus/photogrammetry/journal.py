@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from malus import _core
+
 
 def sha256_of(path: Path) -> str:
     """SHA-256 of a file's bytes."""
@@ -21,7 +23,7 @@ def sha256_of(path: Path) -> str:
 class Journal:
     """Marks of finished stages, `done/<stage>.json` below a folder.
 
-    A stage's key is the hash of what it was given and of the key of the stage before it; it is done when its mark has
+    A stage's key is the hash of malus's version, of what it was given and of the key of the stage before it; it is done when its mark has
     that key and its outputs are there with the size they had.
     """
 
@@ -44,7 +46,9 @@ class Journal:
         `outputs` are files or folders below the journal's folder. They are removed before the stage is run. The notes
         must be JSON and get the seconds it took.
         """
-        text = json.dumps({"stage": name, "inputs": inputs, "after": self._previous}, sort_keys=True)
+        text = json.dumps(
+            {"stage": name, "version": _core.version, "inputs": inputs, "after": self._previous}, sort_keys=True
+        )
         self._previous = key = hashlib.sha256(text.encode()).hexdigest()
         mark = self._marks / f"{name}.json"
         done = self._read(mark)

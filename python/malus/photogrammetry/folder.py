@@ -1,0 +1,38 @@
+"""The folder in which one process at a time keeps the front end's files."""
+
+from __future__ import annotations
+
+import fcntl
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from malus.errors import ExternalError, InputError, MalusError, ResourceError
+
+
+@contextmanager
+def exclusive(folder: Path) -> Iterator[None]:
+    """Create the folder if needed and hold it for this process.
+
+    Raises InputError when another process holds it. Failures of the disk in the meantime become ResourceError, those of a
+    damaged database ExternalError.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / "lock").open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise InputError(
+                    f"{folder} is in use by another process; wait for it, or choose another folder"
+                ) from None
+            yield
+    except MalusError:
+        raise
+    except OSError as error:
+        raise ResourceError(f"{error.filename or folder}: {error.strerror or error}") from None
+    except sqlite3.Error as error:
+        raise ExternalError(
+            f"{folder}: COLMAP's database is damaged ({error}); remove the folder and run again"
+        ) from None
