@@ -353,24 +353,20 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
       hole_pixels / static_cast<double>(std::count_if(mask.begin(), mask.end(), [](auto m) { return m != 0; }));
 }
 
-/// Prior of a depth raster in the station view, with its standard deviation if that is known; `source` names it in
-/// messages.
-DepthPrior prior_of_raster(const Image<float>& depth, const Image<float>* sigma, const std::string& source,
-                           const Pinhole& camera, const Pose& pose, const Mask& mask, const PriorOptions& options,
-                           const Context& context) {
+/// Prior of a depth raster in the station view; `source` names it in messages.
+DepthPrior prior_of_raster(const Image<float>& depth, const std::string& source, const Pinhole& camera,
+                           const Pose& pose, const Mask& mask, const PriorOptions& options, const Context& context) {
   DepthPrior prior = empty_prior(camera, pose);
   std::size_t known = 0, elsewhere = 0;
   for (std::size_t i = 0; i < depth.count(); ++i) {
-    const bool usable = std::isfinite(depth[i]) && depth[i] > 0 &&
-                        (sigma == nullptr || (std::isfinite((*sigma)[i]) && (*sigma)[i] > 0));
+    const bool usable = std::isfinite(depth[i]) && depth[i] > 0;
     if (mask[i] == 0 || !usable) {
       elsewhere += usable;
       continue;
     }
     ++known;
     prior.depth[i] = depth[i];
-    prior.sigma[i] =
-        sigma != nullptr ? (*sigma)[i] : static_cast<float>(options.raster_sigma_gsd * depth[i] / camera.focal());
+    prior.sigma[i] = static_cast<float>(options.raster_sigma_gsd * depth[i] / camera.focal());
   }
   if (known < static_cast<std::size_t>(options.min_points)) {
     throw data_error(source + ": " + std::to_string(known) + " object pixels have a depth, expected at least " +
@@ -427,15 +423,15 @@ DepthPrior project_prior(const TriangleMesh& mesh, const Pinhole& camera, const 
                          const PriorOptions& options, const Context& context) {
   validate(camera, pose, mask, options);
   context.progress("prior", 0, "rasterizing the mesh");
-  return prior_of_raster(rasterize_mesh(mesh, camera, pose, context), nullptr, "prior mesh", camera, pose, mask,
-                         options, context);
+  return prior_of_raster(rasterize_mesh(mesh, camera, pose, context), "prior mesh", camera, pose, mask, options,
+                         context);
 }
 
 DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context) {
   validate(camera, pose, mask, options);
   require_size(depth, camera.size, "prior depth map");
-  return prior_of_raster(depth, nullptr, "prior depth map", camera, pose, mask, options, context);
+  return prior_of_raster(depth, "prior depth map", camera, pose, mask, options, context);
 }
 
 DepthPrior project_prior(const Image<float>& depth, const Image<float>& sigma, const Pinhole& camera, const Pose& pose,
@@ -443,7 +439,23 @@ DepthPrior project_prior(const Image<float>& depth, const Image<float>& sigma, c
   validate(camera, pose, mask, options);
   require_size(depth, camera.size, "prior depth map");
   require_size(sigma, camera.size, "standard deviation of the prior depth map");
-  return prior_of_raster(depth, &sigma, "prior depth map", camera, pose, mask, options, context);
+  constexpr int stride = 4;
+  const auto known = [&](int u, int v) {
+    return std::isfinite(depth(u, v)) && depth(u, v) > 0 && std::isfinite(sigma(u, v)) && sigma(u, v) > 0;
+  };
+  PointCloud cloud;
+  for (int v = 0; v < depth.height(); v += stride) {
+    for (int u = 0; u < depth.width(); u += stride) {
+      if (known(u, v)) cloud.points.push_back(pose.world_from_cam(depth(u, v) * camera.ray(u, v)));
+    }
+  }
+  DepthPrior prior = project_prior(cloud, camera, pose, mask, options, context);
+  for (int v = 0; v < depth.height(); ++v) {
+    for (int u = 0; u < depth.width(); ++u) {
+      if (mask(u, v) != 0 && known(u, v)) prior.sigma(u, v) = std::max(prior.sigma(u, v), sigma(u, v));
+    }
+  }
+  return prior;
 }
 
 }  // namespace malus

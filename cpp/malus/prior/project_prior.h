@@ -33,7 +33,8 @@ struct PriorOptions {
     visit("smoothing_px", self.smoothing_px, Range{0.1, 1000.0},
           "length over which the cloud is smoothed, in px; left out = from the cloud's noise and density");
     visit("smoothing_scale", self.smoothing_scale, Range{0.1, 10},
-          "the estimated smoothing length times this; below 1 because what is smoothed away is lost to the fusion, noise is not");
+          "the estimated smoothing length times this; below 1 because what is smoothed away is lost to the fusion, "
+          "noise is not");
     visit("edge_tolerance", self.edge_tolerance, Range{0.01, 1e12},
           "bending, over what is usual, at which the smoothing gives way to a step or an occluding edge");
     visit("neighbors", self.neighbors, Range{3, 100}, "nearest neighbors a point is compared with, in the view");
@@ -57,10 +58,10 @@ struct PriorOptions {
 
 /// Coarse surface from a point cloud (world frame, unit of the station): its visible points (see visible_points.h),
 /// smoothed by a robust thin-plate spline over the mask (see smoothing_spline.h) in log depth, whose smoothing is the
-/// restricted maximum likelihood estimate from the points' scatter. A cloud with normals gives the surface's slopes too,
-/// weighted by how well they agree, and every point counts by its distance across the surface. `mask` has the camera's size; depth and sigma are
-/// NaN outside. sigma² is the spline's posterior variance, which grows away from the points, plus the part of the noise
-/// that neighboring points share.
+/// restricted maximum likelihood estimate from the points' scatter. A cloud with normals gives the surface's slopes
+/// too, weighted by how well they agree, and every point counts by its distance across the surface. `mask` has the
+/// camera's size; depth and sigma are NaN outside. sigma² is the spline's posterior variance, which grows away from the
+/// points, plus the part of the noise that neighboring points share.
 ///
 /// Throws an input error for values that are not finite or a mask of another size, a data error that says where the
 /// points fell if fewer than `min_points` are visible on the object.
@@ -78,8 +79,10 @@ DepthPrior project_prior(const TriangleMesh& mesh, const Pinhole& camera, const 
 DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context);
 
-/// The same with each pixel's standard deviation (same unit and size) in place of `raster_sigma_gsd`; pixels whose sigma
-/// is not finite and positive count as without depth.
+/// Coarse surface from a depth map that was measured over windows (the surface sweep): neighbouring pixels share most
+/// of their windows and so of their errors, therefore only every fourth pixel of every fourth row becomes a point of a
+/// cloud, which is smoothed as above. `sigma`, each pixel's standard deviation (same unit and size), bounds that of the
+/// surface from below; pixels where it is not finite and positive count as without depth.
 DepthPrior project_prior(const Image<float>& depth, const Image<float>& sigma, const Pinhole& camera, const Pose& pose,
                          const Mask& mask, const PriorOptions& options, const Context& context);
 

@@ -371,6 +371,34 @@ TEST(PriorOfDepthMap, KeepsPixelsAndFillsHoles) {
   EXPECT_GE(prior.sigma(50, 40), prior.sigma(5, 5));
 }
 
+TEST(PriorOfDepthMap, SmoothsWhatWasMeasuredOverWindows) {
+  // Noise that neighbours share, as windows of 5 px leave it, and gaps.
+  const Size size = test_camera().size;
+  std::mt19937 generator(4);
+  std::normal_distribution<double> normal(0, 5 * gsd_mm);
+  Image<double> noise({size.width + 4, size.height + 4});
+  for (double& value : noise) value = normal(generator);
+  Image<float> depth(size), sigma(size, 1, static_cast<float>(gsd_mm));
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = 0; u < size.width; ++u) {
+      double mean = 0;
+      for (int k = 0; k < 25; ++k) mean += noise(u + k % 5, v + k / 5) / 25;
+      depth(u, v) = static_cast<float>(plane_depth(u, v) + mean);
+      if (std::hypot(u - 50, v - 40) < 6) sigma(u, v) = std::numeric_limits<float>::quiet_NaN();
+    }
+  }
+  const double before = rms_gsd(depth, plane_depth);
+  const DepthPrior prior = project_prior(depth, sigma, test_camera(), test_pose(), full_mask(), {}, {});
+  EXPECT_NEAR(before, 1, 0.1);
+  EXPECT_LT(rms_gsd(prior.depth, plane_depth), 0.5 * before);
+  EXPECT_GE(prior.sigma(5, 5), sigma(5, 5));
+  EXPECT_TRUE(std::isfinite(prior.sigma(50, 40)));
+  EXPECT_EQ(error_of([&] {
+              project_prior(depth, Image<float>({3, 3}), test_camera(), test_pose(), full_mask(), {}, {});
+            }).first,
+            ErrorCode::input);
+}
+
 TEST(PriorOfDepthMap, RejectsOtherSizesAndEmptyMaps) {
   EXPECT_EQ(error_of([] { project(Image<float>({10, 10}, 1, 400.0F)); }).first, ErrorCode::input);
   EXPECT_EQ(error_of([] { project(Image<float>(test_camera().size)); }).first, ErrorCode::data);
