@@ -12,6 +12,7 @@
 
 #include "malus/core/error.h"
 #include "malus/prior/rasterize_mesh.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {
@@ -85,22 +86,6 @@ template <class Source>
 DepthPrior project(const Source& source, const PriorOptions& options = {}, const Mask& mask = full_mask(),
                    const Context& context = {}) {
   return project_prior(source, test_camera(), test_pose(), mask, options, context);
-}
-
-/// Code and message of the error that a call throws.
-template <class Call>
-std::pair<ErrorCode, std::string> error_of(Call&& call) {
-  try {
-    call();
-  } catch (const Error& error) {
-    return {error.code(), error.what()};
-  }
-  ADD_FAILURE() << "no error";
-  return {};
-}
-
-void expect_contains(const std::string& text, const std::string& part) {
-  EXPECT_NE(text.find(part), std::string::npos) << text;
 }
 
 TEST(PriorOfCloud, ReproducesNoiselessSurfaces) {

@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "malus/core/error.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {
@@ -151,21 +152,6 @@ Errors errors_of(const SweepResult& result, const Image<double>& truth, int bord
   const auto n = static_cast<double>(errors.size());
   std::nth_element(errors.begin(), errors.begin() + static_cast<std::ptrdiff_t>(errors.size() / 2), errors.end());
   return {n / pixels, errors[errors.size() / 2], std::sqrt(squares / n), covered / n};
-}
-
-template <class Call>
-std::pair<ErrorCode, std::string> error_of(Call&& call) {
-  try {
-    call();
-  } catch (const Error& error) {
-    return {error.code(), error.what()};
-  }
-  ADD_FAILURE() << "no error";
-  return {};
-}
-
-void expect_contains(const std::string& text, const std::string& part) {
-  EXPECT_NE(text.find(part), std::string::npos) << text;
 }
 
 class SweepOfBumps : public ::testing::Test {
