@@ -13,10 +13,10 @@ std::vector<QuadIndex> existing(const RefinementField& field, std::vector<QuadIn
   return quads;
 }
 
-/// The pixels around a quad by their position relative to its first pixel, −1 … 3, with the parameters they live in.
+/// The pixels around a quad by their position relative to its first pixel, −2 … 3, with the parameters they live in.
 class Neighbourhood {
  public:
-  static constexpr int side = 5;
+  static constexpr int first = -quad_px, side = 3 * quad_px;
 
   Neighbourhood(const RefinementField& field, QuadIndex quad, const std::vector<QuadIndex>& quads,
                 double const* const* parameters)
@@ -24,10 +24,8 @@ class Neighbourhood {
     for (std::size_t k = 0; k < quads.size(); ++k) {
       for (int i = 0; i < quad_values; ++i) {
         const int u = quad_px * quads[k].column + i % quad_px, v = quad_px * quads[k].row + i / quad_px;
-        const int du = u - u0_, dv = v - v0_;
-        if (du < -1 || dv < -1 || du > 3 || dv > 3 || !field.is_object(u, v)) continue;
-        Entry& entry = entries_[index(du, dv)];
-        entry = {static_cast<int>(k), i, parameters[k][i]};
+        if (!field.is_object(u, v)) continue;
+        entries_[index(u - u0_, v - v0_)] = {static_cast<int>(k), i, parameters[k][i]};
       }
     }
   }
@@ -48,7 +46,7 @@ class Neighbourhood {
     int block = -1, column = 0;
     double value = 0;
   };
-  static std::size_t index(int du, int dv) { return static_cast<std::size_t>((dv + 1) * side + du + 1); }
+  static std::size_t index(int du, int dv) { return static_cast<std::size_t>((dv - first) * side + du - first); }
 
   int u0_, v0_;
   std::array<Entry, side * side> entries_;
@@ -81,11 +79,9 @@ CentralDifference central_difference(const Neighbourhood& around, int du, int dv
   return {share * (after.value + before.value), before.exists ? share : 0, after.exists ? share : 0};
 }
 
-void zero(double** jacobians, std::size_t blocks, int residuals) {
-  if (jacobians == nullptr) return;
-  for (std::size_t k = 0; k < blocks; ++k) {
-    if (jacobians[k] != nullptr) std::fill_n(jacobians[k], residuals * quad_values, 0.0);
-  }
+/// The quad next to a pixel's own on the pixel's side, along one axis.
+int beside(int at) {
+  return at / quad_px + (at % quad_px == 0 ? -1 : 1);
 }
 
 }  // namespace
@@ -103,25 +99,31 @@ QuadCost::QuadCost(const RefinementField& field, std::vector<QuadIndex> quads, i
   mutable_parameter_block_sizes()->assign(quads_.size(), quad_values);
 }
 
+bool QuadCost::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
+  std::fill_n(residuals, num_residuals(), 0.0);
+  if (jacobians != nullptr) {
+    for (std::size_t k = 0; k < quads_.size(); ++k) {
+      if (jacobians[k] != nullptr) std::fill_n(jacobians[k], num_residuals() * quad_values, 0.0);
+    }
+  }
+  if (finished_ == nullptr || !*finished_) evaluate(parameters, residuals, jacobians);
+  return true;
+}
+
 StokesCost::StokesCost(const RefinementField& field, int u, int v)
-    : QuadCost(field,
-               {{u / quad_px, v / quad_px},
-                {u / quad_px + (u % quad_px == 0 ? -1 : 1), v / quad_px},
-                {u / quad_px, v / quad_px + (v % quad_px == 0 ? -1 : 1)}},
-               8),
+    : QuadCost(field, {{u / quad_px, v / quad_px}, {beside(u), v / quad_px}, {u / quad_px, beside(v)}}, 8),
       u_(u),
       v_(v) {}
 
-bool StokesCost::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
+void StokesCost::evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
   const Neighbourhood around(field_, quads_.front(), quads_, parameters);
   const int du = u_ % quad_px, dv = v_ % quad_px;
-  std::fill_n(residuals, num_residuals(), 0.0);
-  zero(jacobians, quads_.size(), num_residuals());
   const std::array<Difference, 2> along_u{difference(around, du, dv, 1, 0), difference(around, du, dv, -1, 0)};
   const std::array<Difference, 2> along_v{difference(around, du, dv, 0, 1), difference(around, du, dv, 0, -1)};
   const double root = 0.5 * std::sqrt(static_cast<double>(field_.stokes_precision(u_, v_)));
-  const RaySlopes slopes = field_.slopes_at(u_, v_);
-  const PixelReflection reflection = field_.reflection_at(u_, v_);
+  const RayFrame frame = field_.frame_at(u_, v_);
+  const RaySlopes slopes = ray_slopes(field_.camera, frame, u_, v_);
+  const PixelReflection reflection = field_.reflection_at(u_, v_, frame);
   int residual = 0;
   for (const Difference& xu : along_u) {
     for (const Difference& xv : along_v) {
@@ -146,7 +148,6 @@ bool StokesCost::Evaluate(double const* const* parameters, double* residuals, do
       residual += 2;
     }
   }
-  return true;
 }
 
 void StokesLoss::Evaluate(double squared, double rho[3]) const {
@@ -157,24 +158,31 @@ void StokesLoss::Evaluate(double squared, double rho[3]) const {
   rho[2] = -weight / (scale2 * sum * sum);
 }
 
-SmoothnessCost::SmoothnessCost(const RefinementField& field, QuadIndex quad, double weight)
-    : QuadCost(field,
-               {quad,
-                {quad.column - 1, quad.row},
-                {quad.column + 1, quad.row},
-                {quad.column, quad.row - 1},
-                {quad.column, quad.row + 1}},
-               3 * quad_values),
-      weight_(weight) {}
+OutsideCost::OutsideCost(const RefinementField& field, QuadIndex quad) : QuadCost(field, {quad}, quad_values) {}
 
-bool SmoothnessCost::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
+void OutsideCost::evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
   const Neighbourhood around(field_, quads_.front(), quads_, parameters);
-  std::fill_n(residuals, num_residuals(), 0.0);
-  zero(jacobians, quads_.size(), num_residuals());
   for (int pixel = 0; pixel < quad_values; ++pixel) {
-    const int du = pixel % quad_px, dv = pixel / quad_px;
-    for (int axis = 0; axis < 2; ++axis) {
-      const int step_u = axis == 0, step_v = axis == 1, residual = 3 * pixel + axis;
+    if (around.has(pixel % quad_px, pixel / quad_px)) continue;
+    residuals[pixel] = parameters[0][pixel];
+    if (jacobians != nullptr && jacobians[0] != nullptr) jacobians[0][pixel * quad_values + pixel] = 1;
+  }
+}
+
+QuadIndex next_quad(QuadIndex quad, Axis axis) {
+  return axis == Axis::u ? QuadIndex{quad.column + 1, quad.row} : QuadIndex{quad.column, quad.row + 1};
+}
+
+SmoothnessCost::SmoothnessCost(const RefinementField& field, QuadIndex quad, Axis axis, double weight)
+    : QuadCost(field, {quad, next_quad(quad, axis)}, 2 * quad_px), axis_(axis), weight_(weight) {}
+
+void SmoothnessCost::evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
+  const Neighbourhood around(field_, quads_.front(), quads_, parameters);
+  const int step_u = axis_ == Axis::u, step_v = axis_ == Axis::v;
+  int residual = 0;
+  for (int line = 0; line < quad_px; ++line) {
+    for (int at = 1; at <= quad_px; ++at, ++residual) {
+      const int du = step_u * at + step_v * line, dv = step_v * at + step_u * line;
       if (!around.has(du, dv) || !around.has(du - step_u, dv - step_v) || !around.has(du + step_u, dv + step_v))
         continue;
       residuals[residual] = weight_ * (around.value(du - step_u, dv - step_v) + around.value(du + step_u, dv + step_v) -
@@ -184,12 +192,7 @@ bool SmoothnessCost::Evaluate(double const* const* parameters, double* residuals
       around.add(jacobians, residual, du + step_u, dv + step_v, weight_);
       around.add(jacobians, residual, du, dv, -2 * weight_);
     }
-    if (around.has(du, dv)) continue;
-    // A pixel beside the object shares the quad's parameters; it stays at 0 and touches nothing.
-    residuals[3 * pixel + 2] = parameters[0][pixel];
-    if (jacobians != nullptr && jacobians[0] != nullptr) jacobians[0][(3 * pixel + 2) * quad_values + pixel] = 1;
   }
-  return true;
 }
 
 LogShading log_shading(const Eigen::Vector4d& harmonics, const RayFrame& frame, double p, double q) {
@@ -204,73 +207,52 @@ LogShading log_shading(const Eigen::Vector4d& harmonics, const RayFrame& frame, 
           (up * scale - along * q / slant2) / shading};
 }
 
-AlbedoCost::AlbedoCost(const RefinementField& field, QuadIndex quad)
+AlbedoCost::AlbedoCost(const RefinementField& field, int u, int v)
     : QuadCost(field,
-               {quad,
-                {quad.column - 1, quad.row},
-                {quad.column + 1, quad.row},
-                {quad.column, quad.row - 1},
-                {quad.column, quad.row + 1},
-                {quad.column + 1, quad.row - 1},
-                {quad.column - 1, quad.row + 1},
-                {quad.column + 1, quad.row + 1}},
-               2 * quad_values) {}
+               {{u / quad_px, v / quad_px}, {beside(u), v / quad_px}, {u / quad_px, beside(v)}, {beside(u), beside(v)}},
+               2),
+      u_(u),
+      v_(v) {}
 
-bool AlbedoCost::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
+void AlbedoCost::evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
   const Neighbourhood around(field_, quads_.front(), quads_, parameters);
-  std::fill_n(residuals, num_residuals(), 0.0);
-  zero(jacobians, quads_.size(), num_residuals());
-
-  struct Node {
-    double value = 0, by_xu = 0, by_xv = 0;
-    CentralDifference along_u, along_v;
-  };
-  std::array<std::array<Node, 3>, 3> nodes;
-  for (int dv = 0; dv < 3; ++dv) {
-    for (int du = 0; du < 3; ++du) {
-      if ((du == 2 && dv == 2) || !around.has(du, dv)) continue;
-      Node& node = nodes[static_cast<std::size_t>(dv)][static_cast<std::size_t>(du)];
-      const int u = around.u(du), v = around.v(dv);
-      node.along_u = central_difference(around, du, dv, 1, 0);
-      node.along_v = central_difference(around, du, dv, 0, 1);
-      const RaySlopes slopes = field_.slopes_at(u, v);
-      const LogShading shading =
-          log_shading(field_.shading, field_.frame_at(u, v), slopes.p(node.along_u.value, node.along_v.value),
-                      slopes.q(node.along_u.value, node.along_v.value));
-      node.value = field_.log_body(u, v) - shading.value;
-      node.by_xu = -(shading.by_p * slopes.pu + shading.by_q * slopes.qu);
-      node.by_xv = -(shading.by_p * slopes.pv + shading.by_q * slopes.qv);
-    }
-  }
-  const auto add_node = [&](const Node& node, int residual, int du, int dv, double factor) {
-    const auto along = [&](const CentralDifference& d, double derivative, int step_u, int step_v) {
-      const double f = factor * derivative;
-      if (d.weight_after > 0) around.add(jacobians, residual, du + step_u, dv + step_v, f * d.weight_after);
-      if (d.weight_before > 0) around.add(jacobians, residual, du - step_u, dv - step_v, -f * d.weight_before);
-      around.add(jacobians, residual, du, dv, f * (d.weight_before - d.weight_after));
-    };
-    along(node.along_u, node.by_xu, 1, 0);
-    along(node.along_v, node.by_xv, 0, 1);
-  };
-  for (int pixel = 0; pixel < quad_values; ++pixel) {
-    const int du = pixel % quad_px, dv = pixel / quad_px;
-    if (!around.has(du, dv)) continue;
-    const int u = around.u(du), v = around.v(dv);
-    const Node& here = nodes[static_cast<std::size_t>(dv)][static_cast<std::size_t>(du)];
-    for (int axis = 0; axis < 2; ++axis) {
-      const int next_u = du + (axis == 0), next_v = dv + (axis == 1);
-      const double weight = axis == 0 ? field_.edge_weight_right(u, v) : field_.edge_weight_down(u, v);
-      if (weight <= 0 || !around.has(next_u, next_v)) continue;
-      const Node& next = nodes[static_cast<std::size_t>(next_v)][static_cast<std::size_t>(next_u)];
-      const int residual = 2 * pixel + axis;
-      const double root = std::sqrt(weight);
-      residuals[residual] = root * (next.value - here.value);
+  const int du = u_ % quad_px, dv = v_ % quad_px;
+  const double root = std::sqrt(field_.albedo_weight);
+  const auto has_body = [&](int u, int v) { return field_.is_object(u, v) && std::isfinite(field_.log_body(u, v)); };
+  for (const Axis axis : {Axis::u, Axis::v}) {
+    const bool along_u = axis == Axis::u;
+    const int residual = along_u ? 0 : 1;
+    const int step_u = along_u ? 1 : 0, step_v = along_u ? 0 : 1;  // along; across is (step_v, step_u)
+    if (!has_body(u_ - step_u, v_ - step_v) || !has_body(u_ + step_u, v_ + step_v)) continue;
+    const CentralDifference across_here = central_difference(around, du, dv, step_v, step_u);
+    for (const int side : {-1, 1}) {
+      const int next_u = du + side * step_u, next_v = dv + side * step_v;
+      const double along = side * (around.value(next_u, next_v) - around.value(du, dv));
+      const CentralDifference across_next = central_difference(around, next_u, next_v, step_v, step_u);
+      const double across = 0.5 * (across_here.value + across_next.value);
+      const double at_u = u_ + 0.5 * side * step_u, at_v = v_ + 0.5 * side * step_v;
+      const RayFrame frame = ray_frame(&field_.camera, at_u, at_v);
+      const RaySlopes slopes = ray_slopes(field_.camera, frame, at_u, at_v);
+      const double xu = along_u ? along : across, xv = along_u ? across : along;
+      const LogShading shading = log_shading(field_.shading, frame, slopes.p(xu, xv), slopes.q(xu, xv));
+      const double log_body = 0.5 * field_.log_body(u_ + side * step_u, v_ + side * step_v);  // the pixel's own cancels
+      residuals[residual] += side * root * (log_body - shading.value);
       if (jacobians == nullptr) continue;
-      add_node(next, residual, next_u, next_v, root);
-      add_node(here, residual, du, dv, -root);
+      const double by_xu = -side * root * (shading.by_p * slopes.pu + shading.by_q * slopes.qu);
+      const double by_xv = -side * root * (shading.by_p * slopes.pv + shading.by_q * slopes.qv);
+      const double by_along = side * (along_u ? by_xu : by_xv), by_across = 0.5 * (along_u ? by_xv : by_xu);
+      around.add(jacobians, residual, next_u, next_v, by_along);
+      around.add(jacobians, residual, du, dv, -by_along);
+      const auto add_across = [&](const CentralDifference& difference, int at_du, int at_dv) {
+        const double before = difference.weight_before, after = difference.weight_after;
+        if (after > 0) around.add(jacobians, residual, at_du + step_v, at_dv + step_u, by_across * after);
+        if (before > 0) around.add(jacobians, residual, at_du - step_v, at_dv - step_u, -by_across * before);
+        around.add(jacobians, residual, at_du, at_dv, by_across * (before - after));
+      };
+      add_across(across_here, du, dv);
+      add_across(across_next, next_u, next_v);
     }
   }
-  return true;
 }
 
 PriorBlockCost::PriorBlockCost(const RefinementField& field, int block_column, int block_row)
@@ -296,8 +278,7 @@ PriorBlockCost::PriorBlockCost(const RefinementField& field, int block_column, i
   }
 }
 
-bool PriorBlockCost::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
-  zero(jacobians, quads_.size(), 1);
+void PriorBlockCost::evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
   double sum = 0;
   for (std::size_t k = 0; k < quads_.size(); ++k) {
     for (int i = 0; i < quad_values; ++i) {
@@ -307,7 +288,6 @@ bool PriorBlockCost::Evaluate(double const* const* parameters, double* residuals
     }
   }
   residuals[0] = sum / count_ - field_.block_mean(block_column_, block_row_);
-  return true;
 }
 
 }  // namespace malus

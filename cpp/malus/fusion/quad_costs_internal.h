@@ -13,7 +13,9 @@ namespace malus {
 
 // Ceres sees the unknowns in quads, parameter blocks of 2 × 2 pixels (order: (0,0), (1,0), (0,1), (1,1)). One cost
 // function a quad instead of one a difference pair keeps Ceres' bookkeeping (cells, products, ordering) small beside
-// the arithmetic. Weights and log_body are read from the field, which must not change during a solve.
+// the arithmetic. Every cost joins neighbouring quads only, diagonal ones included (the prior's those of its block):
+// the elimination order counts on it. Weights and log_body are read from the field, which must not change during a
+// solve.
 
 inline constexpr int quad_px = 2;
 
@@ -31,11 +33,22 @@ class QuadCost : public ceres::CostFunction {
  public:
   const std::vector<QuadIndex>& quads() const { return quads_; }
 
+  /// From now on evaluates to zeros while `*finished`.
+  void watch(const bool* finished) { finished_ = finished; }
+
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const final;
+
  protected:
   QuadCost(const RefinementField& field, std::vector<QuadIndex> quads, int residuals);
 
+  /// Residuals and Jacobians start as zeros.
+  virtual void evaluate(double const* const* parameters, double* residuals, double** jacobians) const = 0;
+
   const RefinementField& field_;
   std::vector<QuadIndex> quads_;
+
+ private:
+  const bool* finished_ = nullptr;
 };
 
 /// Stokes residuals of one pixel on its four one-sided difference pairs, a quarter of the weight each, in standard
@@ -43,9 +56,10 @@ class QuadCost : public ceres::CostFunction {
 class StokesCost final : public QuadCost {
  public:
   StokesCost(const RefinementField& field, int u, int v);
-  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
 
  private:
+  void evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
+
   int u_, v_;
 };
 
@@ -60,31 +74,56 @@ class StokesLoss final : public ceres::LossFunction {
   int u_, v_;
 };
 
-/// Second differences of the four pixels along u and v. 12 residuals; quads: centre, left, right, up, down.
-class SmoothnessCost final : public QuadCost {
+/// Holds the pixels of a quad that are not on the object at 0: they share its parameters and touch nothing else.
+/// 4 residuals; quads: its own.
+class OutsideCost final : public QuadCost {
  public:
-  SmoothnessCost(const RefinementField& field, QuadIndex quad, double weight);
-  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
+  OutsideCost(const RefinementField& field, QuadIndex quad);
 
  private:
+  void evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
+};
+
+enum class Axis { u, v };
+
+/// The quad after this one along an axis.
+QuadIndex next_quad(QuadIndex quad, Axis axis);
+
+/// Second differences along an axis that look into this quad and the next one. 4 residuals; quads: these two.
+class SmoothnessCost final : public QuadCost {
+ public:
+  SmoothnessCost(const RefinementField& field, QuadIndex quad, Axis axis, double weight);
+
+ private:
+  void evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
+
+  Axis axis_;
   double weight_;
 };
 
-/// Albedo changes little: (ln body − ln shading) of each pixel against its right and lower neighbour, shading from
-/// central slopes. 8 residuals; quads: centre, left, right, up, down and three diagonal ones.
+/// Albedo changes little along u and v: ln body − ln shading half a pixel before a pixel against half a pixel after it.
+/// Shading there comes from the one-sided slope along the axis and the mean of the two pixels' central slopes across,
+/// ln body is their mean. Central slopes of neighbouring pixels instead would join quads that are not neighbours, which
+/// makes the factor of the system four times as large. 2 residuals; quads: its own and the three that hold its
+/// neighbours.
 class AlbedoCost final : public QuadCost {
  public:
-  AlbedoCost(const RefinementField& field, QuadIndex quad);
-  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
+  AlbedoCost(const RefinementField& field, int u, int v);
+
+ private:
+  void evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
+
+  int u_, v_;
 };
 
 /// Mean of a prior block against the prior's mean, in GSD. 1 residual; quads: those of the block.
 class PriorBlockCost final : public QuadCost {
  public:
   PriorBlockCost(const RefinementField& field, int block_column, int block_row);
-  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
 
  private:
+  void evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
+
   int block_column_, block_row_;
   int count_ = 0;
 };

@@ -21,4 +21,7 @@ struct RaySlopes {
 /// From n ∝ L_u (fx, 0, −(u−cx)) + L_v (0, fy, −(v−cy)) + (0, 0, −1), L = ln z, for which n · view = 1 / |ray|.
 RaySlopes ray_slopes(const Pinhole& camera, double u, double v);
 
+/// The same where the pixel's frame is known.
+RaySlopes ray_slopes(const Pinhole& camera, const RayFrame& frame, double u, double v);
+
 }  // namespace malus

@@ -38,7 +38,7 @@ struct RefineOptions {
   double good_prior_weight = 12;
   double prior_robust_gsd = 2;
   double albedo_weight = 10;
-  double albedo_contrast = 0.02;
+  double albedo_contrast = 0.04;
   double smoothness = 0.05;
   double search_sharpening = 2.5;
   bool search = true;

@@ -64,7 +64,7 @@ RefinementField make_field(const PolarizationState& state, const DepthPrior& pri
 
 void prepare_weights(RefinementField& field) {
   const Size size = field.size();
-  field.stokes_precision = field.edge_weight_right = field.edge_weight_down = Image<float>(size);
+  field.stokes_precision = Image<float>(size);
   field.mirror_body = Image<float>(size);
   field.regional_weight = Image<float>(size, 1, 1.0f);
   field.log_body = Image<float>(size, 1, none);

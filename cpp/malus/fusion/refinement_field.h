@@ -38,7 +38,7 @@ struct RefinementField {
   Image<float> stokes_precision;                       ///< 1 / σ² of the Stokes residuals; 0 = not used
   Image<float> regional_weight;                        ///< of the Stokes residuals, 0 … 1
   Image<float> log_body;  ///< ln of the light from inside the body; NaN where there is none to compare
-  Image<float> edge_weight_right, edge_weight_down;  ///< albedo-gradient residual to that neighbour
+  double albedo_weight = 0, albedo_contrast = 0.04;  ///< of changes of ln albedo; change that counts half
   Image<float> block_weight, block_mean;             ///< prior blocks: weight (1 / GSD²), mean of x_prior
 
   Size size() const { return object.size(); }
@@ -50,8 +50,9 @@ struct RefinementField {
   Reflection kind_at(int u, int v) const { return static_cast<Reflection>(kind(u, v)); }
   RaySlopes slopes_at(int u, int v) const { return ray_slopes(camera, u, v); }
   RayFrame frame_at(int u, int v) const { return ray_frame(&camera, u, v); }
-  PixelReflection reflection_at(int u, int v) const {
-    return {reflection, kind_at(u, v), s0(u, v), mirror_body(u, v), frame_at(u, v)};
+  PixelReflection reflection_at(int u, int v) const { return reflection_at(u, v, frame_at(u, v)); }
+  PixelReflection reflection_at(int u, int v, const RayFrame& frame) const {
+    return {reflection, kind_at(u, v), s0(u, v), mirror_body(u, v), frame};
   }
   double robust_scale_at(int u, int v) const {
     return kind_at(u, v) == Reflection::specular ? robust_scale * specular_widening : robust_scale;

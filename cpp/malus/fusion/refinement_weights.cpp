@@ -111,24 +111,12 @@ double albedo_spread(const Image<float>& log_albedo) {
   return 1.4826 * *middle;
 }
 
-void weigh_albedo_edges(RefinementField& field, const Image<float>& log_albedo, const WeightOptions& options,
-                        const Context& context) {
+void weigh_albedo(RefinementField& field, const Image<float>& log_albedo, const WeightOptions& options) {
   // A body of one albedo says more about its shape by its shading than a textured one.
   constexpr double textured = 0.06, most = 2.5;
   const double evenness = std::clamp(textured / std::max(albedo_spread(log_albedo), 1e-6), 1.0, most);
-  const double full = square(options.albedo_weight * evenness);
-  const auto weight = [&](float here, float next) {
-    const double step = static_cast<double>(next) - here;
-    if (!std::isfinite(step)) return 0.0f;
-    return static_cast<float>(full / (1 + square(step / options.albedo_contrast)));
-  };
-  const int width = field.size().width, height = field.size().height;
-  parallel_rows(context, height, [&](int v) {
-    for (int u = 0; u < width; ++u) {
-      field.edge_weight_right(u, v) = u + 1 < width ? weight(log_albedo(u, v), log_albedo(u + 1, v)) : 0.0f;
-      field.edge_weight_down(u, v) = v + 1 < height ? weight(log_albedo(u, v), log_albedo(u, v + 1)) : 0.0f;
-    }
-  });
+  field.albedo_weight = square(options.albedo_weight * evenness);
+  field.albedo_contrast = options.albedo_contrast;
 }
 
 /// Weight of a full block, 1 / GSD. Errors of the reflection model bend the surface over long distances; a prior that
@@ -186,7 +174,7 @@ FitQuality update_weights(RefinementField& field, const WeightOptions& options, 
   if (has_specular(field)) estimate_mirror_body(field, context);
   const PixelResiduals residuals = pixel_residuals(field, options, context);
   if (options.regional_sigma_px > 0) weigh_regions(field, residuals.squared, options.regional_sigma_px, context);
-  weigh_albedo_edges(field, residuals.log_albedo, options, context);
+  weigh_albedo(field, residuals.log_albedo, options);
   weigh_prior_blocks(field, options, context);
   return summarize(residuals.squared);
 }

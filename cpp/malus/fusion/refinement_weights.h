@@ -15,7 +15,7 @@ struct WeightOptions {
   double good_prior_weight = 12;
   double prior_robust_gsd = 2;
   double albedo_weight = 10;
-  double albedo_contrast = 0.02;
+  double albedo_contrast = 0.04;
   double regional_sigma_px = 0;  ///< 0 = no regional down-weighting
 };
 

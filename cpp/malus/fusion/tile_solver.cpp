@@ -41,7 +41,8 @@ class TileProblem {
       : field_(field),
         tile_(tile),
         local_(grown(tile.outer, ring_px, field.size())),
-        prior_loss_(options.prior_robust_gsd) {
+        prior_loss_(options.prior_robust_gsd),
+        albedo_loss_(std::max(std::sqrt(field.albedo_weight) * field.albedo_contrast, 1e-9)) {
     columns_ = (local_.width() + 1) / quad_px;
     rows_ = (local_.height() + 1) / quad_px;
     first_ = {local_.u0 / quad_px, local_.v0 / quad_px};
@@ -50,6 +51,7 @@ class TileProblem {
     ownership.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
     ownership.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
     ownership.disable_all_safety_checks = true;
+    ownership.evaluation_callback = &last_jacobian_;
     problem_ = std::make_unique<ceres::Problem>(ownership);
     add_parameters();
     add_costs(options);
@@ -69,12 +71,14 @@ class TileProblem {
     solver.num_threads = 1;
     const SequentialBlas sequential;  // tiles are the unit of parallelism
     solver.logging_type = ceres::SILENT;
+    solver.linear_solver_ordering = nested_dissection();
     StopAfter stop(options.iterations, context);
     solver.callbacks.push_back(&stop);
+    last_jacobian_.expect(options.iterations);
     ceres::Solver::Summary summary;
     ceres::Solve(solver, problem_.get(), &summary);
     statistics.cost_before = summary.initial_cost;
-    statistics.cost_after = summary.final_cost;
+    statistics.cost_after = summary.initial_cost - stop.cost_change();
     statistics.iterations = static_cast<int>(summary.iterations.size()) - 1;
     statistics.rejected_steps = summary.num_unsuccessful_steps;
     statistics.failed_tiles = summary.IsSolutionUsable() ? 0 : 1;
@@ -100,14 +104,66 @@ class TileProblem {
     StopAfter(int steps, const Context& context) : steps_(steps), context_(context) {}
     ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override {
       if (context_.cancelled()) return ceres::SOLVER_ABORT;
-      if (iteration.iteration > 0 && iteration.step_is_successful) --steps_;
+      if (iteration.iteration > 0 && iteration.step_is_successful) {
+        --steps_;
+        cost_change_ += iteration.cost_change;
+      }
       return steps_ <= 0 ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
     }
+    double cost_change() const { return cost_change_; }
 
    private:
     int steps_;
+    double cost_change_ = 0;
     const Context& context_;
   };
+
+  /// Ceres evaluates the Jacobian once more after the last step, for a step that is never made.
+  class SkipLastJacobian final : public ceres::EvaluationCallback {
+   public:
+    void expect(int steps) { left_ = steps; }
+    const bool* finished() const { return &finished_; }
+    void PrepareForEvaluation(bool evaluate_jacobians, bool /*new_evaluation_point*/) override {
+      if (evaluate_jacobians) finished_ = left_-- <= 0;
+    }
+
+   private:
+    int left_ = 0;
+    bool finished_ = false;
+  };
+
+  /// Elimination order of the quads: the tile is cut in two again and again, each cut after its two parts. Fewer
+  /// entries in the factor than by minimum degree, which orders the small parts. Cuts run along borders of prior
+  /// blocks, whose cost joins all of a block's quads.
+  std::shared_ptr<ceres::ParameterBlockOrdering> nested_dissection() {
+    auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
+    int groups = 0;
+    dissect({first_.column, first_.row, first_.column + columns_, first_.row + rows_}, groups, *ordering);
+    return ordering;
+  }
+
+  /// Appends a rectangle of quads to the order. A group for each part and cut: Ceres does not sort the columns of
+  /// separate parts in one group, and CHOLMOD needs those of a supernode together.
+  void dissect(const PixelRect& quads, int& groups, ceres::ParameterBlockOrdering& ordering) {
+    constexpr int block = prior_block_px / quad_px, smallest = 2 * block;
+    PixelRect last = quads;
+    if (std::max(quads.width(), quads.height()) > smallest) {
+      const bool wide = quads.width() >= quads.height();
+      const int cut = ((wide ? quads.u0 + quads.u1 : quads.v0 + quads.v1) / 2 + block / 2) / block * block;
+      PixelRect before = quads, after = quads;
+      (wide ? before.u1 : before.v1) = (wide ? last.u0 : last.v0) = cut;
+      (wide ? last.u1 : last.v1) = (wide ? after.u0 : after.v0) = cut + 1;
+      dissect(before, groups, ordering);
+      dissect(after, groups, ordering);
+    }
+    for (int row = last.v0; row < last.v1; ++row) {
+      for (int column = last.u0; column < last.u1; ++column) {
+        if (quad_has_object(field_, {column, row}))
+          ordering.AddElementToGroup(x_.data() + quad_offset({column, row}), groups);
+      }
+    }
+    ++groups;
+  }
 
   bool is_local(QuadIndex q) const {
     return q.column >= first_.column && q.row >= first_.row && q.column < first_.column + columns_ &&
@@ -156,46 +212,55 @@ class TileProblem {
   }
 
   /// Adds a cost if it depends on an unknown and all it looks at is in this tile's copy.
-  void add(std::unique_ptr<QuadCost> cost, std::unique_ptr<ceres::LossFunction> loss = nullptr) {
+  void add(std::unique_ptr<QuadCost> cost, ceres::LossFunction* loss = nullptr) {
     const auto& quads = cost->quads();
     if (!std::all_of(quads.begin(), quads.end(), [&](QuadIndex q) { return is_local(q); })) return;
     if (!std::any_of(quads.begin(), quads.end(), [&](QuadIndex q) { return is_unknown(q); })) return;
     std::vector<double*> blocks;
     blocks.reserve(quads.size());
     for (const QuadIndex quad : quads) blocks.push_back(x_.data() + quad_offset(quad));
-    problem_->AddResidualBlock(cost.get(), loss.get(), blocks);
+    problem_->AddResidualBlock(cost.get(), loss, blocks);
+    cost->watch(last_jacobian_.finished());
     costs_.push_back(std::move(cost));
-    if (loss != nullptr) losses_.push_back(std::move(loss));
   }
 
-  /// Whether any of the quad's albedo residuals counts. Quads without leave no trace in the sparsity of the system.
-  bool has_albedo_edge(QuadIndex quad) const {
-    for (int v = quad_px * quad.row; v < std::min(quad_px * (quad.row + 1), field_.size().height); ++v) {
-      for (int u = quad_px * quad.column; u < std::min(quad_px * (quad.column + 1), field_.size().width); ++u) {
-        if (field_.edge_weight_right(u, v) > 0 || field_.edge_weight_down(u, v) > 0) return true;
+  ceres::LossFunction* keep(std::unique_ptr<ceres::LossFunction> loss) {
+    losses_.push_back(std::move(loss));
+    return losses_.back().get();
+  }
+
+  bool is_whole(QuadIndex quad) const {
+    for (int v = quad_px * quad.row; v < quad_px * (quad.row + 1); ++v) {
+      for (int u = quad_px * quad.column; u < quad_px * (quad.column + 1); ++u) {
+        if (!field_.is_object(u, v)) return false;
       }
     }
-    return false;
+    return true;
   }
 
   void add_costs(const TileOptions& options) {
     for_each_quad([&](QuadIndex quad) {
-      add(std::make_unique<SmoothnessCost>(field_, quad, options.smoothness));
+      if (!is_whole(quad)) add(std::make_unique<OutsideCost>(field_, quad));
+      for (const Axis axis : {Axis::u, Axis::v}) {
+        if (quad_has_object(field_, next_quad(quad, axis)))
+          add(std::make_unique<SmoothnessCost>(field_, quad, axis, options.smoothness));
+      }
       for (int v = quad_px * quad.row; v < quad_px * (quad.row + 1); ++v) {
         for (int u = quad_px * quad.column; u < quad_px * (quad.column + 1); ++u) {
-          if (!field_.is_object(u, v) || field_.stokes_precision(u, v) <= 0) continue;
-          add(std::make_unique<StokesCost>(field_, u, v), std::make_unique<StokesLoss>(field_, u, v));
+          if (!field_.is_object(u, v)) continue;
+          if (field_.stokes_precision(u, v) > 0)
+            add(std::make_unique<StokesCost>(field_, u, v), keep(std::make_unique<StokesLoss>(field_, u, v)));
+          if (field_.albedo_weight > 0 && std::isfinite(field_.log_body(u, v)))
+            add(std::make_unique<AlbedoCost>(field_, u, v), &albedo_loss_);
         }
       }
-      if (!has_albedo_edge(quad)) return;
-      add(std::make_unique<AlbedoCost>(field_, quad));
     });
     for (int row = local_.v0 / prior_block_px; row * prior_block_px < local_.v1; ++row) {
       for (int column = local_.u0 / prior_block_px; column * prior_block_px < local_.u1; ++column) {
         const double weight = field_.block_weight(column, row);
         if (weight <= 0) continue;
         add(std::make_unique<PriorBlockCost>(field_, column, row),
-            std::make_unique<ceres::ScaledLoss>(&prior_loss_, weight, ceres::DO_NOT_TAKE_OWNERSHIP));
+            keep(std::make_unique<ceres::ScaledLoss>(&prior_loss_, weight, ceres::DO_NOT_TAKE_OWNERSHIP)));
       }
     }
   }
@@ -207,7 +272,8 @@ class TileProblem {
   int columns_ = 0, rows_ = 0;
   std::size_t unknowns_ = 0;
   std::vector<double> x_;  // quad by quad
-  ceres::CauchyLoss prior_loss_;
+  ceres::CauchyLoss prior_loss_, albedo_loss_;
+  SkipLastJacobian last_jacobian_;
   std::vector<std::unique_ptr<QuadCost>> costs_;
   std::vector<std::unique_ptr<ceres::LossFunction>> losses_;
   std::unique_ptr<ceres::Problem> problem_;

@@ -107,8 +107,12 @@ TEST_P(QuadCosts, StokesDerivativesAreThoseOfTheResiduals) {
 
 TEST_P(QuadCosts, AlbedoDerivativesAreThoseOfTheResiduals) {
   const RefinementField field = rough_field(GetParam());
-  const auto costs =
-      all_costs(field, [&](QuadIndex quad, auto& out) { out.push_back(std::make_unique<AlbedoCost>(field, quad)); });
+  const auto costs = all_costs(field, [&](QuadIndex quad, auto& out) {
+    for (int i = 0; i < 4; ++i) {
+      const int u = 2 * quad.column + i % 2, v = 2 * quad.row + i / 2;
+      if (field.is_object(u, v)) out.push_back(std::make_unique<AlbedoCost>(field, u, v));
+    }
+  });
   EXPECT_LT(largest_difference(field, costs), 1e-6);
 }
 
@@ -116,8 +120,10 @@ INSTANTIATE_TEST_SUITE_P(Kinds, QuadCosts, testing::Values(Reflection::diffuse, 
 
 TEST(QuadCosts, SmoothnessAndPriorDerivativesAreThoseOfTheResiduals) {
   const RefinementField field = rough_field(Reflection::diffuse);
-  auto costs = all_costs(
-      field, [&](QuadIndex quad, auto& out) { out.push_back(std::make_unique<SmoothnessCost>(field, quad, 0.05)); });
+  auto costs = all_costs(field, [&](QuadIndex quad, auto& out) {
+    out.push_back(std::make_unique<OutsideCost>(field, quad));
+    for (const Axis axis : {Axis::u, Axis::v}) out.push_back(std::make_unique<SmoothnessCost>(field, quad, axis, 0.05));
+  });
   for (int row = 0; row < field.block_count().height; ++row) {
     for (int column = 0; column < field.block_count().width; ++column) {
       costs.push_back(std::make_unique<PriorBlockCost>(field, column, row));
