@@ -51,6 +51,10 @@ void label_regions(RefinementField& field, const RefineInput& input, const Conte
   }
 }
 
+MirroredTerms mirrored_terms(const RefineOptions& options) {
+  return {options.environment, options.lobe};
+}
+
 /// Fits what all pixels share at the current surface. Returns by how much the lobe lowered the robust cost.
 double fit_reflection(RefinementField& field, const RefineOptions& options, RefineReport& report) {
   double lobe_gain = 0;
@@ -60,10 +64,10 @@ double fit_reflection(RefinementField& field, const RefineOptions& options, Refi
     field.shading = shading.harmonics;
     HighlightLobe start = field.reflection.lobe;
     if (start.strength == 0) start.light = shading.light;
-    const DiffuseFit fit = fit_diffuse(diffuse, field.reflection.eta, options.lobe, start);
+    const DiffuseFit fit = fit_diffuse(diffuse, field.reflection.eta, mirrored_terms(options), start);
     field.reflection.environment = fit.environment;
     field.reflection.lobe = fit.lobe;
-    report.environment_sigma = fit.environment_sigma;
+    if (options.environment) report.environment_sigma = fit.environment_sigma;
     report.lobe_strength_sigma = fit.strength_sigma;
     report.lobe_roughness_sigma = fit.roughness_sigma;
     report.light_sigma_rad = fit.light_sigma_rad;
@@ -254,7 +258,7 @@ class Refiner {
     constexpr std::size_t index_samples = 8000;
     const RefractiveIndexFit fit =
         fit_refractive_index(collect_samples(field_, Reflection::diffuse, index_samples),
-                             collect_samples(field_, Reflection::specular, index_samples), options_.lobe);
+                             collect_samples(field_, Reflection::specular, index_samples), mirrored_terms(options_));
     field_.reflection.eta = fit.eta;
     report_.eta_sigma = fit.sigma;
   }

@@ -42,6 +42,7 @@ struct RefineOptions {
   double smoothness = 0.05;
   double search_sharpening = 2.5;
   bool search = true;
+  bool environment = true;
   bool lobe = true;
   bool regional_weights = true;
 
@@ -73,6 +74,7 @@ struct RefineOptions {
           "factor on the prior's detail that the search for a better minimum starts with");
     visit("search", self.search, any_value,
           "with specular regions: solve from a second start and keep the better regions of both");
+    visit("environment", self.environment, any_value, "fit what diffuse regions mirror of the surroundings");
     visit("lobe", self.lobe, any_value, "fit a highlight of a small source in diffuse regions");
     visit("regional_weights", self.regional_weights, any_value, "down-weigh regions that fit badly");
   }

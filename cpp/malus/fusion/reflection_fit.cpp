@@ -345,7 +345,7 @@ Shading fit_shading(const std::vector<ReflectionSample>& samples) {
   return shading;
 }
 
-DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, bool with_lobe,
+DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, MirroredTerms terms,
                        const HighlightLobe& start) {
   DiffuseFit fit;
   fit.lobe = start;
@@ -353,14 +353,17 @@ DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta,
   if (samples.empty()) return fit;
   std::vector<LinearizedSample> linear;
   linear.reserve(samples.size());
-  for (const ReflectionSample& s : samples) linear.push_back(linearize(s, eta));
+  for (const ReflectionSample& s : samples) {
+    linear.push_back(linearize(s, eta));
+    if (!terms.environment) linear.back().environment.setZero();
+  }
   const SampleSet set{samples, linear, eta};
 
   const LinearFit plain = fit_linear(linear, nullptr);
   fit.environment.radiance = nodes_of(plain.values);
   fit.environment_sigma = nodes_of(plain.sigma);
   fit.cost = fit.cost_without_lobe = plain.cost;
-  if (!with_lobe) return fit;
+  if (!terms.lobe) return fit;
 
   const std::vector<double> roughnesses =
       start.strength > 0 ? std::vector{start.roughness} : std::vector{0.1, 0.15, 0.2, 0.25, 0.3, 0.4};
@@ -455,7 +458,7 @@ SpecularFit fit_specular(const std::vector<ReflectionSample>& samples, double et
 }
 
 RefractiveIndexFit fit_refractive_index(const std::vector<ReflectionSample>& diffuse,
-                                        const std::vector<ReflectionSample>& specular, bool with_lobe) {
+                                        const std::vector<ReflectionSample>& specular, MirroredTerms terms) {
   constexpr double first = 1.3, step = 0.1;
   constexpr std::size_t tries = 6;
   HighlightLobe start;
@@ -463,7 +466,7 @@ RefractiveIndexFit fit_refractive_index(const std::vector<ReflectionSample>& dif
   std::array<double, tries> cost{};
   for (std::size_t i = 0; i < tries; ++i) {
     const double eta = first + step * static_cast<double>(i);
-    cost[i] = static_cast<double>(diffuse.size()) * fit_diffuse(diffuse, eta, with_lobe, start).cost +
+    cost[i] = static_cast<double>(diffuse.size()) * fit_diffuse(diffuse, eta, terms, start).cost +
               static_cast<double>(specular.size()) * fit_specular(specular, eta).cost;
   }
   const auto lowest = static_cast<std::size_t>(std::min_element(cost.begin(), cost.end()) - cost.begin());

@@ -43,9 +43,14 @@ struct DiffuseFit {
   double strength_sigma = 0, roughness_sigma = 0, light_sigma_rad = 0;
 };
 
-/// Fits the environment profile and, if wanted and where it lowers the robust cost, a highlight lobe. `start` is the
-/// previous fit's lobe; a lobe without strength starts from its light direction and several roughnesses.
-DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, bool with_lobe,
+/// What a diffuse body may mirror.
+struct MirroredTerms {
+  bool environment = true, lobe = true;
+};
+
+/// Fits the environment profile and, where it lowers the robust cost, a highlight lobe, as far as they are wanted.
+/// `start` is the previous fit's lobe; a lobe without strength starts from its light direction and several roughnesses.
+DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, MirroredTerms terms,
                        const HighlightLobe& start);
 
 struct SpecularFit {
@@ -65,6 +70,6 @@ struct RefractiveIndexFit {
 /// Refractive index in [1.3, 1.8] for which the samples are explained best, every other parameter fitted to each try:
 /// least of a parabola through the lowest of a series of tries.
 RefractiveIndexFit fit_refractive_index(const std::vector<ReflectionSample>& diffuse,
-                                        const std::vector<ReflectionSample>& specular, bool with_lobe);
+                                        const std::vector<ReflectionSample>& specular, MirroredTerms terms);
 
 }  // namespace malus

@@ -9,6 +9,7 @@
 #include <sstream>
 
 #include "malus/io/colmap_model.h"
+#include "malus/io/colmap_workspace.h"
 #include "malus/io/image_file.h"
 #include "malus/io/input_file.h"
 #include "malus/io/polarized_files_internal.h"
@@ -334,12 +335,16 @@ void read_camera(const TomlTable& table, StationFile& station) {
 // ---- the rest ----
 
 PriorSpec read_prior(const TomlTable& table) {
-  const PriorSpec spec{table.existing_file("cloud"), table.existing_file("mesh"), table.existing_file("depth")};
+  const auto cloud = table.text("cloud");
+  const bool workspace = cloud && std::filesystem::is_directory(table.resolve(*cloud));
+  const PriorSpec spec{workspace ? table.resolve(*cloud) : table.existing_file("cloud"), table.existing_file("mesh"),
+                       table.existing_file("depth")};
   const int given = spec.cloud.has_value() + spec.mesh.has_value() + spec.depth.has_value();
   if (given != 1) {
     throw table.error(
         "cloud", "[prior] has " + std::to_string(given) + " surfaces, expected exactly one of cloud, mesh and depth");
   }
+  if (workspace) colmap_workspace_files(*spec.cloud);  // says what is missing
   return spec;
 }
 

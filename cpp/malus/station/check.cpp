@@ -7,6 +7,7 @@
 #include <sstream>
 
 #include "malus/capture/capture.h"
+#include "malus/io/colmap_workspace.h"
 #include "malus/io/point_cloud_file.h"
 #include "malus/polarization/decompose.h"
 
@@ -101,7 +102,7 @@ void check_prior(const Station& station, const Mask& object, const PriorOptions&
     throw input_error(station.file.path.string() + ": [camera] has no pose, expected a camera whose position is known");
   }
   if (station.cloud || (spec && spec->cloud)) {
-    const PointCloud cloud = station.cloud ? *station.cloud : read_point_cloud(*spec->cloud, context);
+    const PointCloud cloud = station.cloud ? *station.cloud : read_cloud(*spec->cloud, context);
     const double count = points_on_object(cloud, *station.file.camera, object);
     if (count < options.min_points) {
       throw data_error("the cloud has " + with_count(static_cast<double>(cloud.points.size()), "points, of which ") +

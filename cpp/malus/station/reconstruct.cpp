@@ -2,6 +2,7 @@
 
 #include "malus/capture/capture.h"
 #include "malus/core/depth_normals.h"
+#include "malus/io/colmap_workspace.h"
 #include "malus/io/image_file.h"
 #include "malus/io/point_cloud_file.h"
 #include "malus/polarization/decompose.h"
@@ -31,9 +32,10 @@ bool needs_no_prior(const std::optional<std::string>& until) {
 Error no_prior(const Station& station) {
   const std::string where = station.file.path.string();
   if (station.file.photos) {
-    return input_error(where +
-                       ": making the prior from [photos] takes the Python program `malus run`; this one expects [prior] "
-                       "with a cloud, mesh or depth map");
+    return input_error(
+        where +
+        ": making the prior from [photos] takes the Python program `malus run`; this one expects [prior] "
+        "with a cloud, mesh or depth map");
   }
   return input_error(
       where + ": [prior] is missing, expected a cloud, mesh or depth map; without one only `decompose` can be run");
@@ -86,7 +88,7 @@ DepthPrior make_prior(const Station& station, const PolarizationStep& images, co
   }
   if (station.prior_depth) return project(*station.prior_depth);
   const PriorSpec& spec = station.file.prior.value();
-  if (spec.cloud) return project(read_point_cloud(*spec.cloud));
+  if (spec.cloud) return project(read_cloud(*spec.cloud, context));
   if (spec.mesh) return project(read_mesh(*spec.mesh));
   return project(read_float_raster(*spec.depth, "prior depth map"));
 }
@@ -146,7 +148,8 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
       steps.run<PolarizationStep>("polarization",
                                   {.after = {},
                                    .option_sections = {"capture", "polarization"},
-                                   .station = {{"polarized", inputs.polarized()}, {"lens", inputs.lens()},
+                                   .station = {{"polarized", inputs.polarized()},
+                                               {"lens", inputs.lens()},
                                                {"photos", station.file.photos.has_value()}}},
                                   [&](const Context& c) { return capture_and_decompose(station, options, c); });
 

@@ -1,5 +1,6 @@
 #include <string_view>
 
+#include "malus/io/colmap_workspace.h"
 #include "malus/io/sha256.h"
 #include "malus/station/station_inputs_internal.h"
 
@@ -83,7 +84,12 @@ Json StationInputs::camera() {
 Json StationInputs::prior() {
   Json json = Json::object();
   if (const auto& spec = station_.file.prior) {
-    if (spec->cloud) json["cloud"] = file(*spec->cloud);
+    if (spec->cloud && std::filesystem::is_directory(*spec->cloud)) {
+      json["cloud"] = Json::array();
+      for (const auto& path : colmap_workspace_files(*spec->cloud)) json["cloud"].push_back(file(path));
+    } else if (spec->cloud) {
+      json["cloud"] = file(*spec->cloud);
+    }
     if (spec->mesh) json["mesh"] = file(*spec->mesh);
     if (spec->depth) json["depth"] = file(*spec->depth);
   }
