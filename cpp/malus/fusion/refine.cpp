@@ -56,7 +56,8 @@ MirroredTerms mirrored_terms(const RefineOptions& options) {
 }
 
 /// Fits what all pixels share at the current surface. Returns by how much the lobe lowered the robust cost.
-double fit_reflection(RefinementField& field, const RefineOptions& options, RefineReport& report) {
+double fit_reflection(RefinementField& field, const RefineOptions& options, RefineReport& report,
+                      const Context& context) {
   double lobe_gain = 0;
   const auto diffuse = collect_samples(field, Reflection::diffuse, sample_count);
   if (!diffuse.empty()) {
@@ -64,7 +65,7 @@ double fit_reflection(RefinementField& field, const RefineOptions& options, Refi
     field.shading = shading.harmonics;
     HighlightLobe start = field.reflection.lobe;
     if (start.strength == 0) start.light = shading.light;
-    const DiffuseFit fit = fit_diffuse(diffuse, field.reflection.eta, mirrored_terms(options), start);
+    const DiffuseFit fit = fit_diffuse(diffuse, field.reflection.eta, mirrored_terms(options), start, context);
     field.reflection.environment = fit.environment;
     field.reflection.lobe = fit.lobe;
     if (options.environment) report.environment_sigma = fit.environment_sigma;
@@ -256,16 +257,16 @@ class Refiner {
   /// Takes the refractive index from the data, at the surface as it is.
   void estimate_refractive_index() {
     constexpr std::size_t index_samples = 8000;
-    const RefractiveIndexFit fit =
-        fit_refractive_index(collect_samples(field_, Reflection::diffuse, index_samples),
-                             collect_samples(field_, Reflection::specular, index_samples), mirrored_terms(options_));
+    const RefractiveIndexFit fit = fit_refractive_index(collect_samples(field_, Reflection::diffuse, index_samples),
+                                                        collect_samples(field_, Reflection::specular, index_samples),
+                                                        mirrored_terms(options_), context_);
     field_.reflection.eta = fit.eta;
     report_.eta_sigma = fit.sigma;
   }
 
   void round(double widening, bool fit, bool regional) {
     const auto start = std::chrono::steady_clock::now();
-    if (fit) lobe_gain_ = fit_reflection(field_, options_, report_);
+    if (fit) lobe_gain_ = fit_reflection(field_, options_, report_, context_);
     const FitQuality quality = update_weights(field_, weights(widening, regional), context_);
     const Image<double> before = field_.x;
     // The shared parameters come from the prior's slopes at first: no far step with them.

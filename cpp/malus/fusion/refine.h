@@ -28,7 +28,7 @@ struct RefineOptions {
   int fine_iterations = 2;
   int steps = 2;
   double coarsest_px = 100;
-  int tile_px = 256;
+  int tile_px = 384;
   int margin_px = 32;
   double robust_scale = 2.5;
   double graduation = 4;

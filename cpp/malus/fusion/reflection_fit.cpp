@@ -214,7 +214,7 @@ double robust_cost(const SampleSet& set, const EnvironmentProfile& environment, 
 }
 
 /// Refines all parameters of `fit` together, with Cauchy loss at the residuals' scale.
-void refine_lobe(const SampleSet& set, double scale, DiffuseFit& fit) {
+void refine_lobe(const SampleSet& set, double scale, DiffuseFit& fit, const Context& context) {
   const Eigen::Vector3d light = fit.lobe.light;
   const Eigen::Vector3d across1 = light.unitOrthogonal(), across2 = light.cross(across1);
   std::array<double, node_count> environment = fit.environment.radiance;
@@ -244,6 +244,7 @@ void refine_lobe(const SampleSet& set, double scale, DiffuseFit& fit) {
 
   ceres::Solver::Options options;
   options.linear_solver_type = ceres::DENSE_NORMAL_CHOLESKY;
+  options.num_threads = context.threads;
   options.max_num_iterations = 25;
   options.function_tolerance = 1e-5;
   options.logging_type = ceres::SILENT;
@@ -346,7 +347,7 @@ Shading fit_shading(const std::vector<ReflectionSample>& samples) {
 }
 
 DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, MirroredTerms terms,
-                       const HighlightLobe& start) {
+                       const HighlightLobe& start, const Context& context) {
   DiffuseFit fit;
   fit.lobe = start;
   fit.lobe.strength = 0;
@@ -384,7 +385,7 @@ DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta,
     fit.cost = with.cost;
     scale = with.scale;
   }
-  if (fit.lobe.strength > 0) refine_lobe(set, scale, fit);
+  if (fit.lobe.strength > 0) refine_lobe(set, scale, fit, context);
   return fit;
 }
 
@@ -458,7 +459,8 @@ SpecularFit fit_specular(const std::vector<ReflectionSample>& samples, double et
 }
 
 RefractiveIndexFit fit_refractive_index(const std::vector<ReflectionSample>& diffuse,
-                                        const std::vector<ReflectionSample>& specular, MirroredTerms terms) {
+                                        const std::vector<ReflectionSample>& specular, MirroredTerms terms,
+                                        const Context& context) {
   constexpr double first = 1.3, step = 0.1;
   constexpr std::size_t tries = 6;
   HighlightLobe start;
@@ -466,7 +468,7 @@ RefractiveIndexFit fit_refractive_index(const std::vector<ReflectionSample>& dif
   std::array<double, tries> cost{};
   for (std::size_t i = 0; i < tries; ++i) {
     const double eta = first + step * static_cast<double>(i);
-    cost[i] = static_cast<double>(diffuse.size()) * fit_diffuse(diffuse, eta, terms, start).cost +
+    cost[i] = static_cast<double>(diffuse.size()) * fit_diffuse(diffuse, eta, terms, start, context).cost +
               static_cast<double>(specular.size()) * fit_specular(specular, eta).cost;
   }
   const auto lowest = static_cast<std::size_t>(std::min_element(cost.begin(), cost.end()) - cost.begin());

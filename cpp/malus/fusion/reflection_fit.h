@@ -51,7 +51,7 @@ struct MirroredTerms {
 /// Fits the environment profile and, where it lowers the robust cost, a highlight lobe, as far as they are wanted.
 /// `start` is the previous fit's lobe; a lobe without strength starts from its light direction and several roughnesses.
 DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, MirroredTerms terms,
-                       const HighlightLobe& start);
+                       const HighlightLobe& start, const Context& context);
 
 struct SpecularFit {
   MirrorReflection mirror;
@@ -70,6 +70,7 @@ struct RefractiveIndexFit {
 /// Refractive index in [1.3, 1.8] for which the samples are explained best, every other parameter fitted to each try:
 /// least of a parabola through the lowest of a series of tries.
 RefractiveIndexFit fit_refractive_index(const std::vector<ReflectionSample>& diffuse,
-                                        const std::vector<ReflectionSample>& specular, MirroredTerms terms);
+                                        const std::vector<ReflectionSample>& specular, MirroredTerms terms,
+                                        const Context& context);
 
 }  // namespace malus
