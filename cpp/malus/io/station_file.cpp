@@ -118,9 +118,9 @@ std::optional<std::vector<double>> read_angles(const TomlTable& table,
   if (table.has("angles_deg") && pattern)
     throw table.error("angle_pattern", "is not needed with angles_deg, expected one of the two");
   if (table.is_auto("angles_deg")) {
-    if (images.size() < 3) {
+    if (images.size() < 5) {
       throw data_error(table.where("images") + " has " + std::to_string(images.size()) +
-                       " images, expected at least 3 polarizer positions");
+                       " images, expected at least 5 polarizer positions to find angles that are not known");
     }
     return std::nullopt;
   }

@@ -196,7 +196,7 @@ TEST_F(StationFileTest, FewerThanThreeAnglesIsADataError) {
   Sections two;
   two.polarized = "[polarized]\nimages = [\"pol/a_000.png\", \"pol/a_045.png\"]\nangles_deg = \"auto\"\n";
   expect_error(
-      ErrorCode::data, [&] { read(two); }, "2 images");
+      ErrorCode::data, [&] { read(two); }, "2 images", "at least 5");
   Sections repeated;
   write_png(folder_ / "pol/b_000.png", Image<std::uint8_t>({12, 8}));
   repeated.polarized =
@@ -217,7 +217,9 @@ TEST_F(StationFileTest, FoldersGlobsAndAnglePatterns) {
   EXPECT_EQ(angles("images = \"pol/*.png\""), expected);
   EXPECT_EQ(angles("images = \"pol\"\nangle_pattern = 'a_(\\d+)\\.png'"), expected);
   EXPECT_EQ(angles("images = \"pol\"\nangles_deg = [1, 61, 121]"), (std::vector<double>{1, 61, 121}));
+  for (const std::string name : {"b_1", "b_2"}) write_png(folder_ / ("pol/" + name + ".png"), Image<std::uint8_t>({12, 8}));
   EXPECT_FALSE(angles("images = \"pol\"\nangles_deg = \"auto\""));
+  for (const std::string name : {"b_1", "b_2"}) std::filesystem::remove(folder_ / ("pol/" + name + ".png"));
   const auto rejects_lines = [&](const std::string& lines, const auto&... parts) {
     Sections sections;
     sections.polarized = "[polarized]\n" + lines + "\n";
