@@ -1,5 +1,8 @@
 #include "malus/station/reconstruct.h"
 
+#include <cmath>
+#include <string>
+
 #include "malus/capture/capture.h"
 #include "malus/core/depth_normals.h"
 #include "malus/io/image_file.h"
@@ -15,6 +18,9 @@
 
 namespace malus {
 namespace {
+
+/// Share of the object's pixels from which misfits are worth a warning.
+constexpr double many_misfits = 0.05;
 
 /// The camera of the station, or an error that says what is missing.
 const CameraSpec& require_camera(const Station& station) {
@@ -81,12 +87,26 @@ void fit_polarizer_of(PolarizedStack& stack, const PolarizedSpec& spec, const Po
   }
 }
 
+/// Pixels that do not follow the sinusoid are left out one by one; many of them have one cause.
+void warn_of_misfits(const PolarizationState& state, const Context& context) {
+  double object = 0, misfits = 0;
+  for (const std::uint8_t pixel : state.valid) {
+    object += pixel != static_cast<std::uint8_t>(PixelState::outside);
+    misfits += pixel == static_cast<std::uint8_t>(PixelState::misfit);
+  }
+  if (misfits <= many_misfits * object) return;
+  context.log(LogLevel::warning, std::to_string(std::lround(100 * misfits / object)) +
+                                     " % of the object's pixels do not follow the polarizer's sinusoid: is `response` "
+                                     "right, did the light change, did something move?");
+}
+
 PolarizationStep capture_and_decompose(const Station& station, const Options& options, const Context& context) {
   PolarizedStack stack = capture_stack(make_capture_input(station), options.capture, context);
   PolarizationStep step;
   fit_polarizer_of(stack, station.file.polarized, options.polarizer, step, context);
   step.state = decompose(stack.images, stack.angles_rad, stack.noise, stack.mask, stack.saturated,
                          options.polarization, context);
+  warn_of_misfits(step.state, context);
   if (station.file.photos) step.scene = unpolarized_intensity(stack.images, stack.angles_rad, context);
   step.color = std::move(stack.color);
   step.camera = stack.camera;
