@@ -18,6 +18,8 @@ constexpr double small_zero_error_deg = 0.5;
 constexpr double large_zero_error_deg = 5;
 /// Agreement of the other direction over that of the given one from which the given one is doubted.
 constexpr double doubtful_direction = 1.5;
+/// The same below which the polarization follows the surface well enough to correct the zero.
+constexpr double clear_direction = 0.8;
 
 /// Angles, then ln gains of geometric mean 1, of the images after a change of frame.
 Eigen::VectorXd in_frame(const std::vector<double>& angles_rad, const std::vector<double>& gains,
@@ -154,7 +156,8 @@ CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool 
   Eigen::Vector3d values = covariance * surface_information * surface.values;
 
   const double zero_error_deg = std::abs(calibration.zero_error_deg);
-  const bool significant = zero_error_deg > options.min_significance * calibration.zero_error_sigma_deg &&
+  const bool clear = surface.mirror_ratio < clear_direction;
+  const bool significant = clear && zero_error_deg > options.min_significance * calibration.zero_error_sigma_deg &&
                            zero_error_deg > small_zero_error_deg;
   const bool automatic = options.calibrate_angles == AngleCalibration::automatic;
   if (known_scale && significant &&

@@ -17,6 +17,9 @@ namespace {
 
 constexpr int parts_per_side = 8;
 constexpr int robust_passes = 2;
+/// Cells that an object is divided into, if that makes them no larger than the limit.
+constexpr double wanted_cells = 5000;
+constexpr int largest_cell_px = 16;
 /// Residual over the typical one at which a pixel has half its weight.
 constexpr double cauchy_scale = 3;
 /// Standard deviation that stands for "unknown" where a matrix must be invertible [rad].
@@ -47,21 +50,36 @@ struct PixelWeight {
   }
 };
 
-class PixelReader {
+/// Reads the images in square cells, whose means follow the same model with less noise. Noise that differs between
+/// images (the base image is not resampled) and what registration leaves of texture would otherwise pass for
+/// polarization on objects with little of it.
+class CellReader {
  public:
-  PixelReader(std::span<const Image<float>> images, const NoiseModel& noise, const Mask& mask, const Mask& saturated)
-      : images_(images), noise_(noise), mask_(mask), saturated_(saturated) {}
+  CellReader(std::span<const Image<float>> images, const NoiseModel& noise, const Mask& mask, const Mask& saturated)
+      : images_(images), noise_(noise), mask_(mask), saturated_(saturated) {
+    const auto object = static_cast<double>(std::ranges::count_if(mask, [](std::uint8_t m) { return m != 0; }));
+    side_ = std::clamp(static_cast<int>(std::sqrt(object / wanted_cells)), 1, largest_cell_px);
+  }
 
-  /// The pixel's intensities and the variance of their noise; false where it cannot be used.
-  bool read(int u, int v, Eigen::VectorXd& values, double& variance) const {
-    if (mask_(u, v) == 0 || (!saturated_.empty() && saturated_(u, v) != 0)) return false;
-    for (std::size_t k = 0; k < images_.size(); ++k) values[static_cast<Eigen::Index>(k)] = images_[k](u, v);
+  /// The cell's mean intensities and the variance of their noise; false unless all its pixels can be used.
+  bool read(int column, int row, Eigen::VectorXd& values, double& variance) const {
+    values.setZero();
+    for (int v = row * side_; v < (row + 1) * side_; ++v) {
+      for (int u = column * side_; u < (column + 1) * side_; ++u) {
+        if (mask_(u, v) == 0 || (!saturated_.empty() && saturated_(u, v) != 0)) return false;
+        for (std::size_t k = 0; k < images_.size(); ++k) values[static_cast<Eigen::Index>(k)] += images_[k](u, v);
+      }
+    }
+    const double pixels = side_ * side_;
+    values /= pixels;
     const double mean = values.mean();
     if (!std::isfinite(mean) || !(mean > 5 * std::sqrt(noise_.variance(0)))) return false;
-    variance = noise_.variance(mean);
+    variance = noise_.variance(mean) / pixels;
     return true;
   }
-  Size size() const { return images_[0].size(); }
+  /// In cells.
+  Size size() const { return {images_[0].width() / side_, images_[0].height() / side_}; }
+  double pixels_in_cell() const { return side_ * side_; }
   Eigen::Index count() const { return static_cast<Eigen::Index>(images_.size()); }
 
  private:
@@ -69,9 +87,10 @@ class PixelReader {
   const NoiseModel& noise_;
   const Mask& mask_;
   const Mask& saturated_;
+  int side_ = 1;
 };
 
-Moments second_moments(const PixelReader& reader, const PixelWeight& weight, const Context& context) {
+Moments second_moments(const CellReader& reader, const PixelWeight& weight, const Context& context) {
   constexpr int parts = parts_per_side * parts_per_side;
   const Eigen::Index count = reader.count();
   Moments moments;
@@ -88,7 +107,7 @@ Moments second_moments(const PixelReader& reader, const PixelWeight& weight, con
         const double use = weight(values, variance);
         moments.parts[part].selfadjointView<Eigen::Lower>().rankUpdate(values, use);
         weights[part] += use * variance;
-        pixels[part] += 1;
+        pixels[part] += reader.pixels_in_cell();
       }
     }
     moments.parts[part] = moments.parts[part].selfadjointView<Eigen::Lower>();
@@ -99,7 +118,7 @@ Moments second_moments(const PixelReader& reader, const PixelWeight& weight, con
 }
 
 /// Median squared residual per degree of freedom over a regular sample of pixels.
-double typical_residual(const PixelReader& reader, const PixelWeight& weight) {
+double typical_residual(const CellReader& reader, const PixelWeight& weight) {
   constexpr double samples = 40000;
   const Size size = reader.size();
   const int stride = std::max(1, static_cast<int>(std::sqrt(static_cast<double>(size.area()) / samples)));
@@ -350,6 +369,12 @@ Eigen::MatrixX3d polarizer_rows(std::span<const double> angles_rad, std::span<co
   return rows;
 }
 
+bool PolarizerFit::is_plausible(const PolarizerOptions& options) const {
+  constexpr double deviations = 5;
+  return largest_angle_change_rad < deviations * options.angle_sigma_deg * std::numbers::pi / 180 &&
+         largest_gain_change < deviations * options.gain_sigma;
+}
+
 PolarizerFit polarizer_as_given(std::span<const double> angles_rad, const PolarizerOptions& options) {
   const Nominal nominal = nominal_values(angles_rad, static_cast<Eigen::Index>(angles_rad.size()), options);
   PolarizerFit fit;
@@ -366,7 +391,7 @@ PolarizerFit fit_polarizer(std::span<const Image<float>> images, std::span<const
   check(images, nominal_rad, mask, saturated, options);
   const bool free_angles = nominal_rad.empty();
   const auto count = static_cast<Eigen::Index>(images.size());
-  const PixelReader reader(images, noise, mask, saturated);
+  const CellReader reader(images, noise, mask, saturated);
   Nominal nominal = nominal_values(nominal_rad, count, options);
 
   PixelWeight weight;
@@ -393,6 +418,10 @@ PolarizerFit fit_polarizer(std::span<const Image<float>> images, std::span<const
   fit.pixels = moments.pixels;
   const Eigen::MatrixXd total = moments.total();
   fit.image_information = Projection(polarizer).curvature(total) / (2 * inflation);
+  for (std::size_t k = 0; k < nominal_rad.size(); ++k) {
+    fit.largest_angle_change_rad = std::max(fit.largest_angle_change_rad, std::abs(fit.angles_rad[k] - nominal_rad[k]));
+    fit.largest_gain_change = std::max(fit.largest_gain_change, std::abs(std::log(fit.gains[k])));
+  }
   if (count > 3) {
     const double freedom = moments.weights * static_cast<double>(count - 3);
     fit.residual_after = std::sqrt(std::max(Projection(polarizer).cost(total), 0.0) / freedom);

@@ -19,9 +19,16 @@ struct PolarizerFit {
   Eigen::MatrixXd image_information;
   /// Inverse variances of the nominal angles and ln gains, 2K; next to nothing for angles that are not known.
   Eigen::VectorXd nominal_weight;
-  double residual_before = 0;  ///< RMS of the sinusoid's residuals with the nominal values, in noise standard deviations
+  /// RMS of the sinusoid's residuals with the nominal values, of means over cells, in standard deviations of their noise.
+  double residual_before = 0;
   double residual_after = 0;   ///< the same with these
   double pixels = 0;           ///< that took part
+
+  double largest_angle_change_rad = 0;  ///< from the nominal angles; 0 when there are none
+  double largest_gain_change = 0;       ///< of ln gain
+
+  /// Whether the changes are such as errors of a scale and of exposures make: within five standard deviations.
+  bool is_plausible(const PolarizerOptions& options) const;
 
   /// Share of the squared residuals that the calibration removes.
   double improvement() const {
@@ -40,7 +47,8 @@ Eigen::MatrixX3d polarizer_rows(std::span<const double> angles_rad, std::span<co
 /// I_k(x) = g_k / 2 (s0 + s1 cos 2a_k + s2 sin 2a_k): K images are a matrix of rank 3. With the Stokes vectors of all
 /// pixels projected out (variable projection; Golub & Pereyra 1973) the sum of squares depends on the pixels through
 /// their K × K second moments only, so that one pass over the images serves all iterations (Gauss–Newton with
-/// Kaufman's derivative, Levenberg–Marquardt damping). Two more passes weigh pixels down that do not follow (Cauchy).
+/// Kaufman's derivative, Levenberg–Marquardt damping). Two more passes weigh down what does not follow (Cauchy). Means
+/// over square cells of pixels take part, about 5000 of them.
 ///
 /// What cannot be seen in it: every map of the Stokes vectors that keeps the cone s0² = s1² + s2² gives an equal fit
 /// with other angles and exposures: the rotation (zero of the scale) and two boosts, a constant polarization of the

@@ -7,6 +7,7 @@
 #include <complex>
 #include <numbers>
 #include <iterator>
+#include <optional>
 #include <vector>
 
 #include "malus/core/parallel.h"
@@ -17,8 +18,10 @@ namespace malus {
 namespace {
 
 constexpr double pi = std::numbers::pi;
-constexpr std::size_t max_samples = 400000;
-constexpr std::size_t min_pixels = 500;
+constexpr double max_samples = 200000;
+/// Means over cells have less noise, and a prior has no finer detail.
+constexpr int smallest_cell_px = 4;
+constexpr std::size_t min_samples = 200;
 /// Share of the pixels that must be left beside the highlight.
 constexpr double min_share_beside_highlight = 0.05;
 constexpr int zones = 10, parts_per_side = 8;
@@ -46,7 +49,7 @@ double median(std::vector<double>& values) {
   return *middle;
 }
 
-/// One pixel: Stokes vector as given, surface azimuth and zenith.
+/// One cell of pixels: Stokes vector as given, surface azimuth and zenith.
 struct Sample {
   Eigen::Vector3d stokes;
   double azimuth_rad, tan2;
@@ -54,28 +57,53 @@ struct Sample {
   int part;                   ///< of the image
 };
 
-std::vector<Sample> take_samples(const PolarizationState& state, const Pinhole* camera, const Image<float>& normals,
-                                 const FrameHints& hints, const Context& context) {
+/// Mean of the valid pixels of a cell; nothing if most are not or the surface is too flat.
+std::optional<Sample> sample_of(const PolarizationState& state, const Pinhole* camera, const Image<float>& normals,
+                                const FrameHints& hints, int u0, int v0, int side) {
   const Size size = state.size();
-  const int stride = 1 + static_cast<int>(std::sqrt(static_cast<double>(size.area()) / max_samples));
-  std::vector<Sample> samples;
-  for (int v = 0; v < size.height; v += stride) {
-    context.check_cancel();
-    for (int u = 0; u < size.width; u += stride) {
+  Eigen::Vector3d stokes = Eigen::Vector3d::Zero(), half_sum = Eigen::Vector3d::Zero();
+  Eigen::Vector3d normal_sum = Eigen::Vector3d::Zero();
+  Slopes slopes;
+  int count = 0;
+  for (int v = v0; v < std::min(v0 + side, size.height); ++v) {
+    for (int u = u0; u < std::min(u0 + side, size.width); ++u) {
       if (!state.is_valid(u, v)) continue;
       const Eigen::Vector3d normal(normals(u, v, 0), normals(u, v, 1), normals(u, v, 2));
       const RayFrame frame = ray_frame(camera, u, v);
       if (!(normal.dot(frame.view) > 0.1)) continue;
-      const Slopes slopes = frame.slopes(normal);
-      if (slopes.tan2() < min_tan2) continue;
-      Sample sample;
-      sample.stokes = state.stokes(u, v);
-      sample.azimuth_rad = slopes.azimuth_rad();
-      sample.tan2 = slopes.tan2();
-      const Eigen::Vector3d half = hints.light ? (hints.light->normalized() + frame.view).normalized() : frame.view;
-      sample.from_highlight_rad = std::acos(std::clamp(normal.dot(half), -1.0, 1.0));
-      sample.part = v * parts_per_side / size.height * parts_per_side + u * parts_per_side / size.width;
-      samples.push_back(sample);
+      const Slopes here = frame.slopes(normal);
+      // Bright pixels say most in the mean Stokes vector, so they do in the slopes.
+      const Eigen::Vector3d light = state.stokes(u, v);
+      slopes.p += light[0] * here.p;
+      slopes.q += light[0] * here.q;
+      stokes += light;
+      normal_sum += normal;
+      half_sum += hints.light ? (hints.light->normalized() + frame.view).normalized() : frame.view;
+      ++count;
+    }
+  }
+  if (2 * count <= side * side || !(stokes[0] > 0)) return std::nullopt;
+  slopes.p /= stokes[0];
+  slopes.q /= stokes[0];
+  if (slopes.tan2() < min_tan2) return std::nullopt;
+  Sample sample;
+  sample.stokes = stokes / count;
+  sample.azimuth_rad = slopes.azimuth_rad();
+  sample.tan2 = slopes.tan2();
+  sample.from_highlight_rad = std::acos(std::clamp(normal_sum.normalized().dot(half_sum.normalized()), -1.0, 1.0));
+  sample.part = v0 * parts_per_side / size.height * parts_per_side + u0 * parts_per_side / size.width;
+  return sample;
+}
+
+std::vector<Sample> take_samples(const PolarizationState& state, const Pinhole* camera, const Image<float>& normals,
+                                 const FrameHints& hints, const Context& context) {
+  const Size size = state.size();
+  const int side = std::max(smallest_cell_px, static_cast<int>(std::sqrt(static_cast<double>(size.area()) / max_samples)));
+  std::vector<Sample> samples;
+  for (int v = 0; v < size.height; v += side) {
+    context.check_cancel();
+    for (int u = 0; u < size.width; u += side) {
+      if (const auto sample = sample_of(state, camera, normals, hints, u, v, side)) samples.push_back(*sample);
     }
   }
   return samples;
@@ -268,7 +296,7 @@ std::vector<Sample> beside_highlight(const std::vector<Sample>& samples, double 
   std::vector<Sample> kept;
   std::ranges::copy_if(samples, std::back_inserter(kept),
                        [&](const Sample& sample) { return sample.from_highlight_rad > highlight_rad; });
-  const bool enough = kept.size() >= min_pixels && static_cast<double>(kept.size()) >
+  const bool enough = kept.size() >= min_samples && static_cast<double>(kept.size()) >
                                                        min_share_beside_highlight * static_cast<double>(samples.size());
   return enough ? kept : samples;
 }
@@ -311,7 +339,7 @@ FrameEstimate estimate_frame(const PolarizationState& state, const Pinhole* came
   FrameEstimate estimate;
   std::vector<Sample> samples = take_samples(state, camera, normals, hints, context);
   estimate.pixels = static_cast<double>(samples.size());
-  if (samples.size() < min_pixels) {
+  if (samples.size() < min_samples) {
     estimate.status = FrameStatus::no_slopes;
     return estimate;
   }

@@ -71,7 +71,12 @@ void fit_polarizer_of(PolarizedStack& stack, const PolarizedSpec& spec, const Po
   if (free_angles || (fits && options.calibrate_angles != AngleCalibration::off)) {
     fit = fit_polarizer(stack.images, stack.angles_rad, stack.noise, stack.mask, stack.saturated, options, context);
     step.polarizer_fitted = free_angles || options.calibrate_angles == AngleCalibration::on ||
-                            fit.improvement() > options.min_improvement;
+                            (fit.improvement() > options.min_improvement && fit.is_plausible(options));
+    if (!free_angles && fit.improvement() > options.min_improvement && !fit.is_plausible(options)) {
+      context.log(LogLevel::warning,
+                  "the images fit other polarizer angles or exposures better than those given, but too far off for an "
+                  "error of reading: are angles_deg in the order of the images?");
+    }
   } else {
     fit = polarizer_as_given(stack.angles_rad, options);
   }

@@ -17,7 +17,7 @@ constexpr double degree_rad = std::numbers::pi / 180;
 
 /// A bumpy surface seen along parallel rays, textured, and its Stokes vectors by Eq 6 or Eq 8.
 struct PolarizerScene {
-  Size size{160, 120};
+  Size size{320, 240};
   bool specular = false;
   Image<float> normals{size, 3};
   Image<float> stokes{size, 3};
@@ -25,7 +25,7 @@ struct PolarizerScene {
   explicit PolarizerScene(bool mirror = false) : specular(mirror) {
     for (int v = 0; v < size.height; ++v) {
       for (int u = 0; u < size.width; ++u) {
-        const Slopes slopes{0.9 * std::sin(0.09 * u) * std::cos(0.05 * v), 0.8 * std::cos(0.04 * u + 0.11 * v)};
+        const Slopes slopes{0.9 * std::sin(0.03 * u) * std::cos(0.017 * v), 0.8 * std::cos(0.013 * u + 0.037 * v)};
         const Eigen::Vector3d normal = RayFrame{}.normal(slopes);
         const double zenith = std::atan(std::sqrt(slopes.tan2()));
         const double degree = specular ? -specular_degree(zenith, 1.5) : diffuse_degree(zenith, 1.5);
