@@ -56,8 +56,8 @@ Station with_photogrammetry(const Station& station, const CameraValues& camera,
   return result;
 }
 
-/// The station with developed images (floating point, black 0 and white 1) in place of its RAW files. Noise in electrons
-/// where the files say it and the station does not.
+/// The station with developed images (floating point, black 0 and white 1) in place of its RAW files. Noise in
+/// electrons where the files say it and the station does not.
 Station with_developed(const Station& station, const std::vector<std::string>& images,
                        std::optional<double> full_well_e, std::optional<double> read_noise_e) {
   Station result = station;

@@ -140,7 +140,8 @@ Exposures load_exposures(const CaptureInput& input, const ResponseCurve& curve, 
 void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>& color, const Context& context) {
   const Image<float> mosaic = std::move(exposures.images[0]);
   const std::string name = exposures.names[0];
-  // Samples that make a pixel: its neighbours twice, once through their smoothed contrasts; in colour those two further.
+  // Samples that make a pixel: its neighbours twice, once through their smoothed contrasts; in colour those two
+  // further.
   const Mask saturated = spread_flags(exposures.saturated[0], spec.mosaic_colors ? 4 : 2, context);
   exposures.images.assign(4, {});
   if (!spec.mosaic_colors) {
@@ -276,8 +277,8 @@ void fill_stack(Exposures& exposures, const CaptureInput& input, const std::vect
 
 /// Mean over the images (of the shortest exposure) of their linear colours; a second pass over the files keeps one
 /// colour image in memory.
-Image<float> mean_color(const CaptureInput& input, const ResponseCurve& curve, const CaptureOptions& options,
-                        Size size, const std::vector<Affine>& maps, const Context& context) {
+Image<float> mean_color(const CaptureInput& input, const ResponseCurve& curve, const CaptureOptions& options, Size size,
+                        const std::vector<Affine>& maps, const Context& context) {
   Image<float> mean(size, 3);
   float count = 0;
   for (std::size_t k = 0; k < input.names.size(); ++k) {
@@ -330,7 +331,8 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
   const ResponseCurve curve = response_curve(input.polarized.response, "response");
   Exposures exposures = load_exposures(input, curve, options, context);
   const Size size = exposures.images[0].size();
-  if (input.mask) require_size(*input.mask, size, input.polarized.mask ? "mask " + input.polarized.mask->string() : "mask");
+  if (input.mask)
+    require_size(*input.mask, size, input.polarized.mask ? "mask " + input.polarized.mask->string() : "mask");
   if (input.lens && input.lens->size != size) {
     throw input_error(input.names[0] + " is " + to_string(size) + " pixels, but its camera is " +
                       to_string(input.lens->size));
@@ -368,8 +370,7 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
   check_usable(stack);
   if (exposures.color) stack.color = mean_color(input, curve, options, size, maps, context);
   if (!mosaic_color.empty()) {
-    stack.color =
-        resample(mosaic_color, size, base_map, options.registration.interpolation, context).image;
+    stack.color = resample(mosaic_color, size, base_map, options.registration.interpolation, context).image;
   }
   context.progress("capture", 1, "done");
   return stack;

@@ -79,7 +79,8 @@ std::array<Image<float>, 4> demosaic(const Image<float>& mosaic, const std::stri
   }
   std::array<Image<float>, 4> channels;
   for (std::size_t p = 0; p < 4; ++p) {
-    channels[p] = interpolate(size, p, [&](int u, int v) { return mosaic(u, v); }, context);
+    channels[p] = interpolate(
+        size, p, [&](int u, int v) { return mosaic(u, v); }, context);
   }
   Image<float> mean(size);
   for (std::size_t i = 0; i < mean.count(); ++i) {
@@ -109,13 +110,14 @@ std::array<Image<float>, 4> demosaic(const Image<float>& mosaic, const std::stri
   return channels;
 }
 
-std::array<Image<float>, 3> split_colors(const Image<float>& mosaic, const std::string& colors,
-                                         const std::string& name, const Context& context) {
+std::array<Image<float>, 3> split_colors(const Image<float>& mosaic, const std::string& colors, const std::string& name,
+                                         const Context& context) {
   const Size size = mosaic.size();
   if (mosaic.channels() != 1) throw input_error(name + ": a polarization mosaic has one channel, this image has 3");
   if (size.width % 4 != 0 || size.height % 4 != 0 || size.width < 8 || size.height < 8) {
-    throw input_error(name + " is " + to_string(size) +
-                      " pixels; a colour mosaic of 4 x 4 cells has a width and height that are multiples of 4, at least 8");
+    throw input_error(
+        name + " is " + to_string(size) +
+        " pixels; a colour mosaic of 4 x 4 cells has a width and height that are multiples of 4, at least 8");
   }
   const auto color_at = [&](int u, int v) { return colors[cell_of(u / 2, v / 2)]; };
   std::array<Image<float>, 3> result;

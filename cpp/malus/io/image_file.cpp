@@ -69,8 +69,9 @@ void write_png_samples(const std::filesystem::path& path, const Image<Sample>& i
 
 void refuse_raw(const std::filesystem::path& path, const std::string& name) {
   if (!is_raw_name(path)) return;
-  throw input_error(name + " is a camera's RAW file: the Python program `malus` develops it (pip install 'malus[raw]'), "
-                           "this one expects linear PNG or TIFF");
+  throw input_error(name +
+                    " is a camera's RAW file: the Python program `malus` develops it (pip install 'malus[raw]'), "
+                    "this one expects linear PNG or TIFF");
 }
 
 }  // namespace

@@ -95,7 +95,8 @@ std::vector<std::filesystem::path> list_images(const std::filesystem::path& base
       if (entry.is_regular_file() && is_image_name(entry.path())) files.push_back(entry.path());
     }
     // Cameras write RAW and JPEG side by side: the RAW files are the linear ones.
-    if (std::ranges::any_of(files, is_raw_name)) std::erase_if(files, [](const auto& file) { return !is_raw_name(file); });
+    if (std::ranges::any_of(files, is_raw_name))
+      std::erase_if(files, [](const auto& file) { return !is_raw_name(file); });
   } else if (std::filesystem::path(folder_or_glob).is_absolute()) {
     files = match(folder_or_glob);
   } else {

@@ -4,8 +4,8 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
-#include <numbers>
 #include <map>
+#include <numbers>
 #include <set>
 #include <sstream>
 
@@ -522,9 +522,10 @@ StationFile read_station_file(const std::filesystem::path& given_path) {
   }
 
   const auto polarized = document.required(
-      optional_section("polarized", {"images", "angles_deg", "angle_pattern", "angle_direction", "angle_zero_deg",
-                                     "mosaic", "mosaic_colors", "exposure_s", "channel", "channel_weights", "response", "white_level", "black_level",
-                                     "frames_averaged", "full_well_e", "read_noise_e", "mask"}),
+      optional_section("polarized",
+                       {"images", "angles_deg", "angle_pattern", "angle_direction", "angle_zero_deg", "mosaic",
+                        "mosaic_colors", "exposure_s", "channel", "channel_weights", "response", "white_level",
+                        "black_level", "frames_averaged", "full_well_e", "read_noise_e", "mask"}),
       "polarized", "the section [polarized] with the images taken through the polarizer");
   station.polarized = read_polarized(polarized);
 

@@ -55,7 +55,8 @@ Eigen::MatrixX3d frame_slopes(const std::vector<double>& angles_rad, const std::
 
 /// Covariance of angles and ln gains when what the images cannot tell has the covariance `of_frame` along `slopes`
 /// (2K × 3). The rest is known from images and nominal values; exposures are relative to their mean.
-Eigen::MatrixXd covariance_of(const PolarizerFit& fit, const Eigen::MatrixX3d& slopes, const Eigen::Matrix3d& of_frame) {
+Eigen::MatrixXd covariance_of(const PolarizerFit& fit, const Eigen::MatrixX3d& slopes,
+                              const Eigen::Matrix3d& of_frame) {
   const Eigen::Index size = slopes.rows();
   Eigen::MatrixXd unseen(size, 4);
   unseen << slopes, Eigen::VectorXd::Zero(size);
@@ -141,8 +142,7 @@ CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool 
   }
 
   // The frame as a linear Gaussian estimate: nominal values (b = 0, turn = 0) against the surface's.
-  const StokesFrame mirror =
-      !known_scale && surface.mirrored ? mirrored_scale() : StokesFrame(StokesFrame::Identity());
+  const StokesFrame mirror = !known_scale && surface.mirrored ? mirrored_scale() : StokesFrame(StokesFrame::Identity());
   const Eigen::VectorXd mirrored = in_frame(fit.angles_rad, fit.gains, mirror);
   const Eigen::Index count = mirrored.size() / 2;
   std::vector<double> angles(mirrored.data(), mirrored.data() + count), gains;

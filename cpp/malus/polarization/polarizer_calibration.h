@@ -14,11 +14,11 @@ struct PolarizerCalibration {
   bool from_images = false;   ///< angles and exposures were calibrated from the images
   bool from_surface = false;  ///< the zero of the scale (and what images cannot tell) was corrected by the surface
   std::vector<double> angles_deg, angles_sigma_deg;
-  std::vector<double> gains, gains_sigma;  ///< exposure of each image relative to their geometric mean
-  double residual_before = 0, residual_after = 0;  ///< PolarizerFit's
-  std::string surface_check = "not run";           ///< FrameStatus
-  double zero_error_deg = 0, zero_error_sigma_deg = 0;      ///< to be added to the angles as read, by the surface
-  std::vector<double> scene_polarization;                   ///< (b1, b2) that the surface finds too much, over s0
+  std::vector<double> gains, gains_sigma;               ///< exposure of each image relative to their geometric mean
+  double residual_before = 0, residual_after = 0;       ///< PolarizerFit's
+  std::string surface_check = "not run";                ///< FrameStatus
+  double zero_error_deg = 0, zero_error_sigma_deg = 0;  ///< to be added to the angles as read, by the surface
+  std::vector<double> scene_polarization;               ///< (b1, b2) that the surface finds too much, over s0
   std::vector<double> scene_polarization_sigma;
   double opposite_direction_ratio = 0;  ///< agreement of the other direction of the scale; above 1 contradicts
   std::vector<std::string> warnings;

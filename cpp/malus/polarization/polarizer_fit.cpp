@@ -128,8 +128,8 @@ double typical_residual(const CellReader& reader, const PixelWeight& weight) {
   for (int v = 0; v < size.height; v += stride) {
     for (int u = 0; u < size.width; u += stride) {
       if (!reader.read(u, v, values, variance)) continue;
-      residuals.push_back((weight.complement * values).squaredNorm() /
-                          static_cast<double>(weight.complement.rows()) / variance);
+      residuals.push_back((weight.complement * values).squaredNorm() / static_cast<double>(weight.complement.rows()) /
+                          variance);
     }
   }
   if (residuals.empty()) return 1;
@@ -231,8 +231,8 @@ double minimize(Polarizer& polarizer, const Eigen::MatrixXd& moments, double inf
     const Projection projection(polarizer);
     Eigen::MatrixXd normal = projection.curvature(moments) / inflation;
     normal.diagonal() += 2 * nominal.weight;
-    const Eigen::VectorXd right = -projection.gradient(moments) / inflation -
-                                  2 * nominal.weight.cwiseProduct(polarizer.values - nominal.values);
+    const Eigen::VectorXd right =
+        -projection.gradient(moments) / inflation - 2 * nominal.weight.cwiseProduct(polarizer.values - nominal.values);
     bool accepted = false;
     double gained = 0;
     while (!accepted && damping < 1e12) {
@@ -397,8 +397,9 @@ PolarizerFit fit_polarizer(std::span<const Image<float>> images, std::span<const
   PixelWeight weight;
   Moments moments = second_moments(reader, weight, context);
   if (moments.pixels < 100) {
-    throw data_error("fewer than 100 pixels of the object are neither saturated nor dark in the polarized images: "
-                     "their polarizer angles cannot be calibrated");
+    throw data_error(
+        "fewer than 100 pixels of the object are neither saturated nor dark in the polarized images: "
+        "their polarizer angles cannot be calibrated");
   }
   Polarizer polarizer = search(nominal, free_angles, moments.total(), 1);
   double inflation = 1;

@@ -19,10 +19,11 @@ struct PolarizerFit {
   Eigen::MatrixXd image_information;
   /// Inverse variances of the nominal angles and ln gains, 2K; next to nothing for angles that are not known.
   Eigen::VectorXd nominal_weight;
-  /// RMS of the sinusoid's residuals with the nominal values, of means over cells, in standard deviations of their noise.
+  /// RMS of the sinusoid's residuals with the nominal values, of means over cells, in standard deviations of their
+  /// noise.
   double residual_before = 0;
-  double residual_after = 0;   ///< the same with these
-  double pixels = 0;           ///< that took part
+  double residual_after = 0;  ///< the same with these
+  double pixels = 0;          ///< that took part
 
   double largest_angle_change_rad = 0;  ///< from the nominal angles; 0 when there are none
   double largest_gain_change = 0;       ///< of ln gain

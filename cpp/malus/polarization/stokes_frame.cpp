@@ -5,8 +5,8 @@
 #include <algorithm>
 #include <cmath>
 #include <complex>
-#include <numbers>
 #include <iterator>
+#include <numbers>
 #include <optional>
 #include <vector>
 
@@ -98,7 +98,8 @@ std::optional<Sample> sample_of(const PolarizationState& state, const Pinhole* c
 std::vector<Sample> take_samples(const PolarizationState& state, const Pinhole* camera, const Image<float>& normals,
                                  const FrameHints& hints, const Context& context) {
   const Size size = state.size();
-  const int side = std::max(smallest_cell_px, static_cast<int>(std::sqrt(static_cast<double>(size.area()) / max_samples)));
+  const int side =
+      std::max(smallest_cell_px, static_cast<int>(std::sqrt(static_cast<double>(size.area()) / max_samples)));
   std::vector<Sample> samples;
   for (int v = 0; v < size.height; v += side) {
     context.check_cancel();
@@ -113,8 +114,8 @@ std::complex<double> linear_part(const Sample& sample) {
   return {sample.stokes[1] / sample.stokes[0], sample.stokes[2] / sample.stokes[0]};
 }
 
-/// Correlation of phases and azimuths: modulus 0 … 1, argument 0 = along, π = across, and the constant polarization that
-/// goes with it; for the scale's direction as given and for the other one.
+/// Correlation of phases and azimuths: modulus 0 … 1, argument 0 = along, π = across, and the constant polarization
+/// that goes with it; for the scale's direction as given and for the other one.
 struct Agreement {
   std::complex<double> direct, mirrored, direct_constant, mirrored_constant;
 };
@@ -269,8 +270,7 @@ class FrameFit {
       const auto equations = equations_of(sample, frame * sample.stokes);
       for (std::size_t e = 0; e < (use_radial_ ? 2u : 1u); ++e) {
         const Equation& equation = equations[e];
-        const double weight =
-            equation.weight / scales_[e] / (1 + squared_residual(equation) / (cauchy2 * scales_[e]));
+        const double weight = equation.weight / scales_[e] / (1 + squared_residual(equation) / (cauchy2 * scales_[e]));
         normal_.noalias() += weight * equation.row * equation.row.transpose();
         right_ += weight * equation.value * equation.row;
         const Vector gradient = weight * (equation.value - equation.row.dot(solution_)) * equation.row;
@@ -296,8 +296,9 @@ std::vector<Sample> beside_highlight(const std::vector<Sample>& samples, double 
   std::vector<Sample> kept;
   std::ranges::copy_if(samples, std::back_inserter(kept),
                        [&](const Sample& sample) { return sample.from_highlight_rad > highlight_rad; });
-  const bool enough = kept.size() >= min_samples && static_cast<double>(kept.size()) >
-                                                       min_share_beside_highlight * static_cast<double>(samples.size());
+  const bool enough =
+      kept.size() >= min_samples &&
+      static_cast<double>(kept.size()) > min_share_beside_highlight * static_cast<double>(samples.size());
   return enough ? kept : samples;
 }
 
@@ -326,8 +327,8 @@ StokesFrame boost(double b1, double b2) {
   if (squared == 0) return StokesFrame::Identity();
   const double gamma = 1 / std::sqrt(1 - squared), share = (gamma - 1) / squared;
   StokesFrame frame;
-  frame << gamma, gamma * b1, gamma * b2,                     //
-      gamma * b1, 1 + share * b1 * b1, share * b1 * b2,       //
+  frame << gamma, gamma * b1, gamma * b2,                //
+      gamma * b1, 1 + share * b1 * b1, share * b1 * b2,  //
       gamma * b2, share * b1 * b2, 1 + share * b2 * b2;
   return frame;
 }

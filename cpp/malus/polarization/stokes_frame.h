@@ -34,14 +34,14 @@ constexpr auto names_of(FrameStatus) {
 /// What the surface's azimuths say about the frame of the Stokes vectors.
 struct FrameEstimate {
   FrameStatus status = FrameStatus::not_run;
-  bool mirrored = false;     ///< the phases turn against the azimuths: the direction of the scale is the other one
-  double mirror_ratio = 0;   ///< agreement of the other direction over that of the one as given; above 1 = mirrored
-  bool specular = false;     ///< the polarization that was compared is mostly perpendicular to the azimuths
+  bool mirrored = false;    ///< the phases turn against the azimuths: the direction of the scale is the other one
+  double mirror_ratio = 0;  ///< agreement of the other direction over that of the one as given; above 1 = mirrored
+  bool specular = false;    ///< the polarization that was compared is mostly perpendicular to the azimuths
   double pixels = 0;
   StokesFrame frame = StokesFrame::Identity();  ///< from Stokes vectors as given to those that agree with the surface
-  /// The same as (b1, b2, turn [rad]), a turn and then a boost (after the mirror, if any), and its covariance: scatter between parts of the image
-  /// and between zones around the highlight, whichever is larger; for mirroring objects that face the camera also a lamp's
-  /// polarized reflection all over them.
+  /// The same as (b1, b2, turn [rad]), a turn and then a boost (after the mirror, if any), and its covariance: scatter
+  /// between parts of the image and between zones around the highlight, whichever is larger; for mirroring objects that
+  /// face the camera also a lamp's polarized reflection all over them.
   Eigen::Vector3d values = Eigen::Vector3d::Zero();
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
 };

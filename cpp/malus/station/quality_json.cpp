@@ -45,8 +45,7 @@ Json refine_report_json(const RefineReport& report) {
 }
 
 Json quality_json(const std::string& name, const Quality& quality, const PolarizerCalibration& polarizer,
-                  const Json& refinement,
-                  const std::optional<std::string>& photogrammetry) {
+                  const Json& refinement, const std::optional<std::string>& photogrammetry) {
   Json json = {{"name", name}};
   if (photogrammetry) json.update(Json::parse(*photogrammetry));
   json.update(fields_to_json(quality));

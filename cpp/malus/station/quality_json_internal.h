@@ -18,9 +18,9 @@ using Json = nlohmann::ordered_json;
 Json refine_report_json(const RefineReport& report);
 
 /// The figures under the names of the Quality structs, with the station's name, the polarizer's angles and exposures,
-/// after a refinement its report, and the members of what the photogrammetry says of itself (JSON of an object), if there was one.
+/// after a refinement its report, and the members of what the photogrammetry says of itself (JSON of an object), if
+/// there was one.
 Json quality_json(const std::string& name, const Quality& quality, const PolarizerCalibration& polarizer,
-                  const Json& refinement,
-                  const std::optional<std::string>& photogrammetry);
+                  const Json& refinement, const std::optional<std::string>& photogrammetry);
 
 }  // namespace malus

@@ -38,9 +38,10 @@ bool needs_no_prior(const std::optional<std::string>& until) {
 Error no_prior(const Station& station) {
   const std::string where = station.file.path.string();
   if (station.file.photos) {
-    return input_error(where +
-                       ": making the prior from [photos] takes the Python program `malus run`; this one expects [prior] "
-                       "with a cloud, mesh or depth map");
+    return input_error(
+        where +
+        ": making the prior from [photos] takes the Python program `malus run`; this one expects [prior] "
+        "with a cloud, mesh or depth map");
   }
   return input_error(
       where + ": [prior] is missing, expected a cloud, mesh or depth map; without one only `decompose` can be run");
@@ -65,7 +66,8 @@ void fit_polarizer_of(PolarizedStack& stack, const PolarizedSpec& spec, const Po
                       PolarizationStep& step, const Context& context) {
   const bool free_angles = !spec.angles_deg, fits = stack.images.size() > 3 && !spec.mosaic;
   if (free_angles && options.calibrate_angles == AngleCalibration::off) {
-    throw input_error("polarizer.calibrate_angles = \"off\" leaves angles_deg = \"auto\" unknown, expected angles in degrees");
+    throw input_error(
+        "polarizer.calibrate_angles = \"off\" leaves angles_deg = \"auto\" unknown, expected angles in degrees");
   }
   PolarizerFit& fit = step.polarizer;
   if (free_angles || (fits && options.calibrate_angles != AngleCalibration::off)) {
@@ -109,8 +111,8 @@ PolarizationStep capture_and_decompose(const Station& station, const Options& op
   PolarizedStack stack = capture_stack(make_capture_input(station), options.capture, context);
   PolarizationStep step;
   fit_polarizer_of(stack, station.file.polarized, options.polarizer, step, context);
-  step.state = decompose(stack.images, stack.angles_rad, stack.noise, stack.mask, stack.saturated,
-                         options.polarization, context);
+  step.state = decompose(stack.images, stack.angles_rad, stack.noise, stack.mask, stack.saturated, options.polarization,
+                         context);
   warn_of_misfits(step.state, context);
   if (station.file.photos) step.scene = unpolarized_intensity(stack.images, stack.angles_rad, context);
   step.color = std::move(stack.color);
@@ -126,12 +128,12 @@ FrameHints frame_hints(const Station& station, const PolarizationStep& images, c
   const OpticsSpec& optics = station.file.optics;
   FrameHints hints;
   hints.known_scale = station.file.polarized.angles_deg.has_value();
-  if (optics.reflection == "diffuse" || optics.reflection == "specular") hints.specular = optics.reflection == "specular";
+  if (optics.reflection == "diffuse" || optics.reflection == "specular")
+    hints.specular = optics.reflection == "specular";
   if (optics.refractive_index) hints.refractive_index = *optics.refractive_index;
   Mask valid = images.state.valid;
   for (std::uint8_t& pixel : valid) pixel = pixel == static_cast<std::uint8_t>(PixelState::valid) ? 255 : 0;
-  const LightEstimate light =
-      estimate_light(images.state.i_un, normals, valid, &images.camera, options.light, context);
+  const LightEstimate light = estimate_light(images.state.i_un, normals, valid, &images.camera, options.light, context);
   if (light.status == LightStatus::estimated) hints.light = light.coefficients.head<3>();
   return hints;
 }
@@ -233,7 +235,8 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
       steps.run<PolarizationStep>("polarization",
                                   {.after = {},
                                    .option_sections = {"capture", "polarization", "polarizer"},
-                                   .station = {{"polarized", inputs.polarized()}, {"lens", inputs.lens()},
+                                   .station = {{"polarized", inputs.polarized()},
+                                               {"lens", inputs.lens()},
                                                {"photos", station.file.photos.has_value()},
                                                {"awaits_surface", station.has_prior() || station.file.photos}}},
                                   [&](const Context& c) { return capture_and_decompose(station, options, c); });
@@ -334,7 +337,8 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
                             options.assess, c);
       const auto& warnings = result.polarizer.warnings;
       step.quality.warnings.insert(step.quality.warnings.end(), warnings.begin(), warnings.end());
-      step.file = quality_json(station.file.name, step.quality, result.polarizer, refinement, station.photogrammetry_json);
+      step.file =
+          quality_json(station.file.name, step.quality, result.polarizer, refinement, station.photogrammetry_json);
       return step;
     });
     result.quality = std::move(figures.quality);

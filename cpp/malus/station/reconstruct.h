@@ -20,8 +20,8 @@
 namespace malus {
 
 /// The steps of a reconstruction in their order; `report` is made by the Python package from the finished workspace.
-inline constexpr std::array<std::string_view, 9> step_names{
-    "polarization", "prior", "polarizer", "zenith", "height", "fuse", "refine", "mesh", "assess"};
+inline constexpr std::array<std::string_view, 9> step_names{"polarization", "prior",  "polarizer", "zenith", "height",
+                                                            "fuse",         "refine", "mesh",      "assess"};
 
 /// Where and how far to run.
 struct RunOptions {

@@ -35,7 +35,7 @@ Json to_json(const PolarizerFit& fit) {
   return {{"angles_rad", fit.angles_rad},
           {"gains", fit.gains},
           {"image_information", std::vector<double>(fit.image_information.data(),
-                                               fit.image_information.data() + fit.image_information.size())},
+                                                    fit.image_information.data() + fit.image_information.size())},
           {"nominal_weight",
            std::vector<double>(fit.nominal_weight.data(), fit.nominal_weight.data() + fit.nominal_weight.size())},
           {"residual_before", fit.residual_before},

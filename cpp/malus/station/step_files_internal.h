@@ -31,7 +31,7 @@ struct PolarizationStep {
   Image<float> scene;  ///< unpolarized intensity beyond the object too; empty unless the station is to be found by it
   Pinhole camera;
   std::vector<double> registration_rms_px;
-  PolarizerFit polarizer;        ///< angles and exposures that the Stokes vectors were computed with
+  PolarizerFit polarizer;         ///< angles and exposures that the Stokes vectors were computed with
   bool polarizer_fitted = false;  ///< they come from the images, not from the station
   /// A surface is to come, by which the polarizer's scale is checked: until then the maps lie in polarization/measured.
   bool awaits_surface = false;

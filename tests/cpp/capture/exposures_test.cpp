@@ -50,8 +50,7 @@ double rms_error(const Image<float>& image, int first, int last) {
 }
 
 TEST(Exposures, are_merged_by_their_noise_without_what_is_saturated) {
-  const PolarizedStack merged =
-      capture_stack(exposures_of({0, 60, 120}, {0.04, 0.01}), unregistered(), two_threads());
+  const PolarizedStack merged = capture_stack(exposures_of({0, 60, 120}, {0.04, 0.01}), unregistered(), two_threads());
   const PolarizedStack shorter = capture_stack(exposures_of({0, 60, 120}, {0.01}), unregistered(), two_threads());
   ASSERT_EQ(merged.images.size(), 3u);
   EXPECT_EQ(merged.angles_rad.size(), 3u);

@@ -101,8 +101,8 @@ TEST(Mosaic, texture_makes_less_polarization_than_by_bilinear_channels) {
     for (int v = 2; v < size.height - 2; ++v) {
       for (int u = 2; u < size.width - 2; ++u) {
         const int du = (u + static_cast<int>(p)) % 2, dv = (v + static_cast<int>(p) / 2) % 2;
-        bilinear[p](u, v) = 0.25f * (mosaic(u - du, v - dv) + mosaic(u + du, v - dv) + mosaic(u - du, v + dv) +
-                                     mosaic(u + du, v + dv));
+        bilinear[p](u, v) =
+            0.25f * (mosaic(u - du, v - dv) + mosaic(u + du, v - dv) + mosaic(u - du, v + dv) + mosaic(u + du, v + dv));
       }
     }
   }

@@ -217,7 +217,8 @@ TEST_F(StationFileTest, FoldersGlobsAndAnglePatterns) {
   EXPECT_EQ(angles("images = \"pol/*.png\""), expected);
   EXPECT_EQ(angles("images = \"pol\"\nangle_pattern = 'a_(\\d+)\\.png'"), expected);
   EXPECT_EQ(angles("images = \"pol\"\nangles_deg = [1, 61, 121]"), (std::vector<double>{1, 61, 121}));
-  for (const std::string name : {"b_1", "b_2"}) write_png(folder_ / ("pol/" + name + ".png"), Image<std::uint8_t>({12, 8}));
+  for (const std::string name : {"b_1", "b_2"})
+    write_png(folder_ / ("pol/" + name + ".png"), Image<std::uint8_t>({12, 8}));
   EXPECT_FALSE(angles("images = \"pol\"\nangles_deg = \"auto\""));
   for (const std::string name : {"b_1", "b_2"}) std::filesystem::remove(folder_ / ("pol/" + name + ".png"));
   const auto rejects_lines = [&](const std::string& lines, const auto&... parts) {
@@ -245,7 +246,8 @@ TEST(PolarizedFiles, NaturalOrderAndLastNumber) {
 }
 
 TEST_F(StationFileTest, Exposures) {
-  for (const std::string name : {"b_000", "b_045", "b_090"}) write_png(folder_ / ("pol/" + name + ".png"), Image<std::uint8_t>({12, 8}));
+  for (const std::string name : {"b_000", "b_045", "b_090"})
+    write_png(folder_ / ("pol/" + name + ".png"), Image<std::uint8_t>({12, 8}));
   const auto with = [&](const std::string& lines) {
     Sections sections;
     sections.polarized = "[polarized]\nimages = \"pol\"\n" + lines + "\n";
@@ -272,7 +274,8 @@ TEST_F(StationFileTest, RawFilesGoFirstAndBringTheirLevels) {
     sections.polarized = "[polarized]\nimages = \"pol\"\n" + key + "\n";
     rejects(sections, "is not for RAW files");
   }
-  sections.polarized = "[polarized]\nimages = [\"pol/a_000.NEF\", \"pol/a_045.png\", \"pol/a_090.png\"]\nangles_deg = [0, 45, 90]\n";
+  sections.polarized =
+      "[polarized]\nimages = [\"pol/a_000.NEF\", \"pol/a_045.png\", \"pol/a_090.png\"]\nangles_deg = [0, 45, 90]\n";
   rejects(sections, "expected one kind");
 }
 

@@ -31,7 +31,8 @@ PolarizerFit fit(const PolarizerScene& scene, const std::vector<double>& true_de
 double worst_product_error(const PolarizerFit& fit, const std::vector<double>& true_deg,
                            const std::vector<double>& gains) {
   // Rows on the cone: their Lorentz products with each other do not depend on the frame, up to a common factor.
-  const Eigen::MatrixX3d found = polarizer_rows(fit.angles_rad, fit.gains), truth = polarizer_rows(radians(true_deg), gains);
+  const Eigen::MatrixX3d found = polarizer_rows(fit.angles_rad, fit.gains),
+                         truth = polarizer_rows(radians(true_deg), gains);
   const Eigen::DiagonalMatrix<double, 3> lorentz(1, -1, -1);
   const Eigen::MatrixXd a = found * lorentz * found.transpose(), b = truth * lorentz * truth.transpose();
   return (a / a.norm() - b / b.norm()).cwiseAbs().maxCoeff();

@@ -106,10 +106,10 @@ TEST(PolarizerCalibration, DoubtsTheDirection) {
 
 TEST(PolarizerCalibration, SurfaceSharpensWhatImagesCannotTell) {
   const PolarizerScene scene(true);
-  const std::vector<double> angles{1 * degree_rad, 28 * degree_rad, 62 * degree_rad, 91 * degree_rad,
-                                   118 * degree_rad, 151 * degree_rad};
-  const std::vector<double> nominal{0, 30 * degree_rad, 60 * degree_rad, 90 * degree_rad, 120 * degree_rad,
-                                    150 * degree_rad};
+  const std::vector<double> angles{1 * degree_rad,  28 * degree_rad,  62 * degree_rad,
+                                   91 * degree_rad, 118 * degree_rad, 151 * degree_rad};
+  const std::vector<double> nominal{
+      0, 30 * degree_rad, 60 * degree_rad, 90 * degree_rad, 120 * degree_rad, 150 * degree_rad};
   const std::vector<double> gains{1.02, 0.99, 0.98, 1.01, 1.005, 0.995};
   const NoiseModel noise{.full_well_e = 20000, .read_noise_e = 8, .frames_averaged = 64};
   const PolarizerFit fit =
