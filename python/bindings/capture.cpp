@@ -13,12 +13,21 @@ namespace malus::python {
 void bind_capture(py::module_& module) {
   module.def("demosaic", [](const Array<float>& mosaic, int threads) {
     const Image<float> image = to_image(mosaic);
-    std::array<MosaicChannel, 4> channels;
-    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      channels = demosaic(image, Mask(image.size()), "mosaic", context);
-    });
+    std::array<Image<float>, 4> channels;
+    run_interruptible(threads, py::none(), py::none(),
+                      [&](const Context& context) { channels = demosaic(image, "mosaic", context); });
     py::list result;
-    for (MosaicChannel& channel : channels) result.append(to_array(std::move(channel.intensity)));
+    for (Image<float>& channel : channels) result.append(to_array(std::move(channel)));
+    return result;
+  });
+
+  module.def("split_colors", [](const Array<float>& mosaic, const std::string& colors, int threads) {
+    const Image<float> image = to_image(mosaic);
+    std::array<Image<float>, 3> planes;
+    run_interruptible(threads, py::none(), py::none(),
+                      [&](const Context& context) { planes = split_colors(image, colors, "mosaic", context); });
+    py::list result;
+    for (Image<float>& plane : planes) result.append(to_array(std::move(plane)));
     return result;
   });
 

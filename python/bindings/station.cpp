@@ -56,6 +56,20 @@ Station with_photogrammetry(const Station& station, const CameraValues& camera,
   return result;
 }
 
+/// The station with developed images (floating point, black 0 and white 1) in place of its RAW files. Noise in
+/// electrons where the files say it and the station does not.
+Station with_developed(const Station& station, const std::vector<std::string>& images,
+                       std::optional<double> full_well_e, std::optional<double> read_noise_e) {
+  Station result = station;
+  PolarizedSpec& spec = result.file.polarized;
+  spec.images.assign(images.begin(), images.end());
+  if (!spec.full_well_e && !spec.read_noise_e) {
+    spec.full_well_e = full_well_e;
+    spec.read_noise_e = read_noise_e;
+  }
+  return result;
+}
+
 py::dict to_dict(Reconstruction&& run) {
   py::dict result;
   const auto raster = [&](const char* name, Image<float>&& image) { result[name] = to_array(std::move(image)); };
@@ -101,6 +115,7 @@ void bind_station(py::module_& module) {
                   py::arg("name"), py::arg("unit"), py::arg("refractive_index"), py::arg("reflection"),
                   py::arg("frames_averaged"), py::arg("full_well_e"), py::arg("read_noise_e"))
       .def("describe", &describe_station_json)
+      .def("with_developed", &with_developed, py::arg("images"), py::arg("full_well_e"), py::arg("read_noise_e"))
       .def("with_photogrammetry", &with_photogrammetry, py::arg("camera"), py::arg("prior_depth"),
            py::arg("prior_sigma"), py::arg("figures"));
 

@@ -18,6 +18,7 @@ from malus.options import Options
 from malus.reconstruction import Progress, Result, check, reconstruct
 from malus.report import open_report, write_report
 from malus.station import Station
+from malus.station_import import import_station
 from malus.workspace import Workspace
 
 __all__ = [
@@ -39,6 +40,7 @@ __all__ = [
     "export",
     "fusion",
     "height",
+    "import_station",
     "open_report",
     "photogrammetry",
     "polarization",

@@ -25,12 +25,20 @@ class Registration:
     rms_px: float
 
 
-def demosaic(mosaic: ArrayLike, *, threads: int = 1) -> list[NDArray[np.float32]]:
-    """Split a 2×2 polarizer mosaic (H×W, even sides) into four H×W images: cell top left, top right, bottom left, bottom right.
+def demosaic(mosaic: ArrayLike, *, colors: str | None = None, threads: int = 1) -> list[NDArray[np.float32]]:
+    """Split a 2×2 polarizer mosaic (H×W, linear) into four images: cell top left, top right, bottom left, bottom right.
 
-    Every image is interpolated to the mosaic's pixels, so that all four show the same point at the same pixel.
+    Every image has the mosaic's pixels, so that all four show the same point at the same pixel: H×W, or H×W×3 for a
+    colour camera, whose `colors` is the Bayer pattern of the cells by rows, "RGGB". Sides are multiples of 2, in
+    colour of 4.
     """
-    return _core.demosaic(as_image(mosaic, "mosaic"), threads)
+    image = as_image(mosaic, "mosaic")
+    if colors is None:
+        return _core.demosaic(image, threads)
+    if colors not in ("RGGB", "BGGR", "GRBG", "GBRG"):
+        raise ValueError(f'colors = {colors!r}, expected "RGGB", "BGGR", "GRBG" or "GBRG"')
+    planes = [_core.demosaic(plane, threads) for plane in _core.split_colors(image, colors, threads)]
+    return [np.stack(channels, axis=-1) for channels in zip(*planes, strict=True)]
 
 
 def register(

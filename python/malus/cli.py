@@ -81,9 +81,27 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("--format", choices=list(FORMATS), required=True, help="what to write")
     export.add_argument("--faces", type=int, metavar="N", help=f"at most N triangles ({', '.join(MESHES)})")
     export.add_argument("-o", "--output", type=Path, metavar="PATH", help="default: in WORK/export/")
+    start = commands.add_parser("import", help="station file for a folder of polarized images")
+    start.add_argument("folder", type=Path, metavar="FOLDER")
+    start.add_argument("-o", "--output", type=Path, required=True, metavar="STATION.toml")
+    start.add_argument(
+        "--table", type=Path, metavar="FILE.csv", help="images and angles; default: the folder's CSV file"
+    )
+    start.add_argument("--pattern", metavar="REGEX", help="its one group captures the angle in a file's name")
+    start.add_argument(
+        "--mosaic", metavar="A,B,C,D", help="one image of a polarization camera: angles of its cell by rows"
+    )
+    start.add_argument("--colors", metavar="RGGB", help="Bayer pattern of a colour polarization camera")
     options = commands.add_parser("options", help="list every option with its default and meaning")
     options.set_defaults(json=False, quiet=False)
     return parser
+
+
+def _angles(text: str) -> list[float]:
+    try:
+        return [float(word) for word in text.split(",")]
+    except ValueError:
+        raise InputError(f"--mosaic {text}, expected four angles in degrees: 90,45,135,0") from None
 
 
 def _view(args: argparse.Namespace) -> ProgressView:
@@ -159,6 +177,14 @@ def _run(arguments: Sequence[str] | None) -> None:
     if args.command == "options":
         for name, kind, default, meaning in malus.Options.describe():
             print(f"{name} = {json.dumps(default)}  ({kind})\n    {meaning}")
+        return
+    if args.command == "import":
+        mosaic = None if args.mosaic is None else _angles(args.mosaic)
+        print(
+            malus.import_station(
+                args.folder, args.output, table=args.table, pattern=args.pattern, mosaic=mosaic, colors=args.colors
+            )
+        )
         return
     if args.threads < 1:
         raise InputError(f"--threads {args.threads}, expected at least 1")

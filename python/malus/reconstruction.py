@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from malus import _core, photogrammetry
+from malus import _core, exif, photogrammetry, raw
 from malus.camera import Camera
 from malus.options import Options
 from malus.station import Station
@@ -94,11 +94,14 @@ def reconstruct(
             log,
         )
 
-    core = station._core
-    if _needs_photos(station, until):
-        with _photogrammetry_folder(workspace) as folder:
-            core = _with_photos(station, settings, folder, run, threads, report, log or (lambda _, __: None))
-    outcome = run(core, until, reference)
+    with _folder(workspace, "raw") as developed:
+        core = _readable(station, developed, lambda fraction, message: report("polarization", fraction, message))
+        if _needs_photos(station, until):
+            with _folder(workspace, "prior/colmap") as folder:
+                core = _with_photos(
+                    station.describe(), core, settings, folder, run, threads, report, log or (lambda _, __: None)
+                )
+        outcome = run(core, until, reference)
     for intermediate in ("scene", "valid"):
         del outcome[intermediate]
     quality = outcome.pop("quality")
@@ -114,18 +117,32 @@ def _needs_photos(station: Station, until: str | None) -> bool:
     return station.describe()["prior"] == "photos" and until not in ("polarization", "zenith")
 
 
+def _readable(station: Station, folder: Path, progress: Callable[[float, str], None]) -> _core.Station:
+    """The station with its RAW files developed into `folder`, once its images are known to be taken alike."""
+    description = station.describe()
+    images = [Path(path) for path in description["images"]]
+    exif.require_alike(images, exposures_differ=description["exposure_s"] is not None)
+    if not images or not raw.is_raw(images[0]):
+        return station._core
+    developed = raw.develop(images, description["channel"], folder, progress)
+    return station._core.with_developed(
+        [str(path) for path in developed.images], developed.full_well_e, developed.read_noise_e
+    )
+
+
 @contextmanager
-def _photogrammetry_folder(workspace: str | Path | None) -> Iterator[Path]:
-    """Where the front end keeps its files: in the workspace, or for the time of the run."""
+def _folder(workspace: str | Path | None, name: str) -> Iterator[Path]:
+    """Where files of Python's part are kept: in the workspace, or for the time of the run."""
     if workspace is not None:
-        yield Path(workspace) / "prior" / "colmap"
+        yield Path(workspace) / name
         return
     with tempfile.TemporaryDirectory(prefix="malus-") as folder:
         yield Path(folder)
 
 
 def _with_photos(
-    station: Station,
+    description: dict[str, Any],
+    station: _core.Station,
     options: Options,
     folder: Path,
     run: Callable[[_core.Station, str | None, str | Path | None], dict[str, Any]],
@@ -136,8 +153,7 @@ def _with_photos(
     """The station with the camera and the prior that its photos give: polarization first, whose unpolarized image is
     placed among the photos, then the sweep in its view.
     """
-    description = station.describe()
-    images = run(station._core, "polarization", None)
+    images = run(station, "polarization", None)
     with photogrammetry.exclusive(folder):
         cameras = photogrammetry.find_cameras(
             description,
@@ -156,7 +172,7 @@ def _with_photos(
             )
         else:
             # Now that the lens is known, the images can be undistorted.
-            images = run(station._core.with_photogrammetry(lens.values(), None, None, "{}"), "polarization", None)
+            images = run(station.with_photogrammetry(lens.values(), None, None, "{}"), "polarization", None)
         depth, sigma, sweep = photogrammetry.sweep_station(
             cameras,
             images["scene"],
@@ -168,13 +184,15 @@ def _with_photos(
             log=log,
         )
     figures = {**cameras.figures, "sweep": sweep}
-    return station._core.with_photogrammetry(lens.values(), depth, sigma, json.dumps(figures))
+    return station.with_photogrammetry(lens.values(), depth, sigma, json.dumps(figures))
 
 
 def check(station: Station, options: Options | None = None, *, threads: int = 1) -> dict[str, Any]:
     """Read everything a station names and say what a run would do, its expected time and memory, and what is wrong."""
     settings = options or Options()
-    plan: dict[str, Any] = json.loads(_core.check(station._core, settings.to_json(), threads))
+    with _folder(None, "raw") as folder:
+        core = _readable(station, folder, lambda _, __: None)
+        plan: dict[str, Any] = json.loads(_core.check(core, settings.to_json(), threads))
     if _needs_photos(station, None):
         does, warnings, seconds = photogrammetry.plan(station.describe(), settings, threads)
         # After the polarization step, whose image is placed among the photos.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <numbers>
 #include <utility>
 
@@ -67,6 +68,46 @@ void require_same_size(const Image<float>& image, const std::string& name, const
   }
 }
 
+/// Images of one polarizer position that only differ in exposure.
+using Group = std::vector<std::size_t>;
+
+/// The images to be merged, in order of first appearance; one group an image when exposures do not differ.
+std::vector<Group> exposure_groups(const PolarizedSpec& spec, std::size_t count) {
+  std::vector<Group> groups;
+  std::map<double, std::size_t> group_of_angle;
+  for (std::size_t k = 0; k < count; ++k) {
+    if (!spec.exposure_s) {
+      groups.push_back({k});
+      continue;
+    }
+    const auto [found, added] = group_of_angle.emplace((*spec.angles_deg)[k], groups.size());
+    if (added) groups.emplace_back();
+    groups[found->second].push_back(k);
+  }
+  return groups;
+}
+
+/// Exposure of an image over the shortest one.
+double exposure_ratio(const PolarizedSpec& spec, std::size_t k) {
+  return spec.exposure_s ? (*spec.exposure_s)[k] / std::ranges::min(*spec.exposure_s) : 1.0;
+}
+
+/// Noise of a group's mean at the exposure of the shortest: electrons add up where nothing is saturated. `unsaturated`:
+/// share of each image's pixels that are not.
+NoiseModel merged_noise(const NoiseModel& noise, const std::vector<double>& ratios,
+                        const std::vector<double>& unsaturated) {
+  double sum = 0, squares = 0;
+  for (std::size_t k = 0; k < ratios.size(); ++k) {
+    sum += unsaturated[k] * ratios[k];
+    squares += unsaturated[k] * ratios[k] * ratios[k];
+  }
+  NoiseModel merged = noise;
+  merged.full_well_e = sum * noise.full_well_e;
+  merged.read_noise_e = noise.read_noise_e * sum / std::sqrt(squares);
+  merged.quantization = noise.quantization / std::sqrt(squares);
+  return merged;
+}
+
 Exposures load_exposures(const CaptureInput& input, const ResponseCurve& curve, const CaptureOptions& options,
                          const Context& context) {
   const PolarizedSpec& spec = input.polarized;
@@ -85,6 +126,8 @@ Exposures load_exposures(const CaptureInput& input, const ResponseCurve& curve, 
     } else {
       require_same_size(linear.intensity, name, exposures.images[0], input.names[0]);
     }
+    const auto share = static_cast<float>(1 / exposure_ratio(spec, k));
+    if (spec.exposure_s) std::ranges::for_each(linear.intensity, [share](float& value) { value *= share; });
     exposures.names.push_back(name);
     exposures.images.push_back(std::move(linear.intensity));
     exposures.saturated.push_back(std::move(linear.saturated));
@@ -92,16 +135,34 @@ Exposures load_exposures(const CaptureInput& input, const ResponseCurve& curve, 
   return exposures;
 }
 
-/// One mosaic → the images of its four polarizers.
-void split_mosaic(Exposures& exposures, const Context& context) {
-  auto channels = demosaic(exposures.images[0], exposures.saturated[0], exposures.names[0], context);
-  exposures.images.clear();
-  exposures.saturated.clear();
-  for (MosaicChannel& channel : channels) {
-    exposures.images.push_back(std::move(channel.intensity));
-    exposures.saturated.push_back(std::move(channel.saturated));
+/// One mosaic → the images of its four polarizers; of a colour camera the weighted sum of the colours, and their mean
+/// over the polarizers as `color`.
+void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>& color, const Context& context) {
+  const Image<float> mosaic = std::move(exposures.images[0]);
+  const std::string name = exposures.names[0];
+  // Samples that make a pixel: its neighbours twice, once through their smoothed contrasts; in colour those two
+  // further.
+  const Mask saturated = spread_flags(exposures.saturated[0], spec.mosaic_colors ? 4 : 2, context);
+  exposures.images.assign(4, {});
+  if (!spec.mosaic_colors) {
+    std::ranges::move(demosaic(mosaic, name, context), exposures.images.begin());
+  } else {
+    const std::array<double, 3> weights = channel_weights(spec);
+    const auto planes = split_colors(mosaic, *spec.mosaic_colors, name, context);
+    color = Image<float>(mosaic.size(), 3);
+    exposures.images.assign(4, Image<float>(mosaic.size()));
+    for (std::size_t c = 0; c < 3; ++c) {
+      const auto channels = demosaic(planes[c], name, context);
+      for (std::size_t p = 0; p < 4; ++p) {
+        for (std::size_t i = 0; i < mosaic.count(); ++i) {
+          exposures.images[p][i] += static_cast<float>(weights[c]) * channels[p][i];
+          color[3 * i + c] += 0.25f * channels[p][i];
+        }
+      }
+    }
   }
-  exposures.names.resize(channels.size(), exposures.names[0]);
+  exposures.saturated.assign(4, saturated);
+  exposures.names.assign(4, name);
 }
 
 /// Registration of every image; identity for those that stay untouched.
@@ -149,39 +210,92 @@ Mask resample_mask(const Mask& mask, const ResamplingMap& map, const Context& co
   return result;
 }
 
-/// Moves the images into the stack, through the one resampling.
-void resample_exposures(Exposures& exposures, const std::optional<LensCamera>& lens, Interpolation interpolation,
-                        PolarizedStack& stack, const Context& context) {
-  const Size size = exposures.images[0].size();
-  stack.saturated = Mask(size);
-  for (std::size_t k = 0; k < exposures.images.size(); ++k) {
-    const ResamplingMap map(lens, stack.image_from_base[k]);
-    context.progress("capture", static_cast<double>(k) / static_cast<double>(exposures.images.size()), "resampling");
-    const Image<float> source = std::move(exposures.images[k]);
-    Resampled resampled = resample(source, size, map, interpolation, context);
-    clear_outside(stack.mask, resampled.valid);
-    add_flags(stack.saturated, resample_flags(exposures.saturated[k], size, map, context));
-    stack.images.push_back(std::move(resampled.image));
+/// One image through the one resampling, on the object where all its samples lie in the source.
+struct Layer {
+  Image<float> intensity;
+  Mask saturated;
+};
+
+Layer resample_layer(Exposures& exposures, std::size_t k, const ResamplingMap& map, Interpolation interpolation,
+                     Mask& object, const Context& context) {
+  const Image<float> source = std::move(exposures.images[k]);
+  Resampled resampled = resample(source, object.size(), map, interpolation, context);
+  clear_outside(object, resampled.valid);
+  return {std::move(resampled.image), resample_flags(exposures.saturated[k], object.size(), map, context)};
+}
+
+/// Mean of a group by inverse variance over the images that are not saturated; the shortest where all are.
+Layer merge(std::vector<Layer> layers, const std::vector<double>& ratios, const NoiseModel& noise) {
+  const auto shortest = static_cast<std::size_t>(std::ranges::min_element(ratios) - ratios.begin());
+  Layer merged = layers[shortest];
+  for (std::size_t i = 0; i < merged.intensity.count(); ++i) {
+    // Expected signal from the shortest exposure, which is the last to saturate: all get their weights from it.
+    const double signal = layers[shortest].intensity[i];
+    double sum = 0, weights = 0;
+    for (std::size_t k = 0; k < layers.size(); ++k) {
+      if (layers[k].saturated[i]) continue;
+      const double weight = ratios[k] * ratios[k] / noise.variance(signal * ratios[k]);
+      sum += weight * layers[k].intensity[i];
+      weights += weight;
+    }
+    if (weights > 0) merged.intensity[i] = static_cast<float>(sum / weights);
+    merged.saturated[i] = weights > 0 ? 0 : 255;
+  }
+  return merged;
+}
+
+double unsaturated_share(const Layer& layer, const Mask& object) {
+  double all = 0, good = 0;
+  for (std::size_t i = 0; i < object.count(); ++i) {
+    all += object[i] != 0;
+    good += object[i] != 0 && layer.saturated[i] == 0;
+  }
+  return all > 0 ? good / all : 1;
+}
+
+/// Moves the images into the stack, one a polarizer position, through the one resampling.
+void fill_stack(Exposures& exposures, const CaptureInput& input, const std::vector<Affine>& maps,
+                const std::vector<Group>& groups, Interpolation interpolation, PolarizedStack& stack,
+                const Context& context) {
+  stack.saturated = Mask(stack.mask.size());
+  for (std::size_t g = 0; g < groups.size(); ++g) {
+    context.progress("capture", static_cast<double>(g) / static_cast<double>(groups.size()), "resampling");
+    std::vector<Layer> layers;
+    std::vector<double> ratios, unsaturated;
+    for (const std::size_t k : groups[g]) {
+      const ResamplingMap map(input.lens, maps[k]);
+      layers.push_back(resample_layer(exposures, k, map, interpolation, stack.mask, context));
+      ratios.push_back(exposure_ratio(input.polarized, k));
+      unsaturated.push_back(unsaturated_share(layers.back(), stack.mask));
+    }
+    if (layers.size() > 1 && g == 0) stack.noise = merged_noise(exposures.noise, ratios, unsaturated);
+    Layer layer = layers.size() > 1 ? merge(std::move(layers), ratios, exposures.noise) : std::move(layers.front());
+    add_flags(stack.saturated, layer.saturated);
+    stack.images.push_back(std::move(layer.intensity));
   }
 }
 
-/// Mean over the images of their linear colours; a second pass over the files keeps one colour image in memory.
-Image<float> mean_color(const CaptureInput& input, const ResponseCurve& curve, const CaptureOptions& options,
-                        const PolarizedStack& stack, const Context& context) {
-  Image<float> mean(stack.mask.size(), 3);
-  const auto share = 1 / static_cast<float>(input.names.size());
+/// Mean over the images (of the shortest exposure) of their linear colours; a second pass over the files keeps one
+/// colour image in memory.
+Image<float> mean_color(const CaptureInput& input, const ResponseCurve& curve, const CaptureOptions& options, Size size,
+                        const std::vector<Affine>& maps, const Context& context) {
+  Image<float> mean(size, 3);
+  float count = 0;
   for (std::size_t k = 0; k < input.names.size(); ++k) {
+    if (exposure_ratio(input.polarized, k) > 1) continue;
     const RawImage raw = input.load(k);
     if (raw.pixels.channels() != 3)
       throw input_error(input.names[k] + " is grey, but " + input.names[0] + " is a colour image");
     require_size(raw.pixels, mean.size(), input.names[k]);
     const Levels levels = levels_of(raw, input.polarized, options.saturation, input.names[k]);
-    const ResamplingMap map(input.lens, stack.image_from_base[k]);
+    const ResamplingMap map(input.lens, maps[k]);
     const Image<float> color = resample(linearize_color(raw, curve, levels, context), mean.size(), map,
                                         options.registration.interpolation, context)
                                    .image;
-    for (std::size_t i = 0; i < mean.count(); ++i) mean[i] += share * color[i];
+    for (std::size_t i = 0; i < mean.count(); ++i) mean[i] += color[i];
+    count += 1;
   }
+  for (float& value : mean) value /= count;
   return mean;
 }
 
@@ -217,7 +331,8 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
   const ResponseCurve curve = response_curve(input.polarized.response, "response");
   Exposures exposures = load_exposures(input, curve, options, context);
   const Size size = exposures.images[0].size();
-  if (input.mask) require_size(*input.mask, size, input.polarized.mask ? "mask " + input.polarized.mask->string() : "mask");
+  if (input.mask)
+    require_size(*input.mask, size, input.polarized.mask ? "mask " + input.polarized.mask->string() : "mask");
   if (input.lens && input.lens->size != size) {
     throw input_error(input.names[0] + " is " + to_string(size) + " pixels, but its camera is " +
                       to_string(input.lens->size));
@@ -227,22 +342,36 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
   stack.angles_rad = polarizer_angles_rad(input.polarized);
   stack.noise = exposures.noise;
   stack.camera = input.lens ? input.lens->pinhole() : Pinhole{.size = size};
-  if (input.polarized.mosaic) split_mosaic(exposures, context);
+  Image<float> mosaic_color;
+  if (input.polarized.mosaic) split_mosaic(exposures, input.polarized, mosaic_color, context);
   const bool registering = options.mode != RegistrationMode::off && !input.polarized.mosaic;
-  stack.image_from_base.assign(exposures.images.size(), identity_affine());
-  stack.registration_rms_px.assign(exposures.images.size(), 0.0);
+  std::vector<Affine> maps(exposures.images.size(), identity_affine());
+  std::vector<double> rms_px(exposures.images.size(), 0.0);
   if (registering) {
     const auto results = registrations(exposures, options, context);
     for (std::size_t k = 0; k < results.size(); ++k) {
-      stack.image_from_base[k] = results[k].image_from_base;
-      stack.registration_rms_px[k] = results[k].rms_px;
+      maps[k] = results[k].image_from_base;
+      rms_px[k] = results[k].rms_px;
     }
   }
   const ResamplingMap base_map(input.lens, identity_affine());
   stack.mask = input.mask ? resample_mask(*input.mask, base_map, context) : Mask(size, 1, 255);
-  resample_exposures(exposures, input.lens, options.registration.interpolation, stack, context);
+  const std::vector<Group> groups = exposure_groups(input.polarized, exposures.images.size());
+  fill_stack(exposures, input, maps, groups, options.registration.interpolation, stack, context);
+  const std::vector<double> readings = std::move(stack.angles_rad);
+  stack.angles_rad.clear();
+  for (const Group& group : groups) {
+    if (!readings.empty()) stack.angles_rad.push_back(readings[group.front()]);
+    stack.image_from_base.push_back(maps[group.front()]);
+    double worst = 0;
+    for (const std::size_t k : group) worst = std::max(worst, rms_px[k]);
+    stack.registration_rms_px.push_back(worst);
+  }
   check_usable(stack);
-  if (exposures.color) stack.color = mean_color(input, curve, options, stack, context);
+  if (exposures.color) stack.color = mean_color(input, curve, options, size, maps, context);
+  if (!mosaic_color.empty()) {
+    stack.color = resample(mosaic_color, size, base_map, options.registration.interpolation, context).image;
+  }
   context.progress("capture", 1, "done");
   return stack;
 }

@@ -67,10 +67,18 @@ void write_png_samples(const std::filesystem::path& path, const Image<Sample>& i
   file.commit();
 }
 
+void refuse_raw(const std::filesystem::path& path, const std::string& name) {
+  if (!is_raw_name(path)) return;
+  throw input_error(name +
+                    " is a camera's RAW file: the Python program `malus` develops it (pip install 'malus[raw]'), "
+                    "this one expects linear PNG or TIFF");
+}
+
 }  // namespace
 
 RawImage read_image(const std::filesystem::path& path, const std::string& what) {
   const std::string name = name_of(what, path);
+  refuse_raw(path, name);
   return decode(read_file(path, what), name, [&](const codecs::ImageHeader& header) { check_header(header, name); });
 }
 
@@ -79,6 +87,7 @@ Size read_image_size(const std::filesystem::path& path, const std::string& what)
     Size size;
   };
   const std::string name = name_of(what, path);
+  refuse_raw(path, name);
   try {
     // The header check runs before any pixel is decoded; leaving from there skips the decoding.
     decode(read_file(path, what), name, [&](const codecs::ImageHeader& header) {

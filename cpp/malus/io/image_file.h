@@ -28,6 +28,10 @@ RawImage read_image(const std::filesystem::path& path, const std::string& what =
 /// Size of an image from its header alone.
 Size read_image_size(const std::filesystem::path& path, const std::string& what = "image");
 
+/// Whether the name is that of a camera's RAW file, which the Python package develops (extra `raw`); read_image and
+/// read_image_size refuse it, as its bytes may look like a TIFF of a preview.
+bool is_raw_name(const std::filesystem::path& path);
+
 /// Mask from an image: 255 where any channel is not zero, else 0.
 Mask read_mask(const std::filesystem::path& path, const std::string& what = "mask");
 

@@ -5,8 +5,10 @@
 #include <cctype>
 #include <charconv>
 #include <regex>
+#include <span>
 
 #include "malus/core/error.h"
+#include "malus/io/image_file.h"
 #include "malus/io/polarized_files_internal.h"
 
 namespace malus {
@@ -26,13 +28,17 @@ std::string_view take_digits(std::string_view& text) {
   return digits;
 }
 
-bool is_image_name(const std::filesystem::path& path) {
-  constexpr std::array<std::string_view, 5> extensions = {".png", ".tif", ".tiff", ".jpg", ".jpeg"};
+bool has_extension(const std::filesystem::path& path, std::span<const std::string_view> extensions) {
   std::string extension = path.extension().string();
   std::transform(extension.begin(), extension.end(), extension.begin(),
                  [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
   const bool hidden = path.filename().string().starts_with('.');
   return !hidden && std::find(extensions.begin(), extensions.end(), extension) != extensions.end();
+}
+
+bool is_image_name(const std::filesystem::path& path) {
+  constexpr std::array<std::string_view, 5> extensions = {".png", ".tif", ".tiff", ".jpg", ".jpeg"};
+  return has_extension(path, extensions) || is_raw_name(path);
 }
 
 /// The text as a glob that matches only itself.
@@ -56,6 +62,13 @@ std::vector<std::filesystem::path> match(const std::string& pattern) {
 }
 
 }  // namespace
+
+bool is_raw_name(const std::filesystem::path& path) {
+  constexpr std::array<std::string_view, 15> extensions = {".3fr", ".arw", ".cr2", ".cr3", ".crw",
+                                                           ".dng", ".iiq", ".nef", ".nrw", ".orf",
+                                                           ".pef", ".raf", ".rw2", ".sr2", ".srw"};
+  return has_extension(path, extensions);
+}
 
 bool natural_less(std::string_view a, std::string_view b) {
   const std::string_view whole_a = a, whole_b = b;
@@ -81,6 +94,9 @@ std::vector<std::filesystem::path> list_images(const std::filesystem::path& base
     for (const auto& entry : std::filesystem::directory_iterator(folder)) {
       if (entry.is_regular_file() && is_image_name(entry.path())) files.push_back(entry.path());
     }
+    // Cameras write RAW and JPEG side by side: the RAW files are the linear ones.
+    if (std::ranges::any_of(files, is_raw_name))
+      std::erase_if(files, [](const auto& file) { return !is_raw_name(file); });
   } else if (std::filesystem::path(folder_or_glob).is_absolute()) {
     files = match(folder_or_glob);
   } else {

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
+#include <map>
 #include <numbers>
 #include <set>
 #include <sstream>
@@ -20,6 +21,8 @@ namespace {
 
 // Angles closer than this on the circle of 180° count as one.
 constexpr double distinct_angle_deg = 1e-3;
+
+constexpr std::array<std::string_view, 4> bayer_patterns{"RGGB", "BGGR", "GRBG", "GBRG"};
 
 /// One of the allowed texts, or the fallback when the key is absent.
 std::string choice(const TomlTable& table, std::string_view key, const std::string& fallback,
@@ -119,9 +122,9 @@ std::optional<std::vector<double>> read_angles(const TomlTable& table,
   if (table.has("angles_deg") && pattern)
     throw table.error("angle_pattern", "is not needed with angles_deg, expected one of the two");
   if (table.is_auto("angles_deg")) {
-    if (images.size() < 3) {
+    if (images.size() < 5) {
       throw data_error(table.where("images") + " has " + std::to_string(images.size()) +
-                       " images, expected at least 3 polarizer positions");
+                       " images, expected at least 5 polarizer positions to find angles that are not known");
     }
     return std::nullopt;
   }
@@ -166,6 +169,30 @@ std::string read_response(const TomlTable& table) {
   return path.string();
 }
 
+/// Exposure times, one an image: every angle must have the same ones, so that all merged images are alike.
+std::optional<std::vector<double>> read_exposures(const TomlTable& table, const PolarizedSpec& spec) {
+  const auto exposures = table.numbers("exposure_s", positive_range);
+  if (!exposures) return std::nullopt;
+  if (spec.mosaic || !spec.angles_deg) {
+    throw table.error("exposure_s", "needs known angles, one an image: images of one angle are merged");
+  }
+  if (exposures->size() != spec.images.size()) {
+    throw table.error("exposure_s", "has " + std::to_string(exposures->size()) + " times for " +
+                                        std::to_string(spec.images.size()) + " images, expected one for each");
+  }
+  std::map<double, std::multiset<double>> by_angle;
+  for (std::size_t k = 0; k < exposures->size(); ++k) by_angle[(*spec.angles_deg)[k]].insert((*exposures)[k]);
+  for (const auto& [angle, times] : by_angle) {
+    if (times != by_angle.begin()->second) {
+      std::ostringstream message;
+      message << "differs between " << by_angle.begin()->first << "° and " << angle
+              << "°, expected the same exposures at every angle";
+      throw table.error("exposure_s", message.str());
+    }
+  }
+  return exposures;
+}
+
 PolarizedSpec read_polarized(const TomlTable& table) {
   PolarizedSpec spec;
   spec.images = read_image_list(table);
@@ -178,10 +205,16 @@ PolarizedSpec read_polarized(const TomlTable& table) {
       if (table.has(key)) throw table.error(key, "cannot be given together with `mosaic`, which states the angles");
     }
     require_three_angles(table, "mosaic", {spec.mosaic->begin(), spec.mosaic->end()});
+    spec.mosaic_colors = table.text("mosaic_colors");
+    if (spec.mosaic_colors && std::ranges::find(bayer_patterns, *spec.mosaic_colors) == bayer_patterns.end()) {
+      throw table.wrong("mosaic_colors", "\"RGGB\", \"BGGR\", \"GRBG\" or \"GBRG\"");
+    }
     spec.angles_deg = std::vector<double>(spec.mosaic->begin(), spec.mosaic->end());
   } else {
+    if (table.has("mosaic_colors")) throw table.error("mosaic_colors", "is of a `mosaic`, which is not given");
     spec.angles_deg = read_angles(table, spec.images);
   }
+  spec.exposure_s = read_exposures(table, spec);
   spec.angle_direction = choice(table, "angle_direction", spec.angle_direction, {"ccw", "cw"});
   spec.angle_zero_deg = table.number("angle_zero_deg", {-360, 360}).value_or(spec.angle_zero_deg);
 
@@ -199,6 +232,14 @@ PolarizedSpec read_polarized(const TomlTable& table) {
   spec.black_level = table.number("black_level", not_negative).value_or(spec.black_level);
   if (spec.white_level && spec.black_level >= *spec.white_level) {
     throw table.wrong("black_level", "less than the white level");
+  }
+  if (std::ranges::any_of(spec.images, is_raw_name)) {
+    for (const std::string_view key : {"response", "white_level", "black_level", "mosaic"}) {
+      if (table.has(key)) throw table.error(key, "is not for RAW files, whose metadata say it");
+    }
+    if (!std::ranges::all_of(spec.images, is_raw_name)) {
+      throw table.error("images", "has RAW files and others, expected one kind");
+    }
   }
   spec.frames_averaged = table.integer("frames_averaged", {1, 1e6}).value_or(spec.frames_averaged);
   spec.full_well_e = table.number("full_well_e", positive_range);
@@ -457,6 +498,14 @@ toml::table parse(const std::filesystem::path& path) {
   }
 }
 
+/// Size of the polarized images. A RAW file says it when it is developed; until then it is the camera's.
+Size polarized_size(const StationFile& station, const std::string& where) {
+  const std::filesystem::path& first = station.polarized.images.front();
+  if (!is_raw_name(first)) return read_image_size(first, where);
+  if (station.camera) return station.camera->lens.size;
+  return station.lens ? station.lens->size : Size{65536, 65536};
+}
+
 }  // namespace
 
 StationFile read_station_file(const std::filesystem::path& given_path) {
@@ -478,9 +527,10 @@ StationFile read_station_file(const std::filesystem::path& given_path) {
   }
 
   const auto polarized = document.required(
-      optional_section("polarized", {"images", "angles_deg", "angle_pattern", "angle_direction", "angle_zero_deg",
-                                     "mosaic", "channel", "channel_weights", "response", "white_level", "black_level",
-                                     "frames_averaged", "full_well_e", "read_noise_e", "mask"}),
+      optional_section("polarized",
+                       {"images", "angles_deg", "angle_pattern", "angle_direction", "angle_zero_deg", "mosaic",
+                        "mosaic_colors", "exposure_s", "channel", "channel_weights", "response", "white_level",
+                        "black_level", "frames_averaged", "full_well_e", "read_noise_e", "mask"}),
       "polarized", "the section [polarized] with the images taken through the polarizer");
   station.polarized = read_polarized(polarized);
 
@@ -526,7 +576,7 @@ StationFile read_station_file(const std::filesystem::path& given_path) {
     station.scale_bars.push_back(read_scale_bar(table, *station.photos));
   }
 
-  const Size size = read_image_size(station.polarized.images.front(), polarized.where("images"));
+  const Size size = polarized_size(station, polarized.where("images"));
   if (station.camera) check_camera_size(document, station.camera->lens, size, station.polarized.images.front());
   if (station.lens) check_camera_size(document, *station.lens, size, station.polarized.images.front());
   std::set<std::string> names;

@@ -19,8 +19,11 @@ struct PolarizedSpec {
   std::string angle_direction = "ccw";            ///< "ccw" | "cw", as displayed
   double angle_zero_deg = 0;                      ///< what the scale reads when the axis is along image +x
   std::optional<std::array<double, 4>>
-      mosaic;                         ///< angles of the 2 × 2 cell: top left, top right, bottom left, bottom right
-  std::string channel = "luminance";  ///< "luminance" | "red" | "green" | "blue" | "mean"
+      mosaic;  ///< angles of the 2 × 2 cell: top left, top right, bottom left, bottom right
+  std::optional<std::string> mosaic_colors;  ///< of a colour camera's mosaic: Bayer pattern of the cells, "RGGB"
+  /// Exposure times [s] of the images, deliberately different: images of one angle are merged. Nothing = all alike.
+  std::optional<std::vector<double>> exposure_s;
+  std::string channel = "luminance";                     ///< "luminance" | "red" | "green" | "blue" | "mean"
   std::optional<std::array<double, 3>> channel_weights;  ///< weighted sum of R, G, B instead of `channel`
   std::string response = "linear";                       ///< "linear" | "srgb" | "gamma:2.2" | path of a lookup table
   std::optional<double> white_level;                     ///< DN; nothing = from the file's bit depth

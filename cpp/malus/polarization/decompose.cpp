@@ -161,13 +161,6 @@ class PixelFitter {
   std::vector<Solver> without_;
 };
 
-float phase(const Eigen::Vector3d& stokes) {
-  double phi = 0.5 * std::atan2(stokes[2], stokes[1]);
-  if (phi < 0) phi += std::numbers::pi;
-  const float rounded = static_cast<float>(phi);
-  return rounded < std::numbers::pi_v<float> ? rounded : 0.0f;
-}
-
 }  // namespace
 
 double angle_condition(std::span<const double> angles_rad) {
@@ -229,7 +222,7 @@ PolarizationState decompose(std::span<const Image<float>> images, std::span<cons
       state.i_un(u, v) = static_cast<float>(0.5 * s0);
       const double linear = std::hypot(fit.stokes[1], fit.stokes[2]);
       state.rho(u, v) = s0 > 0 ? static_cast<float>(std::min(linear / s0, 1.0)) : 0.0f;
-      state.phi(u, v) = phase(fit.stokes);
+      state.phi(u, v) = phase_of(fit.stokes);
       state.residual(u, v) =
           degrees_of_freedom > 0
               ? static_cast<float>(std::sqrt(fit.sum_normalized / static_cast<double>(degrees_of_freedom)))

@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <numbers>
 #include <string_view>
 #include <vector>
 
@@ -53,6 +54,14 @@ struct PolarizationState {
   /// Covariance of (i_un, rho, phi) by linear propagation; phi's variance grows as 1 / rho².
   Eigen::Matrix3d covariance(int u, int v) const;
 };
+
+/// Phase [rad] of a Stokes vector, in [0, π).
+inline float phase_of(const Eigen::Vector3d& stokes) {
+  double phi = 0.5 * std::atan2(stokes[2], stokes[1]);
+  if (phi < 0) phi += std::numbers::pi;
+  const float rounded = static_cast<float>(phi);
+  return rounded < std::numbers::pi_v<float> ? rounded : 0.0f;
+}
 
 /// Degree of polarization without the bias that noise gives to a length: sqrt(max(ρ² − variance, 0)), with the variance
 /// of one component of (s1, s2) / s0. Without it noise alone looks like a tilted surface.

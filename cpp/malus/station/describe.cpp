@@ -51,10 +51,15 @@ Json scale_bar_to_json(const ScaleBar& bar) {
 
 std::string describe_station_json(const Station& station) {
   const StationFile& file = station.file;
+  Json images = Json::array();
+  for (const auto& image : file.polarized.images) images.push_back(image.string());
   Json json = {{"name", file.name},
                {"unit", file.unit},
                {"image_count", station.in_memory() ? station.images.size() : file.polarized.images.size()},
                {"angles_deg", file.polarized.angles_deg ? Json(*file.polarized.angles_deg) : Json("auto")},
+               {"images", images},
+               {"exposure_s", file.polarized.exposure_s ? Json(*file.polarized.exposure_s) : Json(nullptr)},
+               {"channel", file.polarized.channel},
                {"refractive_index", file.optics.refractive_index ? Json(*file.optics.refractive_index) : Json("auto")},
                {"reflection", file.optics.reflection},
                {"prior", prior_kind(station)},

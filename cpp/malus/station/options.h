@@ -14,6 +14,7 @@
 #include "malus/lighting/light.h"
 #include "malus/photogrammetry/photos_options.h"
 #include "malus/polarization/decompose.h"
+#include "malus/polarization/polarizer_options.h"
 #include "malus/polarization/reflection.h"
 #include "malus/prior/project_prior.h"
 #include "malus/stereo/surface_sweep.h"
@@ -35,6 +36,7 @@ struct Options {
   Fusion fusion = Fusion::refined;
   CaptureOptions capture;
   DecomposeOptions polarization;
+  PolarizerOptions polarizer;
   PhotosOptions photos;
   SweepOptions sweep;
   PriorOptions prior;
@@ -50,6 +52,7 @@ struct Options {
   static void sections(Self& self, Visitor&& visit) {
     visit("capture", self.capture);
     visit("polarization", self.polarization);
+    visit("polarizer", self.polarizer);
     visit("photos", self.photos);
     visit("sweep", self.sweep);
     visit("prior", self.prior);

@@ -44,11 +44,12 @@ Json refine_report_json(const RefineReport& report) {
           {"iterations", iterations}};
 }
 
-Json quality_json(const std::string& name, const Quality& quality, const Json& refinement,
-                  const std::optional<std::string>& photogrammetry) {
+Json quality_json(const std::string& name, const Quality& quality, const PolarizerCalibration& polarizer,
+                  const Json& refinement, const std::optional<std::string>& photogrammetry) {
   Json json = {{"name", name}};
   if (photogrammetry) json.update(Json::parse(*photogrammetry));
   json.update(fields_to_json(quality));
+  json["polarizer"] = fields_to_json(polarizer);
   if (!refinement.is_null()) json["refinement"] = refinement;
   return json;
 }

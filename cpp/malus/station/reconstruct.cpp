@@ -1,10 +1,14 @@
 #include "malus/station/reconstruct.h"
 
+#include <cmath>
+#include <string>
+
 #include "malus/capture/capture.h"
 #include "malus/core/depth_normals.h"
 #include "malus/io/colmap_workspace.h"
 #include "malus/io/image_file.h"
 #include "malus/io/point_cloud_file.h"
+#include "malus/lighting/light.h"
 #include "malus/polarization/decompose.h"
 #include "malus/polarization/unpolarized.h"
 #include "malus/prior/project_prior.h"
@@ -15,6 +19,9 @@
 
 namespace malus {
 namespace {
+
+/// Share of the object's pixels from which misfits are worth a warning.
+constexpr double many_misfits = 0.05;
 
 /// The camera of the station, or an error that says what is missing.
 const CameraSpec& require_camera(const Station& station) {
@@ -54,18 +61,99 @@ CaptureInput make_capture_input(const Station& station) {
   return input;
 }
 
-PolarizationStep capture_and_decompose(const Station& station, const Options& options, const Context& context) {
-  if (!station.file.polarized.angles_deg && !station.file.polarized.mosaic) {
+/// Angles and exposures that the images themselves ask for, where that is wanted and better than what is given; the
+/// stack's angles and intensities are then those.
+void fit_polarizer_of(PolarizedStack& stack, const PolarizedSpec& spec, const PolarizerOptions& options,
+                      PolarizationStep& step, const Context& context) {
+  const bool free_angles = !spec.angles_deg, fits = stack.images.size() > 3 && !spec.mosaic;
+  if (free_angles && options.calibrate_angles == AngleCalibration::off) {
     throw input_error(
-        station.file.path.string() +
-        ": [polarized] angles_deg = \"auto\" cannot be calibrated by this version, expected the angles in degrees");
+        "polarizer.calibrate_angles = \"off\" leaves angles_deg = \"auto\" unknown, expected angles in degrees");
   }
-  const PolarizedStack stack = capture_stack(make_capture_input(station), options.capture, context);
-  PolarizationState state = decompose(stack.images, stack.angles_rad, stack.noise, stack.mask, stack.saturated,
-                                      options.polarization, context);
-  Image<float> scene;
-  if (station.file.photos) scene = unpolarized_intensity(stack.images, state.angles_rad, context);
-  return {std::move(state), stack.color, std::move(scene), stack.camera, stack.registration_rms_px};
+  PolarizerFit& fit = step.polarizer;
+  if (free_angles || (fits && options.calibrate_angles != AngleCalibration::off)) {
+    fit = fit_polarizer(stack.images, stack.angles_rad, stack.noise, stack.mask, stack.saturated, options, context);
+    step.polarizer_fitted = free_angles || options.calibrate_angles == AngleCalibration::on ||
+                            (fit.improvement() > options.min_improvement && fit.is_plausible(options));
+    if (!free_angles && fit.improvement() > options.min_improvement && !fit.is_plausible(options)) {
+      context.log(LogLevel::warning,
+                  "the images fit other polarizer angles or exposures better than those given, but too far off for an "
+                  "error of reading: are angles_deg in the order of the images?");
+    }
+  } else {
+    fit = polarizer_as_given(stack.angles_rad, options);
+  }
+  if (!step.polarizer_fitted) {
+    fit.angles_rad = stack.angles_rad;
+    fit.gains.assign(stack.images.size(), 1.0);
+    return;
+  }
+  stack.angles_rad = fit.angles_rad;
+  for (std::size_t k = 0; k < stack.images.size(); ++k) {
+    const auto share = static_cast<float>(1 / fit.gains[k]);
+    for (float& value : stack.images[k]) value *= share;
+  }
+}
+
+/// Pixels that do not follow the sinusoid are left out one by one; many of them have one cause.
+void warn_of_misfits(const PolarizationState& state, const Context& context) {
+  double object = 0, misfits = 0;
+  for (const std::uint8_t pixel : state.valid) {
+    object += pixel != static_cast<std::uint8_t>(PixelState::outside);
+    misfits += pixel == static_cast<std::uint8_t>(PixelState::misfit);
+  }
+  if (misfits <= many_misfits * object) return;
+  context.log(LogLevel::warning, std::to_string(std::lround(100 * misfits / object)) +
+                                     " % of the object's pixels do not follow the polarizer's sinusoid: is `response` "
+                                     "right, did the light change, did something move?");
+}
+
+PolarizationStep capture_and_decompose(const Station& station, const Options& options, const Context& context) {
+  PolarizedStack stack = capture_stack(make_capture_input(station), options.capture, context);
+  PolarizationStep step;
+  fit_polarizer_of(stack, station.file.polarized, options.polarizer, step, context);
+  step.state = decompose(stack.images, stack.angles_rad, stack.noise, stack.mask, stack.saturated, options.polarization,
+                         context);
+  warn_of_misfits(step.state, context);
+  if (station.file.photos) step.scene = unpolarized_intensity(stack.images, stack.angles_rad, context);
+  step.color = std::move(stack.color);
+  step.camera = stack.camera;
+  step.registration_rms_px = std::move(stack.registration_rms_px);
+  step.awaits_surface = station.has_prior() || station.file.photos;
+  return step;
+}
+
+/// What is known of the reflection, the light and the scale, to compare the polarization with the prior.
+FrameHints frame_hints(const Station& station, const PolarizationStep& images, const Image<float>& normals,
+                       const Options& options, const Context& context) {
+  const OpticsSpec& optics = station.file.optics;
+  FrameHints hints;
+  hints.known_scale = station.file.polarized.angles_deg.has_value();
+  if (optics.reflection == "diffuse" || optics.reflection == "specular")
+    hints.specular = optics.reflection == "specular";
+  if (optics.refractive_index) hints.refractive_index = *optics.refractive_index;
+  Mask valid = images.state.valid;
+  for (std::uint8_t& pixel : valid) pixel = pixel == static_cast<std::uint8_t>(PixelState::valid) ? 255 : 0;
+  const LightEstimate light = estimate_light(images.state.i_un, normals, valid, &images.camera, options.light, context);
+  if (light.status == LightStatus::estimated) hints.light = light.coefficients.head<3>();
+  return hints;
+}
+
+PolarizerStep make_polarizer(const Station& station, const PolarizationStep& images, const DepthPrior& prior,
+                             const Options& options, const Context& context) {
+  PolarizerOptions known = options.polarizer;
+  // The angles of a polarization camera are made with its sensor.
+  if (station.file.polarized.mosaic) known.calibrate_angles = AngleCalibration::off;
+  const Image<float> normals = normals_from_depth(prior.depth, images.camera, context);
+  const FrameHints hints = frame_hints(station, images, normals, options, context);
+  const FrameEstimate surface = estimate_frame(images.state, &images.camera, normals, hints, known, context);
+  CalibratedFrame calibrated =
+      calibrate_frame(images.polarizer, images.polarizer_fitted, hints.known_scale, surface, known);
+  PolarizationState state = images.state;
+  if (calibrated.calibration.from_surface) apply_frame(state, calibrated.frame, context);
+  for (const std::string& warning : calibrated.calibration.warnings) context.log(LogLevel::warning, warning);
+  return {std::move(state.i_un), std::move(state.rho), std::move(state.phi), std::move(state.angles_rad),
+          std::move(calibrated.calibration)};
 }
 
 /// The object in the undistorted view: where the polarization state has pixels at all.
@@ -147,10 +235,11 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
   PolarizationStep images =
       steps.run<PolarizationStep>("polarization",
                                   {.after = {},
-                                   .option_sections = {"capture", "polarization"},
+                                   .option_sections = {"capture", "polarization", "polarizer"},
                                    .station = {{"polarized", inputs.polarized()},
                                                {"lens", inputs.lens()},
-                                               {"photos", station.file.photos.has_value()}}},
+                                               {"photos", station.file.photos.has_value()},
+                                               {"awaits_surface", station.has_prior() || station.file.photos}}},
                                   [&](const Context& c) { return capture_and_decompose(station, options, c); });
 
   // What stereo says, seen from the station. Without it only the polarization maps can be had.
@@ -163,10 +252,25 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
   }
   steps.set_info("inputs", inputs.hashes());
 
+  // The polarizer's scale, as the surface has it: what no image can tell.
+  result.polarizer = calibration_without_surface(images.polarizer, images.polarizer_fitted,
+                                                 station.file.polarized.angles_deg.has_value());
+  if (result.prior && steps.wants("polarizer")) {
+    PolarizerStep polarizer = steps.run<PolarizerStep>(
+        "polarizer",
+        {.after = {"polarization", "prior"}, .option_sections = {"polarizer", "light"}, .station = inputs.optics()},
+        [&](const Context& c) { return make_polarizer(station, images, *result.prior, options, c); });
+    images.state.i_un = std::move(polarizer.i_un);
+    images.state.rho = std::move(polarizer.rho);
+    images.state.phi = std::move(polarizer.phi);
+    images.state.angles_rad = std::move(polarizer.angles_rad);
+    result.polarizer = std::move(polarizer.calibration);
+  }
+
   // Diffuse or specular, and the zenith that the degree then means.
   if (steps.wants("zenith")) {
     StepInputs zenith{.after = {"polarization"}, .option_sections = {"reflection"}, .station = inputs.optics()};
-    if (result.prior) zenith.after.emplace_back("prior");
+    if (result.prior) zenith.after = {"polarizer", "prior"};
     result.reflection = steps.run<ReflectionMap>("zenith", zenith, [&](const Context& c) {
       return make_reflection(station, images, result.prior ? &*result.prior : nullptr, options, c);
     });
@@ -174,7 +278,7 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
   // The paper's height from polarization alone (Eq 9 to 11).
   if (steps.wants("height")) {
     result.height = steps.run<HeightMap>(
-        "height", {.after = {"polarization", "prior", "zenith"}, .option_sections = {"light", "height"}},
+        "height", {.after = {"polarizer", "prior", "zenith"}, .option_sections = {"light", "height"}},
         [&](const Context& c) { return make_height(images, *result.prior, *result.reflection, options, c); });
   }
 
@@ -190,7 +294,7 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
   if (options.fusion == Fusion::refined && steps.wants("refine")) {
     fused_by = "refine";
     RefinementStep refined = steps.run<RefinementStep>(
-        "refine", {.after = {"polarization", "prior"}, .option_sections = {"refine"}, .station = inputs.optics()},
+        "refine", {.after = {"polarizer", "prior"}, .option_sections = {"refine"}, .station = inputs.optics()},
         [&](const Context& c) { return make_refined(station, images, *result.prior, options, c); });
     result.surface = std::move(refined.surface);
     refinement = std::move(refined.report);
@@ -198,7 +302,7 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
 
   if (steps.wants("mesh")) {
     steps.write("mesh",
-                {.after = {"polarization", fused_by},
+                {.after = {"polarizer", fused_by},
                  .option_sections = {"surface"},
                  .station = {{"name", station.file.name}, {"unit", station.file.unit}}},
                 [&](const Context& c, const std::filesystem::path& work, std::vector<std::string>& files) {
@@ -209,7 +313,7 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
   }
 
   if (steps.wants("assess")) {
-    StepInputs assess_inputs{.after = {"polarization", "prior", "height", fused_by},
+    StepInputs assess_inputs{.after = {"polarizer", "prior", "height", fused_by},
                              .option_sections = {"assess"},
                              .station = {{"regions", inputs.regions()}}};
     if (station.photogrammetry_json) assess_inputs.station["photogrammetry"] = *station.photogrammetry_json;
@@ -232,7 +336,10 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
                              .profiles = station.file.profiles,
                              .unit = station.file.unit},
                             options.assess, c);
-      step.file = quality_json(station.file.name, step.quality, refinement, station.photogrammetry_json);
+      const auto& warnings = result.polarizer.warnings;
+      step.quality.warnings.insert(step.quality.warnings.end(), warnings.begin(), warnings.end());
+      step.file =
+          quality_json(station.file.name, step.quality, result.polarizer, refinement, station.photogrammetry_json);
       return step;
     });
     result.quality = std::move(figures.quality);

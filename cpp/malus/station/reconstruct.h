@@ -11,6 +11,7 @@
 #include "malus/fusion/fused_surface.h"
 #include "malus/height/height_map.h"
 #include "malus/polarization/polarization_state.h"
+#include "malus/polarization/polarizer_calibration.h"
 #include "malus/polarization/reflection.h"
 #include "malus/prior/depth_prior.h"
 #include "malus/station/options.h"
@@ -19,8 +20,8 @@
 namespace malus {
 
 /// The steps of a reconstruction in their order; `report` is made by the Python package from the finished workspace.
-inline constexpr std::array<std::string_view, 8> step_names{"polarization", "prior",  "zenith", "height",
-                                                            "fuse",         "refine", "mesh",   "assess"};
+inline constexpr std::array<std::string_view, 9> step_names{"polarization", "prior",  "polarizer", "zenith", "height",
+                                                            "fuse",         "refine", "mesh",      "assess"};
 
 /// Where and how far to run.
 struct RunOptions {
@@ -34,6 +35,7 @@ struct Reconstruction {
   PolarizationState polarization;
   Image<float> scene;  ///< for a station with photos: unpolarized intensity of all that is in view, object or not
   std::optional<DepthPrior> prior;
+  PolarizerCalibration polarizer;
   std::optional<ReflectionMap> reflection;
   std::optional<HeightMap> height;
   std::optional<FusedSurface> surface;

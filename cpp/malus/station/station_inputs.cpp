@@ -43,6 +43,8 @@ Json StationInputs::polarized() {
                {"angle_direction", spec.angle_direction},
                {"angle_zero_deg", spec.angle_zero_deg},
                {"mosaic", optional_value(spec.mosaic)},
+               {"mosaic_colors", optional_value(spec.mosaic_colors)},
+               {"exposure_s", optional_value(spec.exposure_s)},
                {"channel", spec.channel},
                {"channel_weights", optional_value(spec.channel_weights)},
                {"response", spec.response},

@@ -12,7 +12,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-void save_raster(const Image<float>& raster, const fs::path& work, const char* name, std::vector<std::string>& files) {
+void save_raster(const Image<float>& raster, const fs::path& work, const std::string& name,
+                 std::vector<std::string>& files) {
   create_folder((work / name).parent_path());
   write_float_tiff(work / name, raster);
   files.emplace_back(name);
@@ -23,6 +24,38 @@ void save_bytes(const Image<std::uint8_t>& raster, const fs::path& work, const c
   create_folder((work / name).parent_path());
   write_png(work / name, raster);
   files.emplace_back(name);
+}
+
+/// Folder of the maps of intensity, degree and phase, see PolarizationStep::awaits_surface.
+std::string maps_folder(bool awaits_surface) {
+  return awaits_surface ? "polarization/measured/" : "polarization/";
+}
+
+Json to_json(const PolarizerFit& fit) {
+  return {{"angles_rad", fit.angles_rad},
+          {"gains", fit.gains},
+          {"image_information", std::vector<double>(fit.image_information.data(),
+                                                    fit.image_information.data() + fit.image_information.size())},
+          {"nominal_weight",
+           std::vector<double>(fit.nominal_weight.data(), fit.nominal_weight.data() + fit.nominal_weight.size())},
+          {"residual_before", fit.residual_before},
+          {"residual_after", fit.residual_after},
+          {"pixels", fit.pixels}};
+}
+
+PolarizerFit polarizer_fit_from_json(const Json& json) {
+  PolarizerFit fit;
+  fit.angles_rad = json.at("angles_rad").get<std::vector<double>>();
+  fit.gains = json.at("gains").get<std::vector<double>>();
+  const auto weight = json.at("nominal_weight").get<std::vector<double>>();
+  const auto information = json.at("image_information").get<std::vector<double>>();
+  const auto size = static_cast<Eigen::Index>(weight.size());
+  fit.nominal_weight = Eigen::Map<const Eigen::VectorXd>(weight.data(), size);
+  fit.image_information = Eigen::Map<const Eigen::MatrixXd>(information.data(), size, size);
+  fit.residual_before = json.at("residual_before").get<double>();
+  fit.residual_after = json.at("residual_after").get<double>();
+  fit.pixels = json.at("pixels").get<double>();
+  return fit;
 }
 
 /// JSON has no infinity or NaN; both come back as NaN.
@@ -69,9 +102,10 @@ Json to_json(const Pose& pose) {
 
 Json save(const PolarizationStep& result, const fs::path& work, std::vector<std::string>& files) {
   const PolarizationState& state = result.state;
-  save_raster(state.i_un, work, "polarization/unpolarized.tif", files);
-  save_raster(state.rho, work, "polarization/degree.tif", files);
-  save_raster(state.phi, work, "polarization/phase.tif", files);
+  const std::string maps = maps_folder(result.awaits_surface);
+  save_raster(state.i_un, work, maps + "unpolarized.tif", files);
+  save_raster(state.rho, work, maps + "degree.tif", files);
+  save_raster(state.phi, work, maps + "phase.tif", files);
   save_raster(state.residual, work, "polarization/residual.tif", files);
   save_bytes(state.valid, work, "polarization/valid.png", files);
   if (!result.color.empty()) save_raster(result.color, work, "polarization/color.tif", files);
@@ -85,14 +119,21 @@ Json save(const PolarizationStep& result, const fs::path& work, std::vector<std:
             {"read_noise_e", state.noise.read_noise_e},
             {"quantization", state.noise.quantization},
             {"frames_averaged", state.noise.frames_averaged}}},
-          {"registration_rms_px", result.registration_rms_px}};
+          {"registration_rms_px", result.registration_rms_px},
+          {"polarizer", to_json(result.polarizer)},
+          {"polarizer_fitted", result.polarizer_fitted},
+          {"awaits_surface", result.awaits_surface}};
 }
 
 void load(PolarizationStep& result, const fs::path& work, const Json& notes) {
   PolarizationState& state = result.state;
-  state.i_un = read_float_raster(work / "polarization/unpolarized.tif");
-  state.rho = read_float_raster(work / "polarization/degree.tif");
-  state.phi = read_float_raster(work / "polarization/phase.tif");
+  result.polarizer = polarizer_fit_from_json(notes.at("polarizer"));
+  result.polarizer_fitted = notes.at("polarizer_fitted").get<bool>();
+  result.awaits_surface = notes.at("awaits_surface").get<bool>();
+  const fs::path maps = work / maps_folder(result.awaits_surface);
+  state.i_un = read_float_raster(maps / "unpolarized.tif");
+  state.rho = read_float_raster(maps / "degree.tif");
+  state.phi = read_float_raster(maps / "phase.tif");
   state.residual = read_float_raster(work / "polarization/residual.tif");
   state.valid = read_labels(work / "polarization/valid.png");
   result.camera = pinhole_from_json(notes.at("camera"));
@@ -107,6 +148,21 @@ void load(PolarizationStep& result, const fs::path& work, const Json& notes) {
   for (const Json& rms : notes.at("registration_rms_px")) result.registration_rms_px.push_back(number(rms));
   if (fs::exists(work / "polarization/color.tif")) result.color = read_float_raster(work / "polarization/color.tif");
   if (notes.at("has_scene").get<bool>()) result.scene = read_float_raster(work / "polarization/scene.tif");
+}
+
+Json save(const PolarizerStep& result, const fs::path& work, std::vector<std::string>& files) {
+  save_raster(result.i_un, work, "polarization/unpolarized.tif", files);
+  save_raster(result.rho, work, "polarization/degree.tif", files);
+  save_raster(result.phi, work, "polarization/phase.tif", files);
+  return {{"angles_rad", result.angles_rad}, {"calibration", fields_to_json(result.calibration)}};
+}
+
+void load(PolarizerStep& result, const fs::path& work, const Json& notes) {
+  result.i_un = read_float_raster(work / "polarization/unpolarized.tif");
+  result.rho = read_float_raster(work / "polarization/degree.tif");
+  result.phi = read_float_raster(work / "polarization/phase.tif");
+  result.angles_rad = notes.at("angles_rad").get<std::vector<double>>();
+  fields_from_json(result.calibration, notes.at("calibration"));
 }
 
 Json save(const DepthPrior& result, const fs::path& work, std::vector<std::string>& files) {

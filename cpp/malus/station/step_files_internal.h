@@ -16,6 +16,7 @@
 #include "malus/fusion/refine.h"
 #include "malus/height/height_map.h"
 #include "malus/polarization/polarization_state.h"
+#include "malus/polarization/polarizer_calibration.h"
 #include "malus/polarization/reflection.h"
 #include "malus/prior/depth_prior.h"
 
@@ -30,6 +31,17 @@ struct PolarizationStep {
   Image<float> scene;  ///< unpolarized intensity beyond the object too; empty unless the station is to be found by it
   Pinhole camera;
   std::vector<double> registration_rms_px;
+  PolarizerFit polarizer;         ///< angles and exposures that the Stokes vectors were computed with
+  bool polarizer_fitted = false;  ///< they come from the images, not from the station
+  /// A surface is to come, by which the polarizer's scale is checked: until then the maps lie in polarization/measured.
+  bool awaits_surface = false;
+};
+
+/// The maps with the polarizer's scale as the surface has it, and what is known of the polarizer then.
+struct PolarizerStep {
+  Image<float> i_un, rho, phi;
+  std::vector<double> angles_rad;
+  PolarizerCalibration calibration;
 };
 
 /// The refinement's surface, and what it found out as JSON for quality.json.
@@ -50,6 +62,7 @@ struct AssessStep {
 // numbers that go into the manifest; `load` reads both back. What is loaded equals what was saved to the bit.
 
 Json save(const PolarizationStep& result, const std::filesystem::path& work, std::vector<std::string>& files);
+Json save(const PolarizerStep& result, const std::filesystem::path& work, std::vector<std::string>& files);
 Json save(const DepthPrior& result, const std::filesystem::path& work, std::vector<std::string>& files);
 Json save(const ReflectionMap& result, const std::filesystem::path& work, std::vector<std::string>& files);
 Json save(const HeightMap& result, const std::filesystem::path& work, std::vector<std::string>& files);
@@ -58,6 +71,7 @@ Json save(const RefinementStep& result, const std::filesystem::path& work, std::
 Json save(const AssessStep& result, const std::filesystem::path& work, std::vector<std::string>& files);
 
 void load(PolarizationStep& result, const std::filesystem::path& work, const Json& notes);
+void load(PolarizerStep& result, const std::filesystem::path& work, const Json& notes);
 void load(DepthPrior& result, const std::filesystem::path& work, const Json& notes);
 void load(ReflectionMap& result, const std::filesystem::path& work, const Json& notes);
 void load(HeightMap& result, const std::filesystem::path& work, const Json& notes);

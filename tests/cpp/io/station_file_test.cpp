@@ -196,7 +196,7 @@ TEST_F(StationFileTest, FewerThanThreeAnglesIsADataError) {
   Sections two;
   two.polarized = "[polarized]\nimages = [\"pol/a_000.png\", \"pol/a_045.png\"]\nangles_deg = \"auto\"\n";
   expect_error(
-      ErrorCode::data, [&] { read(two); }, "2 images");
+      ErrorCode::data, [&] { read(two); }, "2 images", "at least 5");
   Sections repeated;
   write_png(folder_ / "pol/b_000.png", Image<std::uint8_t>({12, 8}));
   repeated.polarized =
@@ -217,7 +217,10 @@ TEST_F(StationFileTest, FoldersGlobsAndAnglePatterns) {
   EXPECT_EQ(angles("images = \"pol/*.png\""), expected);
   EXPECT_EQ(angles("images = \"pol\"\nangle_pattern = 'a_(\\d+)\\.png'"), expected);
   EXPECT_EQ(angles("images = \"pol\"\nangles_deg = [1, 61, 121]"), (std::vector<double>{1, 61, 121}));
+  for (const std::string name : {"b_1", "b_2"})
+    write_png(folder_ / ("pol/" + name + ".png"), Image<std::uint8_t>({12, 8}));
   EXPECT_FALSE(angles("images = \"pol\"\nangles_deg = \"auto\""));
+  for (const std::string name : {"b_1", "b_2"}) std::filesystem::remove(folder_ / ("pol/" + name + ".png"));
   const auto rejects_lines = [&](const std::string& lines, const auto&... parts) {
     Sections sections;
     sections.polarized = "[polarized]\n" + lines + "\n";
@@ -242,11 +245,50 @@ TEST(PolarizedFiles, NaturalOrderAndLastNumber) {
       ErrorCode::input, [] { angle_of_name("/x/none.png", "", "images"); }, "images", "none.png");
 }
 
+TEST_F(StationFileTest, Exposures) {
+  for (const std::string name : {"b_000", "b_045", "b_090"})
+    write_png(folder_ / ("pol/" + name + ".png"), Image<std::uint8_t>({12, 8}));
+  const auto with = [&](const std::string& lines) {
+    Sections sections;
+    sections.polarized = "[polarized]\nimages = \"pol\"\n" + lines + "\n";
+    return sections;
+  };
+  const StationFile station = read(with("exposure_s = [0.01, 0.01, 0.01, 0.04, 0.04, 0.04]"));
+  EXPECT_EQ(station.polarized.exposure_s->size(), 6u);
+  rejects(with("exposure_s = [0.01, 0.04]"), "exposure_s", "2 times for 6 images");
+  rejects(with("exposure_s = [0.01, 0.01, 0.01, 0.04, 0.04, 0.08]"), "exposure_s", "same exposures at every angle");
+  rejects(with("exposure_s = [0.01, 0.01, 0.01, 0.04, 0.04, 0]"), "exposure_s");
+  rejects(with("angles_deg = \"auto\"\nexposure_s = [1, 1, 1, 1, 1, 1]"), "exposure_s", "needs known angles");
+}
+
+TEST_F(StationFileTest, RawFilesGoFirstAndBringTheirLevels) {
+  for (const std::string name : {"a_000.NEF", "a_045.NEF", "a_090.NEF"}) folder_.write("pol/" + name, "x");
+  Sections sections;
+  sections.polarized = "[polarized]\nimages = \"pol\"\n";
+  const StationFile station = read(sections);
+  ASSERT_EQ(station.polarized.images.size(), 3u);
+  EXPECT_TRUE(is_raw_name(station.polarized.images[0]));
+  expect_error(
+      ErrorCode::input, [&] { read_image(station.polarized.images[0]); }, "a_000.NEF", "RAW file", "malus[raw]");
+  for (const std::string key : {"response = \"srgb\"", "white_level = 4095", "black_level = 1"}) {
+    sections.polarized = "[polarized]\nimages = \"pol\"\n" + key + "\n";
+    rejects(sections, "is not for RAW files");
+  }
+  sections.polarized =
+      "[polarized]\nimages = [\"pol/a_000.NEF\", \"pol/a_045.png\", \"pol/a_090.png\"]\nangles_deg = [0, 45, 90]\n";
+  rejects(sections, "expected one kind");
+}
+
 TEST_F(StationFileTest, Mosaic) {
   Sections sections;
   sections.polarized = "[polarized]\nimages = [\"pol/a_000.png\"]\nmosaic = [[90, 45], [135, 0]]\n";
   const StationFile station = read(sections);
   EXPECT_EQ(*station.polarized.mosaic, (std::array<double, 4>{90, 45, 135, 0}));
+  const std::string mosaic = sections.polarized;
+  sections.polarized = mosaic + "mosaic_colors = \"RGGB\"\n";
+  EXPECT_EQ(read(sections).polarized.mosaic_colors, "RGGB");
+  sections.polarized = mosaic + "mosaic_colors = \"RGBG\"\n";
+  rejects(sections, "mosaic_colors", "\"GBRG\"");
   sections.polarized = "[polarized]\nimages = [\"pol/a_000.png\"]\nmosaic = [[90, 45], [135]]\n";
   rejects(sections, "mosaic", "two rows of two angles");
   sections.polarized = "[polarized]\nimages = [\"pol/a_000.png\"]\nmosaic = [[90, 0], [90, 0]]\n";

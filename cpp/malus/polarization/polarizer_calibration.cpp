@@ -1,0 +1,188 @@
+#include "malus/polarization/polarizer_calibration.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+#include <Eigen/QR>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <sstream>
+
+namespace malus {
+namespace {
+
+constexpr double degrees = 180 / std::numbers::pi;
+/// An error of the zero below this is not worth a change [deg].
+constexpr double small_zero_error_deg = 0.5;
+/// An error of the zero that a person should look at [deg].
+constexpr double large_zero_error_deg = 5;
+/// Agreement of the other direction over that of the given one from which the given one is doubted.
+constexpr double doubtful_direction = 1.5;
+/// The same below which the polarization follows the surface well enough to correct the zero.
+constexpr double clear_direction = 0.8;
+
+/// Angles, then ln gains of geometric mean 1, of the images after a change of frame.
+Eigen::VectorXd in_frame(const std::vector<double>& angles_rad, const std::vector<double>& gains,
+                         const StokesFrame& frame) {
+  // I = row · s = (row · frame⁻¹) · (frame · s).
+  const Eigen::MatrixX3d rows = polarizer_rows(angles_rad, gains) * frame.inverse();
+  Eigen::VectorXd values(2 * rows.rows());
+  for (Eigen::Index k = 0; k < rows.rows(); ++k) {
+    values[k] = 0.5 * std::atan2(rows(k, 2), rows(k, 1));
+    values[rows.rows() + k] = std::log(2 * rows(k, 0));
+  }
+  values.tail(rows.rows()).array() -= values.tail(rows.rows()).mean();
+  return values;
+}
+
+StokesFrame frame_of(const Eigen::Vector3d& values) {
+  return boost(values[0], values[1]) * turned_scale(values[2]);
+}
+
+/// Derivatives of angles and ln gains by (b1, b2, turn), 2K × 3.
+Eigen::MatrixX3d frame_slopes(const std::vector<double>& angles_rad, const std::vector<double>& gains) {
+  constexpr double step = 1e-5;
+  Eigen::MatrixX3d slopes(2 * static_cast<Eigen::Index>(angles_rad.size()), 3);
+  const auto count = static_cast<Eigen::Index>(angles_rad.size());
+  for (int i = 0; i < 3; ++i) {
+    Eigen::VectorXd difference = in_frame(angles_rad, gains, frame_of(step * Eigen::Vector3d::Unit(i))) -
+                                 in_frame(angles_rad, gains, frame_of(-step * Eigen::Vector3d::Unit(i)));
+    for (Eigen::Index k = 0; k < count; ++k) difference[k] = std::remainder(difference[k], std::numbers::pi);
+    slopes.col(i) = difference / (2 * step);
+  }
+  return slopes;
+}
+
+/// Covariance of angles and ln gains when what the images cannot tell has the covariance `of_frame` along `slopes`
+/// (2K × 3). The rest is known from images and nominal values; exposures are relative to their mean.
+Eigen::MatrixXd covariance_of(const PolarizerFit& fit, const Eigen::MatrixX3d& slopes,
+                              const Eigen::Matrix3d& of_frame) {
+  const Eigen::Index size = slopes.rows();
+  Eigen::MatrixXd unseen(size, 4);
+  unseen << slopes, Eigen::VectorXd::Zero(size);
+  unseen.col(3).tail(size / 2).setOnes();
+  // A basis of everything that the nominal values keep apart from it.
+  const Eigen::MatrixXd weighted = fit.nominal_weight.asDiagonal() * unseen;
+  const Eigen::MatrixXd orthogonal = weighted.householderQr().householderQ();
+  const Eigen::MatrixXd seen = orthogonal.rightCols(size - 4);
+  Eigen::MatrixXd information = fit.image_information;
+  information.diagonal() += fit.nominal_weight;
+  const Eigen::MatrixXd of_seen = seen.transpose() * information * seen;
+  return seen * of_seen.ldlt().solve(seen.transpose()) + slopes * of_frame * slopes.transpose();
+}
+
+/// Covariance of the frame (b1, b2, turn) by the nominal values alone.
+Eigen::Matrix3d frame_by_nominal(const PolarizerFit& fit, const Eigen::MatrixX3d& slopes) {
+  return (slopes.transpose() * fit.nominal_weight.asDiagonal() * slopes).inverse();
+}
+
+void set_values(PolarizerCalibration& calibration, const Eigen::VectorXd& values, const Eigen::MatrixXd& covariance) {
+  const Eigen::Index count = values.size() / 2;
+  for (Eigen::Index k = 0; k < count; ++k) {
+    double angle_deg = values[k] * degrees;
+    if (angle_deg < 0) angle_deg += 180;
+    calibration.angles_deg.push_back(angle_deg);
+    calibration.angles_sigma_deg.push_back(std::sqrt(std::max(covariance(k, k), 0.0)) * degrees);
+    const double gain = std::exp(values[count + k]);
+    calibration.gains.push_back(gain);
+    calibration.gains_sigma.push_back(gain * std::sqrt(std::max(covariance(count + k, count + k), 0.0)));
+  }
+}
+
+std::string in_degrees(double value, double sigma) {
+  std::ostringstream text;
+  text.precision(3);
+  text << value << "° ± " << sigma << "°";
+  return text.str();
+}
+
+}  // namespace
+
+PolarizerCalibration calibration_without_surface(const PolarizerFit& fit, bool from_images, bool known_scale) {
+  PolarizerCalibration calibration;
+  calibration.from_images = from_images;
+  calibration.residual_before = fit.residual_before;
+  calibration.residual_after = fit.residual_after;
+  calibration.zero_error_deg = calibration.zero_error_sigma_deg = std::numeric_limits<double>::quiet_NaN();
+  const Eigen::MatrixX3d slopes = frame_slopes(fit.angles_rad, fit.gains);
+  set_values(calibration, in_frame(fit.angles_rad, fit.gains, StokesFrame::Identity()),
+             covariance_of(fit, slopes, frame_by_nominal(fit, slopes)));
+  if (!known_scale) {
+    calibration.warnings.emplace_back(
+        "zero and direction of the polarizer's scale are not known without a surface: phases have an arbitrary zero");
+  }
+  return calibration;
+}
+
+CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool known_scale,
+                                const FrameEstimate& surface, const PolarizerOptions& options) {
+  CalibratedFrame result;
+  PolarizerCalibration& calibration = result.calibration;
+  calibration = calibration_without_surface(fit, from_images, true);
+  calibration.surface_check = enum_name(surface.status);
+  if (surface.status != FrameStatus::ok) {
+    if (!known_scale) {
+      throw data_error("angles_deg = \"auto\": zero and direction of the polarizer's scale cannot be found: " +
+                       calibration.surface_check + "; expected angles in degrees, or a prior with slopes");
+    }
+    return result;
+  }
+  const Eigen::Vector3d sigma = surface.covariance.diagonal().cwiseSqrt();
+  calibration.zero_error_deg = surface.values[2] * degrees;
+  calibration.zero_error_sigma_deg = sigma[2] * degrees;
+  calibration.scene_polarization = {-surface.values[0], -surface.values[1]};
+  calibration.scene_polarization_sigma = {sigma[0], sigma[1]};
+  calibration.opposite_direction_ratio = surface.mirror_ratio;
+
+  const bool doubtful = known_scale && surface.mirror_ratio > doubtful_direction;
+  if (doubtful) {
+    calibration.warnings.emplace_back(
+        "the polarization turns against the surface's azimuths: is angle_direction the right way round?");
+    return result;
+  }
+
+  // The frame as a linear Gaussian estimate: nominal values (b = 0, turn = 0) against the surface's.
+  const StokesFrame mirror = !known_scale && surface.mirrored ? mirrored_scale() : StokesFrame(StokesFrame::Identity());
+  const Eigen::VectorXd mirrored = in_frame(fit.angles_rad, fit.gains, mirror);
+  const Eigen::Index count = mirrored.size() / 2;
+  std::vector<double> angles(mirrored.data(), mirrored.data() + count), gains;
+  for (Eigen::Index k = 0; k < count; ++k) gains.push_back(std::exp(mirrored[count + k]));
+  const Eigen::MatrixX3d slopes = frame_slopes(angles, gains);
+  Eigen::Matrix3d nominal_covariance = frame_by_nominal(fit, slopes);
+  nominal_covariance(2, 2) += std::pow(options.zero_sigma_deg / degrees, 2);
+  const Eigen::Matrix3d nominal_information = nominal_covariance.inverse();
+  const Eigen::Matrix3d surface_information = surface.covariance.inverse();
+  const Eigen::Matrix3d covariance = (nominal_information + surface_information).inverse();
+  Eigen::Vector3d values = covariance * surface_information * surface.values;
+
+  const double zero_error_deg = std::abs(calibration.zero_error_deg);
+  const bool clear = surface.mirror_ratio < clear_direction;
+  const bool significant = clear && zero_error_deg > options.min_significance * calibration.zero_error_sigma_deg &&
+                           zero_error_deg > small_zero_error_deg;
+  const bool automatic = options.calibrate_angles == AngleCalibration::automatic;
+  if (known_scale && significant &&
+      (zero_error_deg > large_zero_error_deg || options.calibrate_angles == AngleCalibration::off)) {
+    calibration.warnings.push_back("the zero of the polarizer's scale contradicts the surface: angles are " +
+                                   in_degrees(calibration.zero_error_deg, calibration.zero_error_sigma_deg) +
+                                   " too small");
+  }
+  if (options.calibrate_angles == AngleCalibration::off) return result;
+  // Angles that fit as they are: only a zero that is clearly off is worth a change.
+  if (automatic && !from_images) {
+    if (!significant) return result;
+    values = {0, 0, surface.values[2]};
+  }
+
+  calibration.from_surface = true;
+  result.frame = frame_of(values) * mirror;
+  calibration.angles_deg.clear();
+  calibration.angles_sigma_deg.clear();
+  calibration.gains.clear();
+  calibration.gains_sigma.clear();
+  // Signs of the angles' correlations with exposures do not matter to standard deviations.
+  set_values(calibration, in_frame(fit.angles_rad, fit.gains, result.frame),
+             covariance_of(fit, frame_slopes(fit.angles_rad, fit.gains), covariance));
+  return result;
+}
+
+}  // namespace malus

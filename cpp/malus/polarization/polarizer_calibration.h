@@ -1,0 +1,65 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "malus/polarization/polarizer_fit.h"
+#include "malus/polarization/stokes_frame.h"
+
+namespace malus {
+
+/// Polarizer angles and exposures of a station as used, and how well they are known. Angles in degrees,
+/// counter-clockwise from image +x; NaN = could not be measured.
+struct PolarizerCalibration {
+  bool from_images = false;   ///< angles and exposures were calibrated from the images
+  bool from_surface = false;  ///< the zero of the scale (and what images cannot tell) was corrected by the surface
+  std::vector<double> angles_deg, angles_sigma_deg;
+  std::vector<double> gains, gains_sigma;               ///< exposure of each image relative to their geometric mean
+  double residual_before = 0, residual_after = 0;       ///< PolarizerFit's
+  std::string surface_check = "not run";                ///< FrameStatus
+  double zero_error_deg = 0, zero_error_sigma_deg = 0;  ///< to be added to the angles as read, by the surface
+  std::vector<double> scene_polarization;               ///< (b1, b2) that the surface finds too much, over s0
+  std::vector<double> scene_polarization_sigma;
+  double opposite_direction_ratio = 0;  ///< agreement of the other direction of the scale; above 1 contradicts
+  std::vector<std::string> warnings;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("from_images", self.from_images);
+    visit("from_surface", self.from_surface);
+    visit("angles_deg", self.angles_deg);
+    visit("angles_sigma_deg", self.angles_sigma_deg);
+    visit("gains", self.gains);
+    visit("gains_sigma", self.gains_sigma);
+    visit("residual_before", self.residual_before);
+    visit("residual_after", self.residual_after);
+    visit("surface_check", self.surface_check);
+    visit("zero_error_deg", self.zero_error_deg);
+    visit("zero_error_sigma_deg", self.zero_error_sigma_deg);
+    visit("scene_polarization", self.scene_polarization);
+    visit("scene_polarization_sigma", self.scene_polarization_sigma);
+    visit("opposite_direction_ratio", self.opposite_direction_ratio);
+    visit("warnings", self.warnings);
+  }
+};
+
+/// The calibration, and the frame that takes Stokes vectors of the fit to it.
+struct CalibratedFrame {
+  PolarizerCalibration calibration;
+  StokesFrame frame = StokesFrame::Identity();
+};
+
+/// Angles and exposures of the fit with the frame that the images cannot tell: from the nominal values (angles within
+/// options.angle_sigma_deg each and options.zero_sigma_deg together, exposures within options.gain_sigma) and from the
+/// surface, weighed by their covariances (linear Gaussian; the frame estimate's covariance is taken as it is).
+///
+/// fit.angles_rad and gains are those that the Stokes vectors were computed with; `from_images` says that they are the
+/// fit's and not the nominal ones. With AngleCalibration::automatic and nominal angles, only an error of the zero that
+/// is significant (options.min_significance standard deviations and half a degree) is corrected; with `off` nothing is.
+CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool known_scale,
+                                const FrameEstimate& surface, const PolarizerOptions& options);
+
+/// The calibration when there is no surface to compare with.
+PolarizerCalibration calibration_without_surface(const PolarizerFit& fit, bool from_images, bool known_scale);
+
+}  // namespace malus

@@ -1,0 +1,438 @@
+#include "malus/polarization/polarizer_fit.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+#include <Eigen/QR>
+#include <Eigen/SVD>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <string>
+
+#include "malus/core/parallel.h"
+
+namespace malus {
+namespace {
+
+constexpr int parts_per_side = 8;
+constexpr int robust_passes = 2;
+/// Cells that an object is divided into, if that makes them no larger than the limit.
+constexpr double wanted_cells = 5000;
+constexpr int largest_cell_px = 16;
+/// Residual over the typical one at which a pixel has half its weight.
+constexpr double cauchy_scale = 3;
+/// Standard deviation that stands for "unknown" where a matrix must be invertible [rad].
+constexpr double unknown_sigma_rad = 30;
+
+/// Weighted second moments of the intensities, one K × K matrix for each part of the image.
+struct Moments {
+  std::vector<Eigen::MatrixXd> parts;
+  double pixels = 0;
+  double weights = 0;  ///< sum of the robust weights, 1 for a pixel that follows
+
+  Eigen::MatrixXd total() const {
+    Eigen::MatrixXd sum = Eigen::MatrixXd::Zero(parts[0].rows(), parts[0].cols());
+    for (const Eigen::MatrixXd& part : parts) sum += part;
+    return sum;
+  }
+};
+
+/// Squared residual of a pixel that its intensities' part outside of the rows' space makes, per degree of freedom.
+struct PixelWeight {
+  Eigen::MatrixXd complement;  ///< (K − 3) × K orthonormal rows; empty = every pixel by its noise alone
+  double scale2 = 1;           ///< typical squared residual
+
+  double operator()(const Eigen::VectorXd& values, double variance) const {
+    if (complement.rows() == 0) return 1 / variance;
+    const double squared = (complement * values).squaredNorm() / static_cast<double>(complement.rows()) / variance;
+    return 1 / variance / (1 + squared / (cauchy_scale * cauchy_scale * scale2));
+  }
+};
+
+/// Reads the images in square cells, whose means follow the same model with less noise. Noise that differs between
+/// images (the base image is not resampled) and what registration leaves of texture would otherwise pass for
+/// polarization on objects with little of it.
+class CellReader {
+ public:
+  CellReader(std::span<const Image<float>> images, const NoiseModel& noise, const Mask& mask, const Mask& saturated)
+      : images_(images), noise_(noise), mask_(mask), saturated_(saturated) {
+    const auto object = static_cast<double>(std::ranges::count_if(mask, [](std::uint8_t m) { return m != 0; }));
+    side_ = std::clamp(static_cast<int>(std::sqrt(object / wanted_cells)), 1, largest_cell_px);
+  }
+
+  /// The cell's mean intensities and the variance of their noise; false unless all its pixels can be used.
+  bool read(int column, int row, Eigen::VectorXd& values, double& variance) const {
+    values.setZero();
+    for (int v = row * side_; v < (row + 1) * side_; ++v) {
+      for (int u = column * side_; u < (column + 1) * side_; ++u) {
+        if (mask_(u, v) == 0 || (!saturated_.empty() && saturated_(u, v) != 0)) return false;
+        for (std::size_t k = 0; k < images_.size(); ++k) values[static_cast<Eigen::Index>(k)] += images_[k](u, v);
+      }
+    }
+    const double pixels = side_ * side_;
+    values /= pixels;
+    const double mean = values.mean();
+    if (!std::isfinite(mean) || !(mean > 5 * std::sqrt(noise_.variance(0)))) return false;
+    variance = noise_.variance(mean) / pixels;
+    return true;
+  }
+  /// In cells.
+  Size size() const { return {images_[0].width() / side_, images_[0].height() / side_}; }
+  double pixels_in_cell() const { return side_ * side_; }
+  Eigen::Index count() const { return static_cast<Eigen::Index>(images_.size()); }
+
+ private:
+  std::span<const Image<float>> images_;
+  const NoiseModel& noise_;
+  const Mask& mask_;
+  const Mask& saturated_;
+  int side_ = 1;
+};
+
+Moments second_moments(const CellReader& reader, const PixelWeight& weight, const Context& context) {
+  constexpr int parts = parts_per_side * parts_per_side;
+  const Eigen::Index count = reader.count();
+  Moments moments;
+  moments.parts.assign(parts, Eigen::MatrixXd::Zero(count, count));
+  std::vector<double> pixels(parts, 0.0), weights(parts, 0.0);
+  const Size size = reader.size();
+  parallel_for(context, parts, 1, [&](std::size_t part, std::size_t) {
+    const int row = static_cast<int>(part) / parts_per_side, column = static_cast<int>(part) % parts_per_side;
+    Eigen::VectorXd values(count);
+    double variance = 1;
+    for (int v = size.height * row / parts_per_side; v < size.height * (row + 1) / parts_per_side; ++v) {
+      for (int u = size.width * column / parts_per_side; u < size.width * (column + 1) / parts_per_side; ++u) {
+        if (!reader.read(u, v, values, variance)) continue;
+        const double use = weight(values, variance);
+        moments.parts[part].selfadjointView<Eigen::Lower>().rankUpdate(values, use);
+        weights[part] += use * variance;
+        pixels[part] += reader.pixels_in_cell();
+      }
+    }
+    moments.parts[part] = moments.parts[part].selfadjointView<Eigen::Lower>();
+  });
+  for (const double number : pixels) moments.pixels += number;
+  for (const double sum : weights) moments.weights += sum;
+  return moments;
+}
+
+/// Median squared residual per degree of freedom over a regular sample of pixels.
+double typical_residual(const CellReader& reader, const PixelWeight& weight) {
+  constexpr double samples = 40000;
+  const Size size = reader.size();
+  const int stride = std::max(1, static_cast<int>(std::sqrt(static_cast<double>(size.area()) / samples)));
+  std::vector<double> residuals;
+  Eigen::VectorXd values(reader.count());
+  double variance = 1;
+  for (int v = 0; v < size.height; v += stride) {
+    for (int u = 0; u < size.width; u += stride) {
+      if (!reader.read(u, v, values, variance)) continue;
+      residuals.push_back((weight.complement * values).squaredNorm() / static_cast<double>(weight.complement.rows()) /
+                          variance);
+    }
+  }
+  if (residuals.empty()) return 1;
+  const auto middle = residuals.begin() + static_cast<std::ptrdiff_t>(residuals.size() / 2);
+  std::nth_element(residuals.begin(), middle, residuals.end());
+  return std::max(*middle, 1e-12);
+}
+
+/// Unknowns of the fit: angles, then ln gains.
+struct Polarizer {
+  Eigen::VectorXd values;
+
+  Eigen::Index count() const { return values.size() / 2; }
+  std::vector<double> angles_rad() const { return {values.data(), values.data() + count()}; }
+  std::vector<double> gains() const {
+    std::vector<double> result;
+    for (Eigen::Index k = 0; k < count(); ++k) result.push_back(std::exp(values[count() + k]));
+    return result;
+  }
+  Eigen::MatrixX3d rows() const { return polarizer_rows(angles_rad(), gains()); }
+  /// Derivative of row `parameter % K` by that parameter; the other rows do not change.
+  Eigen::Vector3d row_slope(Eigen::Index parameter) const {
+    const Eigen::Index k = parameter % count();
+    const double half = 0.5 * std::exp(values[count() + k]), twice = 2 * values[k];
+    if (parameter < count()) return {0, -2 * half * std::sin(twice), 2 * half * std::cos(twice)};
+    return {half, half * std::cos(twice), half * std::sin(twice)};
+  }
+};
+
+/// The projected problem at one point: what moments turn into a sum of squares, its gradient and its curvature.
+class Projection {
+ public:
+  explicit Projection(const Polarizer& polarizer) : polarizer_(polarizer) {
+    const Eigen::MatrixX3d rows = polarizer.rows();
+    stokes_from_values_ = rows.completeOrthogonalDecomposition().pseudoInverse();
+    outside_ = Eigen::MatrixXd::Identity(rows.rows(), rows.rows()) - rows * stokes_from_values_;
+  }
+
+  double cost(const Eigen::MatrixXd& moments) const { return outside_.cwiseProduct(moments).sum(); }
+
+  Eigen::VectorXd gradient(const Eigen::MatrixXd& moments) const {
+    const Eigen::MatrixXd residual_by_stokes = outside_ * moments * stokes_from_values_.transpose();
+    Eigen::VectorXd result(polarizer_.values.size());
+    for (Eigen::Index i = 0; i < result.size(); ++i) {
+      result[i] = -2 * residual_by_stokes.row(i % polarizer_.count()).dot(polarizer_.row_slope(i));
+    }
+    return result;
+  }
+
+  /// Gauss–Newton with Kaufman's derivative of the projected residual, −P⊥ dA A⁺.
+  Eigen::MatrixXd curvature(const Eigen::MatrixXd& moments) const {
+    const Eigen::Matrix3d stokes_moments = stokes_from_values_ * moments * stokes_from_values_.transpose();
+    const Eigen::Index size = polarizer_.values.size(), count = polarizer_.count();
+    Eigen::MatrixXd result(size, size);
+    for (Eigen::Index i = 0; i < size; ++i) {
+      const Eigen::Vector3d slope = stokes_moments * polarizer_.row_slope(i);
+      for (Eigen::Index j = 0; j < size; ++j) {
+        result(i, j) = 2 * outside_(i % count, j % count) * slope.dot(polarizer_.row_slope(j));
+      }
+    }
+    return result;
+  }
+
+  /// Orthonormal rows that span what no Stokes vector can make, (K − 3) × K.
+  Eigen::MatrixXd complement() const {
+    const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(outside_);
+    return solver.eigenvectors().rightCols(outside_.rows() - 3).transpose();
+  }
+
+ private:
+  const Polarizer& polarizer_;
+  Eigen::MatrixXd stokes_from_values_;  ///< 3 × K
+  Eigen::MatrixXd outside_;             ///< K × K projection
+};
+
+/// Nominal values and how well they are known.
+struct Nominal {
+  Eigen::VectorXd values, weight;  ///< weight = 1 / variance
+
+  double cost(const Polarizer& p) const { return (p.values - values).cwiseAbs2().dot(weight); }
+};
+
+Nominal nominal_values(std::span<const double> nominal_rad, Eigen::Index count, const PolarizerOptions& options) {
+  const double sigma_rad = options.angle_sigma_deg * std::numbers::pi / 180;
+  Nominal nominal{Eigen::VectorXd::Zero(2 * count), Eigen::VectorXd::Zero(2 * count)};
+  nominal.weight.tail(count).setConstant(1 / (options.gain_sigma * options.gain_sigma));
+  for (std::size_t k = 0; k < nominal_rad.size(); ++k) {
+    nominal.values[static_cast<Eigen::Index>(k)] = nominal_rad[k];
+    nominal.weight[static_cast<Eigen::Index>(k)] = 1 / (sigma_rad * sigma_rad);
+  }
+  return nominal;
+}
+
+/// Levenberg–Marquardt on (projected sum of squares) / inflation + nominal terms. Returns the cost at the end.
+double minimize(Polarizer& polarizer, const Eigen::MatrixXd& moments, double inflation, const Nominal& nominal) {
+  const auto total = [&](const Polarizer& p) { return Projection(p).cost(moments) / inflation + nominal.cost(p); };
+  double cost = total(polarizer), damping = 1e-3;
+  for (int iteration = 0; iteration < 500; ++iteration) {
+    const Projection projection(polarizer);
+    Eigen::MatrixXd normal = projection.curvature(moments) / inflation;
+    normal.diagonal() += 2 * nominal.weight;
+    const Eigen::VectorXd right =
+        -projection.gradient(moments) / inflation - 2 * nominal.weight.cwiseProduct(polarizer.values - nominal.values);
+    bool accepted = false;
+    double gained = 0;
+    while (!accepted && damping < 1e12) {
+      Eigen::MatrixXd damped = normal;
+      damped.diagonal() += damping * normal.diagonal() + Eigen::VectorXd::Constant(normal.rows(), 1e-9);
+      Polarizer next{polarizer.values + damped.ldlt().solve(right)};
+      const double next_cost = next.values.allFinite() ? total(next) : std::numeric_limits<double>::infinity();
+      accepted = next_cost < cost;
+      if (accepted) {
+        gained = cost - next_cost;
+        polarizer = std::move(next);
+        cost = next_cost;
+        damping = std::max(damping / 10, 1e-12);
+      } else {
+        damping *= 10;
+      }
+    }
+    if (!accepted || gained < 1e-10 * cost) break;
+  }
+  return cost;
+}
+
+/// Angles and gains whose rows span the same space as `space` (K × 3, orthonormal): M = T diag(1, −1, −1) Tᵀ with
+/// u_kᵀ M u_k = 0 for every row u_k, as all rows lie on the cone. Nothing if noise gave M another signature.
+std::vector<Polarizer> start_from_space(const Eigen::MatrixX3d& space) {
+  Eigen::MatrixXd conditions(space.rows(), 6);
+  for (Eigen::Index k = 0; k < space.rows(); ++k) {
+    const Eigen::RowVector3d u = space.row(k);
+    conditions.row(k) << u[0] * u[0], u[1] * u[1], u[2] * u[2], 2 * u[0] * u[1], 2 * u[0] * u[2], 2 * u[1] * u[2];
+  }
+  const Eigen::JacobiSVD<Eigen::MatrixXd> svd(conditions, Eigen::ComputeFullV);
+  const Eigen::VectorXd m = svd.matrixV().col(5);
+  Eigen::Matrix3d cone;
+  cone << m[0], m[3], m[4], m[3], m[1], m[5], m[4], m[5], m[2];
+  if (cone.determinant() < 0) cone = -cone;  // One positive and two negative eigenvalues: a positive determinant.
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(cone);
+  const Eigen::Vector3d& values = solver.eigenvalues();
+  if (!(values[1] < 0 && values[2] > 0)) return {};
+  Eigen::Matrix3d rows_from_space;
+  rows_from_space << solver.eigenvectors().col(2) * std::sqrt(values[2]),
+      solver.eigenvectors().col(0) * std::sqrt(-values[0]), solver.eigenvectors().col(1) * std::sqrt(-values[1]);
+  const Eigen::MatrixX3d rows = space * rows_from_space;
+  Polarizer start{Eigen::VectorXd(2 * rows.rows())};
+  for (Eigen::Index k = 0; k < rows.rows(); ++k) {
+    const double sign = rows.col(0).mean() < 0 ? -1 : 1;
+    if (!(sign * rows(k, 0) > 0)) return {};
+    start.values[k] = 0.5 * std::atan2(sign * rows(k, 2), sign * rows(k, 1));
+    start.values[rows.rows() + k] = std::log(sign * rows(k, 0));
+  }
+  start.values.tail(rows.rows()).array() -= start.values.tail(rows.rows()).mean();
+  return {start};
+}
+
+/// Where the search begins: at the nominal angles; without any, at those that the images' space allows, and at evenly
+/// spread ones in several orders.
+std::vector<Polarizer> starts(const Nominal& nominal, bool free_angles, const Eigen::MatrixXd& moments) {
+  if (!free_angles) return {{nominal.values}};
+  const Eigen::Index count = moments.rows();
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(moments);
+  std::vector<Polarizer> result = start_from_space(solver.eigenvectors().rightCols(3));
+  for (Eigen::Index turns = 1; 2 * turns < count; ++turns) {
+    Polarizer even{Eigen::VectorXd::Zero(2 * count)};
+    for (Eigen::Index k = 0; k < count; ++k) {
+      even.values[k] = std::numbers::pi * static_cast<double>(turns * k) / static_cast<double>(count);
+    }
+    result.push_back(std::move(even));
+  }
+  return result;
+}
+
+Polarizer search(const Nominal& nominal, bool free_angles, const Eigen::MatrixXd& moments, double inflation) {
+  Polarizer best;
+  double lowest = std::numeric_limits<double>::infinity();
+  for (Polarizer& candidate : starts(nominal, free_angles, moments)) {
+    const double cost = minimize(candidate, moments, inflation, nominal);
+    if (cost < lowest) {
+      lowest = cost;
+      best = std::move(candidate);
+    }
+  }
+  return best;
+}
+
+/// Pseudo-inverse of a symmetric matrix without the directions that its largest eigenvalue leaves to rounding.
+Eigen::MatrixXd symmetric_pseudo_inverse(const Eigen::MatrixXd& matrix) {
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(matrix);
+  const Eigen::VectorXd& values = solver.eigenvalues();
+  const double floor = 1e-9 * values.maxCoeff();
+  const Eigen::VectorXd inverse = values.unaryExpr([floor](double x) { return x > floor ? 1 / x : 0.0; });
+  return solver.eigenvectors() * inverse.asDiagonal() * solver.eigenvectors().transpose();
+}
+
+/// How much larger the scatter of the parts' gradients is than noise alone would make it: the factor between the
+/// sum of squares and twice a log-likelihood.
+double inflation_of(const Moments& moments, const Polarizer& polarizer) {
+  const Projection projection(polarizer);
+  const Eigen::MatrixXd curvature = projection.curvature(moments.total());
+  Eigen::MatrixXd scatter = Eigen::MatrixXd::Zero(curvature.rows(), curvature.cols());
+  for (const Eigen::MatrixXd& part : moments.parts) {
+    const Eigen::VectorXd gradient = projection.gradient(part);
+    scatter += gradient * gradient.transpose();
+  }
+  const Eigen::MatrixXd inverse = symmetric_pseudo_inverse(curvature);
+  const double rank = (inverse * curvature).trace();
+  return rank < 0.5 ? 1 : std::max((inverse * scatter).trace() / rank / 2, 1.0);
+}
+
+void check(std::span<const Image<float>> images, std::span<const double> nominal_rad, const Mask& mask,
+           const Mask& saturated, const PolarizerOptions& options) {
+  validate_fields(options, "polarizer");
+  if (!nominal_rad.empty() && nominal_rad.size() != images.size()) {
+    throw input_error(std::to_string(images.size()) + " polarized images but " + std::to_string(nominal_rad.size()) +
+                      " polarizer angles, expected one angle an image");
+  }
+  const std::size_t needed = nominal_rad.empty() ? min_images_for_free_angles : 3;
+  if (images.size() < needed) {
+    throw data_error(std::to_string(images.size()) + " polarized images, expected at least " + std::to_string(needed) +
+                     (nominal_rad.empty() ? " to find angles that are not known at all (angles_deg = \"auto\")" : ""));
+  }
+  for (const Image<float>& image : images) require_size(image, images[0].size(), "polarized image");
+  require_size(mask, images[0].size(), "mask");
+  if (!saturated.empty()) require_size(saturated, images[0].size(), "saturation mask");
+}
+
+}  // namespace
+
+Eigen::MatrixX3d polarizer_rows(std::span<const double> angles_rad, std::span<const double> gains) {
+  Eigen::MatrixX3d rows(static_cast<Eigen::Index>(angles_rad.size()), 3);
+  for (std::size_t k = 0; k < angles_rad.size(); ++k) {
+    const double half = 0.5 * gains[k];
+    rows.row(static_cast<Eigen::Index>(k)) << half, half * std::cos(2 * angles_rad[k]),
+        half * std::sin(2 * angles_rad[k]);
+  }
+  return rows;
+}
+
+bool PolarizerFit::is_plausible(const PolarizerOptions& options) const {
+  constexpr double deviations = 5;
+  return largest_angle_change_rad < deviations * options.angle_sigma_deg * std::numbers::pi / 180 &&
+         largest_gain_change < deviations * options.gain_sigma;
+}
+
+PolarizerFit polarizer_as_given(std::span<const double> angles_rad, const PolarizerOptions& options) {
+  const Nominal nominal = nominal_values(angles_rad, static_cast<Eigen::Index>(angles_rad.size()), options);
+  PolarizerFit fit;
+  fit.angles_rad.assign(angles_rad.begin(), angles_rad.end());
+  fit.gains.assign(angles_rad.size(), 1.0);
+  fit.nominal_weight = nominal.weight;
+  fit.image_information = Eigen::MatrixXd::Zero(nominal.weight.size(), nominal.weight.size());
+  return fit;
+}
+
+PolarizerFit fit_polarizer(std::span<const Image<float>> images, std::span<const double> nominal_rad,
+                           const NoiseModel& noise, const Mask& mask, const Mask& saturated,
+                           const PolarizerOptions& options, const Context& context) {
+  check(images, nominal_rad, mask, saturated, options);
+  const bool free_angles = nominal_rad.empty();
+  const auto count = static_cast<Eigen::Index>(images.size());
+  const CellReader reader(images, noise, mask, saturated);
+  Nominal nominal = nominal_values(nominal_rad, count, options);
+
+  PixelWeight weight;
+  Moments moments = second_moments(reader, weight, context);
+  if (moments.pixels < 100) {
+    throw data_error(
+        "fewer than 100 pixels of the object are neither saturated nor dark in the polarized images: "
+        "their polarizer angles cannot be calibrated");
+  }
+  Polarizer polarizer = search(nominal, free_angles, moments.total(), 1);
+  double inflation = 1;
+  for (int pass = 0; pass < robust_passes && count > 3; ++pass) {
+    context.progress("polarization", 0, "polarizer angles");
+    weight.complement = Projection(polarizer).complement();
+    weight.scale2 = typical_residual(reader, weight);
+    moments = second_moments(reader, weight, context);
+    inflation = inflation_of(moments, polarizer);
+    minimize(polarizer, moments.total(), inflation, nominal);
+  }
+
+  PolarizerFit fit;
+  fit.angles_rad = polarizer.angles_rad();
+  fit.gains = polarizer.gains();
+  fit.nominal_weight = nominal.weight.cwiseMax(1 / (unknown_sigma_rad * unknown_sigma_rad));
+  fit.pixels = moments.pixels;
+  const Eigen::MatrixXd total = moments.total();
+  fit.image_information = Projection(polarizer).curvature(total) / (2 * inflation);
+  for (std::size_t k = 0; k < nominal_rad.size(); ++k) {
+    fit.largest_angle_change_rad = std::max(fit.largest_angle_change_rad, std::abs(fit.angles_rad[k] - nominal_rad[k]));
+    fit.largest_gain_change = std::max(fit.largest_gain_change, std::abs(std::log(fit.gains[k])));
+  }
+  if (count > 3) {
+    const double freedom = moments.weights * static_cast<double>(count - 3);
+    fit.residual_after = std::sqrt(std::max(Projection(polarizer).cost(total), 0.0) / freedom);
+    fit.residual_before = fit.residual_after;
+    if (!free_angles) {
+      const Polarizer given{nominal.values};
+      fit.residual_before = std::sqrt(std::max(Projection(given).cost(total), 0.0) / freedom);
+    }
+  }
+  return fit;
+}
+
+}  // namespace malus

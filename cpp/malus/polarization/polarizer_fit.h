@@ -1,0 +1,70 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <span>
+#include <vector>
+
+#include "malus/core/context.h"
+#include "malus/core/image.h"
+#include "malus/polarization/noise_model.h"
+#include "malus/polarization/polarizer_options.h"
+
+namespace malus {
+
+/// Polarizer angle and relative exposure of every image, from the images alone.
+struct PolarizerFit {
+  std::vector<double> angles_rad;  ///< one an image, counter-clockwise from image +x
+  std::vector<double> gains;       ///< one an image; their geometric mean is 1
+  /// What the images say of (angles [rad], ln gains): inverse covariance, 2K × 2K, of rank 2K − 4.
+  Eigen::MatrixXd image_information;
+  /// Inverse variances of the nominal angles and ln gains, 2K; next to nothing for angles that are not known.
+  Eigen::VectorXd nominal_weight;
+  /// RMS of the sinusoid's residuals with the nominal values, of means over cells, in standard deviations of their
+  /// noise.
+  double residual_before = 0;
+  double residual_after = 0;  ///< the same with these
+  double pixels = 0;          ///< that took part
+
+  double largest_angle_change_rad = 0;  ///< from the nominal angles; 0 when there are none
+  double largest_gain_change = 0;       ///< of ln gain
+
+  /// Whether the changes are such as errors of a scale and of exposures make: within five standard deviations.
+  bool is_plausible(const PolarizerOptions& options) const;
+
+  /// Share of the squared residuals that the calibration removes.
+  double improvement() const {
+    return residual_before > 0 ? 1 - (residual_after * residual_after) / (residual_before * residual_before) : 0;
+  }
+};
+
+/// Smallest number of images whose angles can be found without knowing any.
+inline constexpr std::size_t min_images_for_free_angles = 5;
+
+/// Rows (g, g cos 2a, g sin 2a) / 2 of the images' intensities in (s0, s1, s2), K × 3.
+Eigen::MatrixX3d polarizer_rows(std::span<const double> angles_rad, std::span<const double> gains);
+
+/// Angles and exposures for which the images fit sinusoids best.
+///
+/// I_k(x) = g_k / 2 (s0 + s1 cos 2a_k + s2 sin 2a_k): K images are a matrix of rank 3. With the Stokes vectors of all
+/// pixels projected out (variable projection; Golub & Pereyra 1973) the sum of squares depends on the pixels through
+/// their K × K second moments only, so that one pass over the images serves all iterations (Gauss–Newton with
+/// Kaufman's derivative, Levenberg–Marquardt damping). Two more passes weigh down what does not follow (Cauchy). Means
+/// over square cells of pixels take part, about 5000 of them.
+///
+/// What cannot be seen in it: every map of the Stokes vectors that keeps the cone s0² = s1² + s2² gives an equal fit
+/// with other angles and exposures: the rotation (zero of the scale) and two boosts, a constant polarization of the
+/// whole scene that trades for exposures ∝ 1 + β cos 2(a − φ). There the nominal values decide: `nominal_rad` with
+/// options.angle_sigma_deg, and equal exposures with options.gain_sigma. Empty nominal_rad = angles entirely unknown:
+/// rotation and direction are then arbitrary, and K ≥ min_images_for_free_angles.
+///
+/// image_information: scaled by the scatter between 64 parts of the image, so that it holds what is not noise, too.
+/// images: K ≥ 3, one size, 1 channel, linear. mask: non-zero = object; saturated: may be empty. Throws an input error
+/// for sizes and counts that do not match, a data error when free angles have too few images or no solution.
+PolarizerFit fit_polarizer(std::span<const Image<float>> images, std::span<const double> nominal_rad,
+                           const NoiseModel& noise, const Mask& mask, const Mask& saturated,
+                           const PolarizerOptions& options, const Context& context);
+
+/// The angles as they are given (one an image), equal exposures, and what is known of them without looking at images.
+PolarizerFit polarizer_as_given(std::span<const double> angles_rad, const PolarizerOptions& options);
+
+}  // namespace malus

@@ -1,0 +1,92 @@
+"""What image files say of their exposure, and whether a station's images were taken alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from PIL import Image, UnidentifiedImageError
+from PIL.TiffImagePlugin import ImageFileDirectory_v2
+
+from malus.errors import InputError
+
+_EXIF_IFD = 34665
+_EXPOSURE_TIME = 33434
+_WHITE_BALANCE = 41987
+#: Tags that must not change within a station, their names and units.
+_ALIKE: dict[int, tuple[str, str]] = {
+    _EXPOSURE_TIME: ("exposure time", " s"),
+    34855: ("ISO sensitivity", ""),
+    33437: ("aperture f/", ""),
+    37386: ("focal length", " mm"),
+    37382: ("focus distance", " m"),
+    _WHITE_BALANCE: ("white balance", ""),
+}
+#: Relative difference that rounding of the camera's numbers explains.
+_SAME = 1e-3
+
+
+def tags_of(path: Path) -> dict[int, Any]:
+    """TIFF and EXIF tags of a JPEG, TIFF or TIFF-like RAW file (CR2, NEF, ARW, DNG, PEF); empty where it has none."""
+    try:
+        with path.open("rb") as file:
+            header = file.read(8)
+            if header[:4] in (b"II*\0", b"MM\0*"):
+                directory = ImageFileDirectory_v2(header)
+                file.seek(directory.next)
+                directory.load(file)
+                tags = dict(directory)
+                if isinstance(offset := tags.get(_EXIF_IFD), int):
+                    detail = ImageFileDirectory_v2(header)
+                    file.seek(offset)
+                    detail.load(file)
+                    tags |= dict(detail)
+                return tags
+        with Image.open(path) as image:
+            exif = image.getexif()
+            return dict(exif) | dict(exif.get_ifd(_EXIF_IFD))
+    except (OSError, UnidentifiedImageError, ValueError, SyntaxError, TypeError, KeyError):
+        return {}
+
+
+def require_alike(images: Sequence[Path], *, exposures_differ: bool) -> None:
+    """InputError naming files and values when a setting of the camera changed between the images.
+
+    Files that do not say a value are taken to agree. `exposures_differ`: exposure times are stated in the station file
+    and may differ.
+    """
+    tags = [tags_of(path) for path in images]
+    for tag, (name, unit) in _ALIKE.items():
+        if tag == _EXPOSURE_TIME and exposures_differ:
+            continue
+        first: tuple[Path, float] | None = None
+        for path, values in zip(images, tags, strict=True):
+            value = _number(values.get(tag))
+            if value is None:
+                continue
+            if first is None:
+                first = (path, value)
+            elif abs(value - first[1]) > _SAME * max(abs(value), abs(first[1])):
+                raise InputError(
+                    f"{path}: {name} {_shown(tag, value)}{unit}, but {first[0].name} has {_shown(tag, first[1])}{unit}; "
+                    "expected the same for all polarized images of a station"
+                    + (" (or exposure_s, if they differ on purpose)" if tag == _EXPOSURE_TIME else "")
+                )
+
+
+def _number(value: object) -> float | None:
+    if isinstance(value, tuple) and value:
+        value = value[0]
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+
+
+def _shown(tag: int, value: float) -> str:
+    if tag == _EXPOSURE_TIME and 0 < value < 0.4:
+        return f"1/{1 / value:.6g}"
+    if tag == _WHITE_BALANCE:
+        return "manual" if value else "automatic"
+    return f"{value:.6g}"

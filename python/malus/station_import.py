@@ -1,0 +1,243 @@
+"""A station file from a folder of images taken for another program, or for none."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from malus._files import write_text
+from malus.errors import InputError
+from malus.raw import is_raw
+
+_IMAGES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg"})
+_BAYER = ("RGGB", "BGGR", "GRBG", "GBRG")
+_FILE_COLUMNS = ("image", "file", "filename", "name")
+_ANGLE_COLUMNS = ("angle_deg", "angle", "polarizer_angle", "polarizer")
+_EXPOSURE_COLUMNS = ("exposure_s", "exposure", "exposure_time")
+
+
+@dataclass(frozen=True)
+class _Shot:
+    """One image, its polarizer angle [deg] and exposure time [s]."""
+
+    image: Path
+    angle_deg: float
+    exposure_s: float | None = None
+
+
+def import_station(
+    folder: str | Path,
+    output: str | Path,
+    *,
+    table: str | Path | None = None,
+    pattern: str | None = None,
+    mosaic: Sequence[float] | None = None,
+    colors: str | None = None,
+) -> Path:
+    """Write a station file for the images of a folder, and return its path.
+
+    Angles [deg] come from `table`, a CSV file with a column for the file and one for the angle (image, angle_deg,
+    exposure_s; other usual names too), or from the folder's only CSV file; else from JSON files beside the images as
+    polanalyser writes them (its `mueller_psa`, or a number under `polarizer_angle`, `angle_deg` or `angle`, degrees);
+    else from the file names: the last number, or what `pattern`, a regular expression with one group, captures.
+    `mosaic` and `colors` are those of a polarization camera whose one image is in the folder. A file mask.png becomes
+    the mask. Camera and prior are left to be filled in. Raises malus.InputError; an existing file is not replaced.
+    """
+    folder, output = Path(folder), Path(output)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder, expected one with polarized images")
+    if colors is not None and (mosaic is None or colors not in _BAYER):
+        raise InputError(f"--colors {colors}, expected one of {', '.join(_BAYER)}, with --mosaic")
+    if output.exists():
+        raise InputError(f"{output} exists already, expected a name for a new station file")
+    mask = next((path for path in folder.iterdir() if path.name.lower() == "mask.png"), None)
+    if mosaic is not None:
+        lines = _mosaic_lines(_images(folder, mask), output, mosaic, colors)
+    else:
+        lines = _shot_lines(_shots(folder, mask, table, pattern), output)
+    if mask is not None:
+        lines.append(f"mask = {_text(_relative(mask, output))}")
+    write_text(
+        output,
+        "\n".join(
+            ["[station]", f"name = {_text(folder.resolve().name)}", 'unit = "mm"', "", "[polarized]", *lines, ""]
+            + [
+                "# To come: [camera] and [prior], or [photos]; without them `malus decompose` makes the polarization maps."
+            ]
+            + [""]
+        ),
+    )
+    return output
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdigit() else (-1, part.lower()) for part in re.split(r"(\d+)", path.name)]
+
+
+def _images(folder: Path, mask: Path | None) -> list[Path]:
+    files = [path for path in folder.iterdir() if path.is_file() and path != mask and not path.name.startswith(".")]
+    raw = [path for path in files if is_raw(path)]
+    images = raw or [path for path in files if path.suffix.lower() in _IMAGES]
+    if not images:
+        kinds = sorted({path.suffix for path in files if path.suffix})
+        raise InputError(f"{folder}: no images, expected PNG, TIFF, JPEG or RAW files" + (f" (there are {', '.join(kinds)})" if kinds else ""))  # fmt: skip
+    return sorted(images, key=_natural)
+
+
+def _shots(folder: Path, mask: Path | None, table: str | Path | None, pattern: str | None) -> list[_Shot]:
+    if pattern is not None:
+        return [_Shot(path, _angle_by_pattern(path, pattern)) for path in _images(folder, mask)]
+    tables = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".csv")
+    if table is None and len(tables) == 1:
+        table = tables[0]
+    if table is not None:
+        return _shots_of_table(folder, Path(table))
+    shots = _shots_of_sidecars(folder)
+    if shots:
+        return shots
+    return [_Shot(path, _angle_by_pattern(path, None)) for path in _images(folder, mask)]
+
+
+def _angle_by_pattern(path: Path, pattern: str | None) -> float:
+    try:
+        expression = re.compile(pattern or r"(\d+(?:\.\d+)?)\D*$")
+    except re.error as error:
+        raise InputError(f"--pattern {pattern!r} is not a regular expression ({error})") from None
+    if expression.groups != 1:
+        raise InputError(f"--pattern {pattern!r}, expected a regular expression with one group that captures the angle")
+    found = expression.search(path.name if pattern else path.stem)
+    if found is None:
+        raise InputError(f"{path}: no angle in its name" + (f" by the pattern {pattern!r}" if pattern else ""))
+    return _number(found[1], f"{path}: the angle in its name")
+
+
+def _number(value: object, where: str) -> float:
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(f"{where} is {value!r}, expected a number")
+    return number
+
+
+def _shots_of_table(folder: Path, table: Path) -> list[_Shot]:
+    try:
+        with table.open(newline="", encoding="utf-8-sig") as file:
+            sample = file.read(4096)
+            file.seek(0)
+            delimiter = ";" if sample.count(";") > sample.count(",") else "\t" if "," not in sample else ","
+            reader = csv.DictReader(file, delimiter=delimiter, skipinitialspace=True)
+            rows = [(reader.line_num, row) for row in reader]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{table}: cannot be read as a table ({error})") from None
+    names = {(name or "").strip().lower(): name for name in reader.fieldnames or []}
+
+    def column(choices: tuple[str, ...], required: bool) -> str | None:
+        for choice in choices:
+            if choice in names:
+                return names[choice]
+        if required:
+            raise InputError(
+                f"{table}: no column {choices[0]!r}, expected one of {', '.join(choices)} in the first line"
+            )
+        return None
+
+    file_column, angle_column = column(_FILE_COLUMNS, True), column(_ANGLE_COLUMNS, True)
+    exposure_column = column(_EXPOSURE_COLUMNS, False)
+    shots = []
+    for line, row in rows:
+        name = (row.get(file_column) or "").strip()
+        image = folder / name
+        if not name or not image.is_file():
+            raise InputError(f"{table}, line {line}: no file {name!r} in {folder}")
+        angle = _number(row.get(angle_column), f"{table}, line {line}: {angle_column}")
+        exposure = None
+        if exposure_column is not None:
+            exposure = _number(row.get(exposure_column), f"{table}, line {line}: {exposure_column}")
+        shots.append(_Shot(image, angle, exposure))
+    if not shots:
+        raise InputError(f"{table}: no rows below the first line")
+    return shots
+
+
+def _shots_of_sidecars(folder: Path) -> list[_Shot]:
+    """Images that JSON files beside them describe; none if there are no such files."""
+    shots = []
+    for path in sorted(folder.glob("*.json"), key=_natural):
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+            raise InputError(f"{path}: cannot be read as JSON ({error})") from None
+        if not isinstance(content, dict):
+            continue
+        angle = _angle_of_sidecar(content, path)
+        if angle is None:
+            continue
+        shots.append(_Shot(_image_of_sidecar(content, path), angle))
+    return shots
+
+
+def _image_of_sidecar(content: dict[str, Any], path: Path) -> Path:
+    if "filename" in content:
+        image = path.parent / str(content["filename"])
+        if not image.is_file():
+            raise InputError(f"{path}: filename = {content['filename']!r}, no such file beside it")
+    else:
+        candidates = [path.with_suffix(suffix) for suffix in sorted(_IMAGES)]
+        image = next((candidate for candidate in candidates if candidate.is_file()), path)
+    if image.suffix.lower() not in _IMAGES and not is_raw(image):
+        raise InputError(f"{path}: its image is {image.name}, expected PNG, TIFF, JPEG or RAW")
+    return image
+
+
+def _angle_of_sidecar(content: dict[str, Any], path: Path) -> float | None:
+    for key in ("polarizer_angle", "angle_deg", "angle"):
+        if key in content:
+            return _number(content[key], f"{path}: {key}")
+    mueller = content.get("mueller_psa")
+    if mueller is None:
+        return None
+    values: Any = mueller.get("values") if isinstance(mueller, dict) else mueller
+    try:
+        first = [float(value) for value in values[0][:3]]
+    except (TypeError, ValueError, IndexError, KeyError):
+        raise InputError(f"{path}: mueller_psa, expected a 3 × 3 or 4 × 4 matrix") from None
+    # First row of a linear polarizer's Mueller matrix: (1, cos 2a, sin 2a) / 2.
+    if len(first) < 3 or abs(math.hypot(first[1], first[2]) - first[0]) > 0.01 * abs(first[0]) or not first[0] > 0:
+        raise InputError(f"{path}: mueller_psa is not that of a linear polarizer")
+    return math.degrees(math.atan2(first[2], first[1]) / 2) % 180
+
+
+def _relative(path: Path, output: Path) -> str:
+    return Path(os.path.relpath(path.resolve(), output.resolve().parent)).as_posix()
+
+
+def _text(value: str) -> str:
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _shot_lines(shots: list[_Shot], output: Path) -> list[str]:
+    images = ", ".join(_text(_relative(shot.image, output)) for shot in shots)
+    lines = [f"images = [{images}]", f"angles_deg = [{', '.join(f'{shot.angle_deg:.10g}' for shot in shots)}]"]
+    exposures = [shot.exposure_s for shot in shots]
+    if len({exposure for exposure in exposures if exposure is not None}) > 1:
+        lines.append(f"exposure_s = [{', '.join(f'{exposure:.10g}' for exposure in exposures)}]")
+    return lines
+
+
+def _mosaic_lines(images: list[Path], output: Path, mosaic: Sequence[float], colors: str | None) -> list[str]:
+    if len(mosaic) != 4:
+        raise InputError(f"--mosaic has {len(mosaic)} angles, expected the four of a 2 × 2 cell by rows: 90,45,135,0")
+    if len(images) != 1:
+        raise InputError(f"--mosaic is for one image, but there are {len(images)} in {images[0].parent}")
+    a, b, c, d = (f"{angle:.10g}" for angle in mosaic)
+    lines = [f"images = [{_text(_relative(images[0], output))}]", f"mosaic = [[{a}, {b}], [{c}, {d}]]"]
+    return lines if colors is None else [*lines, f"mosaic_colors = {_text(colors)}"]

@@ -1,0 +1,96 @@
+#include "malus/polarization/polarizer_fit.h"
+
+#include <gtest/gtest.h>
+
+#include <numeric>
+
+#include "malus/polarization/polarizer_calibration.h"
+#include "polarizer_scene.h"
+#include "thrown_error.h"
+
+namespace malus {
+namespace {
+
+const NoiseModel low_noise{.full_well_e = 20000, .read_noise_e = 8, .frames_averaged = 64};
+const std::vector<double> nominal_deg{0, 30, 60, 90, 120, 150};
+
+std::vector<double> radians(std::vector<double> degrees) {
+  for (double& angle : degrees) angle *= degree_rad;
+  return degrees;
+}
+
+PolarizerFit fit(const PolarizerScene& scene, const std::vector<double>& true_deg, const std::vector<double>& gains,
+                 const std::vector<double>& given_deg, int threads = 2) {
+  Context context;
+  context.threads = threads;
+  return fit_polarizer(scene.images(radians(true_deg), gains, low_noise), radians(given_deg), low_noise,
+                       Mask(scene.size, 1, 255), {}, {}, context);
+}
+
+/// Errors in a frame of Stokes vectors in which the mean differences are none: what images can tell.
+double worst_product_error(const PolarizerFit& fit, const std::vector<double>& true_deg,
+                           const std::vector<double>& gains) {
+  // Rows on the cone: their Lorentz products with each other do not depend on the frame, up to a common factor.
+  const Eigen::MatrixX3d found = polarizer_rows(fit.angles_rad, fit.gains),
+                         truth = polarizer_rows(radians(true_deg), gains);
+  const Eigen::DiagonalMatrix<double, 3> lorentz(1, -1, -1);
+  const Eigen::MatrixXd a = found * lorentz * found.transpose(), b = truth * lorentz * truth.transpose();
+  return (a / a.norm() - b / b.norm()).cwiseAbs().maxCoeff();
+}
+
+TEST(PolarizerFit, FindsWrongAnglesAndExposuresUpToTheFrame) {
+  const std::vector<double> angles{2.1, 28.2, 62.5, 88.3, 121.7, 147.9}, gains{1.02, 0.98, 1.01, 0.97, 1.03, 0.99};
+  const PolarizerFit found = fit(PolarizerScene(true), angles, gains, nominal_deg);
+  EXPECT_LT(worst_product_error(found, angles, gains), 1e-4);
+  EXPECT_GT(found.improvement(), 0.5);
+  EXPECT_NEAR(found.residual_after, 1, 0.1);
+  const double log_gain = std::accumulate(found.gains.begin(), found.gains.end(), 0.0,
+                                          [](double sum, double gain) { return sum + std::log(gain); });
+  EXPECT_NEAR(log_gain, 0, 1e-6);
+}
+
+TEST(PolarizerFit, LeavesRightAnglesWhereTheyAre) {
+  const PolarizerFit found = fit(PolarizerScene(true), nominal_deg, std::vector<double>(6, 1.0), nominal_deg);
+  EXPECT_LT(found.improvement(), 0.01);
+  for (std::size_t k = 0; k < 6; ++k) {
+    EXPECT_NEAR(found.angles_rad[k], nominal_deg[k] * degree_rad, 0.05 * degree_rad);
+    EXPECT_NEAR(found.gains[k], 1, 1e-3);
+  }
+}
+
+TEST(PolarizerFit, FindsAnglesThatAreNotKnownAtAll) {
+  const std::vector<double> angles{13, 171, 60, 95, 31, 128}, gains(6, 1.0);
+  EXPECT_LT(worst_product_error(fit(PolarizerScene(true), angles, gains, {}), angles, gains), 1e-3);
+}
+
+TEST(PolarizerFit, RestsOnNominalValuesWhereImagesCannotTell) {
+  const PolarizerFit found = fit(PolarizerScene(true), nominal_deg, std::vector<double>(6, 1.0), nominal_deg);
+  const PolarizerCalibration stated = calibration_without_surface(found, true, true);
+  for (std::size_t k = 0; k < 6; ++k) {
+    EXPECT_GT(stated.angles_sigma_deg[k], 2 / std::sqrt(6.0) * 0.99);  // The common turn: the mean of six angles of 2°.
+    EXPECT_LT(stated.angles_sigma_deg[k], 1.2);
+  }
+}
+
+TEST(PolarizerFit, ThreadsDoNotMatter) {
+  const std::vector<double> angles{1, 29, 61, 92, 119, 149}, gains(6, 1.0);
+  const PolarizerScene scene;
+  EXPECT_EQ(fit(scene, angles, gains, nominal_deg, 1).angles_rad, fit(scene, angles, gains, nominal_deg, 3).angles_rad);
+}
+
+TEST(PolarizerFit, SaysWhatItNeeds) {
+  const PolarizerScene scene;
+  const auto images = scene.images(radians({0, 45, 90, 135}), {1, 1, 1, 1}, low_noise);
+  const Mask mask(scene.size, 1, 255);
+  const auto call = [&](const std::vector<double>& given, const Mask& object) {
+    return error_of([&] { fit_polarizer(images, given, low_noise, object, {}, {}, {}); });
+  };
+  const auto [code, message] = call({}, mask);
+  EXPECT_EQ(code, ErrorCode::data);
+  expect_contains(message, "4 polarized images, expected at least 5");
+  EXPECT_EQ(call({0, 1}, mask).first, ErrorCode::input);
+  EXPECT_EQ(call(radians({0, 45, 90, 135}), Mask(scene.size)).first, ErrorCode::data);
+}
+
+}  // namespace
+}  // namespace malus

@@ -1,0 +1,127 @@
+"""Station files from folders of images."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import malus
+from conftest import malus as run_malus
+
+
+def image(path: Path, size: tuple[int, int] = (8, 12)) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.full(size, 90, np.uint8)).save(path)
+
+
+def polarized(station: Path) -> dict[str, Any]:
+    """[polarized] of the file, which malus must be able to read."""
+    malus.Station.load(station)
+    content: dict[str, Any] = tomllib.loads(station.read_text())["polarized"]
+    return content
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path / "shots"
+
+
+def test_angles_in_names_in_natural_order(folder: Path, tmp_path: Path) -> None:
+    for name in ("vase_a5.5.png", "vase_a60.png", "vase_a120.png", "mask.png"):
+        image(folder / name)
+    outcome = run_malus("import", folder, "-o", tmp_path / "station.toml")
+    assert outcome.code == 0, outcome.err
+    content = polarized(tmp_path / "station.toml")
+    assert content["images"] == ["shots/vase_a5.5.png", "shots/vase_a60.png", "shots/vase_a120.png"]
+    assert content["angles_deg"] == [5.5, 60, 120]
+    assert content["mask"] == "shots/mask.png"
+
+
+def test_pattern(folder: Path) -> None:
+    for name in ("a030_take1.png", "a060_take1.png", "a090_take1.png"):
+        image(folder / name)
+    malus.import_station(folder, folder / "station.toml", pattern=r"a(\d+)_")
+    assert polarized(folder / "station.toml")["angles_deg"] == [30, 60, 90]
+
+
+def test_table_with_exposures(folder: Path) -> None:
+    rows = ["\ufeffFile; Angle; exposure_s"]
+    for angle in (0, 45, 90):
+        for exposure in (0.01, 0.04):
+            image(folder / f"i{angle}_{exposure}.png")
+            rows.append(f"i{angle}_{exposure}.png; {angle}; {exposure}")
+    (folder / "angles.csv").write_text("\n".join(rows), encoding="utf-8")
+    malus.import_station(folder, folder / "station.toml")
+    content = polarized(folder / "station.toml")
+    assert content["angles_deg"] == [0, 0, 45, 45, 90, 90]
+    assert content["exposure_s"] == [0.01, 0.04] * 3
+
+
+def test_polanalyser_sidecars(folder: Path) -> None:
+    angles = (10, 70, 130)
+    for index, angle in enumerate(angles):
+        image(folder / f"image{index}.png")
+        cosine, sine = np.cos(2 * np.radians(angle)), np.sin(2 * np.radians(angle))
+        row = np.array([1, cosine, sine])
+        # As polanalyser 3 writes arrays (PolarizationContainer.save).
+        mueller = {"type": "ndarray", "values": (np.outer(row, row) / 2).tolist(), "dtype": "<f8"}
+        sidecar = {"filename": f"image{index}.png", "mueller_psa": mueller}
+        (folder / f"image{index}.json").write_text(json.dumps(sidecar))
+    malus.import_station(folder, folder / "station.toml")
+    assert polarized(folder / "station.toml")["angles_deg"] == pytest.approx(angles)
+
+
+def test_sidecars_with_a_plain_angle(folder: Path) -> None:
+    for angle in (0, 60, 120):
+        image(folder / f"shot_{angle // 60}.png")
+        (folder / f"shot_{angle // 60}.json").write_text(json.dumps({"polarizer_angle": angle}))
+    malus.import_station(folder, folder / "station.toml")
+    assert polarized(folder / "station.toml")["angles_deg"] == [0, 60, 120]
+
+
+def test_mosaic(folder: Path, tmp_path: Path) -> None:
+    image(folder / "scene.png")
+    outcome = run_malus("import", folder, "-o", tmp_path / "s.toml", "--mosaic", "90,45,135,0", "--colors", "RGGB")
+    assert outcome.code == 0, outcome.err
+    content = polarized(tmp_path / "s.toml")
+    assert content["mosaic"] == [[90, 45], [135, 0]]
+    assert content["mosaic_colors"] == "RGGB"
+
+
+@pytest.mark.parametrize(
+    ("files", "arguments", "message"),
+    [
+        ({}, [], "no images, expected PNG, TIFF, JPEG or RAW"),
+        ({"a.png": None}, [], "no angle in its name"),
+        ({"a_1.png": None}, ["--pattern", "a_\\d"], "one group"),
+        ({"a_1.png": None}, ["--pattern", "a_(\\d"], "not a regular expression"),
+        ({"a_1.png": None, "t.csv": "file,angle\nb.png,3\n"}, [], "t.csv, line 2: no file 'b.png'"),
+        ({"a_1.png": None, "t.csv": "file,angle\na_1.png,x\n"}, [], "t.csv, line 2: angle is 'x', expected a number"),
+        ({"a_1.png": None, "t.csv": "file,degrees\na_1.png,3\n"}, [], "no column 'angle_deg'"),
+        ({"a_1.png": None, "a_1.json": "{"}, [], "a_1.json: cannot be read as JSON"),
+        ({"a_1.png": None, "a.json": '{"filename": "c.png", "angle": 3}'}, [], "no such file beside it"),
+        ({"a_1.png": None, "a_1.json": '{"mueller_psa": [[1, 0, 0]]}'}, [], "not that of a linear polarizer"),
+        ({"a_1.png": None, "a_2.png": None}, ["--mosaic", "90,45,135,0"], "for one image, but there are 2"),
+        ({"a_1.png": None}, ["--mosaic", "90,45"], "has 2 angles"),
+        ({"a_1.png": None}, ["--mosaic", "x"], "expected four angles"),
+        ({"a_1.png": None}, ["--colors", "RGGB"], "with --mosaic"),
+        ({"a_1.png": None, "station.toml": "x"}, [], "exists already"),
+    ],
+)
+def test_mistakes_are_named(folder: Path, files: dict[str, str | None], arguments: list[str], message: str) -> None:
+    folder.mkdir()
+    for name, content in files.items():
+        if content is None:
+            image(folder / name)
+        else:
+            (folder / name).write_text(content)
+    outcome = run_malus("import", folder, "-o", folder / "station.toml", *arguments)
+    assert outcome.code == 2, outcome.out
+    assert message in outcome.err
+    assert "Traceback" not in outcome.err

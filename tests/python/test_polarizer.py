@@ -1,0 +1,143 @@
+"""Angles, exposures and zero of the polarizer's scale, through the whole program."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+
+from conftest import EXAMPLE, edit, malus_station
+
+ANGLES = "angles_deg = [0, 30, 60, 90, 120, 150]"
+
+
+@pytest.fixture
+def relief(tmp_path: Path) -> Path:
+    """A copy of the demo station's file beside its data."""
+    folder = tmp_path / "relief"
+    shutil.copytree(EXAMPLE, folder)
+    return folder / "station.toml"
+
+
+def calibration(station: Path, *options: str) -> tuple[dict[str, Any], Path]:
+    work = station.parent / "work"
+    outcome = malus_station(station, "-o", work, "--until", "polarizer", "--threads", "2", *options)
+    assert outcome.code == 0, outcome.err
+    manifest = json.loads((work / "manifest.json").read_text())
+    return manifest["steps"]["polarizer"]["notes"]["calibration"], work
+
+
+def phase_difference_deg(work: Path, other: Path, least_degree: float = 0.02) -> float:
+    """Median over the pixels with some polarization."""
+    phase, reference = (tifffile.imread(w / "polarization/phase.tif").astype(float) for w in (work, other))
+    strong = tifffile.imread(other / "polarization/degree.tif") > least_degree
+    return float(np.degrees(np.median(((phase - reference + np.pi / 2) % np.pi - np.pi / 2)[strong])))
+
+
+def brighten(path: Path, factor: float) -> None:
+    import matplotlib.image
+    from PIL import Image
+
+    pixels = np.rint(matplotlib.image.imread(path) * 65535 * factor).astype(np.uint16)
+    Image.fromarray(pixels).save(path)
+
+
+def test_right_angles_are_left_alone(relief: Path) -> None:
+    found, work = calibration(relief)
+    assert not found["from_images"]
+    assert not found["from_surface"]
+    assert found["angles_deg"] == pytest.approx([0, 30, 60, 90, 120, 150])
+    assert found["gains"] == pytest.approx([1] * 6)
+    assert abs(found["zero_error_deg"]) < 0.3
+    assert found["warnings"] == []
+    for name in ("unpolarized", "degree", "phase"):
+        measured = tifffile.imread(work / f"polarization/measured/{name}.tif")
+        np.testing.assert_array_equal(tifffile.imread(work / f"polarization/{name}.tif"), measured)
+
+
+def test_exposure_drift_is_found(relief: Path) -> None:
+    factors = [1, 0.97, 1.02, 1, 0.99, 1.01]
+    for angle, factor in zip(range(0, 180, 30), factors, strict=True):
+        brighten(relief.parent / f"pol/pol_{angle:03d}.png", factor)
+    found, _ = calibration(relief)
+    assert found["from_images"]
+    expected = np.array(factors) / np.exp(np.mean(np.log(factors)))
+    np.testing.assert_allclose(found["gains"], expected, atol=0.002)
+    assert found["residual_after"] < 0.5 * found["residual_before"]
+    # Exposures in units of their own mean: the stated errors must be of the size of the real ones.
+    assert max(found["gains_sigma"]) < 0.005
+
+
+def test_unknown_angles_are_found(relief: Path) -> None:
+    _, known = calibration(relief)
+    known = known.rename(known.parent / "known")
+    edit(relief, ANGLES, 'angles_deg = "auto"')
+    found, work = calibration(relief)
+    errors = (np.array(found["angles_deg"]) - np.arange(0, 180, 30) + 90) % 180 - 90
+    assert np.abs(errors).max() < 0.3
+    assert abs(phase_difference_deg(work, known)) < 0.3
+
+
+def test_wrong_zero_is_corrected_and_said(relief: Path) -> None:
+    edit(relief, ANGLES, ANGLES + "\nangle_zero_deg = 7")
+    found, _ = calibration(relief)
+    assert found["from_surface"]
+    assert found["zero_error_deg"] == pytest.approx(7, abs=0.3)
+    assert any("zero of the polarizer's scale" in warning for warning in found["warnings"])
+
+
+def test_wrong_zero_is_only_said_when_off(relief: Path) -> None:
+    edit(relief, ANGLES, ANGLES + "\nangle_zero_deg = 7")
+    found, _ = calibration(relief, "--set", "polarizer.calibrate_angles=off")
+    assert not found["from_surface"]
+    assert found["angles_deg"][1] == pytest.approx(23)
+    assert any("zero of the polarizer's scale" in warning for warning in found["warnings"])
+
+
+def test_scale_read_from_behind_is_said(relief: Path) -> None:
+    edit(relief, 'angle_direction = "ccw"', 'angle_direction = "cw"')
+    found, _ = calibration(relief)
+    assert any("angle_direction" in warning for warning in found["warnings"])
+
+
+def test_unknown_angles_need_five_images(relief: Path) -> None:
+    text = relief.read_text()
+    start = text.index("images = [")
+    text = (
+        text[:start]
+        + 'images = ["pol/pol_000.png", "pol/pol_030.png", "pol/pol_060.png"]'
+        + text[text.index("]", start) + 1 :]
+    )
+    relief.write_text(text.replace(ANGLES, 'angles_deg = "auto"'))
+    outcome = malus_station(relief, "-o", relief.parent / "work")
+    assert outcome.code == 3
+    assert "at least 5 polarizer positions" in outcome.err
+
+
+def test_unknown_angles_cannot_be_left_uncalibrated(relief: Path) -> None:
+    edit(relief, ANGLES, 'angles_deg = "auto"')
+    outcome = malus_station(relief, "-o", relief.parent / "work", "--set", "polarizer.calibrate_angles=off")
+    assert outcome.code == 2
+    assert "calibrate_angles" in outcome.err
+
+
+def test_angles_in_another_order_are_said_not_taken(relief: Path) -> None:
+    edit(relief, ANGLES, "angles_deg = [0, 90, 60, 30, 120, 150]")
+    outcome = malus_station(relief, "-o", relief.parent / "work", "--until", "polarizer")
+    assert outcome.code == 0, outcome.err
+    assert "are angles_deg in the order of the images?" in outcome.err
+    manifest = json.loads((relief.parent / "work/manifest.json").read_text())
+    assert not manifest["steps"]["polarizer"]["notes"]["calibration"]["from_images"]
+
+
+def test_many_pixels_off_the_sinusoid_are_said(relief: Path) -> None:
+    brighten(relief.parent / "pol/pol_060.png", 0.6)
+    options = ("--set", "polarizer.calibrate_angles=off")
+    outcome = malus_station(relief, "-o", relief.parent / "work", "--until", "polarization", *options)
+    assert outcome.code == 0, outcome.err
+    assert "do not follow the polarizer's sinusoid" in outcome.err

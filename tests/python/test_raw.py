@@ -1,0 +1,160 @@
+"""RAW files and what image files say of their exposure."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+
+import malus
+from conftest import malus as run_malus
+from conftest import malus_station
+
+BLACK, WHITE = 512, 16383
+ANGLES = (0, 45, 90, 135)
+SIZE = (48, 64)
+
+
+def write_dng(path: Path, linear: np.ndarray, **changes: Any) -> None:
+    """A DNG with an RGGB pattern (H×W, 0 … 1), and the EXIF tags that its main directory may hold."""
+    exif = {"exposure": (1, 60), "iso": 100, "f_number": (8, 1), "focal": (50, 1)} | changes
+    tags = [
+        (50706, "B", 4, (1, 4, 0, 0), True),  # DNGVersion
+        (50707, "B", 4, (1, 1, 0, 0), True),  # DNGBackwardVersion
+        (50708, "s", 0, "Malus test", True),  # UniqueCameraModel
+        (33421, "H", 2, (2, 2), True),  # CFARepeatPatternDim
+        (33422, "B", 4, (0, 1, 1, 2), True),  # CFAPattern
+        (50714, "H", 1, BLACK, True),  # BlackLevel
+        (50717, "H", 1, WHITE, True),  # WhiteLevel
+        (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True),  # ColorMatrix1
+        (50728, "2I", 3, (1, 1, 1, 1, 1, 1), True),  # AsShotNeutral
+        (50778, "H", 1, 21, True),  # CalibrationIlluminant1
+        (51041, "d", 2, (1 / 15000, (6 / 15000) ** 2), True),  # NoiseProfile
+        (33434, "2I", 1, exif["exposure"], True),
+        (33437, "2I", 1, exif["f_number"], True),
+        (34855, "H", 1, exif["iso"], True),
+        (37386, "2I", 1, exif["focal"], True),
+    ]
+    dn = np.rint(BLACK + linear * (WHITE - BLACK)).astype(np.uint16)
+    tifffile.imwrite(path, dn, photometric=32803, extratags=tags, metadata=None, compression=None)
+
+
+def scene(angle_deg: float) -> np.ndarray:
+    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
+    intensity = 0.2 + 0.004 * u + 0.003 * v
+    return intensity * (1 + 0.2 * np.cos(2 * np.radians(angle_deg - 30)))
+
+
+@pytest.fixture
+def station(tmp_path: Path) -> Path:
+    """Four DNG files of one polarization, 0.2 at 30°."""
+    for angle in ANGLES:
+        write_dng(tmp_path / f"pol_{angle:03d}.dng", scene(angle))
+    path = tmp_path / "station.toml"
+    path.write_text('[polarized]\nimages = "."\n')
+    return path
+
+
+def test_raw_files_are_linear(station: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rawpy")
+    result = malus.reconstruct(malus.Station.load(station), workspace=tmp_path / "work", until="zenith")
+    assert result.degree is not None and result.phase_rad is not None and result.unpolarized is not None
+    inside = (slice(4, -4), slice(4, -4))
+    np.testing.assert_allclose(result.degree[inside], 0.2, atol=2e-3)
+    np.testing.assert_allclose(np.degrees(result.phase_rad[inside]), 30, atol=0.3)
+    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
+    np.testing.assert_allclose(result.unpolarized[inside], (0.2 + 0.004 * u + 0.003 * v)[inside], atol=1e-3)
+
+
+def test_development_is_kept_by_content(station: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rawpy")
+    work = tmp_path / "work"
+
+    def decompose() -> dict[str, int]:
+        malus.reconstruct(malus.Station.load(station), workspace=work, until="zenith")
+        return {path.name: path.stat().st_mtime_ns for path in (work / "raw").iterdir()}
+
+    before = decompose()
+    assert len(before) == len(ANGLES)
+    assert decompose() == before
+    write_dng(tmp_path / "pol_000.dng", scene(0) * 0.999)
+    assert len(set(decompose().items()) - set(before.items())) == 1
+
+
+def test_noise_comes_from_the_file(station: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rawpy")
+    station.write_text(station.read_text() + 'channel = "green"\n')
+    malus.reconstruct(malus.Station.load(station), workspace=tmp_path / "work", until="zenith")
+    noise = json.loads((tmp_path / "work/manifest.json").read_text())["steps"]["polarization"]["notes"]["noise"]
+    assert noise["full_well_e"] == pytest.approx(15000, rel=1e-6)
+    assert noise["read_noise_e"] == pytest.approx(6, rel=1e-6)
+
+
+def test_one_plane(station: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rawpy")
+    station.write_text(station.read_text() + 'channel = "green"\n')
+    malus.reconstruct(malus.Station.load(station), workspace=tmp_path / "work", until="zenith")
+    for path in (tmp_path / "work/raw").iterdir():
+        assert tifffile.imread(path).shape == SIZE
+
+
+def test_executable_says_who_develops(station: Path, tmp_path: Path) -> None:
+    outcome = malus_station(station, "-o", tmp_path / "work", "--until", "zenith")
+    assert outcome.code == 2
+    assert "pol_000.dng is a camera's RAW file" in outcome.err
+    assert "malus[raw]" in outcome.err
+
+
+def test_levels_are_not_given_for_raw(station: Path) -> None:
+    station.write_text(station.read_text() + "white_level = 16383\n")
+    with pytest.raises(malus.InputError, match="white_level: is not for RAW files"):
+        malus.Station.load(station)
+
+
+def test_damaged_raw_is_an_input_error(station: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rawpy")
+    (tmp_path / "pol_045.dng").write_bytes(b"II*\0 not a DNG")
+    outcome = run_malus("decompose", station, "-o", tmp_path / "work")
+    assert outcome.code == 2
+    assert "pol_045.dng: not a RAW file that LibRaw can read" in outcome.err
+    assert "Traceback" not in outcome.err
+
+
+def test_missing_library_is_named(station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "rawpy", None)
+    with pytest.raises(malus.ExternalError, match=r"rawpy, which is not installed.*malus\[raw\]"):
+        malus.reconstruct(malus.Station.load(station), workspace=tmp_path / "work", until="zenith")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"exposure": (1, 30)}, "exposure time 1/30 s, but pol_000.dng has 1/60 s"),
+        ({"iso": 200}, "ISO sensitivity 200, but pol_000.dng has 100"),
+        ({"f_number": (11, 1)}, "aperture f/ 11, but pol_000.dng has 8"),
+        ({"focal": (55, 1)}, "focal length 55 mm, but pol_000.dng has 50 mm"),
+    ],
+)
+def test_settings_that_changed_are_named(station: Path, tmp_path: Path, change: dict[str, Any], message: str) -> None:
+    write_dng(tmp_path / "pol_090.dng", scene(90), **change)
+    for command in (["check", station], ["decompose", station, "-o", tmp_path / "work"]):
+        outcome = run_malus(*command)
+        assert outcome.code == 2, outcome.out
+        assert f"pol_090.dng: {message}" in outcome.err
+
+
+def test_jpeg_settings_are_compared_too(tmp_path: Path) -> None:
+    from PIL import Image
+    from PIL.TiffImagePlugin import IFDRational
+
+    for index, angle in enumerate(ANGLES):
+        exif = Image.Exif()
+        exif[34665] = {33434: IFDRational(1, 100 if index else 50)}
+        Image.fromarray(np.full(SIZE, 100, np.uint8)).save(tmp_path / f"pol_{angle}.jpg", exif=exif)
+    (tmp_path / "station.toml").write_text('[polarized]\nimages = "."\n')
+    with pytest.raises(malus.InputError, match=r"pol_45\.jpg: exposure time 1/100 s, but pol_0\.jpg has 1/50 s"):
+        malus.check(malus.Station.load(tmp_path / "station.toml"))
