@@ -20,6 +20,8 @@ constexpr float none = std::numeric_limits<float>::quiet_NaN();
 constexpr double smallest_cosine = 0.05;
 /// Part of the largest diagonal entry added to every one: holds the height's free constant.
 constexpr double relative_ridge = 1e-11;
+/// |A x − b| / |b| at which an iterative solver ends: far below what a Gauss–Newton step leaves.
+constexpr double solver_tolerance = 1e-6;
 /// Gauss–Newton steps that raise the cost by more than this are halved, at most so often.
 constexpr double allowed_rise = 1.05;
 constexpr int most_halvings = 5;
@@ -82,7 +84,7 @@ class HeightProblem {
         context_(context),
         pixels_(object),
         system_(pixels_),
-        solver_(pixels_, {.method = options.solver}, context),
+        solver_(pixels_, {.method = options.solver, .tolerance = solver_tolerance}, context),
         terms_(static_cast<std::size_t>(pixels_.count())) {}
 
   int unknowns() const { return pixels_.count(); }
