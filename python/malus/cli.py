@@ -44,7 +44,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="malus", description=malus.__doc__.splitlines()[0] if malus.__doc__ else None)
     parser.add_argument("--version", action="version", version=f"malus {malus.__version__}")
     common = _Parser(add_help=False)
-    common.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="default: all cores")
+    common.add_argument("--threads", type=int, metavar="N", help="default: all cores")
     common.add_argument(
         "--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="any option of any step"
     )
@@ -90,7 +90,6 @@ def _parser() -> argparse.ArgumentParser:
     many.add_argument(
         "--shard", metavar="I/N", help="only every N-th station from the I-th on; default in a Slurm array job: its own"
     )
-    many.set_defaults(threads=None)
     options = commands.add_parser("options", help="list every option with its default and meaning")
     options.set_defaults(json=False, quiet=False)
     return parser
@@ -194,6 +193,8 @@ def _run(arguments: Sequence[str] | None) -> None:
         for name, kind, default, meaning in malus.Options.describe():
             print(f"{name} = {json.dumps(default)}  ({kind})\n    {meaning}")
         return
+    if args.threads is None and args.command != "batch":  # which shares the cores out by its jobs
+        args.threads = os.cpu_count() or 1
     if args.threads is not None and args.threads < 1:
         raise InputError(f"--threads {args.threads}, expected at least 1")
     if args.command == "check":
