@@ -39,6 +39,15 @@ py::object to_array(Image<T>&& image) {
   return py::array_t<T>(shape, data, keep);
 }
 
+/// The image's own memory for numpy, read-only; `owner` is the Python object that holds it and lives as long.
+template <class T>
+py::object view_of(const Image<T>& image, const py::object& owner) {
+  py::array_t<T> view({static_cast<py::ssize_t>(image.height()), static_cast<py::ssize_t>(image.width())}, image.data(),
+                      owner);
+  view.attr("setflags")(py::arg("write") = false);
+  return view;
+}
+
 /// A copy of the image for numpy; for rasters that their owner keeps.
 template <class T>
 py::object copy_to_array(const Image<T>& image) {

@@ -16,15 +16,22 @@ PolarizationState decompose_arrays(const std::vector<Array<float>>& arrays, cons
                                    double read_noise_e, int frames_averaged, const std::string& options_json,
                                    int threads) {
   const Options options = options_from_json({}, options_json);
-  std::vector<Image<float>> images;
-  for (const auto& array : arrays) images.push_back(to_image(array));
-  const Mask mask = mask_array ? to_image(*mask_array) : Mask(images.at(0).size(), 1, 255);
+  std::vector<const float*> images;
+  for (const auto& array : arrays) images.push_back(array.data());
+  const Size size{static_cast<int>(arrays.at(0).shape(1)), static_cast<int>(arrays.at(0).shape(0))};
+  const Mask mask = mask_array ? to_image(*mask_array) : Mask(size, 1, 255);
   PolarizationState state;
   run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-    state = decompose(images, angles_rad, {full_well_e, read_noise_e, 0, frames_averaged}, mask, {},
+    state = decompose(size, images, angles_rad, {full_well_e, read_noise_e, 0, frames_averaged}, mask, {},
                       options.polarization, context);
   });
   return state;
+}
+
+/// Getter of a raster of a state: the state's own memory.
+template <class T>
+auto raster(Image<T> PolarizationState::*member) {
+  return [member](const py::object& self) { return view_of(self.cast<const PolarizationState&>().*member, self); };
 }
 
 }  // namespace
@@ -41,11 +48,11 @@ void bind_polarization(py::module_& module) {
   module.def("brewster_angle", &brewster_angle);
 
   py::class_<PolarizationState>(module, "PolarizationState")
-      .def_property_readonly("unpolarized", [](const PolarizationState& s) { return copy_to_array(s.i_un); })
-      .def_property_readonly("degree", [](const PolarizationState& s) { return copy_to_array(s.rho); })
-      .def_property_readonly("phase_rad", [](const PolarizationState& s) { return copy_to_array(s.phi); })
-      .def_property_readonly("residual", [](const PolarizationState& s) { return copy_to_array(s.residual); })
-      .def_property_readonly("valid", [](const PolarizationState& s) { return copy_to_array(s.valid); })
+      .def_property_readonly("unpolarized", raster(&PolarizationState::i_un))
+      .def_property_readonly("degree", raster(&PolarizationState::rho))
+      .def_property_readonly("phase_rad", raster(&PolarizationState::phi))
+      .def_property_readonly("residual", raster(&PolarizationState::residual))
+      .def_property_readonly("valid", raster(&PolarizationState::valid))
       .def_property_readonly("angles_rad", [](const PolarizationState& s) { return s.angles_rad; })
       .def_property_readonly("exposures", [](const PolarizationState& s) { return s.exposures; });
   module.def("decompose", &decompose_arrays, py::arg("images"), py::arg("angles_rad"), py::arg("mask"),

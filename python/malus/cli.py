@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import malus
-from malus import m3c2
+from malus import batch, m3c2
+from malus.campaign import Campaign
 from malus.demo import example_station
 from malus.errors import InputError, MalusError
 from malus.exports import FORMATS, MESHES
@@ -43,7 +44,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="malus", description=malus.__doc__.splitlines()[0] if malus.__doc__ else None)
     parser.add_argument("--version", action="version", version=f"malus {malus.__version__}")
     common = _Parser(add_help=False)
-    common.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="default: all cores")
+    common.add_argument("--threads", type=int, metavar="N", help="default: all cores")
     common.add_argument(
         "--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="any option of any step"
     )
@@ -92,6 +93,14 @@ def _parser() -> argparse.ArgumentParser:
         "--mosaic", metavar="A,B,C,D", help="one image of a polarization camera: angles of its cell by rows"
     )
     start.add_argument("--colors", metavar="RGGB", help="Bayer pattern of a colour polarization camera")
+    many = add("batch", "many stations: one merged table and page over all of them", station=False, work=False)
+    many.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml")
+    many.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for all stations")
+    many.add_argument("--jobs", type=int, default=1, metavar="N", help="stations at a time on this machine")
+    many.add_argument("--scheduler", metavar="ADDRESS", help="run on the workers of this Dask scheduler instead")
+    many.add_argument(
+        "--shard", metavar="I/N", help="only every N-th station from the I-th on; default in a Slurm array job: its own"
+    )
     options = commands.add_parser("options", help="list every option with its default and meaning")
     options.set_defaults(json=False, quiet=False)
     return parser
@@ -110,8 +119,8 @@ def _view(args: argparse.Namespace) -> ProgressView:
     return ProgressView() if args.quiet else BarProgress()
 
 
-def _options(args: argparse.Namespace) -> malus.Options:
-    options = malus.Options()
+def _options(args: argparse.Namespace, start: malus.Options | None = None) -> malus.Options:
+    options = start or malus.Options()
     if args.options:
         options.update_from_file(args.options)
     for assignment in args.set:
@@ -172,6 +181,30 @@ def _check(args: argparse.Namespace) -> None:
         print(f"warning: {warning}")
 
 
+def _batch(args: argparse.Namespace) -> None:
+    campaign = Campaign.load(args.campaign)
+    _options(args, campaign.options)
+    shard = batch.parse_shard(args.shard) if args.shard else batch.shard_of_environment()
+    with _view(args) as view:
+        outcomes = batch.run_campaign(
+            campaign,
+            args.output,
+            jobs=args.jobs,
+            threads=args.threads,
+            scheduler=args.scheduler,
+            shard=shard,
+            progress=lambda done, total, outcome: view.progress(
+                "batch", done / total, f"{outcome['station']}: {outcome['status']}"
+            ),
+        )
+    if not args.quiet and not args.json:
+        done = sum(outcome["status"] == "done" for outcome in outcomes)
+        print(f"{campaign.name}: {done} of {len(outcomes)} stations done, {args.output / 'index.html'}")
+    failed = batch.failure(outcomes)
+    if failed is not None:
+        raise failed
+
+
 def _run(arguments: Sequence[str] | None) -> None:
     args = _parser().parse_args(arguments)
     if args.command == "options":
@@ -186,7 +219,9 @@ def _run(arguments: Sequence[str] | None) -> None:
             )
         )
         return
-    if args.threads < 1:
+    if args.threads is None and args.command != "batch":  # which shares the cores out by its jobs
+        args.threads = os.cpu_count() or 1
+    if args.threads is not None and args.threads < 1:
         raise InputError(f"--threads {args.threads}, expected at least 1")
     if args.command == "check":
         _check(args)
@@ -196,6 +231,8 @@ def _run(arguments: Sequence[str] | None) -> None:
         print(malus.open_report(args.work))
     elif args.command == "export":
         print(malus.export(args.work, args.format, args.output, faces=args.faces, threads=args.threads))
+    elif args.command == "batch":
+        _batch(args)
     elif args.command == "demo":
         _reconstruct(args, example_station(), None)
     else:

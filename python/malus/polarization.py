@@ -45,7 +45,8 @@ def decompose(
     images: K arrays H×W, linear, in [0, 1] of the white level. angles_rad: K polarizer angles; the same angle several
     times (modulo π) counts as several exposures. mask: H×W, non-zero = object. The noise model (electrons at white, read
     noise, averaged frames) sets the expected residual. Returns a state with `unpolarized` = s0 / 2, `degree`, `phase_rad` in
-    [0, π), `residual` (in expected standard deviations) and `valid` (255 = usable), all H×W.
+    [0, π), `residual` (in expected standard deviations) and `valid` (255 = usable), all H×W, read-only. float32 images in C
+    order are used where they are, without a copy.
     Raises ValueError for shapes, malus.DataError for fewer than three distinct angles.
     """
     stack = as_images(images, "images")

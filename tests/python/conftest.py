@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,8 @@ SHARED = ROOT.parent / "shared"
 WINDOW = (380, 240, 580, 400)
 
 needs_shared = pytest.mark.skipif(not (SHARED / "data").exists(), reason="the test data in ../shared is not here")
+
+needs_distributed = pytest.mark.skipif(find_spec("distributed") is None, reason="the extra dask is not installed")
 
 
 @dataclass

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "malus/core/parallel.h"
+#include "malus/linalg/grid_solver.h"
 #include "malus/linalg/grid_system.h"
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/ray_frame.h"
@@ -19,6 +20,8 @@ constexpr float none = std::numeric_limits<float>::quiet_NaN();
 constexpr double smallest_cosine = 0.05;
 /// Part of the largest diagonal entry added to every one: holds the height's free constant.
 constexpr double relative_ridge = 1e-11;
+/// |A x − b| / |b| at which an iterative solver ends: far below what a Gauss–Newton step leaves.
+constexpr double solver_tolerance = 1e-6;
 /// Gauss–Newton steps that raise the cost by more than this are halved, at most so often.
 constexpr double allowed_rise = 1.05;
 constexpr int most_halvings = 5;
@@ -81,11 +84,12 @@ class HeightProblem {
         context_(context),
         pixels_(object),
         system_(pixels_),
-        solver_(context),
+        solver_(pixels_, {.method = options.solver, .tolerance = solver_tolerance}, context),
         terms_(static_cast<std::size_t>(pixels_.count())) {}
 
   int unknowns() const { return pixels_.count(); }
-  double factor_bytes() const { return factor_bytes_; }
+  double solver_bytes() const { return solver_.summary().bytes; }
+  int solver_iterations() const { return solver_iterations_; }
   const PixelIndex& pixels() const { return pixels_; }
 
   void set_light(const Eigen::Vector4d& light, double sigma) {
@@ -109,13 +113,12 @@ class HeightProblem {
     return parallel_sum(context_, terms_.size(), grain, 0.0, part) / static_cast<double>(terms_.size());
   }
 
-  /// Minimizes the rows in hand plus smoothness and boundary.
+  /// Minimizes the rows in hand plus smoothness and boundary; multigrid starts from `height` if that has a value.
   SolveStatus solve(Eigen::VectorXd& height) {
     assemble();
-    const SymmetricSolver::Matrix matrix = system_.lower(relative_ridge * system_.largest_diagonal());
-    if (factor_bytes_ == 0) factor_bytes_ = solver_.analyze(matrix).factor_bytes;
-    const SolveStatus status = solver_.factorize(matrix);
-    return status == SolveStatus::solved ? solver_.solve(matrix, system_.right(), height) : status;
+    const SolveStatus status = solver_.solve(system_, relative_ridge * system_.largest_diagonal(), height);
+    solver_iterations_ += solver_.summary().iterations;
+    return status;
   }
 
   /// RMS of the derivatives of a height.
@@ -356,11 +359,11 @@ class HeightProblem {
   const Context& context_;
   PixelIndex pixels_;
   GridSystem system_;
-  SymmetricSolver solver_;
+  GridSolver solver_;
   std::vector<Term> terms_;
   Eigen::Vector4d light_ = Eigen::Vector4d::Zero();
   double shading_sigma_ = 0;
-  double factor_bytes_ = 0;
+  int solver_iterations_ = 0;
 };
 
 void validate(const HeightInput& input, const HeightOptions& options) {
@@ -406,6 +409,7 @@ std::string maximize_likelihood(HeightProblem& problem, const HeightInput& input
   double cost = problem.linearize(height);
   for (int iteration = 1; iteration <= options.iterations; ++iteration) {
     context.progress("height", static_cast<double>(iteration) / (options.iterations + 1));
+    next = height;
     if (problem.solve(next) != SolveStatus::solved) return "singular";
     ++map.iterations;
     double next_cost = problem.linearize(next);
@@ -470,13 +474,15 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
   const bool literal = options.method == HeightMethod::literal;
   const SolveStatus linear = problem.solve_linear(literal, height);
   map.iterations = 1;
-  map.factor_bytes = problem.factor_bytes();
+  map.solver_bytes = problem.solver_bytes();
+  map.solver_iterations = problem.solver_iterations();
   if (linear != SolveStatus::solved) {
     map.status = "singular";
     return map;
   }
   const bool likelihood = options.method == HeightMethod::likelihood;
   map.status = likelihood ? maximize_likelihood(problem, input, options, context, height, map) : "converged";
+  map.solver_iterations = problem.solver_iterations();
   if (map.status == "singular") return map;
   map.residual_rms = problem.residual_rms(height, literal, likelihood);
 

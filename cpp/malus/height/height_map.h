@@ -19,7 +19,8 @@ struct HeightMap {
   std::size_t unknowns = 0;
   int iterations = 0;       ///< linear systems solved
   double last_update = 0;   ///< RMS change of the slope in the last of them
-  double factor_bytes = 0;  ///< memory of the factorization
+  int solver_iterations = 0;  ///< of conjugate gradients, all systems together; 0 if they were factorized
+  double solver_bytes = 0;    ///< memory of the factor or of the multigrid
 };
 
 }  // namespace malus

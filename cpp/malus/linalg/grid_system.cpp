@@ -35,16 +35,12 @@ SymmetricSolver::Matrix GridSystem::lower(double ridge) const {
   int next = 0;
   for (int a = 0; a < count; ++a) {
     matrix.outerIndexPtr()[a] = next;
-    const double* values = values_.data() + static_cast<std::size_t>(a) * slots;
     // Slots are ordered as the pixels are numbered: row indices come out sorted.
-    for (int slot = 0; slot < slots; ++slot) {
-      if ((used_[static_cast<std::size_t>(a)] >> slot & 1u) == 0) continue;
-      const int dv = slot <= reach ? 0 : (slot - reach - 1) / (2 * reach + 1) + 1;
-      const int du = slot <= reach ? slot : (slot - reach - 1) % (2 * reach + 1) - reach;
+    for_each_entry(a, [&](int du, int dv, double value) {
       matrix.innerIndexPtr()[next] = pixels_->at(pixels_->u(a) + du, pixels_->v(a) + dv);
-      matrix.valuePtr()[next] = values[slot] + (slot == 0 ? ridge : 0.0);
+      matrix.valuePtr()[next] = value + (du == 0 && dv == 0 ? ridge : 0.0);
       ++next;
-    }
+    });
   }
   matrix.outerIndexPtr()[count] = next;
   return matrix;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <bit>
 #include <cstdint>
 #include <vector>
 
@@ -57,6 +58,18 @@ class GridSystem {
     }
   }
 
+  const PixelIndex& pixels() const { return *pixels_; }
+  /// Calls visit(du, dv, value) for the entry of an unknown with itself and with every later one it was ever coupled
+  /// with, which lies (du, dv) pixels from it.
+  template <class Visit>
+  void for_each_entry(int unknown, Visit&& visit) const {
+    const std::size_t column = static_cast<std::size_t>(unknown);
+    const double* values = values_.data() + column * slots;
+    for (unsigned used = used_[column]; used != 0; used &= used - 1) {
+      const int slot = std::countr_zero(used);
+      visit(column_offset(slot), row_offset(slot), values[slot]);
+    }
+  }
   /// Lower triangle with this added to the diagonal.
   SymmetricSolver::Matrix lower(double ridge) const;
   const Eigen::VectorXd& right() const { return right_; }
@@ -68,6 +81,11 @@ class GridSystem {
   static constexpr int slots = reach + 1 + reach * (2 * reach + 1);
   static constexpr int slot_of(int du, int dv) {
     return dv == 0 ? du : reach + 1 + (dv - 1) * (2 * reach + 1) + du + reach;
+  }
+
+  static constexpr int row_offset(int slot) { return slot <= reach ? 0 : (slot - reach - 1) / (2 * reach + 1) + 1; }
+  static constexpr int column_offset(int slot) {
+    return slot <= reach ? slot : (slot - reach - 1) % (2 * reach + 1) - reach;
   }
 
   const PixelIndex* pixels_;

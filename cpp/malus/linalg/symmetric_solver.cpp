@@ -88,14 +88,18 @@ SymmetricSolver::~SymmetricSolver() = default;
 SymmetricSolver::SymmetricSolver(SymmetricSolver&&) noexcept = default;
 SymmetricSolver& SymmetricSolver::operator=(SymmetricSolver&&) noexcept = default;
 
-FactorEstimate SymmetricSolver::analyze(const Matrix& lower) {
+FactorEstimate SymmetricSolver::analyze(const Matrix& lower, std::span<const int> order) {
   require_square_compressed(lower);
+  if (!order.empty() && order.size() != static_cast<std::size_t>(lower.rows())) {
+    throw input_error("linear system: the elimination order has another size than the matrix");
+  }
   impl_->context.check_cancel();
   impl_->free_factor();
   impl_->unknowns = lower.rows();
   impl_->entries = lower.nonZeros();
   cholmod_sparse matrix = view(lower);
-  impl_->factor = cholmod_analyze(&matrix, &impl_->common);
+  impl_->common.method[0].ordering = order.empty() ? CHOLMOD_METIS : CHOLMOD_GIVEN;
+  impl_->factor = cholmod_analyze_p(&matrix, const_cast<int*>(order.data()), nullptr, 0, &impl_->common);
   impl_->check("ordering");
   impl_->estimate = {8 * impl_->common.lnz, impl_->common.fl};
   impl_->context.check_cancel();
@@ -171,6 +175,10 @@ double SymmetricSolver::log_determinant() const {
     for (int column = 0; column < super[s + 1] - super[s]; ++column) sum += std::log(x[values[s] + column * stride]);
   }
   return 2 * sum;
+}
+
+FactorEstimate SymmetricSolver::estimate() const {
+  return impl_->estimate;
 }
 
 double SymmetricSolver::relative_residual() const {

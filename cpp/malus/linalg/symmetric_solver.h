@@ -4,6 +4,7 @@
 #include <Eigen/SparseCore>
 #include <array>
 #include <memory>
+#include <span>
 #include <string_view>
 
 #include "malus/core/context.h"
@@ -41,7 +42,8 @@ class SymmetricSolver {
   SymmetricSolver(SymmetricSolver&&) noexcept;
   SymmetricSolver& operator=(SymmetricSolver&&) noexcept;
 
-  FactorEstimate analyze(const Matrix& lower);
+  /// `order`: elimination order, element k the unknown eliminated k-th; empty = one that CHOLMOD finds (METIS).
+  FactorEstimate analyze(const Matrix& lower, std::span<const int> order = {});
   /// Analyzes first if the pattern was not analyzed yet. Throws an input error if the pattern differs from the
   /// analyzed.
   SolveStatus factorize(const Matrix& lower);
@@ -52,6 +54,8 @@ class SymmetricSolver {
   /// ln det A of the matrix last factorized.
   double log_determinant() const;
 
+  /// Of the last analysis.
+  FactorEstimate estimate() const;
   /// |A x − b| / |b| of the last solve.
   double relative_residual() const;
 

@@ -9,10 +9,13 @@
 #include <string>
 
 #include "malus/core/parallel.h"
+#include "malus/polarization/sinusoid_block_internal.h"
 
 namespace malus {
 namespace {
 
+/// Pixels that one thread takes at a time.
+constexpr std::size_t grain = 64 * SinusoidRun::longest;
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
 /// Angles closer than this (modulo π) are the same polarizer position.
 constexpr double same_angle_rad = 1e-6;
@@ -40,7 +43,7 @@ void count_angles(std::span<const double> angles_rad, std::vector<double>& disti
   }
 }
 
-void validate(std::span<const Image<float>> images, std::span<const double> angles_rad, const Mask& mask,
+void validate(Size size, std::span<const float* const> images, std::span<const double> angles_rad, const Mask& mask,
               const Mask& saturated, const DecomposeOptions& options) {
   validate_fields(options, "polarization");
   if (images.size() != angles_rad.size()) {
@@ -48,16 +51,13 @@ void validate(std::span<const Image<float>> images, std::span<const double> angl
                       " polarizer angles, expected one angle an image");
   }
   if (images.empty()) throw data_error("no polarized images, expected at least three polarizer angles");
-  for (std::size_t k = 0; k < images.size(); ++k) {
-    const std::string name = "polarized image " + std::to_string(k);
-    require_size(images[k], images[0].size(), name);
-    if (images[k].channels() != 1) {
-      throw input_error(name + " has " + std::to_string(images[k].channels()) + " channels, expected 1");
+  for (std::size_t k = 0; k < angles_rad.size(); ++k) {
+    if (!std::isfinite(angles_rad[k])) {
+      throw input_error("angle of polarized image " + std::to_string(k) + " is not a finite number");
     }
-    if (!std::isfinite(angles_rad[k])) throw input_error("angle of " + name + " is not a finite number");
   }
-  require_size(mask, images[0].size(), "mask");
-  if (!saturated.empty()) require_size(saturated, images[0].size(), "saturation mask");
+  require_size(mask, size, "mask");
+  if (!saturated.empty()) require_size(saturated, size, "saturation mask");
 }
 
 void require_usable_angles(std::span<const double> angles_rad, std::size_t distinct, double max_condition) {
@@ -85,27 +85,52 @@ struct Fit {
   double sum_normalized = 0;  ///< of the squared residuals over their variances
 };
 
+/// Fits pixel by pixel in double precision: with noise weights, and without an outlier. Makes what SinusoidFit needs.
 class PixelFitter {
  public:
-  PixelFitter(const Rows& rows, const NoiseModel& noise, FitWeighting weighting)
-      : rows_(rows), noise_(noise), weighting_(weighting), all_(pseudo_inverse(rows, rows.size())) {
-    for (std::size_t left_out = 0; left_out < rows.size(); ++left_out) {
-      without_.push_back(pseudo_inverse(rows, left_out));
+  PixelFitter(Rows rows, const NoiseModel& noise, const DecomposeOptions& options)
+      : rows_(std::move(rows)), noise_(noise), options_(options), all_(pseudo_inverse(rows_, rows_.size())) {
+    for (std::size_t left_out = 0; left_out < rows_.size(); ++left_out) {
+      without_.push_back(pseudo_inverse(rows_, left_out));
     }
   }
 
-  Fit fit(const std::vector<double>& values) const { return fit(values, rows_.size(), all_); }
-
-  /// Best of the fits that leave out one image.
-  Fit fit_without_one(const std::vector<double>& values) const {
-    Fit best;
-    best.sum_normalized = std::numeric_limits<double>::infinity();
-    for (std::size_t left_out = 0; left_out < rows_.size(); ++left_out) {
-      if (without_[left_out].size() == 0) continue;
-      const Fit candidate = fit(values, left_out, without_[left_out]);
-      if (candidate.sum_normalized < best.sum_normalized) best = candidate;
+  /// Fits a pixel and writes it into the rasters of a state; `recover`: if it does not follow the sinusoid, without the
+  /// image that spoils it most.
+  SinusoidOutcome fit(const std::vector<double>& values, bool recover, PolarizationState& state,
+                      std::size_t pixel) const {
+    Fit best = fit(values, rows_.size(), all_);
+    std::size_t freedom = rows_.size() - 3;
+    bool misfit = misfits(best, freedom);
+    if (misfit && recover) {
+      best = fit_without_one(values);
+      misfit = misfits(best, --freedom);
     }
-    return best;
+    const double s0 = best.stokes[0], linear = std::hypot(best.stokes[1], best.stokes[2]);
+    state.i_un[pixel] = static_cast<float>(0.5 * s0);
+    state.rho[pixel] = s0 > 0 ? static_cast<float>(std::min(linear / s0, 1.0)) : 0.0f;
+    state.phi[pixel] = phase_of(best.stokes);
+    state.residual[pixel] =
+        freedom > 0 ? static_cast<float>(std::sqrt(best.sum_normalized / static_cast<double>(freedom))) : 0.0f;
+    return misfit ? SinusoidOutcome::misfit : SinusoidOutcome::fitted;
+  }
+
+  /// The uniformly weighted fit.
+  SinusoidFit single_precision() const {
+    SinusoidFit single;
+    for (std::size_t k = 0; k < rows_.size(); ++k) {
+      for (int i = 0; i < 3; ++i) {
+        single.solver[i].push_back(static_cast<float>(all_(i, static_cast<Eigen::Index>(k))));
+      }
+      single.cosine.push_back(static_cast<float>(2 * rows_[k][1]));
+      single.sine.push_back(static_cast<float>(2 * rows_[k][2]));
+    }
+    single.noise_floor = static_cast<float>(noise_.variance(0));
+    single.noise_slope = static_cast<float>(noise_.variance(1) - noise_.variance(0));
+    single.inverse_freedom = rows_.size() > 3 ? 1 / static_cast<float>(rows_.size() - 3) : 0.0f;
+    single.misfit_variance = static_cast<float>(options_.misfit_sigmas * options_.misfit_sigmas);
+    single.misfit_fraction2 = static_cast<float>(options_.misfit_fraction * options_.misfit_fraction);
+    return single;
   }
 
  private:
@@ -126,12 +151,31 @@ class PixelFitter {
     return solver;
   }
 
+  bool misfits(const Fit& fit, std::size_t freedom) const {
+    if (freedom == 0) return false;
+    const double free = static_cast<double>(freedom);
+    return std::sqrt(fit.sum_normalized / free) > options_.misfit_sigmas &&
+           std::sqrt(fit.sum_squares / free) > options_.misfit_fraction * 0.5 * fit.stokes[0];
+  }
+
+  /// Best of the fits that leave out one image.
+  Fit fit_without_one(const std::vector<double>& values) const {
+    Fit best;
+    best.sum_normalized = std::numeric_limits<double>::infinity();
+    for (std::size_t left_out = 0; left_out < rows_.size(); ++left_out) {
+      if (without_[left_out].size() == 0) continue;
+      const Fit candidate = fit(values, left_out, without_[left_out]);
+      if (candidate.sum_normalized < best.sum_normalized) best = candidate;
+    }
+    return best;
+  }
+
   Fit fit(const std::vector<double>& values, std::size_t left_out, const Solver& solver) const {
     Fit result;
     for (std::size_t k = 0; k < values.size(); ++k) {
       result.stokes += solver.col(static_cast<Eigen::Index>(k)) * values[k];
     }
-    if (weighting_ == FitWeighting::noise) result.stokes = reweighted(values, left_out, result.stokes);
+    if (options_.weighting == FitWeighting::noise) result.stokes = reweighted(values, left_out, result.stokes);
     for (std::size_t k = 0; k < values.size(); ++k) {
       if (k == left_out) continue;
       const double expected = rows_[k].dot(result.stokes), residual = values[k] - expected;
@@ -154,9 +198,9 @@ class PixelFitter {
     return normal.inverse() * right;
   }
 
-  const Rows& rows_;
+  Rows rows_;
   const NoiseModel& noise_;
-  FitWeighting weighting_;
+  const DecomposeOptions& options_;
   Solver all_;
   std::vector<Solver> without_;
 };
@@ -174,64 +218,62 @@ double angle_condition(std::span<const double> angles_rad) {
 PolarizationState decompose(std::span<const Image<float>> images, std::span<const double> angles_rad,
                             const NoiseModel& noise, const Mask& mask, const Mask& saturated,
                             const DecomposeOptions& options, const Context& context) {
-  validate(images, angles_rad, mask, saturated, options);
+  const Size size = images.empty() ? Size{} : images[0].size();
+  std::vector<const float*> pixels;
+  for (std::size_t k = 0; k < images.size(); ++k) {
+    const std::string name = "polarized image " + std::to_string(k);
+    require_size(images[k], size, name);
+    if (images[k].channels() != 1) {
+      throw input_error(name + " has " + std::to_string(images[k].channels()) + " channels, expected 1");
+    }
+    pixels.push_back(images[k].data());
+  }
+  return decompose(size, pixels, angles_rad, noise, mask, saturated, options, context);
+}
+
+PolarizationState decompose(Size size, std::span<const float* const> pixels, std::span<const double> angles_rad,
+                            const NoiseModel& noise, const Mask& mask, const Mask& saturated,
+                            const DecomposeOptions& options, const Context& context) {
+  validate(size, pixels, angles_rad, mask, saturated, options);
   PolarizationState state;
   count_angles(angles_rad, state.angles_rad, state.exposures);
   require_usable_angles(angles_rad, state.angles_rad.size(), options.max_condition);
   state.noise = noise;
   state.weighting = options.weighting;
-  const Size size = images[0].size();
   for (Image<float>* raster : {&state.i_un, &state.rho, &state.phi, &state.residual}) {
     *raster = Image<float>(size, 1, none);
   }
   state.valid = Mask(size, 1, static_cast<std::uint8_t>(PixelState::outside));
 
-  const Rows rows = design_rows(angles_rad);
-  const PixelFitter fitter(rows, noise, options.weighting);
-  const std::size_t count = images.size();
-  const double dark = options.dark_sigmas * std::sqrt(noise.variance(0));
-  const bool recover = options.recover_outliers && count >= 5;
+  const PixelFitter fitter(design_rows(angles_rad), noise, options);
+  const float dark = static_cast<float>(options.dark_sigmas * std::sqrt(noise.variance(0)));
+  const SinusoidFit uniform = fitter.single_precision();
+  const bool recover = options.recover_outliers && pixels.size() >= 5;
 
-  parallel_rows(context, size.height, [&](int v) {
-    std::vector<double> values(count);
-    for (int u = 0; u < size.width; ++u) {
-      if (mask(u, v) == 0) continue;
-      bool finite = true;
-      for (std::size_t k = 0; k < count; ++k) {
-        values[k] = images[k](u, v);
-        finite = finite && std::isfinite(values[k]);
+  parallel_for(context, mask.count(), grain, [&](std::size_t block_begin, std::size_t block_end) {
+    SinusoidOutcome outcomes[SinusoidRun::longest];
+    std::vector<double> values(pixels.size());
+    for (std::size_t begin = block_begin; begin < block_end; begin += SinusoidRun::longest) {
+      const std::size_t count = std::min(SinusoidRun::longest, block_end - begin);
+      fit_sinusoid(uniform, {pixels.data(), begin, count, state.i_un.data(), state.rho.data(), state.phi.data(),
+                             state.residual.data()},
+                   outcomes);
+      for (std::size_t i = begin; i < begin + count; ++i) {
+        SinusoidOutcome& outcome = outcomes[i - begin];
+        if (mask[i] == 0 || outcome == SinusoidOutcome::not_finite) {
+          state.i_un[i] = state.rho[i] = state.phi[i] = state.residual[i] = none;
+          continue;
+        }
+        const bool recovered = recover && outcome == SinusoidOutcome::misfit;
+        if (recovered || options.weighting == FitWeighting::noise) {
+          for (std::size_t k = 0; k < values.size(); ++k) values[k] = pixels[k][i];
+          outcome = fitter.fit(values, recover, state, i);
+        }
+        PixelState pixel = outcome == SinusoidOutcome::misfit ? PixelState::misfit : PixelState::valid;
+        if (!(state.i_un[i] > dark)) pixel = PixelState::dark;
+        if (!saturated.empty() && saturated[i] != 0) pixel = PixelState::saturated;
+        state.valid[i] = static_cast<std::uint8_t>(pixel);
       }
-      if (!finite) continue;
-
-      Fit fit = fitter.fit(values);
-      std::size_t degrees_of_freedom = count - 3;
-      const auto misfits = [&] {
-        if (degrees_of_freedom == 0) return false;
-        const double freedom = static_cast<double>(degrees_of_freedom);
-        return std::sqrt(fit.sum_normalized / freedom) > options.misfit_sigmas &&
-               std::sqrt(fit.sum_squares / freedom) > options.misfit_fraction * 0.5 * fit.stokes[0];
-      };
-      bool misfit = misfits();
-      if (misfit && recover) {
-        fit = fitter.fit_without_one(values);
-        --degrees_of_freedom;
-        misfit = misfits();
-      }
-
-      const double s0 = fit.stokes[0];
-      state.i_un(u, v) = static_cast<float>(0.5 * s0);
-      const double linear = std::hypot(fit.stokes[1], fit.stokes[2]);
-      state.rho(u, v) = s0 > 0 ? static_cast<float>(std::min(linear / s0, 1.0)) : 0.0f;
-      state.phi(u, v) = phase_of(fit.stokes);
-      state.residual(u, v) =
-          degrees_of_freedom > 0
-              ? static_cast<float>(std::sqrt(fit.sum_normalized / static_cast<double>(degrees_of_freedom)))
-              : 0.0f;
-      PixelState pixel = PixelState::valid;
-      if (misfit) pixel = PixelState::misfit;
-      if (!(0.5 * s0 > dark)) pixel = PixelState::dark;
-      if (!saturated.empty() && saturated(u, v) != 0) pixel = PixelState::saturated;
-      state.valid(u, v) = static_cast<std::uint8_t>(pixel);
     }
   });
   return state;

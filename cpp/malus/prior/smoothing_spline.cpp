@@ -9,6 +9,7 @@
 #include <random>
 
 #include "malus/core/error.h"
+#include "malus/linalg/nested_dissection.h"
 
 namespace malus {
 namespace {
@@ -216,6 +217,12 @@ void SmoothingSpline::build_pattern() {
   coefficients_ = Eigen::VectorXd::Zero(count);
 }
 
+std::vector<int> SmoothingSpline::elimination_order() const {
+  Mask nodes({columns_ + 2, rows_ + 2});
+  for (std::size_t i = 0; i < nodes.count(); ++i) nodes[i] = unknown_[i] >= 0 ? 255 : 0;
+  return nested_dissection(PixelIndex(nodes), 2);
+}
+
 void SmoothingSpline::assemble(double lambda, double kappa) {
   lambda_ = lambda;
   kappa_ = kappa;
@@ -255,6 +262,8 @@ Eigen::VectorXd SmoothingSpline::solved(const Eigen::VectorXd& right) {
 
 void SmoothingSpline::solve(double lambda, double kappa) {
   assemble(lambda, kappa);
+  if (!analyzed_) solver_.analyze(matrix_, elimination_order());
+  analyzed_ = true;
   if (solver_.factorize(matrix_) != SolveStatus::solved) {
     throw data_error("prior: the smoothing of the points has no unique solution");
   }

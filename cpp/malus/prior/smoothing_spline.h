@@ -91,6 +91,7 @@ class SmoothingSpline {
   std::array<std::int32_t, 9> cell_unknowns(std::size_t cell) const;
   void set_tilt();
   void build_pattern();
+  std::vector<int> elimination_order() const;
   void assemble(double lambda, double kappa);
   Eigen::VectorXd solved(const Eigen::VectorXd& right);
 
@@ -111,6 +112,7 @@ class SmoothingSpline {
   Eigen::VectorXd coefficients_;
   SymmetricSolver::Matrix matrix_;  ///< lower triangle
   SymmetricSolver solver_;
+  bool analyzed_ = false;
 };
 
 }  // namespace malus

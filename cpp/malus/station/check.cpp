@@ -24,7 +24,7 @@ struct StepCost {
 };
 constexpr StepCost polarization_cost{5, 0.7, 90, 0};
 constexpr StepCost prior_cost{26, 0.2, 900, 0};
-constexpr StepCost height_cost{48, 0, 1500, 0};
+constexpr StepCost height_cost{48, 0, 450, 300};
 constexpr StepCost grid_cost{0.5, 0.5, 150, 0};
 constexpr StepCost refine_cost{420, 0.9, 500, 1000};
 constexpr StepCost output_cost{1.5, 0.5, 300, 0};

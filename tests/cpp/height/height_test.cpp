@@ -298,6 +298,28 @@ TEST(Height, InputErrorsAndCancellation) {
   EXPECT_THROW(solve(scene, {}, nullptr, context), Error);
 }
 
+TEST(Height, MultigridGivesTheHeightOfTheFactorization) {
+  const Scene scene = render(bumps(160), {160, 160}, nullptr, {0.3, -0.2, -0.8, 0}, 0.002);
+  HeightOptions options;
+  HeightMap maps[2];
+  for (const int k : {0, 1}) {
+    options.solver = k == 0 ? GridMethod::direct : GridMethod::multigrid;
+    maps[k] = solve(scene, options);
+  }
+  EXPECT_EQ(maps[0].solver_iterations, 0);
+  EXPECT_EQ(maps[0].iterations, maps[1].iterations);
+  // The work of all systems together, whatever the machine.
+  EXPECT_GT(maps[1].solver_iterations, maps[1].iterations);
+  EXPECT_LT(maps[1].solver_iterations, 60 * maps[1].iterations);
+  double worst = 0;
+  for (std::size_t i = 0; i < maps[0].height.count(); ++i) {
+    if (std::isfinite(maps[0].height[i])) {
+      worst = std::max<double>(worst, std::abs(maps[0].height[i] - maps[1].height[i]));
+    }
+  }
+  EXPECT_LT(worst, 1e-3);
+}
+
 TEST(Height, SameResultWithOneAndThreeThreads) {
   const Scene scene = render(bumps(80), {80, 80}, nullptr, light_right, 0.005);
   Context three;

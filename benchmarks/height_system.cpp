@@ -1,0 +1,77 @@
+// One solve of the height-like system of SIDE × SIDE pixels, as a JSON line: seconds from the assembled system to the
+// solution, peak memory of the process, iterations, |A x − b| / |b|. `export FILE` writes the lower triangle and the
+// right-hand side for other solvers: n, entries (int64), column starts, rows (int32), values, right-hand side (double).
+#include <sys/resource.h>
+
+#include <chrono>
+#include <cstdint>
+#include <fstream>
+#include <iostream>
+#include <string>
+
+#include "height_like_system.h"
+#include "malus/linalg/grid_solver.h"
+
+using namespace malus;
+
+namespace {
+
+constexpr double relative_ridge = 1e-11;
+constexpr double tolerance = 1e-8;
+
+void export_system(const GridSystem& system, double ridge, const std::string& path) {
+  const SymmetricSolver::Matrix lower = system.lower(ridge);
+  std::ofstream file(path, std::ios::binary);
+  const auto write = [&](const auto* data, Eigen::Index count) {
+    file.write(reinterpret_cast<const char*>(data), static_cast<std::streamsize>(sizeof(*data)) * count);
+  };
+  const std::int64_t sizes[] = {lower.cols(), lower.nonZeros()};
+  write(sizes, 2);
+  write(lower.outerIndexPtr(), lower.cols() + 1);
+  write(lower.innerIndexPtr(), lower.nonZeros());
+  write(lower.valuePtr(), lower.nonZeros());
+  write(system.right().data(), system.right().size());
+}
+
+}  // namespace
+
+int main(int count, char** arguments) {
+  if (count < 4) {
+    std::cerr << "usage: height_system SIDE THREADS multigrid|cholmod|cholmod-by-position|export [FILE]\n";
+    return 2;
+  }
+  const int side = std::stoi(arguments[1]);
+  const std::string solver = arguments[3];
+  Context context;
+  context.threads = std::stoi(arguments[2]);
+  const PixelIndex pixels(Mask({side, side}, 1, 1));
+  GridSystem system(pixels);
+  add_height_like_rows(system);
+  const double ridge = relative_ridge * system.largest_diagonal();
+  if (solver == "export") {
+    export_system(system, ridge, arguments[4]);
+    return 0;
+  }
+  Eigen::VectorXd x;
+  int iterations = 0;
+  double residual = 0;
+  const auto start = std::chrono::steady_clock::now();
+  if (solver == "cholmod") {
+    const SymmetricSolver::Matrix lower = system.lower(ridge);
+    SymmetricSolver direct(context);
+    direct.factorize(lower);
+    direct.solve(lower, system.right(), x);
+    residual = direct.relative_residual();
+  } else {
+    const GridMethod method = solver == "multigrid" ? GridMethod::multigrid : GridMethod::direct;
+    GridSolver grid(pixels, {.method = method, .tolerance = tolerance}, context);
+    grid.solve(system, ridge, x);
+    iterations = grid.summary().iterations;
+    residual = grid.summary().relative_residual;
+  }
+  const std::chrono::duration<double> seconds = std::chrono::steady_clock::now() - start;
+  rusage usage{};
+  getrusage(RUSAGE_SELF, &usage);
+  std::cout << "{\"seconds\": " << seconds.count() << ", \"gb\": " << static_cast<double>(usage.ru_maxrss) * 1024 / 1e9
+            << ", \"iterations\": " << iterations << ", \"residual\": " << residual << "}\n";
+}

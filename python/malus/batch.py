@@ -1,0 +1,257 @@
+"""Many stations: independent tasks with done-markers, on this machine, on a Dask cluster, or as an array job."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import multiprocessing
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from malus import _core
+from malus._extra import extra
+from malus._files import write_text
+from malus.campaign import Campaign, Task
+from malus.errors import DataError, ExternalError, InputError, MalusError, ResourceError
+from malus.options import Options
+from malus.reconstruction import reconstruct
+from malus.report import write_report
+from malus.station import Station
+
+Outcome = dict[str, Any]
+
+_SCHEDULER_TIMEOUT = "20s"
+
+#: Columns of the merged table.
+COLUMNS = (
+    "station", "status", "reason", "name", "unit", "gsd", "method", "quality", "coverage",
+    "patch_prior_rmse_gsd", "patch_fused_rmse_gsd", "reference_rmse_gsd", "warnings",
+)  # fmt: skip
+
+
+def run_station(task: Task) -> Outcome:
+    """Run one station to its end and leave a marker; a failure is an outcome, not an exception."""
+    started = time.monotonic()
+    outcome: Outcome = {
+        "station": task.identifier,
+        "file": task.station,
+        "status": "done",
+        "reason": "",
+        "exit_code": 0,
+    }
+    try:
+        outcome["key"] = task.key()
+        result = reconstruct(
+            Station.load(task.station),
+            Options(**json.loads(task.options)),
+            workspace=task.workspace,
+            threads=task.threads,
+        )
+        if task.report:
+            write_report(task.workspace)
+        outcome["figures"] = _figures(result.quality) if result.quality else {}
+    except MalusError as error:
+        outcome |= {"status": "failed", "reason": str(error), "exit_code": error.exit_code}
+    except MemoryError:
+        outcome |= {"status": "failed", "reason": "out of memory", "exit_code": ResourceError.exit_code}
+    outcome["seconds"] = round(time.monotonic() - started, 3)
+    write_text(task.marker, json.dumps(outcome, indent=1) + "\n")
+    return outcome
+
+
+def run_campaign(
+    campaign: Campaign,
+    output: str | Path,
+    *,
+    jobs: int = 1,
+    threads: int | None = None,
+    scheduler: str | None = None,
+    shard: tuple[int, int] | None = None,
+    progress: Callable[[int, int, Outcome], None] | None = None,
+) -> list[Outcome]:
+    """Run the stations of a campaign that are not done yet, and merge what is there.
+
+    OUTPUT gets stations/NAME/ (a workspace each), done/NAME.json (how each ended), and campaign.csv, campaign.json and
+    index.html over all stations. jobs: stations at a time in processes of this machine; threads: of each (default: the
+    cores shared out). scheduler: address of a Dask scheduler whose workers see the same files; needs the extra "dask".
+    shard (i, n): only every n-th station, from the i-th on (1 ≤ i ≤ n), for array jobs. Stations that failed before
+    are tried again. Returns the outcomes of all stations of the campaign; `status` is done, failed or pending.
+    """
+    if jobs < 1:
+        raise InputError(f"--jobs {jobs}, expected at least 1")
+    tasks = campaign.tasks(output, threads or max(1, (os.cpu_count() or 1) // jobs))
+    mine = tasks if shard is None else tasks[shard[0] - 1 :: shard[1]]
+    open_tasks = [task for task in mine if _marker(task).get("status") != "done"]
+    if not open_tasks:
+        finished: Iterator[Outcome] = iter(())
+    elif scheduler is not None:
+        finished = _on_cluster(open_tasks, scheduler)
+    else:
+        finished = _on_this_machine(open_tasks, jobs)
+    for count, outcome in enumerate(finished, start=1):
+        if progress is not None:
+            progress(count, len(open_tasks), outcome)
+    return _merge(campaign, tasks, Path(output))
+
+
+def shard_of_environment() -> tuple[int, int] | None:
+    """The shard of a Slurm array job (SLURM_ARRAY_TASK_ID, _MIN and _COUNT), or None outside of one."""
+    try:
+        index = int(os.environ["SLURM_ARRAY_TASK_ID"]) - int(os.environ.get("SLURM_ARRAY_TASK_MIN", "0"))
+        count = int(os.environ["SLURM_ARRAY_TASK_COUNT"])
+    except KeyError:
+        return None
+    except ValueError:
+        raise InputError("SLURM_ARRAY_TASK_ID, _MIN and _COUNT are not all numbers; give --shard i/n instead") from None
+    return checked_shard(index + 1, count, "SLURM_ARRAY_TASK_ID and SLURM_ARRAY_TASK_COUNT")
+
+
+def parse_shard(text: str) -> tuple[int, int]:
+    """`i/n` of --shard."""
+    parts = text.split("/")
+    if len(parts) != 2 or not all(part.isdigit() for part in parts):
+        raise InputError(f"--shard {text}, expected i/n such as 3/8")
+    return checked_shard(int(parts[0]), int(parts[1]), f"--shard {text}")
+
+
+def checked_shard(index: int, count: int, where: str) -> tuple[int, int]:
+    """The shard, if it is one; `where` it came from stands in the message."""
+    if not 1 <= index <= count:
+        raise InputError(f"{where}: shard {index} of {count}, expected 1 ≤ i ≤ n")
+    return index, count
+
+
+def failure(outcomes: Sequence[Outcome]) -> MalusError | None:
+    """What the command line ends with if stations failed: all of them with their reasons, the first one's exit code."""
+    failed = [outcome for outcome in outcomes if outcome["status"] == "failed"]
+    if not failed:
+        return None
+    lines = [f"{len(failed)} of {len(outcomes)} stations failed; the others are done"]
+    lines += [f"  {outcome['station']}: {outcome['reason']}" for outcome in failed]
+    kinds = {kind.exit_code: kind for kind in (InputError, DataError, ExternalError, ResourceError)}
+    return kinds.get(failed[0]["exit_code"], DataError)("\n".join(lines))
+
+
+def _killed(task: Task, reason: str) -> Outcome:
+    """Leaves the marker of a station whose process could not."""
+    outcome: Outcome = {"station": task.identifier, "file": task.station, "status": "failed", "reason": reason}
+    outcome |= {"exit_code": ResourceError.exit_code, "key": task.key(), "seconds": 0.0}
+    write_text(task.marker, json.dumps(outcome, indent=1) + "\n")
+    return outcome
+
+
+def _on_this_machine(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
+    left = {task.identifier: task for task in tasks}
+    # Fresh processes, not forks: this one may hold threads and locks.
+    fresh = multiprocessing.get_context("spawn")
+    try:
+        with ProcessPoolExecutor(min(jobs, len(tasks)), mp_context=fresh) as pool:
+            for future in as_completed([pool.submit(run_station, task) for task in tasks]):
+                outcome = future.result()
+                del left[outcome["station"]]
+                yield outcome
+    except BrokenProcessPool:
+        # Somebody killed a process (memory, most often), and the pool does not say on which station. One at a time does.
+        for task in left.values():
+            try:
+                with ProcessPoolExecutor(1, mp_context=fresh) as pool:
+                    yield pool.submit(run_station, task).result()
+            except BrokenProcessPool:
+                yield _killed(task, "its process was killed, perhaps out of memory (see malus check)")
+
+
+def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[Outcome]:
+    distributed = extra("distributed", "distributed", "--scheduler", "dask")
+    try:
+        client = distributed.Client(address, timeout=_SCHEDULER_TIMEOUT)
+    except (OSError, ValueError) as error:
+        raise ExternalError(f"--scheduler {address}: no Dask scheduler answers ({error})") from None
+    with client:
+        # A station whose worker dies goes to another one, which resumes its workspace.
+        futures = {
+            client.submit(run_station, task, key=f"malus-{task.identifier}-{task.key()}", pure=False): task
+            for task in tasks
+        }
+        for future in distributed.as_completed(futures):
+            failed_with = future.exception()
+            if failed_with is None:
+                yield future.result()
+            elif isinstance(failed_with, distributed.KilledWorker):
+                yield _killed(futures[future], "its workers were killed again and again, perhaps out of memory")
+            else:
+                raise failed_with
+
+
+def _marker(task: Task) -> Outcome:
+    """How a station ended, if that still holds; otherwise pending."""
+    pending = {"station": task.identifier, "file": task.station, "status": "pending", "reason": "", "exit_code": 0}
+    try:
+        outcome = json.loads(task.marker.read_text())
+    except (OSError, ValueError):
+        return pending
+    same = isinstance(outcome, dict) and outcome.get("key") == task.key()
+    return outcome if same else pending
+
+
+def _figures(quality: Mapping[str, Any]) -> dict[str, Any]:
+    """The figures of a station that the merged table shows."""
+
+    def mean_patch(surface: str) -> float | None:
+        fits = [patch[surface]["rmse_gsd"] for patch in quality["patches"] if patch[surface] is not None]
+        return sum(fits) / len(fits) if fits else None
+
+    reference = quality["reference"]
+    return {
+        "name": quality["name"],
+        "unit": quality["unit"],
+        "gsd": quality["gsd"],
+        "method": quality["method"],
+        "quality": quality["status"],
+        "coverage": quality["coverage"]["fraction"],
+        "patch_prior_rmse_gsd": mean_patch("prior"),
+        "patch_fused_rmse_gsd": mean_patch("fused"),
+        "reference_rmse_gsd": reference["distance_gsd"]["rmse"] if reference else None,
+        "warnings": "; ".join(quality["warnings"]),
+    }
+
+
+def _merge(campaign: Campaign, tasks: Sequence[Task], output: Path) -> list[Outcome]:
+    """Write the tables and the page over all stations. Nothing in them depends on when or where a station ran."""
+    template = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    page = template.from_string(resources.files("malus").joinpath("templates/campaign.html.j2").read_text("utf-8"))
+    style = resources.files("malus").joinpath("assets/report.css").read_text("utf-8")
+    outcomes = [_marker(task) for task in tasks]
+    while True:
+        rows = [
+            {"station": outcome["station"], "status": outcome["status"], "reason": outcome["reason"]}
+            | {column: outcome.get("figures", {}).get(column) for column in COLUMNS[3:]}
+            for outcome in outcomes
+        ]
+        table = io.StringIO()
+        writer = csv.DictWriter(table, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        write_text(output / "campaign.csv", table.getvalue())
+        record = {"campaign": campaign.name, "version": _core.version, "stations": rows}
+        write_text(output / "campaign.json", json.dumps(record, indent=1) + "\n")
+        counts = {status: sum(row["status"] == status for row in rows) for status in ("done", "failed", "pending")}
+        write_text(
+            output / "index.html",
+            page.render(campaign=campaign, rows=rows, counts=counts, style=style, version=_core.version),
+        )
+        # Another shard may have ended a station meanwhile, and its tables may have come before ours.
+        now = [_marker(task) for task in tasks]
+        if now == outcomes:
+            return outcomes
+        outcomes = now

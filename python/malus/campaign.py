@@ -1,0 +1,147 @@
+"""Campaign files: many stations with shared options, and where the results of each are kept."""
+
+from __future__ import annotations
+
+import difflib
+import glob
+import hashlib
+import json
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from malus import _core
+from malus.errors import InputError
+from malus.options import Options
+
+_KEYS = {"": ("campaign", "options"), "campaign": ("name", "stations", "report")}
+
+
+@dataclass(frozen=True)
+class Task:
+    """One station of a campaign; everything that a worker needs, on this machine or another that sees the same files."""
+
+    identifier: str
+    station: str
+    output: str
+    options: str
+    threads: int
+    report: bool
+
+    @property
+    def workspace(self) -> Path:
+        """Workspace folder of the station."""
+        return Path(self.output) / "stations" / self.identifier
+
+    @property
+    def marker(self) -> Path:
+        """File that says how the station ended; written at once, and last."""
+        return Path(self.output) / "done" / f"{self.identifier}.json"
+
+    def key(self) -> str:
+        """SHA-256 over version, options, and name, size and time of every file beside the station file.
+
+        A marker with another key does not count. (The workspace checks the content of inputs by itself, step by step.)
+        """
+        digest = hashlib.sha256()
+        digest.update(json.dumps([_core.version, self.station, self.options, self.report]).encode())
+        folder, output = Path(self.station).parent, Path(self.output).resolve()
+        for path in sorted(folder.rglob("*")):
+            if not path.is_file() or output in path.resolve().parents:
+                continue
+            state = path.stat()
+            digest.update(f"{path.relative_to(folder)}\0{state.st_size}\0{state.st_mtime_ns}\0".encode())
+        return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Stations, in the order of the file, and the options that all of them get."""
+
+    name: str
+    stations: tuple[Path, ...]
+    options: Options
+    report: bool
+
+    @staticmethod
+    def load(path: str | Path) -> Campaign:
+        """Read a campaign file; InputError names file, field, value and what was expected.
+
+        [campaign] has `stations`, a list of station files or globs relative to the file, and optionally `name` and
+        `report` (false = no HTML report for each station). [options] is what `--options` takes: fusion, and a table a step.
+        """
+        file = Path(path)
+        try:
+            content = tomllib.loads(file.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InputError(f"{file}: cannot be read ({error.strerror})") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(f"{file}: is not valid TOML ({error})") from None
+        _check_keys(file, content, "")
+        table = content.get("campaign")
+        if not isinstance(table, dict):
+            raise InputError(f"{file}: there is no table [campaign]")
+        _check_keys(file, table, "campaign")
+        name, report = table.get("name", file.stem), table.get("report", True)
+        if not isinstance(name, str):
+            raise InputError(f"{file}: campaign.name = {name!r}, expected a string")
+        if not isinstance(report, bool):
+            raise InputError(f"{file}: campaign.report = {report!r}, expected true or false")
+        options = Options()
+        changes = content.get("options", {})
+        if not isinstance(changes, dict):
+            raise InputError(f"{file}: options = {changes!r}, expected a table")
+        try:
+            options.update(changes)
+        except InputError as error:
+            raise InputError(f"{file}: [options]: {error}") from None
+        return Campaign(name, _stations(file, table.get("stations")), options, report)
+
+    def tasks(self, output: str | Path, threads: int) -> list[Task]:
+        """One task a station, with distinct names: the station file's folder, and its own name unless that is station."""
+        names = [
+            path.parent.name if path.stem == "station" else f"{path.parent.name}-{path.stem}" for path in self.stations
+        ]
+        identifiers: list[str] = []
+        for name in (re.sub(r"[^\w.-]+", "-", name).strip(".-") or "station" for name in names):
+            count = sum(
+                name == other or re.fullmatch(re.escape(name) + r"-\d+", other) is not None for other in identifiers
+            )
+            identifiers.append(name if count == 0 else f"{name}-{count + 1}")
+        if len(set(identifiers)) < len(identifiers):
+            raise InputError(
+                f"campaign {self.name}: station folders {', '.join(names)} cannot be told apart by their names"
+            )
+        folder = str(Path(output).resolve())
+        return [
+            Task(identifier, str(path), folder, self.options.to_json(), threads, self.report)
+            for identifier, path in zip(identifiers, self.stations, strict=True)
+        ]
+
+
+def _check_keys(file: Path, table: Mapping[str, Any], name: str) -> None:
+    for key in table:
+        if key in _KEYS[name]:
+            continue
+        where = f"{name}.{key}" if name else f"[{key}]"
+        near = difflib.get_close_matches(key, _KEYS[name], n=1)
+        hint = f"; did you mean {near[0]}?" if near else f", expected {', '.join(_KEYS[name])}"
+        raise InputError(f"{file}: unknown key {where}{hint}")
+
+
+def _stations(file: Path, patterns: Any) -> tuple[Path, ...]:
+    if not isinstance(patterns, list) or not patterns or not all(isinstance(entry, str) for entry in patterns):
+        raise InputError(f"{file}: campaign.stations = {patterns!r}, expected a list of station files or globs")
+    found: dict[Path, None] = {}
+    for pattern in patterns:
+        if glob.has_magic(pattern):
+            matches = sorted(glob.glob(pattern, root_dir=file.parent, recursive=True))
+            if not matches:
+                raise InputError(f"{file}: campaign.stations: no file matches {pattern!r}")
+        else:
+            matches = [pattern]
+        found.update(dict.fromkeys((file.parent / match).resolve() for match in matches))
+    return tuple(found)

@@ -1,0 +1,190 @@
+"""Many stations: campaign file, merged table, broken stations, shards, killed workers."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+import malus.batch
+from conftest import edit, needs_distributed
+from conftest import malus as run_malus
+from malus.campaign import Campaign
+
+CAMPAIGN = """
+[campaign]
+name = "museum"
+stations = ["objects/*/station.toml"]
+report = false
+
+[options]
+fusion = "grid"
+[options.height]
+iterations = 2
+"""
+
+
+def campaign_of(folder: Path, source: Path, count: int) -> Path:
+    """A campaign of copies of a station that differ in name."""
+    for k in range(count):
+        shutil.copytree(source, folder / "objects" / f"o{k:02}")
+        edit(folder / "objects" / f"o{k:02}" / "station.toml", 'name = "small"', f'name = "object {k}"')
+    (folder / "campaign.toml").write_text(CAMPAIGN)
+    return folder / "campaign.toml"
+
+
+def results(output: Path) -> dict[str, bytes]:
+    """Every file that must not depend on how the campaign was run."""
+    names = ["campaign.csv", "campaign.json", "index.html"]
+    names += [str(path.relative_to(output)) for path in output.glob("stations/*/fused/*")]
+    names += [str(path.relative_to(output)) for path in output.glob("stations/*/quality.json")]
+    return {name: (output / name).read_bytes() for name in sorted(names)}
+
+
+@pytest.fixture(scope="module")
+def three(small_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A finished campaign of three stations, the second broken, and its file."""
+    file = campaign_of(tmp_path_factory.mktemp("three"), small_station_source, 3)
+    edit(file.parent / "objects/o01/station.toml", "angles_deg = [0, 30,", "angles_deg = [0,")
+    output = file.parent / "out"
+    outcome = run_malus("batch", file, "-o", output, "--jobs", "2", "--threads", "1")
+    assert outcome.code == 2, outcome.err
+    assert "1 of 3 stations failed" in outcome.err
+    assert "o01: " in outcome.err and "angles_deg" in outcome.err
+    assert "Traceback" not in outcome.err
+    return file, output
+
+
+def test_broken_station_is_listed_and_the_others_finish(three: tuple[Path, Path]) -> None:
+    _, output = three
+    rows = json.loads((output / "campaign.json").read_text())["stations"]
+    assert [(row["station"], row["status"]) for row in rows] == [("o00", "done"), ("o01", "failed"), ("o02", "done")]
+    assert "angles_deg" in rows[1]["reason"]
+    assert rows[0]["name"] == "object 0" and rows[0]["gsd"] > 0 and rows[0]["patch_fused_rmse_gsd"] > 0
+    assert (output / "campaign.csv").read_text().count("\n") == 4
+    page = (output / "index.html").read_text()
+    assert "2 done, 1 failed" in page and "o01" in page
+    assert (output / "stations/o02/fused/surface.ply").exists()
+
+
+def test_done_stations_are_not_run_again_and_mended_ones_are(three: tuple[Path, Path], tmp_path: Path) -> None:
+    file = shutil.copytree(three[0].parent, tmp_path / "copy") / "campaign.toml"
+    output = file.parent / "out"
+    ran: list[str] = []
+    campaign = Campaign.load(file)
+    # The stations' paths are part of what was done: in another place everything is to do again.
+    assert {malus.batch._marker(task)["status"] for task in campaign.tasks(output, 1)} == {"pending"}
+    campaign = Campaign.load(three[0])
+    edit(three[0].parent / "objects/o01/station.toml", "angles_deg = [0,", "angles_deg = [0, 30,")
+    outcomes = malus.batch.run_campaign(
+        campaign, three[1], progress=lambda done, total, outcome: ran.append(outcome["station"])
+    )
+    assert ran == ["o01"]
+    assert [outcome["status"] for outcome in outcomes] == ["done"] * 3
+    assert malus.batch.failure(outcomes) is None
+
+
+def test_shards_make_together_what_one_run_makes(small_station_source: Path, tmp_path: Path) -> None:
+    file = campaign_of(tmp_path, small_station_source, 3)
+    for index in ("1/2", "2/2"):
+        assert run_malus("batch", file, "-o", tmp_path / "shards", "--shard", index, "--quiet").code == 0
+        rows = json.loads((tmp_path / "shards/campaign.json").read_text())["stations"]
+        assert [row["status"] for row in rows].count("done") == (2 if index == "1/2" else 3)
+    assert run_malus("batch", file, "-o", tmp_path / "serial", "--quiet").code == 0
+    assert results(tmp_path / "shards") == results(tmp_path / "serial")
+
+
+def test_array_job_takes_its_shard_from_slurm(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert malus.batch.shard_of_environment() is None
+    for name, value in (("ID", "5"), ("MIN", "4"), ("COUNT", "3")):
+        monkeypatch.setenv(f"SLURM_ARRAY_TASK_{name}", value)
+    assert malus.batch.shard_of_environment() == (2, 3)
+    monkeypatch.setenv("SLURM_ARRAY_TASK_COUNT", "1")
+    with pytest.raises(malus.InputError, match="SLURM_ARRAY_TASK_ID"):
+        malus.batch.shard_of_environment()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("stations =", "station =", "unknown key campaign.station; did you mean stations?"),
+        ('["objects/*/station.toml"]', "[]", "expected a list of station files or globs"),
+        ("objects/*/", "things/*/", "no file matches"),
+        ("iterations = 2", "iteration = 2", "height.iteration"),
+        ("report = false", "report = 3", "expected true or false"),
+        ("[campaign]", "[campaign", "not valid TOML"),
+    ],
+)
+def test_wrong_campaign_files_say_what_is_wrong(
+    small_station_source: Path, tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    file = edit(campaign_of(tmp_path, small_station_source, 1), old, new)
+    outcome = run_malus("batch", file, "-o", tmp_path / "out")
+    assert outcome.code == 2
+    assert message in outcome.err and str(file) in outcome.err
+    assert "Traceback" not in outcome.err
+
+
+@pytest.mark.parametrize("arguments", [["--shard", "3/2"], ["--shard", "x"], ["--jobs", "0"]])
+def test_wrong_command_lines(small_station_source: Path, tmp_path: Path, arguments: list[str]) -> None:
+    file = campaign_of(tmp_path, small_station_source, 1)
+    outcome = run_malus("batch", file, "-o", tmp_path / "out", *arguments)
+    assert outcome.code == 2
+    assert arguments[0] in outcome.err
+
+
+def test_stations_of_one_folder_name_stay_apart(small_station_source: Path, tmp_path: Path) -> None:
+    for folder in ("a/bust", "b/bust"):
+        shutil.copytree(small_station_source, tmp_path / folder)
+    (tmp_path / "campaign.toml").write_text('[campaign]\nstations = ["a/bust/station.toml", "b/bust/station.toml"]\n')
+    tasks = Campaign.load(tmp_path / "campaign.toml").tasks(tmp_path / "out", 1)
+    assert [task.identifier for task in tasks] == ["bust", "bust-2"]
+
+
+@needs_distributed
+def test_no_scheduler_is_said_plainly(
+    small_station_source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = campaign_of(tmp_path, small_station_source, 1)
+    monkeypatch.setattr(malus.batch, "_SCHEDULER_TIMEOUT", "1s")
+    with pytest.raises(malus.ExternalError, match="no Dask scheduler answers"):
+        malus.batch.run_campaign(Campaign.load(file), tmp_path / "out", scheduler="tcp://127.0.0.1:9")
+
+
+@needs_distributed
+@pytest.mark.filterwarnings("ignore")  # Dask's own, while it loses a worker
+def test_a_killed_worker_costs_no_result(small_station_source: Path, tmp_path: Path) -> None:
+    import distributed
+
+    file = campaign_of(tmp_path, small_station_source, 12)
+    edit(file.parent / "objects/o07/station.toml", "angles_deg = [0, 30,", "angles_deg = [0,")
+    campaign = Campaign.load(file)
+    ended: list[str] = []
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+        processes = [worker.pid for worker in cluster.workers.values()]
+
+        def kill() -> None:
+            while len(ended) < 3:
+                time.sleep(0.02)
+            os.kill(processes[0], signal.SIGKILL)
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        outcomes = malus.batch.run_campaign(
+            campaign,
+            tmp_path / "cluster",
+            threads=1,
+            scheduler=cluster.scheduler_address,
+            progress=lambda done, total, outcome: ended.append(outcome["station"]),
+        )
+        killer.join()
+    assert sorted(ended) == [f"o{k:02}" for k in range(12)]
+    assert [outcome["status"] for outcome in outcomes] == ["failed" if k == 7 else "done" for k in range(12)]
+    malus.batch.run_campaign(campaign, tmp_path / "serial", threads=1)
+    assert results(tmp_path / "cluster") == results(tmp_path / "serial")
