@@ -56,13 +56,20 @@ def pyamg_solve(path: str) -> Row:
         solver.solve(right, tol=1e-8, accel="cg", maxiter=200, residuals=residuals)
 
     seconds = timed(work)
-    return {"seconds": seconds, "gb": peak_gb(), "iterations": len(residuals) - 1, "residual": residuals[-1] / residuals[0]}
+    return {
+        "seconds": seconds,
+        "gb": peak_gb(),
+        "iterations": len(residuals) - 1,
+        "residual": residuals[-1] / residuals[0],
+    }
 
 
 def stack(side: int) -> list[np.ndarray]:
     random = np.random.default_rng(0)
     noise = 0.003 * random.standard_normal((side, side), dtype=np.float32)
-    return [(0.3 * (1 + 0.2 * np.cos(2 * (a - 0.7))) + np.roll(noise, k)).astype(np.float32) for k, a in enumerate(ANGLES)]
+    return [
+        (0.3 * (1 + 0.2 * np.cos(2 * (a - 0.7))) + np.roll(noise, k)).astype(np.float32) for k, a in enumerate(ANGLES)
+    ]
 
 
 def sinusoid(kind: str, side: int, threads: int) -> Row:

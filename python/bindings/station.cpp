@@ -56,6 +56,16 @@ Station with_photogrammetry(const Station& station, const CameraValues& camera,
   return result;
 }
 
+/// The station with a cloud in place of the file that it names.
+Station with_cloud(const Station& station, const Array<double>& points, const std::optional<Array<float>>& normals) {
+  Station result = station;
+  result.cloud = to_cloud(points);
+  if (!normals) return result;
+  for (py::ssize_t i = 0; i < normals->shape(0); ++i)
+    result.cloud->normals.emplace_back(normals->at(i, 0), normals->at(i, 1), normals->at(i, 2));
+  return result;
+}
+
 /// The station with developed images (floating point, black 0 and white 1) in place of its RAW files. Noise in
 /// electrons where the files say it and the station does not.
 Station with_developed(const Station& station, const std::vector<std::string>& images,
@@ -116,6 +126,7 @@ void bind_station(py::module_& module) {
                   py::arg("frames_averaged"), py::arg("full_well_e"), py::arg("read_noise_e"))
       .def("describe", &describe_station_json)
       .def("with_developed", &with_developed, py::arg("images"), py::arg("full_well_e"), py::arg("read_noise_e"))
+      .def("with_cloud", &with_cloud, py::arg("points"), py::arg("normals"))
       .def("with_photogrammetry", &with_photogrammetry, py::arg("camera"), py::arg("prior_depth"),
            py::arg("prior_sigma"), py::arg("figures"));
 

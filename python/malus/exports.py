@@ -19,10 +19,10 @@ from malus._extra import extra
 from malus._files import replacing, writing
 from malus.errors import InputError
 from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
+from malus.units import METRES
 from malus.workspace import Workspace
 
 #: Metres in each unit that a station may have.
-METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "ft": 0.3048}
 
 
 def sample(raster: NDArray[Any], pixels: NDArray[np.float64]) -> NDArray[np.float64]:

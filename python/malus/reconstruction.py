@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from malus import _core, exif, photogrammetry, raw
+from malus import _core, exif, photogrammetry, raw, scans
 from malus.camera import Camera
 from malus.options import Options
 from malus.station import Station
@@ -118,16 +118,20 @@ def _needs_photos(station: Station, until: str | None) -> bool:
 
 
 def _readable(station: Station, folder: Path, progress: Callable[[float, str], None]) -> _core.Station:
-    """The station with its RAW files developed into `folder`, once its images are known to be taken alike."""
+    """The station with its RAW files developed into `folder`, once its images are known to be taken alike, and with
+    the cloud of a format that the C++ library does not read.
+    """
     description = station.describe()
+    core = station._core
+    if "prior_cloud" in description and scans.is_scan(Path(description["prior_cloud"])):
+        points, normals = scans.read_scan(Path(description["prior_cloud"]), description["unit"])
+        core = core.with_cloud(points, normals)
     images = [Path(path) for path in description["images"]]
     exif.require_alike(images, exposures_differ=description["exposure_s"] is not None)
     if not images or not raw.is_raw(images[0]):
-        return station._core
+        return core
     developed = raw.develop(images, description["channel"], folder, progress)
-    return station._core.with_developed(
-        [str(path) for path in developed.images], developed.full_well_e, developed.read_noise_e
-    )
+    return core.with_developed([str(path) for path in developed.images], developed.full_well_e, developed.read_noise_e)
 
 
 @contextmanager

@@ -549,8 +549,20 @@ void write(const std::filesystem::path& path, const PointCloud& cloud, const Tri
 
 }  // namespace
 
+namespace {
+
+bool is_scan_name(const std::filesystem::path& path) {
+  std::string suffix = path.extension().string();
+  std::transform(suffix.begin(), suffix.end(), suffix.begin(), [](unsigned char c) { return std::tolower(c); });
+  return suffix == ".las" || suffix == ".laz" || suffix == ".e57";
+}
+
+}  // namespace
+
 PointCloud read_point_cloud(const std::filesystem::path& path, const Context& context, const std::string& what) {
   InputFile file(path, what);
+  if (is_scan_name(path))
+    throw file.error("is LAS or E57, which only the Python package reads (malus run); expected PLY or text");
   if (is_ply(path)) return read_ply(file, PlyParts::vertices, context).vertices;
   require_text(path, file);
   return read_xyz(file, context);

@@ -66,6 +66,7 @@ std::string describe_station_json(const Station& station) {
                {"patches", Json::array()},
                {"profiles", Json::array()}};
   if (!file.path.empty()) json["path"] = file.path.string();
+  if (file.prior && file.prior->cloud) json["prior_cloud"] = file.prior->cloud->string();
   for (const auto& path : file.polarized.images) json["polarized_files"].push_back(path.string());
   if (file.camera) {
     json["camera"] = lens_to_json(file.camera->lens);

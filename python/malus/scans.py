@@ -1,0 +1,76 @@
+"""Point clouds in LAS and E57 as a station's prior, before the C++ library runs (extra `export`: laspy, pye57)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malus._extra import extra
+from malus.errors import InputError
+from malus.units import METRES
+
+#: What only the Python package reads (io/point_cloud_file.cpp says so to users of malus-station).
+SUFFIXES = frozenset((".las", ".laz", ".e57"))
+_NORMALS = {".las": ("normal_x", "normal_y", "normal_z"), ".e57": ("nor:normalX", "nor:normalY", "nor:normalZ")}
+
+
+def is_scan(path: Path) -> bool:
+    """Whether the name is that of a cloud in one of these formats."""
+    return path.suffix.lower() in SUFFIXES
+
+
+def read_scan(path: Path, unit: str) -> tuple[NDArray[np.float64], NDArray[np.float32] | None]:
+    """Points (N×3, in `unit`) and their normals (N×3) if the file has them.
+
+    LAS has no unit: its coordinates are taken as they stand. E57 is in metres by its standard. All scans of an E57 file
+    are taken, each in the file's common frame. Raises InputError for a file that cannot be read or has no points.
+    """
+    try:
+        points, normals = _read_e57(path, unit) if path.suffix.lower() == ".e57" else _read_las(path)
+    except (OSError, ValueError, RuntimeError, KeyError) as error:
+        raise InputError(f"{path}: is not a cloud that can be read ({error})") from None
+    if not len(points):
+        raise InputError(f"{path}: has no points")
+    return points, normals
+
+
+def _read_las(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float32] | None]:
+    library = extra("laspy", "laspy", f"{path}: LAS")
+    try:
+        content = library.read(path)
+    except library.errors.LaspyException as error:
+        raise ValueError(error) from None
+    names = _NORMALS[".las"]
+    normals = None
+    if set(names) <= set(content.point_format.dimension_names):
+        normals = np.stack([np.asarray(content[name], dtype=np.float32) for name in names], axis=1)
+    return np.ascontiguousarray(content.xyz, dtype=np.float64), normals
+
+
+def _read_e57(path: Path, unit: str) -> tuple[NDArray[np.float64], NDArray[np.float32] | None]:
+    library = extra("pye57", "pye57", f"{path}: E57")
+    names = _NORMALS[".e57"]
+    points, normals = [], []
+    try:
+        file = library.E57(str(path))
+    except library.libe57.E57Exception as error:
+        raise ValueError(str(error).splitlines()[0]) from None
+    try:
+        for index in range(file.scan_count):
+            header = file.get_header(index)
+            scan = file.read_scan(index, ignore_missing_fields=True)
+            points.append(np.stack([scan[name] for name in ("cartesianX", "cartesianY", "cartesianZ")], axis=1))
+            if set(names) <= set(header.point_fields):
+                raw = file.read_scan_raw(index)
+                rotation = header.rotation_matrix if header.has_pose() else np.eye(3)
+                normals.append(np.stack([raw[name] for name in names], axis=1) @ rotation.T)
+    finally:
+        file.close()
+    cloud = np.concatenate(points) if points else np.empty((0, 3))
+    complete = len(normals) == len(points) and sum(map(len, normals)) == len(cloud)
+    return (
+        np.ascontiguousarray(cloud / METRES[unit], dtype=np.float64),
+        np.concatenate(normals).astype(np.float32) if normals and complete else None,
+    )

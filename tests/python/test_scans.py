@@ -1,0 +1,94 @@
+"""Clouds in LAS and E57 as a prior."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import malus
+from conftest import malus_station
+from malus.scans import read_scan
+
+
+@pytest.fixture
+def cloud() -> tuple[np.ndarray, np.ndarray]:
+    random = np.random.default_rng(4)
+    normals = random.normal(size=(500, 3))
+    return random.uniform(-20, 20, (500, 3)), normals / np.linalg.norm(normals, axis=1)[:, None]
+
+
+def write_las(path: Path, points: np.ndarray, normals: np.ndarray) -> None:
+    import laspy
+
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales = np.full(3, 1e-5)
+    for name in ("normal_x", "normal_y", "normal_z"):
+        header.add_extra_dim(laspy.ExtraBytesParams(name=name, type=np.float32))
+    data = laspy.LasData(header)
+    data.x, data.y, data.z = points.T
+    data.normal_x, data.normal_y, data.normal_z = normals.T.astype(np.float32)
+    data.write(str(path))
+
+
+def write_e57(path: Path, points_mm: np.ndarray) -> None:
+    import pye57
+
+    file = pye57.E57(str(path), mode="w")
+    x, y, z = points_mm.T * 1e-3
+    turned = np.array([np.cos(0.2), 0, 0, np.sin(0.2)])  # about z
+    inverse = np.array([[np.cos(0.4), np.sin(0.4), 0], [-np.sin(0.4), np.cos(0.4), 0], [0, 0, 1]])
+    local = (np.stack([x, y, z], axis=1) - np.array([0.5, 0, 0])) @ inverse.T
+    file.write_scan_raw(
+        {"cartesianX": local[:, 0].copy(), "cartesianY": local[:, 1].copy(), "cartesianZ": local[:, 2].copy()},
+        rotation=turned,
+        translation=np.array([0.5, 0, 0]),
+    )
+    file.close()
+
+
+def test_las_has_points_and_normals(tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]) -> None:
+    pytest.importorskip("laspy")
+    write_las(tmp_path / "cloud.las", *cloud)
+    points, normals = read_scan(tmp_path / "cloud.las", "mm")
+    np.testing.assert_allclose(points, cloud[0], atol=1e-5)
+    assert normals is not None
+    np.testing.assert_allclose(normals, cloud[1], atol=1e-6)
+
+
+def test_e57_is_in_metres_and_in_its_common_frame(tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]) -> None:
+    pytest.importorskip("pye57")
+    write_e57(tmp_path / "cloud.e57", cloud[0])
+    points, normals = read_scan(tmp_path / "cloud.e57", "mm")
+    np.testing.assert_allclose(points, cloud[0], atol=1e-4)
+    assert normals is None
+
+
+@pytest.mark.parametrize("name", ["cloud.las", "cloud.e57"])
+def test_a_damaged_file_is_named(tmp_path: Path, name: str) -> None:
+    pytest.importorskip("laspy")
+    pytest.importorskip("pye57")
+    (tmp_path / name).write_bytes(b"not a cloud")
+    with pytest.raises(malus.InputError, match=name):
+        read_scan(tmp_path / name, "mm")
+
+
+def test_a_station_with_a_las_prior_equals_that_with_its_ply(small_station: Path, tmp_path: Path) -> None:
+    pytest.importorskip("laspy")
+    text = small_station.read_text()
+    name = next(line.split('"')[1] for line in text.splitlines() if line.startswith("cloud"))
+    vertices = malus._core.read_points(str(small_station.parent / name))
+    write_las(small_station.parent / "cloud.las", vertices, np.zeros_like(vertices))
+    las_station = small_station.with_name("las.toml")
+    las_station.write_text(text.replace(name, "cloud.las"))
+    las = malus.reconstruct(malus.Station.load(las_station), until="prior").prior_depth
+    assert las is not None
+    np.savetxt(small_station.parent / "cloud.xyz", vertices, "%.6f")
+    xyz_station = small_station.with_name("xyz.toml")
+    xyz_station.write_text(text.replace(name, "cloud.xyz"))
+    xyz = malus.reconstruct(malus.Station.load(xyz_station), until="prior").prior_depth
+    np.testing.assert_allclose(las, xyz, rtol=1e-5)  # LAS rounds to its scale
+    refused = malus_station(las_station, "-o", tmp_path / "work")
+    assert refused.code == 2
+    assert "malus run" in refused.err
