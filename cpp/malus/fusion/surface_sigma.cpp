@@ -49,7 +49,7 @@ Image<float> surface_sigma(const RefinementField& field, const Context& context)
       if (!field.object(u, v)) continue;
       const double gsd = field.depth_of(field.x(u, v)) / field.focal;
       const double prior = square(field.prior_sigma(u, v));
-      const double low = 0.15 * prior + changes(u, v) / 16;
+      const double low = 0.16 * prior + changes(u, v) / 15;
       sigma(u, v) = static_cast<float>(gsd * std::sqrt(low + high_frequency_px * slopes(u, v)));
     }
   });
