@@ -385,7 +385,13 @@ PriorSpec read_prior(const TomlTable& table) {
     throw table.error(
         "cloud", "[prior] has " + std::to_string(given) + " surfaces, expected exactly one of cloud, mesh and depth");
   }
-  if (workspace) colmap_workspace_files(*spec.cloud);  // says what is missing
+  if (workspace) {
+    try {
+      colmap_workspace_files(*spec.cloud);
+    } catch (const Error& error) {
+      throw table.error("cloud", std::string("is a folder, but no COLMAP dense workspace: ") + error.what());
+    }
+  }
   return spec;
 }
 
