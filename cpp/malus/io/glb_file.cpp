@@ -3,16 +3,18 @@
 #include <array>
 #include <bit>
 #include <cmath>
-#include <cstring>
+#include <functional>
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <optional>
-#include <string_view>
+#include <string>
+#include <utility>
 #include <vector>
 
 #include "malus/core/version.h"
 #include "malus/io/atomic_file.h"
 #include "malus/io/image_codecs_internal.h"
+#include "malus/io/record_writer_internal.h"
 
 namespace malus {
 namespace {
@@ -27,28 +29,49 @@ constexpr int type_float = 5126, type_uint = 5125, target_vertices = 34962, targ
 constexpr int wrap_clamp = 33071, filter_linear = 9729, filter_mipmap = 9987;
 constexpr std::uint32_t magic = 0x46546C67, format_version = 2, chunk_json = 0x4E4F534A, chunk_binary = 0x004E4942;
 
-/// The binary part of the file and the description of its pieces.
+/// The binary part of the file and the description of its pieces, which are made when they are written: together they
+/// are larger than the mesh.
 class Buffer {
  public:
-  /// Appends `values` as a piece of its own and returns the number of its view.
-  template <class T>
-  int add(const std::vector<T>& values, std::optional<int> target) {
-    return add(std::string_view(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T)), target);
-  }
-  int add(std::string_view bytes, std::optional<int> target) {
-    Json view = {{"buffer", 0}, {"byteOffset", bytes_.size()}, {"byteLength", bytes.size()}};
+  using Write = std::function<void(AtomicFile&)>;
+
+  /// Appends a piece of `size` bytes and returns the number of its view.
+  int add(std::size_t size, std::optional<int> target, Write write) {
+    Json view = {{"buffer", 0}, {"byteOffset", size_}, {"byteLength", size}};
     if (target) view["target"] = *target;
     views_.push_back(view);
-    bytes_ += bytes;
-    bytes_.resize((bytes_.size() + 3) / 4 * 4);
+    pieces_.push_back({size, std::move(write)});
+    size_ += aligned(size);
     return static_cast<int>(views_.size()) - 1;
   }
+  /// Appends one record for each of `items`, which must outlive the buffer.
+  template <class Item, class Convert>
+  int add_vertices(const std::vector<Item>& items, Convert convert) {
+    constexpr std::size_t record = sizeof(decltype(convert(items.front())));
+    return add(items.size() * record, target_vertices, [&items, convert](AtomicFile& file) {
+      write_records(file, items.size(), record,
+                    [&](std::size_t i, RecordEncoder& encoder) { encoder.put(convert(items[i])); });
+    });
+  }
 
-  const std::string& bytes() const { return bytes_; }
+  std::size_t size() const { return size_; }
   const Json& views() const { return views_; }
+  void write(AtomicFile& file) const {
+    for (const Piece& piece : pieces_) {
+      piece.write(file);
+      file.write(std::string(aligned(piece.size) - piece.size, '\0'));
+    }
+  }
 
  private:
-  std::string bytes_;
+  struct Piece {
+    std::size_t size;
+    Write write;
+  };
+  static std::size_t aligned(std::size_t size) { return (size + 3) / 4 * 4; }
+
+  std::size_t size_ = 0;
+  std::vector<Piece> pieces_;
   Json views_ = Json::array();
 };
 
@@ -56,56 +79,45 @@ Json accessor(int view, int component, const char* type, std::size_t count) {
   return {{"bufferView", view}, {"componentType", component}, {"count", count}, {"type", type}};
 }
 
-struct Positions {
-  Eigen::Vector3d middle = Eigen::Vector3d::Zero();  ///< of the bounding box, in metres
-  std::vector<std::array<float, 3>> about_middle;
-  std::array<float, 3> low{}, high{};
+using Float2 = std::array<float, 2>;
+using Float3 = std::array<float, 3>;
+
+/// Positions in metres about the middle of their bounding box.
+class Positions {
+ public:
+  Positions(const std::vector<Eigen::Vector3d>& points, double metres) : metres_(metres) {
+    Eigen::Vector3d least = points.front(), greatest = points.front();
+    for (const Eigen::Vector3d& x : points) {
+      least = least.cwiseMin(x);
+      greatest = greatest.cwiseMax(x);
+    }
+    middle = 0.5 * metres * (least + greatest);
+    low = (*this)(least);
+    high = (*this)(greatest);
+  }
+  Float3 operator()(const Eigen::Vector3d& x) const {
+    const Eigen::Vector3f about = (metres_ * x - middle).cast<float>();
+    return {about.x(), about.y(), about.z()};
+  }
+
+  Eigen::Vector3d middle;  ///< in metres
+  Float3 low, high;
+
+ private:
+  double metres_;
 };
 
-Positions positions_in_metres(const std::vector<Eigen::Vector3d>& points, double metres) {
-  Eigen::Vector3d low = points.front(), high = points.front();
-  for (const Eigen::Vector3d& x : points) {
-    low = low.cwiseMin(x);
-    high = high.cwiseMax(x);
-  }
-  Positions positions;
-  positions.middle = 0.5 * metres * (low + high);
-  positions.low.fill(std::numeric_limits<float>::infinity());
-  positions.high.fill(-std::numeric_limits<float>::infinity());
-  positions.about_middle.reserve(points.size());
-  for (const Eigen::Vector3d& x : points) {
-    const Eigen::Vector3f about = (metres * x - positions.middle).cast<float>();
-    positions.about_middle.push_back({about.x(), about.y(), about.z()});
-    for (std::size_t c = 0; c < 3; ++c) {
-      positions.low[c] = std::min(positions.low[c], about[static_cast<Eigen::Index>(c)]);
-      positions.high[c] = std::max(positions.high[c], about[static_cast<Eigen::Index>(c)]);
-    }
-  }
-  return positions;
-}
-
-std::vector<std::array<float, 2>> texture_coordinates(const std::vector<Eigen::Vector3d>& points,
-                                                      const ProjectedTexture& texture) {
+Float2 texture_coordinate(const Eigen::Vector3d& x, const ProjectedTexture& texture) {
   const Size size = texture.camera.size;
-  std::vector<std::array<float, 2>> coordinates;
-  coordinates.reserve(points.size());
-  for (const Eigen::Vector3d& x : points) {
-    const Eigen::Vector2d pixel = texture.camera.project(texture.pose.cam_from_world(x));
-    coordinates.push_back(
-        {static_cast<float>((pixel.x() + 0.5) / size.width), static_cast<float>((pixel.y() + 0.5) / size.height)});
-  }
-  return coordinates;
+  const Eigen::Vector2d pixel = texture.camera.project(texture.pose.cam_from_world(x));
+  return {static_cast<float>((pixel.x() + 0.5) / size.width), static_cast<float>((pixel.y() + 0.5) / size.height)};
 }
 
 /// Unit length is required of normals; a mesh may have zero ones.
-std::vector<std::array<float, 3>> unit_normals(const std::vector<Eigen::Vector3f>& normals) {
-  std::vector<std::array<float, 3>> unit;
-  unit.reserve(normals.size());
-  for (const Eigen::Vector3f& n : normals) {
-    const Eigen::Vector3f u = n.norm() > 0 ? n.normalized() : Eigen::Vector3f::UnitZ();
-    unit.push_back({u.x(), u.y(), u.z()});
-  }
-  return unit;
+Float3 unit_normal(const Eigen::Vector3f& normal) {
+  const float norm = normal.norm();
+  const Eigen::Vector3f unit = norm > 0 ? Eigen::Vector3f(normal / norm) : Eigen::Vector3f::UnitZ();
+  return {unit.x(), unit.y(), unit.z()};
 }
 
 /// Column-major matrix of the camera node: glTF cameras look along −z with y up.
@@ -125,25 +137,32 @@ Json camera_matrix(const Pose& pose, double metres) {
 Json document(const TriangleMesh& mesh, const ProjectedTexture& texture, const LengthUnit& unit,
               const std::string& name, Buffer& buffer) {
   const std::size_t count = mesh.vertices.points.size();
-  const Positions positions = positions_in_metres(mesh.vertices.points, unit.metres);
+  const Positions positions(mesh.vertices.points, unit.metres);
   Json accessors = Json::array(), attributes;
-  Json position = accessor(buffer.add(positions.about_middle, target_vertices), type_float, "VEC3", count);
+  Json position = accessor(buffer.add_vertices(mesh.vertices.points, positions), type_float, "VEC3", count);
   position["min"] = positions.low;
   position["max"] = positions.high;
   accessors.push_back(position);
   attributes["POSITION"] = 0;
   if (!mesh.vertices.normals.empty()) {
     attributes["NORMAL"] = accessors.size();
-    const int view = buffer.add(unit_normals(mesh.vertices.normals), target_vertices);
+    const int view = buffer.add_vertices(mesh.vertices.normals, unit_normal);
     accessors.push_back(accessor(view, type_float, "VEC3", count));
   }
   attributes["TEXCOORD_0"] = accessors.size();
-  const int uv = buffer.add(texture_coordinates(mesh.vertices.points, texture), target_vertices);
+  const int uv = buffer.add_vertices(mesh.vertices.points,
+                                     [&texture](const Eigen::Vector3d& x) { return texture_coordinate(x, texture); });
   accessors.push_back(accessor(uv, type_float, "VEC2", count));
   const auto indices = accessors.size();
-  const int triangles = buffer.add(mesh.triangles, target_indices);
+  const std::size_t index_bytes = mesh.triangles.size() * sizeof mesh.triangles.front();
+  const int triangles = buffer.add(index_bytes, target_indices, [&mesh, index_bytes](AtomicFile& file) {
+    file.write(mesh.triangles.data(), index_bytes);
+  });
   accessors.push_back(accessor(triangles, type_uint, "SCALAR", 3 * mesh.triangles.size()));
-  const int image = buffer.add(codecs::encode_jpeg(texture.image, jpeg_quality), std::nullopt);
+  std::string jpeg = codecs::encode_jpeg(texture.image, jpeg_quality);
+  const std::size_t jpeg_bytes = jpeg.size();
+  const int image =
+      buffer.add(jpeg_bytes, std::nullopt, [jpeg = std::move(jpeg)](AtomicFile& file) { file.write(jpeg); });
 
   const Pinhole& camera = texture.camera;
   const double distance = unit.metres * (texture.pose.centre() - positions.middle / unit.metres).norm();
@@ -177,7 +196,7 @@ Json document(const TriangleMesh& mesh, const ProjectedTexture& texture, const L
       {"images", {{{"name", "photograph"}, {"mimeType", "image/jpeg"}, {"bufferView", image}}}},
       {"accessors", accessors},
       {"bufferViews", buffer.views()},
-      {"buffers", {{{"byteLength", buffer.bytes().size()}}}}};
+      {"buffers", {{{"byteLength", buffer.size()}}}}};
 }
 
 }  // namespace
@@ -193,7 +212,7 @@ void write_glb(const std::filesystem::path& path, const TriangleMesh& mesh, cons
   Buffer buffer;
   std::string json = document(mesh, texture, unit, name, buffer).dump();
   json.resize((json.size() + 3) / 4 * 4, ' ');
-  const std::size_t total = 12 + 8 + json.size() + 8 + buffer.bytes().size();
+  const std::size_t total = 12 + 8 + json.size() + 8 + buffer.size();
   if (total > std::numeric_limits<std::uint32_t>::max()) {
     throw resource_error("cannot write " + path.string() +
                          ": it would exceed 4 GB, the most that a GLB file can hold; "
@@ -207,9 +226,9 @@ void write_glb(const std::filesystem::path& path, const TriangleMesh& mesh, cons
   put(static_cast<std::uint32_t>(json.size()));
   put(chunk_json);
   file.write(json);
-  put(static_cast<std::uint32_t>(buffer.bytes().size()));
+  put(static_cast<std::uint32_t>(buffer.size()));
   put(chunk_binary);
-  file.write(buffer.bytes());
+  buffer.write(file);
   file.commit();
 }
 

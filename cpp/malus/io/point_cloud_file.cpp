@@ -15,6 +15,7 @@
 #include "malus/io/atomic_file.h"
 #include "malus/io/input_file.h"
 #include "malus/io/ply_header_internal.h"
+#include "malus/io/record_writer_internal.h"
 
 namespace malus {
 namespace {
@@ -467,29 +468,19 @@ void require_text(const std::filesystem::path& path, const InputFile& file) {
 
 // ---- writing ----
 
-/// Gathers small pieces into large writes.
-class BufferedOutput {
- public:
-  explicit BufferedOutput(AtomicFile& file) : file_(file) {}
+static_assert(std::endian::native == std::endian::little, "PLY is written in the machine's byte order");
 
-  template <class T>
-  void put(T value) {
-    static_assert(std::endian::native == std::endian::little, "PLY is written in the machine's byte order");
-    const auto* bytes = reinterpret_cast<const char*>(&value);
-    buffer_.insert(buffer_.end(), bytes, bytes + sizeof value);
-    if (buffer_.size() >= flush_size) flush();
-  }
-  void put_text(const std::string& text) { buffer_.insert(buffer_.end(), text.begin(), text.end()); }
-  void flush() {
-    file_.write(buffer_.data(), buffer_.size());
-    buffer_.clear();
-  }
-
- private:
-  static constexpr std::size_t flush_size = 1 << 20;
-  AtomicFile& file_;
-  std::vector<char> buffer_;
-};
+template <class Coordinate>
+void write_vertices(AtomicFile& file, const PointCloud& cloud) {
+  const bool normals = !cloud.normals.empty(), colors = !cloud.colors.empty();
+  const std::size_t size =
+      3 * sizeof(Coordinate) + (normals ? sizeof(Eigen::Vector3f) : 0) + (colors ? sizeof(Rgb) : 0);
+  write_records(file, cloud.points.size(), size, [&](std::size_t i, RecordEncoder& encoder) {
+    for (const double x : cloud.points[i]) encoder.put(static_cast<Coordinate>(x));
+    if (normals) encoder.put(cloud.normals[i]);
+    if (colors) encoder.put(cloud.colors[i]);
+  });
+}
 
 /// Whether rounding to float could move a vertex by more than a thousandth of the mean spacing.
 bool needs_double(const std::vector<Eigen::Vector3d>& points) {
@@ -528,22 +519,15 @@ void write(const std::filesystem::path& path, const PointCloud& cloud, const Tri
   }
   const bool doubles = needs_double(cloud.points);
   AtomicFile file(path);
-  BufferedOutput output(file);
-  output.put_text(header_of(cloud, doubles, triangles));
-  for (std::size_t i = 0; i < count; ++i) {
-    for (const double x : cloud.points[i]) doubles ? output.put(x) : output.put(static_cast<float>(x));
-    if (!cloud.normals.empty()) {
-      for (const float n : cloud.normals[i]) output.put(n);
-    }
-    if (!cloud.colors.empty()) output.put(cloud.colors[i]);
-  }
+  file.write(header_of(cloud, doubles, triangles));
+  doubles ? write_vertices<double>(file, cloud) : write_vertices<float>(file, cloud);
   if (triangles) {
-    for (const auto& triangle : *triangles) {
-      output.put(std::uint8_t{3});
-      output.put(triangle);
-    }
+    write_records(file, triangles->size(), 1 + sizeof(Triangles::value_type),
+                  [&](std::size_t i, RecordEncoder& encoder) {
+                    encoder.put(std::uint8_t{3});
+                    encoder.put((*triangles)[i]);
+                  });
   }
-  output.flush();
   file.commit();
 }
 

@@ -42,7 +42,10 @@ double value_at(const NodeVector<double>& x, int u, int v) {
 }  // namespace
 
 ConjugateGradients::ConjugateGradients(const GridSystem& system, double ridge, const Context& context)
-    : system_(system), context_(context), matrix_(node_stencil(system, ridge, context)), preconditioner_(matrix_, context) {}
+    : system_(system),
+      context_(context),
+      matrix_(node_stencil(system, ridge, context)),
+      preconditioner_(matrix_, context) {}
 
 double ConjugateGradients::bytes() const {
   // Four vectors of ours beside the matrix.
@@ -146,14 +149,14 @@ SolveStatus ConjugateGradients::solve(double tolerance, int max_iterations, Eige
     const NodeVector<float>& z = preconditioner_.result();
     const double along_before = along;
     along = unit * sum_over_segments([&](int row, int, int first, int count) {
-      double sum = 0;
-      for (int c = 0; c < components; ++c) {
-        const double* p = r.at(c, first, row);
-        const float* q = z.at(c, first, row);
-        for (int i = 0; i < count; ++i) sum += p[i] * static_cast<double>(q[i]);
-      }
-      return sum;
-    });
+              double sum = 0;
+              for (int c = 0; c < components; ++c) {
+                const double* p = r.at(c, first, row);
+                const float* q = z.at(c, first, row);
+                for (int i = 0; i < count; ++i) sum += p[i] * static_cast<double>(q[i]);
+              }
+              return sum;
+            });
     const double beta = iterations_ == 0 ? 0 : along / along_before;
     for_each_segment_in_bands(
         context_, nodes,

@@ -46,7 +46,8 @@ SolveStatus GridSolver::solve_multigrid(const GridSystem& system, double ridge, 
   summary_.bytes = solver.bytes();
   return status;
 } catch (const std::bad_alloc&) {
-  throw resource_error("linear system of " + std::to_string(pixels_->count()) + " unknowns: out of memory in multigrid");
+  throw resource_error("linear system of " + std::to_string(pixels_->count()) +
+                       " unknowns: out of memory in multigrid");
 }
 
 }  // namespace malus

@@ -24,8 +24,8 @@ constexpr auto names_of(GridMethod) {
 struct GridSolverOptions {
   GridMethod method = GridMethod::automatic;
   int direct_unknowns = 200'000;  ///< automatic: largest system that is factorized
-  double tolerance = 1e-8;       ///< multigrid: |A x − b| / |b| at which it ends
-  int max_iterations = 500;      ///< multigrid
+  double tolerance = 1e-8;        ///< multigrid: |A x − b| / |b| at which it ends
+  int max_iterations = 500;       ///< multigrid
 };
 
 /// What a solve took; nothing here depends on the machine.
@@ -42,9 +42,10 @@ class GridSolver {
   GridSolver(const PixelIndex& pixels, const GridSolverOptions& options, const Context& context);
   ~GridSolver();
 
-  /// x = (A + ridge I)⁻¹ b. If x has the system's size it is where multigrid starts from. Disconnected parts of the mask
-  /// need nothing but the ridge to hold them: their constants are solved for exactly. The pattern of the system must
-  /// stay the same from call to call. Running out of memory throws ErrorCode::resource; what cannot be solved is a status.
+  /// x = (A + ridge I)⁻¹ b. If x has the system's size it is where multigrid starts from. Disconnected parts of the
+  /// mask need nothing but the ridge to hold them: their constants are solved for exactly. The pattern of the system
+  /// must stay the same from call to call. Running out of memory throws ErrorCode::resource; what cannot be solved is a
+  /// status.
   SolveStatus solve(const GridSystem& system, double ridge, Eigen::VectorXd& x);
 
   const GridSolveSummary& summary() const { return summary_; }

@@ -61,11 +61,13 @@ struct SmoothingRows {
 };
 
 /// step = keep · step + gain · D⁻¹ (right − product), to = from + step; without `from` it and the product are 0.
-MALUS_SIMD_CLONES void smooth_rows(const SmoothingRows& rows, const float* inverses, float keep, float gain, int count) {
+MALUS_SIMD_CLONES void smooth_rows(const SmoothingRows& rows, const float* inverses, float keep, float gain,
+                                   int count) {
   const bool from_zero = rows.from[0] == nullptr;
   float residual[components][segment_nodes];
   for (std::size_t c = 0; c < components; ++c) {
-    for (int i = 0; i < count; ++i) residual[c][i] = from_zero ? rows.right[c][i] : rows.right[c][i] - rows.product[c][i];
+    for (int i = 0; i < count; ++i)
+      residual[c][i] = from_zero ? rows.right[c][i] : rows.right[c][i] - rows.product[c][i];
   }
   for (int a = 0; a < components; ++a) {
     float scaled[segment_nodes];
@@ -364,9 +366,8 @@ void Multigrid::solve_coarsest() {
       }
     }
   };
-  for_each_unknown([&](int unknown, int c, int column, int row) {
-    coarsest_right_[unknown] = *coarsest_b_.at(c, column, row);
-  });
+  for_each_unknown(
+      [&](int unknown, int c, int column, int row) { coarsest_right_[unknown] = *coarsest_b_.at(c, column, row); });
   if (!coarsest_solver_) return;
   coarsest_solver_->solve(coarsest_matrix_, coarsest_right_, coarsest_solution_);
   for_each_unknown([&](int unknown, int c, int column, int row) {

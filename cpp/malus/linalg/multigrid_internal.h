@@ -13,9 +13,9 @@ namespace malus {
 /// Geometric multigrid V-cycle on the nodes of a NodeStencil, in single precision: a symmetric positive (semi)definite
 /// approximation of A⁻¹ that preconditions conjugate gradients.
 ///
-/// Coarse systems are PᵀAP with bilinear interpolation (Galerkin). The four components of a node are never mixed: rows in
-/// central differences couple pixels of equal parity only, so each parity class may bend on its own, and a coarse grid
-/// that forces them together could not correct that. Where a problem does hold them together, the smoother, which
+/// Coarse systems are PᵀAP with bilinear interpolation (Galerkin). The four components of a node are never mixed: rows
+/// in central differences couple pixels of equal parity only, so each parity class may bend on its own, and a coarse
+/// grid that forces them together could not correct that. Where a problem does hold them together, the smoother, which
 /// inverts the 4 × 4 blocks of the nodes exactly, takes care of their differences.
 ///
 /// Smoothing is by Chebyshev polynomials of the fourth kind (Lottes 2023) in the block-diagonally scaled matrix, which,

@@ -149,7 +149,8 @@ bool read_line(const NodeStencil<double>& stencil, int row, int coupling, int be
 void add_line(const CoarseLine& line, int from, int to, int column, int rows, SegmentEntries& entries) {
   const bool mirrored = rows < 0 || (rows == 0 && (column < 0 || (column == 0 && to < from)));
   // The entry belongs to the earlier node, which for a mirrored one is `column` further on.
-  auto& sum = mirrored ? entries[coupling_index(to, from, -column, -rows)] : entries[coupling_index(from, to, column, rows)];
+  auto& sum =
+      mirrored ? entries[coupling_index(to, from, -column, -rows)] : entries[coupling_index(from, to, column, rows)];
   const double* values = line.data() + 1 - (mirrored ? column : 0);
   for (std::size_t i = 0; i < SegmentEntries::width; ++i) sum[i] += values[i];
 }

@@ -57,7 +57,9 @@ class SegmentEntries {
     (*this)[coupling_index(a, b, cb - ca, rb - ra)][static_cast<std::size_t>(at)] += value;
   }
   std::array<double, width>& operator[](int coupling) { return values_[static_cast<std::size_t>(coupling)]; }
-  const std::array<double, width>& operator[](int coupling) const { return values_[static_cast<std::size_t>(coupling)]; }
+  const std::array<double, width>& operator[](int coupling) const {
+    return values_[static_cast<std::size_t>(coupling)];
+  }
 
  private:
   int first_, row_;
@@ -66,8 +68,8 @@ class SegmentEntries {
 
 /// Symmetric matrix in which the components of a node are coupled with those of the eight nodes around it. A segment
 /// keeps the couplings that occur in it, one after the other and each with its values at the nodes before and after, so
-/// that what a mask leaves out and what a problem does not couple takes neither memory nor time. Unknowns without entries
-/// are no part of the system: their rows are zero.
+/// that what a mask leaves out and what a problem does not couple takes neither memory nor time. Unknowns without
+/// entries are no part of the system: their rows are zero.
 template <class T>
 class NodeStencil {
  public:

@@ -34,16 +34,18 @@ void for_each_segment(const Context& context, Size nodes, Body&& body) {
 }
 
 /// Several passes over a grid, each of which needs the one before it on the same row and the two beside it, in one go
-/// through memory. The grid is cut into strips of rows. In a strip, bands of rows that fit into a core's cache go through
-/// all passes, each a row behind the one before; what a pass cannot do at the edge of a strip follows when all strips are
-/// done. Two passes may use two vectors in turn, each as the other's result.
+/// through memory. The grid is cut into strips of rows. In a strip, bands of rows that fit into a core's cache go
+/// through all passes, each a row behind the one before; what a pass cannot do at the edge of a strip follows when all
+/// strips are done. Two passes may use two vectors in turn, each as the other's result.
 template <class... Passes>
 void for_each_segment_in_bands(const Context& context, Size nodes, Passes&&... passes) {
   constexpr int band_nodes = 4096, strip_nodes = 32768;
   const int segments = (nodes.width + segment_nodes - 1) / segment_nodes;
   const int band = std::max(2, band_nodes / nodes.width), strip = std::max(8 * band, strip_nodes / nodes.width);
   const int strips = std::max(1, nodes.height / strip);
-  const auto edge = [&](std::size_t k) { return static_cast<int>(k) == strips ? nodes.height : static_cast<int>(k) * strip; };
+  const auto edge = [&](std::size_t k) {
+    return static_cast<int>(k) == strips ? nodes.height : static_cast<int>(k) * strip;
+  };
   const auto run = [&](auto& pass, int begin, int end) {
     for (int row = begin; row < end; ++row) {
       for (int segment = 0; segment < segments; ++segment) pass(row, segment);

@@ -255,9 +255,10 @@ PolarizationState decompose(Size size, std::span<const float* const> pixels, std
     std::vector<double> values(pixels.size());
     for (std::size_t begin = block_begin; begin < block_end; begin += SinusoidRun::longest) {
       const std::size_t count = std::min(SinusoidRun::longest, block_end - begin);
-      fit_sinusoid(uniform, {pixels.data(), begin, count, state.i_un.data(), state.rho.data(), state.phi.data(),
-                             state.residual.data()},
-                   outcomes);
+      fit_sinusoid(
+          uniform,
+          {pixels.data(), begin, count, state.i_un.data(), state.rho.data(), state.phi.data(), state.residual.data()},
+          outcomes);
       for (std::size_t i = begin; i < begin + count; ++i) {
         SinusoidOutcome& outcome = outcomes[i - begin];
         if (mask[i] == 0 || outcome == SinusoidOutcome::not_finite) {

@@ -45,8 +45,8 @@ double angle_condition(std::span<const double> angles_rad);
 /// some image is outside. Saturated, dark and misfitting pixels keep their fitted values; `valid` says what they are.
 ///
 /// One pass over the stack in single precision, pixels that ask for more (noise weights, outliers) in double; memory
-/// beyond it is that of the result. Throws an input error for sizes and counts that do not match, a data error for fewer
-/// than three distinct angles modulo π or a set beyond options.max_condition.
+/// beyond it is that of the result. Throws an input error for sizes and counts that do not match, a data error for
+/// fewer than three distinct angles modulo π or a set beyond options.max_condition.
 PolarizationState decompose(std::span<const Image<float>> images, std::span<const double> angles_rad,
                             const NoiseModel& noise, const Mask& mask, const Mask& saturated,
                             const DecomposeOptions& options, const Context& context);

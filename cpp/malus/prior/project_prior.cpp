@@ -106,7 +106,7 @@ bool has_object(const Mask& mask, PixelBox box) {
 double far_fraction(const Mask& mask, const std::vector<ViewPoint>& points, double distance_px) {
   cv::Mat free(mask.height(), mask.width(), CV_8U, cv::Scalar(1)), distance;
   for (const ViewPoint& p : points) {
-    free.at<std::uint8_t>(static_cast<int>(std::floor(p.v + 0.5F)), static_cast<int>(std::floor(p.u + 0.5F))) = 0;
+    free.at<std::uint8_t>(pixel_of(p.v, mask.height()), pixel_of(p.u, mask.width())) = 0;
   }
   cv::distanceTransform(free, distance, cv::DIST_L2, cv::DIST_MASK_5);
   std::size_t object = 0, far = 0;

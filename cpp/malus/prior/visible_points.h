@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <vector>
 
@@ -25,6 +26,11 @@ struct ViewPoint {
 
   bool has_slope() const { return info_uu > 0; }
 };
+
+/// Pixel of a coordinate inside a view of `count` pixels; rounding to float may have put it on the far border.
+inline int pixel_of(float coordinate, int count) {
+  return std::min(static_cast<int>(coordinate + 0.5F), count - 1);
+}
 
 /// Where the points of a cloud went.
 struct PointCensus {

@@ -6,10 +6,10 @@
 
 namespace malus {
 
-/// Adds to a cleared system what a height problem adds (Eq 9 and 11, central differences): at every pixel one row across
-/// the azimuth and one along the light, both in the derivatives of the height, and small second differences. The
-/// azimuth turns all over the raster and the rows' weights vary a hundredfold, so that the system is anisotropic in every
-/// direction somewhere; only second differences couple pixels of unlike parity.
+/// Adds to a cleared system what a height problem adds (Eq 9 and 11, central differences): at every pixel one row
+/// across the azimuth and one along the light, both in the derivatives of the height, and small second differences. The
+/// azimuth turns all over the raster and the rows' weights vary a hundredfold, so that the system is anisotropic in
+/// every direction somewhere; only second differences couple pixels of unlike parity.
 inline void add_height_like_rows(GridSystem& system) {
   const PixelIndex& pixels = system.pixels();
   constexpr double smoothness = 0.05, light_u = 0.4, light_v = 0.3;
