@@ -26,7 +26,7 @@ constexpr StepCost polarization_cost{5, 0.7, 90, 0};
 constexpr StepCost prior_cost{26, 0.2, 900, 0};
 constexpr StepCost height_cost{48, 0, 450, 300};
 constexpr StepCost grid_cost{0.5, 0.5, 150, 0};
-constexpr StepCost refine_cost{420, 0.9, 500, 1000};
+constexpr StepCost refine_cost{80, 0.9, 400, 900};
 constexpr StepCost output_cost{1.5, 0.5, 300, 0};
 
 double seconds(const StepCost& cost, double megapixels, int threads) {
