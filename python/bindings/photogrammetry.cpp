@@ -10,8 +10,10 @@
 #include "malus/io/colmap_model.h"
 #include "malus/photogrammetry/feature_matching.h"
 #include "malus/photogrammetry/lens_refit.h"
+#include "malus/photogrammetry/model_refinement.h"
 #include "malus/photogrammetry/scale_adjustment.h"
 #include "malus/photogrammetry/target_detection.h"
+#include "malus/station/options.h"
 
 namespace malus::python {
 namespace {
@@ -19,8 +21,7 @@ namespace {
 /// Index of the photo, x, y, standard deviation in px.
 using MarkValues = std::tuple<std::size_t, double, double, double>;
 /// Name, distance, its standard deviation, marks of both ends, whether it is held out.
-using DistanceValues =
-    std::tuple<std::string, double, double, std::vector<MarkValues>, std::vector<MarkValues>, bool>;
+using DistanceValues = std::tuple<std::string, double, double, std::vector<MarkValues>, std::vector<MarkValues>, bool>;
 
 std::vector<PointMark> to_marks(const std::vector<MarkValues>& values) {
   std::vector<PointMark> marks;
@@ -122,16 +123,51 @@ py::tuple points_of(const ColmapModel& model) {
   return py::make_tuple(positions, errors, lengths);
 }
 
+/// Refines a model in place. pictures: name → intensity; freedom: name of an image → what of its lens is adjusted.
+py::dict refine(ColmapModel& model, const std::map<std::string, Array<float>>& pictures, const std::string& preferred,
+                const std::map<std::string, std::string>& freedom, const std::string& options_json, int threads,
+                const py::object& on_log) {
+  const Options options = options_from_json({}, options_json);
+  std::map<std::string, Image<float>> images;
+  for (const auto& [name, pixels] : pictures) images.emplace(name, to_image(pixels));
+  std::map<std::uint32_t, LensFreedom> lenses;
+  for (const auto& [name, text] : freedom) {
+    lenses[model.image(name, "freedom").camera_id] =
+        text == "all" ? LensFreedom::all : LensFreedom::without_principal_point;
+  }
+  ModelRefinement done;
+  run_interruptible(threads, py::none(), on_log, [&](const Context& context) {
+    done = refine_model(model, images, preferred, lenses, options.photos, context);
+  });
+  py::dict result;
+  result["status"] = done.status;
+  result["points"] = done.points;
+  result["matches"] = done.matches;
+  result["matches_a_point"] = done.matches_a_point;
+  result["sigma_px"] = done.sigma_px;
+  result["keypoint_px"] = done.keypoint_px;
+  result["iterations"] = done.adjustment.iterations;
+  result["rms_before_px"] = done.adjustment.rms_before_px;
+  result["rms_after_px"] = done.adjustment.rms_after_px;
+  result["unit_weight"] = done.adjustment.unit_weight;
+  py::dict sigmas;
+  for (const auto& [name, text] : freedom) {
+    const auto found = done.lens_sigma.find(model.image(name, "freedom").camera_id);
+    if (found != done.lens_sigma.end()) sigmas[py::str(name)] = found->second;
+  }
+  result["lens_sigma"] = sigmas;
+  return result;
+}
+
 }  // namespace
 
 void bind_photogrammetry(py::module_& module) {
   py::class_<ColmapModel>(module, "ColmapModel")
       .def_static("read", [](const std::string& folder) { return read_colmap_model(folder); })
-      .def("write",
-           [](const ColmapModel& model, const std::string& folder) {
-             write_colmap_model(folder, model, ColmapFormat::binary);
-           })
+      .def("write", [](const ColmapModel& model,
+                       const std::string& folder) { write_colmap_model(folder, model, ColmapFormat::binary); })
       .def("scale", &ColmapModel::scale)
+      .def("refine", &refine)
       .def("images", &images_of)
       .def("points", &points_of);
 

@@ -123,8 +123,11 @@ void weigh_albedo(RefinementField& field, const Image<float>& log_albedo, const 
 /// is known well holds it. A poor prior must still hold what would drift without.
 double block_weight(double prior_sigma_gsd, const WeightOptions& options) {
   constexpr double gain_of_mean = 2.4;
+  // From here on the prior is an extrapolation, as in the holes of a swept surface, and holds as little as it knows.
+  constexpr double unknown_gsd = 2;
   const double most = std::max(options.prior_weight, options.good_prior_weight);
-  return std::clamp(gain_of_mean / std::max(prior_sigma_gsd, 1e-6), options.prior_weight, most);
+  const double least = options.prior_weight * std::min(1.0, unknown_gsd / std::max(prior_sigma_gsd, 1e-6));
+  return std::clamp(gain_of_mean / std::max(prior_sigma_gsd, 1e-6), least, most);
 }
 
 void weigh_prior_blocks(RefinementField& field, const WeightOptions& options, const Context& context) {

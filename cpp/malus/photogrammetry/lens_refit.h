@@ -10,8 +10,9 @@ struct LensRefit {
   double rms_px = 0;
 };
 
-/// BROWN (Eq 13, measured → ideal) as FULL_OPENCV with k4 = k5 = k6 = 0 (ideal → measured): least squares over a grid of
-/// pixels, in which all of f, cx, cy, f k1, f k2, f k3, f p1, f p2 are linear. Other models are returned as they are.
+/// BROWN (Eq 13, measured → ideal) as FULL_OPENCV with k4 = k5 = k6 = 0 (ideal → measured): least squares over a grid
+/// of pixels, in which all of f, cx, cy, f k1, f k2, f k3, f p1, f p2 are linear. Other models are returned as they
+/// are.
 LensRefit as_colmap_camera(const LensCamera& camera);
 
 }  // namespace malus

@@ -13,6 +13,12 @@ struct PhotosOptions {
   int exhaustive_limit = 80;
   int min_inliers = 15;
   double max_error_px = 1;
+  bool match_windows = true;
+  int match_points_a_photo = 3000;
+  int match_radius = 4;
+  double match_range_px = 3;
+  double match_min_correlation = 0.85;
+  double match_floor_px = 0.03;
   int search_limit_s = 30;
   double mark_sigma_px = 0.3;
   double target_sigma_px = 0.1;
@@ -30,8 +36,21 @@ struct PhotosOptions {
     visit("max_error_px", self.max_error_px, Range{0.01, 100},
           "points with a larger mean reprojection error (and more than 2.5 times all points') are left out of the last "
           "adjustments");
+    visit("match_windows", self.match_windows, any_value,
+          "measure the points anew by least-squares matching of windows, and adjust all cameras to that");
+    visit("match_points_a_photo", self.match_points_a_photo, Range{30, 1e6},
+          "points of a photo that are measured so, those in many photos first");
+    visit("match_radius", self.match_radius, Range{3, 32},
+          "of the square windows, in px; twice this, of coarser images, where noise hides what is there");
+    visit("match_range_px", self.match_range_px, Range{0.1, 100},
+          "farthest a window may end from where the point is expected, in px");
+    visit("match_min_correlation", self.match_min_correlation, fraction_range,
+          "lowest correlation of a window that counts");
+    visit("match_floor_px", self.match_floor_px, Range{1e-4, 10},
+          "smallest standard deviation of a window's position, in px");
     visit("search_limit_s", self.search_limit_s, Range{5, 1e6},
-          "longest search for a first pair, for 20 photos, before the next assumption on the focal length is tried, in s");
+          "longest search for a first pair, for 20 photos, before the next assumption on the focal length is tried, in "
+          "s");
     visit("mark_sigma_px", self.mark_sigma_px, Range{1e-3, 100}, "standard deviation of a mark in [[scale]], in px");
     visit("target_sigma_px", self.target_sigma_px, Range{1e-3, 100},
           "standard deviation of a coded target's center, in px");

@@ -38,15 +38,16 @@ std::vector<IdealMark> ideal_marks(std::span<const MarkedView> views, std::span<
   std::vector<IdealMark> result;
   for (const PointMark& mark : marks) {
     const MarkedView& view = views[mark.view];
-    result.push_back({view.pose, view.camera.undistort(mark.pixel), view.camera.pinhole().focal(), mark.sigma_px,
-                      mark.view});
+    result.push_back(
+        {view.pose, view.camera.undistort(mark.pixel), view.camera.pinhole().focal(), mark.sigma_px, mark.view});
   }
   return result;
 }
 
 void check_marks(std::span<const MarkedView> views, std::span<const PointMark> marks, const std::string& name) {
   if (marks.size() < 2) {
-    throw input_error(name + " has " + std::to_string(marks.size()) + " marks in registered photos, expected two or more");
+    throw input_error(name + " has " + std::to_string(marks.size()) +
+                      " marks in registered photos, expected two or more");
   }
   for (const PointMark& mark : marks) {
     if (mark.view >= views.size()) {

@@ -28,23 +28,23 @@ struct PointMark {
 
 /// A distance between two marked points.
 struct KnownDistance {
-  std::string name;        ///< for messages, such as "[[scale]] 2"
-  double distance = 0;     ///< in the station's unit
-  double sigma = 0;        ///< its standard deviation, same unit
+  std::string name;     ///< for messages, such as "[[scale]] 2"
+  double distance = 0;  ///< in the station's unit
+  double sigma = 0;     ///< its standard deviation, same unit
   std::vector<PointMark> a, b;
-  bool check = false;      ///< held out: does not determine the scale
+  bool check = false;  ///< held out: does not determine the scale
 };
 
 /// What the adjustment says of one distance, in the station's unit.
 struct DistanceFit {
   std::string name;
   bool check = false;
-  double distance = 0;   ///< as given
-  double adjusted = 0;   ///< as measured in the scaled model
-  double residual = 0;   ///< adjusted − given
-  double sigma = 0;      ///< standard deviation that marks, distances and scale give the residual of a held-out distance
-  double rms_px = 0;     ///< of its marks' residuals
-  double worst_px = 0;   ///< largest distance of a mark from its point's image
+  double distance = 0;  ///< as given
+  double adjusted = 0;  ///< as measured in the scaled model
+  double residual = 0;  ///< adjusted − given
+  double sigma = 0;     ///< standard deviation that marks, distances and scale give the residual of a held-out distance
+  double rms_px = 0;    ///< of its marks' residuals
+  double worst_px = 0;  ///< largest distance of a mark from its point's image
   std::string worst_image;  ///< photo of that mark
 };
 
@@ -61,13 +61,13 @@ struct ScaleAdjustment {
 /// Scale of a photogrammetric model from known distances between points marked in its photos.
 ///
 /// One least-squares adjustment of the points (3 coordinates each, model frame) and the logarithm of the scale λ, with
-/// cameras and poses fixed. Observations: marks, whose residual is the distance of the undistorted mark from the point's
-/// projection times the focal length; distances, with residual eᵏ |a − b| − d. Gauss–Newton from the points nearest to
-/// the marks' rays. `sigma` is that of the inverse normal matrix times max(1, unit_weight).
+/// cameras and poses fixed. Observations: marks, whose residual is the distance of the undistorted mark from the
+/// point's projection times the focal length; distances, with residual eᵏ |a − b| − d. Gauss–Newton from the points
+/// nearest to the marks' rays. `sigma` is that of the inverse normal matrix times max(1, unit_weight).
 ///
-/// Throws an input error for a distance that has fewer than two marks at an end, or marks in a view that there is not; a
-/// data error when no distance determines the scale, or an end's rays are so close to parallel (under 1°) that it has no
-/// position, or meet behind a camera.
+/// Throws an input error for a distance that has fewer than two marks at an end, or marks in a view that there is not;
+/// a data error when no distance determines the scale, or an end's rays are so close to parallel (under 1°) that it has
+/// no position, or meet behind a camera.
 ScaleAdjustment adjust_scale(std::span<const MarkedView> views, std::span<const KnownDistance> distances,
                              const Context& context);
 

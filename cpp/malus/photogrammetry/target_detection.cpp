@@ -11,14 +11,14 @@ namespace {
 
 const std::map<std::string, cv::aruco::PREDEFINED_DICTIONARY_NAME>& dictionaries() {
   static const std::map<std::string, cv::aruco::PREDEFINED_DICTIONARY_NAME> names{
-      {"aruco_4x4_50", cv::aruco::DICT_4X4_50},        {"aruco_4x4_100", cv::aruco::DICT_4X4_100},
-      {"aruco_4x4_250", cv::aruco::DICT_4X4_250},      {"aruco_4x4_1000", cv::aruco::DICT_4X4_1000},
-      {"aruco_5x5_50", cv::aruco::DICT_5X5_50},        {"aruco_5x5_100", cv::aruco::DICT_5X5_100},
-      {"aruco_5x5_250", cv::aruco::DICT_5X5_250},      {"aruco_5x5_1000", cv::aruco::DICT_5X5_1000},
-      {"aruco_6x6_50", cv::aruco::DICT_6X6_50},        {"aruco_6x6_100", cv::aruco::DICT_6X6_100},
-      {"aruco_6x6_250", cv::aruco::DICT_6X6_250},      {"aruco_6x6_1000", cv::aruco::DICT_6X6_1000},
-      {"aruco_7x7_50", cv::aruco::DICT_7X7_50},        {"aruco_7x7_100", cv::aruco::DICT_7X7_100},
-      {"aruco_7x7_250", cv::aruco::DICT_7X7_250},      {"aruco_7x7_1000", cv::aruco::DICT_7X7_1000},
+      {"aruco_4x4_50", cv::aruco::DICT_4X4_50},           {"aruco_4x4_100", cv::aruco::DICT_4X4_100},
+      {"aruco_4x4_250", cv::aruco::DICT_4X4_250},         {"aruco_4x4_1000", cv::aruco::DICT_4X4_1000},
+      {"aruco_5x5_50", cv::aruco::DICT_5X5_50},           {"aruco_5x5_100", cv::aruco::DICT_5X5_100},
+      {"aruco_5x5_250", cv::aruco::DICT_5X5_250},         {"aruco_5x5_1000", cv::aruco::DICT_5X5_1000},
+      {"aruco_6x6_50", cv::aruco::DICT_6X6_50},           {"aruco_6x6_100", cv::aruco::DICT_6X6_100},
+      {"aruco_6x6_250", cv::aruco::DICT_6X6_250},         {"aruco_6x6_1000", cv::aruco::DICT_6X6_1000},
+      {"aruco_7x7_50", cv::aruco::DICT_7X7_50},           {"aruco_7x7_100", cv::aruco::DICT_7X7_100},
+      {"aruco_7x7_250", cv::aruco::DICT_7X7_250},         {"aruco_7x7_1000", cv::aruco::DICT_7X7_1000},
       {"aruco_original", cv::aruco::DICT_ARUCO_ORIGINAL}, {"apriltag_16h5", cv::aruco::DICT_APRILTAG_16h5},
       {"apriltag_25h9", cv::aruco::DICT_APRILTAG_25h9},   {"apriltag_36h10", cv::aruco::DICT_APRILTAG_36h10},
       {"apriltag_36h11", cv::aruco::DICT_APRILTAG_36h11}};

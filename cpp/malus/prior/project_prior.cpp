@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 #include <numbers>
 #include <opencv2/core.hpp>
@@ -450,11 +451,23 @@ DepthPrior project_prior(const Image<float>& depth, const Image<float>& sigma, c
     }
   }
   DepthPrior prior = project_prior(cloud, camera, pose, mask, options, context);
-  for (int v = 0; v < depth.height(); ++v) {
+  cv::Mat missing(depth.height(), depth.width(), CV_8U), distance;
+  parallel_rows(context, depth.height(), [&](int v) {
+    for (int u = 0; u < depth.width(); ++u) missing.at<std::uint8_t>(v, u) = known(u, v) ? 0 : 255;
+  });
+  cv::distanceTransform(missing, distance, cv::DIST_L2, cv::DIST_MASK_PRECISE);
+  parallel_rows(context, depth.height(), [&](int v) {
     for (int u = 0; u < depth.width(); ++u) {
-      if (mask(u, v) != 0 && known(u, v)) prior.sigma(u, v) = std::max(prior.sigma(u, v), sigma(u, v));
+      if (mask(u, v) == 0) continue;
+      float& value = prior.sigma(u, v);
+      if (known(u, v)) {
+        value = std::max(value, sigma(u, v));
+        continue;
+      }
+      const double gsd = prior.depth(u, v) / camera.focal();
+      value = static_cast<float>(std::hypot(value, options.hole_slope * gsd * distance.at<float>(v, u)));
     }
-  }
+  });
   return prior;
 }
 

@@ -25,6 +25,7 @@ struct PriorOptions {
   double raster_sigma_gsd = 1;
   double correlated_noise = 0.33;
   double tension_spacings = 40;
+  double hole_slope = 1;
   int max_unknowns = 500000;
   int sigma_samples = 16;
 
@@ -50,6 +51,9 @@ struct PriorOptions {
           "share of a point's noise that its neighbors have too, so that smoothing leaves it (for sigma)");
     visit("tension_spacings", self.tension_spacings, Range{1, 1e6},
           "distance from all points, in point spacings, beyond which the surface levels out to the plane of the cloud");
+    visit("hole_slope", self.hole_slope, not_negative,
+          "standard deviation of the slope where a swept depth map has none: what stereo does not see, such as the ridge of "
+          "a highlight, need not go on as its surroundings do");
     visit("max_unknowns", self.max_unknowns, Range{1000, 1e7},
           "largest smoothing system solved at once; larger rasters are solved in overlapping tiles");
     visit("sigma_samples", self.sigma_samples, Range{4, 1000}, "draws from which the standard deviation is estimated");
@@ -82,7 +86,8 @@ DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const
 /// Coarse surface from a depth map that was measured over windows (the surface sweep): neighbouring pixels share most
 /// of their windows and so of their errors, therefore only every fourth pixel of every fourth row becomes a point of a
 /// cloud, which is smoothed as above. `sigma`, each pixel's standard deviation (same unit and size), bounds that of the
-/// surface from below; pixels where it is not finite and positive count as without depth.
+/// surface from below; pixels where it is not finite and positive count as without depth, and their standard deviation
+/// grows by `hole_slope` with the distance from the nearest that has one.
 DepthPrior project_prior(const Image<float>& depth, const Image<float>& sigma, const Pinhole& camera, const Pose& pose,
                          const Mask& mask, const PriorOptions& options, const Context& context);
 

@@ -1,6 +1,7 @@
 """From photos and the station's image to the station's place and the depth in its view: the main path.
 
-photos → their cameras (photo_cameras) → the station among them (station_pose) → metric scale (scale) → surface sweep in
+photos → their cameras (photo_cameras) → the station among them (station_pose) → all of
+them measured more sharply (window_matching) → metric scale (scale) → surface sweep in
 the station's view (malus.stereo) → depth with sigma. Everything is kept below one folder, and what is done is not done
 again (journal).
 """
@@ -30,6 +31,7 @@ from malus.photogrammetry.photos import Photo, describe_photo, list_photos, read
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.scale import adjust_scale, scale_model
 from malus.photogrammetry.station_pose import STATION_IMAGE, StationView, lens_of_raster, place_station
+from malus.photogrammetry.window_matching import match_windows
 
 Report = Callable[[float, str], None]
 Log = Callable[[str, str], None]
@@ -84,7 +86,9 @@ def find_cameras(
 
     lens = lens_of_raster(_camera(station["camera"])) if "camera" in station else None
     shared = None if lens is not None else _photo_of_same_camera(station, photos, solved.model, unpolarized.shape, log)
-    placed = place_station(bench, solved, StationView(unpolarized, lens, shared))
+    view = StationView(unpolarized, lens, shared)
+    matched = match_windows(bench, photos, solved, view, place_station(bench, solved, view))
+    placed = matched.placed
 
     by_name = {photo.name: photo for photo in photos}
     registered = {name: image.camera for name, image in placed.model.images.items() if name != STATION_IMAGE}
@@ -110,6 +114,7 @@ def find_cameras(
                 "points_seen": model.images[STATION_IMAGE].observations,
                 "lens": "given" if lens is not None else "of the photos" if shared is not None else "self-calibrated",
             },
+            "windows": matched.figures,
             "seconds": {**solved.seconds, "station": placed.seconds},
         },
         "scale": scale,

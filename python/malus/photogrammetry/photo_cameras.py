@@ -29,8 +29,8 @@ FOCAL_ASSUMPTIONS = (1.2, 2.4, 5.0)
 MIN_PHOTOS = 3
 _ENOUGH_SHARE = 0.8
 _PHOTOS_A_SEARCH_LIMIT = 20
-#: Photos from which a last adjustment can tell the principal point from the poses.
-_MIN_PHOTOS_PRINCIPAL_POINT = 6
+#: Photos from which an adjustment can tell the principal point from the poses.
+MIN_PHOTOS_PRINCIPAL_POINT = 6
 
 
 @dataclass(frozen=True)
@@ -265,7 +265,7 @@ def _adjust(bench: Bench, best: str, fixed: bool, count: int) -> dict[str, Any]:
         {
             "BundleAdjustment.refine_focal_length": refine,
             "BundleAdjustment.refine_extra_params": refine,
-            "BundleAdjustment.refine_principal_point": int(not fixed and count >= _MIN_PHOTOS_PRINCIPAL_POINT),
+            "BundleAdjustment.refine_principal_point": int(not fixed and count >= MIN_PHOTOS_PRINCIPAL_POINT),
         },
     )
     return {}

@@ -22,7 +22,8 @@ from malus.photogrammetry.photos import to_bytes
 
 #: Name of the station's image in COLMAP's database and models.
 STATION_IMAGE = "malus_station.png"
-_GAMMA = 2.2
+#: The station's intensity is coded like a photo's, by this power.
+GAMMA = 2.2
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def place_station(bench: Bench, photos: PhotoCameras, station: StationView) -> P
     A lens that is not known is that of the photos if the camera is the same, else it is calibrated here. Raises DataError
     when the station finds no position.
     """
-    pixels = to_bytes(station.unpolarized, gamma=_GAMMA)
+    pixels = to_bytes(station.unpolarized, gamma=GAMMA)
     inputs = {
         "image": hashlib.sha256(pixels.tobytes()).hexdigest(),
         "lens": None if station.lens is None else [station.lens.model, *map(float, station.lens.params)],

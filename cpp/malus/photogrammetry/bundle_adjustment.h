@@ -1,0 +1,62 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstddef>
+#include <string>
+#include <vector>
+
+#include "malus/core/camera.h"
+#include "malus/core/context.h"
+#include "malus/core/pose.h"
+
+namespace malus {
+
+/// What of a lens is adjusted.
+enum class LensFreedom { fixed, without_principal_point, all };
+
+/// A lens that one or more views share.
+struct BundleLens {
+  LensCamera camera;
+  LensFreedom freedom = LensFreedom::fixed;
+  std::vector<double> sigma;  ///< result: standard deviation of each parameter, 0 where it is fixed; empty if unknown
+};
+
+struct BundleView {
+  std::size_t lens = 0;
+  Pose pose;
+};
+
+/// Where a view shows a point, memory pixel convention.
+struct BundleObservation {
+  std::size_t view = 0, point = 0;
+  Eigen::Vector2d pixel = Eigen::Vector2d::Zero();
+  double sigma_px = 1;
+};
+
+/// Lenses, poses and points, before and after the adjustment, and what was measured.
+struct Bundle {
+  std::vector<BundleLens> lenses;
+  std::vector<BundleView> views;
+  std::vector<Eigen::Vector3d> points;
+  std::vector<BundleObservation> observations;
+};
+
+struct BundleReport {
+  std::string status = "not run";  ///< "converged" | "not converged" once it ran
+  int iterations = 0;
+  double rms_before_px = 0, rms_after_px = 0;  ///< of the residuals' lengths
+  /// Robust standard deviation of the residuals over that stated; 1 = observations as good as stated.
+  double unit_weight = 1;
+};
+
+/// Adjusts lenses, poses and points together to all observations by robust least squares (Cauchy's loss from two
+/// standard deviations on), with Ceres and the points eliminated (Schur complement).
+///
+/// The datum is the first view's pose and the largest coordinate of the base to the view farthest from it, which keep
+/// their values. Standard deviations of the lenses are those of the inverse normal matrix times max(1, unit_weight).
+///
+/// Throws an input error for indices out of range, standard deviations that are not positive, or a view or point with
+/// fewer observations than unknowns.
+BundleReport adjust_bundle(Bundle& bundle, const Context& context);
+
+}  // namespace malus

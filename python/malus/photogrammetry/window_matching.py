@@ -1,0 +1,116 @@
+"""The placed model, measured anew by least-squares matching and adjusted to that."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malus import _core
+from malus.photogrammetry import database
+from malus.photogrammetry.bench import Bench
+from malus.photogrammetry.model import SparseModel
+from malus.photogrammetry.photo_cameras import MIN_PHOTOS_PRINCIPAL_POINT, PhotoCameras
+from malus.photogrammetry.photos import Photo, read_gray
+from malus.photogrammetry.station_pose import GAMMA, STATION_IMAGE, PlacedStation, StationView
+
+
+@dataclass(frozen=True)
+class MatchedStation:
+    """The model after the adjustment, and what it gained."""
+
+    placed: PlacedStation
+    figures: dict[str, Any] | None
+    """For quality.json; None when windows were not to be matched."""
+
+
+def match_windows(
+    bench: Bench, photos: Sequence[Photo], solved: PhotoCameras, station: StationView, placed: PlacedStation
+) -> MatchedStation:
+    """Locate the model's points in all images to hundredths of a pixel and adjust lenses, poses and points to them.
+
+    The lens of the station is held fixed if it is known, that of the photos if it was given. When there are too few matches the model stays
+    as it was, with a warning.
+    """
+    options = bench.options.photos
+    if not options.match_windows:
+        return MatchedStation(placed, None)
+    freedom = _freedom(solved, station, placed.model)
+    inputs = {
+        "image": hashlib.sha256(np.ascontiguousarray(station.unpolarized).tobytes()).hexdigest(),
+        "freedom": freedom,
+        "options": [options.match_points_a_photo, options.match_radius, options.match_range_px,
+                    options.match_min_correlation, options.match_floor_px],
+    }  # fmt: skip
+
+    def run() -> dict[str, Any]:
+        bench.report("windows", 0.0, "matching windows of all photos")
+        pictures = {
+            database.quoted(photo.name): read_gray(photo.path) for photo in photos if photo.name in placed.model.images
+        }
+        pictures[STATION_IMAGE] = coded(station.unpolarized)
+        model = _core.ColmapModel.read(str(placed.folder))
+        quoted = {database.quoted(name): what for name, what in freedom.items()}
+        figures = model.refine(
+            pictures, STATION_IMAGE, quoted, bench.options.to_json(), bench.colmap.threads, bench.log
+        )
+        target = bench.folder / "matched"
+        if figures["status"] == "too few matches":
+            shutil.copytree(placed.folder, target)
+        else:
+            target.mkdir(parents=True)
+            model.write(str(target))
+        figures["lens_sigma"] = [
+            {"image": database.unquoted(name), "sigma": sigma} for name, sigma in figures["lens_sigma"].items()
+        ]
+        return {"figures": figures}
+
+    notes = bench.journal.stage("windows", inputs, ["matched"], run)
+    figures: dict[str, Any] = notes["figures"]
+    _warn(bench, figures)
+    folder = bench.folder / "matched"
+    model = SparseModel.read(folder)
+    return MatchedStation(
+        replace(placed, folder=folder, model=model, camera=model.images[STATION_IMAGE].camera),
+        {**figures, "seconds": notes["seconds"]},
+    )
+
+
+def coded(unpolarized: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The station's linear intensity as photos code theirs; 0 where there is none."""
+    return np.power(np.clip(np.nan_to_num(unpolarized), 0, 1), 1 / GAMMA, dtype=np.float32)
+
+
+def _freedom(solved: PhotoCameras, station: StationView, model: SparseModel) -> dict[str, str]:
+    """What of the lens of an image may change, for one image of each lens that is not fixed."""
+    free: dict[str, str] = {}
+    if not solved.calibrated:
+        enough = len(solved.model.images) >= MIN_PHOTOS_PRINCIPAL_POINT
+        groups = {model.images[name].camera_group: name for name in sorted(solved.model.images) if name in model.images}
+        free = dict.fromkeys(groups.values(), "all" if enough else "without_principal_point")
+    if station.lens is None and station.shared_with is None:
+        free[STATION_IMAGE] = "without_principal_point"
+    return free
+
+
+def _warn(bench: Bench, figures: dict[str, Any]) -> None:
+    if figures["status"] == "too few matches":
+        bench.log(
+            "warning",
+            "least-squares matching found too few windows in one of the images; the cameras are as COLMAP left them, and "
+            "the station may be turned about the object by some hundredths of a degree",
+        )
+    elif figures["status"] != "converged":
+        bench.log("warning", "the adjustment to the matched windows did not converge")
+    for lens in figures["lens_sigma"]:
+        if lens["image"] == STATION_IMAGE:
+            bench.log(
+                "warning",
+                f"the station's lens was calibrated from its one image: its focal length is known to {lens['sigma'][0]:.2g} px "
+                "(one standard deviation), and its distance from the object no better",
+            )
