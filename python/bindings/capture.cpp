@@ -15,20 +15,21 @@ void bind_capture(py::module_& module) {
     const Image<float> image = to_image(mosaic);
     std::array<Image<float>, 4> channels;
     run_interruptible(threads, py::none(), py::none(),
-                      [&](const Context& context) { channels = demosaic(image, "mosaic", context); });
+                      [&](const Context& context) { channels = demosaic(image, "mosaic", context).channels; });
     py::list result;
     for (Image<float>& channel : channels) result.append(to_array(std::move(channel)));
     return result;
   });
 
-  module.def("split_colors", [](const Array<float>& mosaic, const std::string& colors, int threads) {
+  module.def("demosaic_color", [](const Array<float>& mosaic, const std::string& colors, int threads) {
     const Image<float> image = to_image(mosaic);
-    std::array<Image<float>, 3> planes;
+    ColorMosaic split;
     run_interruptible(threads, py::none(), py::none(),
-                      [&](const Context& context) { planes = split_colors(image, colors, "mosaic", context); });
-    py::list result;
-    for (Image<float>& plane : planes) result.append(to_array(std::move(plane)));
-    return result;
+                      [&](const Context& context) { split = demosaic_color(image, colors, "mosaic", context); });
+    py::list channels, ratios;
+    for (Image<float>& channel : split.grey.channels) channels.append(to_array(std::move(channel)));
+    for (Image<float>& ratio : split.ratios) ratios.append(to_array(std::move(ratio)));
+    return py::make_tuple(channels, ratios);
   });
 
   module.def("register_images", [](const std::vector<Array<float>>& arrays, const std::string& options_json,

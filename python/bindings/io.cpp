@@ -21,6 +21,8 @@ void bind_io(py::module_& module) {
              [](const std::string& path, const Array<float>& image) { write_float_tiff(path, to_image(image)); });
   module.def("write_png16",
              [](const std::string& path, const Array<std::uint16_t>& image) { write_png16(path, to_image(image)); });
+  module.def("write_tiff16",
+             [](const std::string& path, const Array<std::uint16_t>& image) { write_tiff16(path, to_image(image)); });
   module.def("read_image_dn", [](const std::string& path) {
     RawImage image;
     {

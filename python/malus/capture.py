@@ -29,16 +29,17 @@ def demosaic(mosaic: ArrayLike, *, colors: str | None = None, threads: int = 1) 
     """Split a 2×2 polarizer mosaic (H×W, linear) into four images: cell top left, top right, bottom left, bottom right.
 
     Every image has the mosaic's pixels, so that all four show the same point at the same pixel: H×W, or H×W×3 for a
-    colour camera, whose `colors` is the Bayer pattern of the cells by rows, "RGGB". Sides are multiples of 2, in
-    colour of 4.
+    colour camera, whose `colors` is the Bayer pattern of the cells by rows, "RGGB"; all colours are taken to be polarized alike.
+    Sides are multiples of 2, in colour of 4.
     """
     image = as_image(mosaic, "mosaic")
     if colors is None:
         return _core.demosaic(image, threads)
     if colors not in ("RGGB", "BGGR", "GRBG", "GBRG"):
         raise ValueError(f'colors = {colors!r}, expected "RGGB", "BGGR", "GRBG" or "GBRG"')
-    planes = [_core.demosaic(plane, threads) for plane in _core.split_colors(image, colors, threads)]
-    return [np.stack(channels, axis=-1) for channels in zip(*planes, strict=True)]
+    channels, ratios = _core.demosaic_color(image, colors, threads)
+    factors = np.stack(ratios, axis=-1)
+    return [channel[..., None] * factors for channel in channels]
 
 
 def register(

@@ -147,6 +147,13 @@ def _write_dem(exporter: Exporter, path: Path, faces: int | None) -> None:
         shutil.copyfile(exporter.workspace.path("fused/dem.tif"), temporary)
 
 
+def _write_exr(path: Path, channels: dict[str, NDArray[np.float32]]) -> None:
+    library = extra("OpenEXR", "OpenEXR", f"{path}: EXR")
+    header = {"compression": library.ZIP_COMPRESSION, "type": library.scanlineimage}
+    with replacing(path) as temporary, library.File(header, channels) as file:
+        file.write(str(temporary))
+
+
 def _write_normal_map(exporter: Exporter, path: Path, faces: int | None) -> None:
     dem = exporter.dem()
     points = dem.points()
@@ -155,22 +162,21 @@ def _write_normal_map(exporter: Exporter, path: Path, faces: int | None) -> None
     normals[..., 2] = 1
     frame = np.stack([dem.right, dem.up, dem.normal], -1)
     normals[known] = exporter.world_normals(points[known]) @ frame
-    if path.suffix == ".png":
-        _core.write_png16(str(path), np.rint((normals + 1) / 2 * 65535).astype(np.uint16))
-    else:
-        _core.write_float_tiff(str(path), normals)
+    if path.suffix.lower() == ".exr":
+        _write_exr(path, {"RGB": normals})
+        return
+    levels = np.rint((normals + 1) / 2 * 65535).astype(np.uint16)
+    write = _core.write_png16 if path.suffix.lower() == ".png" else _core.write_tiff16
+    write(str(path), levels)
 
 
 def _write_displacement(exporter: Exporter, path: Path, faces: int | None) -> None:
     # Renderers know no missing values: there the surface stays on its plane.
     elevation = np.nan_to_num(exporter.dem().elevation)
-    if path.suffix != ".exr":
+    if path.suffix.lower() == ".exr":
+        _write_exr(path, {"Y": elevation})
+    else:
         _core.write_float_tiff(str(path), elevation)
-        return
-    library = extra("OpenEXR", "OpenEXR", f"{path}: EXR")
-    header = {"compression": library.ZIP_COMPRESSION, "type": library.scanlineimage}
-    with replacing(path) as temporary, library.File(header, {"Y": elevation}) as file:
-        file.write(str(temporary))
 
 
 def _write_las(exporter: Exporter, path: Path, faces: int | None) -> None:
@@ -219,7 +225,7 @@ FORMATS: dict[str, tuple[Writer, str, tuple[str, ...]]] = {
     "obj": (_write_obj, "surface.obj", (".obj",)),
     "ply": (_write_ply, "surface.ply", (".ply",)),
     "glb": (_write_glb, "surface.glb", (".glb",)),
-    "normal-map": (_write_normal_map, "normal_map.png", (".png", ".tif", ".tiff")),
+    "normal-map": (_write_normal_map, "normal_map.png", (".png", ".tif", ".tiff", ".exr")),
     "displacement": (_write_displacement, "displacement.tif", (".tif", ".tiff", ".exr")),
     "dem": (_write_dem, "dem.tif", (".tif", ".tiff")),
     "las": (_write_las, "surface.las", (".las", ".laz")),
@@ -235,8 +241,8 @@ def export(
     """Write the surface of a workspace in one of FORMATS; returns the file's path, WORK/export/… without `output`.
 
     - obj, ply, glb: mesh with texture (obj, glb) or vertex colours (ply); at most `faces` triangles if given.
-    - normal-map: PNG of 3 × 16 bits, OpenGL and Blender convention (red = right, green = up, blue = towards the viewer;
-      0 … 65535 for −1 … 1), or TIFF of 3 floats in −1 … 1. displacement: float TIFF or EXR, elevation above the plane in the
+    - normal-map: PNG or TIFF of 3 × 16 bits, OpenGL and Blender convention (red = right, green = up, blue = towards the
+      viewer; 0 … 65535 for −1 … 1), or EXR of 3 floats in −1 … 1. displacement: float TIFF or EXR, elevation above the plane in the
       station's unit, 0 where there is none. Both on the grid of the elevation model, that is of `dem`, GeoTIFF.
     - las: points with colour, normal and standard deviation, station unit. e57: points with colour, metres.
 

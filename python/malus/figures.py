@@ -27,6 +27,8 @@ _PERCENTILES = (0, 1, 5, 25, 50, 75, 95, 99, 100)
 _DPI = 150
 #: Sine of the angle beyond grazing light at which relief shading becomes black.
 _BEYOND_GRAZING = 0.342
+#: How dark relief shading makes the colours of a map that it lies over, at most.
+_SHADE_OPACITY = 0.8
 
 
 @dataclass(frozen=True)
@@ -200,7 +202,7 @@ class Plates:
 
     # ---- maps ----
 
-    def _map(self, raster: Raster, how: _Map) -> Figure:
+    def _map(self, raster: Raster, how: _Map, shade: Raster | None = None) -> Figure:
         finite = raster[np.isfinite(raster)].astype(float)
         limits = how.limits
         if limits is None:
@@ -212,6 +214,12 @@ class Plates:
         bar_height = 0.55 / drawing.get_figheight() if how.label or how.ticks else 0.0
         axes = drawing.add_axes((0, bar_height, 1, 1 - bar_height))
         picture = axes.imshow(raster, cmap=how.cmap, vmin=limits[0], vmax=limits[1], interpolation="antialiased")
+        if shade is not None:
+            # Black of varying opacity over the colours: detail is far below what colours can tell apart.
+            axes.imshow(
+                np.dstack([np.zeros((*shade.shape, 3)), _SHADE_OPACITY * (1 - np.nan_to_num(shade, nan=1))]),
+                interpolation="antialiased",
+            )
         axes.set_axis_off()
         if bar_height:
             bar_axes = drawing.add_axes((0.2, bar_height * 0.66, 0.6, bar_height * 0.2))
@@ -260,11 +268,13 @@ class Plates:
                 _Map(
                     f"elevation_{surface}",
                     f"Elevation, {surface}",
-                    "Along the optical axis, above the plane that fits the depth map; positive towards the camera.",
+                    "Along the optical axis, above the plane that fits the depth map; positive towards the camera. "
+                    "Relief shading over the colours.",
                     "viridis",
                     self.unit,
                     (low, high),
                 ),
+                self.shade(surface),
             )
 
     def polarization(self) -> Iterator[Figure]:

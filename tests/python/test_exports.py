@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import sys
 import warnings
 from pathlib import Path
@@ -13,6 +15,7 @@ import tifffile
 
 import malus
 from conftest import malus as run_malus
+from conftest import run_program
 from malus import exports
 
 
@@ -122,6 +125,33 @@ def test_obj_reads_back_with_its_texture(workspace: malus.Workspace, points: np.
     np.testing.assert_allclose(mesh.visual.uv[:, 0], (camera.fx * x / z + camera.cx + 0.5) / 200, atol=1e-4)
 
 
+def test_cloudcompare_opens_meshes_and_measures_between_them(
+    workspace: malus.Workspace, points: np.ndarray, tmp_path: Path
+) -> None:
+    pytest.importorskip("fast_simplification")
+    program = shutil.which("CloudCompare")
+    if program is None:
+        pytest.skip("CloudCompare is not installed (apt install cloudcompare)")
+    malus.export(workspace.folder, "obj", tmp_path / "full.obj")
+    malus.export(workspace.folder, "ply", tmp_path / "few.ply", faces=5000)
+    # Distances of the vertices of the first mesh to the triangles of the second, as text: x y z … distance nx ny nz.
+    outcome = run_program(
+        program, "-SILENT", "-AUTO_SAVE", "OFF", "-C_EXPORT_FMT", "ASC", "-PREC", "9", "-ADD_HEADER",
+        "-O", "full.obj", "-EXTRACT_VERTICES", "-O", "few.ply", "-C2M_DIST", "-SAVE_CLOUDS", "FILE", "distances.asc",
+        cwd=tmp_path, env={**os.environ, "QT_QPA_PLATFORM": "offscreen"},
+    )  # fmt: skip
+    assert outcome.code == 0 and "32000 points" in outcome.out + outcome.err, outcome
+    header, *_ = (tmp_path / "distances.asc").read_text().splitlines()
+    columns = header.removeprefix("//").split()
+    values = np.loadtxt(tmp_path / "distances.asc", comments="//")
+    np.testing.assert_allclose(values[:, :3], points.reshape(-1, 3), atol=1e-4)
+    distance = values[:, next(i for i, name in enumerate(columns) if "distances" in name)]
+    gsd = workspace.quality["gsd"]
+    # A twelfth of the triangles: not the same surface, but near it, except where corners were cut off.
+    assert 0.005 * gsd < np.abs(distance).mean() < 0.3 * gsd
+    assert np.percentile(np.abs(distance), 99) < 2 * gsd
+
+
 def test_meshes_with_fewer_faces_stay_on_the_surface(workspace: malus.Workspace, tmp_path: Path) -> None:
     pytest.importorskip("fast_simplification")
     gsd = workspace.quality["gsd"]
@@ -147,9 +177,21 @@ def test_normal_map_is_opengl_and_displacement_fits_it(workspace: malus.Workspac
     with file:
         assert file.dtypes == ("uint16",) * 3
         png = np.moveaxis(file.read(), 0, -1) / 65535 * 2 - 1
-    floats = tifffile.imread(malus.export(workspace.folder, "normal-map", tmp_path / "n.tif"))
+    with tifffile.TiffFile(malus.export(workspace.folder, "normal-map", tmp_path / "n.tif")) as tiff:
+        words = tiff.pages[0].asarray()
+        assert tiff.pages[0].photometric == tifffile.PHOTOMETRIC.RGB
+    assert words.dtype == np.uint16
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        file = rasterio.open(tmp_path / "n.tif")
+    with file:
+        np.testing.assert_array_equal(np.moveaxis(file.read(), 0, -1), words)
+    library = pytest.importorskip("OpenEXR")
+    with library.File(str(malus.export(workspace.folder, "normal-map", tmp_path / "n.exr"))) as file:
+        floats = file.channels()["RGB"].pixels
     displacement = tifffile.imread(malus.export(workspace.folder, "displacement", tmp_path / "d.tif"))
     assert png.shape == floats.shape == (*displacement.shape, 3)
+    np.testing.assert_array_equal(words / 65535 * 2 - 1, png)
     np.testing.assert_allclose(png, floats, atol=2e-5)
     np.testing.assert_allclose(np.linalg.norm(floats, axis=-1), 1, atol=1e-5)
     pixel = exports.Exporter(workspace).dem().pixel

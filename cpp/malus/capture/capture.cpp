@@ -137,28 +137,44 @@ Exposures load_exposures(const CaptureInput& input, const ResponseCurve& curve, 
 
 /// One mosaic → the images of its four polarizers; of a colour camera the weighted sum of the colours, and their mean
 /// over the polarizers as `color`.
-void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>& color, const Context& context) {
+/// `shared`: MosaicSplit::shared.
+void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>& color, Image<float>& shared,
+                  const Context& context) {
   const Image<float> mosaic = std::move(exposures.images[0]);
   const std::string name = exposures.names[0];
   // Samples that make a pixel: its neighbours twice, once through their smoothed contrasts; in colour those two
   // further.
-  const Mask saturated = spread_flags(exposures.saturated[0], spec.mosaic_colors ? 4 : 2, context);
+  const Mask saturated = spread_flags(exposures.saturated[0], spec.mosaic_colors ? 4 : 3, context);
   exposures.images.assign(4, {});
   if (!spec.mosaic_colors) {
-    std::ranges::move(demosaic(mosaic, name, context), exposures.images.begin());
+    MosaicSplit split = demosaic(mosaic, name, context);
+    std::ranges::move(split.channels, exposures.images.begin());
+    shared = std::move(split.shared);
   } else {
     const std::array<double, 3> weights = channel_weights(spec);
-    const auto planes = split_colors(mosaic, *spec.mosaic_colors, name, context);
+    ColorMosaic split = demosaic_color(mosaic, *spec.mosaic_colors, name, context);
     color = Image<float>(mosaic.size(), 3);
-    exposures.images.assign(4, Image<float>(mosaic.size()));
-    for (std::size_t c = 0; c < 3; ++c) {
-      const auto channels = demosaic(planes[c], name, context);
-      for (std::size_t p = 0; p < 4; ++p) {
-        for (std::size_t i = 0; i < mosaic.count(); ++i) {
-          exposures.images[p][i] += static_cast<float>(weights[c]) * channels[p][i];
-          color[3 * i + c] += 0.25f * channels[p][i];
-        }
+    for (std::size_t i = 0; i < mosaic.count(); ++i) {
+      float mean = 0, factor = 0;
+      for (const Image<float>& channel : split.grey.channels) mean += 0.25f * channel[i];
+      for (std::size_t c = 0; c < 3; ++c) {
+        color[3 * i + c] = split.ratios[c][i] * mean;
+        factor += static_cast<float>(weights[c]) * split.ratios[c][i];
       }
+      for (Image<float>& channel : split.grey.channels) channel[i] *= factor;
+    }
+    std::ranges::move(split.grey.channels, exposures.images.begin());
+    shared = std::move(split.grey.shared);
+    // One colour is asked for because the colours are polarized differently.
+    const auto used = std::ranges::count_if(weights, [](double weight) { return weight != 0; });
+    if (used == 1) {
+      const auto c =
+          static_cast<std::size_t>(std::ranges::find_if(weights, [](double w) { return w != 0; }) - weights.begin());
+      MosaicSplit plane = demosaic(split_colors(mosaic, *spec.mosaic_colors, name, context)[c], name, context);
+      for (Image<float>& channel : plane.channels) {
+        for (float& value : channel) value *= static_cast<float>(weights[c]);
+      }
+      std::ranges::move(plane.channels, exposures.images.begin());
     }
   }
   exposures.saturated.assign(4, saturated);
@@ -342,8 +358,8 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
   stack.angles_rad = polarizer_angles_rad(input.polarized);
   stack.noise = exposures.noise;
   stack.camera = input.lens ? input.lens->pinhole() : Pinhole{.size = size};
-  Image<float> mosaic_color;
-  if (input.polarized.mosaic) split_mosaic(exposures, input.polarized, mosaic_color, context);
+  Image<float> mosaic_color, shared;
+  if (input.polarized.mosaic) split_mosaic(exposures, input.polarized, mosaic_color, shared, context);
   const bool registering = options.mode != RegistrationMode::off && !input.polarized.mosaic;
   std::vector<Affine> maps(exposures.images.size(), identity_affine());
   std::vector<double> rms_px(exposures.images.size(), 0.0);
@@ -369,6 +385,9 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
   }
   check_usable(stack);
   if (exposures.color) stack.color = mean_color(input, curve, options, size, maps, context);
+  if (!shared.empty()) {
+    stack.shared = resample(shared, size, base_map, options.registration.interpolation, context).image;
+  }
   if (!mosaic_color.empty()) {
     stack.color = resample(mosaic_color, size, base_map, options.registration.interpolation, context).image;
   }

@@ -3,14 +3,32 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
+#include <numbers>
+#include <string_view>
+#include <vector>
 
 #include "malus/core/parallel.h"
 
 namespace malus {
 namespace {
 
-constexpr int rounds = 2;
-constexpr double smoothing_px = 0.7;
+/// How contrasts are smoothed, and how often they are taken anew from the mean that they lead to.
+struct Smoothing {
+  int rounds;
+  double sigma_px;
+  /// Pixels that share a measurement: the area of the smoothed bilinear interpolation's correlation, 4π σ².
+  double shared() const { return 4 * std::numbers::pi * (sigma_px * sigma_px + 2.0 / 3); }
+};
+/// Where polarization varies as brightness does, and where texture is far stronger.
+constexpr Smoothing fine{2, 0.7}, coarse{8, 2.0};
+/// Variance of texture over squared degree of polarization from which the coarse contrasts count more.
+constexpr float strong_texture = 8;
+/// Texture is what a Gaussian of this takes out; it is measured over a wider one.
+constexpr double texture_px = 1, around_px = 3;
+/// The same for colors, which vary less than polarization does.
+constexpr int color_rounds = 3;
+constexpr double color_smoothing_px = 2;
+constexpr float smallest_ratio = 0.02f;
 /// Intensity below which ratios are differences: they would be of noise alone.
 constexpr float dark = 1e-3f;
 
@@ -18,38 +36,38 @@ int mirrored(int i, int length) {
   return i < 0 ? -i : i >= length ? 2 * length - 2 - i : i;
 }
 
-/// The raster convolved with the same symmetric kernel along both axes, mirrored at the border (without repeating it,
-/// so that a pixel keeps its place in the cell).
-Image<float> convolve(const Image<float>& source, const std::array<float, 3>& half_kernel, const Context& context) {
+/// The raster convolved with the same symmetric kernel (its weights from the middle outwards) along both axes, mirrored
+/// at the border (without repeating it, so that a pixel keeps its place in the cell).
+Image<float> convolve(const Image<float>& source, const std::vector<float>& half_kernel, const Context& context) {
   const Size size = source.size();
+  const int reach = static_cast<int>(half_kernel.size()) - 1;
   const auto tap = [&](int distance) { return half_kernel[static_cast<std::size_t>(std::abs(distance))]; };
   Image<float> rows(size), result(size);
   parallel_rows(context, size.height, [&](int v) {
     for (int u = 0; u < size.width; ++u) {
       float sum = 0;
-      for (int i = -2; i <= 2; ++i) sum += tap(i) * source(mirrored(u + i, size.width), v);
+      for (int i = -reach; i <= reach; ++i) sum += tap(i) * source(mirrored(u + i, size.width), v);
       rows(u, v) = sum;
     }
   });
   parallel_rows(context, size.height, [&](int v) {
     for (int u = 0; u < size.width; ++u) {
       float sum = 0;
-      for (int i = -2; i <= 2; ++i) sum += tap(i) * rows(u, mirrored(v + i, size.height));
+      for (int i = -reach; i <= reach; ++i) sum += tap(i) * rows(u, mirrored(v + i, size.height));
       result(u, v) = sum;
     }
   });
   return result;
 }
 
-std::array<float, 3> gaussian_kernel(double sigma) {
-  std::array<float, 3> kernel{};
-  double sum = 0;
-  for (int i = 0; i < 3; ++i) {
-    const double weight = std::exp(-i * i / (2 * sigma * sigma));
-    kernel[static_cast<std::size_t>(i)] = static_cast<float>(weight);
-    sum += i == 0 ? weight : 2 * weight;
+std::vector<float> gaussian_kernel(double sigma) {
+  std::vector<float> kernel;
+  float sum = 0;
+  for (int i = 0; i <= std::ceil(3 * sigma); ++i) {
+    kernel.push_back(static_cast<float>(std::exp(-i * i / (2 * sigma * sigma))));
+    sum += i == 0 ? kernel.back() : 2 * kernel.back();
   }
-  for (float& weight : kernel) weight = static_cast<float>(weight / sum);
+  for (float& weight : kernel) weight /= sum;
   return kernel;
 }
 
@@ -65,53 +83,15 @@ Image<float> interpolate(Size size, std::size_t place, const Value& value, const
   for (int v = static_cast<int>(place) / 2; v < size.height; v += 2) {
     for (int u = static_cast<int>(place) % 2; u < size.width; u += 2) samples(u, v) = value(u, v);
   }
-  return convolve(samples, {1.0f, 0.5f, 0.0f}, context);
+  return convolve(samples, {1.0f, 0.5f}, context);
 }
 
-}  // namespace
-
-std::array<Image<float>, 4> demosaic(const Image<float>& mosaic, const std::string& name, const Context& context) {
-  const Size size = mosaic.size();
-  if (mosaic.channels() != 1) throw input_error(name + ": a polarization mosaic has one channel, this image has 3");
-  if (size.width % 2 != 0 || size.height % 2 != 0 || size.width < 8 || size.height < 8) {
-    throw input_error(name + " is " + to_string(size) +
-                      " pixels; a mosaic of 2 x 2 cells has an even width and height of at least 8");
-  }
-  std::array<Image<float>, 4> channels;
-  for (std::size_t p = 0; p < 4; ++p) {
-    channels[p] = interpolate(
-        size, p, [&](int u, int v) { return mosaic(u, v); }, context);
-  }
-  Image<float> mean(size);
-  for (std::size_t i = 0; i < mean.count(); ++i) {
-    mean[i] = 0.25f * (channels[0][i] + channels[1][i] + channels[2][i] + channels[3][i]);
-  }
-  const std::array<float, 3> kernel = gaussian_kernel(smoothing_px);
-  for (int round = 0; round < rounds; ++round) {
-    for (std::size_t p = 0; p < 4; ++p) {
-      const auto contrast = [&](int u, int v) {
-        // No polarizer lets more through than twice the mean: 0 to s0.
-        return std::clamp((mosaic(u, v) - mean(u, v)) / std::max(mean(u, v), dark), -1.0f, 1.0f);
-      };
-      channels[p] = convolve(interpolate(size, p, contrast, context), kernel, context);
-    }
-    parallel_rows(context, size.height, [&](int v) {
-      for (int u = 0; u < size.width; ++u) {
-        float sum = 0;
-        for (const Image<float>& channel : channels) sum += channel(u, v);
-        for (Image<float>& channel : channels) channel(u, v) = std::max(channel(u, v) - sum / 4, -0.95f);
-        mean(u, v) = mosaic(u, v) / (1 + channels[cell_of(u, v)](u, v));
-      }
-    });
-  }
-  for (Image<float>& channel : channels) {
-    for (std::size_t i = 0; i < channel.count(); ++i) channel[i] = mean[i] * (1 + channel[i]);
-  }
-  return channels;
+/// Color filter over a pixel.
+char color_at(const std::string& colors, int u, int v) {
+  return colors[cell_of(u / 2, v / 2)];
 }
 
-std::array<Image<float>, 3> split_colors(const Image<float>& mosaic, const std::string& colors, const std::string& name,
-                                         const Context& context) {
+void require_color_cells(const Image<float>& mosaic, const std::string& name) {
   const Size size = mosaic.size();
   if (mosaic.channels() != 1) throw input_error(name + ": a polarization mosaic has one channel, this image has 3");
   if (size.width % 4 != 0 || size.height % 4 != 0 || size.width < 8 || size.height < 8) {
@@ -119,7 +99,119 @@ std::array<Image<float>, 3> split_colors(const Image<float>& mosaic, const std::
         name + " is " + to_string(size) +
         " pixels; a colour mosaic of 4 x 4 cells has a width and height that are multiples of 4, at least 8");
   }
-  const auto color_at = [&](int u, int v) { return colors[cell_of(u / 2, v / 2)]; };
+}
+
+/// Ratio of one color's samples to what is expected of them without color, between and around these samples; where the
+/// mean weighs a cell's four polarizers alike, their differences drop out.
+Image<float> color_ratio(const Image<float>& mosaic, const Image<float>& expected, const std::string& colors,
+                         char color, const std::vector<float>& cells, const Context& context) {
+  const Size size = mosaic.size();
+  Image<float> ratios(size), weights(size);
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = 0; u < size.width; ++u) {
+      if (color_at(colors, u, v) != color) continue;
+      ratios(u, v) = mosaic(u, v) / std::max(expected(u, v), dark);
+      weights(u, v) = 1;
+    }
+  }
+  const std::vector<float> kernel = gaussian_kernel(color_smoothing_px);
+  ratios = convolve(convolve(ratios, cells, context), kernel, context);
+  weights = convolve(convolve(weights, cells, context), kernel, context);
+  for (std::size_t i = 0; i < ratios.count(); ++i) ratios[i] /= weights[i];
+  return ratios;
+}
+
+/// Every polarizer's contrast to the mean over the polarizers, and that mean.
+struct Contrasts {
+  std::array<Image<float>, 4> of_polarizer;
+  Image<float> mean;
+};
+
+Contrasts contrasts(const Image<float>& mosaic, const Smoothing& smoothing, const Context& context) {
+  const Size size = mosaic.size();
+  Contrasts result{.of_polarizer = {}, .mean = Image<float>(size)};
+  Image<float>& mean = result.mean;
+  for (std::size_t p = 0; p < 4; ++p) {
+    const Image<float> bilinear = interpolate(
+        size, p, [&](int u, int v) { return mosaic(u, v); }, context);
+    for (std::size_t i = 0; i < mean.count(); ++i) mean[i] += 0.25f * bilinear[i];
+  }
+  const std::vector<float> kernel = gaussian_kernel(smoothing.sigma_px);
+  for (int round = 0; round < smoothing.rounds; ++round) {
+    for (std::size_t p = 0; p < 4; ++p) {
+      const auto contrast = [&](int u, int v) {
+        // No polarizer lets more through than twice the mean: 0 to s0.
+        return std::clamp((mosaic(u, v) - mean(u, v)) / std::max(mean(u, v), dark), -1.0f, 1.0f);
+      };
+      result.of_polarizer[p] = convolve(interpolate(size, p, contrast, context), kernel, context);
+    }
+    parallel_rows(context, size.height, [&](int v) {
+      for (int u = 0; u < size.width; ++u) {
+        float sum = 0;
+        for (const Image<float>& channel : result.of_polarizer) sum += channel(u, v);
+        for (Image<float>& channel : result.of_polarizer) {
+          channel(u, v) = std::max(channel(u, v) - sum / 4, -0.95f);
+        }
+        mean(u, v) = mosaic(u, v) / (1 + result.of_polarizer[cell_of(u, v)](u, v));
+      }
+    });
+  }
+  return result;
+}
+
+/// How much the fine contrasts count at every pixel, 0 … 1: little where texture is so much stronger than polarization
+/// that what it leaves in them is, too.
+Image<float> share_of_fine(const Contrasts& smooth, const Context& context) {
+  const Size size = smooth.mean.size();
+  const Image<float> around = convolve(smooth.mean, gaussian_kernel(texture_px), context);
+  Image<float> texture(size), degree(size);
+  for (std::size_t i = 0; i < texture.count(); ++i) {
+    const float relative = smooth.mean[i] / std::max(around[i], dark) - 1;
+    texture[i] = relative * relative;
+    for (const Image<float>& channel : smooth.of_polarizer) degree[i] += 0.5f * channel[i] * channel[i];
+  }
+  texture = convolve(texture, gaussian_kernel(around_px), context);
+  degree = convolve(degree, gaussian_kernel(around_px), context);
+  Image<float> share(size);
+  for (std::size_t i = 0; i < share.count(); ++i) {
+    const float ratio = texture[i] / (strong_texture * std::max(degree[i], 1e-8f));
+    share[i] = 1 / (1 + ratio * ratio);
+  }
+  return share;
+}
+
+}  // namespace
+
+MosaicSplit demosaic(const Image<float>& mosaic, const std::string& name, const Context& context) {
+  const Size size = mosaic.size();
+  if (mosaic.channels() != 1) throw input_error(name + ": a polarization mosaic has one channel, this image has 3");
+  if (size.width % 2 != 0 || size.height % 2 != 0 || size.width < 8 || size.height < 8) {
+    throw input_error(name + " is " + to_string(size) +
+                      " pixels; a mosaic of 2 x 2 cells has an even width and height of at least 8");
+  }
+  const Contrasts smooth = contrasts(mosaic, coarse, context);
+  Contrasts sharp = contrasts(mosaic, fine, context);
+  const Image<float> share = share_of_fine(smooth, context);
+  MosaicSplit result{.channels = std::move(sharp.of_polarizer), .shared = Image<float>(size)};
+  parallel_rows(context, size.height, [&](int v) {
+    for (int u = 0; u < size.width; ++u) {
+      const float weight = share(u, v);
+      for (std::size_t p = 0; p < 4; ++p) {
+        float& contrast = result.channels[p](u, v);
+        contrast = weight * contrast + (1 - weight) * smooth.of_polarizer[p](u, v);
+      }
+      const float mean = mosaic(u, v) / (1 + result.channels[cell_of(u, v)](u, v));
+      for (Image<float>& channel : result.channels) channel(u, v) = mean * (1 + channel(u, v));
+      result.shared(u, v) = static_cast<float>(weight * fine.shared() + (1 - weight) * coarse.shared());
+    }
+  });
+  return result;
+}
+
+std::array<Image<float>, 3> split_colors(const Image<float>& mosaic, const std::string& colors, const std::string& name,
+                                         const Context& context) {
+  require_color_cells(mosaic, name);
+  const Size size = mosaic.size();
   std::array<Image<float>, 3> result;
   for (std::size_t c = 0; c < 3; ++c) {
     const char letter = "RGB"[c];
@@ -127,7 +219,7 @@ std::array<Image<float>, 3> split_colors(const Image<float>& mosaic, const std::
     plane = Image<float>(size);
     parallel_rows(context, size.height, [&](int v) {
       for (int u = 0; u < size.width; ++u) {
-        if (color_at(u, v) == letter) {
+        if (color_at(colors, u, v) == letter) {
           plane(u, v) = mosaic(u, v);
           continue;
         }
@@ -135,7 +227,7 @@ std::array<Image<float>, 3> split_colors(const Image<float>& mosaic, const std::
         float sum = 0, weight = 0;
         for (int j = -2; j <= 2; j += 2) {
           for (int i = -2; i <= 2; i += 2) {
-            if (!mosaic.contains(u + i, v + j) || color_at(u + i, v + j) != letter) continue;
+            if (!mosaic.contains(u + i, v + j) || color_at(colors, u + i, v + j) != letter) continue;
             const float use = i == 0 || j == 0 ? 2.0f : 1.0f;
             sum += use * mosaic(u + i, v + j);
             weight += use;
@@ -143,6 +235,33 @@ std::array<Image<float>, 3> split_colors(const Image<float>& mosaic, const std::
         }
         plane(u, v) = sum / weight;
       }
+    });
+  }
+  return result;
+}
+
+ColorMosaic demosaic_color(const Image<float>& mosaic, const std::string& colors, const std::string& name,
+                           const Context& context) {
+  require_color_cells(mosaic, name);
+  const Size size = mosaic.size();
+  // Weights with which any four pixels in a row or column count alike: a mean over whole cells of 4 x 4.
+  const std::vector<float> cells{0.25f, 0.25f, 0.125f};
+  ColorMosaic result;
+  Image<float> expected = convolve(mosaic, cells, context);
+  for (int round = 0; round < color_rounds; ++round) {
+    for (std::size_t c = 0; c < 3; ++c) {
+      result.ratios[c] = color_ratio(mosaic, expected, colors, "RGB"[c], cells, context);
+    }
+    Image<float> grey(size);
+    parallel_rows(context, size.height, [&](int v) {
+      for (int u = 0; u < size.width; ++u) {
+        const std::size_t c = std::string_view("RGB").find(color_at(colors, u, v));
+        grey(u, v) = mosaic(u, v) / std::max(result.ratios[c](u, v), smallest_ratio);
+      }
+    });
+    result.grey = demosaic(grey, name, context);
+    parallel_rows(context, size.height, [&](int v) {
+      for (int u = 0; u < size.width; ++u) expected(u, v) = result.grey.channels[cell_of(u, v)](u, v);
     });
   }
   return result;

@@ -41,5 +41,6 @@ void encode_png(AtomicFile& file, const void* pixels, Size size, int channels, i
 std::string encode_jpeg(const Image<std::uint8_t>& image, int quality);
 /// `add_tags` may set further fields before the pixels are written; null = none.
 void encode_float_tiff(AtomicFile& file, const Image<float>& image, const std::function<void(tiff*)>& add_tags = {});
+void encode_tiff16(AtomicFile& file, const Image<std::uint16_t>& image);
 
 }  // namespace malus::codecs

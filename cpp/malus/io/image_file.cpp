@@ -139,6 +139,13 @@ void write_float_tiff(const std::filesystem::path& path, const Image<float>& ima
   file.commit();
 }
 
+void write_tiff16(const std::filesystem::path& path, const Image<std::uint16_t>& image) {
+  require_writable(path, image.size(), image.channels());
+  AtomicFile file(path);
+  codecs::encode_tiff16(file, image);
+  file.commit();
+}
+
 void write_png(const std::filesystem::path& path, const Image<std::uint8_t>& image) {
   write_png_samples(path, image);
 }

@@ -44,6 +44,8 @@ Image<float> read_float_raster(const std::filesystem::path& path, const std::str
 
 /// 32-bit float TIFF, 1 or 3 channels, uncompressed strips; BigTIFF from 4 GB. Atomic (see AtomicFile).
 void write_float_tiff(const std::filesystem::path& path, const Image<float>& image);
+/// 16-bit TIFF, 1 or 3 channels, Deflate strips. Atomic.
+void write_tiff16(const std::filesystem::path& path, const Image<std::uint16_t>& image);
 
 /// PNG with 1 or 3 (R, G, B) channels of 8 or 16 bits. Atomic.
 void write_png(const std::filesystem::path& path, const Image<std::uint8_t>& image);

@@ -253,6 +253,51 @@ toff_t target_size(thandle_t handle) {
                                                                                 : 0;
 }
 
+/// Uncompressed or Deflate strips of about a megabyte; Deflate with the horizontal predictor.
+template <class Sample>
+void encode(AtomicFile& file, const Image<Sample>& image, int format, int compression,
+            const std::function<void(TIFF*)>& add_tags) {
+  Errors errors;
+  const Options options(errors);
+  Target target{.file = file};
+  const std::size_t data_bytes = image.count() * sizeof(Sample);
+  const char* mode = data_bytes > (std::size_t{1} << 32) - (std::size_t{1} << 26) ? "w8" : "w";
+  const auto fail = [&] {
+    if (target.error_number != 0) return file_error("cannot write", file.path(), target.error_number);
+    return resource_error("cannot write " + file.path().string() + ": " + errors.message);
+  };
+  Handle tiff(TIFFClientOpenExt("image", mode, &target, target_read, target_write, target_seek, source_close,
+                                target_size, nullptr, nullptr, options.options));
+  if (!tiff) throw fail();
+  const std::size_t row_samples = static_cast<std::size_t>(image.width()) * static_cast<std::size_t>(image.channels());
+  const auto rows_per_strip = static_cast<int>(std::max<std::size_t>(1, (1 << 20) / (row_samples * sizeof(Sample))));
+  TIFFSetField(tiff.get(), TIFFTAG_IMAGEWIDTH, static_cast<std::uint32_t>(image.width()));
+  TIFFSetField(tiff.get(), TIFFTAG_IMAGELENGTH, static_cast<std::uint32_t>(image.height()));
+  TIFFSetField(tiff.get(), TIFFTAG_SAMPLESPERPIXEL, static_cast<std::uint16_t>(image.channels()));
+  TIFFSetField(tiff.get(), TIFFTAG_BITSPERSAMPLE, static_cast<std::uint16_t>(8 * sizeof(Sample)));
+  TIFFSetField(tiff.get(), TIFFTAG_SAMPLEFORMAT, static_cast<std::uint16_t>(format));
+  TIFFSetField(tiff.get(), TIFFTAG_PLANARCONFIG, static_cast<std::uint16_t>(PLANARCONFIG_CONTIG));
+  TIFFSetField(tiff.get(), TIFFTAG_COMPRESSION, static_cast<std::uint16_t>(compression));
+  if (compression != COMPRESSION_NONE) {
+    TIFFSetField(tiff.get(), TIFFTAG_PREDICTOR, static_cast<std::uint16_t>(PREDICTOR_HORIZONTAL));
+  }
+  TIFFSetField(tiff.get(), TIFFTAG_PHOTOMETRIC,
+               static_cast<std::uint16_t>(image.channels() == 3 ? PHOTOMETRIC_RGB : PHOTOMETRIC_MINISBLACK));
+  TIFFSetField(tiff.get(), TIFFTAG_ROWSPERSTRIP, static_cast<std::uint32_t>(rows_per_strip));
+  if (add_tags) add_tags(tiff.get());
+  std::uint32_t strip = 0;
+  for (int v = 0; v < image.height(); v += rows_per_strip, ++strip) {
+    const std::size_t samples = static_cast<std::size_t>(std::min(rows_per_strip, image.height() - v)) * row_samples;
+    // libtiff's interface is not const-correct; it copies before it would swap bytes or predict.
+    auto* data = const_cast<Sample*>(image.row(v));
+    if (TIFFWriteEncodedStrip(tiff.get(), strip, data, static_cast<tmsize_t>(samples * sizeof(Sample))) < 0)
+      throw fail();
+  }
+  if (!TIFFFlush(tiff.get())) throw fail();
+  tiff.reset();
+  if (target.error_number != 0 || !errors.message.empty()) throw fail();
+}
+
 }  // namespace
 
 RawImage decode_tiff(std::string_view bytes, const HeaderCheck& check) {
@@ -277,42 +322,11 @@ RawImage decode_tiff(std::string_view bytes, const HeaderCheck& check) {
 }
 
 void encode_float_tiff(AtomicFile& file, const Image<float>& image, const std::function<void(TIFF*)>& add_tags) {
-  Errors errors;
-  const Options options(errors);
-  Target target{.file = file};
-  const std::size_t data_bytes = image.count() * sizeof(float);
-  const char* mode = data_bytes > (std::size_t{1} << 32) - (std::size_t{1} << 26) ? "w8" : "w";
-  const auto fail = [&] {
-    if (target.error_number != 0) return file_error("cannot write", file.path(), target.error_number);
-    return resource_error("cannot write " + file.path().string() + ": " + errors.message);
-  };
-  Handle tiff(TIFFClientOpenExt("image", mode, &target, target_read, target_write, target_seek, source_close,
-                                target_size, nullptr, nullptr, options.options));
-  if (!tiff) throw fail();
-  const std::size_t row_samples = static_cast<std::size_t>(image.width()) * static_cast<std::size_t>(image.channels());
-  const auto rows_per_strip = static_cast<int>(std::max<std::size_t>(1, (1 << 20) / (row_samples * sizeof(float))));
-  TIFFSetField(tiff.get(), TIFFTAG_IMAGEWIDTH, static_cast<std::uint32_t>(image.width()));
-  TIFFSetField(tiff.get(), TIFFTAG_IMAGELENGTH, static_cast<std::uint32_t>(image.height()));
-  TIFFSetField(tiff.get(), TIFFTAG_SAMPLESPERPIXEL, static_cast<std::uint16_t>(image.channels()));
-  TIFFSetField(tiff.get(), TIFFTAG_BITSPERSAMPLE, static_cast<std::uint16_t>(32));
-  TIFFSetField(tiff.get(), TIFFTAG_SAMPLEFORMAT, static_cast<std::uint16_t>(SAMPLEFORMAT_IEEEFP));
-  TIFFSetField(tiff.get(), TIFFTAG_PLANARCONFIG, static_cast<std::uint16_t>(PLANARCONFIG_CONTIG));
-  TIFFSetField(tiff.get(), TIFFTAG_COMPRESSION, static_cast<std::uint16_t>(COMPRESSION_NONE));
-  TIFFSetField(tiff.get(), TIFFTAG_PHOTOMETRIC,
-               static_cast<std::uint16_t>(image.channels() == 3 ? PHOTOMETRIC_RGB : PHOTOMETRIC_MINISBLACK));
-  TIFFSetField(tiff.get(), TIFFTAG_ROWSPERSTRIP, static_cast<std::uint32_t>(rows_per_strip));
-  if (add_tags) add_tags(tiff.get());
-  std::uint32_t strip = 0;
-  for (int v = 0; v < image.height(); v += rows_per_strip, ++strip) {
-    const std::size_t samples = static_cast<std::size_t>(std::min(rows_per_strip, image.height() - v)) * row_samples;
-    // libtiff's interface is not const-correct; it copies before it would swap bytes or predict.
-    auto* data = const_cast<float*>(image.row(v));
-    if (TIFFWriteEncodedStrip(tiff.get(), strip, data, static_cast<tmsize_t>(samples * sizeof(float))) < 0)
-      throw fail();
-  }
-  if (!TIFFFlush(tiff.get())) throw fail();
-  tiff.reset();
-  if (target.error_number != 0 || !errors.message.empty()) throw fail();
+  encode(file, image, SAMPLEFORMAT_IEEEFP, COMPRESSION_NONE, add_tags);
+}
+
+void encode_tiff16(AtomicFile& file, const Image<std::uint16_t>& image) {
+  encode(file, image, SAMPLEFORMAT_UINT, COMPRESSION_ADOBE_DEFLATE, {});
 }
 
 }  // namespace malus::codecs

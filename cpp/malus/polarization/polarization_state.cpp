@@ -21,7 +21,8 @@ Eigen::Matrix3d PolarizationState::stokes_covariance(int u, int v) const {
     scatter += weight * variance / exposures[k] * outer;
   }
   const Eigen::Matrix3d inverse = normal.inverse();
-  return inverse * scatter * inverse;
+  const double factor = variance_factor.empty() ? 1.0 : variance_factor(u, v);
+  return factor * inverse * scatter * inverse;
 }
 
 Eigen::Matrix3d PolarizationState::covariance(int u, int v) const {

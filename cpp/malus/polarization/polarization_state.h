@@ -44,12 +44,14 @@ struct PolarizationState {
   std::vector<int> exposures;      ///< how many images were averaged at each angle
   NoiseModel noise;                ///< of one image
   FitWeighting weighting = FitWeighting::uniform;
+  /// What the noise model's variances are multiplied by, for images that were interpolated; empty = 1.
+  Image<float> variance_factor;
 
   Size size() const { return i_un.size(); }
   bool is_valid(int u, int v) const { return valid(u, v) == static_cast<std::uint8_t>(PixelState::valid); }
   /// Stokes vector (s0, s1, s2) of a pixel.
   Eigen::Vector3d stokes(int u, int v) const;
-  /// Covariance of (s0, s1, s2) from the noise model at the fitted intensities.
+  /// Covariance of (s0, s1, s2) from the noise model at the fitted intensities, times variance_factor.
   Eigen::Matrix3d stokes_covariance(int u, int v) const;
   /// Covariance of (i_un, rho, phi) by linear propagation; phi's variance grows as 1 / rho².
   Eigen::Matrix3d covariance(int u, int v) const;

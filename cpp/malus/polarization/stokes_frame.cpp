@@ -30,9 +30,9 @@ constexpr double min_tan2 = 0.0076;  // 5°
 /// Zeniths at which the radial profile of a mirroring object is free, linear between.
 constexpr int profile_nodes = 10;
 constexpr double profile_step_rad = 10 * pi / 180;
-/// Noise of s1 / s0 and s2 / s0 that every pixel is given at least, and the share of R by which a surface's slope
-/// errors disturb T.
-constexpr double noise_floor = 0.003, azimuth_error = 0.1;
+/// Noise of s1 / s0 and s2 / s0 that every pixel is given at least, and the error of a surface's slopes: azimuths are
+/// the less known the flatter it is.
+constexpr double noise_floor = 0.003, slope_error = 0.04;
 
 /// Error of the scale's zero from which the search does not start at the scale as given.
 constexpr double gross_turn_rad = 10 * pi / 180;
@@ -183,7 +183,7 @@ std::array<Equation, 2> equations_of(const Sample& sample, const Eigen::Vector3d
   const double cosine = std::cos(2 * sample.azimuth_rad), sine = std::sin(2 * sample.azimuth_rad);
   const double s1 = stokes[1] / stokes[0], s2 = stokes[2] / stokes[0];
   const double radial = s1 * cosine + s2 * sine, across = s2 * cosine - s1 * sine;
-  const double slope_part = 2 * azimuth_error * radial;
+  const double slope_part = 2 * std::min(slope_error / std::sqrt(sample.tan2), 1.0) * radial;
   const double weight = 1 / (noise_floor * noise_floor + slope_part * slope_part);
   std::array<Equation, 2> result;
   result[0].row.head<3>() << -sine, cosine, 2 * radial;

@@ -1,7 +1,9 @@
 #include "malus/station/reconstruct.h"
 
+#include <algorithm>
 #include <cmath>
 #include <string>
+#include <vector>
 
 #include "malus/capture/capture.h"
 #include "malus/core/depth_normals.h"
@@ -10,6 +12,7 @@
 #include "malus/io/point_cloud_file.h"
 #include "malus/lighting/light.h"
 #include "malus/polarization/decompose.h"
+#include "malus/polarization/interpolation_error.h"
 #include "malus/polarization/unpolarized.h"
 #include "malus/prior/project_prior.h"
 #include "malus/station/quality_json_internal.h"
@@ -22,6 +25,8 @@ namespace {
 
 /// Share of the object's pixels from which misfits are worth a warning.
 constexpr double many_misfits = 0.05;
+/// Median error of (s1, s2) over their length from which a mosaic is worth a warning.
+constexpr double texture_over_polarization = 1;
 
 /// The camera of the station, or an error that says what is missing.
 const CameraSpec& require_camera(const Station& station) {
@@ -108,12 +113,37 @@ void warn_of_misfits(const PolarizationState& state, const Context& context) {
                                      "right, did the light change, did something move?");
 }
 
+/// Of images interpolated from a mosaic: texture finer than its cells passes for polarization.
+void warn_of_texture(const PolarizationState& state, const Context& context) {
+  std::vector<double> errors;
+  for (int v = 0; v < state.size().height; v += 4) {
+    for (int u = 0; u < state.size().width; u += 4) {
+      if (!state.is_valid(u, v)) continue;
+      const Eigen::Matrix3d covariance = state.stokes_covariance(u, v);
+      const double s0 = 2.0 * state.i_un(u, v), linear = s0 * std::max<double>(state.rho(u, v), 1e-6);
+      errors.push_back(std::sqrt(0.5 * (covariance(1, 1) + covariance(2, 2))) / linear);
+    }
+  }
+  if (errors.empty()) return;
+  const auto middle = errors.begin() + static_cast<std::ptrdiff_t>(errors.size() / 2);
+  std::nth_element(errors.begin(), middle, errors.end());
+  if (*middle < texture_over_polarization) return;
+  context.log(LogLevel::warning,
+              "texture finer than the mosaic's cells is as strong as the polarization on most of the object: the fused "
+              "detail may be worse than the prior's; come closer, stop the lens down, or turn a filter before an "
+              "ordinary camera");
+}
+
 PolarizationStep capture_and_decompose(const Station& station, const Options& options, const Context& context) {
   PolarizedStack stack = capture_stack(make_capture_input(station), options.capture, context);
   PolarizationStep step;
   fit_polarizer_of(stack, station.file.polarized, options.polarizer, step, context);
   step.state = decompose(stack.images, stack.angles_rad, stack.noise, stack.mask, stack.saturated, options.polarization,
                          context);
+  if (!stack.shared.empty()) {
+    add_interpolation_error(step.state, stack.shared, context);
+    warn_of_texture(step.state, context);
+  }
   warn_of_misfits(step.state, context);
   if (station.file.photos) step.scene = unpolarized_intensity(stack.images, stack.angles_rad, context);
   step.color = std::move(stack.color);

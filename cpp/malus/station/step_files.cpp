@@ -108,6 +108,9 @@ Json save(const PolarizationStep& result, const fs::path& work, std::vector<std:
   save_raster(state.phi, work, maps + "phase.tif", files);
   save_raster(state.residual, work, "polarization/residual.tif", files);
   save_bytes(state.valid, work, "polarization/valid.png", files);
+  if (!state.variance_factor.empty()) {
+    save_raster(state.variance_factor, work, "polarization/variance_factor.tif", files);
+  }
   if (!result.color.empty()) save_raster(result.color, work, "polarization/color.tif", files);
   if (!result.scene.empty()) save_raster(result.scene, work, "polarization/scene.tif", files);
   return {{"camera", to_json(result.camera)},
@@ -136,6 +139,9 @@ void load(PolarizationStep& result, const fs::path& work, const Json& notes) {
   state.phi = read_float_raster(maps / "phase.tif");
   state.residual = read_float_raster(work / "polarization/residual.tif");
   state.valid = read_labels(work / "polarization/valid.png");
+  if (fs::exists(work / "polarization/variance_factor.tif")) {
+    state.variance_factor = read_float_raster(work / "polarization/variance_factor.tif");
+  }
   result.camera = pinhole_from_json(notes.at("camera"));
   state.angles_rad = notes.at("angles_rad").get<std::vector<double>>();
   state.exposures = notes.at("exposures").get<std::vector<int>>();

@@ -172,6 +172,22 @@ TEST(ImageFile, FloatTiffKeepsEveryBit) {
   }
 }
 
+TEST(ImageFile, SixteenBitTiffSurvivesAndIsReadByOpenCv) {
+  const TemporaryFolder folder;
+  for (const int channels : {1, 3}) {
+    // More than one strip.
+    const auto words = pattern<std::uint16_t>({701, 403}, channels);
+    write_tiff16(folder / "16.tif", words);
+    const RawImage read = read_image(folder / "16.tif");
+    expect_pixels(read.pixels, words);
+    EXPECT_EQ(read.bits, 16);
+    EXPECT_FALSE(read.is_float);
+    const cv::Mat other = cv::imread((folder / "16.tif").string(), cv::IMREAD_UNCHANGED);
+    ASSERT_EQ(other.type(), channels == 3 ? CV_16UC3 : CV_16UC1);
+    EXPECT_EQ(other.ptr<std::uint16_t>(402)[700 * channels + (channels == 3 ? 2 : 0)], words(700, 402, 0));
+  }
+}
+
 TEST(ImageFile, MaskAndLabels) {
   const TemporaryFolder folder;
   Image<std::uint8_t> labels({4, 2});
@@ -269,6 +285,12 @@ TEST(ImageFile, WritersRefuseWhatTheyCannotWrite) {
       ErrorCode::input,
       [&] {
         write_float_tiff(folder / "a.tif", Image<float>({2, 2}, 2));
+      },
+      "2 channels");
+  expect_error(
+      ErrorCode::input,
+      [&] {
+        write_tiff16(folder / "a.tif", Image<std::uint16_t>({2, 2}, 2));
       },
       "2 channels");
 }
