@@ -41,11 +41,13 @@ double value_at(const NodeVector<double>& x, int u, int v) {
 
 }  // namespace
 
-ConjugateGradients::ConjugateGradients(const GridSystem& system, double ridge, const Context& context)
+ConjugateGradients::ConjugateGradients(const GridSystem& system, double ridge,
+                                       std::unique_ptr<Multigrid>& preconditioner, const Context& context)
     : system_(system),
       context_(context),
       matrix_(node_stencil(system, ridge, context)),
-      preconditioner_(matrix_, context) {}
+      preconditioner_(preconditioner ? *preconditioner
+                                     : *(preconditioner = std::make_unique<Multigrid>(matrix_, context))) {}
 
 double ConjugateGradients::bytes() const {
   // Four vectors of ours beside the matrix.
@@ -112,7 +114,8 @@ void ConjugateGradients::set_part_constants(const NodeVector<double>& residual, 
   }
 }
 
-SolveStatus ConjugateGradients::solve(double tolerance, int max_iterations, Eigen::VectorXd& solution) {
+SolveStatus ConjugateGradients::solve(double tolerance, double reduction, int max_iterations,
+                                      Eigen::VectorXd& solution) {
   const Eigen::VectorXd& right = system_.right();
   const double scale = right.norm() > 0 ? right.norm() : 1;
   const Size nodes = matrix_.nodes();
@@ -125,11 +128,12 @@ SolveStatus ConjugateGradients::solve(double tolerance, int max_iterations, Eige
   } else {
     solution.resize(right.size());
   }
+  const double enough = std::max(tolerance * scale, reduction * std::sqrt(squared));
   const std::size_t segments = static_cast<std::size_t>(matrix_.segments());
   std::vector<double> parts(static_cast<std::size_t>(nodes.height) * segments, 0.0);
   double along = 0;
   SolveStatus status = SolveStatus::solved;
-  for (iterations_ = 0; std::sqrt(squared) > tolerance * scale; ++iterations_) {
+  for (iterations_ = 0; std::sqrt(squared) > enough; ++iterations_) {
     context_.check_cancel();
     if (iterations_ == max_iterations) {
       status = SolveStatus::inaccurate;

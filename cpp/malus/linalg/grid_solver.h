@@ -36,7 +36,12 @@ struct GridSolveSummary {
   double bytes = 0;                           ///< of the factor, or of the multigrid's matrices and vectors
 };
 
+class Multigrid;
+
 /// Solver of the symmetric positive definite systems of one pixel grid.
+///
+/// Multigrid keeps the hierarchy of one system for the next ones, which it speeds up as long as they are alike: when
+/// that takes half as many iterations again as with its own system, the next system gets its own.
 class GridSolver {
  public:
   GridSolver(const PixelIndex& pixels, const GridSolverOptions& options, const Context& context);
@@ -44,20 +49,23 @@ class GridSolver {
 
   /// x = (A + ridge I)⁻¹ b. If x has the system's size it is where multigrid starts from. Disconnected parts of the
   /// mask need nothing but the ridge to hold them: their constants are solved for exactly. The pattern of the system
-  /// must stay the same from call to call. Running out of memory throws ErrorCode::resource; what cannot be solved is a
+  /// must stay the same from call to call. Multigrid also ends when |A x − b| has come down to `reduction` times what
+  /// it was at the start. Running out of memory throws ErrorCode::resource; what cannot be solved is a
   /// status.
-  SolveStatus solve(const GridSystem& system, double ridge, Eigen::VectorXd& x);
+  SolveStatus solve(const GridSystem& system, double ridge, Eigen::VectorXd& x, double reduction = 0);
 
   const GridSolveSummary& summary() const { return summary_; }
 
  private:
   SolveStatus solve_direct(const GridSystem& system, double ridge, Eigen::VectorXd& x);
-  SolveStatus solve_multigrid(const GridSystem& system, double ridge, Eigen::VectorXd& x);
+  SolveStatus solve_multigrid(const GridSystem& system, double ridge, double reduction, Eigen::VectorXd& x);
 
   const PixelIndex* pixels_;
   GridSolverOptions options_;
   Context context_;
   std::optional<SymmetricSolver> direct_;
+  std::unique_ptr<Multigrid> multigrid_;
+  int own_iterations_ = 0;  ///< that multigrid_ took for the system it was made from
   GridSolveSummary summary_;
 };
 

@@ -50,9 +50,34 @@ struct PolarizationState {
   /// Stokes vector (s0, s1, s2) of a pixel.
   Eigen::Vector3d stokes(int u, int v) const;
   /// Covariance of (s0, s1, s2) from the noise model at the fitted intensities.
-  Eigen::Matrix3d stokes_covariance(int u, int v) const;
+  Eigen::Matrix3d stokes_covariance(int u, int v) const { return stokes_covariance(stokes(u, v)); }
+  /// The same of any Stokes vector seen under these angles and this noise.
+  Eigen::Matrix3d stokes_covariance(const Eigen::Vector3d& stokes) const;
   /// Covariance of (i_un, rho, phi) by linear propagation; phi's variance grows as 1 / rho².
   Eigen::Matrix3d covariance(int u, int v) const;
+};
+
+/// Variances of a pixel's Stokes components: of s0, and the mean of those of s1 and s2.
+struct StokesVariance {
+  double intensity = 0;
+  double linear = 0;
+};
+
+/// What PolarizationState::stokes_covariance says of single components, many times faster for the uniform fit, whose
+/// normal equations all pixels share.
+class StokesVariances {
+ public:
+  /// The state must outlive this.
+  explicit StokesVariances(const PolarizationState& state);
+  StokesVariance operator()(const Eigen::Vector3d& stokes) const;
+
+ private:
+  struct Angle {
+    Eigen::Vector3d row;               ///< intensity = row · stokes
+    double to_intensity = 0, to_linear = 0;  ///< share of the intensity's variance in those of the components
+  };
+  const PolarizationState& state_;
+  std::vector<Angle> angles_;
 };
 
 /// Phase [rad] of a Stokes vector, in [0, π).
