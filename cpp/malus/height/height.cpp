@@ -21,8 +21,6 @@ constexpr int most_halvings = 5;
 /// in tiles, which overlap by twice a margin.
 constexpr std::size_t whole_pixels = 500'000;
 constexpr int tile_px = 512, margin_px = 24;
-/// Gauss–Newton steps in a tile, whose start has everything but the finest detail.
-constexpr int tile_steps = 2;
 /// |A x − b| / |b| of linear systems that are only a start.
 constexpr double start_accuracy = 1e-3, final_accuracy = 1e-6;
 
@@ -179,7 +177,7 @@ void hold_ring(HeightData& tile, const Image<float>& start, HeightBox box, Size 
   }
 }
 
-/// What a tile's Gauss–Newton steps made of the start.
+/// What a Gauss–Newton step made of the start in a tile.
 struct TileResult {
   Image<float> height;
   HeightMap map;
@@ -198,11 +196,8 @@ TileResult solve_tile(const HeightData& tile, const Image<float>& start, HeightB
   for (int i = 0; i < problem.unknowns(); ++i)
     height[i] = start(box.u0 + problem.pixels().u(i), box.v0 + problem.pixels().v(i));
   double cost = problem.linearize(height);
-  for (int k = 0; k < std::min(tile_steps, options.iterations); ++k) {
-    // Where a tile cannot be solved the start remains.
-    if (!step(problem, height, cost, result.map)) break;
-    if (result.map.last_update <= options.tolerance) break;
-  }
+  // One is enough: the start has all but the finest detail. Where a tile cannot be solved the start remains.
+  step(problem, height, cost, result.map);
   result.map.solver_bytes = problem.solver_bytes();
   result.map.solver_iterations = problem.solver_iterations();
   for (int i = 0; i < problem.unknowns(); ++i) {
@@ -212,8 +207,8 @@ TileResult solve_tile(const HeightData& tile, const Image<float>& start, HeightB
   return result;
 }
 
-/// Gauss–Newton in tiles from a start at the raster's resolution; tile(box) gives their data. map.height becomes the
-/// result.
+/// A Gauss–Newton step in tiles from a start at the raster's resolution; tile(box) gives their data. map.height becomes
+/// the result.
 void solve_in_tiles(const std::function<HeightData(HeightBox)>& tile, const Image<float>& start,
                     const HeightOptions& options, const HeightLight& light, const Context& context, HeightMap& map) {
   const Size size = start.size();

@@ -19,7 +19,7 @@ constexpr double ring_weight = 1e4;
 constexpr double solver_tolerance = 1e-6;
 /// |A x − b| / |A start − b| at which a Gauss–Newton step ends: the next one corrects what is left, with better
 /// weights.
-constexpr double step_accuracy = 0.02;
+constexpr double step_accuracy = 0.1;
 constexpr std::size_t grain = 4096;
 
 }  // namespace

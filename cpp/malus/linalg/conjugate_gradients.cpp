@@ -41,13 +41,11 @@ double value_at(const NodeVector<double>& x, int u, int v) {
 
 }  // namespace
 
-ConjugateGradients::ConjugateGradients(const GridSystem& system, double ridge,
-                                       std::unique_ptr<Multigrid>& preconditioner, const Context& context)
+ConjugateGradients::ConjugateGradients(const GridSystem& system, double ridge, const Context& context)
     : system_(system),
       context_(context),
       matrix_(node_stencil(system, ridge, context)),
-      preconditioner_(preconditioner ? *preconditioner
-                                     : *(preconditioner = std::make_unique<Multigrid>(matrix_, context))) {}
+      preconditioner_(matrix_, context) {}
 
 double ConjugateGradients::bytes() const {
   // Four vectors of ours beside the matrix.

@@ -1,7 +1,6 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <memory>
 
 #include "malus/core/context.h"
 #include "malus/linalg/grid_system.h"
@@ -13,10 +12,8 @@ namespace malus {
 /// Conjugate gradients in double precision on a grid system, preconditioned by a Multigrid V-cycle in single precision.
 class ConjugateGradients {
  public:
-  /// Adds `ridge` to the system's diagonal. The preconditioner of another system of the same pixels does too, as long
-  /// as that is not too different; without one it is made here.
-  ConjugateGradients(const GridSystem& system, double ridge, std::unique_ptr<Multigrid>& preconditioner,
-                     const Context& context);
+  /// Adds `ridge` to the system's diagonal.
+  ConjugateGradients(const GridSystem& system, double ridge, const Context& context);
 
   /// Solves the system from x if it has its size, else from 0, until |A x − b| is below tolerance · |b| or reduction
   /// times what it was at the start.
@@ -38,7 +35,7 @@ class ConjugateGradients {
   const GridSystem& system_;
   Context context_;
   NodeStencil<double> matrix_;
-  Multigrid& preconditioner_;
+  Multigrid preconditioner_;
   int iterations_ = 0;
   double relative_residual_ = 0;
 };

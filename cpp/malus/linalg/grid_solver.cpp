@@ -41,11 +41,8 @@ SolveStatus GridSolver::solve_direct(const GridSystem& system, double ridge, Eig
 
 SolveStatus GridSolver::solve_multigrid(const GridSystem& system, double ridge, double reduction,
                                         Eigen::VectorXd& x) try {
-  const bool own = !multigrid_;
-  ConjugateGradients solver(system, ridge, multigrid_, context_);
-  SolveStatus status = solver.solve(options_.tolerance, reduction, options_.max_iterations, x);
-  if (own) own_iterations_ = solver.iterations();
-  if (status != SolveStatus::solved || 2 * solver.iterations() > 3 * own_iterations_ + 2) multigrid_.reset();
+  ConjugateGradients solver(system, ridge, context_);
+  const SolveStatus status = solver.solve(options_.tolerance, reduction, options_.max_iterations, x);
   summary_.iterations = solver.iterations();
   summary_.relative_residual = solver.relative_residual();
   summary_.bytes = solver.bytes();

@@ -36,12 +36,7 @@ struct GridSolveSummary {
   double bytes = 0;                           ///< of the factor, or of the multigrid's matrices and vectors
 };
 
-class Multigrid;
-
 /// Solver of the symmetric positive definite systems of one pixel grid.
-///
-/// Multigrid keeps the hierarchy of one system for the next ones, which it speeds up as long as they are alike: when
-/// that takes half as many iterations again as with its own system, the next system gets its own.
 class GridSolver {
  public:
   GridSolver(const PixelIndex& pixels, const GridSolverOptions& options, const Context& context);
@@ -64,8 +59,6 @@ class GridSolver {
   GridSolverOptions options_;
   Context context_;
   std::optional<SymmetricSolver> direct_;
-  std::unique_ptr<Multigrid> multigrid_;
-  int own_iterations_ = 0;  ///< that multigrid_ took for the system it was made from
   GridSolveSummary summary_;
 };
 
