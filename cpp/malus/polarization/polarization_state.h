@@ -73,7 +73,7 @@ class StokesVariances {
 
  private:
   struct Angle {
-    Eigen::Vector3d row;               ///< intensity = row · stokes
+    Eigen::Vector3d row;                     ///< intensity = row · stokes
     double to_intensity = 0, to_linear = 0;  ///< share of the intensity's variance in those of the components
   };
   const PolarizationState& state_;
