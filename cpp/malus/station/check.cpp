@@ -24,7 +24,7 @@ struct StepCost {
   double megabytes_per_thread;
 };
 constexpr StepCost polarization_cost{1.5, 0.7, 78, 0};
-constexpr StepCost cloud_cost{10, 0.2, 180, 150};
+constexpr StepCost cloud_cost{9.5, 0.2, 85, 250};
 constexpr StepCost raster_cost{0.03, 0.5, 78, 0};
 constexpr StepCost height_cost{2.1, 0.95, 72, 130};
 constexpr StepCost grid_cost{0.1, 0.5, 84, 0};
