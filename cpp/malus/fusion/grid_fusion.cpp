@@ -184,7 +184,7 @@ FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const G
   context.progress("fuse", 0.1, "grid transfer");
   const double focal = prior.camera.focal();
   Image<float> polarization = height.height;
-  Image<float> coarse = height_from_depth(prior.depth, prior.camera, height.perspective);
+  Image<float> coarse = height_from_depth(prior.depth, prior.camera, height.perspective, context);
   const UnitRange polarization_range(polarization), prior_range(coarse);
   if (options.unit_scaling) {
     polarization_range.to_unit(polarization);

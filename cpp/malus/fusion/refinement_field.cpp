@@ -41,6 +41,7 @@ RefinementField make_field(const PolarizationState& state, const DepthPrior& pri
   field.s0 = field.s1 = field.s2 = field.variance = Image<float>(size, 1, none);
   field.kind = Image<std::uint8_t>(size);
   field.prior_sigma = Image<float>(size, 1, none);
+  const StokesVariances variances(state);
   parallel_rows(context, size.height, [&](int v) {
     for (int u = 0; u < size.width; ++u) {
       if (!field.object(u, v)) continue;
@@ -49,11 +50,10 @@ RefinementField make_field(const PolarizationState& state, const DepthPrior& pri
       const double sigma = prior.sigma.empty() ? none : prior.sigma(u, v);
       field.prior_sigma(u, v) = static_cast<float>(std::isfinite(sigma) ? sigma / gsd : 1.0);
       const Eigen::Vector3d stokes = state.stokes(u, v);
-      const Eigen::Matrix3d covariance = state.stokes_covariance(u, v);
       field.s0(u, v) = static_cast<float>(stokes[0]);
       field.s1(u, v) = static_cast<float>(stokes[1]);
       field.s2(u, v) = static_cast<float>(stokes[2]);
-      field.variance(u, v) = static_cast<float>(0.5 * (covariance(1, 1) + covariance(2, 2)));
+      field.variance(u, v) = static_cast<float>(variances(u, v, stokes).linear);
       field.usable(u, v) = state.is_valid(u, v) && stokes[0] > 0 && stokes.allFinite() ? 255 : 0;
     }
   });

@@ -1,370 +1,28 @@
 #include "malus/height/height.h"
 
+#include <algorithm>
 #include <cmath>
+#include <functional>
 #include <limits>
-#include <numbers>
 #include <string>
 #include <vector>
 
 #include "malus/core/parallel.h"
-#include "malus/linalg/grid_solver.h"
-#include "malus/linalg/grid_system.h"
-#include "malus/polarization/fresnel.h"
-#include "malus/polarization/ray_frame.h"
+#include "malus/height/height_problem_internal.h"
 
 namespace malus {
 namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
-/// Eq 11 divides by cos θ; beyond this zenith (87°) the quotient is noise.
-constexpr double smallest_cosine = 0.05;
-/// Part of the largest diagonal entry added to every one: holds the height's free constant.
-constexpr double relative_ridge = 1e-11;
-/// |A x − b| / |b| at which an iterative solver ends: far below what a Gauss–Newton step leaves.
-constexpr double solver_tolerance = 1e-6;
 /// Gauss–Newton steps that raise the cost by more than this are halved, at most so often.
 constexpr double allowed_rise = 1.05;
 constexpr int most_halvings = 5;
-
-/// A derivative at a pixel as a weighted sum of up to three unknowns.
-struct Difference {
-  int unknowns[3];
-  double coefficients[3];
-  int count = 0;
-
-  double operator()(const Eigen::VectorXd& x) const {
-    double sum = 0;
-    for (int i = 0; i < count; ++i) sum += coefficients[i] * x[unknowns[i]];
-    return sum;
-  }
-};
-
-/// Derivative along an axis at a pixel: central; at a border of the object one-sided and exact for parabolas; across
-/// two pixels if there are no more; count 0 if the pixel has no neighbour.
-Difference difference(const PixelIndex& pixels, int u, int v, int du, int dv) {
-  const int here = pixels.at(u, v), after = pixels.at(u + du, v + dv), before = pixels.at(u - du, v - dv);
-  if (after >= 0 && before >= 0) return {{after, before, 0}, {0.5, -0.5, 0}, 2};
-  if (after < 0 && before < 0) return {};
-  const int near = after >= 0 ? after : before;
-  const int step = after >= 0 ? 1 : -1;
-  const int far = pixels.at(u + 2 * step * du, v + 2 * step * dv);
-  if (far >= 0) return {{here, near, far}, {-1.5 * step, 2.0 * step, -0.5 * step}, 3};
-  return {{near, here, 0}, {1.0 * step, -1.0 * step, 0}, 2};
-}
-
-/// Least-squares rows of one pixel, summed: ½ gᵀ A g − gᵀ b with the derivatives g = (h_u, h_v) of the height.
-struct Term {
-  double uu = 0, uv = 0, vv = 0, right_u = 0, right_v = 0;
-
-  /// Adds weight · (p · P + q · Q − target)² for slopes affine in the derivatives.
-  void add_row(const AffineSlopes& slopes, double p, double q, double target, double weight) {
-    const double u = p * slopes.per_u.p + q * slopes.per_u.q, v = p * slopes.per_v.p + q * slopes.per_v.q;
-    const double rest = target - p * slopes.constant.p - q * slopes.constant.q;
-    uu += weight * u * u;
-    uv += weight * u * v;
-    vv += weight * v * v;
-    right_u += weight * u * rest;
-    right_v += weight * v * rest;
-  }
-};
-
-/// What was measured at a pixel, with its standard deviations.
-struct Observation {
-  double i_un, s1, s2, sigma_i, sigma_s;
-};
-
-/// The height problem of one station: pixels, data, light.
-class HeightProblem {
- public:
-  HeightProblem(const HeightInput& input, const HeightOptions& options, const Pinhole* camera, const Mask& object,
-                const Context& context)
-      : input_(input),
-        options_(options),
-        camera_(camera),
-        context_(context),
-        pixels_(object),
-        system_(pixels_),
-        solver_(pixels_, {.method = options.solver, .tolerance = solver_tolerance}, context),
-        terms_(static_cast<std::size_t>(pixels_.count())) {}
-
-  int unknowns() const { return pixels_.count(); }
-  double solver_bytes() const { return solver_.summary().bytes; }
-  int solver_iterations() const { return solver_iterations_; }
-  const PixelIndex& pixels() const { return pixels_; }
-
-  void set_light(const Eigen::Vector4d& light, double sigma) {
-    light_ = light;
-    shading_sigma_ = sigma;
-  }
-
-  /// Solves the linear system of Eq 9 and 11.
-  SolveStatus solve_linear(bool literal, Eigen::VectorXd& height) {
-    for_each_pixel([&](int i) { terms_[static_cast<std::size_t>(i)] = linear_term(i, literal); });
-    return solve(height);
-  }
-
-  /// Linearizes the likelihood at a height; returns its robust cost per pixel.
-  double linearize(const Eigen::VectorXd& height) {
-    const auto part = [&](std::size_t begin, std::size_t end) {
-      double cost = 0;
-      for (std::size_t i = begin; i < end; ++i) cost += likelihood_term(static_cast<int>(i), height, terms_[i]);
-      return cost;
-    };
-    return parallel_sum(context_, terms_.size(), grain, 0.0, part) / static_cast<double>(terms_.size());
-  }
-
-  /// Minimizes the rows in hand plus smoothness and boundary; multigrid starts from `height` if that has a value.
-  SolveStatus solve(Eigen::VectorXd& height) {
-    assemble();
-    const SolveStatus status = solver_.solve(system_, relative_ridge * system_.largest_diagonal(), height);
-    solver_iterations_ += solver_.summary().iterations;
-    return status;
-  }
-
-  /// RMS of the derivatives of a height.
-  double slope_rms(const Eigen::VectorXd& height) const {
-    const auto part = [&](std::size_t begin, std::size_t end) {
-      double sum = 0;
-      for (int i = static_cast<int>(begin); i < static_cast<int>(end); ++i) {
-        const int u = pixels_.u(i), v = pixels_.v(i);
-        const double along_u = difference(pixels_, u, v, 1, 0)(height),
-                     along_v = difference(pixels_, u, v, 0, 1)(height);
-        sum += along_u * along_u + along_v * along_v;
-      }
-      return sum;
-    };
-    return std::sqrt(parallel_sum(context_, terms_.size(), grain, 0.0, part) / static_cast<double>(terms_.size()));
-  }
-
-  /// RMS of the residuals of the linear rows in hand at a height, Eq 9 and 11 together.
-  double residual_rms(const Eigen::VectorXd& height, bool literal, bool likelihood) {
-    const auto part = [&](std::size_t begin, std::size_t end) {
-      double sum = 0;
-      for (std::size_t i = begin; i < end; ++i) {
-        sum += likelihood ? likelihood_square(static_cast<int>(i), height)
-                          : linear_square(static_cast<int>(i), height, literal);
-      }
-      return sum;
-    };
-    return std::sqrt(parallel_sum(context_, terms_.size(), grain, 0.0, part) / static_cast<double>(terms_.size()));
-  }
-
- private:
-  static constexpr std::size_t grain = 4096;
-
-  template <class Body>
-  void for_each_pixel(Body&& body) {
-    parallel_for(context_, terms_.size(), grain, [&](std::size_t begin, std::size_t end) {
-      for (std::size_t i = begin; i < end; ++i) body(static_cast<int>(i));
-    });
-  }
-
-  bool has_data(int u, int v) const { return input_.reflection.at(u, v) != Reflection::outside; }
-
-  /// Slopes as an affine function of the derivatives of the height.
-  AffineSlopes slopes_at(int u, int v) const {
-    if (camera_ == nullptr) return {{0, 0}, {-1, 0}, {0, 1}};
-    AffineSlopes slopes = slopes_of_log_depth(*camera_, u, v);
-    const double scale = -1 / camera_->focal();
-    for (Slopes* part : {&slopes.per_u, &slopes.per_v}) *part = {scale * part->p, scale * part->q};
-    return slopes;
-  }
-
-  /// Light in the pixel's frame: right, up, view.
-  Eigen::Vector3d light_at(int u, int v) const {
-    const RayFrame frame = ray_frame(camera_, u, v);
-    const Eigen::Vector3d light = light_.head<3>();
-    return {light.dot(frame.right), light.dot(frame.up), light.dot(frame.view)};
-  }
-
-  Observation observation(int u, int v) const {
-    const PolarizationState& state = input_.polarization;
-    const Eigen::Vector3d stokes = state.stokes(u, v);
-    const Eigen::Matrix3d covariance = state.stokes_covariance(u, v);
-    const double shading = options_.shading_error ? *options_.shading_error * 0.5 * stokes[0] : shading_sigma_;
-    const double model = options_.stokes_error * stokes[0];
-    return {0.5 * stokes[0], stokes[1], stokes[2], std::sqrt(0.25 * covariance(0, 0) + shading * shading),
-            std::sqrt(0.5 * (covariance(1, 1) + covariance(2, 2)) + model * model)};
-  }
-
-  struct LinearRows {
-    double phase_p, phase_q, phase_weight;
-    double shading_p, shading_q, shading_target;
-  };
-
-  LinearRows linear_rows(int u, int v, bool literal) const {
-    const PolarizationState& state = input_.polarization;
-    const ReflectionMap& reflection = input_.reflection;
-    double zenith = reflection.zenith(u, v);
-    if (!literal) {
-      const double s0 = 2.0 * state.i_un(u, v);
-      const Eigen::Matrix3d covariance = state.stokes_covariance(u, v);
-      const double variance = 0.5 * (covariance(1, 1) + covariance(2, 2)) / (s0 * s0);
-      zenith = zenith_of(reflection.at(u, v), debiased_degree(state.rho(u, v), variance), reflection.refractive_index,
-                         reflection.branch(u, v))
-                   .zenith_rad;
-    }
-    const double azimuth = state.phi(u, v) + (reflection.at(u, v) == Reflection::specular ? std::numbers::pi / 2 : 0);
-    const Eigen::Vector3d light = light_at(u, v);
-    const double scale = literal ? 1 : 1 / light.norm();
-    const double cosine = std::max(std::cos(zenith), smallest_cosine);
-    return {std::sin(azimuth), -std::cos(azimuth), literal ? 1 : std::min(std::tan(zenith), 1.0),
-            scale * light[0],  scale * light[1],   scale * ((state.i_un(u, v) - light_[3]) / cosine - light[2])};
-  }
-
-  Term linear_term(int i, bool literal) const {
-    Term term;
-    const int u = pixels_.u(i), v = pixels_.v(i);
-    if (!has_data(u, v)) return term;
-    const LinearRows rows = linear_rows(u, v, literal);
-    const AffineSlopes slopes = slopes_at(u, v);
-    term.add_row(slopes, rows.phase_p, rows.phase_q, 0, rows.phase_weight * rows.phase_weight);
-    term.add_row(slopes, rows.shading_p, rows.shading_q, rows.shading_target, 1);
-    return term;
-  }
-
-  double linear_square(int i, const Eigen::VectorXd& height, bool literal) const {
-    const int u = pixels_.u(i), v = pixels_.v(i);
-    if (!has_data(u, v)) return 0;
-    const LinearRows rows = linear_rows(u, v, literal);
-    const Slopes s = slopes_of(i, height);
-    const double phase = rows.phase_weight * (rows.phase_p * s.p + rows.phase_q * s.q);
-    const double shading = rows.shading_p * s.p + rows.shading_q * s.q - rows.shading_target;
-    return phase * phase + shading * shading;
-  }
-
-  Slopes slopes_of(int i, const Eigen::VectorXd& height) const {
-    const int u = pixels_.u(i), v = pixels_.v(i);
-    return slopes_at(u, v)(difference(pixels_, u, v, 1, 0)(height), difference(pixels_, u, v, 0, 1)(height));
-  }
-
-  /// s0 ρ(θ) / tan²θ, signed: negative where polarization is across the azimuth.
-  double stokes_gain(int u, int v, double tan2) const {
-    const double sin2 = tan2 / (1 + tan2), eta = input_.reflection.refractive_index;
-    const double degree = input_.reflection.at(u, v) == Reflection::specular ? -specular_degree_over_sin2(sin2, eta)
-                                                                             : diffuse_degree_over_sin2(sin2, eta);
-    return 2.0 * input_.polarization.i_un(u, v) * degree / (1 + tan2);
-  }
-
-  /// Residuals of a pixel over their standard deviations and their derivatives by P and Q.
-  struct Residuals {
-    Eigen::Vector3d value, by_p, by_q;
-
-    double shading_square() const { return value[0] * value[0]; }
-    double stokes_square() const { return value[1] * value[1] + value[2] * value[2]; }
-  };
-
-  double square_limit() const { return options_.outlier_scale * options_.outlier_scale; }
-  /// Cauchy weight of a squared residual.
-  double robust_weight(double square) const { return 1 / (1 + square / square_limit()); }
-
-  Residuals residuals(int u, int v, const Slopes& s) const {
-    const Observation o = observation(u, v);
-    const Eigen::Vector3d light = light_at(u, v);
-    const double tan2 = s.tan2(), root = std::sqrt(1 + tan2);
-    const double shading = (light[0] * s.p + light[1] * s.q + light[2]) / root;
-    const double gain = stokes_gain(u, v, tan2), step = 1e-5 * (1 + tan2);
-    const double gain_slope = (stokes_gain(u, v, tan2 + step) - gain) / step;  // by tan²θ
-    const double difference_pq = s.p * s.p - s.q * s.q, product = 2 * s.p * s.q;
-    Residuals r;
-    r.value = {(shading + light_[3] - o.i_un) / o.sigma_i, (gain * difference_pq - o.s1) / o.sigma_s,
-               (gain * product - o.s2) / o.sigma_s};
-    r.by_p = {(light[0] / root - shading * s.p / (1 + tan2)) / o.sigma_i,
-              (gain * 2 * s.p + gain_slope * 2 * s.p * difference_pq) / o.sigma_s,
-              (gain * 2 * s.q + gain_slope * 2 * s.p * product) / o.sigma_s};
-    r.by_q = {(light[1] / root - shading * s.q / (1 + tan2)) / o.sigma_i,
-              (-gain * 2 * s.q + gain_slope * 2 * s.q * difference_pq) / o.sigma_s,
-              (gain * 2 * s.p + gain_slope * 2 * s.q * product) / o.sigma_s};
-    return r;
-  }
-
-  double likelihood_square(int i, const Eigen::VectorXd& height) const {
-    const int u = pixels_.u(i), v = pixels_.v(i);
-    if (!has_data(u, v)) return 0;
-    const Residuals r = residuals(u, v, slopes_of(i, height));
-    return r.shading_square() * robust_weight(r.shading_square()) +
-           r.stokes_square() * robust_weight(r.stokes_square());
-  }
-
-  double likelihood_term(int i, const Eigen::VectorXd& height, Term& term) const {
-    const int u = pixels_.u(i), v = pixels_.v(i);
-    const double along_u = difference(pixels_, u, v, 1, 0)(height), along_v = difference(pixels_, u, v, 0, 1)(height);
-    term = {options_.damping, 0, options_.damping, options_.damping * along_u, options_.damping * along_v};
-    if (!has_data(u, v)) return 0;
-    const Slopes s = slopes_at(u, v)(along_u, along_v);
-    const Residuals r = residuals(u, v, s);
-    // Shading and polarization fail for different reasons: each keeps its own weight.
-    const double shading_weight = robust_weight(r.shading_square()), stokes_weight = robust_weight(r.stokes_square());
-    const AffineSlopes slopes = slopes_at(u, v);
-    for (int k = 0; k < 3; ++k) {
-      const double target = r.by_p[k] * s.p + r.by_q[k] * s.q - r.value[k];
-      term.add_row(slopes, r.by_p[k], r.by_q[k], target, k == 0 ? shading_weight : stokes_weight);
-    }
-    return -square_limit() * std::log(shading_weight * stokes_weight);
-  }
-
-  void assemble() {
-    system_.clear();
-    for (int i = 0; i < pixels_.count(); ++i) {
-      if (i % 65536 == 0) context_.check_cancel();
-      const int u = pixels_.u(i), v = pixels_.v(i);
-      add_term(terms_[static_cast<std::size_t>(i)], difference(pixels_, u, v, 1, 0), difference(pixels_, u, v, 0, 1));
-      add_smoothness(i, pixels_.at(u - 1, v), pixels_.at(u + 1, v));
-      add_smoothness(i, pixels_.at(u, v - 1), pixels_.at(u, v + 1));
-      if (options_.boundary == HeightBoundary::prior) add_boundary(i);
-    }
-  }
-
-  void add_term(const Term& term, const Difference& by_u, const Difference& by_v) {
-    for (int i = 0; i < by_u.count; ++i) {
-      system_.add_right(by_u.unknowns[i], by_u.coefficients[i] * term.right_u);
-      for (int j = 0; j <= i; ++j) {
-        system_.add(by_u.unknowns[i], by_u.unknowns[j], term.uu * by_u.coefficients[i] * by_u.coefficients[j]);
-      }
-      for (int j = 0; j < by_v.count; ++j) {
-        // An entry with itself stands for both orders of the product.
-        const double twice = by_u.unknowns[i] == by_v.unknowns[j] ? 2 : 1;
-        system_.add(by_u.unknowns[i], by_v.unknowns[j], twice * term.uv * by_u.coefficients[i] * by_v.coefficients[j]);
-      }
-    }
-    for (int i = 0; i < by_v.count; ++i) {
-      system_.add_right(by_v.unknowns[i], by_v.coefficients[i] * term.right_v);
-      for (int j = 0; j <= i; ++j) {
-        system_.add(by_v.unknowns[i], by_v.unknowns[j], term.vv * by_v.coefficients[i] * by_v.coefficients[j]);
-      }
-    }
-  }
-
-  void add_smoothness(int here, int before, int after) {
-    if (before < 0 || after < 0) return;
-    const int unknowns[] = {before, here, after};
-    const double coefficients[] = {1, -2, 1};
-    system_.add_row(unknowns, coefficients, 3, 0, options_.smoothness * options_.smoothness);
-  }
-
-  void add_boundary(int i) {
-    const int u = pixels_.u(i), v = pixels_.v(i);
-    const bool inside = pixels_.at(u - 1, v) >= 0 && pixels_.at(u + 1, v) >= 0 && pixels_.at(u, v - 1) >= 0 &&
-                        pixels_.at(u, v + 1) >= 0;
-    const float target = (*input_.prior_height)(u, v);
-    if (inside || !std::isfinite(target)) return;
-    const double weight = options_.boundary_weight * options_.boundary_weight;
-    system_.add(i, i, weight);
-    system_.add_right(i, weight * target);
-  }
-
-  const HeightInput& input_;
-  const HeightOptions& options_;
-  const Pinhole* camera_;
-  const Context& context_;
-  PixelIndex pixels_;
-  GridSystem system_;
-  GridSolver solver_;
-  std::vector<Term> terms_;
-  Eigen::Vector4d light_ = Eigen::Vector4d::Zero();
-  double shading_sigma_ = 0;
-  int solver_iterations_ = 0;
-};
+/// Rasters of at most so many pixels are solved as a whole; larger ones start from half the resolution and are finished
+/// in tiles, which overlap by twice a margin.
+constexpr std::size_t whole_pixels = 500'000;
+constexpr int tile_px = 512, margin_px = 24;
+/// |A x − b| / |b| of linear systems that are only a start.
+constexpr double start_accuracy = 1e-3, final_accuracy = 1e-6;
 
 void validate(const HeightInput& input, const HeightOptions& options) {
   validate_fields(options, "height");
@@ -386,43 +44,228 @@ Mask pixels_in(const PolarizationState& state, PixelState least) {
   return mask;
 }
 
+/// Mean of the finite values.
+double mean_of(const Image<float>& values, const Context& context) {
+  struct Sum {
+    double values = 0, count = 0;
+    Sum& operator+=(const Sum& other) {
+      values += other.values, count += other.count;
+      return *this;
+    }
+  };
+  constexpr std::size_t grain = 65536;
+  const Sum sum = parallel_sum(context, values.count(), grain, Sum{}, [&](std::size_t begin, std::size_t end) {
+    Sum part;
+    for (std::size_t i = begin; i < end; ++i) {
+      if (std::isfinite(values[i])) part += Sum{values[i], 1};
+    }
+    return part;
+  });
+  return sum.values / sum.count;
+}
+
+/// Subtracts the mean of the finite values.
+void remove_mean(Image<float>& height, const Context& context) {
+  constexpr std::size_t grain = 65536;
+  const double mean = mean_of(height, context);
+  parallel_for(context, height.count(), grain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) height[i] = static_cast<float>(height[i] - mean);
+  });
+}
+
 /// The prior's height at every unknown, or nothing if it has none somewhere.
-std::optional<Eigen::VectorXd> prior_start(const Image<float>& prior_height, const PixelIndex& pixels) {
-  Eigen::VectorXd start(pixels.count());
-  for (int i = 0; i < pixels.count(); ++i) start[i] = prior_height(pixels.u(i), pixels.v(i));
-  return start.allFinite() ? std::optional(start) : std::nullopt;
+std::optional<Eigen::VectorXd> prior_start(const HeightData& data, const HeightProblem& problem) {
+  if (data.prior_height.empty()) return std::nullopt;
+  Eigen::VectorXd start = problem.values_of(data.prior_height);
+  return start.allFinite() ? std::optional(std::move(start)) : std::nullopt;
+}
+
+/// One Gauss–Newton step from a height at which the problem is linearized with this cost; both become those after it.
+bool step(HeightProblem& problem, Eigen::VectorXd& height, double& cost, HeightMap& map) {
+  Eigen::VectorXd next = height;
+  if (problem.solve_linearized(next) != SolveStatus::solved) return false;
+  ++map.iterations;
+  double next_cost = problem.linearize(next);
+  for (int halving = 0; halving < most_halvings && !(next_cost <= allowed_rise * cost); ++halving) {
+    next = 0.5 * (next + height);
+    next_cost = problem.linearize(next);
+  }
+  map.last_update = problem.slope_rms(next - height);
+  height = next;
+  cost = next_cost;
+  return true;
 }
 
 /// Gauss–Newton from the likeliest start: the weighted linear solution (in `height`) withstands noise, the literal one
 /// is exact without, the prior knows hollows from bumps. `height` becomes the result. Returns the status of the height
 /// map.
-std::string maximize_likelihood(HeightProblem& problem, const HeightInput& input, const HeightOptions& options,
+std::string maximize_likelihood(HeightProblem& problem, const HeightData& data, const HeightOptions& options,
                                 const Context& context, Eigen::VectorXd& height, HeightMap& map) {
   Eigen::VectorXd next;
-  if (problem.solve_linear(true, next) != SolveStatus::solved) return "singular";
+  if (problem.solve_linear(true, start_accuracy, next) != SolveStatus::solved) return "singular";
   ++map.iterations;
   if (problem.linearize(next) < problem.linearize(height)) height = next;
-  if (input.prior_height != nullptr) {
-    const auto start = prior_start(*input.prior_height, problem.pixels());
-    if (start && problem.linearize(*start) < problem.linearize(height)) height = *start;
+  if (const auto start = prior_start(data, problem); start && problem.linearize(*start) < problem.linearize(height)) {
+    height = *start;
   }
   double cost = problem.linearize(height);
   for (int iteration = 1; iteration <= options.iterations; ++iteration) {
     context.progress("height", static_cast<double>(iteration) / (options.iterations + 1));
-    next = height;
-    if (problem.solve(next) != SolveStatus::solved) return "singular";
-    ++map.iterations;
-    double next_cost = problem.linearize(next);
-    for (int halving = 0; halving < most_halvings && !(next_cost <= allowed_rise * cost); ++halving) {
-      next = 0.5 * (next + height);
-      next_cost = problem.linearize(next);
-    }
-    map.last_update = problem.slope_rms(next - height);
-    height = next;
-    cost = next_cost;
+    if (!step(problem, height, cost, map)) return "singular";
     if (map.last_update <= options.tolerance) return "converged";
   }
   return "iteration limit";
+}
+
+/// The height of a whole raster by one system after the other.
+void solve_whole(const HeightData& data, const HeightOptions& options, const HeightLight& light, const Context& context,
+                 HeightMap& map) {
+  HeightProblem problem(data, options, light, context);
+  Eigen::VectorXd height;
+  const bool literal = options.method == HeightMethod::literal, likelihood = options.method == HeightMethod::likelihood;
+  const SolveStatus linear = problem.solve_linear(literal, likelihood ? start_accuracy : final_accuracy, height);
+  map.iterations = 1;
+  map.solver_bytes = problem.solver_bytes();
+  map.solver_iterations = problem.solver_iterations();
+  if (linear != SolveStatus::solved) {
+    map.status = "singular";
+    return;
+  }
+  map.status = likelihood ? maximize_likelihood(problem, data, options, context, height, map) : "converged";
+  map.solver_iterations = problem.solver_iterations();
+  if (map.status == "singular") return;
+  map.residual_rms = problem.residual_rms(height, literal, likelihood);
+  for (int i = 0; i < problem.unknowns(); ++i)
+    map.height(problem.pixels().u(i), problem.pixels().v(i)) = static_cast<float>(height[i]);
+}
+
+/// One axis cut into tiles that overlap by twice the margin, in which their weights ramp up and down; the weights of
+/// all tiles add up to 1.
+class TiledAxis {
+ public:
+  explicit TiledAxis(int extent) : extent_(extent), tiles_(std::max(1, (extent + tile_px / 2) / tile_px)) {}
+
+  int tiles() const { return tiles_; }
+  int first(int tile) const { return tile == 0 ? 0 : cut(tile) - margin_px; }
+  int last(int tile) const { return tile == tiles_ - 1 ? extent_ : cut(tile + 1) + margin_px; }
+  float weight(int tile, int x) const { return rise(tile, x) * (1 - rise(tile + 1, x)); }
+
+ private:
+  int cut(int tile) const { return static_cast<int>(static_cast<std::int64_t>(extent_) * tile / tiles_); }
+  /// From 0 to 1 across the start of a tile. What is next to the edge is held and has no weight.
+  float rise(int tile, int x) const {
+    constexpr int held = margin_px / 2;
+    if (tile == 0) return 1;
+    if (tile == tiles_) return 0;
+    return std::clamp((static_cast<float>(x - cut(tile)) + 0.5F + held) / (2.0F * held), 0.0F, 1.0F);
+  }
+
+  int extent_, tiles_;
+};
+
+/// Holds what lies along the tile's edges, where the surface goes on beyond, to the start.
+void hold_ring(HeightData& tile, const Image<float>& start, HeightBox box, Size whole) {
+  constexpr int ring_px = GridSystem::reach;
+  tile.ring_height = Image<float>(tile.size(), 1, none);
+  for (int v = 0; v < box.height(); ++v) {
+    for (int u = 0; u < box.width(); ++u) {
+      const bool on_ring = (box.u0 > 0 && u < ring_px) || (box.v0 > 0 && v < ring_px) ||
+                           (box.u1 < whole.width && u >= box.width() - ring_px) ||
+                           (box.v1 < whole.height && v >= box.height() - ring_px);
+      if (on_ring) tile.ring_height(u, v) = start(box.u0 + u, box.v0 + v);
+    }
+  }
+}
+
+/// What a Gauss–Newton step made of the start in a tile.
+struct TileResult {
+  Image<float> height;
+  HeightMap map;
+  double squares = 0;
+  std::size_t pixels = 0;
+};
+
+TileResult solve_tile(const HeightData& tile, const Image<float>& start, HeightBox box, const HeightOptions& options,
+                      const HeightLight& light, const Context& context) {
+  TileResult result;
+  result.height = Image<float>(tile.size(), 1, none);
+  HeightProblem problem(tile, options, light, context);
+  result.pixels = static_cast<std::size_t>(problem.unknowns());
+  if (problem.unknowns() == 0) return result;
+  Eigen::VectorXd height(problem.unknowns());
+  for (int i = 0; i < problem.unknowns(); ++i)
+    height[i] = start(box.u0 + problem.pixels().u(i), box.v0 + problem.pixels().v(i));
+  double cost = problem.linearize(height);
+  // One is enough: the start has all but the finest detail. Where a tile cannot be solved the start remains.
+  step(problem, height, cost, result.map);
+  result.map.solver_bytes = problem.solver_bytes();
+  result.map.solver_iterations = problem.solver_iterations();
+  for (int i = 0; i < problem.unknowns(); ++i) {
+    result.height(problem.pixels().u(i), problem.pixels().v(i)) = static_cast<float>(height[i]);
+    result.squares += problem.likelihood_square(i, height);
+  }
+  return result;
+}
+
+/// A Gauss–Newton step in tiles from a start at the raster's resolution; tile(box) gives their data. map.height becomes
+/// the result.
+void solve_in_tiles(const std::function<HeightData(HeightBox)>& tile, const Image<float>& start,
+                    const HeightOptions& options, const HeightLight& light, const Context& context, HeightMap& map) {
+  const Size size = start.size();
+  const TiledAxis columns(size.width), rows(size.height);
+  const auto box_of = [&](std::size_t k) {
+    const int column = static_cast<int>(k) % columns.tiles(), row = static_cast<int>(k) / columns.tiles();
+    return HeightBox{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
+  };
+  std::vector<TileResult> results(static_cast<std::size_t>(columns.tiles()) * static_cast<std::size_t>(rows.tiles()));
+  // One thread a tile: its vectors then stay in that core's cache.
+  Context inner = context;
+  inner.threads = 1;
+  inner.on_progress = {};
+  parallel_for(context, results.size(), 1, [&](std::size_t k, std::size_t) {
+    HeightData data = tile(box_of(k));
+    hold_ring(data, start, box_of(k), size);
+    results[k] = solve_tile(data, start, box_of(k), options, light, inner);
+  });
+
+  map.height = Image<float>(size, 1, 0.0F);
+  double squares = 0, changes = 0, pixels = 0;
+  int steps = 0;
+  for (std::size_t k = 0; k < results.size(); ++k) {
+    const TileResult& result = results[k];
+    const int column = static_cast<int>(k) % columns.tiles(), row = static_cast<int>(k) / columns.tiles();
+    const HeightBox box = box_of(k);
+    parallel_rows(context, box.height(), [&](int y) {
+      const float along_v = rows.weight(row, box.v0 + y);
+      for (int x = 0; x < box.width(); ++x) {
+        const float weight = along_v * columns.weight(column, box.u0 + x);
+        if (weight > 0) map.height(box.u0 + x, box.v0 + y) += weight * result.height(x, y);
+      }
+    });
+    squares += result.squares;
+    changes += result.map.last_update * result.map.last_update * static_cast<double>(result.pixels);
+    pixels += static_cast<double>(result.pixels);
+    steps = std::max(steps, result.map.iterations);
+    map.solver_iterations += result.map.solver_iterations;
+    map.solver_bytes = std::max(map.solver_bytes, context.threads * result.map.solver_bytes);
+  }
+  map.iterations += steps;
+  map.residual_rms = std::sqrt(squares / std::max(pixels, 1.0));
+  map.last_update = std::sqrt(changes / std::max(pixels, 1.0));
+}
+
+/// The height of a raster of any size by the likelihood: of half the resolution first, then in tiles.
+void solve_by_levels(const HeightData& data, const HeightOptions& options, const HeightLight& light,
+                     const Context& context, HeightMap& map) {
+  if (data.size().area() <= whole_pixels) {
+    map.height = Image<float>(data.size(), 1, none);
+    solve_whole(data, options, light, context, map);
+    return;
+  }
+  solve_by_levels(coarsened(data, context), options, light, context, map);
+  if (map.status == "singular") return;
+  const Image<float> start = refined_height(map.height, data.object, context);
+  solve_in_tiles([&](HeightBox box) { return part_of(data, box); }, start, options, light, context, map);
 }
 
 }  // namespace
@@ -461,55 +304,53 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
     return map;
   }
 
+  const HeightLight model{map.light, shading_sigma};
+
   // Every pixel of the object gets a height; those without usable polarization are bridged by the smoothness.
-  Mask object(state.size());
-  for (std::size_t i = 0; i < object.count(); ++i) {
-    object[i] = state.valid[i] != static_cast<std::uint8_t>(PixelState::outside) ? 255 : 0;
+  const Mask object = pixels_in(state, PixelState::saturated);
+  map.unknowns =
+      static_cast<std::size_t>(std::count_if(object.begin(), object.end(), [](std::uint8_t m) { return m != 0; }));
+  const HeightBox all{0, 0, state.size().width, state.size().height};
+  if (options.method == HeightMethod::likelihood && state.size().area() > whole_pixels) {
+    solve_by_levels(coarsened(input, options, context), options, model, context, map);
+    if (map.status == "singular") {
+      map.height = Image<float>(state.size(), 1, none);
+      return map;
+    }
+    const Image<float> start = refined_height(map.height, object, context);
+    const auto tile = [&](HeightBox box) {
+      Context inner = context;
+      inner.threads = 1;
+      return height_data(input, options, box, inner);
+    };
+    solve_in_tiles(tile, start, options, model, context, map);
+  } else {
+    solve_whole(height_data(input, options, all, context), options, model, context, map);
+    if (map.status == "singular") return map;
   }
-  HeightProblem problem(input, options, camera, object, context);
-  map.unknowns = static_cast<std::size_t>(problem.unknowns());
-  problem.set_light(map.light, shading_sigma);
-
-  Eigen::VectorXd height;
-  const bool literal = options.method == HeightMethod::literal;
-  const SolveStatus linear = problem.solve_linear(literal, height);
-  map.iterations = 1;
-  map.solver_bytes = problem.solver_bytes();
-  map.solver_iterations = problem.solver_iterations();
-  if (linear != SolveStatus::solved) {
-    map.status = "singular";
-    return map;
-  }
-  const bool likelihood = options.method == HeightMethod::likelihood;
-  map.status = likelihood ? maximize_likelihood(problem, input, options, context, height, map) : "converged";
-  map.solver_iterations = problem.solver_iterations();
-  if (map.status == "singular") return map;
-  map.residual_rms = problem.residual_rms(height, literal, likelihood);
-
-  const double mean = options.boundary == HeightBoundary::prior ? 0.0 : height.mean();
-  for (int i = 0; i < problem.unknowns(); ++i) {
-    map.height(problem.pixels().u(i), problem.pixels().v(i)) = static_cast<float>(height[i] - mean);
-  }
+  if (options.boundary == HeightBoundary::natural) remove_mean(map.height, context);
   context.progress("height", 1);
   return map;
 }
 
-Image<float> height_from_depth(const Image<float>& depth, const Pinhole& camera, bool perspective) {
+Image<float> height_from_depth(const Image<float>& depth, const Pinhole& camera, bool perspective,
+                               const Context& context) {
   const auto measure = [&](float z) { return perspective ? std::log(static_cast<double>(z)) : static_cast<double>(z); };
-  double sum = 0;
-  std::size_t count = 0;
-  for (const float z : depth) {
-    if (!std::isfinite(z)) continue;
-    sum += measure(z);
-    ++count;
-  }
   Image<float> height(depth.size(), 1, none);
-  if (count == 0) return height;
-  const double mean = sum / static_cast<double>(count);
-  const double scale = perspective ? camera.focal() : camera.focal() / mean;
-  for (std::size_t i = 0; i < depth.count(); ++i) {
-    if (std::isfinite(depth[i])) height[i] = static_cast<float>(-scale * (measure(depth[i]) - mean));
-  }
+  // Relative to one of the depths the values are small: single precision keeps them until the mean is known.
+  const auto known = std::find_if(depth.begin(), depth.end(), [](float z) { return std::isfinite(z); });
+  if (known == depth.end()) return height;
+  const double origin = measure(*known);
+  constexpr std::size_t grain = 65536;
+  parallel_for(context, depth.count(), grain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      if (std::isfinite(depth[i])) height[i] = static_cast<float>(origin - measure(depth[i]));
+    }
+  });
+  const double mean = mean_of(height, context), scale = camera.focal() / (perspective ? 1 : origin - mean);
+  parallel_for(context, depth.count(), grain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) height[i] = static_cast<float>(scale * (height[i] - mean));
+  });
   return height;
 }
 

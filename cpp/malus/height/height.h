@@ -102,6 +102,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
 
 /// Depth as a height: −f ln(z / z0), z0 the geometric mean (perspective), or −(z − z0) f / z0, z0 the mean
 /// (orthographic); pixels (GSD), positive towards the camera, mean 0, NaN where depth is.
-Image<float> height_from_depth(const Image<float>& depth, const Pinhole& camera, bool perspective);
+Image<float> height_from_depth(const Image<float>& depth, const Pinhole& camera, bool perspective,
+                               const Context& context = {});
 
 }  // namespace malus

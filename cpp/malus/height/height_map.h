@@ -17,8 +17,8 @@ struct HeightMap {
   std::string status = "not run";  ///< "converged", "iteration limit", "light along the view direction", …
   double residual_rms = 0;         ///< of the weighted rows
   std::size_t unknowns = 0;
-  int iterations = 0;       ///< linear systems solved
-  double last_update = 0;   ///< RMS change of the slope in the last of them
+  int iterations = 0;         ///< linear systems solved
+  double last_update = 0;     ///< RMS change of the slope in the last of them
   int solver_iterations = 0;  ///< of conjugate gradients, all systems together; 0 if they were factorized
   double solver_bytes = 0;    ///< memory of the factor or of the multigrid
 };

@@ -138,7 +138,7 @@ void Workspace::begin(const std::string& step) {
 }
 
 void Workspace::finish(const std::string& step, const std::string& key, const std::vector<std::string>& outputs,
-                       double seconds, const std::string& notes_json) {
+                       const Use& use, const std::string& notes_json) {
   Json record = {{"status", "done"}, {"key", key}, {"outputs", Json::object()}, {"notes", parse_value(notes_json)}};
   for (const std::string& output : outputs) {
     const std::filesystem::path path = state_->folder / output;
@@ -146,7 +146,8 @@ void Workspace::finish(const std::string& step, const std::string& key, const st
     record["outputs"][output] = {{"size", size}, {"sha256", sha256_of_file(path, "output")}};
   }
   state_->manifest["steps"][step] = std::move(record);
-  state_->manifest["times"][step] = {{"seconds", seconds}, {"finished", utc_now()}};
+  state_->manifest["times"][step] = {
+      {"seconds", use.seconds}, {"cpu_seconds", use.cpu_seconds}, {"peak_mb", use.peak_mb}, {"finished", utc_now()}};
   state_->save();
 }
 

@@ -14,9 +14,17 @@ namespace malus {
 ///   format      version of this layout
 ///   <info>      what set_info recorded: inputs, options, versions, …
 ///   steps       by name: status "done", key (hash of everything the step depends on), outputs (path → size, sha256),
-///   notes times       by step: seconds, finished (UTC); all that differs between two equal runs
+///   notes times       by step: seconds, cpu_seconds (of all threads), peak_mb (of the process until then), finished
+///   (UTC); all that differs between two equal runs
 class Workspace {
  public:
+  /// What a step took.
+  struct Use {
+    double seconds = 0;
+    double cpu_seconds = 0;  ///< of all threads of the process
+    double peak_mb = 0;      ///< most memory the process has had until then
+  };
+
   /// Opens the folder, creating it if needed, and locks it until destruction. Throws ErrorCode::input when it cannot be
   /// created or written, is in use by another process, or its manifest is damaged (the message says what to do);
   /// ErrorCode::resource when the disk is full.
@@ -36,7 +44,7 @@ class Workspace {
   void begin(const std::string& step);
   /// Marks the step as done. `outputs` are paths below the folder, whose sizes and SHA-256 are recorded; `notes_json`
   /// is any JSON value. The manifest is on the disk when this returns.
-  void finish(const std::string& step, const std::string& key, const std::vector<std::string>& outputs, double seconds,
+  void finish(const std::string& step, const std::string& key, const std::vector<std::string>& outputs, const Use& use,
               const std::string& notes_json = "{}");
   /// Records a value, JSON text, under a name of its own at the top of the manifest.
   void set_info(const std::string& name, const std::string& json);

@@ -112,7 +112,8 @@ void ConjugateGradients::set_part_constants(const NodeVector<double>& residual, 
   }
 }
 
-SolveStatus ConjugateGradients::solve(double tolerance, int max_iterations, Eigen::VectorXd& solution) {
+SolveStatus ConjugateGradients::solve(double tolerance, double reduction, int max_iterations,
+                                      Eigen::VectorXd& solution) {
   const Eigen::VectorXd& right = system_.right();
   const double scale = right.norm() > 0 ? right.norm() : 1;
   const Size nodes = matrix_.nodes();
@@ -125,11 +126,12 @@ SolveStatus ConjugateGradients::solve(double tolerance, int max_iterations, Eige
   } else {
     solution.resize(right.size());
   }
+  const double enough = std::max(tolerance * scale, reduction * std::sqrt(squared));
   const std::size_t segments = static_cast<std::size_t>(matrix_.segments());
   std::vector<double> parts(static_cast<std::size_t>(nodes.height) * segments, 0.0);
   double along = 0;
   SolveStatus status = SolveStatus::solved;
-  for (iterations_ = 0; std::sqrt(squared) > tolerance * scale; ++iterations_) {
+  for (iterations_ = 0; std::sqrt(squared) > enough; ++iterations_) {
     context_.check_cancel();
     if (iterations_ == max_iterations) {
       status = SolveStatus::inaccurate;

@@ -15,8 +15,9 @@ class ConjugateGradients {
   /// Adds `ridge` to the system's diagonal.
   ConjugateGradients(const GridSystem& system, double ridge, const Context& context);
 
-  /// Solves the system from x if it has its size, else from 0.
-  SolveStatus solve(double tolerance, int max_iterations, Eigen::VectorXd& x);
+  /// Solves the system from x if it has its size, else from 0, until |A x − b| is below tolerance · |b| or reduction
+  /// times what it was at the start.
+  SolveStatus solve(double tolerance, double reduction, int max_iterations, Eigen::VectorXd& x);
 
   int iterations() const { return iterations_; }
   double relative_residual() const { return relative_residual_; }

@@ -18,10 +18,11 @@ GridSolver::GridSolver(const PixelIndex& pixels, const GridSolverOptions& option
 
 GridSolver::~GridSolver() = default;
 
-SolveStatus GridSolver::solve(const GridSystem& system, double ridge, Eigen::VectorXd& x) {
+SolveStatus GridSolver::solve(const GridSystem& system, double ridge, Eigen::VectorXd& x, double reduction) {
   summary_ = {};
   summary_.method = options_.method;
-  return options_.method == GridMethod::direct ? solve_direct(system, ridge, x) : solve_multigrid(system, ridge, x);
+  return options_.method == GridMethod::direct ? solve_direct(system, ridge, x)
+                                               : solve_multigrid(system, ridge, reduction, x);
 }
 
 SolveStatus GridSolver::solve_direct(const GridSystem& system, double ridge, Eigen::VectorXd& x) {
@@ -38,9 +39,10 @@ SolveStatus GridSolver::solve_direct(const GridSystem& system, double ridge, Eig
   return status;
 }
 
-SolveStatus GridSolver::solve_multigrid(const GridSystem& system, double ridge, Eigen::VectorXd& x) try {
+SolveStatus GridSolver::solve_multigrid(const GridSystem& system, double ridge, double reduction,
+                                        Eigen::VectorXd& x) try {
   ConjugateGradients solver(system, ridge, context_);
-  const SolveStatus status = solver.solve(options_.tolerance, options_.max_iterations, x);
+  const SolveStatus status = solver.solve(options_.tolerance, reduction, options_.max_iterations, x);
   summary_.iterations = solver.iterations();
   summary_.relative_residual = solver.relative_residual();
   summary_.bytes = solver.bytes();

@@ -44,15 +44,16 @@ class GridSolver {
 
   /// x = (A + ridge I)⁻¹ b. If x has the system's size it is where multigrid starts from. Disconnected parts of the
   /// mask need nothing but the ridge to hold them: their constants are solved for exactly. The pattern of the system
-  /// must stay the same from call to call. Running out of memory throws ErrorCode::resource; what cannot be solved is a
+  /// must stay the same from call to call. Multigrid also ends when |A x − b| has come down to `reduction` times what
+  /// it was at the start. Running out of memory throws ErrorCode::resource; what cannot be solved is a
   /// status.
-  SolveStatus solve(const GridSystem& system, double ridge, Eigen::VectorXd& x);
+  SolveStatus solve(const GridSystem& system, double ridge, Eigen::VectorXd& x, double reduction = 0);
 
   const GridSolveSummary& summary() const { return summary_; }
 
  private:
   SolveStatus solve_direct(const GridSystem& system, double ridge, Eigen::VectorXd& x);
-  SolveStatus solve_multigrid(const GridSystem& system, double ridge, Eigen::VectorXd& x);
+  SolveStatus solve_multigrid(const GridSystem& system, double ridge, double reduction, Eigen::VectorXd& x);
 
   const PixelIndex* pixels_;
   GridSolverOptions options_;

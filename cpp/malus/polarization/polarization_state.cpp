@@ -9,8 +9,7 @@ Eigen::Vector3d PolarizationState::stokes(int u, int v) const {
   return {s0, linear * std::cos(2.0 * phi(u, v)), linear * std::sin(2.0 * phi(u, v))};
 }
 
-Eigen::Matrix3d PolarizationState::stokes_covariance(int u, int v) const {
-  const Eigen::Vector3d s = stokes(u, v);
+Eigen::Matrix3d PolarizationState::stokes_covariance(const Eigen::Vector3d& s) const {
   Eigen::Matrix3d normal = Eigen::Matrix3d::Zero(), scatter = Eigen::Matrix3d::Zero();
   for (std::size_t k = 0; k < angles_rad.size(); ++k) {
     const Eigen::Vector3d row(0.5, 0.5 * std::cos(2 * angles_rad[k]), 0.5 * std::sin(2 * angles_rad[k]));
@@ -21,8 +20,38 @@ Eigen::Matrix3d PolarizationState::stokes_covariance(int u, int v) const {
     scatter += weight * variance / exposures[k] * outer;
   }
   const Eigen::Matrix3d inverse = normal.inverse();
-  const double factor = variance_factor.empty() ? 1.0 : variance_factor(u, v);
-  return factor * inverse * scatter * inverse;
+  return inverse * scatter * inverse;
+}
+
+StokesVariances::StokesVariances(const PolarizationState& state) : state_(state) {
+  if (state.weighting == FitWeighting::noise) return;
+  Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
+  for (std::size_t k = 0; k < state.angles_rad.size(); ++k) {
+    const double angle = 2 * state.angles_rad[k];
+    angles_.push_back({{0.5, 0.5 * std::cos(angle), 0.5 * std::sin(angle)}});
+    normal += state.exposures[k] * angles_[k].row * angles_[k].row.transpose();
+  }
+  const Eigen::Matrix3d inverse = normal.inverse();
+  for (std::size_t k = 0; k < angles_.size(); ++k) {
+    const Eigen::Vector3d gain = inverse * angles_[k].row;
+    angles_[k].to_intensity = state.exposures[k] * gain[0] * gain[0];
+    angles_[k].to_linear = state.exposures[k] * 0.5 * (gain[1] * gain[1] + gain[2] * gain[2]);
+  }
+}
+
+StokesVariance StokesVariances::operator()(int u, int v, const Eigen::Vector3d& stokes) const {
+  const double factor = state_.variance_factor_at(u, v);
+  if (angles_.empty()) {
+    const Eigen::Matrix3d covariance = factor * state_.stokes_covariance(stokes);
+    return {covariance(0, 0), 0.5 * (covariance(1, 1) + covariance(2, 2))};
+  }
+  StokesVariance sum;
+  for (const Angle& angle : angles_) {
+    const double variance = factor * state_.noise.variance(angle.row.dot(stokes));
+    sum.intensity += angle.to_intensity * variance;
+    sum.linear += angle.to_linear * variance;
+  }
+  return sum;
 }
 
 Eigen::Matrix3d PolarizationState::covariance(int u, int v) const {

@@ -51,10 +51,40 @@ struct PolarizationState {
   bool is_valid(int u, int v) const { return valid(u, v) == static_cast<std::uint8_t>(PixelState::valid); }
   /// Stokes vector (s0, s1, s2) of a pixel.
   Eigen::Vector3d stokes(int u, int v) const;
+  /// What the noise model's variances are multiplied by at a pixel.
+  double variance_factor_at(int u, int v) const { return variance_factor.empty() ? 1.0 : variance_factor(u, v); }
   /// Covariance of (s0, s1, s2) from the noise model at the fitted intensities, times variance_factor.
-  Eigen::Matrix3d stokes_covariance(int u, int v) const;
+  Eigen::Matrix3d stokes_covariance(int u, int v) const {
+    return variance_factor_at(u, v) * stokes_covariance(stokes(u, v));
+  }
+  /// The same of any Stokes vector seen under these angles and this noise, not interpolated.
+  Eigen::Matrix3d stokes_covariance(const Eigen::Vector3d& stokes) const;
   /// Covariance of (i_un, rho, phi) by linear propagation; phi's variance grows as 1 / rho².
   Eigen::Matrix3d covariance(int u, int v) const;
+};
+
+/// Variances of a pixel's Stokes components: of s0, and the mean of those of s1 and s2.
+struct StokesVariance {
+  double intensity = 0;
+  double linear = 0;
+};
+
+/// What PolarizationState::stokes_covariance says of single components, many times faster for the uniform fit, whose
+/// normal equations all pixels share.
+class StokesVariances {
+ public:
+  /// The state must outlive this.
+  explicit StokesVariances(const PolarizationState& state);
+  /// Of a pixel, whose Stokes vector the caller has at hand.
+  StokesVariance operator()(int u, int v, const Eigen::Vector3d& stokes) const;
+
+ private:
+  struct Angle {
+    Eigen::Vector3d row;                     ///< intensity = row · stokes
+    double to_intensity = 0, to_linear = 0;  ///< share of the intensity's variance in those of the components
+  };
+  const PolarizationState& state_;
+  std::vector<Angle> angles_;
 };
 
 /// Phase [rad] of a Stokes vector, in [0, π).

@@ -55,25 +55,32 @@ void lower(ViewPoint& point, double height, const Eigen::Vector2d& slope) {
   point.slope_v -= static_cast<float>(slope.y());
 }
 
-/// Plane in (u, v) that most points follow, by reweighted least squares: the spline models what is left.
+/// Plane in (u, v) that most points follow, by reweighted least squares: the spline models what is left. Of a dense
+/// cloud an even selection says as much: its points are in the order of their places in the view.
 class ReferencePlane {
  public:
   explicit ReferencePlane(const std::vector<ViewPoint>& points) {
-    std::vector<double> weights(points.size(), 1.0), residuals(points.size());
+    constexpr std::size_t most = 500'000;
+    const std::size_t stride = points.size() / most + 1, count = (points.size() + stride - 1) / stride;
+    std::vector<double> weights(count, 1.0), residuals(count);
     for (int round = 0; round < 8; ++round) {
       Eigen::Matrix3d normal = 1e-9 * Eigen::Matrix3d::Identity();
       Eigen::Vector3d right = Eigen::Vector3d::Zero();
-      for (std::size_t i = 0; i < points.size(); ++i) {
-        const Eigen::Vector3d row(1, points[i].u, points[i].v);
+      for (std::size_t i = 0; i < count; ++i) {
+        const ViewPoint& point = points[i * stride];
+        const Eigen::Vector3d row(1, point.u, point.v);
         normal += weights[i] * row * row.transpose();
-        right += weights[i] * points[i].height * row;
+        right += weights[i] * point.height * row;
       }
       plane_ = normal.ldlt().solve(right);
-      for (std::size_t i = 0; i < points.size(); ++i)
-        residuals[i] = std::abs(points[i].height - at(points[i].u, points[i].v));
+      const auto residual = [&](std::size_t i) {
+        const ViewPoint& point = points[i * stride];
+        return point.height - at(point.u, point.v);
+      };
+      for (std::size_t i = 0; i < count; ++i) residuals[i] = std::abs(residual(i));
       const double spread = robust_spread(residuals);
-      for (std::size_t i = 0; i < points.size(); ++i) {
-        const double r = (points[i].height - at(points[i].u, points[i].v)) / (2 * spread);
+      for (std::size_t i = 0; i < count; ++i) {
+        const double r = residual(i) / (2 * spread);
         weights[i] = 1 / (1 + r * r);
       }
     }

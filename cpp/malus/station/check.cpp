@@ -14,23 +14,40 @@
 namespace malus {
 namespace {
 
-// Measured with default options on two cores (docs/decisions/0003-cost-model.md): seconds a megapixel of the object
-// with one thread, the share of it that threads divide, memory a megapixel and memory that does not depend on the size.
+// Measured with default options (docs/decisions/0003-cost-model.md): processor seconds a megapixel, the share of them
+// that threads divide, and the most memory the process has in the step, everything kept from earlier steps included: a
+// megapixel, and for each thread.
 struct StepCost {
   double seconds_per_mpx;
   double parallel_share;
   double megabytes_per_mpx;
-  double megabytes_fixed;
+  double megabytes_per_thread;
 };
-constexpr StepCost polarization_cost{5, 0.7, 90, 0};
-constexpr StepCost prior_cost{26, 0.2, 900, 0};
-constexpr StepCost height_cost{48, 0, 450, 300};
-constexpr StepCost grid_cost{0.5, 0.5, 150, 0};
-constexpr StepCost refine_cost{80, 0.9, 400, 900};
-constexpr StepCost output_cost{1.5, 0.5, 300, 0};
+constexpr StepCost polarization_cost{1.5, 0.7, 78, 0};
+constexpr StepCost cloud_cost{9.5, 0.2, 85, 250};
+constexpr StepCost raster_cost{0.03, 0.5, 78, 0};
+constexpr StepCost height_cost{2.1, 0.95, 72, 130};
+constexpr StepCost grid_cost{0.1, 0.5, 84, 0};
+constexpr StepCost refine_cost{84, 0.9, 105, 600};
+constexpr StepCost output_cost{1.05, 0.4, 141, 0};
+/// Of the process before anything is read.
+constexpr double megabytes_fixed = 30;
 
 double seconds(const StepCost& cost, double megapixels, int threads) {
   return megapixels * cost.seconds_per_mpx * (1 - cost.parallel_share + cost.parallel_share / threads);
+}
+
+double megabytes(const StepCost& cost, double megapixels, int threads) {
+  return megabytes_fixed + megapixels * cost.megabytes_per_mpx + threads * cost.megabytes_per_thread;
+}
+
+/// The height of a raster is solved as a whole, many times, at the first of its halved resolutions that is small
+/// enough.
+double whole_height_seconds(double image_mpx, double object_mpx) {
+  constexpr double largest_mpx = 0.5, seconds_per_mpx = 14;
+  double share = 1;
+  while (share * image_mpx > largest_mpx) share /= 4;
+  return seconds_per_mpx * share * object_mpx;
 }
 
 std::string with_count(double count, const std::string& noun) {
@@ -141,22 +158,22 @@ Plan check_station(const Station& station, const Options& options, const Context
   check_prior(station, object, options.prior, plan, context);
 
   plan.seconds = seconds(polarization_cost, image_mpx, context.threads);
-  // The stack itself, and one image as it was read.
-  plan.memory_mb =
-      60 + image_mpx * 4 * static_cast<double>(images + 3) + image_mpx * polarization_cost.megabytes_per_mpx;
+  plan.memory_mb = megabytes(polarization_cost, image_mpx, context.threads);
   if (station.has_prior() || station.file.photos) {
     const bool refined = options.fusion == Fusion::refined;
     plan.does.emplace_back("height: polarization alone (Eq 9 to 11)");
     plan.does.emplace_back(refined ? "refine: nonlinear least squares on log depth"
                                    : "fuse: grid transfer (Eq 14 to 16)");
     plan.does.emplace_back("mesh, assess");
+    const auto& spec = station.file.prior;
+    const bool raster = (spec && !spec->cloud) || (!spec && station.prior_depth);
+    const StepCost& prior = raster ? raster_cost : cloud_cost;
     const StepCost& fusion = refined ? refine_cost : grid_cost;
-    double peak = 0;
-    for (const StepCost* cost : {&prior_cost, &height_cost, &fusion, &output_cost}) {
+    plan.seconds += whole_height_seconds(image_mpx, object_mpx);
+    for (const StepCost* cost : {&prior, &height_cost, &fusion, &output_cost}) {
       plan.seconds += seconds(*cost, object_mpx, context.threads);
-      peak = std::max(peak, object_mpx * cost->megabytes_per_mpx + cost->megabytes_fixed);
+      plan.memory_mb = std::max(plan.memory_mb, megabytes(*cost, object_mpx, context.threads));
     }
-    plan.memory_mb = std::max(plan.memory_mb, 60 + image_mpx * polarization_cost.megabytes_per_mpx + peak);
   }
   context.progress("check", 1.0);
   return plan;

@@ -230,7 +230,7 @@ ReflectionMap make_reflection(const Station& station, const PolarizationStep& im
 HeightMap make_height(const PolarizationStep& images, const DepthPrior& prior, const ReflectionMap& reflection,
                       const Options& options, const Context& context) {
   const Image<float> normals = normals_from_depth(prior.depth, images.camera, context);
-  const Image<float> height = height_from_depth(prior.depth, images.camera, options.height.perspective);
+  const Image<float> height = height_from_depth(prior.depth, images.camera, options.height.perspective, context);
   return solve_height({.polarization = images.state,
                        .reflection = reflection,
                        .camera = options.height.perspective ? &images.camera : nullptr,

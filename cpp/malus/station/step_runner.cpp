@@ -1,3 +1,5 @@
+#include <sys/resource.h>
+
 #include <algorithm>
 
 #include "malus/core/version.h"
@@ -5,6 +7,26 @@
 #include "malus/station/step_runner_internal.h"
 
 namespace malus {
+namespace {
+
+rusage use_of_process() {
+  rusage use{};
+  getrusage(RUSAGE_SELF, &use);
+  return use;
+}
+
+/// Processor time of all threads so far.
+double cpu_seconds() {
+  const rusage use = use_of_process();
+  return static_cast<double>(use.ru_utime.tv_sec + use.ru_stime.tv_sec) +
+         1e-6 * static_cast<double>(use.ru_utime.tv_usec + use.ru_stime.tv_usec);
+}
+
+double peak_mb() {
+  return static_cast<double>(use_of_process().ru_maxrss) * 1024 / 1e6;
+}
+
+}  // namespace
 
 StepRunner::StepRunner(const Options& options, const RunOptions& run, const Context& context)
     : context_(context), until_(run.until), options_(Json::parse(options_to_json(options))) {
@@ -41,7 +63,7 @@ Context StepRunner::context_of(const std::string& step) const {
   return inner;
 }
 
-StepRunner::Clock::time_point StepRunner::begin(const std::string& step) {
+StepRunner::Start StepRunner::begin(const std::string& step) {
   context_.check_cancel();
   if (workspace_) {
     workspace_->begin(step);
@@ -50,14 +72,15 @@ StepRunner::Clock::time_point StepRunner::begin(const std::string& step) {
     if (step == "refine") workspace_->begin("fuse");
   }
   context_.progress(step, 0.0);
-  return Clock::now();
+  return {std::chrono::steady_clock::now(), cpu_seconds()};
 }
 
 void StepRunner::finish(const std::string& step, const std::string& key, const std::vector<std::string>& files,
-                        Clock::time_point start, const Json& notes) {
+                        const Start& start, const Json& notes) {
   context_.check_cancel();
-  const double seconds = std::chrono::duration<double>(Clock::now() - start).count();
-  if (workspace_) workspace_->finish(step, key, files, seconds, notes.dump());
+  const std::chrono::duration<double> time = std::chrono::steady_clock::now() - start.time;
+  const Workspace::Use use{time.count(), cpu_seconds() - start.cpu_seconds, peak_mb()};
+  if (workspace_) workspace_->finish(step, key, files, use, notes.dump());
   context_.progress(step, 1.0);
 }
 

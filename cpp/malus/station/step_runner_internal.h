@@ -73,14 +73,18 @@ class StepRunner {
   }
 
  private:
-  using Clock = std::chrono::steady_clock;
+  /// Clocks at the start of a step.
+  struct Start {
+    std::chrono::steady_clock::time_point time;
+    double cpu_seconds;
+  };
 
   std::string key_of(const std::string& step, const StepInputs& inputs);
   /// The context for a step's computation: its parts' progress counts as the step's, which ends with `finish`.
   Context context_of(const std::string& step) const;
-  Clock::time_point begin(const std::string& step);
+  Start begin(const std::string& step);
   void finish(const std::string& step, const std::string& key, const std::vector<std::string>& files,
-              Clock::time_point start, const Json& notes);
+              const Start& start, const Json& notes);
   void report_kept(const std::string& step) const;
 
   const Context& context_;

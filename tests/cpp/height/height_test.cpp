@@ -300,14 +300,17 @@ TEST(Height, InputErrorsAndCancellation) {
 
 TEST(Height, MultigridGivesTheHeightOfTheFactorization) {
   const Scene scene = render(bumps(160), {160, 160}, nullptr, {0.3, -0.2, -0.8, 0}, 0.002);
+  // To the minimum: multigrid solves for each step only as well as the next one needs.
   HeightOptions options;
+  options.tolerance = 1e-4;
+  options.iterations = 40;
   HeightMap maps[2];
   for (const int k : {0, 1}) {
     options.solver = k == 0 ? GridMethod::direct : GridMethod::multigrid;
     maps[k] = solve(scene, options);
   }
   EXPECT_EQ(maps[0].solver_iterations, 0);
-  EXPECT_EQ(maps[0].iterations, maps[1].iterations);
+  for (const HeightMap& map : maps) EXPECT_EQ(map.status, "converged");
   // The work of all systems together, whatever the machine.
   EXPECT_GT(maps[1].solver_iterations, maps[1].iterations);
   EXPECT_LT(maps[1].solver_iterations, 60 * maps[1].iterations);
@@ -317,7 +320,7 @@ TEST(Height, MultigridGivesTheHeightOfTheFactorization) {
       worst = std::max<double>(worst, std::abs(maps[0].height[i] - maps[1].height[i]));
     }
   }
-  EXPECT_LT(worst, 1e-3);
+  EXPECT_LT(worst, 0.02);  // of a surface 20 px high
 }
 
 TEST(Height, SameResultWithOneAndThreeThreads) {
@@ -330,6 +333,51 @@ TEST(Height, SameResultWithOneAndThreeThreads) {
     if (!std::isfinite(a.height[i])) continue;
     EXPECT_NEAR(a.height[i], b.height[i], 1e-4);
   }
+}
+
+/// RMS difference of two heights, px.
+double rms_difference(const HeightMap& a, const HeightMap& b) {
+  double squares = 0, count = 0;
+  for (std::size_t i = 0; i < a.height.count(); ++i) {
+    if (!std::isfinite(a.height[i])) continue;
+    squares += (a.height[i] - b.height[i]) * (a.height[i] - b.height[i]);
+    ++count;
+  }
+  return std::sqrt(squares / count);
+}
+
+TEST(Height, LargeRastersAreSolvedByLevelsAndInTiles) {
+  // More than half a million pixels, two tiles, cut by the object's border.
+  const Size size{1100, 480};
+  const Pinhole camera{size, 3000, 3000, 540, 230};
+  const Surface wavy = [&](int u, int v, double& height, Eigen::Vector3d& normal) {
+    if (std::hypot(u - 550, 2 * (v - 240)) > 545) return false;
+    const auto z = [](double x, double y) {
+      return 600 + 1.6 * std::sin(0.05 * x) * std::cos(0.06 * y) + 8 * std::sin(0.008 * (x + 0.5 * y));
+    };
+    const auto point = [&](double x, double y) { return Eigen::Vector3d(z(x, y) * camera.ray(x, y)); };
+    normal = (point(u, v + 1e-3) - point(u, v - 1e-3)).cross(point(u + 1e-3, v) - point(u - 1e-3, v)).normalized();
+    height = -camera.focal() * std::log(z(u, v));
+    return true;
+  };
+  const Scene scene = render(wavy, size, &camera, {0.3, -0.35, -0.7, 0}, 0.001);
+  Context two;
+  two.threads = 2;
+  const HeightMap map = solve(scene, {}, &camera, two);
+  // From the coarse level to the tiles' borders the height is that of the surface.
+  EXPECT_NEAR(height_scale(scene, map), 1, 0.01);
+  EXPECT_LT(normal_error(scene, map), 2.0);
+  double across = 0, inside = 0;
+  for (int v = 60; v < 420; ++v) {
+    const auto step = [&](int u) {
+      return std::abs((map.height(u + 1, v) - map.height(u, v)) - (scene.truth(u + 1, v) - scene.truth(u, v)));
+    };
+    for (int u = 538; u < 562; ++u) across += step(u);
+    for (int u = 638; u < 662; ++u) inside += step(u);
+  }
+  EXPECT_LT(across, 1.1 * inside) << "no seam between tiles";
+  Context one;
+  EXPECT_LT(rms_difference(map, solve(scene, {}, &camera, one)), 1e-3);
 }
 
 TEST(Height, FromDepth) {

@@ -41,7 +41,7 @@ TEST(Workspace, RemembersFinishedStepsAcrossRuns) {
     workspace.begin("prior");
     EXPECT_FALSE(workspace.is_done("prior", "key"));
     folder.write("work/deep/prior/depth.tif", "1234");
-    workspace.finish("prior", "key", {"prior/depth.tif"}, 1.5, R"({"b": 2.5, "a": [1]})");
+    workspace.finish("prior", "key", {"prior/depth.tif"}, {1.5, 2.5, 100}, R"({"b": 2.5, "a": [1]})");
     workspace.set_info("options", R"({"x": 1})");
   }
   {
@@ -57,20 +57,22 @@ TEST(Workspace, RemembersFinishedStepsAcrossRuns) {
   EXPECT_EQ(manifest["steps"]["prior"]["outputs"]["prior/depth.tif"]["size"], 4);
   EXPECT_EQ(manifest["steps"]["prior"]["outputs"]["prior/depth.tif"]["sha256"], sha256_of_bytes("1234"));
   EXPECT_EQ(manifest["times"]["prior"]["seconds"], 1.5);
+  EXPECT_EQ(manifest["times"]["prior"]["cpu_seconds"], 2.5);
+  EXPECT_EQ(manifest["times"]["prior"]["peak_mb"], 100);
 }
 
 TEST(Workspace, MissingOrChangedOutputsAreNotDone) {
   const TemporaryFolder folder;
   Workspace workspace(folder.path());
   folder.write("a.tif", "1234");
-  workspace.finish("step", "key", {"a.tif"}, 0);
+  workspace.finish("step", "key", {"a.tif"}, {});
   EXPECT_TRUE(workspace.is_done("step", "key"));
   folder.write("a.tif", "12345");
   EXPECT_FALSE(workspace.is_done("step", "key"));
   std::filesystem::remove(folder / "a.tif");
   EXPECT_FALSE(workspace.is_done("step", "key"));
   expect_error(
-      ErrorCode::input, [&] { workspace.finish("step", "key", {"a.tif"}, 0); }, "output", "a.tif");
+      ErrorCode::input, [&] { workspace.finish("step", "key", {"a.tif"}, {}); }, "output", "a.tif");
 }
 
 TEST(Workspace, BeginRemovesTheMarkOnDisk) {
@@ -78,7 +80,7 @@ TEST(Workspace, BeginRemovesTheMarkOnDisk) {
   folder.write("a.tif", "1234");
   {
     Workspace workspace(folder.path());
-    workspace.finish("step", "key", {"a.tif"}, 0);
+    workspace.finish("step", "key", {"a.tif"}, {});
     workspace.begin("step");
   }
   EXPECT_FALSE(Workspace(folder.path()).is_done("step", "key")) << "as after a run that died in the step";
@@ -91,8 +93,8 @@ TEST(Workspace, EqualRunsDifferOnlyInTimes) {
     folder->write("y", "2");
     Workspace workspace(folder->path());
     const bool first = folder == &a;
-    workspace.finish(first ? "one" : "two", "k", {first ? "x" : "y"}, first ? 1 : 2);
-    workspace.finish(first ? "two" : "one", "k", {first ? "y" : "x"}, first ? 3 : 4);
+    workspace.finish(first ? "one" : "two", "k", {first ? "x" : "y"}, {first ? 1.0 : 2.0});
+    workspace.finish(first ? "two" : "one", "k", {first ? "y" : "x"}, {first ? 3.0 : 4.0});
   }
   nlohmann::json one = manifest_of(a.path()), two = manifest_of(b.path());
   EXPECT_NE(one["times"], two["times"]);
@@ -129,7 +131,7 @@ TEST(Workspace, DamagedManifestSaysWhatToDo) {
   folder.write("a.tif", "1234");
   {
     Workspace workspace(folder.path());
-    workspace.finish("step", "key", {"a.tif"}, 0);
+    workspace.finish("step", "key", {"a.tif"}, {});
   }
   const std::string good = read_file(folder / "manifest.json", "manifest");
   for (

@@ -177,13 +177,18 @@ TEST(Decompose, CovarianceAgreesWithMonteCarlo) {
     Eigen::Matrix3d expected_stokes = Eigen::Matrix3d::Zero(), expected_reduced = Eigen::Matrix3d::Zero();
     double residual = 0;
     const double count = static_cast<double>(size.area());
+    const StokesVariances variances(state);
     for (int v = 0; v < size.height; ++v) {
       for (int u = 0; u < size.width; ++u) {
         const Eigen::Vector3d e = state.stokes(u, v) - truth;
         const Eigen::Vector3d r(state.i_un(u, v) - 0.3, state.rho(u, v) - 0.5, state.phi(u, v) - 0.4);
         stokes += e * e.transpose() / count;
         reduced += r * r.transpose() / count;
-        expected_stokes += state.stokes_covariance(u, v) / count;
+        const Eigen::Matrix3d covariance = state.stokes_covariance(u, v);
+        expected_stokes += covariance / count;
+        const StokesVariance quick = variances(u, v, state.stokes(u, v));
+        EXPECT_NEAR(quick.intensity, covariance(0, 0), 1e-9 * covariance(0, 0));
+        EXPECT_NEAR(quick.linear, 0.5 * (covariance(1, 1) + covariance(2, 2)), 1e-9 * covariance(1, 1));
         expected_reduced += state.covariance(u, v) / count;
         residual += state.residual(u, v) * state.residual(u, v) / count;
       }

@@ -37,6 +37,8 @@ TEST(InterpolationError, FourValuesOfOneMeasurementAreTheLeast) {
   const double noise = state.stokes_covariance(5, 5)(2, 2);
   add_interpolation_error(state, Image<float>(state.size(), 1, 10.0f), {});
   EXPECT_NEAR(state.stokes_covariance(5, 5)(2, 2), 4 * noise, 1e-6 * noise);
+  const StokesVariance quick = StokesVariances(state)(5, 5, state.stokes(5, 5));
+  EXPECT_NEAR(quick.intensity, state.stokes_covariance(5, 5)(0, 0), 1e-6 * noise);
 }
 
 TEST(InterpolationError, IsLocalAndDoesNotDependOnThreads) {

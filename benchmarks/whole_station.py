@@ -1,0 +1,72 @@
+"""Whole stations of several sizes, from images to the assessed surface: time, processor time and memory of every step.
+
+    .venv/bin/python benchmarks/whole_station.py [--megapixels 1 4 18] [--fusion grid] [--prior depth] [--threads 2] [--folder F]
+
+Stations are synthetic reliefs (`malus.synthetic`), made once in the folder. Each run is a process of `malus-station` of its own. On a busy
+machine processor seconds are what can be compared; both are printed, with the load.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+from malus import synthetic
+
+PROGRAM = Path(__file__).resolve().parents[1] / "build" / "malus-station"
+
+
+def station_of(folder: Path, megapixels: float, prior: str) -> Path:
+    """3:2 images, even numbers of pixels."""
+    height = 2 * round((megapixels * 1e6 / 1.5) ** 0.5 / 2)
+    width = 2 * round(0.75 * height)
+    path = folder / f"{width}x{height}-{prior}"
+    return (
+        path / "station.toml"
+        if (path / "meta.json").exists()
+        else synthetic.write_station(path, width, height, prior=prior)
+    )
+
+
+def measure(station: Path, fusion: str, threads: int) -> dict[str, dict[str, float]]:
+    """Times of the steps as manifest.json has them."""
+    work = station.parent / "work"
+    shutil.rmtree(work, ignore_errors=True)
+    command = [PROGRAM, station, "-o", work, "--fusion", fusion, "--threads", str(threads), "--quiet"]
+    subprocess.run(command, check=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"})
+    times: dict[str, dict[str, float]] = json.loads((work / "manifest.json").read_text())["times"]
+    shutil.rmtree(work)
+    return times
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--megapixels", type=float, nargs="+", default=[1, 4, 18])
+    parser.add_argument("--fusion", choices=["grid", "refined"], default="grid")
+    parser.add_argument("--prior", choices=["cloud", "depth"], default="depth")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--folder", type=Path, help="for the stations; default: a temporary one")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = arguments.folder or Path(temporary)
+        print("| megapixels | step | seconds | processor seconds | a megapixel | peak MB |\n|---|---|---|---|---|---|")
+        for megapixels in arguments.megapixels:
+            times = measure(station_of(folder, megapixels, arguments.prior), arguments.fusion, arguments.threads)
+            rows = list(times.items())
+            total = {key: sum(time[key] for _, time in rows) for key in ("seconds", "cpu_seconds")}
+            rows.append(("all", {**total, "peak_mb": max(time["peak_mb"] for _, time in rows)}))
+            for step, time in rows:
+                print(
+                    f"| {megapixels:g} | {step} | {time['seconds']:.2f} | {time['cpu_seconds']:.2f} "
+                    f"| {time['cpu_seconds'] / megapixels:.2f} | {time['peak_mb']:.0f} |"
+                )
+        print(f"\nLoad of the machine at the end: {os.getloadavg()[0]:.1f} processes.")
+
+
+if __name__ == "__main__":
+    main()

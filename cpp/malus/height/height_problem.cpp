@@ -1,0 +1,293 @@
+#include <cmath>
+#include <numbers>
+
+#include "malus/core/parallel.h"
+#include "malus/height/height_problem_internal.h"
+#include "malus/polarization/fresnel.h"
+
+namespace malus {
+namespace {
+
+/// Eq 11 divides by cos θ; beyond this zenith (87°) the quotient is noise.
+constexpr double smallest_cosine = 0.05;
+/// Part of the largest diagonal entry added to every one: holds the height's free constant. Where the surface goes on
+/// beyond the raster, parts that nothing connects with the others there are held to the start instead, a little more.
+constexpr double relative_ridge = 1e-11, relative_hold = 1e-8;
+/// Weight of a pixel that is held because the surface goes on beyond.
+constexpr double ring_weight = 1e4;
+/// |A x − b| / |b| at which an iterative solver ends at the latest: far below what a Gauss–Newton step leaves.
+constexpr double solver_tolerance = 1e-6;
+/// |A x − b| / |A start − b| at which a Gauss–Newton step ends: the next one corrects what is left, with better
+/// weights.
+constexpr double step_accuracy = 0.1;
+constexpr std::size_t grain = 4096;
+
+}  // namespace
+
+HeightProblem::HeightProblem(const HeightData& data, const HeightOptions& options, const HeightLight& light,
+                             const Context& context)
+    : data_(data),
+      options_(options),
+      light_(light),
+      camera_(data.camera ? &*data.camera : nullptr),
+      context_(context),
+      pixels_(data.object),
+      system_(pixels_),
+      solver_(pixels_, {.method = options.solver, .tolerance = solver_tolerance}, context),
+      frames_(static_cast<std::size_t>(pixels_.count())),
+      terms_(frames_.size()) {
+  for_each_pixel([&](int i) { frames_[static_cast<std::size_t>(i)] = frame_at(pixels_.u(i), pixels_.v(i)); });
+}
+
+Eigen::VectorXd HeightProblem::values_of(const Image<float>& raster) const {
+  Eigen::VectorXd values(pixels_.count());
+  for (int i = 0; i < pixels_.count(); ++i) values[i] = raster(pixels_.u(i), pixels_.v(i));
+  return values;
+}
+
+SolveStatus HeightProblem::solve_linear(bool literal, double accuracy, Eigen::VectorXd& height) {
+  for_each_pixel([&](int i) { terms_[static_cast<std::size_t>(i)] = linear_term(i, literal); });
+  assemble();
+  height.resize(0);
+  const SolveStatus status = solver_.solve(system_, relative_ridge * system_.largest_diagonal(), height, accuracy);
+  solver_iterations_ += solver_.summary().iterations;
+  return status;
+}
+
+double HeightProblem::linearize(const Eigen::VectorXd& height) {
+  const auto part = [&](std::size_t begin, std::size_t end) {
+    double cost = 0;
+    for (std::size_t i = begin; i < end; ++i) cost += likelihood_term(static_cast<int>(i), height, terms_[i]);
+    return cost;
+  };
+  return parallel_sum(context_, terms_.size(), grain, 0.0, part) / static_cast<double>(terms_.size());
+}
+
+SolveStatus HeightProblem::solve_linearized(Eigen::VectorXd& height) {
+  assemble();
+  const bool goes_on = !data_.ring_height.empty();
+  const double ridge = (goes_on ? relative_hold : relative_ridge) * system_.largest_diagonal();
+  for (int i = 0; goes_on && i < pixels_.count(); ++i) system_.add_right(i, ridge * height[i]);
+  const SolveStatus status = solver_.solve(system_, ridge, height, step_accuracy);
+  solver_iterations_ += solver_.summary().iterations;
+  return status;
+}
+
+double HeightProblem::slope_rms(const Eigen::VectorXd& height) const {
+  const auto part = [&](std::size_t begin, std::size_t end) {
+    double sum = 0;
+    for (int i = static_cast<int>(begin); i < static_cast<int>(end); ++i) {
+      const int u = pixels_.u(i), v = pixels_.v(i);
+      const double along_u = difference(u, v, 1, 0)(height), along_v = difference(u, v, 0, 1)(height);
+      sum += along_u * along_u + along_v * along_v;
+    }
+    return sum;
+  };
+  return std::sqrt(parallel_sum(context_, terms_.size(), grain, 0.0, part) / static_cast<double>(terms_.size()));
+}
+
+double HeightProblem::residual_rms(const Eigen::VectorXd& height, bool literal, bool likelihood) const {
+  const auto part = [&](std::size_t begin, std::size_t end) {
+    double sum = 0;
+    for (int i = static_cast<int>(begin); i < static_cast<int>(end); ++i)
+      sum += likelihood ? likelihood_square(i, height) : linear_square(i, height, literal);
+    return sum;
+  };
+  return std::sqrt(parallel_sum(context_, terms_.size(), grain, 0.0, part) / static_cast<double>(terms_.size()));
+}
+
+template <class Body>
+void HeightProblem::for_each_pixel(Body&& body) {
+  parallel_for(context_, terms_.size(), grain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) body(static_cast<int>(i));
+  });
+}
+
+/// Derivative along an axis at a pixel: central; at a border of the object one-sided and exact for parabolas; across
+/// two pixels if there are no more; count 0 if the pixel has no neighbour.
+HeightProblem::Difference HeightProblem::difference(int u, int v, int du, int dv) const {
+  const int here = pixels_.at(u, v), after = pixels_.at(u + du, v + dv), before = pixels_.at(u - du, v - dv);
+  if (after >= 0 && before >= 0) return {{after, before, 0}, {0.5, -0.5, 0}, 2};
+  if (after < 0 && before < 0) return {};
+  const int near = after >= 0 ? after : before;
+  const int step = after >= 0 ? 1 : -1;
+  const int far = pixels_.at(u + 2 * step * du, v + 2 * step * dv);
+  if (far >= 0) return {{here, near, far}, {-1.5 * step, 2.0 * step, -0.5 * step}, 3};
+  return {{near, here, 0}, {1.0 * step, -1.0 * step, 0}, 2};
+}
+
+void HeightProblem::Term::add_row(const AffineSlopes& slopes, double p, double q, double target, double weight) {
+  const double u = p * slopes.per_u.p + q * slopes.per_u.q, v = p * slopes.per_v.p + q * slopes.per_v.q;
+  const double rest = target - p * slopes.constant.p - q * slopes.constant.q;
+  uu += weight * u * u;
+  uv += weight * u * v;
+  vv += weight * v * v;
+  right_u += weight * u * rest;
+  right_v += weight * v * rest;
+}
+
+HeightProblem::Frame HeightProblem::frame_at(int u, int v) const {
+  AffineSlopes slopes{{0, 0}, {-1, 0}, {0, 1}};
+  if (camera_ != nullptr) {
+    slopes = slopes_of_log_depth(*camera_, u, v);
+    const double scale = -1 / camera_->focal();
+    for (Slopes* part : {&slopes.per_u, &slopes.per_v}) *part = {scale * part->p, scale * part->q};
+  }
+  const RayFrame frame = ray_frame(camera_, u, v);
+  const Eigen::Vector3d light = light_.coefficients.head<3>();
+  const auto single = [](double value) { return static_cast<float>(value); };
+  return {single(slopes.constant.p),      single(slopes.constant.q),   single(slopes.per_u.p),
+          single(slopes.per_u.q),         single(slopes.per_v.p),      single(slopes.per_v.q),
+          single(light.dot(frame.right)), single(light.dot(frame.up)), single(light.dot(frame.view))};
+}
+
+Slopes HeightProblem::slopes_of(int i, const Eigen::VectorXd& height) const {
+  const int u = pixels_.u(i), v = pixels_.v(i);
+  return frame(i).slopes()(difference(u, v, 1, 0)(height), difference(u, v, 0, 1)(height));
+}
+
+HeightProblem::LinearRows HeightProblem::linear_rows(int i, bool literal) const {
+  const int u = pixels_.u(i), v = pixels_.v(i);
+  const double i_un = data_.i_un(u, v), s1 = data_.s1(u, v), s2 = data_.s2(u, v), s0 = 2 * i_un;
+  const bool specular = data_.kind_at(u, v) == Reflection::specular;
+  double zenith = data_.zenith(u, v);
+  if (!literal) {
+    const double degree = debiased_degree(std::hypot(s1, s2) / s0, data_.variance_s(u, v) / (s0 * s0));
+    zenith = zenith_of(data_.kind_at(u, v), degree, data_.refractive_index, data_.branch(u, v)).zenith_rad;
+  }
+  const double azimuth = 0.5 * std::atan2(s2, s1) + (specular ? std::numbers::pi / 2 : 0);
+  const Eigen::Vector3d light(frame(i).light_right, frame(i).light_up, frame(i).light_view);
+  const double scale = literal ? 1 : 1 / light.norm();
+  const double cosine = std::max(std::cos(zenith), smallest_cosine);
+  return {std::sin(azimuth), -std::cos(azimuth), literal ? 1 : std::min(std::tan(zenith), 1.0),
+          scale * light[0],  scale * light[1],   scale * ((i_un - light_.coefficients[3]) / cosine - light[2])};
+}
+
+HeightProblem::Term HeightProblem::linear_term(int i, bool literal) const {
+  Term term;
+  const int u = pixels_.u(i), v = pixels_.v(i);
+  if (!data_.has_data(u, v)) return term;
+  const LinearRows rows = linear_rows(i, literal);
+  const AffineSlopes slopes = frame(i).slopes();
+  term.add_row(slopes, rows.phase_p, rows.phase_q, 0, rows.phase_weight * rows.phase_weight);
+  term.add_row(slopes, rows.shading_p, rows.shading_q, rows.shading_target, 1);
+  return term;
+}
+
+double HeightProblem::linear_square(int i, const Eigen::VectorXd& height, bool literal) const {
+  const int u = pixels_.u(i), v = pixels_.v(i);
+  if (!data_.has_data(u, v)) return 0;
+  const LinearRows rows = linear_rows(i, literal);
+  const Slopes s = slopes_of(i, height);
+  const double phase = rows.phase_weight * (rows.phase_p * s.p + rows.phase_q * s.q);
+  const double shading = rows.shading_p * s.p + rows.shading_q * s.q - rows.shading_target;
+  return phase * phase + shading * shading;
+}
+
+/// s0 ρ(θ) / tan²θ, signed: negative where polarization is across the azimuth.
+double HeightProblem::stokes_gain(int u, int v, double tan2) const {
+  const double sin2 = tan2 / (1 + tan2), eta = data_.refractive_index;
+  const double degree = data_.kind_at(u, v) == Reflection::specular ? -specular_degree_over_sin2(sin2, eta)
+                                                                    : diffuse_degree_over_sin2(sin2, eta);
+  return 2.0 * data_.i_un(u, v) * degree / (1 + tan2);
+}
+
+HeightProblem::Residuals HeightProblem::residuals(int i, const Slopes& s) const {
+  const int u = pixels_.u(i), v = pixels_.v(i);
+  const double i_un = data_.i_un(u, v), s0 = 2 * i_un;
+  const double shading_error = options_.shading_error ? *options_.shading_error * i_un : light_.shading_sigma;
+  const double model = options_.stokes_error * s0;
+  const double sigma_i = std::sqrt(data_.variance_i(u, v) + shading_error * shading_error);
+  const double sigma_s = std::sqrt(data_.variance_s(u, v) + model * model);
+  const Eigen::Vector3d light(frame(i).light_right, frame(i).light_up, frame(i).light_view);
+  const double tan2 = s.tan2(), root = std::sqrt(1 + tan2);
+  const double shading = (light[0] * s.p + light[1] * s.q + light[2]) / root;
+  const double gain = stokes_gain(u, v, tan2), step = 1e-5 * (1 + tan2);
+  const double gain_slope = (stokes_gain(u, v, tan2 + step) - gain) / step;  // by tan²θ
+  const double difference_pq = s.p * s.p - s.q * s.q, product = 2 * s.p * s.q;
+  Residuals r;
+  r.value = {(shading + light_.coefficients[3] - i_un) / sigma_i, (gain * difference_pq - data_.s1(u, v)) / sigma_s,
+             (gain * product - data_.s2(u, v)) / sigma_s};
+  r.by_p = {(light[0] / root - shading * s.p / (1 + tan2)) / sigma_i,
+            (gain * 2 * s.p + gain_slope * 2 * s.p * difference_pq) / sigma_s,
+            (gain * 2 * s.q + gain_slope * 2 * s.p * product) / sigma_s};
+  r.by_q = {(light[1] / root - shading * s.q / (1 + tan2)) / sigma_i,
+            (-gain * 2 * s.q + gain_slope * 2 * s.q * difference_pq) / sigma_s,
+            (gain * 2 * s.p + gain_slope * 2 * s.q * product) / sigma_s};
+  return r;
+}
+
+double HeightProblem::likelihood_square(int i, const Eigen::VectorXd& height) const {
+  const int u = pixels_.u(i), v = pixels_.v(i);
+  if (!data_.has_data(u, v)) return 0;
+  const Residuals r = residuals(i, slopes_of(i, height));
+  return r.shading_square() * robust_weight(r.shading_square()) + r.stokes_square() * robust_weight(r.stokes_square());
+}
+
+double HeightProblem::likelihood_term(int i, const Eigen::VectorXd& height, Term& term) const {
+  const int u = pixels_.u(i), v = pixels_.v(i);
+  const double along_u = difference(u, v, 1, 0)(height), along_v = difference(u, v, 0, 1)(height);
+  term = {options_.damping, 0, options_.damping, options_.damping * along_u, options_.damping * along_v};
+  if (!data_.has_data(u, v)) return 0;
+  const AffineSlopes slopes = frame(i).slopes();
+  const Slopes s = slopes(along_u, along_v);
+  const Residuals r = residuals(i, s);
+  // Shading and polarization fail for different reasons: each keeps its own weight.
+  const double shading_weight = robust_weight(r.shading_square()), stokes_weight = robust_weight(r.stokes_square());
+  for (int k = 0; k < 3; ++k) {
+    const double target = r.by_p[k] * s.p + r.by_q[k] * s.q - r.value[k];
+    term.add_row(slopes, r.by_p[k], r.by_q[k], target, k == 0 ? shading_weight : stokes_weight);
+  }
+  return -square_limit() * std::log(shading_weight * stokes_weight);
+}
+
+void HeightProblem::assemble() {
+  system_.clear();
+  const double border_weight = options_.boundary_weight * options_.boundary_weight;
+  for (int i = 0; i < pixels_.count(); ++i) {
+    if (i % 65536 == 0) context_.check_cancel();
+    const int u = pixels_.u(i), v = pixels_.v(i);
+    add_term(terms_[static_cast<std::size_t>(i)], difference(u, v, 1, 0), difference(u, v, 0, 1));
+    add_smoothness(i, pixels_.at(u - 1, v), pixels_.at(u + 1, v));
+    add_smoothness(i, pixels_.at(u, v - 1), pixels_.at(u, v + 1));
+    add_held(i, data_.border_height, border_weight);
+    add_held(i, data_.ring_height, ring_weight);
+  }
+}
+
+void HeightProblem::add_term(const Term& term, const Difference& by_u, const Difference& by_v) {
+  for (int i = 0; i < by_u.count; ++i) {
+    system_.add_right(by_u.unknowns[i], by_u.coefficients[i] * term.right_u);
+    for (int j = 0; j <= i; ++j) {
+      system_.add(by_u.unknowns[i], by_u.unknowns[j], term.uu * by_u.coefficients[i] * by_u.coefficients[j]);
+    }
+    for (int j = 0; j < by_v.count; ++j) {
+      // An entry with itself stands for both orders of the product.
+      const double twice = by_u.unknowns[i] == by_v.unknowns[j] ? 2 : 1;
+      system_.add(by_u.unknowns[i], by_v.unknowns[j], twice * term.uv * by_u.coefficients[i] * by_v.coefficients[j]);
+    }
+  }
+  for (int i = 0; i < by_v.count; ++i) {
+    system_.add_right(by_v.unknowns[i], by_v.coefficients[i] * term.right_v);
+    for (int j = 0; j <= i; ++j) {
+      system_.add(by_v.unknowns[i], by_v.unknowns[j], term.vv * by_v.coefficients[i] * by_v.coefficients[j]);
+    }
+  }
+}
+
+void HeightProblem::add_smoothness(int here, int before, int after) {
+  if (before < 0 || after < 0) return;
+  const int unknowns[] = {before, here, after};
+  const double coefficients[] = {1, -2, 1};
+  system_.add_row(unknowns, coefficients, 3, 0, options_.smoothness * options_.smoothness);
+}
+
+void HeightProblem::add_held(int i, const Image<float>& heights, double weight) {
+  if (heights.empty()) return;
+  const float target = heights(pixels_.u(i), pixels_.v(i));
+  if (!std::isfinite(target)) return;
+  system_.add(i, i, weight);
+  system_.add_right(i, weight * target);
+}
+
+}  // namespace malus
