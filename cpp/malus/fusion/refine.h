@@ -24,7 +24,7 @@ struct RefineInput {
 };
 
 struct RefineOptions {
-  int iterations = 3;
+  int iterations = 2;
   int fine_iterations = 2;
   int steps = 2;
   double coarsest_px = 100;

@@ -28,7 +28,7 @@ constexpr StepCost cloud_cost{9.5, 0.2, 85, 250};
 constexpr StepCost raster_cost{0.03, 0.5, 78, 0};
 constexpr StepCost height_cost{2.1, 0.95, 72, 130};
 constexpr StepCost grid_cost{0.1, 0.5, 84, 0};
-constexpr StepCost refine_cost{84, 0.9, 105, 600};
+constexpr StepCost refine_cost{46, 0.9, 125, 600};
 constexpr StepCost output_cost{1.05, 0.4, 141, 0};
 /// Of the process before anything is read.
 constexpr double megabytes_fixed = 30;
