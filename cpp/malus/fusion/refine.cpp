@@ -222,6 +222,7 @@ class Refiner {
       }
       if (searches_) search();
     }
+    settle();
     const FitQuality quality = update_weights(field_, weights(1, true), context_);
     report_.tiles = static_cast<int>(tiles_.size());
     report_.stokes_cost = quality.robust_cost;
@@ -273,13 +274,23 @@ class Refiner {
     constexpr std::size_t careful_rounds = 2;
     const int steps = report_.iterations.size() < careful_rounds ? 1 : options_.steps;
     const TileOptions solve{steps, options_.smoothness, options_.prior_robust_gsd / binning_};
-    const auto progress = [&](int done) { return range_.begin + (range_.end - range_.begin) * done / rounds_; };
+    const auto progress = [&](int done) {
+      return range_.begin + (range_.end - range_.begin) * std::min(done, rounds_) / rounds_;
+    };
     const SolveStatistics solved = solve_tiles(field_, tiles_, solve, progress(done_), progress(done_ + 1), context_);
     ++done_;
     total_ += solved;
     report_.iterations.push_back({binning_, searching_, solved.cost_before, solved.cost_after, quality.robust_cost,
                                   quality.median_residual, rms_change(field_.x, before, field_.object),
                                   solved.rejected_steps, seconds_since(start)});
+  }
+
+  /// More rounds where the surface still moves, which a poor prior makes it do.
+  void settle() {
+    constexpr double settled_gsd = 0.5;
+    if (binning_ > 1) return;
+    for (int i = 0; i < options_.more_iterations && report_.iterations.back().change_gsd > settled_gsd; ++i)
+      round(1, true, true);
   }
 
   void search() {

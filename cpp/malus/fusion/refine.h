@@ -26,6 +26,7 @@ struct RefineInput {
 struct RefineOptions {
   int iterations = 2;
   int fine_iterations = 2;
+  int more_iterations = 3;
   int steps = 2;
   double coarsest_px = 100;
   int tile_px = 384;
@@ -53,6 +54,8 @@ struct RefineOptions {
     visit("coarsest_px", self.coarsest_px, Range{16, 1e9},
           "where a search is worth it, objects are refined at half the resolution first, down to this width and "
           "height, in px");
+    visit("more_iterations", self.more_iterations, Range{0, 50},
+          "most such rounds at the end while the surface moves by 0.5 GSD");
     visit("steps", self.steps, Range{1, 50}, "Gauss-Newton steps of each solve after the first two, which take one");
     visit("tile_px", self.tile_px, Range{64, 4096}, "largest side of a tile's core");
     visit("margin_px", self.margin_px, Range{16, 512}, "overlap of a tile with its neighbours");

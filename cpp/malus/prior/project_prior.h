@@ -52,7 +52,8 @@ struct PriorOptions {
     visit("tension_spacings", self.tension_spacings, Range{1, 1e6},
           "distance from all points, in point spacings, beyond which the surface levels out to the plane of the cloud");
     visit("hole_slope", self.hole_slope, not_negative,
-          "standard deviation of the slope where a swept depth map has none: what stereo does not see, such as the ridge of "
+          "standard deviation of the slope where a swept depth map has none: what stereo does not see, such as the "
+          "ridge of "
           "a highlight, need not go on as its surroundings do");
     visit("max_unknowns", self.max_unknowns, Range{1000, 1e7},
           "largest smoothing system solved at once; larger rasters are solved in overlapping tiles");
