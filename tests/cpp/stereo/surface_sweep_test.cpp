@@ -12,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "looking_pose.h"
 #include "malus/core/error.h"
 #include "thrown_error.h"
 
@@ -45,14 +46,7 @@ double texture(double x, double y) {
 }
 
 Pose looking_from(const Eigen::Vector3d& centre) {
-  const Eigen::Vector3d forward = (Eigen::Vector3d(0, 0, distance_mm) - centre).normalized();
-  const Eigen::Vector3d right = Eigen::Vector3d::UnitY().cross(forward).normalized();
-  Pose pose;
-  pose.rotation.row(0) = right;
-  pose.rotation.row(1) = forward.cross(right);
-  pose.rotation.row(2) = forward;
-  pose.translation = -pose.rotation * centre;
-  return pose;
+  return looking_pose(centre, {0, 0, distance_mm});
 }
 
 /// Where the ray from `origin` meets the surface.

@@ -1,0 +1,21 @@
+#pragma once
+
+#include <Eigen/Geometry>
+
+#include "malus/core/pose.h"
+
+namespace malus {
+
+/// A camera at `centre` that looks at `target`, the world's y axis down.
+inline Pose looking_pose(const Eigen::Vector3d& centre, const Eigen::Vector3d& target) {
+  const Eigen::Vector3d forward = (target - centre).normalized();
+  const Eigen::Vector3d right = Eigen::Vector3d::UnitY().cross(forward).normalized();
+  Pose pose;
+  pose.rotation.row(0) = right;
+  pose.rotation.row(1) = forward.cross(right);
+  pose.rotation.row(2) = forward;
+  pose.translation = -pose.rotation * centre;
+  return pose;
+}
+
+}  // namespace malus
