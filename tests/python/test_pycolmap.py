@@ -6,6 +6,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -141,6 +142,16 @@ def test_child_ends_when_the_search_is_given_up(
     assert lines == ["Registering image #7 (3)"]
     children = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True).stdout
     assert str(tmp_path) not in children
+
+
+@pytest.mark.skipif(find_spec("pycolmap") is None, reason="pycolmap is not installed")
+def test_real_package_says_what_is_wrong(tmp_path: Path) -> None:
+    colmap = Colmap(1, "pycolmap")
+    paths = {"input_path": tmp_path / "none", "output_path": tmp_path}
+    with pytest.raises(package.ExternalError, match=r"bundle_adjuster failed .*do not exist"):
+        colmap.run("bundle_adjuster", paths, tmp_path / "log")
+    with pytest.raises(package.ExternalError, match=r"no --BundleAdjustment\.refine_everything"):
+        colmap.run("bundle_adjuster", {**paths, "BundleAdjustment.refine_everything": 1}, tmp_path / "log")
 
 
 def test_progress_of_colmap_4_is_read_as_that_of_3() -> None:

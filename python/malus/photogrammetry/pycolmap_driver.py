@@ -113,9 +113,21 @@ def import_matches(colmap: Any, arguments: Arguments) -> None:
     colmap.match_image_pairs(database, matching, pairing, geometry, colmap.Device.cpu)
 
 
+def default_threads() -> int:
+    """Threads where no option says how many; -1 = all processors."""
+    return int(os.environ.get("OMP_NUM_THREADS", "-1"))
+
+
+def pipeline_options(colmap: Any, arguments: Arguments) -> Any:
+    """The options `Mapper.*`, which several commands have."""
+    options = colmap.IncrementalPipelineOptions()
+    options.num_threads = default_threads()
+    return arguments.fill(options, _MAPPER)
+
+
 def map_images(colmap: Any, arguments: Arguments) -> None:
     """`mapper`: models from a database, one folder each."""
-    options = arguments.fill(colmap.IncrementalPipelineOptions(), _MAPPER)
+    options = pipeline_options(colmap, arguments)
     paths = [arguments.take(name) for name in ("database_path", "image_path", "output_path")]
     arguments.finish()
     colmap.incremental_mapping(*paths, options)
@@ -123,7 +135,7 @@ def map_images(colmap: Any, arguments: Arguments) -> None:
 
 def register_images(colmap: Any, arguments: Arguments) -> None:
     """`image_registrator`: positions of the images of a database that a model does not have; the others stay."""
-    options = arguments.fill(colmap.IncrementalPipelineOptions(), _MAPPER)
+    options = pipeline_options(colmap, arguments)
     database, source, target = (arguments.take(name) for name in ("database_path", "input_path", "output_path"))
     arguments.finish()
     settings = colmap.DatabaseCacheOptions()
@@ -143,21 +155,21 @@ def register_images(colmap: Any, arguments: Arguments) -> None:
 
 def triangulate_points(colmap: Any, arguments: Arguments) -> None:
     """`point_triangulator`: points of a model whose cameras stay as they are."""
-    options = arguments.fill(colmap.IncrementalPipelineOptions(), _MAPPER)
-    model = colmap.Reconstruction(arguments.take("input_path"))
+    options = pipeline_options(colmap, arguments)
+    source = arguments.take("input_path")
     paths = [arguments.take(name) for name in ("database_path", "image_path", "output_path")]
     clear = bool(int(arguments.take("clear_points", "1")))
     arguments.finish()
-    colmap.triangulate_points(model, *paths, clear, options, False)
+    colmap.triangulate_points(colmap.Reconstruction(source), *paths, clear, options, False)
 
 
 def filter_points(colmap: Any, arguments: Arguments) -> None:
     """`point_filtering`: a model without points of large residual, small angle or few images."""
-    model = colmap.Reconstruction(arguments.take("input_path"))
-    target = arguments.take("output_path")
+    source, target = arguments.take("input_path"), arguments.take("output_path")
     error, angle = (float(arguments.take(name)) for name in ("max_reproj_error", "min_tri_angle"))
     length = int(arguments.take("min_track_len"))
     arguments.finish()
+    model = colmap.Reconstruction(source)
     observations = colmap.ObservationManager(model)
     count = observations.filter_all_points3D(error, angle)
     count += observations.filter_points3D_with_short_tracks(length)
@@ -168,10 +180,10 @@ def filter_points(colmap: Any, arguments: Arguments) -> None:
 def adjust_bundle(colmap: Any, arguments: Arguments) -> None:
     """`bundle_adjuster`: cameras and points of a model."""
     options = arguments.fill(colmap.BundleAdjustmentOptions(), _ADJUSTMENT)
-    options.ceres.solver_options.num_threads = int(os.environ.get("OMP_NUM_THREADS", "-1"))
-    model = colmap.Reconstruction(arguments.take("input_path"))
-    target = arguments.take("output_path")
+    options.ceres.solver_options.num_threads = default_threads()
+    source, target = arguments.take("input_path"), arguments.take("output_path")
     arguments.finish()
+    model = colmap.Reconstruction(source)
     colmap.bundle_adjustment(model, options)
     model.write(target)
 
