@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sqlite3
 import subprocess
 import sys
@@ -170,6 +171,26 @@ def test_driver_knows_its_options_and_refuses_others(capsys: pytest.CaptureFixtu
     assert pycolmap_driver.main(["stereo_fusion"]) == 1
     assert pycolmap_driver.main(["mapper", "--odd"]) == 1
     assert "expected a command" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("calibrated", [True, False])
+def test_object_on_a_board_keeps_its_matches_without_a_calibration(calibrated: bool) -> None:
+    """4.x keeps only the board's, those of a homography, unless told otherwise."""
+    cameras = [SimpleNamespace(has_prior_focal_length=True), SimpleNamespace(has_prior_focal_length=calibrated)]
+    given: list[SimpleNamespace] = []
+    base = contextlib.nullcontext(SimpleNamespace(read_all_cameras=lambda: cameras))
+    colmap = SimpleNamespace(
+        FeatureMatchingOptions=SimpleNamespace,
+        TwoViewGeometryOptions=lambda: SimpleNamespace(max_H_inlier_ratio=0.8, min_num_inliers=15),
+        ImportedPairingOptions=SimpleNamespace,
+        Database=SimpleNamespace(open=lambda path: base),
+        Device=SimpleNamespace(cpu="cpu"),
+        match_image_pairs=lambda database, matching, pairing, geometry, device: given.append(geometry),
+    )
+    words = ["--database_path", "a.db", "--match_list_path", "pairs", "--SiftMatching.min_num_inliers", "20"]
+    pycolmap_driver.import_matches(colmap, pycolmap_driver.Arguments(words))
+    assert given[0].min_num_inliers == 20
+    assert given[0].max_H_inlier_ratio == (0.8 if calibrated else 1.0)
 
 
 def test_copy_of_a_database_has_nothing_of_the_one_before(tmp_path: Path) -> None:

@@ -110,6 +110,13 @@ def import_matches(colmap: Any, arguments: Arguments) -> None:
     if (kind := arguments.take("match_type", "pairs")) != "pairs":
         raise UsageError(f"--match_type {kind}, expected pairs")
     arguments.finish()
+    with colmap.Database.open(database) as connection:
+        calibrated = all(camera.has_prior_focal_length for camera in connection.read_all_cameras())
+    if not calibrated:
+        # Where a homography explains most matches, 4.x keeps no others, 3.8 those of the fundamental matrix: an object on a
+        # textured board must not lose its points.
+        geometry.max_H_inlier_ratio = 1.0
+        geometry.use_degensac = True
     colmap.match_image_pairs(database, matching, pairing, geometry, colmap.Device.cpu)
 
 
