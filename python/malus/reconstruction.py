@@ -72,7 +72,7 @@ def reconstruct(
     cloud or mesh in the world frame to compare the surface with. `progress` and `log` are called from this thread. Ctrl-C stops within a second; what a finished step wrote stays.
 
     A station with [photos] and no [prior] gets its pose and its prior from the photos (malus.photogrammetry, needs the
-    program COLMAP); progress then has the steps "photos" and "sweep" too.
+    program COLMAP or the package pycolmap); progress then has the steps "photos" and "sweep" too.
 
     Raises malus.InputError, DataError, ExternalError or ResourceError.
     """

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -297,8 +298,18 @@ def test_metashape_cameras(tmp_path: Path) -> None:
         read_metashape(path)
 
 
-@pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
-def test_real_colmap_finds_cameras_scale_and_prior(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "backend",
+    [
+        pytest.param(
+            "colmap", marks=pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
+        ),
+        pytest.param(
+            "pycolmap", marks=pytest.mark.skipif(find_spec("pycolmap") is None, reason="pycolmap is not installed")
+        ),
+    ],
+)
+def test_real_colmap_finds_cameras_scale_and_prior(tmp_path: Path, backend: str) -> None:
     """The demo station at half size with six of its photos; scale from two points of the demo's own model."""
     folder = tmp_path / "station"
     (folder / "views").mkdir(parents=True)
@@ -337,11 +348,14 @@ distance = {np.linalg.norm(ends["a"] - ends["b"])}
 a = [{", ".join(marks["a"])}]
 b = [{", ".join(marks["b"])}]
 """)
-    options = ("--set", "photos.max_features=1500", "--threads", str(os.cpu_count() or 1))
+    options = ("--set", "photos.max_features=1500", "--set", f"photos.backend={backend}")
+    options += ("--threads", str(os.cpu_count() or 1))
     outcome = malus("prior", station, "-o", tmp_path / "work", *options)
     assert outcome.code == 0, outcome
     model = _core.ColmapModel.read(str(tmp_path / "work" / "prior" / "colmap" / "model")).images()
     assert set(used) <= set(model)
+    log = (tmp_path / "work" / "prior" / "colmap" / "features.log").read_text()
+    assert ("pycolmap_driver" in log) == (backend == "pycolmap")
 
     def centers(images: dict[str, tuple[package.photogrammetry.RegisteredImage, int, int]]) -> np.ndarray:
         return np.array([-np.array(images[n][0][4]).T @ images[n][0][5] for n in used])  # type: ignore[index]

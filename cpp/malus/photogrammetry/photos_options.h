@@ -4,9 +4,18 @@
 
 namespace malus {
 
+/// What runs COLMAP.
+enum class ColmapBackend {
+  automatic,  ///< the program if there is one, else the package
+  program,
+  package,
+};
+constexpr auto names_of(ColmapBackend) { return std::to_array<std::string_view>({"auto", "colmap", "pycolmap"}); }
+
 /// How cameras are found from ordinary photos, and how the model gets its scale. The work itself is done by COLMAP,
 /// which the Python package drives; the options are listed here with those of every other step.
 struct PhotosOptions {
+  ColmapBackend backend = ColmapBackend::automatic;
   int max_features = 8192;
   int max_side_px = 3200;
   bool guided_matching = false;
@@ -26,6 +35,9 @@ struct PhotosOptions {
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
+    visit("backend", self.backend, any_value,
+          "what runs COLMAP: the program, the Python package pycolmap, or the program if there is one and else the "
+          "package");
     visit("max_features", self.max_features, Range{500, 1e6}, "most features of a photo");
     visit("max_side_px", self.max_side_px, Range{200, 1e5}, "photos with a longer side are reduced to find features");
     visit("guided_matching", self.guided_matching, any_value,

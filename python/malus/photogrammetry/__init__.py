@@ -1,6 +1,6 @@
 """Photogrammetric front end: ordinary photos in, the station's place, metric scale and depth in its view out.
 
-COLMAP (Debian's 3.8 or later) finds the cameras as a child process; scale comes from known distances. `malus.reconstruct`
+COLMAP (Debian's 3.8, or pycolmap 4.2 or later) finds the cameras as a child process; scale comes from known distances. `malus.reconstruct`
 runs it for stations with [photos] and no [prior]; `find_cameras` and `sweep_station` are its two halves, `plan` says what they would do. `read_metashape`
 reads the cameras of an Agisoft Metashape project.
 """

@@ -1,10 +1,11 @@
-"""COLMAP's database: features and verified pairs are counted here, because exit codes do not tell; matches are stored.
+"""COLMAP's database, of 3.x and 4.x alike: features and verified pairs are counted here, because exit codes do not tell; matches are stored.
 
 Names of images in it are quoted as in an address, so that spaces do not break COLMAP's lists.
 """
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 from collections.abc import Sequence
 from contextlib import closing
@@ -26,6 +27,20 @@ def quoted(name: str) -> str:
 def unquoted(name: str) -> str:
     """The name of an image by that in COLMAP's files."""
     return unquote(name)
+
+
+def remove(database: Path) -> None:
+    """Remove a database and what COLMAP 4 keeps beside it when it is ended: a new one must not get an old one's log."""
+    for suffix in ("", "-wal", "-shm"):
+        database.with_name(database.name + suffix).unlink(missing_ok=True)
+
+
+def copy(source: Path, target: Path) -> None:
+    """Copy a database that no one writes, in place of `target`."""
+    remove(target)
+    with closing(sqlite3.connect(source)) as connection:
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    shutil.copyfile(source, target)
 
 
 def feature_counts(database: Path) -> dict[str, int]:

@@ -77,7 +77,7 @@ def find_cameras(
     said = station["photos"]
     photos = list_photos(Path(said["folder"]), said["exclude"])
     folder.mkdir(parents=True, exist_ok=True)
-    bench = Bench(Colmap(threads), folder, Journal(folder), options, progress, log)
+    bench = Bench(Colmap(threads, options.photos.backend), folder, Journal(folder), options, progress, log)
     known = known_lens(said.get("camera"), log)
     solved = solve_photos(bench, photos, known)
     relief = solved.model.relief()
@@ -100,7 +100,7 @@ def find_cameras(
     cameras = {name: image.camera for name, image in model.images.items()}
     figures: dict[str, Any] = {
         "photogrammetry": {
-            "program": f"COLMAP {bench.colmap.version}",
+            "program": bench.colmap.title,
             "photos": len(photos),
             "registered": len(registered),
             "unregistered": solved.unregistered,

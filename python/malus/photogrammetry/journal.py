@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from malus import _core
+from malus.photogrammetry import database
 
 
 def sha256_of(path: Path) -> str:
@@ -96,4 +97,4 @@ class Journal:
         if path.is_dir():
             shutil.rmtree(path)
         else:
-            path.unlink(missing_ok=True)
+            database.remove(path)

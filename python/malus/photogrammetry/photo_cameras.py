@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -104,7 +103,7 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
         return notes
 
     hashes = {photo.name: sha256_of(photo.path) for photo in photos}
-    stage("copies", {"photos": hashes, "colmap": bench.colmap.version}, ["images"], lambda: _copy(bench, photos))
+    stage("copies", {"photos": hashes, "colmap": bench.colmap.title}, ["images"], lambda: _copy(bench, photos))
     options = bench.options.photos
     features = stage(
         "features",
@@ -167,7 +166,7 @@ def _find_features(bench: Bench, groups: Sequence[CameraGroup]) -> dict[str, Any
 
 def _match(bench: Bench, names: Sequence[str]) -> dict[str, Any]:
     target = bench.folder / "matches.db"
-    shutil.copyfile(bench.folder / "features.db", target)
+    database.copy(bench.folder / "features.db", target)
     bench.match("matches", target, pairs_to_match(names, bench.options.photos.exhaustive_limit))
     return {"pairs": [[*pair, count] for pair, count in sorted(database.verified_pairs(target).items())]}
 
@@ -190,7 +189,7 @@ def _map(bench: Bench, groups: Sequence[CameraGroup], pairs: dict[tuple[str, str
     tried: list[dict[str, Any]] = []
     for factor in FOCAL_ASSUMPTIONS if unknown else (None,):
         source = bench.folder / "mapping.db"
-        shutil.copyfile(bench.folder / "matches.db", source)
+        database.copy(bench.folder / "matches.db", source)
         for group in unknown:
             first = group.photos[0]
             focal = float(factor or 1) * max(first.width, first.height)

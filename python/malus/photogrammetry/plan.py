@@ -32,13 +32,13 @@ def plan(station: Mapping[str, Any], options: Options, threads: int) -> tuple[li
     photos = list_photos(Path(said["folder"]), said["exclude"])
     if len(photos) < MIN_PHOTOS:
         raise DataError(diagnosis.too_few_photos(len(photos), MIN_PHOTOS))
-    program = Colmap(threads)
+    program = Colmap(threads, options.photos.backend)
     known = known_lens(said.get("camera"), lambda _, message: warnings.append(message))
     groups = group_by_camera(photos, known)
     pairs = pairs_to_match([photo.name for photo in photos], options.photos.exhaustive_limit)
     lens = "calibrated lens" if known is not None else f"{len(groups)} self-calibrated lens{'es' * (len(groups) > 1)}"
     does = [
-        f"photos: {len(photos)} with {lens}, {len(pairs)} pairs to match, COLMAP {program.version}",
+        f"photos: {len(photos)} with {lens}, {len(pairs)} pairs to match, {program.title}",
         f"scale: {len(station['scale'])} known distances" if station["scale"] else "scale: none, arbitrary unit",
         "sweep: depth of the station's view from the photos",
     ]

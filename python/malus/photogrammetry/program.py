@@ -1,13 +1,18 @@
-"""COLMAP as a child process: started, watched, logged and ended here."""
+"""COLMAP as a child process: started, watched, logged and ended here.
+
+It is the program `colmap`, or the package pycolmap behind the same commands (pycolmap_driver).
+"""
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import re
 import selectors
 import shutil
 import signal
 import subprocess
+import sys
 from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,44 +21,62 @@ from malus.errors import ExternalError
 
 #: Name of the program, or the path that the environment variable MALUS_COLMAP gives.
 DEFAULT_PROGRAM = "colmap"
+#: Package that does what the program does, and what runs it.
+PACKAGE = "pycolmap"
+_DRIVER = Path(__file__).with_name("pycolmap_driver.py")
+_MIN_PACKAGE_VERSION = (4, 2)
+_GET_PROGRAM = "apt install colmap (Debian and Ubuntu)"
+_GET_PACKAGE = "pip install 'malus[pycolmap]'"
 _POLL_S = 0.2
 _GRACE_S = 3.0
 _TAIL_LINES = 5
+#: Lines that say where in COLMAP a check failed, after the one that says which.
+_STACK_TRACE = re.compile(r"\s*@ |\*\*\* |\s*$")
 
 
 class SearchStoppedError(Exception):
     """The child was ended because `keep_going` said so."""
 
 
-class Colmap:
-    """The `colmap` program of this machine."""
+def as_colmap_3(line: str) -> str:
+    """A line of COLMAP 4 that tells progress, in the words of 3.8, which are read here."""
+    line = line.replace("Processing block [", "Matching block [")
+    # 3.8 counts the image that is being registered, 4 does not.
+    return re.sub(r"\(num_reg_frames=(\d+)\)", lambda match: f"({int(match[1]) + 1})", line)
 
-    def __init__(self, threads: int) -> None:
-        """Find the program. Raises ExternalError when it is missing or does not start."""
-        name = os.environ.get("MALUS_COLMAP", DEFAULT_PROGRAM)
-        found = shutil.which(name)
-        if found is None:
-            raise ExternalError(
-                f"[photos] needs the program `{name}`, which is not installed or not in PATH; "
-                "on Debian and Ubuntu: apt install colmap"
-            )
-        self.path = found
+
+class Colmap:
+    """COLMAP as this machine has it."""
+
+    def __init__(self, threads: int, backend: str = "auto") -> None:
+        """Find what `backend` (an option of [photos]) says. Raises ExternalError when it is missing or does not start."""
         self.threads = threads
+        self.backend, self._start = _find(backend)
         self.version = self._read_version()
 
+    @property
+    def title(self) -> str:
+        """Name and version, for reports and marks of what is done."""
+        return f"COLMAP {self.version}" + (f" ({PACKAGE})" if self.backend == PACKAGE else "")
+
     def _read_version(self) -> str:
+        name = PACKAGE if self.backend == PACKAGE else self._start[0]
         try:
-            help_text = subprocess.run(
-                [self.path, "help"], capture_output=True, text=True, timeout=60, env=self._environment()
-            ).stdout
-        except (OSError, subprocess.TimeoutExpired) as error:
-            raise ExternalError(f"{self.path} does not start: {error}") from None
-        match = re.search(r"COLMAP (\d+\.\d+[\w.]*)", help_text)
-        if match is None:
-            raise ExternalError(
-                f"{self.path} does not say which COLMAP it is, expected `colmap help` to name its version"
+            answer = subprocess.run(
+                [*self._start, "help"], capture_output=True, text=True, timeout=60, env=self._environment()
             )
-        return match.group(1)
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise ExternalError(f"{name} does not start: {error}") from None
+        match = re.search(r"COLMAP ((\d+)\.(\d+)[\w.]*)", answer.stdout)
+        if match is None and self.backend == PACKAGE:
+            last = (answer.stderr.strip() or f"exit code {answer.returncode}").splitlines()[-1]
+            raise ExternalError(f"the package {PACKAGE} does not start: {last}; {_GET_PACKAGE}, or {_GET_PROGRAM}")
+        if match is None:
+            raise ExternalError(f"{name} does not say which COLMAP it is, expected `colmap help` to name its version")
+        if self.backend == PACKAGE and (int(match[2]), int(match[3])) < _MIN_PACKAGE_VERSION:
+            least = ".".join(map(str, _MIN_PACKAGE_VERSION))
+            raise ExternalError(f"the package {PACKAGE} is {match[1]}, expected {least} or later; {_GET_PACKAGE}")
+        return match[1]
 
     def _environment(self) -> dict[str, str]:
         # Qt must not look for a display; BLAS threads would come on top of COLMAP's own.
@@ -69,12 +92,12 @@ class Colmap:
         on_line: Callable[[str], None] | None = None,
         keep_going: Callable[[], bool] | None = None,
     ) -> None:
-        """Run `colmap COMMAND --key value …`, its output going to the file `log` and line by line to `on_line`.
+        """Run COLMAP's COMMAND with `--key value …`, its output going to the file `log` and line by line to `on_line`.
 
         Raises ExternalError with the last lines of its output when it fails, and SearchStoppedError when `keep_going` returned
         False. Ctrl-C, or any error here, ends the child with everything it started.
         """
-        words = [self.path, command]
+        words = [*self._start, command]
         for key, value in arguments.items():
             words += [f"--{key}", str(int(value) if isinstance(value, bool) else value)]
         setpriv = shutil.which("setpriv")
@@ -100,8 +123,8 @@ class Colmap:
                 raise
         if code != 0:
             how = f"was ended by signal {-code}" if code < 0 else f"failed with exit code {code}"
-            last = " / ".join(line for line in tail if line.strip())
-            raise ExternalError(f"colmap {command} {how}: {last or 'it said nothing'} (all of it is in {log})")
+            last = " / ".join(tail)
+            raise ExternalError(f"{self.backend} {command} {how}: {last or 'it said nothing'} (all of it is in {log})")
 
     def _watch(
         self,
@@ -124,12 +147,39 @@ class Colmap:
                     *lines, pending = (pending + block).replace(b"\r", b"\n").split(b"\n")
                     for line in lines:
                         text = line.decode(errors="replace").rstrip()
-                        if text:
+                        if not _STACK_TRACE.match(text):
                             tail.append(text)
                         if on_line is not None:
-                            on_line(text)
+                            on_line(as_colmap_3(text))
                 if keep_going is not None and not keep_going():
                     raise SearchStoppedError
+
+
+def _find(backend: str) -> tuple[str, list[str]]:
+    """The backend there is, "colmap" or "pycolmap", and the words that start it."""
+    name = os.environ.get("MALUS_COLMAP", DEFAULT_PROGRAM)
+    program = shutil.which(name)
+    package = importlib.util.find_spec(PACKAGE) is not None
+    # Who names a program wants that one.
+    named = name != DEFAULT_PROGRAM
+    if backend != PACKAGE and program is not None:
+        return "colmap", [program]
+    if backend == PACKAGE or (backend == "auto" and not named):
+        if package:
+            return PACKAGE, [sys.executable, "-P", str(_DRIVER)]
+        if backend == PACKAGE:
+            raise ExternalError(
+                f'photos.backend = "{PACKAGE}" needs the Python package {PACKAGE}, which is not installed: {_GET_PACKAGE}; '
+                f'or use the program: {_GET_PROGRAM} and photos.backend = "colmap"'
+            )
+        raise ExternalError(
+            f"[photos] needs COLMAP: the program `{name}` is not installed or not in PATH, and the Python package {PACKAGE} "
+            f"is not installed; {_GET_PROGRAM}, or {_GET_PACKAGE}"
+        )
+    raise ExternalError(
+        f"[photos] needs the program `{name}`, which is not installed or not in PATH: {_GET_PROGRAM}; "
+        f'or use the Python package: {_GET_PACKAGE} and photos.backend = "{PACKAGE}"'
+    )
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:

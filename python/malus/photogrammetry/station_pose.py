@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -75,7 +74,7 @@ def place_station(bench: Bench, photos: PhotoCameras, station: StationView) -> P
 
 def _place(bench: Bench, photos: PhotoCameras, station: StationView, pixels: NDArray[np.uint8]) -> dict[str, Any]:
     source = bench.folder / "station.db"
-    shutil.copyfile(photos.database, source)
+    database.copy(photos.database, source)
     bench.images.mkdir(exist_ok=True)
     _core.write_png(str(bench.images / STATION_IMAGE), pixels)
     bench.report("station", 0.0, "features of the station's image")
