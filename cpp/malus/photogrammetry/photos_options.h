@@ -10,7 +10,9 @@ enum class ColmapBackend {
   program,
   package,
 };
-constexpr auto names_of(ColmapBackend) { return std::to_array<std::string_view>({"auto", "colmap", "pycolmap"}); }
+constexpr auto names_of(ColmapBackend) {
+  return std::to_array<std::string_view>({"auto", "colmap", "pycolmap"});
+}
 
 /// How cameras are found from ordinary photos, and how the model gets its scale. The work itself is done by COLMAP,
 /// which the Python package drives; the options are listed here with those of every other step.

@@ -457,6 +457,11 @@ DepthPrior project_prior(const Image<float>& depth, const Image<float>& sigma, c
       if (known(u, v)) cloud.points.push_back(pose.world_from_cam(depth(u, v) * camera.ray(u, v)));
     }
   }
+  if (cloud.points.empty()) {
+    throw data_error(
+        "the photos give no depth on the object: they agree nowhere; give a prior of another source, or photograph it "
+        "sharper, with more texture on or around it, and from more sides 25 to 40 degrees off the station");
+  }
   DepthPrior prior = project_prior(cloud, camera, pose, mask, options, context);
   cv::Mat missing(depth.height(), depth.width(), CV_8U), distance;
   parallel_rows(context, depth.height(), [&](int v) {

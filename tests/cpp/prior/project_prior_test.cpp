@@ -377,7 +377,15 @@ TEST(PriorOfDepthMap, SmoothsWhatWasMeasuredOverWindows) {
   EXPECT_NEAR(before, 1, 0.1);
   EXPECT_LT(rms_gsd(prior.depth, plane_depth), 0.5 * before);
   EXPECT_GE(prior.sigma(5, 5), sigma(5, 5));
-  EXPECT_TRUE(std::isfinite(prior.sigma(50, 40)));
+  // Five pixels into the hole of a radius of six, with a standard slope of 1.
+  EXPECT_GT(prior.sigma(50, 40), 5 * gsd_mm);
+  EXPECT_LT(prior.sigma(50, 40), 8 * gsd_mm);
+  const auto [code, message] = error_of([&] {
+    const Image<float> nowhere(size, 1, std::numeric_limits<float>::quiet_NaN());
+    project_prior(nowhere, nowhere, test_camera(), test_pose(), full_mask(), {}, {});
+  });
+  EXPECT_EQ(code, ErrorCode::data);
+  expect_contains(message, "agree nowhere");
   EXPECT_EQ(error_of([&] {
               project_prior(depth, Image<float>({3, 3}), test_camera(), test_pose(), full_mask(), {}, {});
             }).first,
