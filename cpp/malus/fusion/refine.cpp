@@ -213,7 +213,8 @@ class Refiner {
       for (int i = 0; i < rounds_; ++i) round(1, true, true);
     } else {
       constexpr int rounds_with_estimate = 3;
-      const int first_rounds = options_.iterations + (mirrors_ ? 1 : 0);  // a graduated start needs one more
+      // A graduated start needs one round more, and so does an index that is found as the surface is.
+      const int first_rounds = options_.iterations + (mirrors_ ? 1 : 0) + (estimate_index ? 1 : 0);
       rounds_ = first_rounds + (searches_ ? search_rounds + heal_rounds : 0);
       for (int i = 0; i < first_rounds; ++i) {
         if (estimate_index && i < rounds_with_estimate) estimate_refractive_index();

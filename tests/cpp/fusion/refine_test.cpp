@@ -155,7 +155,7 @@ TEST(Refine, WarnsOfMetal) {
 TEST(Refine, EstimatesTheRefractiveIndex) {
   for (const double eta : {1.4, 1.65}) {
     SyntheticOptions scene;
-    scene.bump_gsd = 3.5;
+    scene.bump_gsd = 0.2;
     scene.model.eta = eta;
     const SyntheticStation station = make_station(scene);
     RefineInput input;
