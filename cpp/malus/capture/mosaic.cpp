@@ -22,7 +22,7 @@ struct Smoothing {
 /// Where polarization varies as brightness does, and where texture is far stronger.
 constexpr Smoothing fine{2, 0.7}, coarse{8, 2.0};
 /// Variance of texture over squared degree of polarization from which the coarse contrasts count more.
-constexpr float strong_texture = 8;
+constexpr float strong_texture = 30;
 /// Texture is what a Gaussian of this takes out; it is measured over a wider one.
 constexpr double texture_px = 1, around_px = 3;
 /// The same for colors, which vary less than polarization does.
