@@ -23,6 +23,10 @@ struct Pinhole {
   }
   /// Mean focal length in pixels; depth / focal() is the ground sampling distance (GSD).
   double focal() const { return 0.5 * (fx + fy); }
+  /// Camera of the raster whose pixels are means of 2 × 2 of this one's.
+  Pinhole binned() const {
+    return {{(size.width + 1) / 2, (size.height + 1) / 2}, fx / 2, fy / 2, (cx - 0.5) / 2, (cy - 0.5) / 2};
+  }
 };
 
 /// Lens models, named as in COLMAP, with its parameter order; `brown` is Eq 13 of the source paper.
@@ -50,6 +54,10 @@ struct LensCamera {
 
   /// Measured pixel (u, v) of an ideal direction (x/z, y/z) in the camera frame.
   Eigen::Vector2d distort(const Eigen::Vector2d& ideal) const;
+  /// Measured pixel of a point in the camera frame; z must be positive.
+  Eigen::Vector2d project(const Eigen::Vector3d& x_in_cam) const {
+    return distort({x_in_cam.x() / x_in_cam.z(), x_in_cam.y() / x_in_cam.z()});
+  }
   /// Ideal direction (x/z, y/z) of a measured pixel; inverts `distort` to 1e-10.
   Eigen::Vector2d undistort(const Eigen::Vector2d& pixel) const;
   /// Camera of the undistorted raster: same size, focal length and principal point.

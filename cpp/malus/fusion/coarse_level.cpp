@@ -11,14 +11,6 @@ namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
 
-Pinhole halved(const Pinhole& camera) {
-  return {{(camera.size.width + 1) / 2, (camera.size.height + 1) / 2},
-          camera.fx / 2,
-          camera.fy / 2,
-          (camera.cx - 0.5) / 2,
-          (camera.cy - 0.5) / 2};
-}
-
 /// Calls visit(u, v) for the pixels under a coarse one for which `counts` is set.
 template <class Visit>
 void for_each_child(const Mask& counts, int column, int row, Visit&& visit) {
@@ -71,7 +63,7 @@ void coarsen_light(const RefinementField& fine, RefinementField& coarse, int col
 
 RefinementField coarsened(const RefinementField& fine, const Context& context) {
   RefinementField coarse;
-  coarse.camera = halved(fine.camera);
+  coarse.camera = fine.camera.binned();
   coarse.focal = fine.focal / 2;
   coarse.log_depth_origin = fine.log_depth_origin;
   coarse.reflection = fine.reflection;

@@ -6,6 +6,7 @@
 #include <limits>
 
 #include "malus/core/depth_normals.h"
+#include "malus/core/median.h"
 #include "malus/core/parallel.h"
 #include "malus/fusion/coarse_level.h"
 #include "malus/fusion/masked_blur.h"
@@ -139,10 +140,7 @@ double median_specular_s0(const RefinementField& field) {
     if (field.usable[i] && field.kind[i] == static_cast<std::uint8_t>(Reflection::specular))
       values.push_back(field.s0[i]);
   }
-  if (values.empty()) return 0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
+  return median_in_place(values);
 }
 
 /// What the numbers say about whether to trust the surface.

@@ -5,6 +5,7 @@
 #include <limits>
 #include <vector>
 
+#include "malus/core/median.h"
 #include "malus/core/parallel.h"
 #include "malus/fusion/fresnel_factors.h"
 #include "malus/fusion/masked_blur.h"
@@ -105,10 +106,7 @@ double albedo_spread(const Image<float>& log_albedo) {
       if (std::isfinite(step)) steps.push_back(step);
     }
   }
-  if (steps.empty()) return 0;
-  const auto middle = steps.begin() + static_cast<std::ptrdiff_t>(steps.size() / 2);
-  std::nth_element(steps.begin(), middle, steps.end());
-  return 1.4826 * *middle;
+  return 1.4826 * median_in_place(steps);
 }
 
 void weigh_albedo(RefinementField& field, const Image<float>& log_albedo, const WeightOptions& options) {
@@ -164,9 +162,7 @@ FitQuality summarize(const Image<float>& squared) {
     cost += std::log1p(0.5 * value);
   }
   if (values.empty()) return {};
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return {std::sqrt(static_cast<double>(*middle)), cost / static_cast<double>(values.size())};
+  return {std::sqrt(static_cast<double>(median_in_place(values))), cost / static_cast<double>(values.size())};
 }
 
 }  // namespace

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <memory>
 
+#include "malus/core/median.h"
 #include "malus/fusion/fresnel_factors.h"
 #include "malus/polarization/fresnel.h"
 
@@ -16,13 +17,6 @@ namespace {
 constexpr double model_error = 0.003;  // of s0: what no forward model explains
 constexpr int irls_rounds = 15;
 constexpr int node_count = EnvironmentProfile::node_count;
-
-double median(std::vector<double> values) {
-  if (values.empty()) return 0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 /// Even, repeatable choice of pixels that does not follow rows or columns.
 bool is_chosen(std::size_t pixel, double share) {
@@ -40,7 +34,7 @@ Eigen::VectorXd robust_fit(const Eigen::MatrixXd& rows, const Eigen::VectorXd& v
     solution = (weighted.transpose() * rows).ldlt().solve(weighted.transpose() * values);
     const Eigen::VectorXd residual = values - rows * solution;
     const Eigen::VectorXd magnitude = residual.cwiseAbs();
-    const double spread = 1.4826 * median({magnitude.begin(), magnitude.end()});
+    const double spread = 1.4826 * median(std::vector<double>{magnitude.begin(), magnitude.end()});
     weights = 1 / (1 + (residual.array() / std::max(1.5 * spread, 1e-12)).square());
   }
   return solution;

@@ -5,6 +5,7 @@
 #include <limits>
 #include <vector>
 
+#include "malus/core/median.h"
 #include "malus/core/parallel.h"
 #include "malus/fusion/connected_sets.h"
 #include "malus/fusion/masked_blur.h"
@@ -87,13 +88,6 @@ Mask grown(const Mask& mask, const Mask& object, int radius) {
     }
   }
   return result;
-}
-
-double median(std::vector<double> values) {
-  if (values.empty()) return 0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 /// Moves a region by the candidate's difference less its offset on the region's border, which fades in over 3 pixels.

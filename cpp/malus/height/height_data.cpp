@@ -11,14 +11,6 @@ namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
 
-Pinhole halved(const Pinhole& camera) {
-  return {{(camera.size.width + 1) / 2, (camera.size.height + 1) / 2},
-          camera.fx / 2,
-          camera.fy / 2,
-          (camera.cx - 0.5) / 2,
-          (camera.cy - 0.5) / 2};
-}
-
 Pinhole moved(const Pinhole& camera, HeightBox box) {
   return {{box.width(), box.height()}, camera.fx, camera.fy, camera.cx - box.u0, camera.cy - box.v0};
 }
@@ -169,7 +161,7 @@ HeightData part_of(const HeightData& whole, HeightBox box) {
 HeightData coarsened(const HeightData& fine, const Context& context) {
   const Size size{(fine.size().width + 1) / 2, (fine.size().height + 1) / 2};
   HeightData coarse = empty_data(size, !fine.prior_height.empty(), !fine.border_height.empty());
-  if (fine.camera) coarse.camera = halved(*fine.camera);
+  if (fine.camera) coarse.camera = fine.camera->binned();
   coarse.refractive_index = fine.refractive_index;
   parallel_rows(context, size.height, [&](int row) {
     for (int column = 0; column < size.width; ++column) coarsen_pixel(fine, 2 * column, 2 * row, coarse, column, row);
@@ -181,7 +173,7 @@ HeightData coarsened(const HeightInput& input, const HeightOptions& options, con
   constexpr int band_rows = 32;
   const Size fine = input.polarization.size(), size{(fine.width + 1) / 2, (fine.height + 1) / 2};
   HeightData coarse = empty_data(size, input.prior_height != nullptr, options.boundary == HeightBoundary::prior);
-  if (options.perspective && input.camera != nullptr) coarse.camera = halved(*input.camera);
+  if (options.perspective && input.camera != nullptr) coarse.camera = input.camera->binned();
   coarse.refractive_index = input.reflection.refractive_index;
   Context inner = context;
   inner.threads = 1;

@@ -7,6 +7,7 @@
 #include <limits>
 #include <vector>
 
+#include "malus/core/median.h"
 #include "malus/polarization/ray_frame.h"
 
 namespace malus {
@@ -33,12 +34,6 @@ std::vector<Sample> take_samples(const Image<float>& intensity, const Image<floa
     samples.push_back({{normals[3 * i], normals[3 * i + 1], normals[3 * i + 2], 1}, intensity[i]});
   }
   return samples;
-}
-
-double median(std::vector<double>& values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 }  // namespace
@@ -98,7 +93,7 @@ LightEstimate estimate_light(const Image<float>& intensity, const Image<float>& 
     }
     light.rms = std::sqrt(square_sum / weight_sum);
     std::vector<double> sorted = residuals;
-    light.robust_sigma = 1.4826 * median(sorted);
+    light.robust_sigma = 1.4826 * median_in_place(sorted);
     const double scale = std::max(options.outlier_scale * light.robust_sigma, 1e-12);
     for (std::size_t i = 0; i < samples.size(); ++i) {
       weights[i] = 1 / (1 + residuals[i] * residuals[i] / (scale * scale));

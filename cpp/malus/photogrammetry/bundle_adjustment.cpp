@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "malus/core/error.h"
+#include "malus/core/median.h"
 
 namespace malus {
 namespace {
@@ -149,8 +150,8 @@ void check(const Bundle& bundle) {
 
 Eigen::Vector2d residual_px(const Bundle& bundle, const BundleObservation& observation) {
   const BundleView& view = bundle.views[observation.view];
-  const Eigen::Vector3d x = view.pose.cam_from_world(bundle.points[observation.point]);
-  return bundle.lenses[view.lens].camera.distort({x.x() / x.z(), x.y() / x.z()}) - observation.pixel;
+  return bundle.lenses[view.lens].camera.project(view.pose.cam_from_world(bundle.points[observation.point])) -
+         observation.pixel;
 }
 
 double rms_px(const Bundle& bundle) {
@@ -168,11 +169,9 @@ double unit_weight(const Bundle& bundle) {
     ratios.push_back(std::abs(residual.x()));
     ratios.push_back(std::abs(residual.y()));
   }
-  const auto middle = ratios.begin() + static_cast<std::ptrdiff_t>(ratios.size() / 2);
-  std::nth_element(ratios.begin(), middle, ratios.end());
   const auto observed = static_cast<double>(ratios.size());
   const auto unknown = static_cast<double>(6 * bundle.views.size() + 3 * bundle.points.size());
-  return 1.4826 * *middle * std::sqrt(observed / std::max(observed - unknown, 1.0));
+  return 1.4826 * median_in_place(ratios) * std::sqrt(observed / std::max(observed - unknown, 1.0));
 }
 
 /// The view that lies farthest from the first, and the axis along which it does most.

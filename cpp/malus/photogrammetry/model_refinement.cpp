@@ -8,6 +8,7 @@
 #include <set>
 
 #include "malus/core/error.h"
+#include "malus/core/median.h"
 #include "malus/photogrammetry/tie_points.h"
 
 namespace malus {
@@ -18,13 +19,6 @@ constexpr int neighbors = 24, plane_passes = 4;
 /// Fewest matches of an image for the adjustment to gain from them.
 constexpr std::size_t least_matches = 30;
 constexpr double least_keypoint_px = 0.1;
-
-double median(std::vector<double> values) {
-  if (values.empty()) return 0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 /// The model by position in arrays instead of by ids.
 struct Arrays {
@@ -65,8 +59,7 @@ Arrays arrays_of(const ColmapModel& model, const std::map<std::string, Image<flo
 }
 
 Eigen::Vector2d residual_px(const SweepView& view, const Eigen::Vector3d& point, const Eigen::Vector2d& pixel) {
-  const Eigen::Vector3d x = view.pose.cam_from_world(point);
-  return view.camera.distort({x.x() / x.z(), x.y() / x.z()}) - pixel;
+  return view.camera.project(view.pose.cam_from_world(point)) - pixel;
 }
 
 /// Robust standard deviation of a keypoint's coordinate.

@@ -10,6 +10,7 @@
 #include <numbers>
 #include <string>
 
+#include "malus/core/median.h"
 #include "malus/core/parallel.h"
 
 namespace malus {
@@ -133,9 +134,7 @@ double typical_residual(const CellReader& reader, const PixelWeight& weight) {
     }
   }
   if (residuals.empty()) return 1;
-  const auto middle = residuals.begin() + static_cast<std::ptrdiff_t>(residuals.size() / 2);
-  std::nth_element(residuals.begin(), middle, residuals.end());
-  return std::max(*middle, 1e-12);
+  return std::max(median_in_place(residuals), 1e-12);
 }
 
 /// Unknowns of the fit: angles, then ln gains.

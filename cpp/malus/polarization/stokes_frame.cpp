@@ -10,6 +10,7 @@
 #include <optional>
 #include <vector>
 
+#include "malus/core/median.h"
 #include "malus/core/parallel.h"
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/ray_frame.h"
@@ -42,12 +43,6 @@ constexpr double largest_start_boost = 0.1;
 /// Standard deviation of a polarization of the whole scene that a mirroring object facing the camera may have, all of
 /// it reflecting the same lamp, and the slope (tan θ) at which it varies enough over an object to be told apart.
 constexpr double mirrored_lamp = 0.02, mirrored_lamp_slope = 0.4;
-
-double median(std::vector<double>& values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 /// One cell of pixels: Stokes vector as given, surface azimuth and zenith.
 struct Sample {
@@ -124,7 +119,7 @@ struct Agreement {
 Agreement agreement(const std::vector<Sample>& samples) {
   std::vector<double> degrees;
   for (const Sample& sample : samples) degrees.push_back(std::abs(linear_part(sample)));
-  const double typical = std::max(median(degrees), 1e-6);
+  const double typical = std::max(median_in_place(degrees), 1e-6);
   std::complex<double> sum_s, sum_e, direct, mirrored;
   double weight = 0, squares_s = 0;
   for (const Sample& sample : samples) {
@@ -155,7 +150,7 @@ bool degrees_are_specular(const std::vector<Sample>& samples, double eta) {
     ratios.push_back(std::abs(linear_part(sample)) / diffuse_degree(std::atan(std::sqrt(sample.tan2)), eta));
   }
   if (ratios.empty()) return false;
-  return median(ratios) > 2.5;
+  return median_in_place(ratios) > 2.5;
 }
 
 /// Mean of sin²θ-weighed signs of R: above one half, the polarization is specular.
@@ -255,7 +250,7 @@ class FrameFit {
       const auto equations = equations_of(samples_[i], frame * samples_[i].stokes);
       for (std::size_t e = 0; e < 2; ++e) squares[e].push_back(squared_residual(equations[e]));
     }
-    for (std::size_t e = 0; e < 2; ++e) scales_[e] = std::max(median(squares[e]) / 0.455, 1e-12);
+    for (std::size_t e = 0; e < 2; ++e) scales_[e] = std::max(median_in_place(squares[e]) / 0.455, 1e-12);
     // Without a profile yet the radial residuals are the radial components themselves: as wide as they are.
     if (first) scales_[1] *= 100;
   }
@@ -370,7 +365,7 @@ FrameEstimate estimate_frame(const PolarizationState& state, const Pinhole* came
 
   std::vector<double> tan2;
   for (const Sample& sample : samples) tan2.push_back(sample.tan2);
-  const double typical_tan2 = median(tan2);
+  const double typical_tan2 = median_in_place(tan2);
   if (!estimate.specular) samples = beside_highlight(samples, options.highlight_deg * pi / 180);
   estimate.pixels = static_cast<double>(samples.size());
   FrameFit fit(std::move(samples), estimate.specular);

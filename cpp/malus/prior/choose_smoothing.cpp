@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstddef>
 
+#include "malus/core/median.h"
 #include "malus/core/parallel.h"
 
 namespace malus {
@@ -108,10 +109,7 @@ double minimize(Function&& function, double start, double step, double low, doub
 }  // namespace
 
 double robust_spread(std::vector<double>& absolute_residuals) {
-  if (absolute_residuals.empty()) return 0;
-  const auto middle = absolute_residuals.begin() + static_cast<std::ptrdiff_t>(absolute_residuals.size() / 2);
-  std::nth_element(absolute_residuals.begin(), middle, absolute_residuals.end());
-  return 1.4826 * *middle;
+  return 1.4826 * median_in_place(absolute_residuals);
 }
 
 ResidualSpread robust_spread(Residuals& residuals) {

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "malus/core/error.h"
+#include "malus/core/median.h"
 #include "malus/core/parallel.h"
 #include "malus/prior/choose_smoothing.h"
 #include "malus/prior/rasterize_mesh.h"
@@ -301,12 +302,6 @@ DepthPrior empty_prior(const Pinhole& camera, const Pose& pose) {
   return prior;
 }
 
-float median_of(std::vector<float>& values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
 /// Fills object pixels without a depth by a spline through their surroundings.
 void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options, const Context& context) {
   constexpr int surroundings_px = 8;
@@ -330,7 +325,7 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
     }
   }
   if (depths.size() < 3) throw data_error("prior: the object's holes have no depth around them to be filled from");
-  const double focal = prior.camera.focal(), reference = median_of(depths);
+  const double focal = prior.camera.focal(), reference = median_in_place(depths);
   for (int v = 0; v < mask.height(); ++v) {
     for (int u = 0; u < mask.width(); ++u) {
       if (region(u, v) == 0 || !std::isfinite(prior.depth(u, v))) continue;

@@ -9,6 +9,7 @@
 #include <random>
 
 #include "malus/core/error.h"
+#include "malus/core/median.h"
 #include "malus/linalg/nested_dissection.h"
 
 namespace malus {
@@ -307,10 +308,7 @@ void SmoothingSpline::soften_edges(double tolerance) {
     mean += energies.back();
   }
   if (energies.empty()) return;
-  std::vector<double> sorted = energies;
-  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
-  std::nth_element(sorted.begin(), middle, sorted.end());
-  const double typical = std::sqrt(mean / static_cast<double>(energies.size()) * std::max(*middle, 0.0));
+  const double typical = std::sqrt(mean / static_cast<double>(energies.size()) * std::max(median(energies), 0.0));
   if (!(typical > 0)) return;
   auto energy = energies.begin();
   for (std::size_t cell = 0; cell < active_.size(); ++cell) {

@@ -12,6 +12,7 @@
 #include <string>
 
 #include "malus/core/error.h"
+#include "malus/core/median.h"
 #include "malus/core/parallel.h"
 
 namespace malus {
@@ -345,12 +346,6 @@ class NeighborSearch {
   std::vector<std::uint32_t> order_;  // numbers, by cells
 };
 
-double median(std::vector<double>& values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
 /// A point is hidden if a good part of its neighbours are nearer by more than the steepest visible slope explains, and
 /// they surround it (beside an occluding edge the nearer points are on one side only).
 bool is_hidden(const std::vector<MergedPoint>& points, std::size_t self, const std::vector<std::uint32_t>& neighbors,
@@ -374,9 +369,9 @@ bool is_outlier(const std::vector<MergedPoint>& points, std::size_t self, const 
                 const VisibilityOptions& options, std::vector<double>& scratch) {
   scratch.assign(1, points[self].point.height);
   for (const std::uint32_t neighbor : neighbors) scratch.push_back(points[neighbor].point.height);
-  const double centre = median(scratch);
+  const double centre = median_in_place(scratch);
   for (double& value : scratch) value = std::abs(value - centre);
-  const double spread = 1.4826 * median(scratch);
+  const double spread = 1.4826 * median_in_place(scratch);
   return std::abs(points[self].point.height - centre) >
          std::max(options.outlier_tolerance * spread, options.outlier_floor_gsd);
 }

@@ -7,6 +7,7 @@
 
 #include "malus/capture/capture.h"
 #include "malus/core/depth_normals.h"
+#include "malus/core/median.h"
 #include "malus/io/colmap_workspace.h"
 #include "malus/io/image_file.h"
 #include "malus/io/point_cloud_file.h"
@@ -125,9 +126,7 @@ void warn_of_texture(const PolarizationState& state, const Context& context) {
     }
   }
   if (errors.empty()) return;
-  const auto middle = errors.begin() + static_cast<std::ptrdiff_t>(errors.size() / 2);
-  std::nth_element(errors.begin(), middle, errors.end());
-  if (*middle < texture_over_polarization) return;
+  if (median_in_place(errors) < texture_over_polarization) return;
   context.log(LogLevel::warning,
               "texture finer than the mosaic's cells is as strong as the polarization on most of the object: the fused "
               "detail may be worse than the prior's; come closer, stop the lens down, or turn a filter before an "

@@ -3,6 +3,7 @@
 #include <limits>
 #include <vector>
 
+#include "malus/core/median.h"
 #include "malus/core/parallel.h"
 #include "malus/stereo/agreement_internal.h"
 #include "malus/stereo/small_regions_internal.h"
@@ -38,13 +39,6 @@ Surroundings surroundings(const HalvesDifference& halves, int u, int v) {
     }
   }
   return sums;
-}
-
-double median(std::vector<float> values) {
-  if (values.empty()) return 0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 }  // namespace

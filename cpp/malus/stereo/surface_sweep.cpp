@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "malus/core/error.h"
+#include "malus/core/median.h"
 #include "malus/core/parallel.h"
 #include "malus/stereo/agreement_internal.h"
 #include "malus/stereo/first_surface_internal.h"
@@ -55,10 +56,7 @@ float median_of(const Image<float>& values) {
   for (const float value : values) {
     if (std::isfinite(value)) finite.push_back(value);
   }
-  if (finite.empty()) return 0;
-  const auto middle = finite.begin() + static_cast<std::ptrdiff_t>(finite.size() / 2);
-  std::nth_element(finite.begin(), middle, finite.end());
-  return *middle;
+  return median_in_place(finite);
 }
 
 /// The station's linear intensity coded like the photos.
@@ -160,9 +158,7 @@ class SurfaceSweep {
     const std::vector<StationPoint> points = points_on_object(input_.points, level_, input_.pose, options_.min_points);
     std::vector<double> depths;
     for (const StationPoint& point : points) depths.push_back(point.log_depth);
-    const auto middle = depths.begin() + static_cast<std::ptrdiff_t>(depths.size() / 2);
-    std::nth_element(depths.begin(), middle, depths.end());
-    surface_ = Image<float>(level_.mask.size(), 1, static_cast<float>(*middle));
+    surface_ = Image<float>(level_.mask.size(), 1, static_cast<float>(median_in_place(depths)));
     photos_.prepare(level_, surface_, true, context_);
     FirstSurface first = first_surface(points, level_, input_.pose, match_settings(), options_.min_points, context_);
     result_.points_total = static_cast<double>(input_.points.size());

@@ -4,6 +4,7 @@
 #include <sstream>
 
 #include "malus/core/error.h"
+#include "malus/core/median.h"
 #include "malus/stereo/intensity_pyramid_internal.h"
 #include "malus/stereo/view_choice_internal.h"
 
@@ -16,13 +17,6 @@ constexpr int samples_a_side = 24;
 constexpr double best_angle_rad = 20 * std::numbers::pi / 180;
 /// A lens that the sweep's polynomial misses by more is reported.
 constexpr double largest_fit_error_px = 0.05;
-
-double median(std::vector<double> values) {
-  if (values.empty()) return 0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 }  // namespace
 

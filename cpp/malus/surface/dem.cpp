@@ -8,6 +8,7 @@
 #include <limits>
 #include <vector>
 
+#include "malus/core/median.h"
 #include "malus/core/parallel.h"
 #include "malus/surface/plane.h"
 
@@ -21,9 +22,7 @@ double median_gsd(const FusedSurface& surface) {
   std::vector<float> depths;
   std::copy_if(surface.depth.begin(), surface.depth.end(), std::back_inserter(depths),
                [](float z) { return std::isfinite(z) && z > 0; });
-  const auto middle = depths.begin() + static_cast<std::ptrdiff_t>(depths.size() / 2);
-  std::nth_element(depths.begin(), middle, depths.end());
-  return *middle / surface.camera.focal();
+  return median_in_place(depths) / surface.camera.focal();
 }
 
 /// Robust plane through up to a million evenly spread vertices, which fix it far better than a pixel.

@@ -1,0 +1,25 @@
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <utility>
+#include <vector>
+
+namespace malus {
+
+/// Middle of the values, the upper one of an even number, 0 of none; changes their order. None may be NaN.
+template <class T>
+T median_in_place(std::vector<T>& values) {
+  if (values.empty()) return T{};
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+/// The same of a copy, or of values that are moved in.
+template <class T>
+T median(std::vector<T> values) {
+  return median_in_place(values);
+}
+
+}  // namespace malus
