@@ -3,7 +3,8 @@
 #include <atomic>
 #include <exception>
 #include <mutex>
-#include <thread>
+
+#include "malus/core/worker_pool_internal.h"
 
 namespace malus {
 
@@ -28,11 +29,7 @@ void parallel_for(const Context& context, std::size_t count, std::size_t grain,
     }
   };
   const std::size_t threads = std::min(static_cast<std::size_t>(std::max(context.threads, 1)), blocks);
-  {
-    std::vector<std::jthread> others;
-    for (std::size_t i = 1; i < threads; ++i) others.emplace_back(work);
-    work();
-  }
+  if (threads > 0) run_on_workers(threads - 1, work);
   if (error) std::rethrow_exception(error);
 }
 

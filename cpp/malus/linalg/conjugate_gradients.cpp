@@ -7,7 +7,8 @@ namespace malus {
 namespace {
 
 /// Number of each unknown's connected part, and how many there are.
-std::vector<int> connected_parts(const GridSystem& system, int& count) {
+std::vector<int> connected_parts(const GridSystem& system, const Context& context, int& count) {
+  constexpr int block_unknowns = 1 << 16;
   const PixelIndex& pixels = system.pixels();
   std::vector<int> parent(static_cast<std::size_t>(pixels.count()));
   std::iota(parent.begin(), parent.end(), 0);
@@ -19,12 +20,24 @@ std::vector<int> connected_parts(const GridSystem& system, int& count) {
     }
     return i;
   };
-  for (int i = 0; i < pixels.count(); ++i) {
+  const auto join = [&](int i, auto&& counts) {
     system.for_each_entry(i, [&](int du, int dv, double value) {
       if (value == 0) return;
-      const int a = root(i), b = root(pixels.at(pixels.u(i) + du, pixels.v(i) + dv));
+      const int j = pixels.at(pixels.u(i) + du, pixels.v(i) + dv);
+      if (!counts(j)) return;
+      const int a = root(i), b = root(j);
       parent[static_cast<std::size_t>(std::max(a, b))] = std::min(a, b);
     });
+  };
+  // Unknowns are numbered row by row and couple with later ones: within a block no other block's are touched.
+  parallel_for(context, parent.size(), block_unknowns, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i)
+      join(static_cast<int>(i), [&](int other) { return other < static_cast<int>(end); });
+  });
+  for (int end = block_unknowns; end < pixels.count(); end += block_unknowns) {
+    const int last_row = pixels.v(end);
+    for (int i = end - 1; i >= 0 && pixels.v(i) >= last_row - GridSystem::reach; --i)
+      join(i, [&](int other) { return other >= end; });
   }
   // Roots are the first of their part: they are numbered before the others need the number.
   count = 0;
@@ -96,7 +109,7 @@ void ConjugateGradients::set_part_constants(const NodeVector<double>& residual, 
                                             NodeVector<double>& row_sums, Eigen::VectorXd& x) const {
   const PixelIndex& pixels = system_.pixels();
   int count = 0;
-  const std::vector<int> part = connected_parts(system_, count);
+  const std::vector<int> part = connected_parts(system_, context_, count);
   load(Eigen::VectorXd::Zero(pixels.count()), row_sums);
   load(Eigen::VectorXd::Ones(pixels.count()), ones);
   subtract_product(ones, row_sums);

@@ -54,16 +54,23 @@ Eigen::Matrix4d inverse_block(const Eigen::Matrix4d& block) {
   return scale.asDiagonal() * inverse * scale.asDiagonal();
 }
 
+/// The optimized polynomial of the fourth kind of degree 2 (Lottes 2023, "Optimal polynomial smoothers for multigrid
+/// V-cycles", table 1), for eigenvalues of D⁻¹ A up to 1. The second step starts from x + the first step unscaled.
+constexpr float scale_1 = 1.02387287570313F, scale_2 = 1.26408905371085F;
+constexpr Multigrid::SmoothingStep smoothing_steps[] = {{0, 4.0F / 3, 0, 1},
+                                                        {1.0F / 5, 12.0F / 5, scale_1 - 1, scale_2}};
+
 /// One segment's rows of what a smoothing step works on, a component each.
 struct SmoothingRows {
   std::array<const float*, components> right, product, from;
   std::array<float*, components> step, to;
 };
 
-/// step = keep · step + gain · D⁻¹ (right − product), to = from + step; without `from` it and the product are 0.
-MALUS_SIMD_CLONES void smooth_rows(const SmoothingRows& rows, const float* inverses, float keep, float gain,
-                                   int count) {
+/// A smoothing step of a segment; without `from` x and the product are 0.
+MALUS_SIMD_CLONES void smooth_rows(const SmoothingRows& rows, const float* inverses,
+                                   const Multigrid::SmoothingStep& coefficients, int count) {
   const bool from_zero = rows.from[0] == nullptr;
+  const auto [keep, gain, past, now] = coefficients;
   float residual[components][segment_nodes];
   for (std::size_t c = 0; c < components; ++c) {
     for (int i = 0; i < count; ++i)
@@ -87,7 +94,11 @@ MALUS_SIMD_CLONES void smooth_rows(const SmoothingRows& rows, const float* inver
     } else if (keep == 0) {
       for (int i = 0; i < count; ++i) step[i] = scaled[i], to[i] = from[i] + scaled[i];
     } else {
-      for (int i = 0; i < count; ++i) step[i] = keep * step[i] + scaled[i], to[i] = from[i] + step[i];
+      for (int i = 0; i < count; ++i) {
+        const float before = step[i];
+        step[i] = keep * before + scaled[i];
+        to[i] = from[i] + past * before + now * step[i];
+      }
     }
   }
 }
@@ -108,46 +119,28 @@ Values scaled_product(const Values& product, const float* inverses) {
   return scaled;
 }
 
-/// Pᵀ r onto the coarser grid.
-void restrict_to(const NodeVector<float>& fine, NodeVector<float>& coarse, const Context& context) {
-  for_each_segment(context, coarse.nodes(), [&](int row, int segment) {
-    const int first = segment * segment_nodes, last = std::min(coarse.nodes().width, first + segment_nodes);
-    // The finer grid's border is zero, but only one node wide.
-    const int width = fine.nodes().width, height = fine.nodes().height;
-    for (int c = 0; c < components; ++c) {
-      for (int column = first; column < last; ++column) {
-        float sum = 0;
-        for (int dy = -1; dy <= 1; ++dy) {
-          const int y = 2 * row + dy;
-          if (y < 0 || y >= height) continue;
-          const float* at = fine.at(c, 0, y);
-          const int x = 2 * column;
-          const float middle = x < width ? at[x] : 0.0F;
-          const float line = middle + 0.5F * (at[x - 1] + (x + 1 < width ? at[x + 1] : 0.0F));
-          sum += dy == 0 ? line : 0.5F * line;
-        }
-        *coarse.at(c, column, row) = sum;
-      }
+/// Row of Pᵀ r that lies at a row of the finer grid, at the columns of one of the finer grid's segments.
+MALUS_SIMD_CLONES void restrict_row(const NodeVector<float>& fine, int row, int first, int count,
+                                    NodeVector<float>& coarse) {
+  const bool ends_row = first + count == fine.nodes().width, has_here = row < fine.nodes().height,
+             has_below = row + 1 < fine.nodes().height;
+  for (int c = 0; c < components; ++c) {
+    // From the node left of the segment to the one right of it; the border of a vector is zero, but only one node wide.
+    float sum[segment_nodes + 2];
+    const float* above = fine.at(c, first - 1, row - 1);
+    const float* here = has_here ? fine.at(c, first - 1, row) : nullptr;
+    const float* below = has_below ? fine.at(c, first - 1, row + 1) : nullptr;
+    for (int i = 0; i < count + 2; ++i) sum[i] = 0.5F * above[i];
+    if (has_here) {
+      for (int i = 0; i < count + 2; ++i) sum[i] += here[i];
     }
-  });
-}
-
-/// fine += P coarse, where the fine matrix has unknowns
-void add_interpolated(const NodeVector<float>& coarse, const NodeStencil<float>& matrix, NodeVector<float>& fine,
-                      const Context& context) {
-  for_each_segment(context, fine.nodes(), [&](int row, int segment) {
-    if (matrix.empty(row, segment)) return;
-    const int first = segment * segment_nodes, last = std::min(fine.nodes().width, first + segment_nodes);
-    for (int c = 0; c < components; ++c) {
-      const float* above = coarse.at(c, 0, row / 2);
-      const float* below = coarse.at(c, 0, (row + 1) / 2);
-      float* to = fine.at(c, 0, row);
-      for (int column = first; column < last; ++column) {
-        const int left = column / 2, right = (column + 1) / 2;
-        to[column] += 0.25F * (above[left] + above[right] + below[left] + below[right]);
-      }
+    if (has_below) {
+      for (int i = 0; i < count + 2; ++i) sum[i] += 0.5F * below[i];
     }
-  });
+    float* to = coarse.at(c, first / 2, row / 2);
+    for (int i = 0; i < (count + 1) / 2; ++i) to[i] = sum[2 * i + 1] + 0.5F * (sum[2 * i] + sum[2 * i + 2]);
+    if (ends_row && count % 2 == 0) to[count / 2] = 0.5F * sum[count];
+  }
 }
 
 }  // namespace
@@ -191,13 +184,11 @@ const float* Multigrid::Level::inverses_at(int row, int segment) const {
       .data();
 }
 
-/// Step k of the polynomial of the fourth kind: step = (2k−3)/(2k+1) step + (8k−4)/(2k+1) D⁻¹ (b − A x) / norm, next =
-/// x + step. `from` null: x = 0.
-void Multigrid::Level::smoothing_step(int k, const NodeVector<float>* from, NodeVector<float>& to, int row,
-                                      int segment) {
+void Multigrid::Level::smoothing_step(const SmoothingStep& coefficients, const NodeVector<float>* from,
+                                      NodeVector<float>& to, int row, int segment) {
   if (matrix.empty(row, segment)) return;
-  const float keep = k == 1 ? 0.0F : static_cast<float>(2 * k - 3) / static_cast<float>(2 * k + 1);
-  const float gain = static_cast<float>(8 * k - 4) / static_cast<float>(2 * k + 1) * inverse_norm;
+  SmoothingStep scaled = coefficients;
+  scaled.gain *= inverse_norm;
   const int first = matrix.first(segment), count = matrix.count(segment);
   Values product;
   if (from != nullptr) matrix.multiply(*from, row, segment, product);
@@ -210,36 +201,65 @@ void Multigrid::Level::smoothing_step(int k, const NodeVector<float>* from, Node
     rows.from[at] = from == nullptr ? nullptr : from->at(c, first, row);
     rows.to[at] = to.at(c, first, row);
   }
-  smooth_rows(rows, inverses_at(row, segment), keep, gain, count);
+  smooth_rows(rows, inverses_at(row, segment), scaled, count);
 }
 
-void Multigrid::Level::smooth_from_zero(const Context& context) {
-  for_each_segment_in_bands(
-      context, matrix.nodes(), [&](int row, int segment) { smoothing_step(1, nullptr, next, row, segment); },
-      [&](int row, int segment) { smoothing_step(2, &next, x, row, segment); },
-      [&](int row, int segment) {
-        if (matrix.empty(row, segment)) return;
-        Values product;
-        matrix.multiply(x, row, segment, product);
-        const int first = matrix.first(segment);
-        for (int c = 0; c < components; ++c) {
-          const float* __restrict right = b.at(c, first, row);
-          const float* __restrict p = product[static_cast<std::size_t>(c)].data();
-          float* __restrict to = step.at(c, first, row);
-          for (int i = 0; i < matrix.count(segment); ++i) to[i] = right[i] - p[i];
-        }
-      });
+/// step = b − A x
+void Multigrid::Level::set_residual(int row, int segment) {
+  if (matrix.empty(row, segment)) return;
+  Values product;
+  matrix.multiply(x, row, segment, product);
+  const int first = matrix.first(segment), count = matrix.count(segment);
+  for (int c = 0; c < components; ++c) {
+    const float* __restrict right = b.at(c, first, row);
+    const float* __restrict p = product[static_cast<std::size_t>(c)].data();
+    float* __restrict to = step.at(c, first, row);
+    for (int i = 0; i < count; ++i) to[i] = right[i] - p[i];
+  }
 }
 
-void Multigrid::Level::smooth(const Context& context) {
+/// coarse = Pᵀ step, by rows and segments of this grid
+void Multigrid::Level::restrict_residual(int row, int segment, NodeVector<float>& coarse) const {
+  const int first = matrix.first(segment), count = matrix.count(segment), height = matrix.nodes().height;
+  if (row % 2 == 0) restrict_row(step, row, first, count, coarse);
+  // Below an even number of rows the coarse grid has one more.
+  if (row == height - 1 && height % 2 == 0) restrict_row(step, height, first, count, coarse);
+}
+
+/// x += P coarse
+void Multigrid::Level::add_interpolated(const NodeVector<float>& coarse, int row, int segment) {
+  if (matrix.empty(row, segment)) return;
+  const int first = matrix.first(segment), last = first + matrix.count(segment);
+  for (int c = 0; c < components; ++c) {
+    const float* above = coarse.at(c, 0, row / 2);
+    const float* below = coarse.at(c, 0, (row + 1) / 2);
+    float* to = x.at(c, 0, row);
+    for (int column = first; column < last; ++column) {
+      const int left = column / 2, right = (column + 1) / 2;
+      to[column] += 0.25F * (above[left] + above[right] + below[left] + below[right]);
+    }
+  }
+}
+
+void Multigrid::Level::descend(NodeVector<float>& coarse_b, const Context& context) {
   for_each_segment_in_bands(
-      context, matrix.nodes(), [&](int row, int segment) { smoothing_step(1, &x, next, row, segment); },
-      [&](int row, int segment) { smoothing_step(2, &next, x, row, segment); });
+      context, matrix.nodes(),
+      [&](int row, int segment) { smoothing_step(smoothing_steps[0], nullptr, next, row, segment); },
+      [&](int row, int segment) { smoothing_step(smoothing_steps[1], &next, x, row, segment); },
+      [&](int row, int segment) { set_residual(row, segment); },
+      [&](int row, int segment) { restrict_residual(row, segment, coarse_b); });
+}
+
+void Multigrid::Level::ascend(const NodeVector<float>& coarse_x, const Context& context) {
+  for_each_segment_in_bands(
+      context, matrix.nodes(), [&](int row, int segment) { add_interpolated(coarse_x, row, segment); },
+      [&](int row, int segment) { smoothing_step(smoothing_steps[0], &x, next, row, segment); },
+      [&](int row, int segment) { smoothing_step(smoothing_steps[1], &next, x, row, segment); });
 }
 
 /// Largest eigenvalue of D⁻¹ A by the power method from a rough start, with some reserve.
 float Multigrid::Level::norm_estimate(const Context& context) {
-  constexpr int rounds = 12;
+  constexpr int rounds = 6;
   constexpr float reserve = 1.1F;
   const Size size = matrix.nodes();
   for (int c = 0; c < components; ++c) {
@@ -381,12 +401,10 @@ void Multigrid::cycle(std::size_t at) {
     return;
   }
   Level& level = levels_[at];
-  level.smooth_from_zero(context_);
   const bool last = at + 1 == levels_.size();
-  restrict_to(level.step, last ? coarsest_b_ : levels_[at + 1].b, context_);
+  level.descend(last ? coarsest_b_ : levels_[at + 1].b, context_);
   cycle(at + 1);
-  add_interpolated(last ? coarsest_x_ : levels_[at + 1].x, level.matrix, level.x, context_);
-  level.smooth(context_);
+  level.ascend(last ? coarsest_x_ : levels_[at + 1].x, context_);
 }
 
 }  // namespace malus

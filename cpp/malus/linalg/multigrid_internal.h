@@ -22,6 +22,11 @@ namespace malus {
 /// unlike Gauss–Seidel, gives the same result in any order of the nodes and runs at the speed of memory.
 class Multigrid {
  public:
+  /// step = keep · step + gain · D⁻¹ (b − A x), to = x + past · step before + now · step.
+  struct SmoothingStep {
+    float keep, gain, past, now;
+  };
+
   Multigrid(const NodeStencil<double>& matrix, const Context& context);
   /// One V-cycle: result() ≈ A⁻¹ right().
   void cycle() { cycle(0); }
@@ -32,10 +37,10 @@ class Multigrid {
  private:
   struct Level {
     Level(const NodeStencil<double>& matrix, const Context& context);
-    /// x = smoothed solution from 0, step = b − A x.
-    void smooth_from_zero(const Context& context);
-    /// x smoothed further.
-    void smooth(const Context& context);
+    /// Smooths x, from 0, and leaves the rest to the coarser grid.
+    void descend(NodeVector<float>& coarse_b, const Context& context);
+    /// Adds the coarser grid's correction to x and smooths it.
+    void ascend(const NodeVector<float>& coarse_x, const Context& context);
 
     NodeStencil<float> matrix;
     /// Inverses of the nodes' diagonal blocks, upper triangles, segment by segment.
@@ -44,7 +49,12 @@ class Multigrid {
     float inverse_norm = 0;  ///< 1 / largest eigenvalue of the scaled matrix
 
    private:
-    void smoothing_step(int k, const NodeVector<float>* from, NodeVector<float>& to, int row, int segment);
+    // Parts of these passes, by row and segment; each needs the one before on the rows beside it too.
+    void smoothing_step(const SmoothingStep& coefficients, const NodeVector<float>* from, NodeVector<float>& to,
+                        int row, int segment);
+    void set_residual(int row, int segment);
+    void restrict_residual(int row, int segment, NodeVector<float>& coarse) const;
+    void add_interpolated(const NodeVector<float>& coarse, int row, int segment);
     const float* inverses_at(int row, int segment) const;
     float norm_estimate(const Context& context);
   };

@@ -21,10 +21,10 @@ inline Size node_size(Size pixels) {
 }
 
 /// Calls body(row, segment) for every segment, rows in blocks on the context's threads. Small grids stay on the calling
-/// thread: starting others would take longer.
+/// thread: waking others would take longer.
 template <class Body>
 void for_each_segment(const Context& context, Size nodes, Body&& body) {
-  constexpr std::size_t least_for_threads = 8192;
+  constexpr std::size_t least_for_threads = 2048;
   Context here = context;
   if (nodes.area() < least_for_threads) here.threads = 1;
   const int segments = (nodes.width + segment_nodes - 1) / segment_nodes;
@@ -39,12 +39,15 @@ void for_each_segment(const Context& context, Size nodes, Body&& body) {
 /// strips are done. Two passes may use two vectors in turn, each as the other's result.
 template <class... Passes>
 void for_each_segment_in_bands(const Context& context, Size nodes, Passes&&... passes) {
-  constexpr int band_nodes = 4096, strip_nodes = 32768;
+  constexpr int band_nodes = 2048, least_strip_nodes = 2048, least_strip_rows = 4 * sizeof...(Passes);
   const int segments = (nodes.width + segment_nodes - 1) / segment_nodes;
-  const int band = std::max(2, band_nodes / nodes.width), strip = std::max(8 * band, strip_nodes / nodes.width);
-  const int strips = std::max(1, nodes.height / strip);
+  const int band = std::max(2, band_nodes / nodes.width);
+  // A few strips a thread even out what a mask leaves of each.
+  const int most_strips = context.threads > 1 ? 4 * context.threads : 1;
+  const int strips =
+      std::clamp(nodes.height / std::max(least_strip_rows, least_strip_nodes / nodes.width), 1, most_strips);
   const auto edge = [&](std::size_t k) {
-    return static_cast<int>(k) == strips ? nodes.height : static_cast<int>(k) * strip;
+    return static_cast<int>(k * static_cast<std::size_t>(nodes.height) / static_cast<std::size_t>(strips));
   };
   const auto run = [&](auto& pass, int begin, int end) {
     for (int row = begin; row < end; ++row) {
