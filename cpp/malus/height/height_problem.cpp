@@ -242,17 +242,16 @@ double HeightProblem::likelihood_term(int i, const Eigen::VectorXd& height, Term
 }
 
 void HeightProblem::assemble() {
-  system_.clear();
+  system_.clear(context_);
   const double border_weight = options_.boundary_weight * options_.boundary_weight;
-  for (int i = 0; i < pixels_.count(); ++i) {
-    if (i % 65536 == 0) context_.check_cancel();
+  system_.for_each_unknown(context_, [&](int i) {
     const int u = pixels_.u(i), v = pixels_.v(i);
     add_term(terms_[static_cast<std::size_t>(i)], difference(u, v, 1, 0), difference(u, v, 0, 1));
     add_smoothness(i, pixels_.at(u - 1, v), pixels_.at(u + 1, v));
     add_smoothness(i, pixels_.at(u, v - 1), pixels_.at(u, v + 1));
     add_held(i, data_.border_height, border_weight);
     add_held(i, data_.ring_height, ring_weight);
-  }
+  });
 }
 
 void HeightProblem::add_term(const Term& term, const Difference& by_u, const Difference& by_v) {

@@ -80,10 +80,13 @@ double ConjugateGradients::sum_over_segments(Body&& body) const {
 
 void ConjugateGradients::load(const Eigen::VectorXd& from, NodeVector<double>& to) const {
   const PixelIndex& pixels = system_.pixels();
-  for (int i = 0; i < pixels.count(); ++i) {
-    const int u = pixels.u(i), v = pixels.v(i);
-    *to.at(u % 2 + 2 * (v % 2), u / 2, v / 2) = from[i];
-  }
+  constexpr std::size_t grain = 65536;
+  parallel_for(context_, static_cast<std::size_t>(pixels.count()), grain, [&](std::size_t begin, std::size_t end) {
+    for (int i = static_cast<int>(begin); i < static_cast<int>(end); ++i) {
+      const int u = pixels.u(i), v = pixels.v(i);
+      *to.at(u % 2 + 2 * (v % 2), u / 2, v / 2) = from[i];
+    }
+  });
 }
 
 /// r −= A x; returns |r|².

@@ -6,13 +6,16 @@
 namespace malus {
 
 PixelIndex::PixelIndex(const Mask& mask) : index_(mask.size(), 1, -1) {
+  row_starts_.reserve(static_cast<std::size_t>(mask.height()) + 1);
   for (int v = 0; v < mask.height(); ++v) {
+    row_starts_.push_back(count());
     for (int u = 0; u < mask.width(); ++u) {
       if (mask(u, v) == 0) continue;
       index_(u, v) = static_cast<int>(pixels_.size());
       pixels_.push_back({u, v});
     }
   }
+  row_starts_.push_back(count());
 }
 
 GridSystem::GridSystem(const PixelIndex& pixels)
@@ -21,8 +24,11 @@ GridSystem::GridSystem(const PixelIndex& pixels)
       used_(static_cast<std::size_t>(pixels.count()), 1),
       right_(Eigen::VectorXd::Zero(pixels.count())) {}
 
-void GridSystem::clear() {
-  std::fill(values_.begin(), values_.end(), 0.0);
+void GridSystem::clear(const Context& context) {
+  parallel_for(context, values_.size(), std::size_t{1} << 17, [&](std::size_t begin, std::size_t end) {
+    std::fill(values_.begin() + static_cast<std::ptrdiff_t>(begin), values_.begin() + static_cast<std::ptrdiff_t>(end),
+              0.0);
+  });
   right_.setZero();
 }
 

@@ -1,11 +1,14 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <algorithm>
 #include <bit>
 #include <cstdint>
 #include <vector>
 
+#include "malus/core/context.h"
 #include "malus/core/image.h"
+#include "malus/core/parallel.h"
 #include "malus/linalg/symmetric_solver.h"
 
 namespace malus {
@@ -21,6 +24,8 @@ class PixelIndex {
   int u(int unknown) const { return pixels_[static_cast<std::size_t>(unknown)].u; }
   int v(int unknown) const { return pixels_[static_cast<std::size_t>(unknown)].v; }
   Size size() const { return index_.size(); }
+  /// The unknowns of row v are first_of_row(v) … first_of_row(v + 1) − 1.
+  int first_of_row(int v) const { return row_starts_[static_cast<std::size_t>(v)]; }
 
  private:
   struct Pixel {
@@ -28,6 +33,7 @@ class PixelIndex {
   };
   Image<int> index_;
   std::vector<Pixel> pixels_;
+  std::vector<int> row_starts_;
 };
 
 /// Normal equations of a least-squares problem with one unknown a pixel, in which a row of the problem touches pixels
@@ -40,7 +46,23 @@ class GridSystem {
 
   explicit GridSystem(const PixelIndex& pixels);
 
-  void clear();
+  void clear(const Context& context);
+  /// Calls body(unknown) for every unknown, rows of pixels on the context's threads but in the same order with any
+  /// number of them. It may add entries between unknowns up to `reach` rows from its own.
+  template <class Body>
+  void for_each_unknown(const Context& context, Body&& body) const {
+    // A strip of rows adds to what lies up to `reach` rows outside it: every second strip at a time.
+    constexpr int strip_rows = 16;
+    static_assert(strip_rows > 2 * reach);
+    const int height = pixels_->size().height, strips = (height + strip_rows - 1) / strip_rows;
+    for (int parity = 0; parity < 2; ++parity) {
+      parallel_for(context, static_cast<std::size_t>((strips + 1 - parity) / 2), 1, [&](std::size_t k, std::size_t) {
+        const int top = (2 * static_cast<int>(k) + parity) * strip_rows;
+        const int end = pixels_->first_of_row(std::min(top + strip_rows, height));
+        for (int i = pixels_->first_of_row(top); i < end; ++i) body(i);
+      });
+    }
+  }
   /// Adds to the symmetric entry of two unknowns (once, not once for each order). Not checked: within reach.
   void add(int a, int b, double value) {
     if (a > b) std::swap(a, b);

@@ -146,7 +146,7 @@ MALUS_SIMD_CLONES void restrict_row(const NodeVector<float>& fine, int row, int 
 }  // namespace
 
 Multigrid::Level::Level(const NodeStencil<double>& exact, const Context& context)
-    : matrix(exact),
+    : matrix(exact, context),
       block_inverses(static_cast<std::size_t>(exact.nodes().height) * static_cast<std::size_t>(exact.segments()) *
                      block_entries),
       b(exact.nodes()),

@@ -43,14 +43,15 @@ MALUS_SIMD_CLONES void sum_products(const Product<double>* products, int count, 
 
 template <class T>
 template <class U>
-NodeStencil<T>::NodeStencil(const NodeStencil<U>& other) : NodeStencil(other.nodes_) {
-  for (std::size_t row = 0; row < rows_.size(); ++row) {
+NodeStencil<T>::NodeStencil(const NodeStencil<U>& other, const Context& context) : NodeStencil(other.nodes_) {
+  parallel_rows(context, nodes_.height, [&](int v) {
+    const std::size_t row = static_cast<std::size_t>(v);
     const auto& from = other.rows_[row];
     rows_[row].values.assign(from.values.begin(), from.values.end());
     for (std::size_t s = 0; s < from.segments.size(); ++s) {
       rows_[row].segments[s] = {from.segments[s].present, from.segments[s].start};
     }
-  }
+  });
 }
 
 template <class T>
@@ -96,7 +97,7 @@ void NodeStencil<T>::multiply(const NodeVector<T>& x, int row, int segment, Valu
 
 template class NodeStencil<double>;
 template class NodeStencil<float>;
-template NodeStencil<float>::NodeStencil(const NodeStencil<double>&);
+template NodeStencil<float>::NodeStencil(const NodeStencil<double>&, const Context&);
 
 NodeStencil<double> node_stencil(const GridSystem& system, double ridge, const Context& context) {
   const PixelIndex& pixels = system.pixels();

@@ -84,7 +84,7 @@ class NodeStencil {
   }
   /// The same matrix in other precision.
   template <class U>
-  explicit NodeStencil(const NodeStencil<U>& other);
+  NodeStencil(const NodeStencil<U>& other, const Context& context);
 
   Size nodes() const { return nodes_; }
   int first(int segment) const { return segment * segment_nodes; }

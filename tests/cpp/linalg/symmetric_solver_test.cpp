@@ -125,7 +125,7 @@ TEST(GridSystem, KeepsItsPatternWhenCleared) {
   const PixelIndex pixels(disc(12));
   GridSystem system = plate(pixels, 1);
   const auto before = system.lower(0);
-  system.clear();
+  system.clear({});
   const auto after = system.lower(2);
   EXPECT_EQ(before.nonZeros(), after.nonZeros());
   EXPECT_EQ(after.coeff(3, 3), 2);
