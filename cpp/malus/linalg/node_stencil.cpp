@@ -65,7 +65,8 @@ void NodeStencil<T>::append(int row, int segment, const SegmentEntries& entries)
     s.present[static_cast<std::size_t>(k) / 64] |= std::uint64_t{1} << (static_cast<std::size_t>(k) % 64);
     to.values.insert(to.values.end(), values.begin(), values.end());
   }
-  // The other segments are often like the first: their values then need not be moved, which would tear holes into memory.
+  // The other segments are often like the first: their values then need not be moved, which would tear holes into
+  // memory.
   if (segment == 0) to.values.reserve(to.values.size() * static_cast<std::size_t>(segments_));
   if (segment == segments_ - 1) to.values.shrink_to_fit();
 }

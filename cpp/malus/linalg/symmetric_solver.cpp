@@ -6,6 +6,7 @@
 #include <sstream>
 #include <string>
 
+#include "malus/core/parallel.h"
 #include "malus/linalg/sequential_blas.h"
 
 namespace malus {
@@ -60,10 +61,11 @@ struct SymmetricSolver::Impl {
   }
 
   /// Turns CHOLMOD's failures into errors; `what` was being done.
-  void check(const char* what) {
-    if (common.status >= CHOLMOD_OK) return;
-    const int status = common.status;
-    common.status = CHOLMOD_OK;
+  void check(const char* what) { check(common, what); }
+  void check(cholmod_common& workspace, const char* what) const {
+    if (workspace.status >= CHOLMOD_OK) return;
+    const int status = workspace.status;
+    workspace.status = CHOLMOD_OK;
     std::ostringstream message;
     message << "linear system of " << unknowns << " unknowns: ";
     if (status == CHOLMOD_OUT_OF_MEMORY || status == CHOLMOD_TOO_LARGE) {
@@ -72,6 +74,21 @@ struct SymmetricSolver::Impl {
     }
     message << "CHOLMOD failed with status " << status << " while " << what;
     throw Error(ErrorCode::external, message.str());
+  }
+
+  /// Replaces `count` right-hand sides, one after the other, by their solutions.
+  void apply_inverse(double* columns, Eigen::Index count, cholmod_common& workspace) {
+    cholmod_dense right{};
+    right.nrow = right.d = static_cast<std::size_t>(unknowns);
+    right.ncol = static_cast<std::size_t>(count);
+    right.nzmax = right.nrow * right.ncol;
+    right.x = columns;
+    right.xtype = CHOLMOD_REAL;
+    right.dtype = CHOLMOD_DOUBLE;
+    cholmod_dense* solution = cholmod_solve(CHOLMOD_A, factor, &right, &workspace);
+    check(workspace, "solving");
+    std::copy_n(static_cast<const double*>(solution->x), unknowns * count, columns);
+    cholmod_free_dense(&solution, &workspace);
   }
 
   const Context context;
@@ -130,18 +147,9 @@ SolveStatus SymmetricSolver::solve(const Matrix& lower, const Eigen::VectorXd& b
     throw input_error("linear system: factorize a matrix of the right-hand side's size first");
   }
   const SequentialBlas sequential;
-  const auto apply_inverse = [&](const Eigen::VectorXd& right) {
-    cholmod_dense dense{};
-    dense.nrow = dense.nzmax = dense.d = static_cast<std::size_t>(right.size());
-    dense.ncol = 1;
-    dense.x = const_cast<double*>(right.data());
-    dense.xtype = CHOLMOD_REAL;
-    dense.dtype = CHOLMOD_DOUBLE;
-    cholmod_dense* solution = cholmod_solve(CHOLMOD_A, impl_->factor, &dense, &impl_->common);
-    impl_->check("solving");
-    Eigen::VectorXd copy = Eigen::Map<const Eigen::VectorXd>(static_cast<double*>(solution->x), right.size());
-    cholmod_free_dense(&solution, &impl_->common);
-    return copy;
+  const auto apply_inverse = [&](Eigen::VectorXd right) {
+    impl_->apply_inverse(right.data(), 1, impl_->common);
+    return right;
   };
   const auto residual = [&] { return Eigen::VectorXd(b - lower.selfadjointView<Eigen::Lower>() * x); };
   x = apply_inverse(b);
@@ -153,6 +161,26 @@ SolveStatus SymmetricSolver::solve(const Matrix& lower, const Eigen::VectorXd& b
   }
   impl_->relative_residual = rest.norm() / scale;
   return impl_->relative_residual <= residual_limit ? SolveStatus::solved : SolveStatus::inaccurate;
+}
+
+void SymmetricSolver::solve_columns(Eigen::MatrixXd& columns) const {
+  if (impl_->factor == nullptr || columns.rows() != impl_->unknowns) {
+    throw input_error("linear system: factorize a matrix of the right-hand sides' size first");
+  }
+  // A few at a time go through the factor together; more would only take memory.
+  constexpr std::size_t at_once = 4;
+  parallel_for(impl_->context, static_cast<std::size_t>(columns.cols()), at_once,
+               [&](std::size_t begin, std::size_t end) {
+                 const SequentialBlas sequential;
+                 // The factor is only read; CHOLMOD's workspace cannot be shared.
+                 cholmod_common workspace{};
+                 cholmod_start(&workspace);
+                 workspace.print = 0;
+                 const auto finish = [](cholmod_common* used) { cholmod_finish(used); };
+                 const std::unique_ptr<cholmod_common, decltype(finish)> guard(&workspace, finish);
+                 impl_->apply_inverse(columns.col(static_cast<Eigen::Index>(begin)).data(),
+                                      static_cast<Eigen::Index>(end - begin), workspace);
+               });
 }
 
 double SymmetricSolver::log_determinant() const {

@@ -49,8 +49,11 @@ class Windows {
   Windows(const Mask& mask, PixelBox box, std::span<const ViewPoint> points, double spacing_px,
           const Context& context) {
     const double cell_px = std::max(1.0, 0.6 * spacing_px);
+    // The windows are solved beside each other.
+    Context inner = context;
+    inner.threads = 1;
     for (const PixelBox& window : pick_windows(box, points, window_cells * cell_px)) {
-      splines_.emplace_back(mask, window, cell_px, 1e3 * spacing_px, points, context);
+      splines_.emplace_back(mask, window, cell_px, 1e3 * spacing_px, points, inner);
     }
   }
 

@@ -167,7 +167,7 @@ SplineFit fit_robust(const Mask& mask, PixelBox box, const Smoothing& how, std::
   spline.solve(how.strength.lambda, how.strength.kappa);
   const double data = spline.weight_sum() + 2 * spline.slope_weight_sum();
   const double noise2 = spline.penalized_residual() / std::max(data - 3, 1.0) / weighted_gaussian_variance;
-  Image<float> variance = spline.variance(samples, context.seed, context);
+  Image<float> variance = spline.variance(samples, context.seed);
   return {std::move(spline), std::move(variance), std::max(noise2, 0.0)};
 }
 
@@ -255,6 +255,8 @@ Surface smooth_cloud(std::vector<ViewPoint> points, const Mask& mask, const Smoo
   double noise2 = 0, counted = 0;
   const int tiles = columns.tiles() * rows.tiles();
   std::vector<std::optional<SplineFit>> fits(static_cast<std::size_t>(std::max(context.threads, 1)));
+  Context inner = context;
+  inner.threads = 1;
   for (int first = 0; first < tiles; first += static_cast<int>(fits.size())) {
     context.progress("prior", 0.3 + 0.6 * first / tiles, "smoothing the cloud");
     parallel_for(context, fits.size(), 1, [&](std::size_t i, std::size_t) {
@@ -262,7 +264,7 @@ Surface smooth_cloud(std::vector<ViewPoint> points, const Mask& mask, const Smoo
       fits[i].reset();
       if (tile >= tiles) return;
       const PixelBox area{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
-      if (has_object(mask, area)) fits[i] = fit_robust(mask, area, fine, points, options.sigma_samples, context);
+      if (has_object(mask, area)) fits[i] = fit_robust(mask, area, fine, points, options.sigma_samples, inner);
     });
     for (std::size_t i = 0; i < fits.size(); ++i) {
       if (!fits[i]) continue;

@@ -10,6 +10,7 @@
 
 #include "malus/core/error.h"
 #include "malus/core/median.h"
+#include "malus/core/parallel.h"
 #include "malus/linalg/nested_dissection.h"
 
 namespace malus {
@@ -62,7 +63,8 @@ int slot_of(int da, int db) {
 
 SmoothingSpline::SmoothingSpline(const Mask& mask, PixelBox box, double cell_px, double tension_px,
                                  std::span<const ViewPoint> points, const Context& context)
-    : box_(box),
+    : context_(context),
+      box_(box),
       cell_px_(cell_px),
       columns_(static_cast<int>(std::ceil(box.width() / cell_px))),
       rows_(static_cast<int>(std::ceil(box.height() / cell_px))),
@@ -224,14 +226,29 @@ std::vector<int> SmoothingSpline::elimination_order() const {
   return nested_dissection(PixelIndex(nodes), 2);
 }
 
+template <class Body>
+void SmoothingSpline::for_each_cell(Body&& body) const {
+  // A row of cells touches three rows of control points.
+  for (int phase = 0; phase < 3; ++phase) {
+    parallel_for(
+        context_, static_cast<std::size_t>((rows_ - phase + 2) / 3), 4, [&](std::size_t begin, std::size_t end) {
+          for (std::size_t k = begin; k < end; ++k) {
+            const std::size_t first = (3 * k + static_cast<std::size_t>(phase)) * static_cast<std::size_t>(columns_);
+            for (std::size_t cell = first; cell < first + static_cast<std::size_t>(columns_); ++cell) {
+              if (active_[cell] != 0) body(cell);
+            }
+          }
+        });
+  }
+}
+
 void SmoothingSpline::assemble(double lambda, double kappa) {
   lambda_ = lambda;
   kappa_ = kappa;
   double* values = matrix_.valuePtr();
   std::fill(values, values + matrix_.nonZeros(), 0.0);
   for (std::size_t id = 0; id < unknowns_; ++id) values[slots_[13 * id]] = ridge;
-  for (std::size_t cell = 0; cell < active_.size(); ++cell) {
-    if (active_[cell] == 0) continue;
+  for_each_cell([&](std::size_t cell) {
     Eigen::Matrix<double, 9, 9> block = softening_[cell] * lambda * lambda * stiffness_;
     for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
       const ViewPoint& p = points_[i];
@@ -250,27 +267,12 @@ void SmoothingSpline::assemble(double lambda, double kappa) {
       const std::int32_t* slots = &slots_[13 * static_cast<std::size_t>(ids[static_cast<std::size_t>(l)])];
       for (int m = l; m < 9; ++m) values[slots[slot_of(m % 3 - l % 3, m / 3 - l / 3)]] += block(m, l);
     }
-  }
+  });
 }
 
-Eigen::VectorXd SmoothingSpline::solved(const Eigen::VectorXd& right) {
-  Eigen::VectorXd x;
-  if (solver_.solve(matrix_, right, x) != SolveStatus::solved) {
-    throw data_error("prior: the smoothing of the points is too ill conditioned to be solved");
-  }
-  return x;
-}
-
-void SmoothingSpline::solve(double lambda, double kappa) {
-  assemble(lambda, kappa);
-  if (!analyzed_) solver_.analyze(matrix_, elimination_order());
-  analyzed_ = true;
-  if (solver_.factorize(matrix_) != SolveStatus::solved) {
-    throw data_error("prior: the smoothing of the points has no unique solution");
-  }
+Eigen::VectorXd SmoothingSpline::right_side() const {
   Eigen::VectorXd right = Eigen::VectorXd::Zero(static_cast<Eigen::Index>(unknowns_));
-  for (std::size_t cell = 0; cell < active_.size(); ++cell) {
-    if (cell_start_[cell] == cell_start_[cell + 1]) continue;
+  for_each_cell([&](std::size_t cell) {
     const auto ids = cell_unknowns(cell);
     for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
       const ViewPoint& p = points_[i];
@@ -280,11 +282,23 @@ void SmoothingSpline::solve(double lambda, double kappa) {
       if (slope_weights_[i] == 0) continue;
       const auto slopes = slope_basis(p.u, p.v);
       const Eigen::Vector2d weighted =
-          kappa * kappa * slope_weights_[i] * slope_information(p) * Eigen::Vector2d(p.slope_u, p.slope_v);
+          kappa_ * kappa_ * slope_weights_[i] * slope_information(p) * Eigen::Vector2d(p.slope_u, p.slope_v);
       for (std::size_t k = 0; k < 9; ++k) right[ids[k]] += weighted.x() * slopes[0][k] + weighted.y() * slopes[1][k];
     }
+  });
+  return right;
+}
+
+void SmoothingSpline::solve(double lambda, double kappa) {
+  assemble(lambda, kappa);
+  if (!analyzed_) solver_.analyze(matrix_, elimination_order());
+  analyzed_ = true;
+  if (solver_.factorize(matrix_) != SolveStatus::solved) {
+    throw data_error("prior: the smoothing of the points has no unique solution");
   }
-  coefficients_ = solved(right);
+  if (solver_.solve(matrix_, right_side(), coefficients_) != SolveStatus::solved) {
+    throw data_error("prior: the smoothing of the points is too ill conditioned to be solved");
+  }
 }
 
 void SmoothingSpline::append_residuals(Residuals& residuals) const {
@@ -377,56 +391,65 @@ void SmoothingSpline::evaluate_row(int v, float* out) const {
   }
 }
 
-Image<float> SmoothingSpline::variance(int samples, std::uint64_t seed, const Context& context) {
+void SmoothingSpline::draw(const Eigen::Matrix<double, 9, 9>& stiffness_root, std::uint64_t seed,
+                           Eigen::Ref<Eigen::VectorXd> right) const {
+  std::mt19937_64 generator(seed);
+  std::normal_distribution<double> normal;
+  for (std::size_t cell = 0; cell < active_.size(); ++cell) {
+    if (active_[cell] == 0) continue;
+    Eigen::Matrix<double, 9, 1> noise;
+    for (double& value : noise) value = normal(generator);
+    Eigen::Matrix<double, 9, 1> block = lambda_ * std::sqrt(softening_[cell]) * stiffness_root * noise;
+    for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
+      const ViewPoint& p = points_[i];
+      const Basis b = basis(p.u, p.v);
+      const double scaled = std::sqrt(weights_[i] * p.facing) * normal(generator);
+      for (int k = 0; k < 9; ++k) block[k] += scaled * b[static_cast<std::size_t>(k)];
+      if (slope_weights_[i] == 0) continue;
+      const auto slopes = slope_basis(p.u, p.v);
+      const double across = normal(generator), down = normal(generator);
+      const Eigen::Vector2d drawn = kappa_ * std::sqrt(slope_weights_[i]) *
+                                    slope_information(p).llt().matrixL().toDenseMatrix() *
+                                    Eigen::Vector2d(across, down);
+      for (int k = 0; k < 9; ++k) {
+        const std::size_t at = static_cast<std::size_t>(k);
+        block[k] += drawn.x() * slopes[0][at] + drawn.y() * slopes[1][at];
+      }
+    }
+    const auto ids = cell_unknowns(cell);
+    for (std::size_t k = 0; k < 9; ++k) right[ids[k]] += block[static_cast<Eigen::Index>(k)];
+  }
+}
+
+Image<float> SmoothingSpline::variance(int samples, std::uint64_t seed) {
   // The form is semidefinite: the little added keeps its Cholesky factor finite.
   const Eigen::Matrix<double, 9, 9> definite =
       stiffness_ + 1e-9 * stiffness_.trace() * Eigen::Matrix<double, 9, 9>::Identity();
-  const Eigen::Matrix<double, 9, 9> root = lambda_ * definite.llt().matrixL().toDenseMatrix();
+  const Eigen::Matrix<double, 9, 9> root = definite.llt().matrixL().toDenseMatrix();
   const Basis centre = [] {
     Basis b;
     const Eigen::Vector3d half = splines(0.5);
     for (int k = 0; k < 9; ++k) b[static_cast<std::size_t>(k)] = half[k % 3] * half[k / 3];
     return b;
   }();
-  std::mt19937_64 generator(seed);
-  std::normal_distribution<double> normal;
+  // So many vectors of unknowns are kept at a time.
+  constexpr int batch = 8;
   Image<float> sum({columns_, rows_}, 1, 0.0F);
-  // A draw from the posterior N(0, A⁻¹): solve with the square root of A, row by row of the problem, times white noise.
-  for (int sample = 0; sample < samples; ++sample) {
-    context.check_cancel();
-    Eigen::VectorXd right = Eigen::VectorXd::Zero(static_cast<Eigen::Index>(unknowns_));
-    for (std::size_t cell = 0; cell < active_.size(); ++cell) {
-      if (active_[cell] == 0) continue;
-      Eigen::Matrix<double, 9, 1> noise;
-      for (double& value : noise) value = normal(generator);
-      Eigen::Matrix<double, 9, 1> block = std::sqrt(softening_[cell]) * root * noise;
-      for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
-        const ViewPoint& p = points_[i];
-        const Basis b = basis(p.u, p.v);
-        const double scaled = std::sqrt(weights_[i] * p.facing) * normal(generator);
-        for (int k = 0; k < 9; ++k) block[k] += scaled * b[static_cast<std::size_t>(k)];
-        if (slope_weights_[i] == 0) continue;
-        const auto slopes = slope_basis(p.u, p.v);
-        const double across = normal(generator), down = normal(generator);
-        const Eigen::Vector2d drawn = kappa_ * std::sqrt(slope_weights_[i]) *
-                                      slope_information(p).llt().matrixL().toDenseMatrix() *
-                                      Eigen::Vector2d(across, down);
-        for (int k = 0; k < 9; ++k) {
-          const std::size_t at = static_cast<std::size_t>(k);
-          block[k] += drawn.x() * slopes[0][at] + drawn.y() * slopes[1][at];
-        }
+  for (int first = 0; first < samples; first += batch) {
+    Eigen::MatrixXd drawn =
+        Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(unknowns_), std::min(batch, samples - first));
+    parallel_for(context_, static_cast<std::size_t>(drawn.cols()), 1, [&](std::size_t k, std::size_t) {
+      draw(root, seed + static_cast<std::uint64_t>(first) + k, drawn.col(static_cast<Eigen::Index>(k)));
+    });
+    solver_.solve_columns(drawn);
+    for_each_cell([&](std::size_t cell) {
+      const auto ids = cell_unknowns(cell);
+      for (Eigen::Index column = 0; column < drawn.cols(); ++column) {
+        double value = 0;
+        for (std::size_t k = 0; k < 9; ++k) value += centre[k] * drawn(ids[k], column);
+        sum[cell] += static_cast<float>(value * value / samples);
       }
-      const auto ids = cell_unknowns(cell);
-      for (std::size_t k = 0; k < 9; ++k) right[ids[k]] += block[static_cast<Eigen::Index>(k)];
-    }
-    const Eigen::VectorXd drawn = solved(right);
-    for (std::size_t cell = 0; cell < active_.size(); ++cell) {
-      if (active_[cell] == 0) continue;
-      const auto ids = cell_unknowns(cell);
-      double value = 0;
-      for (std::size_t k = 0; k < 9; ++k) value += centre[k] * drawn[ids[k]];
-      sum[cell] += static_cast<float>(value * value / samples);
-    }
+    });
   }
   Image<float> smooth(sum.size(), 1, 0.0F);
   for (int row = 0; row < rows_; ++row) {

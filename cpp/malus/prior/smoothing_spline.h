@@ -74,7 +74,7 @@ class SmoothingSpline {
   Eigen::Vector2d evaluate_slope(double u, double v) const;
   /// Variance of f for unit noise variance, one value a cell (columns × rows, 0 where inactive): the posterior of the
   /// last solve by `samples` draws, smoothed over neighbouring cells.
-  Image<float> variance(int samples, std::uint64_t seed, const Context& context);
+  Image<float> variance(int samples, std::uint64_t seed);
 
   double cell_px() const { return cell_px_; }
   const PixelBox& box() const { return box_; }
@@ -93,8 +93,16 @@ class SmoothingSpline {
   void build_pattern();
   std::vector<int> elimination_order() const;
   void assemble(double lambda, double kappa);
-  Eigen::VectorXd solved(const Eigen::VectorXd& right);
+  Eigen::VectorXd right_side() const;
+  /// White noise times the square root of the normal matrix, row by row of the problem: its solution is a draw from the
+  /// posterior N(0, A⁻¹).
+  void draw(const Eigen::Matrix<double, 9, 9>& stiffness_root, std::uint64_t seed,
+            Eigen::Ref<Eigen::VectorXd> right) const;
+  /// Calls body(cell) for every active cell, on all threads; two cells at a time have no control point in common.
+  template <class Body>
+  void for_each_cell(Body&& body) const;
 
+  Context context_;
   PixelBox box_;
   double cell_px_;
   int columns_, rows_;                 ///< of cells; control points are two more each way
