@@ -6,6 +6,8 @@
 #include <cmath>
 #include <memory>
 #include <mutex>
+#include <numeric>
+#include <span>
 
 #include "malus/core/parallel.h"
 #include "malus/fusion/quad_costs_internal.h"
@@ -288,11 +290,33 @@ double blend_weight(int at, int core0, int core1, int outer0, int outer1) {
   return ramp(at + 0.5 - core0, core0 - outer0) * ramp(core1 - at - 0.5, outer1 - core1);
 }
 
+/// Tiles by falling number of unknowns, so that no large one is left for a single thread at the end.
+std::vector<std::size_t> largest_first(const std::vector<Tile>& tiles, const Mask& object) {
+  std::vector<int> unknowns(tiles.size(), 0);
+  for (std::size_t i = 0; i < tiles.size(); ++i) {
+    const PixelRect& area = tiles[i].outer;
+    for (int v = area.v0; v < area.v1; ++v) {
+      for (int u = area.u0; u < area.u1; ++u) unknowns[i] += object(u, v) != 0 ? 1 : 0;
+    }
+  }
+  std::vector<std::size_t> order(tiles.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return unknowns[a] > unknowns[b]; });
+  return order;
+}
+
 }  // namespace
 
 std::vector<Tile> divide_into_tiles(Size size, int core_px, int margin_px) {
   const int margin = (margin_px + prior_block_px - 1) / prior_block_px * prior_block_px;
-  const std::vector<int> us = borders(size.width, core_px), vs = borders(size.height, core_px);
+  int core_width = core_px, core_height = core_px;
+  // A single tile would keep one thread busy and leave the others idle.
+  constexpr int margins_worthwhile = 8;
+  const int longer = std::max(size.width, size.height);
+  if (longer <= core_px && longer >= margins_worthwhile * margin) {
+    (size.width >= size.height ? core_width : core_height) = (longer + 1) / 2;
+  }
+  const std::vector<int> us = borders(size.width, core_width), vs = borders(size.height, core_height);
   std::vector<Tile> tiles;
   for (std::size_t j = 0; j + 1 < vs.size(); ++j) {
     for (std::size_t i = 0; i + 1 < us.size(); ++i) {
@@ -320,8 +344,9 @@ SolveStatistics solve_tiles(RefinementField& field, const std::vector<Tile>& til
   std::vector<SolveStatistics> statistics(tiles.size());
   std::mutex reporting;
   std::size_t done = 0;
+  const std::vector<std::size_t> order = largest_first(tiles, field.object);
   parallel_for(context, tiles.size(), 1, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) {
+    for (const std::size_t i : std::span(order).subspan(begin, end - begin)) {
       TileProblem problem(field, tiles[i], options);
       statistics[i] = problem.solve(options, context);
       context.check_cancel();

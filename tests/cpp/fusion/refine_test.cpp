@@ -203,6 +203,17 @@ TEST(Refine, StopsWhenAsked) {
   EXPECT_THROW(refine(station.state, station.prior, {}, {}, context), Error);
 }
 
+TEST(Tiles, AnImageOfOneTileIsHalvedIfThatIsWorthItsMargins) {
+  const std::vector<Tile> wide = divide_into_tiles({360, 200}, 384, 32);
+  ASSERT_EQ(wide.size(), 2u);
+  EXPECT_EQ(wide[0].core.height(), 200);
+  EXPECT_NEAR(wide[0].core.width(), 180, prior_block_px);
+  const std::vector<Tile> tall = divide_into_tiles({200, 360}, 384, 32);
+  ASSERT_EQ(tall.size(), 2u);
+  EXPECT_EQ(tall[1].core.width(), 200);
+  EXPECT_EQ(divide_into_tiles({200, 200}, 384, 32).size(), 1u);
+}
+
 TEST(Tiles, CoverTheImageOnceOnBlockBorders) {
   const Size size{413, 251};
   const std::vector<Tile> tiles = divide_into_tiles(size, 100, 20);
