@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <span>
 
 #include "malus/core/context.h"
@@ -51,8 +52,13 @@ PolarizationState decompose(std::span<const Image<float>> images, std::span<cons
                             const NoiseModel& noise, const Mask& mask, const Mask& saturated,
                             const DecomposeOptions& options, const Context& context);
 
-/// The same for images that somebody else owns (numpy): each `size` pixels, row major, without padding.
+/// The same for images that somebody else owns (numpy): each `size` pixels, row major, without padding. 16-bit ones are
+/// read as they are, white at 65535.
 PolarizationState decompose(Size size, std::span<const float* const> images, std::span<const double> angles_rad,
+                            const NoiseModel& noise, const Mask& mask, const Mask& saturated,
+                            const DecomposeOptions& options, const Context& context);
+
+PolarizationState decompose(Size size, std::span<const std::uint16_t* const> images, std::span<const double> angles_rad,
                             const NoiseModel& noise, const Mask& mask, const Mask& saturated,
                             const DecomposeOptions& options, const Context& context);
 
