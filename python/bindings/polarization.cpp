@@ -20,7 +20,7 @@ PolarizationState decompose_arrays(const std::vector<Array<Sample>>& arrays, con
   std::vector<const Sample*> images;
   for (const auto& array : arrays) images.push_back(array.data());
   const Size size{static_cast<int>(arrays.at(0).shape(1)), static_cast<int>(arrays.at(0).shape(0))};
-  const Mask mask = mask_array ? to_image(*mask_array) : Mask(size, 1, 255);
+  const Mask mask = mask_array ? to_image(*mask_array) : Mask();
   PolarizationState state;
   run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
     state = decompose(size, std::span<const Sample* const>(images), angles_rad,

@@ -60,7 +60,7 @@ void validate(Size size, std::size_t images, std::span<const double> angles_rad,
       throw input_error("angle of polarized image " + std::to_string(k) + " is not a finite number");
     }
   }
-  require_size(mask, size, "mask");
+  if (!mask.empty()) require_size(mask, size, "mask");
   if (!saturated.empty()) require_size(saturated, size, "saturation mask");
 }
 
@@ -125,19 +125,21 @@ class PixelFitter {
   /// The uniformly weighted fit.
   SinusoidFit single_precision() const {
     SinusoidFit single;
+    const double unit = 1 / noise_.variance(0.5);
+    const double inverse_freedom = rows_.size() > 3 ? 1 / static_cast<double>(rows_.size() - 3) : 0.0;
     for (std::size_t k = 0; k < rows_.size(); ++k) {
       SinusoidFit::View& view = single.views.emplace_back();
-      for (int i = 0; i < 3; ++i) view.solver[i] = static_cast<float>(all_(i, static_cast<Eigen::Index>(k)));
+      for (int i = 0; i < 3; ++i) view.solver[i] = static_cast<float>(0.5 * all_(i, static_cast<Eigen::Index>(k)));
       view.cosine = static_cast<float>(2 * rows_[k][1]);
       view.sine = static_cast<float>(2 * rows_[k][2]);
-      view.weight = 1;
+      view.weight = static_cast<float>(std::sqrt(inverse_freedom * unit));
     }
-    if (single.views.size() % 2 != 0) single.views.emplace_back();
-    single.noise_floor = static_cast<float>(noise_.variance(0));
-    single.noise_slope = static_cast<float>(noise_.variance(1) - noise_.variance(0));
-    single.inverse_freedom = rows_.size() > 3 ? 1 / static_cast<float>(rows_.size() - 3) : 0.0f;
+    while (single.views.size() % SinusoidFit::group != 0) single.views.emplace_back();
+    // Without read noise a dark pixel would have no variance to divide by.
+    single.noise_floor = static_cast<float>(std::max(unit * noise_.variance(0), 1e-5));
+    single.noise_slope = static_cast<float>(unit * (noise_.variance(1) - noise_.variance(0)));
     single.misfit_variance = static_cast<float>(options_.misfit_sigmas * options_.misfit_sigmas);
-    single.misfit_fraction2 = static_cast<float>(options_.misfit_fraction * options_.misfit_fraction);
+    single.misfit_fraction2 = static_cast<float>(unit * options_.misfit_fraction * options_.misfit_fraction);
     single.dark = dark();
     return single;
   }
@@ -258,9 +260,9 @@ PolarizationState decompose_samples(Size size, std::span<const Sample* const> im
   const SinusoidFit uniform = fitter.single_precision();
   const bool recover = options.recover_outliers && images.size() >= 5;
   const bool weighted = options.weighting == FitWeighting::noise;
-  const std::vector<std::uint8_t> unsaturated(run_length, 0);
+  const std::vector<std::uint8_t> everywhere(run_length, 255), nowhere(run_length, 0);
 
-  parallel_for(context, mask.count(), grain_of(mask.count()), [&](std::size_t block_begin, std::size_t block_end) {
+  parallel_for(context, size.area(), grain_of(size.area()), [&](std::size_t block_begin, std::size_t block_end) {
     SinusoidOutcome outcomes[run_length];
     std::vector<const Sample*> views(uniform.views.size());
     std::vector<double> values(images.size());
@@ -268,8 +270,8 @@ PolarizationState decompose_samples(Size size, std::span<const Sample* const> im
       const std::size_t count = std::min(run_length, block_end - begin);
       for (std::size_t k = 0; k < views.size(); ++k) views[k] = images[k < images.size() ? k : 0] + begin;
       const SinusoidRun<Sample> run{views.data(),
-                                    mask.data() + begin,
-                                    saturated.empty() ? unsaturated.data() : saturated.data() + begin,
+                                    mask.empty() ? everywhere.data() : mask.data() + begin,
+                                    saturated.empty() ? nowhere.data() : saturated.data() + begin,
                                     state.i_un.data() + begin,
                                     state.rho.data() + begin,
                                     state.phi.data() + begin,

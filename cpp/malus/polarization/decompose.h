@@ -42,8 +42,9 @@ double angle_condition(std::span<const double> angles_rad);
 ///
 /// images: K of the same size, 1 channel, linear, in [0, 1] of the white level; angles_rad: one an image, counter-
 /// clockwise from image +x as displayed. The same angle several times (modulo π) counts as several exposures of it.
-/// mask: non-zero = object. saturated: non-zero = clipped in some image; may be empty. A pixel that is not finite in
-/// some image is outside. Saturated, dark and misfitting pixels keep their fitted values; `valid` says what they are.
+/// mask: non-zero = object; empty = everything. saturated: non-zero = clipped in some image; may be empty. A pixel that
+/// is not finite in some image is outside. Saturated, dark and misfitting pixels keep their fitted values; `valid` says
+/// what they are.
 ///
 /// One pass over the stack in single precision, pixels that ask for more (noise weights, outliers) in double; memory
 /// beyond it is that of the result. Throws an input error for sizes and counts that do not match, a data error for

@@ -7,18 +7,22 @@
 namespace malus {
 
 /// The uniformly weighted sinusoid fit in single precision, for runs of pixels.
+///
+/// Residuals and variances are in units that keep a product of several variances in range.
 struct SinusoidFit {
+  /// Images that are worked on together.
+  static constexpr std::size_t group = 6;
+
   /// What one image has to do with the fit.
   struct View {
-    float solver[3] = {};        ///< s0, s1, s2 are Σ solver · image
+    float solver[3] = {};        ///< half of s0, s1, s2 are Σ solver · image
     float cosine = 0, sine = 0;  ///< of twice the polarizer angle
-    float weight = 0;            ///< of its residual: 1, or 0 for an image that only fills up the last pair
+    float weight = 0;            ///< of its residual; 0 for an image that only fills up the last group
   };
-  std::vector<View> views;                 ///< an even number
-  float noise_slope = 0, noise_floor = 0;  ///< variance = slope · intensity + floor
-  float inverse_freedom = 0;               ///< 1 / (images − 3); 0 if there are only three
+  std::vector<View> views;                 ///< a multiple of `group`
+  float noise_slope = 0, noise_floor = 0;  ///< variance = slope · intensity + floor; times `unit`
   float misfit_variance = 0;               ///< mean squared normalized residual of a misfit …
-  float misfit_fraction2 = 0;              ///< … and its mean squared residual over i_un²
+  float misfit_fraction2 = 0;              ///< … and its mean squared residual over i_un²; times `unit`
   float dark = 0;                          ///< unpolarized intensity up to which a pixel is dark
 };
 
