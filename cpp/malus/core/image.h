@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "malus/core/error.h"
-#include "malus/core/pixel_allocator.h"
+#include "malus/core/large_allocator.h"
 
 namespace malus {
 
@@ -77,7 +77,7 @@ class Image {
   bool operator==(const Image&) const = default;
 
  private:
-  using Pixels = std::vector<T, PixelAllocator<T>>;
+  using Pixels = std::vector<T, LargeAllocator<T>>;
 
   std::size_t offset(int u, int v, int c) const {
     return (static_cast<std::size_t>(v) * static_cast<std::size_t>(size_.width) + static_cast<std::size_t>(u)) *

@@ -1,4 +1,4 @@
-#include "malus/core/pixel_allocator.h"
+#include "malus/core/large_allocator.h"
 
 #ifdef __linux__
 #include <sys/mman.h>
@@ -13,7 +13,7 @@ constexpr std::size_t large = 2 * huge_page;
 
 }  // namespace
 
-void* allocate_pixels(std::size_t bytes) {
+void* allocate_large(std::size_t bytes) {
   if (bytes < large) return ::operator new(bytes);
   void* const memory = ::operator new(bytes, std::align_val_t{huge_page});
 #ifdef __linux__
@@ -23,7 +23,7 @@ void* allocate_pixels(std::size_t bytes) {
   return memory;
 }
 
-void free_pixels(void* memory, std::size_t bytes) noexcept {
+void free_large(void* memory, std::size_t bytes) noexcept {
   if (bytes < large) {
     ::operator delete(memory);
   } else {
