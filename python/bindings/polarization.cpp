@@ -11,21 +11,30 @@
 namespace malus::python {
 namespace {
 
-PolarizationState decompose_arrays(const std::vector<Array<float>>& arrays, const std::vector<double>& angles_rad,
+template <class Sample>
+PolarizationState decompose_arrays(const std::vector<Array<Sample>>& arrays, const std::vector<double>& angles_rad,
                                    const std::optional<Array<std::uint8_t>>& mask_array, double full_well_e,
                                    double read_noise_e, int frames_averaged, const std::string& options_json,
                                    int threads) {
   const Options options = options_from_json({}, options_json);
-  std::vector<const float*> images;
+  std::vector<const Sample*> images;
   for (const auto& array : arrays) images.push_back(array.data());
   const Size size{static_cast<int>(arrays.at(0).shape(1)), static_cast<int>(arrays.at(0).shape(0))};
-  const Mask mask = mask_array ? to_image(*mask_array) : Mask(size, 1, 255);
+  const Mask mask = mask_array ? to_image(*mask_array) : Mask();
   PolarizationState state;
   run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-    state = decompose(size, images, angles_rad, {full_well_e, read_noise_e, 0, frames_averaged}, mask, {},
-                      options.polarization, context);
+    state = decompose(size, std::span<const Sample* const>(images), angles_rad,
+                      {full_well_e, read_noise_e, 0, frames_averaged}, mask, {}, options.polarization, context);
   });
   return state;
+}
+
+/// One of two functions: the images' type decides.
+template <class Sample>
+void bind_decompose(py::module_& module, const char* name) {
+  module.def(name, &decompose_arrays<Sample>, py::arg("images"), py::arg("angles_rad"), py::arg("mask"),
+             py::arg("full_well_e"), py::arg("read_noise_e"), py::arg("frames_averaged"), py::arg("options"),
+             py::arg("threads"));
 }
 
 /// Getter of a raster of a state: the state's own memory.
@@ -55,9 +64,8 @@ void bind_polarization(py::module_& module) {
       .def_property_readonly("valid", raster(&PolarizationState::valid))
       .def_property_readonly("angles_rad", [](const PolarizationState& s) { return s.angles_rad; })
       .def_property_readonly("exposures", [](const PolarizationState& s) { return s.exposures; });
-  module.def("decompose", &decompose_arrays, py::arg("images"), py::arg("angles_rad"), py::arg("mask"),
-             py::arg("full_well_e"), py::arg("read_noise_e"), py::arg("frames_averaged"), py::arg("options"),
-             py::arg("threads"));
+  bind_decompose<float>(module, "decompose");
+  bind_decompose<std::uint16_t>(module, "decompose_16_bit");
 
   py::class_<ReflectionMap>(module, "ReflectionMap")
       .def_property_readonly("label", [](const ReflectionMap& r) { return copy_to_array(r.label); })

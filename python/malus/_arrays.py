@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def as_image(values: ArrayLike, name: str, channels: int = 1) -> NDArray[np.float32]:
-    """H×W (or H×W×channels) float32, C-contiguous; ValueError names the argument, its shape and the expected one."""
+def as_image(values: ArrayLike, name: str, channels: int = 1, dtype: type = np.float32) -> NDArray[Any]:
+    """H×W (or H×W×channels) dtype, C-contiguous; ValueError names the argument, its shape and the expected one."""
     array = np.asarray(values)
     if array.dtype.kind not in "fiu":
         raise ValueError(f"{name} has type {array.dtype}, expected numbers")
@@ -18,12 +18,16 @@ def as_image(values: ArrayLike, name: str, channels: int = 1) -> NDArray[np.floa
     right = array.ndim == 2 if channels == 1 else array.ndim == 3 and array.shape[2] == channels
     if not right or array.size == 0:
         raise ValueError(f"{name} has shape {array.shape}, expected {expected}")
-    return np.ascontiguousarray(array, dtype=np.float32)
+    return np.ascontiguousarray(array, dtype=dtype)
 
 
-def as_images(values: Sequence[ArrayLike] | NDArray[Any], name: str) -> list[NDArray[np.float32]]:
-    """K images of one size."""
-    images = [as_image(value, f"{name}[{k}]") for k, value in enumerate(values)]
+def as_images(
+    values: Sequence[ArrayLike] | NDArray[Any], name: str, *, keep_16_bit: bool = False
+) -> list[NDArray[Any]]:
+    """K images of one size, float32; keep_16_bit: uint16 ones stay so if all of them are."""
+    sixteen = keep_16_bit and all(np.asarray(value).dtype == np.uint16 for value in values)
+    dtype = np.uint16 if sixteen else np.float32
+    images = [as_image(value, f"{name}[{k}]", dtype=dtype) for k, value in enumerate(values)]
     if not images:
         raise ValueError(f"{name} is empty, expected K arrays (H, W)")
     for k, image in enumerate(images):

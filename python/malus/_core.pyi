@@ -192,6 +192,16 @@ def decompose(
     options: str,
     threads: int,
 ) -> PolarizationState: ...
+def decompose_16_bit(
+    images: Sequence[NDArray[np.uint16]],
+    angles_rad: Sequence[float],
+    mask: Bytes | None,
+    full_well_e: float,
+    read_noise_e: float,
+    frames_averaged: int,
+    options: str,
+    threads: int,
+) -> PolarizationState: ...
 def diffuse_degree(zenith_rad: Float64, eta: float) -> Float64: ...
 def specular_degree(zenith_rad: Float64, eta: float) -> Float64: ...
 def diffuse_zenith(degree: Float64, eta: float) -> Float64: ...

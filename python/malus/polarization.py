@@ -42,15 +42,16 @@ def decompose(
 ) -> PolarizationState:
     """Fit I(a) = (s0 + s1 cos 2a + s2 sin 2a) / 2 at every pixel.
 
-    images: K arrays H×W, linear, in [0, 1] of the white level. angles_rad: K polarizer angles; the same angle several
-    times (modulo π) counts as several exposures. mask: H×W, non-zero = object. The noise model (electrons at white, read
+    images: K arrays H×W, linear, in [0, 1] of the white level, or all uint16 with white at 65535. angles_rad: K polarizer
+    angles; the same angle several times (modulo π) counts as several exposures. mask: H×W, non-zero = object. The noise model (electrons at white, read
     noise, averaged frames) sets the expected residual. Returns a state with `unpolarized` = s0 / 2, `degree`, `phase_rad` in
-    [0, π), `residual` (in expected standard deviations) and `valid` (255 = usable), all H×W, read-only. float32 images in C
-    order are used where they are, without a copy.
+    [0, π), `residual` (in expected standard deviations) and `valid` (255 = usable), all H×W, read-only. float32 and
+    uint16 images in C order are used where they are, without a copy.
     Raises ValueError for shapes, malus.DataError for fewer than three distinct angles.
     """
-    stack = as_images(images, "images")
-    return _core.decompose(
+    stack = as_images(images, "images", keep_16_bit=True)
+    fit = _core.decompose_16_bit if stack[0].dtype == np.uint16 else _core.decompose
+    return fit(
         stack,
         [float(a) for a in angles_rad],
         None if mask is None else as_mask(mask, stack[0].shape),

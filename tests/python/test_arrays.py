@@ -52,6 +52,15 @@ def test_any_memory_layout_is_accepted(maps: tuple[np.ndarray, np.ndarray, np.nd
     np.testing.assert_array_equal(malus.polarization.decompose(strided, ANGLES).degree, reference.degree)
 
 
+def test_16_bit_images_are_white_at_65535(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    counts = [np.rint(65535 * np.clip(image, 0, 1)).astype(np.uint16) for image in polarized(*maps)]
+    state = malus.polarization.decompose(counts, ANGLES)
+    reference = malus.polarization.decompose([np.float32(image / 65535) for image in counts], ANGLES)
+    np.testing.assert_allclose(state.unpolarized, reference.unpolarized, atol=1e-6)
+    np.testing.assert_allclose(state.degree, reference.degree, atol=1e-6)
+    np.testing.assert_array_equal(state.valid, reference.valid)
+
+
 def test_wrong_shapes_are_named(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
     images = polarized(*maps)
     with pytest.raises(ValueError, match=r"images\[2\] has shape \(39, 50\), expected \(40, 50\)"):

@@ -10,6 +10,8 @@
 #include <opencv2/imgproc.hpp>
 #include <sstream>
 
+#include "malus/capture/contrast_band_internal.h"
+#include "malus/capture/registration_rows_internal.h"
 #include "malus/core/parallel.h"
 
 namespace malus {
@@ -22,36 +24,34 @@ constexpr int smallest_side_px = 48;
 constexpr int coarsest_side_px = 110;
 constexpr int tiles_across = 12, tiles_down = 8;
 constexpr double step_limit_px = 4;
-constexpr double coarse_tolerance_px = 0.01, fine_tolerance_px = 3e-4;
+constexpr double coarse_tolerance_px = 0.01, fine_tolerance_px = 1e-3;
+/// Pixels of one level that are compared at most.
+constexpr std::size_t most_pixels = std::size_t{2} << 20;
+/// From the image's border, for interpolation and gradients.
+constexpr int interpolation_margin = 4;
 /// Least share of the gradients' energy that must be texture and not noise.
 constexpr double least_texture = 0.1;
 /// Least regression of an image's band on the others' that still counts as the same scene.
 constexpr double least_similarity = 0.25;
 
-/// OpenCV's thread count is global; borrowed for the time of one registration.
-class OpenCvThreads {
+/// OpenCV's thread count is global; one for the time of a registration, which calls it from threads of its own.
+class OneOpenCvThread {
  public:
-  explicit OpenCvThreads(int threads) : before_(cv::getNumThreads()) {
-    // More threads than processors make OpenCV's TBB backend print a warning.
-    cv::setNumThreads(std::clamp(threads, 1, std::max(cv::getNumberOfCPUs(), 1)));
-  }
-  ~OpenCvThreads() { cv::setNumThreads(before_); }
-  OpenCvThreads(const OpenCvThreads&) = delete;
-  OpenCvThreads& operator=(const OpenCvThreads&) = delete;
+  OneOpenCvThread() : before_(cv::getNumThreads()) { cv::setNumThreads(1); }
+  ~OneOpenCvThread() { cv::setNumThreads(before_); }
+  OneOpenCvThread(const OneOpenCvThread&) = delete;
+  OneOpenCvThread& operator=(const OneOpenCvThread&) = delete;
 
  private:
   int before_;
 };
 
-cv::Mat as_mat(Image<float>& image) {
-  return {image.height(), image.width(), CV_32F, image.data()};
-}
 cv::Mat as_mat(const Image<float>& image) {
   return {image.height(), image.width(), CV_32F, const_cast<float*>(image.data())};
 }
 
 Image<float> half_size(const Image<float>& image) {
-  Image<float> half({(image.width() + 1) / 2, (image.height() + 1) / 2});
+  auto half = Image<float>::uninitialized({(image.width() + 1) / 2, (image.height() + 1) / 2});
   cv::Mat out = as_mat(half);
   cv::pyrDown(as_mat(image), out, out.size());
   return half;
@@ -94,6 +94,9 @@ double mean_square_displacement(const Matrix6& covariance, Size size) {
 struct Region {
   int u0, v0, u1, v1;  ///< half open
   bool empty() const { return u1 <= u0 || v1 <= v0; }
+  Region intersected(const Region& other) const {
+    return {std::max(u0, other.u0), std::max(v0, other.v0), std::min(u1, other.u1), std::min(v1, other.v1)};
+  }
 };
 
 /// Pixels whose band is free of border effects in every image.
@@ -112,23 +115,65 @@ Region common_region(const std::vector<Affine>& maps, Size size, int margin) {
   return {reach(left), reach(top), size.width - reach(right), size.height - reach(bottom)};
 }
 
-/// One level of the pyramid: images of all polarizer positions, and what does not change between iterations.
+/// A part of the image that is worked on at once, small enough for a processor's cache.
+struct Block {
+  Region pixels;
+  double energy = 0;  ///< of the texture
+};
+constexpr int block_rows = 32;
+
+/// Blocks of each of the tiles that the uncertainty is judged by: all of a small image, of a large one those of most
+/// texture in each tile, up to `most_pixels`. What they leave out would only make a figure more precise that is already
+/// known far better than it is needed.
+std::vector<std::vector<Block>> choose_blocks(const ContrastBands& contrast, const Context& context) {
+  const Size size = contrast.information.size();
+  const Image<float>& band = contrast.bands[0];
+  std::vector<std::vector<Block>> tiles(tiles_across * tiles_down);
+  for (int v = 0; v < size.height; v += block_rows) {
+    for (int u = 0; u < size.width; u += BlockRow::columns) {
+      const Region pixels{u, v, std::min(u + BlockRow::columns, size.width), std::min(v + block_rows, size.height)};
+      const long column = static_cast<long>(pixels.u0 + pixels.u1) * tiles_across / (2 * size.width);
+      const long row = static_cast<long>(pixels.v0 + pixels.v1) * tiles_down / (2 * size.height);
+      tiles[static_cast<std::size_t>(row * tiles_across + column)].push_back({pixels});
+    }
+  }
+  const double share = static_cast<double>(most_pixels) / static_cast<double>(size.area());
+  if (share >= 1) return tiles;
+  parallel_for(context, tiles.size(), 1, [&](std::size_t t, std::size_t) {
+    std::vector<Block>& blocks = tiles[t];
+    for (Block& block : blocks) {
+      for (int v = block.pixels.v0 + 1; v < block.pixels.v1 - 1; v += 4) {
+        for (int u = block.pixels.u0 + 1; u < block.pixels.u1 - 1; ++u) {
+          const float gu = band(u + 1, v) - band(u - 1, v), gv = band(u, v + 1) - band(u, v - 1);
+          block.energy += static_cast<double>(contrast.information(u, v) * (gu * gu + gv * gv));
+        }
+      }
+    }
+    std::stable_sort(blocks.begin(), blocks.end(), [](const Block& a, const Block& b) { return a.energy > b.energy; });
+    blocks.resize(static_cast<std::size_t>(std::ceil(share * static_cast<double>(blocks.size()))));
+  });
+  return tiles;
+}
+
+/// One level of the pyramid: the bands of all images, and the steps towards their maps.
 class Level {
  public:
-  Level(const std::vector<const Image<float>*>& images, const NoiseModel& noise, const RegistrationOptions& options,
-        const Context& context)
-      : images_(images), noise_(noise), options_(options), context_(context), size_(images[0]->size()) {
-    margin_ =
-        std::min(static_cast<int>(std::lround(1.5 * options.coarse_sigma_px)), std::min(size_.width, size_.height) / 8);
-    bands_.resize(images.size());
-    bands_[0] = band(*images[0], &inverse_noise_);
+  /// quarters: the images two levels up the pyramid, or nothing.
+  Level(const std::vector<Image<float>>& images, const std::vector<Image<float>>& quarters, const NoiseModel& noise,
+        const RegistrationOptions& options, const Context& context)
+      : options_(options),
+        context_(context),
+        size_(images[0].size()),
+        contrast_(contrast_bands(images, quarters, {options.fine_sigma_px, options.coarse_sigma_px}, noise, context)),
+        blocks_(choose_blocks(contrast_, context)) {
+    const int band_margin = static_cast<int>(std::lround(1.5 * options.coarse_sigma_px));
+    margin_ = std::max(std::min(band_margin, std::min(size_.width, size_.height) / 8), interpolation_margin);
   }
 
   /// Gauss–Newton from the given maps; returns the last step's largest displacement [px].
-  double solve(std::vector<Affine>& maps, double tolerance_px) {
+  double solve(std::vector<Affine>& maps, double tolerance_px) const {
     double step_px = 0;
     for (int iteration = 0; iteration < options_.max_iterations; ++iteration) {
-      warp(maps);
       step_px = step(maps);
       if (!(step_px > tolerance_px)) break;
     }
@@ -136,18 +181,17 @@ class Level {
   }
 
   /// Translation of image k by phase correlation, if it agrees better with the first image than none does.
-  Affine phase_correlation(std::size_t k) {
+  Affine phase_correlation(std::size_t k) const {
     Affine shifted = identity_affine();
-    const Image<float> unmoved = band(*images_[k], nullptr);
     cv::Mat window;
     cv::createHanningWindow(window, {size_.width, size_.height}, CV_32F);
     // Copies: OpenCV 4.6 applies the window to its inputs in place when their size needs no padding.
-    const cv::Point2d shift = cv::phaseCorrelate(as_mat(bands_[0]).clone(), as_mat(unmoved).clone(), window);
+    const Image<float>& unmoved = contrast_.bands[k];
+    const cv::Point2d shift = cv::phaseCorrelate(as_mat(contrast_.bands[0]).clone(), as_mat(unmoved).clone(), window);
     shifted.col(2) = Eigen::Vector2d(shift.x, shift.y);
     const double limit = options_.max_shift * size_.width;
     if (!(shifted.col(2).norm() <= limit)) return identity_affine();
-    const Image<float> moved = band(warped(*images_[k], shifted), nullptr);
-    return correlation(moved, shifted) > correlation(unmoved, shifted) ? shifted : identity_affine();
+    return correlation(unmoved, shifted) > correlation(unmoved, identity_affine()) ? shifted : identity_affine();
   }
 
   /// Uncertainty, texture and similarity at the given maps.
@@ -155,8 +199,7 @@ class Level {
     std::vector<double> rms_px, similarity;
     double texture = 0;
   };
-  Assessment assess(const std::vector<Affine>& maps) {
-    warp(maps);
+  Assessment assess(const std::vector<Affine>& maps) const {
     const Normals normals = normal_equations(maps, true);
     Assessment result{std::vector<double>(maps.size()), std::vector<double>(maps.size()), 0};
     result.texture = normals.gradient_energy > 0 ? 1 - normals.noise_energy / normals.gradient_energy : 0;
@@ -186,104 +229,108 @@ class Level {
         : sides(images, Vector6::Zero()), products(images, 0.0), others_energy(images, 0.0) {}
   };
 
-  Image<float> warped(const Image<float>& image, const Affine& map) const {
-    Image<float> result =
-        resample(image, size_, ResamplingMap(std::nullopt, map), options_.interpolation, context_).image;
-    // Outside the source: the nearest pixel, so that the blur has something to work on. These pixels are not compared.
-    parallel_rows(context_, size_.height, [&](int v) {
-      for (int u = 0; u < size_.width; ++u) {
-        if (!std::isnan(result(u, v))) continue;
-        const Eigen::Vector2d at = map.leftCols<2>() * Eigen::Vector2d(u, v) + map.col(2);
-        result(u, v) = image(static_cast<int>(std::clamp(std::round(at.x()), 0.0, size_.width - 1.0)),
-                             static_cast<int>(std::clamp(std::round(at.y()), 0.0, size_.height - 1.0)));
-      }
-    });
-    return result;
-  }
+  /// Rows of a block in every image, aligned, and in their mean: rows × images × BlockRow::length.
+  class AlignedRows {
+   public:
+    explicit AlignedRows(std::size_t images)
+        : values_((images + 1) * (block_rows + 2) * BlockRow::length, 0.0F),
+          information_(BlockRow::length),
+          bands_(images) {}
 
-  /// (G_fine − G_coarse) I / G_coarse I, and 1 / its expected standard deviation (up to a common factor).
-  Image<float> band(const Image<float>& image, Image<float>* inverse_noise) const {
-    context_.check_cancel();
-    Image<float> fine(size_), coarse(size_);
-    cv::Mat fine_mat = as_mat(fine), coarse_mat = as_mat(coarse);
-    cv::GaussianBlur(as_mat(image), fine_mat, {}, options_.fine_sigma_px, 0, cv::BORDER_REFLECT_101);
-    context_.check_cancel();
-    cv::GaussianBlur(as_mat(image), coarse_mat, {}, options_.coarse_sigma_px, 0, cv::BORDER_REFLECT_101);
-    const auto floor = static_cast<float>(std::max(3 * std::sqrt(noise_.variance(0)), 1e-6));
-    const double blur_gain = 1 / (4 * std::numbers::pi * options_.fine_sigma_px * options_.fine_sigma_px);
-    if (inverse_noise) *inverse_noise = Image<float>(size_);
-    for (std::size_t i = 0; i < fine.count(); ++i) {
-      const float mean = std::max(coarse[i], floor);
-      fine[i] = (fine[i] - coarse[i]) / mean;
-      if (inverse_noise) {
-        (*inverse_noise)[i] = static_cast<float>(mean / std::sqrt(std::max(blur_gain * noise_.variance(mean), 1e-14)));
-      }
+    std::span<float> band(std::size_t k, int row) { return {at(k, row), BlockRow::length}; }
+    float* mean(int row) { return at(bands_.size(), row); }
+    float* information() { return information_.data(); }
+    /// Pointers to a row in every image; valid until the next call.
+    std::span<const float* const> bands(int row) {
+      for (std::size_t k = 0; k < bands_.size(); ++k) bands_[k] = at(k, row);
+      return bands_;
     }
-    return fine;
+
+   private:
+    float* at(std::size_t k, int row) {
+      return values_.data() + (k * (block_rows + 2) + static_cast<std::size_t>(row)) * BlockRow::length;
+    }
+    std::vector<float> values_, information_;
+    std::vector<const float*> bands_;
+  };
+
+  /// Row v of a region, with a pixel more on either side, in every image and in their mean.
+  void align_row(const std::vector<Affine>& maps, const Region& region, int v, int row, AlignedRows& rows) const {
+    const auto count = static_cast<std::size_t>(region.u1 - region.u0 + 2);
+    std::copy_n(contrast_.bands[0].row(v) + region.u0 - 1, count, rows.band(0, row).data());
+    for (std::size_t k = 1; k < maps.size(); ++k) {
+      resample_row(contrast_.bands[k], maps[k], options_.interpolation, region.u0 - 1, v,
+                   rows.band(k, row).first(count));
+    }
+    mean_row(rows.bands(row), rows.mean(row));
   }
 
-  void warp(const std::vector<Affine>& maps) {
-    for (std::size_t k = 1; k < maps.size(); ++k) bands_[k] = band(warped(*images_[k], maps[k]), nullptr);
-    mean_ = Image<float>(size_);
-    parallel_rows(context_, size_.height, [&](int v) {
-      for (const Image<float>& one : bands_) {
-        for (int u = 0; u < size_.width; ++u) mean_(u, v) += one(u, v) / static_cast<float>(bands_.size());
-      }
-    });
+  /// The row with its neighbours; pixels outside the region do not count.
+  AlignedRow aligned_row(const Region& region, int v, int row, AlignedRows& rows) const {
+    std::fill_n(rows.information(), BlockRow::length, 0.0F);
+    std::copy(contrast_.information.row(v) + region.u0, contrast_.information.row(v) + region.u1,
+              rows.information() + 1);
+    const double width = size_.width, x = (region.u0 - 1 - 0.5 * (width - 1)) / width;
+    return {rows.bands(row),    rows.mean(row),        rows.mean(std::max(row - 1, 0)), rows.mean(row + 1),
+            rows.information(), static_cast<float>(x), static_cast<float>(1 / width)};
   }
 
-  double correlation(const Image<float>& moved, const Affine& map) const {
+  double correlation(const Image<float>& image, const Affine& map) const {
     const Region region = common_region({map}, size_, margin_);
+    if (region.empty()) return 0;
     double ab = 0, bb = 0;
+    std::vector<float> moved(static_cast<std::size_t>(region.u1 - region.u0));
     for (int v = region.v0; v < region.v1; ++v) {
+      resample_row(image, map, options_.interpolation, region.u0, v, moved);
       for (int u = region.u0; u < region.u1; ++u) {
-        const double n2 = inverse_noise_(u, v) * inverse_noise_(u, v);
-        ab += n2 * bands_[0](u, v) * moved(u, v);
-        bb += n2 * moved(u, v) * moved(u, v);
+        const double n2 = contrast_.information(u, v), b = moved[static_cast<std::size_t>(u - region.u0)];
+        ab += n2 * contrast_.bands[0](u, v) * b;
+        bb += n2 * b * b;
       }
     }
     return bb > 0 ? ab / std::sqrt(bb) : 0;
   }
 
-  /// Disagreement of the images at a pixel, per degree of freedom, in units of the expected noise variance.
-  double disagreement(int u, int v) const {
-    double sum = 0;
-    for (const Image<float>& one : bands_) {
-      const double residual = one(u, v) - mean_(u, v);
-      sum += residual * residual;
-    }
-    const double n = inverse_noise_(u, v);
-    return n * n * sum / static_cast<double>(bands_.size() - 1);
+  /// body(tile, block, rows) for the part of every block that all images show, tile by tile on several threads.
+  template <class Body>
+  void for_blocks(const Region& region, Body&& body) const {
+    parallel_for(context_, blocks_.size(), 1, [&](std::size_t tile, std::size_t) {
+      AlignedRows rows(contrast_.bands.size());
+      for (const Block& block : blocks_[tile]) {
+        const Region part = block.pixels.intersected(region);
+        if (!part.empty()) body(tile, part, rows);
+      }
+    });
   }
 
-  /// Lower quartile of the disagreement: that of pixels whose contrast the polarizer hardly changes.
-  double disagreement_scale(const Region& region) const {
-    const int stride = std::max(1, static_cast<int>(std::sqrt(static_cast<double>(size_.area()) / 2e5)));
-    std::vector<double> values;
-    for (int v = region.v0; v < region.v1; v += stride) {
-      for (int u = region.u0; u < region.u1; u += stride) values.push_back(disagreement(u, v));
-    }
+  /// Lower quartile of the disagreement: that of pixels whose contrast the polarizer hardly changes. Every eighth row
+  /// of the blocks knows it well enough.
+  double disagreement_scale(const std::vector<Affine>& maps, const Region& region) const {
+    std::vector<std::vector<float>> parts(blocks_.size());
+    for_blocks(region, [&](std::size_t tile, const Region& part, AlignedRows& rows) {
+      for (int v = part.v0; v < part.v1; v += 8) {
+        align_row(maps, part, v, 0, rows);
+        float values[BlockRow::length];
+        disagreements(aligned_row(part, v, 0, rows), values);
+        parts[tile].insert(parts[tile].end(), values + 1, values + 1 + (part.u1 - part.u0));
+      }
+    });
+    std::vector<float> values;
+    for (const std::vector<float>& part : parts) values.insert(values.end(), part.begin(), part.end());
     const auto quartile = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 4);
     std::nth_element(values.begin(), quartile, values.end());
-    return std::max(*quartile, 1e-4);
+    return std::max(static_cast<double>(*quartile), 1e-4);
   }
 
   Normals normal_equations(const std::vector<Affine>& maps, bool assess) const {
-    const std::size_t count = bands_.size();
+    const std::size_t count = maps.size();
     const Region region = common_region(maps, size_, margin_);
     Normals total(count);
     if (region.empty()) return total;
-    const double cauchy = disagreement_scale(region) * options_.cauchy_scale * options_.cauchy_scale;
-    std::vector<Normals> tiles(tiles_across * tiles_down, Normals(count));
-    parallel_for(context_, tiles.size(), 1, [&](std::size_t begin, std::size_t) {
-      const int column = static_cast<int>(begin) % tiles_across, row = static_cast<int>(begin) / tiles_across;
-      const auto part = [](int from, int to, int index, int parts) {
-        return from + static_cast<int>(static_cast<long>(to - from) * index / parts);
-      };
-      const Region tile{part(region.u0, region.u1, column, tiles_across), part(region.v0, region.v1, row, tiles_down),
-                        part(region.u0, region.u1, column + 1, tiles_across),
-                        part(region.v0, region.v1, row + 1, tiles_down)};
-      add_tile(tile, cauchy, assess, tiles[begin]);
+    const double cauchy = disagreement_scale(maps, region) * options_.cauchy_scale * options_.cauchy_scale;
+    std::vector<Normals> tiles(blocks_.size(), Normals(count));
+    for_blocks(region, [&](std::size_t tile, const Region& part, AlignedRows& rows) {
+      add_block(maps, part, cauchy, assess, rows, tiles[tile]);
     });
     for (Normals& tile : tiles) {
       total.matrix += tile.matrix;
@@ -299,45 +346,60 @@ class Level {
     return total;
   }
 
-  void add_tile(const Region& tile, double cauchy, bool assess, Normals& sum) const {
-    const double width = size_.width;
-    for (int v = tile.v0; v < tile.v1; ++v) {
-      const double y = (v - 0.5 * (size_.height - 1)) / width;
-      for (int u = tile.u0; u < tile.u1; ++u) {
-        const double n = inverse_noise_(u, v), x = (u - 0.5 * (size_.width - 1)) / width;
-        const double weight = n * n / (1 + disagreement(u, v) / cauchy);
-        const double gu = 0.5 * (mean_(u + 1, v) - mean_(u - 1, v)), gv = 0.5 * (mean_(u, v + 1) - mean_(u, v - 1));
-        Vector6 gradient;
-        gradient << gu, gv, gu * x, gu * y, gv * x, gv * y;
-        const Vector6 weighted = weight * gradient;
-        sum.matrix.noalias() += weighted * gradient.transpose();
-        for (std::size_t k = 0; k < bands_.size(); ++k) {
-          sum.sides[k] += (mean_(u, v) - static_cast<double>(bands_[k](u, v))) * weighted;
-        }
-        if (assess) add_assessment(u, v, weight, gu * gu + gv * gv, sum);
+  void add_block(const std::vector<Affine>& maps, const Region& block, double cauchy, bool assess, AlignedRows& rows,
+                 Normals& sum) const {
+    RowSums sums;
+    sums.sides.resize(maps.size());
+    float weights[BlockRow::length];
+    for (int v = block.v0 - 1; v <= block.v1; ++v) align_row(maps, block, v, v - block.v0 + 1, rows);
+    for (int v = block.v0; v < block.v1; ++v) {
+      const AlignedRow row = aligned_row(block, v, v - block.v0 + 1, rows);
+      sum_row(row, static_cast<float>(cauchy), sums, weights);
+      add_row(sums, (v - 0.5 * (size_.height - 1)) / size_.width, sum);
+      if (assess) add_assessment(row, v - block.v0 + 1, weights, rows, sum);
+    }
+  }
+
+  /// Adds the sums of row y to the normal equations of g_u, g_v, g_u x, g_u y, g_v x, g_v y.
+  static void add_row(const RowSums& row, double y, Normals& sum) {
+    // Parameter i is the displacement along axis[i] times x^power_x[i] y^power_y[i].
+    constexpr int axis[] = {0, 1, 0, 0, 1, 1}, power_x[] = {0, 0, 1, 0, 1, 0}, power_y[] = {0, 0, 0, 1, 0, 1};
+    const double y_to[] = {1, y, y * y};
+    for (int i = 0; i < 6; ++i) {
+      for (int j = 0; j < 6; ++j) {
+        sum.matrix(i, j) += row.gradients[axis[i] + axis[j]][power_x[i] + power_x[j]] * y_to[power_y[i] + power_y[j]];
+      }
+      for (std::size_t k = 0; k < row.sides.size(); ++k) {
+        const RowSums::Side& side = row.sides[k];
+        sum.sides[k][i] += (axis[i] == 0 ? side.along_u : side.along_v)[power_x[i]] * y_to[power_y[i]];
       }
     }
   }
 
   /// Gradient energy of the mean image, the part of it that the images' disagreement accounts for, and each image's
   /// regression on the others.
-  void add_assessment(int u, int v, double weight, double energy, Normals& sum) const {
-    const auto count = static_cast<double>(bands_.size());
-    double noise = 0;
-    for (std::size_t k = 0; k < bands_.size(); ++k) {
-      const auto residual = [&](int i, int j) { return static_cast<double>(bands_[k](i, j)) - mean_(i, j); };
-      const double ru = 0.5 * (residual(u + 1, v) - residual(u - 1, v));
-      const double rv = 0.5 * (residual(u, v + 1) - residual(u, v - 1));
-      noise += ru * ru + rv * rv;
-      const double others = (count * mean_(u, v) - bands_[k](u, v)) / (count - 1);
-      sum.products[k] += weight * others * bands_[k](u, v);
-      sum.others_energy[k] += weight * others * others;
+  static void add_assessment(const AlignedRow& row, int index, const float* weights, AlignedRows& rows, Normals& sum) {
+    const auto count = static_cast<double>(row.bands.size());
+    for (std::size_t i = 1; i + 1 < BlockRow::length; ++i) {
+      const double weight = weights[i];
+      const double gu = 0.5 * (row.mean[i + 1] - row.mean[i - 1]), gv = 0.5 * (row.mean_below[i] - row.mean_above[i]);
+      double noise = 0;
+      for (std::size_t k = 0; k < row.bands.size(); ++k) {
+        const float *const here = row.bands[k], *const above = rows.band(k, index - 1).data(),
+                           *const below = rows.band(k, index + 1).data();
+        const double ru = 0.5 * ((here[i + 1] - row.mean[i + 1]) - (here[i - 1] - row.mean[i - 1]));
+        const double rv = 0.5 * ((below[i] - row.mean_below[i]) - (above[i] - row.mean_above[i]));
+        noise += ru * ru + rv * rv;
+        const double others = (count * row.mean[i] - here[i]) / (count - 1);
+        sum.products[k] += weight * others * here[i];
+        sum.others_energy[k] += weight * others * others;
+      }
+      sum.gradient_energy += weight * (gu * gu + gv * gv);
+      sum.noise_energy += weight * noise / (count * (count - 1));
     }
-    sum.gradient_energy += weight * energy;
-    sum.noise_energy += weight * noise / (count * (count - 1));
   }
 
-  double step(std::vector<Affine>& maps) {
+  double step(std::vector<Affine>& maps) const {
     const Normals normals = normal_equations(maps, false);
     const Eigen::LDLT<Matrix6> factor(normals.matrix);
     double largest = 0;
@@ -353,36 +415,27 @@ class Level {
     return largest;
   }
 
-  std::vector<const Image<float>*> images_;
-  const NoiseModel& noise_;
   const RegistrationOptions& options_;
   const Context& context_;
   Size size_;
+  ContrastBands contrast_;
+  std::vector<std::vector<Block>> blocks_;  ///< of each tile
   int margin_ = 0;
-  Image<float> inverse_noise_;       // of one band, from the first image
-  std::vector<Image<float>> bands_;  // aligned to the first
-  Image<float> mean_;
 };
 
-/// Half-size images, coarser and coarser; level 0 is the input itself.
+/// Half-size images, coarser and coarser; level 0 is half the input.
 using Pyramid = std::vector<std::vector<Image<float>>>;
 
-Pyramid coarser_levels(const std::vector<Image<float>>& images) {
+Pyramid coarser_levels(const std::vector<Image<float>>& images, const Context& context) {
   Pyramid pyramid;
   const std::vector<Image<float>>* finer = &images;
   while (std::min((*finer)[0].width(), (*finer)[0].height()) >= 2 * coarsest_side_px) {
-    std::vector<Image<float>> halves;
-    for (const Image<float>& image : *finer) halves.push_back(half_size(image));
+    std::vector<Image<float>> halves(images.size());
+    parallel_for(context, images.size(), 1, [&](std::size_t k, std::size_t) { halves[k] = half_size((*finer)[k]); });
     pyramid.push_back(std::move(halves));
     finer = &pyramid.back();
   }
   return pyramid;
-}
-
-std::vector<const Image<float>*> pointers_to(const std::vector<Image<float>>& images) {
-  std::vector<const Image<float>*> pointers;
-  for (const Image<float>& image : images) pointers.push_back(&image);
-  return pointers;
 }
 
 /// Why a displacement cannot be believed, or nothing.
@@ -439,24 +492,25 @@ std::vector<ImageRegistration> register_images(const std::vector<Image<float>>& 
     return results;
   }
 
-  const OpenCvThreads opencv_threads(context.threads);
-  Pyramid pyramid = coarser_levels(images);
-  const auto levels = static_cast<double>(pyramid.size() + 1);
+  const OneOpenCvThread one_opencv_thread;
+  const Pyramid pyramid = coarser_levels(images, context);
   std::vector<Affine> maps(images.size(), identity_affine());
   Level::Assessment assessment;
   double last_step_px = 0;
-  for (bool first = true;; first = false) {
-    const bool finest = pyramid.empty();
-    context.progress("capture", (levels - static_cast<double>(pyramid.size()) - 1) / levels, "registration");
-    Level level(finest ? pointers_to(images) : pointers_to(pyramid.back()), noise, options, context);
-    for (std::size_t k = 1; first && k < images.size(); ++k) maps[k] = level.phase_correlation(k);
+  for (std::size_t coarser = pyramid.size() + 1; coarser-- > 0;) {
+    const bool coarsest = coarser == pyramid.size(), finest = coarser == 0;
+    context.progress("capture", 1 - static_cast<double>(coarser + 1) / static_cast<double>(pyramid.size() + 1),
+                     "registration");
+    const bool has_quarters = coarser + 2 <= pyramid.size();
+    const Level level(finest ? images : pyramid[coarser - 1],
+                      has_quarters ? pyramid[coarser + 1] : std::vector<Image<float>>{}, noise, options, context);
+    for (std::size_t k = 1; coarsest && k < images.size(); ++k) maps[k] = level.phase_correlation(k);
     last_step_px = level.solve(maps, finest ? fine_tolerance_px : coarse_tolerance_px);
     if (finest) {
       assessment = level.assess(maps);
-      break;
+    } else {
+      for (Affine& map : maps) map.col(2) *= 2;
     }
-    for (Affine& map : maps) map.col(2) *= 2;
-    pyramid.pop_back();
   }
   for (std::size_t k = 1; k < images.size(); ++k) {
     results[k].image_from_base = maps[k];

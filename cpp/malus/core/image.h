@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "malus/core/error.h"
+#include "malus/core/large_allocator.h"
 
 namespace malus {
 
@@ -35,6 +36,15 @@ class Image {
   Image() = default;
   Image(Size size, int channels = 1, T value = T{})
       : size_(size), channels_(channels), pixels_(size.area() * static_cast<std::size_t>(channels), value) {}
+  /// An image whose values are whatever the memory held, for who writes every one of them: nothing is touched here, so
+  /// threads that write parts of it also share the work of getting its memory.
+  static Image uninitialized(Size size, int channels = 1) {
+    Image image;
+    image.size_ = size;
+    image.channels_ = channels;
+    image.pixels_ = Pixels(size.area() * static_cast<std::size_t>(channels));
+    return image;
+  }
 
   int width() const { return size_.width; }
   int height() const { return size_.height; }
@@ -67,6 +77,8 @@ class Image {
   bool operator==(const Image&) const = default;
 
  private:
+  using Pixels = std::vector<T, LargeAllocator<T>>;
+
   std::size_t offset(int u, int v, int c) const {
     return (static_cast<std::size_t>(v) * static_cast<std::size_t>(size_.width) + static_cast<std::size_t>(u)) *
                static_cast<std::size_t>(channels_) +
@@ -75,7 +87,7 @@ class Image {
 
   Size size_;
   int channels_ = 0;
-  std::vector<T> pixels_;
+  Pixels pixels_;
 };
 
 /// Binary raster: non-zero = set (object, valid, …). One channel.

@@ -14,9 +14,7 @@
 namespace malus {
 namespace {
 
-/// Pixels that one thread takes at a time.
-constexpr std::size_t grain = 64 * SinusoidRun::longest;
-constexpr float none = std::numeric_limits<float>::quiet_NaN();
+constexpr std::size_t run_length = SinusoidRun<float>::length;
 /// Angles closer than this (modulo π) are the same polarizer position.
 constexpr double same_angle_rad = 1e-6;
 
@@ -43,20 +41,26 @@ void count_angles(std::span<const double> angles_rad, std::vector<double>& disti
   }
 }
 
-void validate(Size size, std::span<const float* const> images, std::span<const double> angles_rad, const Mask& mask,
+/// Pixels that one thread takes at a time: of large rasters a huge page, so that no two threads clear the same one.
+std::size_t grain_of(std::size_t pixels) {
+  constexpr std::size_t least = 64 * run_length, most = (std::size_t{2} << 20) / sizeof(float);
+  return std::clamp(pixels / 16 / run_length * run_length, least, most);
+}
+
+void validate(Size size, std::size_t images, std::span<const double> angles_rad, const Mask& mask,
               const Mask& saturated, const DecomposeOptions& options) {
   validate_fields(options, "polarization");
-  if (images.size() != angles_rad.size()) {
-    throw input_error(std::to_string(images.size()) + " polarized images but " + std::to_string(angles_rad.size()) +
+  if (images != angles_rad.size()) {
+    throw input_error(std::to_string(images) + " polarized images but " + std::to_string(angles_rad.size()) +
                       " polarizer angles, expected one angle an image");
   }
-  if (images.empty()) throw data_error("no polarized images, expected at least three polarizer angles");
+  if (images == 0) throw data_error("no polarized images, expected at least three polarizer angles");
   for (std::size_t k = 0; k < angles_rad.size(); ++k) {
     if (!std::isfinite(angles_rad[k])) {
       throw input_error("angle of polarized image " + std::to_string(k) + " is not a finite number");
     }
   }
-  require_size(mask, size, "mask");
+  if (!mask.empty()) require_size(mask, size, "mask");
   if (!saturated.empty()) require_size(saturated, size, "saturation mask");
 }
 
@@ -96,9 +100,9 @@ class PixelFitter {
   }
 
   /// Fits a pixel and writes it into the rasters of a state; `recover`: if it does not follow the sinusoid, without the
-  /// image that spoils it most.
-  SinusoidOutcome fit(const std::vector<double>& values, bool recover, PolarizationState& state,
-                      std::size_t pixel) const {
+  /// image that spoils it most. `saturated`: the pixel is.
+  void fit(const std::vector<double>& values, bool recover, bool saturated, PolarizationState& state,
+           std::size_t pixel) const {
     Fit best = fit(values, rows_.size(), all_);
     std::size_t freedom = rows_.size() - 3;
     bool misfit = misfits(best, freedom);
@@ -112,24 +116,31 @@ class PixelFitter {
     state.phi[pixel] = phase_of(best.stokes);
     state.residual[pixel] =
         freedom > 0 ? static_cast<float>(std::sqrt(best.sum_normalized / static_cast<double>(freedom))) : 0.0f;
-    return misfit ? SinusoidOutcome::misfit : SinusoidOutcome::fitted;
+    PixelState is = misfit ? PixelState::misfit : PixelState::valid;
+    if (!(state.i_un[pixel] > dark())) is = PixelState::dark;
+    if (saturated) is = PixelState::saturated;
+    state.valid[pixel] = static_cast<std::uint8_t>(is);
   }
 
   /// The uniformly weighted fit.
   SinusoidFit single_precision() const {
     SinusoidFit single;
+    const double unit = 1 / noise_.variance(0.5);
+    const double inverse_freedom = rows_.size() > 3 ? 1 / static_cast<double>(rows_.size() - 3) : 0.0;
     for (std::size_t k = 0; k < rows_.size(); ++k) {
-      for (int i = 0; i < 3; ++i) {
-        single.solver[i].push_back(static_cast<float>(all_(i, static_cast<Eigen::Index>(k))));
-      }
-      single.cosine.push_back(static_cast<float>(2 * rows_[k][1]));
-      single.sine.push_back(static_cast<float>(2 * rows_[k][2]));
+      SinusoidFit::View& view = single.views.emplace_back();
+      for (int i = 0; i < 3; ++i) view.solver[i] = static_cast<float>(0.5 * all_(i, static_cast<Eigen::Index>(k)));
+      view.cosine = static_cast<float>(2 * rows_[k][1]);
+      view.sine = static_cast<float>(2 * rows_[k][2]);
+      view.weight = static_cast<float>(std::sqrt(inverse_freedom * unit));
     }
-    single.noise_floor = static_cast<float>(noise_.variance(0));
-    single.noise_slope = static_cast<float>(noise_.variance(1) - noise_.variance(0));
-    single.inverse_freedom = rows_.size() > 3 ? 1 / static_cast<float>(rows_.size() - 3) : 0.0f;
+    while (single.views.size() % SinusoidFit::group != 0) single.views.emplace_back();
+    // Without read noise a dark pixel would have no variance to divide by.
+    single.noise_floor = static_cast<float>(std::max(unit * noise_.variance(0), 1e-5));
+    single.noise_slope = static_cast<float>(unit * (noise_.variance(1) - noise_.variance(0)));
     single.misfit_variance = static_cast<float>(options_.misfit_sigmas * options_.misfit_sigmas);
-    single.misfit_fraction2 = static_cast<float>(options_.misfit_fraction * options_.misfit_fraction);
+    single.misfit_fraction2 = static_cast<float>(unit * options_.misfit_fraction * options_.misfit_fraction);
+    single.dark = dark();
     return single;
   }
 
@@ -150,6 +161,9 @@ class PixelFitter {
     }
     return solver;
   }
+
+  /// Unpolarized intensity up to which a pixel is dark.
+  float dark() const { return static_cast<float>(options_.dark_sigmas * std::sqrt(noise_.variance(0))); }
 
   bool misfits(const Fit& fit, std::size_t freedom) const {
     if (freedom == 0) return false;
@@ -205,6 +219,77 @@ class PixelFitter {
   std::vector<Solver> without_;
 };
 
+/// A run that is shorter than fit_sinusoid's, by way of memory that is not; what is beyond `count` counts as off the
+/// object.
+template <class Sample>
+bool fit_short_run(const SinusoidFit& fit, SinusoidRun<Sample> run, std::size_t count) {
+  std::vector<Sample> samples(fit.views.size() * run_length, Sample{});
+  std::vector<const Sample*> views;
+  for (std::size_t k = 0; k < fit.views.size(); ++k) {
+    views.push_back(samples.data() + k * run_length);
+    std::copy_n(run.images[k], count, samples.data() + k * run_length);
+  }
+  std::uint8_t mask[run_length] = {}, saturated[run_length] = {}, valid[run_length];
+  std::copy_n(run.mask, count, mask);
+  std::copy_n(run.saturated, count, saturated);
+  float results[4][run_length];
+  const bool misfits = fit_sinusoid(
+      fit, {views.data(), mask, saturated, results[0], results[1], results[2], results[3], valid, run.outcomes});
+  float* const rasters[] = {run.i_un, run.rho, run.phi, run.residual};
+  for (std::size_t r = 0; r < 4; ++r) std::copy_n(results[r], count, rasters[r]);
+  std::copy_n(valid, count, run.valid);
+  return misfits;
+}
+
+template <class Sample>
+PolarizationState decompose_samples(Size size, std::span<const Sample* const> images,
+                                    std::span<const double> angles_rad, const NoiseModel& noise, const Mask& mask,
+                                    const Mask& saturated, const DecomposeOptions& options, const Context& context) {
+  validate(size, images.size(), angles_rad, mask, saturated, options);
+  PolarizationState state;
+  count_angles(angles_rad, state.angles_rad, state.exposures);
+  require_usable_angles(angles_rad, state.angles_rad.size(), options.max_condition);
+  state.noise = noise;
+  state.weighting = options.weighting;
+  for (Image<float>* raster : {&state.i_un, &state.rho, &state.phi, &state.residual}) {
+    *raster = Image<float>::uninitialized(size);
+  }
+  state.valid = Mask::uninitialized(size);
+
+  const PixelFitter fitter(design_rows(angles_rad), noise, options);
+  const SinusoidFit uniform = fitter.single_precision();
+  const bool recover = options.recover_outliers && images.size() >= 5;
+  const bool weighted = options.weighting == FitWeighting::noise;
+  const std::vector<std::uint8_t> everywhere(run_length, 255), nowhere(run_length, 0);
+
+  parallel_for(context, size.area(), grain_of(size.area()), [&](std::size_t block_begin, std::size_t block_end) {
+    SinusoidOutcome outcomes[run_length];
+    std::vector<const Sample*> views(uniform.views.size());
+    std::vector<double> values(images.size());
+    for (std::size_t begin = block_begin; begin < block_end; begin += run_length) {
+      const std::size_t count = std::min(run_length, block_end - begin);
+      for (std::size_t k = 0; k < views.size(); ++k) views[k] = images[k < images.size() ? k : 0] + begin;
+      const SinusoidRun<Sample> run{views.data(),
+                                    mask.empty() ? everywhere.data() : mask.data() + begin,
+                                    saturated.empty() ? nowhere.data() : saturated.data() + begin,
+                                    state.i_un.data() + begin,
+                                    state.rho.data() + begin,
+                                    state.phi.data() + begin,
+                                    state.residual.data() + begin,
+                                    state.valid.data() + begin,
+                                    outcomes};
+      const bool misfits = count == run_length ? fit_sinusoid(uniform, run) : fit_short_run(uniform, run, count);
+      if (!weighted && !(recover && misfits)) continue;
+      for (std::size_t i = 0; i < count; ++i) {
+        if (outcomes[i] == SinusoidOutcome::outside || (!weighted && outcomes[i] == SinusoidOutcome::fitted)) continue;
+        for (std::size_t k = 0; k < values.size(); ++k) values[k] = intensity(images[k][begin + i]);
+        fitter.fit(values, recover, run.saturated[i] != 0, state, begin + i);
+      }
+    }
+  });
+  return state;
+}
+
 }  // namespace
 
 double angle_condition(std::span<const double> angles_rad) {
@@ -231,53 +316,16 @@ PolarizationState decompose(std::span<const Image<float>> images, std::span<cons
   return decompose(size, pixels, angles_rad, noise, mask, saturated, options, context);
 }
 
-PolarizationState decompose(Size size, std::span<const float* const> pixels, std::span<const double> angles_rad,
+PolarizationState decompose(Size size, std::span<const float* const> images, std::span<const double> angles_rad,
                             const NoiseModel& noise, const Mask& mask, const Mask& saturated,
                             const DecomposeOptions& options, const Context& context) {
-  validate(size, pixels, angles_rad, mask, saturated, options);
-  PolarizationState state;
-  count_angles(angles_rad, state.angles_rad, state.exposures);
-  require_usable_angles(angles_rad, state.angles_rad.size(), options.max_condition);
-  state.noise = noise;
-  state.weighting = options.weighting;
-  for (Image<float>* raster : {&state.i_un, &state.rho, &state.phi, &state.residual}) {
-    *raster = Image<float>(size, 1, none);
-  }
-  state.valid = Mask(size, 1, static_cast<std::uint8_t>(PixelState::outside));
+  return decompose_samples(size, images, angles_rad, noise, mask, saturated, options, context);
+}
 
-  const PixelFitter fitter(design_rows(angles_rad), noise, options);
-  const float dark = static_cast<float>(options.dark_sigmas * std::sqrt(noise.variance(0)));
-  const SinusoidFit uniform = fitter.single_precision();
-  const bool recover = options.recover_outliers && pixels.size() >= 5;
-
-  parallel_for(context, mask.count(), grain, [&](std::size_t block_begin, std::size_t block_end) {
-    SinusoidOutcome outcomes[SinusoidRun::longest];
-    std::vector<double> values(pixels.size());
-    for (std::size_t begin = block_begin; begin < block_end; begin += SinusoidRun::longest) {
-      const std::size_t count = std::min(SinusoidRun::longest, block_end - begin);
-      fit_sinusoid(
-          uniform,
-          {pixels.data(), begin, count, state.i_un.data(), state.rho.data(), state.phi.data(), state.residual.data()},
-          outcomes);
-      for (std::size_t i = begin; i < begin + count; ++i) {
-        SinusoidOutcome& outcome = outcomes[i - begin];
-        if (mask[i] == 0 || outcome == SinusoidOutcome::not_finite) {
-          state.i_un[i] = state.rho[i] = state.phi[i] = state.residual[i] = none;
-          continue;
-        }
-        const bool recovered = recover && outcome == SinusoidOutcome::misfit;
-        if (recovered || options.weighting == FitWeighting::noise) {
-          for (std::size_t k = 0; k < values.size(); ++k) values[k] = pixels[k][i];
-          outcome = fitter.fit(values, recover, state, i);
-        }
-        PixelState pixel = outcome == SinusoidOutcome::misfit ? PixelState::misfit : PixelState::valid;
-        if (!(state.i_un[i] > dark)) pixel = PixelState::dark;
-        if (!saturated.empty() && saturated[i] != 0) pixel = PixelState::saturated;
-        state.valid[i] = static_cast<std::uint8_t>(pixel);
-      }
-    }
-  });
-  return state;
+PolarizationState decompose(Size size, std::span<const std::uint16_t* const> images, std::span<const double> angles_rad,
+                            const NoiseModel& noise, const Mask& mask, const Mask& saturated,
+                            const DecomposeOptions& options, const Context& context) {
+  return decompose_samples(size, images, angles_rad, noise, mask, saturated, options, context);
 }
 
 }  // namespace malus

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <span>
 
 #include "malus/core/context.h"
@@ -41,8 +42,9 @@ double angle_condition(std::span<const double> angles_rad);
 ///
 /// images: K of the same size, 1 channel, linear, in [0, 1] of the white level; angles_rad: one an image, counter-
 /// clockwise from image +x as displayed. The same angle several times (modulo π) counts as several exposures of it.
-/// mask: non-zero = object. saturated: non-zero = clipped in some image; may be empty. A pixel that is not finite in
-/// some image is outside. Saturated, dark and misfitting pixels keep their fitted values; `valid` says what they are.
+/// mask: non-zero = object; empty = everything. saturated: non-zero = clipped in some image; may be empty. A pixel that
+/// is not finite in some image is outside. Saturated, dark and misfitting pixels keep their fitted values; `valid` says
+/// what they are.
 ///
 /// One pass over the stack in single precision, pixels that ask for more (noise weights, outliers) in double; memory
 /// beyond it is that of the result. Throws an input error for sizes and counts that do not match, a data error for
@@ -51,8 +53,13 @@ PolarizationState decompose(std::span<const Image<float>> images, std::span<cons
                             const NoiseModel& noise, const Mask& mask, const Mask& saturated,
                             const DecomposeOptions& options, const Context& context);
 
-/// The same for images that somebody else owns (numpy): each `size` pixels, row major, without padding.
+/// The same for images that somebody else owns (numpy): each `size` pixels, row major, without padding. 16-bit ones are
+/// read as they are, white at 65535.
 PolarizationState decompose(Size size, std::span<const float* const> images, std::span<const double> angles_rad,
+                            const NoiseModel& noise, const Mask& mask, const Mask& saturated,
+                            const DecomposeOptions& options, const Context& context);
+
+PolarizationState decompose(Size size, std::span<const std::uint16_t* const> images, std::span<const double> angles_rad,
                             const NoiseModel& noise, const Mask& mask, const Mask& saturated,
                             const DecomposeOptions& options, const Context& context);
 

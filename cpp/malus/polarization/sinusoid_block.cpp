@@ -1,81 +1,145 @@
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <numbers>
 
 #include "malus/core/simd.h"
+#include "malus/polarization/polarization_state.h"
 #include "malus/polarization/sinusoid_block_internal.h"
 
 namespace malus {
 namespace {
 
-/// atan2(y, x) / 2 in [0, π), to 2e-7. By π/4 − atan((1 − t) / (1 + t)) the series is needed to tan(π/8) only; its
-/// coefficients are the Chebyshev interpolation of atan(t) / t in t².
-[[gnu::always_inline]] inline float half_angle(float y, float x) {
-  constexpr float pi = std::numbers::pi_v<float>, tan_eighth = 0.41421356F;
+/// Below every intensity that means anything; its square is still a normal number.
+constexpr float least = 1e-15F;
+
+/// atan2(y, x) by way of atan(top / bottom) between -tan(π/8) and tan(π/8), as π/4 − atan((1 − t) / (1 + t)) = atan(t).
+struct Angle {
+  float top, bottom;  ///< bottom > 0
+  bool eighth, steep, left, below;
+};
+
+[[gnu::always_inline]] inline Angle reduced_angle(float y, float x) {
+  constexpr float tan_eighth = 0.41421356F;
   const float ax = std::abs(x), ay = std::abs(y);
   const float small = std::min(ax, ay), large = std::max(ax, ay);
-  const bool upper = small > tan_eighth * large;
-  const float top = upper ? small - large : small, bottom = upper ? small + large : large;
-  const float t = bottom > 0 ? top / bottom : 0.0F, z = t * t;
-  float angle = 0.99999999F + z * (-0.333333075F + z * (0.199982108F + z * (-0.142399829F + z * (0.105728145F - z * 0.0603324171F))));
-  angle = t * angle + (upper ? 0.25F * pi : 0.0F);
-  angle = ay > ax ? 0.5F * pi - angle : angle;
-  angle = x < 0 ? pi - angle : angle;
-  angle = y < 0 ? 2 * pi - angle : angle;
+  const bool eighth = small > tan_eighth * large;
+  const float top = eighth ? small - large : small, bottom = eighth ? small + large : large;
+  return {top, std::max(bottom, least), eighth, ay > ax, x < 0, y < 0};
+}
+
+/// Half of the angle, in [0, π), to 2e-7; t = top / bottom. The coefficients are the Chebyshev interpolation of
+/// atan(t) / t in t².
+[[gnu::always_inline]] inline float half_angle(const Angle& reduced, float t) {
+  constexpr float pi = std::numbers::pi_v<float>;
+  const float z = t * t;
+  float angle = 0.99999999F +
+                z * (-0.333333075F + z * (0.199982108F + z * (-0.142399829F + z * (0.105728145F - z * 0.0603324171F))));
+  angle = t * angle + (reduced.eighth ? 0.25F * pi : 0.0F);
+  angle = reduced.steep ? 0.5F * pi - angle : angle;
+  angle = reduced.left ? pi - angle : angle;
+  angle = reduced.below ? 2 * pi - angle : angle;
   const float half = 0.5F * angle;
   return half < pi ? half : 0.0F;
 }
 
-}  // namespace
-
-// Everything is done on arrays of its own and of constant length: loops that could touch each other's memory, or whose
-// length is not known, were compiled to scalar code.
-MALUS_SIMD_CLONES void fit_sinusoid(const SinusoidFit& fit, const SinusoidRun& run, SinusoidOutcome* outcomes) {
-  constexpr std::size_t longest = SinusoidRun::longest;
-  const std::size_t images = fit.cosine.size();
-  float s0[longest] = {}, s1[longest] = {}, s2[longest] = {}, squares[longest] = {}, normalized[longest] = {};
-  float image[longest] = {};
-  for (std::size_t k = 0; k < images; ++k) {
-    std::copy_n(run.images[k] + run.offset, run.count, image);
-    const float a = fit.solver[0][k], b = fit.solver[1][k], c = fit.solver[2][k];
-    for (std::size_t i = 0; i < longest; ++i) s0[i] += a * image[i];
-    for (std::size_t i = 0; i < longest; ++i) s1[i] += b * image[i];
-    for (std::size_t i = 0; i < longest; ++i) s2[i] += c * image[i];
-  }
-  for (std::size_t k = 0; k < images; ++k) {
-    std::copy_n(run.images[k] + run.offset, run.count, image);
-    const float cosine = fit.cosine[k], sine = fit.sine[k], slope = fit.noise_slope, floor = fit.noise_floor;
-    for (std::size_t i = 0; i < longest; ++i) {
-      const float expected = 0.5F * (s0[i] + cosine * s1[i] + sine * s2[i]);
-      const float rest = image[i] - expected, square = rest * rest;
-      squares[i] += square;
-      normalized[i] += square / (slope * std::max(expected, 0.0F) + floor);
+// Loops become vector code because their length is constant, the rasters are said not to overlap, and what is passed
+// from one to the next lies in arrays of their own. A group of images is one pass over those arrays, and one division:
+// Σ nᵢ / dᵢ is kept as a fraction meanwhile.
+template <class Sample>
+[[gnu::always_inline]] inline bool fit_run(const SinusoidFit& fit, const SinusoidRun<Sample>& run) {
+  constexpr std::size_t length = SinusoidRun<Sample>::length, group = SinusoidFit::group;
+  alignas(64) float half_s0[length] = {}, half_s1[length] = {}, half_s2[length] = {};
+  alignas(64) float squares[length] = {}, normalized[length] = {};
+  for (std::size_t first = 0; first < fit.views.size(); first += group) {
+    const Sample* images[group];
+    SinusoidFit::View views[group];
+    for (std::size_t k = 0; k < group; ++k) images[k] = run.images[first + k], views[k] = fit.views[first + k];
+    for (std::size_t i = 0; i < length; ++i) {
+      float sums[3] = {};
+#pragma GCC unroll 8
+      for (std::size_t k = 0; k < group; ++k) {
+        const float value = intensity(images[k][i]);
+        sums[0] += views[k].solver[0] * value;
+        sums[1] += views[k].solver[1] * value;
+        sums[2] += views[k].solver[2] * value;
+      }
+      half_s0[i] += sums[0], half_s1[i] += sums[1], half_s2[i] += sums[2];
     }
   }
-  float results[4][longest];
-  const float inverse_freedom = fit.inverse_freedom;
-  for (std::size_t i = 0; i < longest; ++i) {
-    const float degree = std::sqrt(s1[i] * s1[i] + s2[i] * s2[i]) / s0[i];
-    results[0][i] = 0.5F * s0[i];
-    results[1][i] = s0[i] > 0 ? std::min(degree, 1.0F) : 0.0F;
-    results[3][i] = std::sqrt(normalized[i] * inverse_freedom);
+  const float slope = fit.noise_slope, floor = fit.noise_floor;
+  for (std::size_t first = 0; first < fit.views.size(); first += group) {
+    const Sample* images[group];
+    SinusoidFit::View views[group];
+    for (std::size_t k = 0; k < group; ++k) images[k] = run.images[first + k], views[k] = fit.views[first + k];
+    for (std::size_t i = 0; i < length; ++i) {
+      float sum = 0, numerator = 0, denominator = 1;
+#pragma GCC unroll 8
+      for (std::size_t k = 0; k < group; ++k) {
+        const float expected = half_s0[i] + views[k].cosine * half_s1[i] + views[k].sine * half_s2[i];
+        const float rest = views[k].weight * (intensity(images[k][i]) - expected), square = rest * rest;
+        const float variance = slope * std::max(expected, 0.0F) + floor;
+        sum += square;
+        numerator = numerator * variance + square * denominator;
+        denominator *= variance;
+      }
+      squares[i] += sum;
+      normalized[i] += numerator / denominator;
+    }
   }
-  for (std::size_t i = 0; i < longest; ++i) results[2][i] = half_angle(s2[i], s1[i]);
-  float* const rasters[] = {run.i_un, run.rho, run.phi, run.residual};
-  for (std::size_t r = 0; r < 4; ++r) std::copy_n(results[r], run.count, rasters[r] + run.offset);
 
-  const float misfit_variance = fit.misfit_variance, misfit_fraction2 = fit.misfit_fraction2;
-  int codes[longest];
-  for (std::size_t i = 0; i < longest; ++i) {
-    const float half = 0.5F * s0[i];
+  const float misfit_variance = fit.misfit_variance, misfit_fraction2 = fit.misfit_fraction2, dark = fit.dark;
+  constexpr float none = std::numeric_limits<float>::quiet_NaN();
+  alignas(64) int inside[length], misfit[length];
+  const std::uint8_t* const mask = run.mask;
+  int misfits = 0;
+  for (std::size_t i = 0; i < length; ++i) {
     // A comparison with what is not a number is false.
-    const int far = normalized[i] * inverse_freedom > misfit_variance;
-    const int bright = squares[i] * inverse_freedom > misfit_fraction2 * half * half;
-    const int negative = half < 0, finite = squares[i] - squares[i] == 0;
-    const int misfit = far & (bright | negative);
-    codes[i] = finite ? misfit : static_cast<int>(SinusoidOutcome::not_finite);
+    const int far = normalized[i] > misfit_variance;
+    const int bright = squares[i] > misfit_fraction2 * half_s0[i] * half_s0[i];
+    const int negative = half_s0[i] < 0, finite = squares[i] - squares[i] == 0;
+    inside[i] = finite & static_cast<int>(mask[i] != 0);
+    misfit[i] = inside[i] & far & (bright | negative);
+    misfits |= misfit[i];
   }
-  for (std::size_t i = 0; i < run.count; ++i) outcomes[i] = static_cast<SinusoidOutcome>(codes[i]);
+  // Roots and quotients that nobody takes for some pixels would not be vector code.
+  alignas(64) float linear[length], deviation[length], degree[length], tangent[length], half[length];
+  for (std::size_t i = 0; i < length; ++i) linear[i] = std::sqrt(half_s1[i] * half_s1[i] + half_s2[i] * half_s2[i]);
+  for (std::size_t i = 0; i < length; ++i) deviation[i] = std::sqrt(normalized[i]);
+  for (std::size_t i = 0; i < length; ++i) {
+    const Angle angle = reduced_angle(half_s2[i], half_s1[i]);
+    // One division for both quotients.
+    const float bright = std::max(half_s0[i], least), inverse = 1 / (bright * angle.bottom);
+    degree[i] = std::min(linear[i] * (inverse * angle.bottom), 1.0F);
+    tangent[i] = angle.top * (inverse * bright);
+  }
+  for (std::size_t i = 0; i < length; ++i) half[i] = half_angle(reduced_angle(half_s2[i], half_s1[i]), tangent[i]);
+  float* __restrict const i_un = run.i_un, * __restrict const rho = run.rho, * __restrict const phi = run.phi, * __restrict const residual = run.residual;
+  for (std::size_t i = 0; i < length; ++i) i_un[i] = inside[i] ? half_s0[i] : none;
+  for (std::size_t i = 0; i < length; ++i) rho[i] = inside[i] ? (half_s0[i] > 0 ? degree[i] : 0.0F) : none;
+  for (std::size_t i = 0; i < length; ++i) phi[i] = inside[i] ? half[i] : none;
+  for (std::size_t i = 0; i < length; ++i) residual[i] = inside[i] ? deviation[i] : none;
+  const std::uint8_t* const saturated = run.saturated;
+  std::uint8_t* __restrict const valid = run.valid;
+  for (std::size_t i = 0; i < length; ++i) {
+    int state = misfit[i] ? static_cast<int>(PixelState::misfit) : static_cast<int>(PixelState::valid);
+    state = half_s0[i] > dark ? state : static_cast<int>(PixelState::dark);
+    state = saturated[i] != 0 ? static_cast<int>(PixelState::saturated) : state;
+    valid[i] = static_cast<std::uint8_t>(inside[i] ? state : static_cast<int>(PixelState::outside));
+  }
+  auto* __restrict const outcomes = reinterpret_cast<std::uint8_t*>(run.outcomes);
+  for (std::size_t i = 0; i < length; ++i) outcomes[i] = static_cast<std::uint8_t>(2 * inside[i] - misfit[i]);
+  return misfits != 0;
+}
+
+}  // namespace
+
+MALUS_SIMD_CLONES bool fit_sinusoid(const SinusoidFit& fit, const SinusoidRun<float>& run) {
+  return fit_run(fit, run);
+}
+
+MALUS_SIMD_CLONES bool fit_sinusoid(const SinusoidFit& fit, const SinusoidRun<std::uint16_t>& run) {
+  return fit_run(fit, run);
 }
 
 }  // namespace malus

@@ -7,28 +7,51 @@
 namespace malus {
 
 /// The uniformly weighted sinusoid fit in single precision, for runs of pixels.
+///
+/// Residuals and variances are in units that keep a product of several variances in range.
 struct SinusoidFit {
-  std::vector<float> solver[3];   ///< s0, s1, s2 are Σ solver[·][k] · image k
-  std::vector<float> cosine, sine;  ///< of twice the angle of image k
-  float noise_slope = 0, noise_floor = 0;  ///< variance = slope · intensity + floor
-  float inverse_freedom = 0;               ///< 1 / (images − 3); 0 if there are only three
+  /// Images that are worked on together.
+  static constexpr std::size_t group = 6;
+
+  /// What one image has to do with the fit.
+  struct View {
+    float solver[3] = {};        ///< half of s0, s1, s2 are Σ solver · image
+    float cosine = 0, sine = 0;  ///< of twice the polarizer angle
+    float weight = 0;            ///< of its residual; 0 for an image that only fills up the last group
+  };
+  std::vector<View> views;                 ///< a multiple of `group`
+  float noise_slope = 0, noise_floor = 0;  ///< variance = slope · intensity + floor; times `unit`
   float misfit_variance = 0;               ///< mean squared normalized residual of a misfit …
-  float misfit_fraction2 = 0;              ///< … and its mean squared residual over i_un²
+  float misfit_fraction2 = 0;              ///< … and its mean squared residual over i_un²; times `unit`
+  float dark = 0;                          ///< unpolarized intensity up to which a pixel is dark
 };
 
-/// A run of pixels in every raster; results are written for all of them.
+/// Of the white level, from a sample of an image.
+[[gnu::always_inline]] inline float intensity(float sample) {
+  return sample;
+}
+[[gnu::always_inline]] inline float intensity(std::uint16_t sample) {
+  return static_cast<float>(sample) * (1.0F / 65535.0F);
+}
+
+/// Whether a pixel was fitted, and follows the fit.
+enum class SinusoidOutcome : std::uint8_t { outside, misfit, fitted };
+
+/// A run of pixels in every raster, each pointer to the first of them; results are written for all of them.
+template <class Sample>
 struct SinusoidRun {
-  static constexpr std::size_t longest = 256;
+  static constexpr std::size_t length = 256;
 
-  const float* const* images;  ///< one a polarizer position, each from its first pixel on
-  std::size_t offset, count;   ///< pixels [offset, offset + count); at most `longest`
-  float *i_un, *rho, *phi, *residual;  ///< as in PolarizationState, first pixel of the rasters
+  const Sample* const* images;  ///< one a view
+  const std::uint8_t *mask, *saturated;
+  float *i_un, *rho, *phi, *residual;  ///< as in PolarizationState
+  std::uint8_t* valid;                 ///< the same
+  SinusoidOutcome* outcomes;
 };
 
-/// Whether a pixel could be fitted, and follows the fit.
-enum class SinusoidOutcome : std::uint8_t { fitted, misfit, not_finite };
-
-/// Fits a run. A pixel that is not finite in some image gets results that are not finite either.
-void fit_sinusoid(const SinusoidFit& fit, const SinusoidRun& run, SinusoidOutcome* outcomes);
+/// Fits a run; true if any pixel of it is a misfit. Pixels off the mask, or not finite in some image, are outside.
+bool fit_sinusoid(const SinusoidFit& fit, const SinusoidRun<float>& run);
+/// The same for 16-bit images, white at 65535.
+bool fit_sinusoid(const SinusoidFit& fit, const SinusoidRun<std::uint16_t>& run);
 
 }  // namespace malus

@@ -5,26 +5,36 @@
 #include <cmath>
 #include <functional>
 #include <limits>
-#include <memory>
 #include <numbers>
 #include <numeric>
 #include <span>
 #include <string>
 
 #include "malus/core/error.h"
+#include "malus/core/large_allocator.h"
 #include "malus/core/median.h"
 #include "malus/core/parallel.h"
 
 namespace malus {
 namespace {
 
-constexpr std::size_t block_size = 1 << 16;
+constexpr std::size_t block_size = 1 << 18;
+/// Points whose place in the mask is asked for together: in random order each would be waited for.
+constexpr std::size_t batch_size = 64;
 /// Points of one pixel whose depths differ by less are one surface.
 constexpr float same_surface_gsd = 3;
 
 struct ProjectedPoint {
   float u, v, depth;
   Eigen::Vector3f normal;  ///< in the camera frame; 0 = none
+};
+
+/// A point of the cloud that is inside the view.
+struct PointInView {
+  std::size_t index;
+  Eigen::Vector3d x;  ///< in the camera frame
+  Eigen::Vector2d pixel;
+  const std::uint8_t* on_object;  ///< its place in the mask
 };
 
 PointCensus& operator+=(PointCensus& a, const PointCensus& b) {
@@ -47,79 +57,93 @@ struct Bands {
   std::size_t of(float v) const { return static_cast<std::size_t>(pixel_of(v, height) / rows); }
 };
 
-/// Points band by band, in the cloud's order within a band.
-struct BandedPoints {
-  std::unique_ptr<ProjectedPoint[]> points;
-  std::vector<std::size_t> start;  ///< of each band, and the end
+template <class T>
+using LargeVector = std::vector<T, LargeAllocator<T>>;
 
-  std::size_t size() const { return start.back(); }
+/// Points of a part of the cloud, band by band, in the cloud's order within a band.
+struct BandedBlock {
+  LargeVector<ProjectedPoint> points;
+  std::vector<std::uint32_t> start;  ///< of each band, and the end
+
+  std::span<const ProjectedPoint> band(std::size_t band) const {
+    return {points.data() + start[band], points.data() + start[band + 1]};
+  }
 };
+using BandedPoints = std::vector<BandedBlock>;
+
+/// A block of these points.
+BandedBlock sort_by_band(const LargeVector<ProjectedPoint>& points, const Bands& bands) {
+  BandedBlock block;
+  block.start.assign(bands.count + 1, 0);
+  for (const ProjectedPoint& p : points) ++block.start[bands.of(p.v) + 1];
+  std::partial_sum(block.start.begin(), block.start.end(), block.start.begin());
+  std::vector<std::uint32_t> next(block.start.begin(), block.start.end() - 1);
+  block.points = LargeVector<ProjectedPoint>(points.size());
+  for (const ProjectedPoint& p : points) block.points[next[bands.of(p.v)]++] = p;
+  return block;
+}
 
 /// Points in front of the camera, on the object and facing the camera.
 BandedPoints project(const PointCloud& cloud, const Pinhole& camera, const Pose& pose, const Mask& mask,
                      const Bands& bands, PointCensus& census, const Context& context) {
   const std::size_t count = cloud.points.size(), blocks = (count + block_size - 1) / block_size;
-  std::vector<std::vector<ProjectedPoint>> kept(blocks);
+  BandedPoints banded(blocks);
   std::vector<PointCensus> counts(blocks);
-  std::vector<std::uint32_t> in_band(blocks * bands.count, 0);  // of each block
   parallel_for(context, count, block_size, [&](std::size_t begin, std::size_t end) {
     const std::size_t block = begin / block_size;
-    std::vector<ProjectedPoint>& out = kept[block];
+    LargeVector<ProjectedPoint> out;
     PointCensus& counted = counts[block];
     out.reserve(end - begin);
-    for (std::size_t i = begin; i < end; ++i) {
-      const Eigen::Vector3d x = pose.cam_from_world(cloud.points[i]);
-      if (!x.allFinite()) {
-        throw input_error("prior cloud: point " + std::to_string(i) + " is not finite, expected finite coordinates");
+    PointInView batch[batch_size];
+    for (std::size_t first = begin; first < end; first += batch_size) {
+      std::size_t seen = 0;
+      for (std::size_t i = first; i < std::min(first + batch_size, end); ++i) {
+        const Eigen::Vector3d x = pose.cam_from_world(cloud.points[i]);
+        if (!x.allFinite()) {
+          throw input_error("prior cloud: point " + std::to_string(i) + " is not finite, expected finite coordinates");
+        }
+        if (!(x.z() > 0)) {
+          ++counted.behind;
+          continue;
+        }
+        const Eigen::Vector2d pixel = camera.project(x);
+        if (!(pixel.x() > -0.5 && pixel.y() > -0.5 && pixel.x() < camera.size.width - 0.5 &&
+              pixel.y() < camera.size.height - 0.5)) {
+          ++counted.outside;
+          continue;
+        }
+        const std::uint8_t* const on_object =
+            &mask(static_cast<int>(pixel.x() + 0.5), static_cast<int>(pixel.y() + 0.5));
+        __builtin_prefetch(on_object);
+        batch[seen++] = {i, x, pixel, on_object};
       }
-      if (!(x.z() > 0)) {
-        ++counted.behind;
-        continue;
-      }
-      const Eigen::Vector2d pixel = camera.project(x);
-      if (!(pixel.x() > -0.5 && pixel.y() > -0.5 && pixel.x() < camera.size.width - 0.5 &&
-            pixel.y() < camera.size.height - 0.5)) {
-        ++counted.outside;
-      } else if (mask(static_cast<int>(pixel.x() + 0.5), static_cast<int>(pixel.y() + 0.5)) == 0) {
-        ++counted.off_object;
-      } else {
+      for (const PointInView& p : std::span(batch, seen)) {
+        if (*p.on_object == 0) {
+          ++counted.off_object;
+          continue;
+        }
         Eigen::Vector3d normal = Eigen::Vector3d::Zero();
-        if (!cloud.normals.empty() && cloud.normals[i].allFinite()) {
-          normal = pose.rotation * cloud.normals[i].cast<double>().stableNormalized();
+        if (!cloud.normals.empty() && cloud.normals[p.index].allFinite()) {
+          normal = pose.rotation * cloud.normals[p.index].cast<double>().stableNormalized();
         }
-        if (normal.dot(x) > 0) {
+        if (normal.dot(p.x) > 0) {
           ++counted.facing_away;
-        } else {
-          out.push_back({static_cast<float>(pixel.x()), static_cast<float>(pixel.y()), static_cast<float>(x.z()),
-                         normal.cast<float>()});
-          ++in_band[block * bands.count + bands.of(out.back().v)];
+          continue;
         }
+        out.push_back({static_cast<float>(p.pixel.x()), static_cast<float>(p.pixel.y()), static_cast<float>(p.x.z()),
+                       normal.cast<float>()});
       }
     }
+    banded[block] = sort_by_band(out, bands);
   });
   for (const PointCensus& counted : counts) census += counted;
-
-  BandedPoints banded;
-  banded.start.assign(bands.count + 1, 0);
-  std::vector<std::size_t> next(blocks * bands.count);
-  for (std::size_t band = 0, total = 0; band < bands.count; ++band) {
-    for (std::size_t block = 0; block < blocks; ++block) {
-      next[block * bands.count + band] = total;
-      total += in_band[block * bands.count + band];
-    }
-    banded.start[band + 1] = total;
-  }
-  banded.points = std::make_unique_for_overwrite<ProjectedPoint[]>(banded.size());
-  parallel_for(context, blocks, 1, [&](std::size_t block, std::size_t) {
-    for (const ProjectedPoint& p : kept[block]) banded.points[next[block * bands.count + bands.of(p.v)]++] = p;
-    std::vector<ProjectedPoint>().swap(kept[block]);
-  });
   return banded;
 }
 
-/// The value that would be at count / 2 if all were sorted; values(i) must not be negative.
-template <class Values>
-float middle_of(std::size_t count, const Context& context, Values&& values) {
+/// The value that would be at count / 2 if all were sorted. visit(part, take) calls take(value) for each of the `count`
+/// values of `parts` parts; they must not be negative.
+template <class Visit>
+float middle_of(std::size_t count, std::size_t parts, const Context& context, Visit&& visit) {
   // Floats that are not negative are ordered as their bits: counted by the upper half, then, within one, by the lower.
   using Histogram = std::vector<std::size_t>;
   struct Sum {
@@ -129,16 +153,16 @@ float middle_of(std::size_t count, const Context& context, Values&& values) {
       return *this;
     }
   };
-  const std::size_t grain = std::max<std::size_t>(block_size, count / 16 + 1);
   std::size_t rank = count / 2;
   // The bin of the rank, which becomes the rank within the bin.
   const auto descend = [&](auto&& count_in) {
-    const Histogram bins = parallel_sum(context, count, grain, Sum{}, [&](std::size_t begin, std::size_t end) {
-                             Sum part;
-                             for (std::size_t i = begin; i < end; ++i)
-                               count_in(part.bins, std::bit_cast<std::uint32_t>(values(i)));
-                             return part;
-                           }).bins;
+    const Histogram bins =
+        parallel_sum(context, parts, parts / 16 + 1, Sum{}, [&](std::size_t begin, std::size_t end) {
+          Sum sum;
+          for (std::size_t part = begin; part < end; ++part)
+            visit(part, [&](float value) { count_in(sum.bins, std::bit_cast<std::uint32_t>(value)); });
+          return sum;
+        }).bins;
     std::uint32_t bin = 0;
     for (; bins[bin] <= rank; ++bin) rank -= bins[bin];
     return bin;
@@ -179,7 +203,7 @@ void set_plane(ViewPoint& point, const Eigen::Vector3d& normal, const Pinhole& c
 
 /// Appends what the points of one pixel, sorted by depth, become.
 void merge_pixel(const ProjectedPoint* points, std::span<const std::uint32_t> order, double reference_depth,
-                 const Pinhole& camera, std::vector<MergedPoint>& merged) {
+                 const Pinhole& camera, LargeVector<MergedPoint>& merged) {
   const double focal = camera.focal();
   for (std::size_t i = 0; i < order.size();) {
     double u = 0, v = 0, height = 0, previous = 0;
@@ -203,13 +227,17 @@ void merge_pixel(const ProjectedPoint* points, std::span<const std::uint32_t> or
 
 /// Points of one pixel and one surface become one, in row order: neighbouring points of a dense cloud are hardly
 /// independent, and what follows stays within a few points a pixel.
-std::vector<MergedPoint> merge_pixels(BandedPoints banded, const Bands& bands, double reference_depth,
+LargeVector<MergedPoint> merge_pixels(BandedPoints banded, const Bands& bands, double reference_depth,
                                       const Pinhole& camera, const Context& context) {
   const auto width = static_cast<std::size_t>(camera.size.width), rows = static_cast<std::size_t>(bands.rows);
-  std::vector<std::vector<MergedPoint>> parts(bands.count);
+  std::vector<LargeVector<MergedPoint>> parts(bands.count);
   parallel_for(context, bands.count, 1, [&](std::size_t band, std::size_t) {
-    const ProjectedPoint* points = banded.points.get() + banded.start[band];
-    const std::size_t count = banded.start[band + 1] - banded.start[band];
+    std::vector<ProjectedPoint> points;
+    for (const BandedBlock& block : banded) {
+      const std::span<const ProjectedPoint> more = block.band(band);
+      points.insert(points.end(), more.begin(), more.end());
+    }
+    const std::size_t count = points.size();
     if (count == 0) return;
     const auto pixel = [&](const ProjectedPoint& p) {
       return (static_cast<std::size_t>(pixel_of(p.v, camera.size.height)) - band * rows) * width +
@@ -224,22 +252,22 @@ std::vector<MergedPoint> merge_pixels(BandedPoints banded, const Bands& bands, d
     for (std::size_t p = 0; p < rows * width; ++p) {
       if (start[p] == start[p + 1]) continue;
       const std::span<std::uint32_t> here(order.data() + start[p], start[p + 1] - start[p]);
-      std::sort(here.begin(), here.end(), [points](std::uint32_t i, std::uint32_t j) {
+      std::sort(here.begin(), here.end(), [&points](std::uint32_t i, std::uint32_t j) {
         const ProjectedPoint &a = points[i], &b = points[j];
         if (a.depth != b.depth) return a.depth < b.depth;
         if (a.u != b.u) return a.u < b.u;
         return a.v != b.v ? a.v < b.v : i < j;
       });
-      merge_pixel(points, here, reference_depth, camera, parts[band]);
+      merge_pixel(points.data(), here, reference_depth, camera, parts[band]);
     }
   });
-  banded.points.reset();
+  BandedPoints().swap(banded);
   std::vector<std::size_t> start(bands.count + 1, 0);
   for (std::size_t band = 0; band < bands.count; ++band) start[band + 1] = start[band] + parts[band].size();
-  std::vector<MergedPoint> merged(start.back());
+  LargeVector<MergedPoint> merged(start.back());
   parallel_for(context, bands.count, 1, [&](std::size_t band, std::size_t) {
     std::copy(parts[band].begin(), parts[band].end(), merged.begin() + static_cast<std::ptrdiff_t>(start[band]));
-    std::vector<MergedPoint>().swap(parts[band]);
+    LargeVector<MergedPoint>().swap(parts[band]);
   });
   return merged;
 }
@@ -254,7 +282,7 @@ struct Neighbors {
 /// Nearest neighbours in the view by a grid of cells.
 class NeighborSearch {
  public:
-  NeighborSearch(const std::vector<MergedPoint>& points, std::size_t k)
+  NeighborSearch(const LargeVector<MergedPoint>& points, std::size_t k)
       : k_(k), u_(points.size()), v_(points.size()), order_(points.size()) {
     float u1 = points.front().point.u, v1 = points.front().point.v;
     u0_ = u1, v0_ = v1;
@@ -341,14 +369,14 @@ class NeighborSearch {
   float u0_, v0_;
   double cell_px_ = 1;
   int columns_ = 0, rows_ = 0;
-  std::vector<std::uint32_t> start_;
-  std::vector<float> u_, v_;          // by cells
-  std::vector<std::uint32_t> order_;  // numbers, by cells
+  LargeVector<std::uint32_t> start_;
+  LargeVector<float> u_, v_;          // by cells
+  LargeVector<std::uint32_t> order_;  // numbers, by cells
 };
 
 /// A point is hidden if a good part of its neighbours are nearer by more than the steepest visible slope explains, and
 /// they surround it (beside an occluding edge the nearer points are on one side only).
-bool is_hidden(const std::vector<MergedPoint>& points, std::size_t self, const std::vector<std::uint32_t>& neighbors,
+bool is_hidden(const LargeVector<MergedPoint>& points, std::size_t self, const std::vector<std::uint32_t>& neighbors,
                double max_slope, double floor_gsd) {
   const ViewPoint& p = points[self].point;
   Eigen::Vector2d direction = Eigen::Vector2d::Zero();
@@ -365,7 +393,7 @@ bool is_hidden(const std::vector<MergedPoint>& points, std::size_t self, const s
 }
 
 /// Whether the height is far from the median of the neighbourhood, measured by the neighbourhood's own spread.
-bool is_outlier(const std::vector<MergedPoint>& points, std::size_t self, const std::vector<std::uint32_t>& neighbors,
+bool is_outlier(const LargeVector<MergedPoint>& points, std::size_t self, const std::vector<std::uint32_t>& neighbors,
                 const VisibilityOptions& options, std::vector<double>& scratch) {
   scratch.assign(1, points[self].point.height);
   for (const std::uint32_t neighbor : neighbors) scratch.push_back(points[neighbor].point.height);
@@ -388,7 +416,7 @@ struct Judgement {
 
 /// Judges the points that are `due`.
 template <class Due>
-void judge(Judgement& judgement, const std::vector<MergedPoint>& points, const VisibilityOptions& options,
+void judge(Judgement& judgement, const LargeVector<MergedPoint>& points, const VisibilityOptions& options,
            bool visibility, const Context& context, Due&& due) {
   const NeighborSearch search(points, static_cast<std::size_t>(options.neighbors));
   const double max_slope = std::tan(options.max_slope_deg * std::numbers::pi / 180);
@@ -416,7 +444,7 @@ void judge(Judgement& judgement, const std::vector<MergedPoint>& points, const V
 }
 
 /// Pixels that have a hidden point.
-Mask hidden_pixels(const std::vector<MergedPoint>& points, const std::vector<Verdict>& verdicts, Size size) {
+Mask hidden_pixels(const LargeVector<MergedPoint>& points, const std::vector<Verdict>& verdicts, Size size) {
   Mask hidden(size, 1, 0);
   for (std::size_t i = 0; i < points.size(); ++i) {
     if (verdicts[i] != Verdict::hidden) continue;
@@ -438,7 +466,7 @@ bool any_within(const Mask& mask, const ViewPoint& p, double distance) {
 }
 
 /// Takes hidden points out of points and judgement; returns how many points of the cloud they stood for.
-std::size_t remove_hidden(std::vector<MergedPoint>& points, Judgement& judgement) {
+std::size_t remove_hidden(LargeVector<MergedPoint>& points, Judgement& judgement) {
   std::size_t kept = 0, hidden = 0;
   for (std::size_t i = 0; i < points.size(); ++i) {
     if (judgement.verdicts[i] == Verdict::hidden) {
@@ -457,7 +485,7 @@ std::size_t remove_hidden(std::vector<MergedPoint>& points, Judgement& judgement
 }
 
 /// Judges every point by its neighbours, outliers among the points that are not hidden; these leave `points`.
-Judgement judge(std::vector<MergedPoint>& points, Size size, const VisibilityOptions& options, PointCensus& census,
+Judgement judge(LargeVector<MergedPoint>& points, Size size, const VisibilityOptions& options, PointCensus& census,
                 const Context& context) {
   Judgement judgement(points.size());
   judge(judgement, points, options, true, context, [](std::size_t) { return true; });
@@ -484,14 +512,22 @@ VisiblePoints visible_points(const PointCloud& cloud, const Pinhole& camera, con
   result.census.total = cloud.points.size();
   const Bands bands(camera.size);
   BandedPoints projected = project(cloud, camera, pose, mask, bands, result.census, context);
-  if (projected.size() == 0) return result;
-  result.reference_depth =
-      middle_of(projected.size(), context, [&](std::size_t i) { return projected.points[i].depth; });
-  std::vector<MergedPoint> points = merge_pixels(std::move(projected), bands, result.reference_depth, camera, context);
+  const std::size_t seen =
+      std::accumulate(projected.begin(), projected.end(), std::size_t{0},
+                      [](std::size_t sum, const BandedBlock& block) { return sum + block.points.size(); });
+  if (seen == 0) return result;
+  result.reference_depth = middle_of(seen, projected.size(), context, [&](std::size_t block, auto&& take) {
+    for (const ProjectedPoint& p : projected[block].points) take(p.depth);
+  });
+  LargeVector<MergedPoint> points = merge_pixels(std::move(projected), bands, result.reference_depth, camera, context);
   const Judgement judgement = judge(points, camera.size, options, result.census, context);
   const std::size_t neighbors = std::min(static_cast<std::size_t>(options.neighbors), points.size() - 1);
   if (neighbors > 0) {
-    const float distance2 = middle_of(points.size(), context, [&](std::size_t i) { return judgement.distance2[i]; });
+    const std::size_t parts = (points.size() + block_size - 1) / block_size;
+    const float distance2 = middle_of(points.size(), parts, context, [&](std::size_t part, auto&& take) {
+      const std::size_t end = std::min((part + 1) * block_size, points.size());
+      for (std::size_t i = part * block_size; i < end; ++i) take(judgement.distance2[i]);
+    });
     result.spacing_px = std::sqrt(std::numbers::pi * distance2 / static_cast<double>(neighbors));
   }
   result.points.reserve(points.size());

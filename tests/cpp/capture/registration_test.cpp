@@ -77,6 +77,21 @@ TEST(Registration, threads_change_nothing) {
   EXPECT_NEAR((one[1].image_from_base - many[1].image_from_base).norm(), 0, 1e-9);
 }
 
+TEST(Registration, a_part_of_a_large_image_is_enough) {
+  // More pixels than are compared.
+  const Size large{2400, 1400};
+  const Affine map = similarity(large, 0.0004, 1.0002, 1.7, -0.6);
+  std::vector<Image<float>> images;
+  for (const Affine& moved : {identity_affine(), map}) {
+    images.push_back(AnalyticScene{0}.image(large, moved, 0));
+  }
+  RegistrationOptions options;
+  options.interpolation = Interpolation::keys;
+  const auto results = register_images(images, NoiseModel{}, options, two_threads());
+  EXPECT_EQ(results[1].status, RegistrationStatus::ok) << results[1].message;
+  EXPECT_LT(affine_distance_px(results[1].image_from_base, map, large), 0.01);
+}
+
 TEST(Registration, noise_is_not_texture) {
   const auto results = register_images(noise_images(4, 0.005f), NoiseModel{}, {}, two_threads());
   EXPECT_EQ(results[1].status, RegistrationStatus::no_texture) << results[1].image_from_base;

@@ -229,6 +229,71 @@ TEST(Decompose, SingleAndDoublePrecisionAgreeInEveryQuadrant) {
   }
 }
 
+TEST(Decompose, SixteenBitImagesAreReadAsTheyAre) {
+  const Size size{301, 7};  // runs that are not full
+  const auto truth = [](int u, int v) { return stokes_vector(0.1 + 0.001 * u, 0.1 + 0.1 * v, 0.01 * u); };
+  const auto angles = even_angles(6);
+  std::vector<Image<float>> rounded = images_of(truth, size, angles, {}, 0);
+  std::vector<Image<std::uint16_t>> images;
+  std::vector<const std::uint16_t*> pixels;
+  for (Image<float>& image : rounded) {
+    Image<std::uint16_t> counts(size);
+    for (std::size_t i = 0; i < image.count(); ++i) {
+      counts[i] = static_cast<std::uint16_t>(std::lround(65535 * image[i]));
+      image[i] = static_cast<float>(counts[i] / 65535.0);
+    }
+    images.push_back(std::move(counts));
+  }
+  for (const auto& image : images) pixels.push_back(image.data());
+  for (const auto weighting : {FitWeighting::uniform, FitWeighting::noise}) {
+    DecomposeOptions options;
+    options.weighting = weighting;
+    const auto expected = decompose(rounded, angles, {}, full(size), {}, options, {});
+    // No mask: everything.
+    const auto state = decompose(size, std::span<const std::uint16_t* const>(pixels), angles, {}, {}, {}, options, {});
+    EXPECT_EQ(state.valid, expected.valid);
+    for (std::size_t i = 0; i < size.area(); ++i) {
+      EXPECT_NEAR(state.i_un[i], expected.i_un[i], 2e-7);
+      EXPECT_NEAR(state.rho[i], expected.rho[i], 1e-6);
+      EXPECT_NEAR(std::remainder(state.phi[i] - expected.phi[i], std::numbers::pi), 0, 1e-5);
+      EXPECT_NEAR(state.residual[i], expected.residual[i], 1e-4);
+    }
+  }
+}
+
+TEST(Decompose, ResidualsOfAnyNumberOfImages) {
+  // Images are fitted in groups; what only fills up the last group must not count. With hardly any polarization all have
+  // the same noise, and the weighted fit, which is in double precision, is the same.
+  const Size size{40, 30};
+  for (const int count : {4, 5, 6, 7, 13}) {
+    const auto angles = even_angles(count);
+    const auto images = images_of([](int, int) { return stokes_vector(0.4, 0.02, 1); }, size, angles, {}, 11);
+    DecomposeOptions weighted;
+    weighted.weighting = FitWeighting::noise;
+    const auto single = decompose(images, angles, {}, full(size), {}, {}, {});
+    const auto twice = decompose(images, angles, {}, full(size), {}, weighted, {});
+    double square = 0, expected = 0;
+    for (std::size_t i = 0; i < size.area(); ++i) {
+      square += single.residual[i] * single.residual[i] / static_cast<double>(size.area());
+      expected += twice.residual[i] * twice.residual[i] / static_cast<double>(size.area());
+    }
+    EXPECT_NEAR(square, 1, 0.15) << count;
+    EXPECT_NEAR(square, expected, 0.02) << count;
+  }
+}
+
+TEST(Decompose, APixelWithoutLightIsDarkAndNotPolarized) {
+  const auto angles = even_angles(6);
+  const std::vector<Image<float>> images(6, Image<float>({3, 1}, 1, 0.0f));
+  NoiseModel noise;
+  noise.read_noise_e = 0;
+  const auto state = decompose(images, angles, noise, full({3, 1}), {}, {}, {});
+  EXPECT_EQ(state.valid(1, 0), static_cast<std::uint8_t>(PixelState::dark));
+  EXPECT_EQ(state.rho(1, 0), 0);
+  EXPECT_EQ(state.phi(1, 0), 0);
+  EXPECT_EQ(state.residual(1, 0), 0);
+}
+
 TEST(Decompose, SameResultWithOneAndThreeThreads) {
   const Size size{61, 47};
   const auto angles = even_angles(5);

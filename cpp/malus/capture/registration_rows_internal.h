@@ -1,0 +1,48 @@
+#pragma once
+
+#include <cstddef>
+#include <span>
+#include <vector>
+
+#include "malus/capture/resampling.h"
+
+namespace malus {
+
+/// What registration does with a row of a block, in single precision: the arithmetic that its time goes into.
+struct BlockRow {
+  static constexpr int columns = 62;          ///< of a block
+  static constexpr int length = columns + 2;  ///< with one more on either side for gradients
+};
+
+/// Bicubic values of `band` where the pixels (u, v), (u + 1, v), … of the first image lie in it. The 4 × 4 samples of
+/// each must exist. Near the identity the samples of neighbouring pixels are neighbours, and are loaded as such.
+void resample_row(const Image<float>& band, const Affine& map, Interpolation interpolation, int u, int v,
+                  std::span<float> values);
+
+/// A row in every image, aligned, and its neighbours in their mean. Each pointer is to BlockRow::length values.
+struct AlignedRow {
+  std::span<const float* const> bands;  ///< one an image
+  const float *mean, *mean_above, *mean_below;
+  const float* information;  ///< 1 / noise variance; 0 where a pixel does not count, first and last among them
+  float x;                   ///< of the first pixel, from the image's centre in units of its width …
+  float x_step;              ///< … and from pixel to pixel
+};
+
+/// Sums over the pixels of a row, weighted by their information and how well the images agree; g = gradient of the
+/// mean.
+struct RowSums {
+  double gradients[3][3] = {};  ///< g_u², g_u g_v, g_v²; times 1, x, x²
+  struct Side {
+    double along_u[2] = {}, along_v[2] = {};  ///< residual of the image times g; times 1, x
+  };
+  std::vector<Side> sides;  ///< one an image
+};
+
+/// Disagreement of the images at each pixel, per degree of freedom, in units of the noise variance; length values.
+void disagreements(const AlignedRow& row, float* values);
+/// The sums of a row, and each pixel's weight. cauchy: disagreement that halves a weight.
+void sum_row(const AlignedRow& row, float cauchy, RowSums& sums, float* weights);
+/// Mean of the images; length values.
+void mean_row(std::span<const float* const> bands, float* mean);
+
+}  // namespace malus

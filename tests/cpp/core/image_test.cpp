@@ -1,0 +1,38 @@
+#include "malus/core/image.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cstdint>
+
+namespace malus {
+namespace {
+
+TEST(Image, has_its_value_everywhere_small_or_on_huge_pages) {
+  for (const Size size : {Size{3, 5}, Size{1500, 1100}}) {
+    Image<float> image(size, 1, 0.25f);
+    EXPECT_EQ(image.count(), size.area());
+    EXPECT_TRUE(std::all_of(image.begin(), image.end(), [](float value) { return value == 0.25f; }));
+    const Image<float> copy = image;
+    image.fill(1);
+    EXPECT_EQ(copy(2, 4), 0.25f);
+    EXPECT_EQ(Mask(size), Mask(size, 1, 0));
+  }
+}
+
+TEST(Image, large_ones_begin_at_a_huge_page) {
+  const auto address = [](const Image<float>& image) { return reinterpret_cast<std::uintptr_t>(image.data()); };
+  EXPECT_EQ(address(Image<float>({1024, 1024})) % (2 << 20), 0u);
+}
+
+TEST(Image, uninitialized_ones_have_the_size_that_was_asked_for) {
+  auto image = Image<float>::uninitialized({7, 2}, 3);
+  EXPECT_EQ(image.size(), (Size{7, 2}));
+  EXPECT_EQ(image.channels(), 3);
+  EXPECT_EQ(image.count(), 42u);
+  image.fill(2);
+  EXPECT_EQ(image, Image<float>({7, 2}, 3, 2));
+}
+
+}  // namespace
+}  // namespace malus
