@@ -8,6 +8,7 @@
 
 #include "malus/core/context.h"
 #include "malus/core/image.h"
+#include "malus/core/large_allocator.h"
 #include "malus/core/parallel.h"
 #include "malus/linalg/symmetric_solver.h"
 
@@ -111,7 +112,7 @@ class GridSystem {
   }
 
   const PixelIndex* pixels_;
-  std::vector<double> values_;
+  std::vector<double, LargeAllocator<double>> values_;
   std::vector<std::uint16_t> used_;
   Eigen::VectorXd right_;
 };

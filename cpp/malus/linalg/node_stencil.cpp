@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <utility>
 
 #include "malus/core/simd.h"
 #include "malus/linalg/node_stencil_internal.h"
@@ -43,32 +44,43 @@ MALUS_SIMD_CLONES void sum_products(const Product<double>* products, int count, 
 
 template <class T>
 template <class U>
-NodeStencil<T>::NodeStencil(const NodeStencil<U>& other, const Context& context) : NodeStencil(other.nodes_) {
-  parallel_rows(context, nodes_.height, [&](int v) {
-    const std::size_t row = static_cast<std::size_t>(v);
-    const auto& from = other.rows_[row];
-    rows_[row].values.assign(from.values.begin(), from.values.end());
-    for (std::size_t s = 0; s < from.segments.size(); ++s) {
-      rows_[row].segments[s] = {from.segments[s].present, from.segments[s].start};
-    }
+NodeStencil<T>::NodeStencil(const NodeStencil<U>& other, const Context& context)
+    : nodes_(other.nodes_), segments_(other.segments_), table_(other.table_.size()), values_(other.values_.size()) {
+  for (std::size_t i = 0; i < table_.size(); ++i) table_[i] = {other.table_[i].present, other.table_[i].start};
+  constexpr std::size_t grain = std::size_t{1} << 18;
+  parallel_for(context, values_.size(), grain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) values_[i] = static_cast<T>(other.values_[i]);
   });
 }
 
 template <class T>
 void NodeStencil<T>::append(int row, int segment, const SegmentEntries& entries) {
-  Row& to = rows_[static_cast<std::size_t>(row)];
-  Segment& s = to.segments[static_cast<std::size_t>(segment)];
-  s.start = to.values.size();
+  std::vector<T>& to = rows_[static_cast<std::size_t>(row)];
+  Segment& s = table_[index(row, segment)];
+  s.start = to.size();
   for (int k = 0; k < coupling_count; ++k) {
     const auto& values = entries[k];
     if (std::all_of(values.begin(), values.end(), [](double value) { return value == 0; })) continue;
     s.present[static_cast<std::size_t>(k) / 64] |= std::uint64_t{1} << (static_cast<std::size_t>(k) % 64);
-    to.values.insert(to.values.end(), values.begin(), values.end());
+    to.insert(to.end(), values.begin(), values.end());
   }
-  // The other segments are often like the first: their values then need not be moved, which would tear holes into
-  // memory.
-  if (segment == 0) to.values.reserve(to.values.size() * static_cast<std::size_t>(segments_));
-  if (segment == segments_ - 1) to.values.shrink_to_fit();
+  // The other segments are often like the first: their values then need not be moved.
+  if (segment == 0) to.reserve(to.size() * static_cast<std::size_t>(segments_));
+}
+
+template <class T>
+void NodeStencil<T>::finish(const Context& context) {
+  std::vector<std::size_t> starts(rows_.size());
+  std::size_t count = 0;
+  for (std::size_t row = 0; row < rows_.size(); ++row) starts[row] = std::exchange(count, count + rows_[row].size());
+  values_.resize(count);
+  parallel_rows(context, nodes_.height, [&](int row) {
+    const std::size_t start = starts[static_cast<std::size_t>(row)];
+    std::vector<T> from = std::move(rows_[static_cast<std::size_t>(row)]);
+    std::copy(from.begin(), from.end(), values_.begin() + static_cast<std::ptrdiff_t>(start));
+    for (int segment = 0; segment < segments_; ++segment) table_[index(row, segment)].start += start;
+  });
+  rows_ = {};
 }
 
 template <class T>
@@ -83,7 +95,7 @@ void NodeStencil<T>::multiply(const NodeVector<T>& x, int row, int segment, Valu
   // Entries of this row, and their mirrors, in which this node is the later one; then mirrors from the row above.
   for (int up = 0; up <= std::min(row, 1); ++up) {
     const Segment& source = at(row - up, segment);
-    const T* values = rows_[static_cast<std::size_t>(row - up)].values.data() + source.start + 1;
+    const T* values = values_.data() + source.start + 1;
     for (std::size_t word = 0; word < 2; ++word) {
       for (std::uint64_t bits = source.present[word]; bits != 0; bits &= bits - 1, values += SegmentEntries::width) {
         const Coupling& k = couplings[64 * word + static_cast<std::size_t>(std::countr_zero(bits))];
@@ -120,6 +132,7 @@ NodeStencil<double> node_stencil(const GridSystem& system, double ridge, const C
     }
     stencil.append(row, segment, entries);
   });
+  stencil.finish(context);
   return stencil;
 }
 
@@ -223,6 +236,7 @@ NodeStencil<double> coarsened(const NodeStencil<double>& fine, const Context& co
     }
     coarse.append(row, segment, entries);
   });
+  coarse.finish(context);
   return coarse;
 }
 

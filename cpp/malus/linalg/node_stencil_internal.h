@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "malus/core/large_allocator.h"
 #include "malus/linalg/grid_system.h"
 #include "malus/linalg/node_vector_internal.h"
 
@@ -79,9 +80,8 @@ class NodeStencil {
   explicit NodeStencil(Size nodes)
       : nodes_(nodes),
         segments_((nodes.width + segment_nodes - 1) / segment_nodes),
-        rows_(static_cast<std::size_t>(nodes.height)) {
-    for (Row& row : rows_) row.segments.resize(static_cast<std::size_t>(segments_));
-  }
+        table_(static_cast<std::size_t>(nodes.height) * static_cast<std::size_t>(segments_)),
+        rows_(static_cast<std::size_t>(nodes.height)) {}
   /// The same matrix in other precision.
   template <class U>
   NodeStencil(const NodeStencil<U>& other, const Context& context);
@@ -99,15 +99,13 @@ class NodeStencil {
     if ((s.present[word] >> bit & 1) == 0) return nullptr;
     std::size_t before = static_cast<std::size_t>(std::popcount(s.present[word] & ((std::uint64_t{1} << bit) - 1)));
     if (word == 1) before += static_cast<std::size_t>(std::popcount(s.present[0]));
-    return rows_[static_cast<std::size_t>(row)].values.data() + s.start + before * SegmentEntries::width;
+    return values_.data() + s.start + before * SegmentEntries::width;
   }
-  double bytes() const {
-    std::size_t count = 0;
-    for (const Row& row : rows_) count += row.values.size();
-    return static_cast<double>(count * sizeof(T));
-  }
+  double bytes() const { return static_cast<double>(values_.size() * sizeof(T)); }
   /// Appends a segment's entries; the segments of a row come in order.
   void append(int row, int segment, const SegmentEntries& entries);
+  /// After the last segment, before anything is read: puts the rows into one array.
+  void finish(const Context& context);
   /// A x along a segment.
   void multiply(const NodeVector<T>& x, int row, int segment, Values& product) const;
 
@@ -117,19 +115,18 @@ class NodeStencil {
   using Present = std::array<std::uint64_t, 2>;
   struct Segment {
     Present present{};
-    std::size_t start = 0;
+    std::size_t start = 0;  ///< in its row, and after finish() in all values
   };
-  struct Row {
-    std::vector<Segment> segments;
-    std::vector<T> values;
-  };
-  const Segment& at(int row, int segment) const {
-    return rows_[static_cast<std::size_t>(row)].segments[static_cast<std::size_t>(segment)];
+  std::size_t index(int row, int segment) const {
+    return static_cast<std::size_t>(row) * static_cast<std::size_t>(segments_) + static_cast<std::size_t>(segment);
   }
+  const Segment& at(int row, int segment) const { return table_[index(row, segment)]; }
 
   Size nodes_;
   int segments_ = 0;
-  std::vector<Row> rows_;
+  std::vector<Segment> table_;
+  std::vector<std::vector<T>> rows_;  ///< while they are appended to
+  std::vector<T, LargeAllocator<T>> values_;
 };
 
 /// The matrix of a grid system with this added to the diagonal.

@@ -6,6 +6,7 @@
 
 #include "malus/core/context.h"
 #include "malus/core/image.h"
+#include "malus/core/large_allocator.h"
 #include "malus/core/parallel.h"
 
 namespace malus {
@@ -102,7 +103,7 @@ class NodeVector {
 
   Size nodes_;
   std::size_t stride_ = 0, plane_ = 0;
-  std::vector<T> values_;
+  std::vector<T, LargeAllocator<T>> values_;
 };
 
 }  // namespace malus
