@@ -276,7 +276,11 @@ def main() -> None:
     fits = {
         dtype: medians(
             {
-                peer: (lambda kind=f"{peer.split(',')[0]} {dtype}", count=count: child("sinusoid", kind, arguments.fit_side, count))
+                peer: (
+                    lambda kind=f"{peer.split(',')[0]} {dtype}", count=count: child(
+                        "sinusoid", kind, arguments.fit_side, count
+                    )
+                )
                 for peer, count in (
                     ("malus", threads),
                     ("malus, 1 thread", 1),
