@@ -76,8 +76,16 @@ std::vector<float> window_sums(int radius, const std::vector<float>& padded, std
       return window_sums<2>(padded, stride, rows);
     case 3:
       return window_sums<3>(padded, stride, rows);
-    default:
+    case 4:
       return window_sums<4>(padded, stride, rows);
+    case 5:
+      return window_sums<5>(padded, stride, rows);
+    case 6:
+      return window_sums<6>(padded, stride, rows);
+    case 7:
+      return window_sums<7>(padded, stride, rows);
+    default:
+      return window_sums<8>(padded, stride, rows);
   }
 }
 
@@ -300,8 +308,16 @@ void TileMatcher::correlate(const View& view, float t) {
       return correlate<2>(view, t);
     case 3:
       return correlate<3>(view, t);
-    default:
+    case 4:
       return correlate<4>(view, t);
+    case 5:
+      return correlate<5>(view, t);
+    case 6:
+      return correlate<6>(view, t);
+    case 7:
+      return correlate<7>(view, t);
+    default:
+      return correlate<8>(view, t);
   }
 }
 

@@ -6,7 +6,7 @@ reads the cameras of an Agisoft Metashape project.
 """
 
 from malus.photogrammetry.folder import exclusive
-from malus.photogrammetry.front_end import StationCameras, find_cameras, sweep_station
+from malus.photogrammetry.front_end import FusedOnce, StationCameras, Swept, find_cameras, sweep_station
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.model import RegisteredImage, SparseModel
 from malus.photogrammetry.photos import Photo, list_photos
@@ -16,7 +16,9 @@ __all__ = [
     "Photo",
     "RegisteredImage",
     "SparseModel",
+    "FusedOnce",
     "StationCameras",
+    "Swept",
     "exclusive",
     "find_cameras",
     "list_photos",
