@@ -13,10 +13,10 @@ from malus.photogrammetry.photos import Photo, list_photos
 from malus.photogrammetry.plan import plan
 
 __all__ = [
+    "FusedOnce",
     "Photo",
     "RegisteredImage",
     "SparseModel",
-    "FusedOnce",
     "StationCameras",
     "Swept",
     "exclusive",
