@@ -43,15 +43,17 @@ Station station_from_arrays(const std::vector<Array<float>>& images, const std::
   return station;
 }
 
-/// The station with the camera and the prior that its photos gave, and what is to be reported of them.
+/// The station with the camera and, once it is swept, the prior that its photos gave, and what is to be reported of
+/// them.
 Station with_photogrammetry(const Station& station, const CameraValues& camera,
                             const std::optional<Array<float>>& depth, const std::optional<Array<float>>& sigma,
-                            const std::string& figures) {
+                            const std::optional<Array<float>>& shape, const std::string& figures) {
   Station result = station;
   const auto [lens, pose] = to_camera(camera, "camera");
   result.file.camera = CameraSpec{lens, pose};
-  if (depth) result.prior_depth = to_image(*depth);
-  if (sigma) result.prior_sigma = to_image(*sigma);
+  if (depth && sigma) {
+    result.swept = SweptDepth{to_image(*depth), to_image(*sigma), shape ? to_image(*shape) : Image<float>()};
+  }
   result.photogrammetry_json = figures;
   return result;
 }
@@ -128,7 +130,7 @@ void bind_station(py::module_& module) {
       .def("with_developed", &with_developed, py::arg("images"), py::arg("full_well_e"), py::arg("read_noise_e"))
       .def("with_cloud", &with_cloud, py::arg("points"), py::arg("normals"))
       .def("with_photogrammetry", &with_photogrammetry, py::arg("camera"), py::arg("prior_depth"),
-           py::arg("prior_sigma"), py::arg("figures"));
+           py::arg("prior_sigma"), py::arg("prior_shape"), py::arg("figures"));
 
   module.def(
       "reconstruct",

@@ -33,6 +33,7 @@ void bind_stereo(py::module_& module) {
   module.def(
       "sweep_surface", [](const Array<float>& intensity, const CameraValues& station_camera,
                           const std::vector<std::pair<Array<float>, CameraValues>>& photos, const Array<double>& points,
+                          const std::optional<std::pair<Array<float>, Array<float>>>& surface,
                           const std::optional<Array<std::uint8_t>>& mask, const std::string& options_json, int threads,
                           const py::object& on_progress, const py::object& on_log) {
         const Options options = options_from_json({}, options_json);
@@ -46,6 +47,10 @@ void bind_stereo(py::module_& module) {
         input.pose = pose;
         input.mask = mask ? to_image(*mask) : Mask(input.camera.size, 1, 255);
         input.points = to_cloud(points).points;
+        if (surface) {
+          input.surface = to_image(surface->first);
+          input.surface_sigma = to_image(surface->second);
+        }
         std::vector<SweepView> views;
         for (const auto& [image, values] : photos) {
           auto [view_camera, view_pose] = to_camera(values, "views[" + std::to_string(views.size()) + "]");

@@ -33,7 +33,12 @@ class Station:
     def with_developed(self, images: list[str], full_well_e: float | None, read_noise_e: float | None) -> Station: ...
     def with_cloud(self, points: Float64, normals: Float32 | None) -> Station: ...
     def with_photogrammetry(
-        self, camera: CameraValues, prior_depth: Float32 | None, prior_sigma: Float32 | None, figures: str
+        self,
+        camera: CameraValues,
+        prior_depth: Float32 | None,
+        prior_sigma: Float32 | None,
+        prior_shape: Float32 | None,
+        figures: str,
     ) -> Station: ...
 
 def reconstruct(
@@ -125,6 +130,7 @@ def sweep_surface(
     camera: CameraValues,
     views: list[tuple[Float32, CameraValues]],
     points: Float64,
+    surface: tuple[Float32, Float32] | None,
     mask: Bytes | None,
     options: str,
     threads: int,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import tempfile
 from collections.abc import Callable, Iterator
@@ -155,8 +156,16 @@ def _with_photos(
     log: Callable[[str, str], None],
 ) -> _core.Station:
     """The station with the camera and the prior that its photos give: polarization first, whose unpolarized image is
-    placed among the photos, then the sweep in its view.
+    placed among the photos, then the sweep in its view, and again about the surface that is fused with it.
     """
+
+    def fuse(first: photogrammetry.Swept) -> photogrammetry.FusedOnce:
+        """Not in the workspace, whose steps are those of the fusion with the last sweep; what it warns of, they do."""
+        core = station.with_photogrammetry(lens.values(), first.depth, first.sigma, None, "{}")
+        last = "refine" if options.fusion == "refined" else "fuse"
+        outcome = _core.reconstruct(core, options.to_json(), None, last, None, threads, None, None)
+        return photogrammetry.FusedOnce(outcome["depth"], outcome["prior_depth"], outcome["prior_sigma"])
+
     images = run(station, "polarization", None)
     with photogrammetry.exclusive(folder):
         cameras = photogrammetry.find_cameras(
@@ -176,19 +185,35 @@ def _with_photos(
             )
         else:
             # Now that the lens is known, the images can be undistorted.
-            images = run(station.with_photogrammetry(lens.values(), None, None, "{}"), "polarization", None)
-        depth, sigma, sweep = photogrammetry.sweep_station(
+            images = run(station.with_photogrammetry(lens.values(), None, None, None, "{}"), "polarization", None)
+        swept = photogrammetry.sweep_station(
             cameras,
             images["scene"],
             np.where(images["valid"] != 0, np.uint8(255), np.uint8(0)),
             folder,
+            fuse=fuse,
+            fused_of=_fused_of(description, images, options),
             options=options,
             threads=threads,
             progress=lambda fraction, message: report("sweep", fraction, message),
             log=log,
         )
-    figures = {**cameras.figures, "sweep": sweep}
-    return station.with_photogrammetry(lens.values(), depth, sigma, json.dumps(figures))
+    figures = {**cameras.figures, "sweep": swept.figures}
+    return station.with_photogrammetry(lens.values(), swept.depth, swept.sigma, swept.shape, json.dumps(figures))
+
+
+def _fused_of(description: dict[str, Any], images: dict[str, Any], options: Options) -> dict[str, Any]:
+    """What a surface fused with a sweep depends on, besides that sweep."""
+    label = description.get("label_image")
+    settings = json.loads(options.to_json())
+    return {
+        "images": [
+            hashlib.sha256(images[name].tobytes()).hexdigest() for name in ("unpolarized", "degree", "phase_rad")
+        ],
+        "optics": [description["refractive_index"], description["reflection"]],
+        "labels": None if label is None else hashlib.sha256(Path(label).read_bytes()).hexdigest(),
+        "options": {name: value for name, value in settings.items() if name not in ("assess", "surface")},
+    }
 
 
 def check(station: Station, options: Options | None = None, *, threads: int = 1) -> dict[str, Any]:

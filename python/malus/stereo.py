@@ -74,6 +74,7 @@ def sweep(
     threads: int = 1,
     progress: Callable[[str, float, str], None] | None = None,
     log: Callable[[str, str], None] | None = None,
+    surface: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> SweepResult:
     """Depth, its standard deviation and a confidence in the station's view.
 
@@ -81,7 +82,9 @@ def sweep(
     distortion) and pose. views: photos (H'×W', in [0, 1] as the file codes them) with their cameras (any lens model) and
     poses. points: N×3, triangulated points in the world's frame, from which the search starts. mask: H×W, non-zero =
     object. options: section `sweep`; `sweep.station_gamma=1` if the station is coded like the photos. progress gets
-    (step, fraction, message), log (level, message).
+    (step, fraction, message), log (level, message). surface: depth and its standard deviation (both H×W) of a surface
+    known beforehand, such as a fused one; the sweep then starts from it instead of the points, with larger windows
+    that lie on it.
 
     Raises InputError for values that cannot be used, DataError if no photo sees the object or too few points are on it.
     Method: coarse-to-fine offsets from a surface, windowed normalized cross-correlation with the best photos,
@@ -95,6 +98,7 @@ def sweep(
         camera.values(),
         [(_as_view_image(image, view, f"views[{k}]"), view.values()) for k, (image, view) in enumerate(views)],
         cloud,
+        None if surface is None else (as_image(surface[0], "surface"), as_image(surface[1], "surface's sigma")),
         None if mask is None else as_mask(mask, (camera.height, camera.width)),
         (options or Options()).to_json(),
         threads,

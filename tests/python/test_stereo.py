@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import malus
+from malus import _core
+from malus.photogrammetry import StationCameras, front_end
+from malus.photogrammetry.model import SparseModel
+from malus.photogrammetry.photos import Photo
 
 WIDTH, HEIGHT, FOCAL, DISTANCE = 120, 100, 400.0, 300.0
 
@@ -96,3 +102,47 @@ def test_arguments_are_checked(scene: dict[str, object]) -> None:
         malus.stereo.sweep(**arguments(scene, camera=bent))
     with pytest.raises(malus.InputError, match="MAGIC"):
         malus.stereo.sweep(**arguments(scene, camera=malus.Camera("MAGIC", WIDTH, HEIGHT, [1.0])))
+
+
+@pytest.fixture
+def placed(scene: dict[str, object], tmp_path: Path) -> StationCameras:
+    photos = []
+    for k, (image, camera) in enumerate(scene["views"]):
+        path = tmp_path / f"photo_{k}.tif"
+        _core.write_tiff16(str(path), np.uint16(65535 * image))
+        photos.append((Photo(path.name, path, WIDTH, HEIGHT), camera))
+    return StationCameras(scene["camera"], photos, SparseModel({}, scene["points"], np.zeros(0), np.zeros(0, int)), {})
+
+
+@pytest.mark.parametrize(("again", "completeness", "fusions"), [(True, 0.3, 1), (False, 0.3, 0), (True, 1.1, 0)])
+def test_station_is_swept_again_about_the_fused_surface_once(
+    scene: dict[str, object], placed: StationCameras, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    again: bool, completeness: float, fusions: int,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(front_end, "AGAIN_COMPLETENESS", completeness)
+    options = malus.Options(sweep={"station_gamma": 1.0, "min_level_px": 40, "again": again})
+    gsd = DISTANCE / FOCAL
+    fused: list[front_end.Swept] = []
+
+    def fuse(first: front_end.Swept) -> front_end.FusedOnce:
+        fused.append(first)
+        prior = np.float32(scene["depth"])
+        surface = prior.copy()
+        surface[50, 60] += 5 * gsd
+        surface[0, 0] = np.nan
+        return front_end.FusedOnce(surface, prior, np.full_like(prior, gsd))
+
+    def swept() -> front_end.Swept:
+        return front_end.sweep_station(
+            placed, scene["intensity"], np.full((HEIGHT, WIDTH), 255, np.uint8), tmp_path, fuse=fuse, fused_of={},
+            options=options, threads=1, progress=lambda *_: None, log=lambda *_: None,
+        )  # fmt: skip
+
+    first, second = swept(), swept()
+    assert len(fused) == fusions
+    np.testing.assert_array_equal(first.depth, second.depth)
+    assert (first.shape is None) == (fusions == 0)
+    if first.shape is not None:
+        assert first.shape[50, 60] == pytest.approx(scene["depth"][50, 60] + 2 * gsd, abs=1e-3)
+        assert np.isfinite(first.shape).all()
+        assert first.figures["first"]["completeness"] > 0.9

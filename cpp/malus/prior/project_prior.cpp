@@ -385,6 +385,26 @@ DepthPrior prior_of_raster(const Image<float>& depth, const std::string& source,
   return prior;
 }
 
+/// A shape over its mean depth, 1 without one: a surface divided by it is flat where it follows the shape.
+Image<float> relative_shape(const Image<float>& shape, const Mask& mask) {
+  Image<float> relative(mask.size(), 1, 1.0F);
+  if (shape.count() == 0) return relative;
+  require_size(shape, mask.size(), "shape of the prior depth map");
+  double sum = 0, count = 0;
+  for (std::size_t i = 0; i < shape.count(); ++i) {
+    if (mask[i] == 0) continue;
+    if (!(std::isfinite(shape[i]) && shape[i] > 0)) {
+      throw input_error("shape of the prior depth map: expected a positive depth at every pixel of the object");
+    }
+    sum += shape[i];
+    ++count;
+  }
+  for (std::size_t i = 0; i < shape.count(); ++i) {
+    if (mask[i] != 0) relative[i] = static_cast<float>(shape[i] * count / sum);
+  }
+  return relative;
+}
+
 }  // namespace
 
 DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const Pose& pose, const Mask& mask,
@@ -439,11 +459,13 @@ DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const
   return prior_of_raster(depth, "prior depth map", camera, pose, mask, options, context);
 }
 
-DepthPrior project_prior(const Image<float>& depth, const Image<float>& sigma, const Pinhole& camera, const Pose& pose,
-                         const Mask& mask, const PriorOptions& options, const Context& context) {
+DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const Pose& pose, const Mask& mask,
+                         const PriorOptions& options, const Context& context) {
   validate(camera, pose, mask, options);
+  const Image<float>&depth = swept.depth, &sigma = swept.sigma;
   require_size(depth, camera.size, "prior depth map");
   require_size(sigma, camera.size, "standard deviation of the prior depth map");
+  const Image<float> shape = relative_shape(swept.shape, mask);
   constexpr int stride = 4;
   const auto known = [&](int u, int v) {
     return std::isfinite(depth(u, v)) && depth(u, v) > 0 && std::isfinite(sigma(u, v)) && sigma(u, v) > 0;
@@ -451,7 +473,8 @@ DepthPrior project_prior(const Image<float>& depth, const Image<float>& sigma, c
   PointCloud cloud;
   for (int v = 0; v < depth.height(); v += stride) {
     for (int u = 0; u < depth.width(); u += stride) {
-      if (known(u, v)) cloud.points.push_back(pose.world_from_cam(depth(u, v) * camera.ray(u, v)));
+      if (!known(u, v)) continue;
+      cloud.points.push_back(pose.world_from_cam(depth(u, v) / shape(u, v) * camera.ray(u, v)));
     }
   }
   if (cloud.points.empty()) {
@@ -468,7 +491,9 @@ DepthPrior project_prior(const Image<float>& depth, const Image<float>& sigma, c
   parallel_rows(context, depth.height(), [&](int v) {
     for (int u = 0; u < depth.width(); ++u) {
       if (mask(u, v) == 0) continue;
+      prior.depth(u, v) *= shape(u, v);
       float& value = prior.sigma(u, v);
+      value *= shape(u, v);
       if (known(u, v)) {
         value = std::max(value, sigma(u, v));
         continue;

@@ -84,12 +84,19 @@ DepthPrior project_prior(const TriangleMesh& mesh, const Pinhole& camera, const 
 DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context);
 
-/// Coarse surface from a depth map that was measured over windows (the surface sweep): neighbouring pixels share most
-/// of their windows and so of their errors, therefore only every fourth pixel of every fourth row becomes a point of a
-/// cloud, which is smoothed as above. `sigma`, each pixel's standard deviation (same unit and size), bounds that of the
-/// surface from below; pixels where it is not finite and positive count as without depth, and their standard deviation
-/// grows by `hole_slope` with the distance from the nearest that has one.
-DepthPrior project_prior(const Image<float>& depth, const Image<float>& sigma, const Pinhole& camera, const Pose& pose,
-                         const Mask& mask, const PriorOptions& options, const Context& context);
+/// A depth map that was measured over windows (the surface sweep), unit of the station, camera's size.
+struct SweptDepth {
+  Image<float> depth;  ///< z, NaN = none
+  Image<float> sigma;  ///< standard deviation of each pixel
+  Image<float> shape;  ///< z of the surface that it was measured about, all over the object; empty = no such surface
+};
+
+/// Coarse surface from a swept depth map: neighbouring pixels share most of their windows and so of their errors,
+/// therefore only every fourth pixel of every fourth row becomes a point of a cloud, which is smoothed as above. With a
+/// shape it is the difference from it that is smoothed, so that its detail stays and it goes on where there is no
+/// depth. `sigma` bounds that of the surface from below; pixels where it is not finite and positive count as without
+/// depth, and their standard deviation grows by `hole_slope` with the distance from the nearest that has one.
+DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const Pose& pose, const Mask& mask,
+                         const PriorOptions& options, const Context& context);
 
 }  // namespace malus

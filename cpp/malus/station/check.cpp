@@ -166,7 +166,7 @@ Plan check_station(const Station& station, const Options& options, const Context
                                    : "fuse: grid transfer (Eq 14 to 16)");
     plan.does.emplace_back("mesh, assess");
     const auto& spec = station.file.prior;
-    const bool raster = (spec && !spec->cloud) || (!spec && station.prior_depth);
+    const bool raster = (spec && !spec->cloud) || (!spec && (station.prior_depth || station.swept));
     const StepCost& prior = raster ? raster_cost : cloud_cost;
     const StepCost& fusion = refined ? refine_cost : grid_cost;
     plan.seconds += whole_height_seconds(image_mpx, object_mpx);

@@ -9,7 +9,7 @@ using Json = nlohmann::ordered_json;
 
 std::string prior_kind(const Station& station) {
   if (station.cloud || (station.file.prior && station.file.prior->cloud)) return "cloud";
-  if (station.prior_depth || (station.file.prior && station.file.prior->depth)) return "depth";
+  if (station.prior_depth || station.swept || (station.file.prior && station.file.prior->depth)) return "depth";
   if (station.file.prior && station.file.prior->mesh) return "mesh";
   return station.file.photos ? "photos" : "none";
 }
@@ -75,6 +75,7 @@ std::string describe_station_json(const Station& station) {
     json["camera"] = lens_to_json(*file.lens);
   }
   if (file.camera_image) json["camera_image"] = *file.camera_image;
+  if (file.optics.label_image) json["label_image"] = file.optics.label_image->string();
   if (file.photos) {
     json["photos"] = {{"folder", file.photos->folder.string()}, {"exclude", file.photos->exclude}};
     if (file.photos->camera) json["photos"]["camera"] = lens_to_json(*file.photos->camera);

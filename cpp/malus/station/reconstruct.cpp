@@ -200,9 +200,7 @@ DepthPrior make_prior(const Station& station, const PolarizationStep& images, co
     return project_prior(source, images.camera, pose, mask, options.prior, context);
   };
   if (station.cloud) return project(*station.cloud);
-  if (station.prior_depth && station.prior_sigma) {
-    return project_prior(*station.prior_depth, *station.prior_sigma, images.camera, pose, mask, options.prior, context);
-  }
+  if (station.swept) return project(*station.swept);
   if (station.prior_depth) return project(*station.prior_depth);
   const PriorSpec& spec = station.file.prior.value();
   if (spec.cloud) return project(read_cloud(*spec.cloud, context));

@@ -8,6 +8,7 @@
 #include "malus/core/geometry.h"
 #include "malus/core/image.h"
 #include "malus/io/station_file.h"
+#include "malus/prior/project_prior.h"
 
 namespace malus {
 
@@ -21,12 +22,12 @@ struct Station {
   std::optional<Mask> mask;
   std::optional<PointCloud> cloud;          ///< world frame
   std::optional<Image<float>> prior_depth;  ///< z in the undistorted view, NaN = none
-  std::optional<Image<float>> prior_sigma;  ///< standard deviation of prior_depth; nothing = PriorOptions' share of GSD
+  std::optional<SweptDepth> swept;          ///< depth in the undistorted view, measured over windows
   /// What the photogrammetry says of itself that made camera and prior: JSON of an object, repeated in quality.json.
   std::optional<std::string> photogrammetry_json;
 
   bool in_memory() const { return !images.empty(); }
-  bool has_prior() const { return cloud || prior_depth || file.prior; }
+  bool has_prior() const { return cloud || prior_depth || swept || file.prior; }
 
   /// Reads and checks a station file (not the images). Throws ErrorCode::input.
   static Station load(const std::filesystem::path& path) {

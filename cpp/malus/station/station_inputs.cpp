@@ -97,7 +97,11 @@ Json StationInputs::prior() {
   }
   if (station_.cloud) json["cloud"] = array(station_.cloud->points.data(), station_.cloud->points.size());
   if (station_.prior_depth) json["depth"] = array(station_.prior_depth->data(), station_.prior_depth->count());
-  if (station_.prior_sigma) json["sigma"] = array(station_.prior_sigma->data(), station_.prior_sigma->count());
+  if (const auto& swept = station_.swept) {
+    json["swept"] = array(swept->depth.data(), swept->depth.count());
+    json["sigma"] = array(swept->sigma.data(), swept->sigma.count());
+    json["shape"] = array(swept->shape.data(), swept->shape.count());
+  }
   return json;
 }
 

@@ -21,22 +21,35 @@ constexpr double region_step_px = 2;
 /// Without halves: standard deviation at full correlation, px of parallax.
 constexpr double lone_sigma_px = 0.5;
 
-/// Sums over the pixels around at which both halves see the surface.
+/// Sums over pixels at which both halves see the surface.
 struct Surroundings {
-  double count = 0, agreeing = 0, squares = 0;
+  float count = 0, agreeing = 0, squares = 0;
+
+  void add(const Surroundings& other) {
+    count += other.count;
+    agreeing += other.agreeing;
+    squares += other.squares;
+  }
 };
 
-Surroundings surroundings(const HalvesDifference& halves, int u, int v) {
-  Surroundings sums;
+/// Sums over the rows around row v, a column each.
+std::vector<Surroundings> column_sums(const HalvesDifference& halves, int v) {
   const Image<float>& fine = *halves.fine;
+  std::vector<Surroundings> columns(static_cast<std::size_t>(fine.width()));
   for (int j = std::max(v - radius, 0); j <= std::min(v + radius, fine.height() - 1); ++j) {
-    for (int i = std::max(u - radius, 0); i <= std::min(u + radius, fine.width() - 1); ++i) {
-      const float difference = std::max(std::abs(fine(i, j)), std::abs((*halves.wide)(i, j)));
+    for (int u = 0; u < fine.width(); ++u) {
+      const float difference = std::max(std::abs(fine(u, j)), std::abs((*halves.wide)(u, j)));
       if (!std::isfinite(difference)) continue;
-      sums.count += 1;
-      sums.agreeing += difference < agreeing_px ? 1 : 0;
-      sums.squares += difference * difference;
+      columns[static_cast<std::size_t>(u)].add({1, difference < agreeing_px ? 1.0F : 0.0F, difference * difference});
     }
+  }
+  return columns;
+}
+
+Surroundings surroundings(const std::vector<Surroundings>& columns, int u) {
+  Surroundings sums;
+  for (int i = std::max(u - radius, 0); i <= std::min(u + radius, static_cast<int>(columns.size()) - 1); ++i) {
+    sums.add(columns[static_cast<std::size_t>(i)]);
   }
   return sums;
 }
@@ -48,13 +61,15 @@ void judge(const PassResult& pass, const HalvesDifference& halves, double rate, 
   result.depth = Image<float>(mask.size(), 1, none);
   result.sigma = result.confidence = result.depth;
   parallel_rows(context, mask.height(), [&](int v) {
+    const std::vector<Surroundings> columns =
+        result.halves_compared ? column_sums(halves, v) : std::vector<Surroundings>();
     for (int u = 0; u < mask.width(); ++u) {
       if (mask(u, v) == 0 || !std::isfinite(pass.log_depth(u, v)) || pass.score(u, v) < options.min_score) continue;
       double agreement = 1, sigma_px = lone_sigma_px / std::max(pass.score(u, v), 0.05F);
       if (result.halves_compared) {
-        const Surroundings around = surroundings(halves, u, v);
+        const Surroundings around = surroundings(columns, u);
         if (around.agreeing == 0 || around.agreeing < options.min_agreement * around.count) continue;
-        agreement = around.agreeing / around.count;
+        agreement = static_cast<double>(around.agreeing) / around.count;
         sigma_px = 0.5 * options.sigma_scale * std::sqrt(around.squares / around.count) / agreement;
       }
       const double z = std::exp(pass.log_depth(u, v));

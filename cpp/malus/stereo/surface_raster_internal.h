@@ -13,6 +13,9 @@ void fill_gaps(Image<float>& log_depth, const Mask& mask);
 Image<float> median_filtered(const Image<float>& log_depth, int radius, const Context& context);
 /// Gaussian mean of sigma `sigma_px` over pixels whose value differs by at most `largest_step` a pixel of distance.
 Image<float> smoothed(const Image<float>& log_depth, double sigma_px, double largest_step, const Context& context);
+/// Value at half the resolution (see `halved`), a binomial mean of what is known; NaN outside the mask and where
+/// nothing around is.
+Image<float> halved_surface(const Image<float>& log_depth, const Mask& mask, const Context& context);
 /// Value at twice the resolution (see `halved`), bilinear; NaN outside the mask and where no pixel around has one.
 Image<float> doubled(const Image<float>& log_depth, const Mask& mask, const Context& context);
 

@@ -37,6 +37,16 @@ void validate(const SweepInput& input, std::span<const SweepView> views, const S
   if (std::none_of(input.mask.begin(), input.mask.end(), [](std::uint8_t m) { return m != 0; })) {
     throw input_error("surface sweep: mask: no pixel is set, expected the object's pixels to be non-zero");
   }
+  if (input.surface.count() > 0) {
+    require_size(input.surface, input.camera.size, "surface sweep: known surface");
+    require_size(input.surface_sigma, input.camera.size, "surface sweep: standard deviation of the known surface");
+    bool known = false;
+    for (std::size_t i = 0; i < input.mask.count(); ++i) {
+      known = known || (input.mask[i] != 0 && input.surface[i] > 0 && input.surface_sigma[i] > 0);
+    }
+    if (!known)
+      throw input_error("surface sweep: known surface: expected a depth and a standard deviation on the object");
+  }
   if (views.empty()) {
     throw data_error("surface sweep: no photos, expected at least one whose pose is known");
   }
@@ -69,6 +79,21 @@ Image<float> coded(const Image<float>& intensity, double gamma, const Context& c
   return result;
 }
 
+/// NaN where it has no depth.
+Image<float> log_of(const Image<float>& depth) {
+  Image<float> result(depth.size(), 1, std::numeric_limits<float>::quiet_NaN());
+  for (std::size_t i = 0; i < depth.count(); ++i) {
+    if (depth[i] > 0) result[i] = std::log(depth[i]);
+  }
+  return result;
+}
+
+Image<float> sum(const Image<float>& a, const Image<float>& b) {
+  Image<float> result = a;
+  for (std::size_t i = 0; i < result.count(); ++i) result[i] += b[i];
+  return result;
+}
+
 /// Levels such that the coarsest image's shorter side keeps `min_level_px`.
 int level_count(Size size, int min_level_px) {
   int levels = 1;
@@ -86,9 +111,21 @@ struct Sweep {
 
 constexpr std::array coarse_sweeps{Sweep{0.5, 6, true, 1.0}};
 constexpr std::array finest_sweeps{Sweep{0.5, 3, true, 1.0}, Sweep{0.25, 2, true, 1.5}};
+/// Farthest offset of sweeps that follow each other, px of their level.
+double reach_px(std::span<const Sweep> sweeps) {
+  double reach = 0;
+  for (const Sweep& sweep : sweeps) reach += sweep.step_px * sweep.half_count;
+  return reach;
+}
+
 constexpr double first_step_px = 0.7;
 /// Offset that the penalties of the options are for, px of parallax.
 constexpr double penalty_step_px = 0.5;
+
+/// Of a known surface only the difference is smoothed, which is smoother than the surface: by this more.
+constexpr double known_smoothing = 3;
+/// Share of a known surface's pixels whose standard deviation the search reaches.
+constexpr double known_reach = 0.9;
 
 /// Below this share of the object with a depth there is a warning.
 constexpr double least_completeness = 0.3;
@@ -103,7 +140,8 @@ class SurfaceSweep {
       : input_(input), options_(options), context_(context), photos_(input, views, options, context) {}
 
   SweepResult run() {
-    const int levels = level_count(input_.camera.size, options_.min_level_px);
+    const int most = level_count(input_.camera.size, options_.min_level_px);
+    const int levels = is_known() ? std::min(most, levels_of_known()) : most;
     std::vector<Image<float>> references =
         intensity_pyramid(coded(input_.intensity, options_.station_gamma, context_), levels, context_);
     std::vector<Mask> masks{input_.mask};
@@ -112,15 +150,20 @@ class SurfaceSweep {
       masks.push_back(halved(masks.back()));
       cameras.push_back(halved(cameras.back()));
     }
-    enter_level(levels - 1, references, masks, cameras);
-    start();
+    const std::vector<Image<float>> shapes = shape_pyramid(masks);
+    enter_level(levels - 1, references, masks, cameras, shapes);
+    if (is_known()) {
+      start_from_surface();
+    } else {
+      start();
+    }
 
     for (int k = levels - 1; k >= 0; --k) {
       if (k + 1 < levels) {
-        enter_level(k, references, masks, cameras);
-        surface_ = doubled(surface_, level_.mask, context_);
-        fill_gaps(surface_, level_.mask);
-        rate_ = photos_.prepare(level_, surface_, false, context_);
+        enter_level(k, references, masks, cameras, shapes);
+        deviation_ = doubled(deviation_, level_.mask, context_);
+        fill_gaps(deviation_, level_.mask);
+        rate_ = photos_.prepare(level_, sum(shape_, deviation_), false, context_);
       }
       if (k > 0) {
         for (const Sweep& step : coarse_sweeps) sweep(step);
@@ -134,17 +177,64 @@ class SurfaceSweep {
 
  private:
   void enter_level(int k, std::vector<Image<float>>& references, std::vector<Mask>& masks,
-                   const std::vector<Pinhole>& cameras) {
+                   const std::vector<Pinhole>& cameras, const std::vector<Image<float>>& shapes) {
     const auto at = static_cast<std::size_t>(k);
     level_.reference = std::move(references[at]);
     level_.mask = std::move(masks[at]);
     level_.camera = cameras[at];
     level_.reduction = 1 << k;
+    shape_ = shapes[at];
+  }
+
+  bool is_known() const { return input_.surface.count() > 0; }
+
+  /// Levels about the known surface whose offsets reach its standard deviation nearly everywhere: more would only find
+  /// more that looks alike by chance.
+  int levels_of_known() {
+    level_.mask = input_.mask;
+    level_.camera = input_.camera;
+    level_.reduction = 1;
+    const double rate = photos_.prepare(level_, log_of(input_.surface), true, context_);
+    std::vector<double> sigmas_px;
+    for (std::size_t i = 0; i < input_.mask.count(); ++i) {
+      const double relative = input_.surface_sigma[i] / input_.surface[i];
+      if (input_.mask[i] != 0 && std::isfinite(relative)) sigmas_px.push_back(rate * relative);
+    }
+    const auto at = sigmas_px.begin() + static_cast<std::ptrdiff_t>(known_reach * (sigmas_px.size() - 1));
+    std::nth_element(sigmas_px.begin(), at, sigmas_px.end());
+    int levels = 1;
+    for (double reach = reach_px(finest_sweeps); reach < *at; ++levels) {
+      reach += std::ldexp(reach_px(coarse_sweeps), levels);
+    }
+    return levels;
+  }
+
+  /// ln z of the known surface at every level, without gaps; 0 without one.
+  std::vector<Image<float>> shape_pyramid(const std::vector<Mask>& masks) const {
+    std::vector<Image<float>> shapes;
+    for (const Mask& mask : masks) shapes.emplace_back(mask.size(), 1, 0.0F);
+    if (!is_known()) return shapes;
+    shapes[0] = log_of(input_.surface);
+    fill_gaps(shapes[0], masks[0]);
+    for (std::size_t k = 1; k < shapes.size(); ++k) {
+      shapes[k] = halved_surface(shapes[k - 1], masks[k], context_);
+      fill_gaps(shapes[k], masks[k]);
+    }
+    return shapes;
+  }
+
+  void start_from_surface() {
+    deviation_ = Image<float>(level_.mask.size(), 1, 0.0F);
+    for (std::size_t i = 0; i < deviation_.count(); ++i) {
+      if (level_.mask[i] == 0) deviation_[i] = std::numeric_limits<float>::quiet_NaN();
+    }
+    result_.points_total = static_cast<double>(input_.points.size());
+    rate_ = photos_.prepare(level_, shape_, true, context_);
   }
 
   MatchSettings match_settings() const {
     MatchSettings settings;
-    settings.radius = options_.window_radius;
+    settings.radius = is_known() ? options_.known_window_radius : options_.window_radius;
     settings.best = std::min(options_.best_views, static_cast<int>(level_.views.size()));
     settings.max_views = options_.max_views;
     settings.noise_variance = static_cast<float>(options_.noise * options_.noise);
@@ -158,14 +248,14 @@ class SurfaceSweep {
     const std::vector<StationPoint> points = points_on_object(input_.points, level_, input_.pose, options_.min_points);
     std::vector<double> depths;
     for (const StationPoint& point : points) depths.push_back(point.log_depth);
-    surface_ = Image<float>(level_.mask.size(), 1, static_cast<float>(median_in_place(depths)));
-    photos_.prepare(level_, surface_, true, context_);
+    deviation_ = Image<float>(level_.mask.size(), 1, static_cast<float>(median_in_place(depths)));
+    photos_.prepare(level_, deviation_, true, context_);
     FirstSurface first = first_surface(points, level_, input_.pose, match_settings(), options_.min_points, context_);
     result_.points_total = static_cast<double>(input_.points.size());
     result_.points_used = static_cast<double>(first.points_used);
-    surface_ = std::move(first.log_depth);
-    fill_gaps(surface_, level_.mask);
-    rate_ = photos_.prepare(level_, surface_, true, context_);
+    deviation_ = std::move(first.log_depth);
+    fill_gaps(deviation_, level_.mask);
+    rate_ = photos_.prepare(level_, deviation_, true, context_);
     const double wanted = std::ceil(first.range * rate_ / first_step_px);
     const double most = std::ceil(options_.max_search / first_step_px);
     sweep({first_step_px, static_cast<int>(std::clamp(wanted, 12.0, std::max(most, 12.0))), true, 1.0});
@@ -183,11 +273,12 @@ class SurfaceSweep {
     settings.large_step = static_cast<float>(options_.large_step * fineness);
     settings.match = match_settings();
 
-    surface_ = median_filtered(surface_, 1, context_);
-    surface_ = smoothed(surface_, step.smooth_px, smoothing_limit_px / rate_, context_);
-    fill_gaps(surface_, level_.mask);
-    const Image<float> before = surface_;
-    pass_ = run_pass(level_, surface_, settings, context_);
+    deviation_ = median_filtered(deviation_, 1, context_);
+    deviation_ =
+        smoothed(deviation_, step.smooth_px * (is_known() ? known_smoothing : 1), smoothing_limit_px / rate_, context_);
+    fill_gaps(deviation_, level_.mask);
+    const Image<float> before = sum(shape_, deviation_);
+    pass_ = run_pass(level_, before, settings, context_);
     SweepPassReport report;
     Image<float> change(before.size());
     for (std::size_t i = 0; i < before.count(); ++i) change[i] = std::abs(pass_.log_depth[i] - before[i]);
@@ -204,7 +295,8 @@ class SurfaceSweep {
       difference_px_ = std::move(pass_.difference);
       for (float& value : difference_px_) value *= static_cast<float>(step.step_px);
     }
-    surface_ = pass_.log_depth;
+    deviation_ = pass_.log_depth;
+    for (std::size_t i = 0; i < deviation_.count(); ++i) deviation_[i] -= shape_[i];
     context_.progress("sweep", 1.0 / level_.reduction, "1/" + std::to_string(level_.reduction) + " resolution");
   }
 
@@ -233,8 +325,8 @@ class SurfaceSweep {
   const Context& context_;
   ViewChoice photos_;
   MatchLevel level_;
-  Image<float> surface_;  ///< ln z at the present level
-  double rate_ = 1;       ///< px of parallax at the present level a unit of ln z
+  Image<float> shape_, deviation_;  ///< ln z at the present level is their sum; only the deviation is smoothed
+  double rate_ = 1;                 ///< px of parallax at the present level a unit of ln z
   PassResult pass_;
   Image<float> difference_px_, wide_difference_px_;  ///< of the halves, in the last full sweep and the one before
   SweepResult result_;

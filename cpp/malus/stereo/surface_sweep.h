@@ -26,11 +26,15 @@ struct SweepInput {
   Pose pose;
   Mask mask;                            ///< of the camera's size; non-zero = object
   std::vector<Eigen::Vector3d> points;  ///< triangulated points, world frame; those off the object do not matter
+  /// A surface known beforehand, from which the search starts instead of the points, and its standard deviation: z, of
+  /// the camera's size, NaN = none. Empty = no such surface.
+  Image<float> surface, surface_sigma;
 };
 
 struct SweepOptions {
   double station_gamma = 2.2;
   int window_radius = 3;
+  int known_window_radius = 7;
   int best_views = 5;
   int max_views = 10;
   int min_level_px = 100;
@@ -46,12 +50,15 @@ struct SweepOptions {
   int min_region_px = 400;
   double sigma_scale = 2.6;
   double sigma_floor_gsd = 0.2;
+  bool again = true;
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
     visit("station_gamma", self.station_gamma, Range{0.2, 5},
           "the station's linear intensity is raised to 1 / this, to be coded like the photos; 1 = as it is");
     visit("window_radius", self.window_radius, Range{1, 4}, "of the square windows that are compared, in px");
+    visit("known_window_radius", self.known_window_radius, Range{1, 8},
+          "the same in a sweep about a known surface, on which large windows lie exactly");
     visit("best_views", self.best_views, Range{1, 16}, "photos that count at a pixel: those that match best");
     visit("max_views", self.max_views, Range{1, 64}, "photos that are compared in one part of the image");
     visit("min_level_px", self.min_level_px, Range{16, 1e6}, "shorter side of the coarsest image, at least, in px");
@@ -72,6 +79,8 @@ struct SweepOptions {
     visit("sigma_scale", self.sigma_scale, Range{0, 100},
           "standard deviation of depth over half the difference of the halves");
     visit("sigma_floor_gsd", self.sigma_floor_gsd, not_negative, "smallest standard deviation, in GSD");
+    visit("again", self.again, any_value,
+          "sweep a station again about its fused surface, and fuse with that, where the photos agree well enough");
   }
 };
 
@@ -111,6 +120,9 @@ struct SweepResult {
 /// the station's resolution. Two disjoint halves of the photos are scored separately: from their differences comes
 /// sigma, and where they do not agree there is no depth. With one or two photos there are no halves: sigma is larger
 /// and the log has a warning.
+///
+/// About a known surface the levels are as many as its standard deviation asks for, the windows are larger, and only
+/// the difference from it is smoothed between the sweeps, so that the windows keep to its detail.
 ///
 /// Correlation does not see gain and offset; `station_gamma` brings the linear station to the photos' coding, which
 /// makes that nearly enough.

@@ -1,121 +1,28 @@
-#include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
+#include "malus/stereo/match_rows_internal.h"
 #include "malus/stereo/tile_matcher_internal.h"
 
 namespace malus {
 namespace {
 
-using Values = Eigen::Map<Eigen::ArrayXf>;
-using ConstValues = Eigen::Map<const Eigen::ArrayXf>;
-
-constexpr std::size_t chunk = 64;
-
-/// Bilinear interpolation along x0 + t x1 + t² x2, y likewise; beyond the image its border goes on.
-void sample_row(const Image<float>& image, const std::array<const float*, 6>& path, float t, std::size_t count,
-                float* out) {
-  // The last cell's right neighbour must exist, so the coordinates stop just short of the last pixel.
-  const float max_x = static_cast<float>(image.width() - 1) - 1e-3F;
-  const float max_y = static_cast<float>(image.height() - 1) - 1e-3F;
-  const float t2 = t * t;
-  const std::ptrdiff_t stride = image.width();
-  const float* const pixels = image.data();
-  std::array<float, chunk> fx, fy;
-  std::array<int, chunk> cell;
-  for (std::size_t begin = 0; begin < count; begin += chunk) {
-    const std::size_t n = std::min(chunk, count - begin);
-    for (std::size_t i = 0; i < n; ++i) {
-      const std::size_t k = begin + i;
-      const float x = std::min(std::max(path[0][k] + t * path[1][k] + t2 * path[2][k], 0.0F), max_x);
-      const float y = std::min(std::max(path[3][k] + t * path[4][k] + t2 * path[5][k], 0.0F), max_y);
-      const int column = static_cast<int>(x), row = static_cast<int>(y);
-      fx[i] = x - static_cast<float>(column);
-      fy[i] = y - static_cast<float>(row);
-      cell[i] = row * static_cast<int>(stride) + column;
-    }
-    for (std::size_t i = 0; i < n; ++i) {
-      const float* const p = pixels + cell[i];
-      const float top = p[0] + fx[i] * (p[1] - p[0]);
-      const float bottom = p[stride] + fx[i] * (p[stride + 1] - p[stride]);
-      out[begin + i] = top + fy[i] * (bottom - top);
-    }
-  }
-}
-
-/// out[i] = sum of in[i … i + 2 radius].
-template <int radius>
-void horizontal_sums(const float* in, std::size_t count, float* out) {
-  for (std::size_t i = 0; i < count; ++i) {
-    float sum = in[i];
-    for (int k = 1; k <= 2 * radius; ++k) sum += in[i + static_cast<std::size_t>(k)];
-    out[i] = sum;
-  }
-}
-
 /// Window sums of a padded raster.
-template <int radius>
-std::vector<float> window_sums(const std::vector<float>& padded, std::size_t stride, std::size_t rows) {
-  const std::size_t width = stride - 2 * radius, height = rows - 2 * radius;
-  std::vector<float> lines(width * rows), sums(width * height, 0.0F);
-  for (std::size_t v = 0; v < rows; ++v) horizontal_sums<radius>(&padded[v * stride], width, &lines[v * width]);
+std::vector<float> window_sums(int radius, const std::vector<float>& padded, std::size_t stride, std::size_t rows) {
+  const std::size_t window = 2 * static_cast<std::size_t>(radius) + 1;
+  const std::size_t width = stride + 1 - window, height = rows + 1 - window;
+  std::vector<float> lines(width * rows, 0.0F), sums(width * height, 0.0F);
+  for (std::size_t v = 0; v < rows; ++v) {
+    for (std::size_t k = 0; k < window; ++k) {
+      for (std::size_t u = 0; u < width; ++u) lines[v * width + u] += padded[v * stride + u + k];
+    }
+  }
   for (std::size_t v = 0; v < height; ++v) {
-    for (std::size_t k = 0; k <= 2 * radius; ++k) {
+    for (std::size_t k = 0; k < window; ++k) {
       for (std::size_t u = 0; u < width; ++u) sums[v * width + u] += lines[(v + k) * width + u];
     }
   }
   return sums;
-}
-
-std::vector<float> window_sums(int radius, const std::vector<float>& padded, std::size_t stride, std::size_t rows) {
-  switch (radius) {
-    case 1:
-      return window_sums<1>(padded, stride, rows);
-    case 2:
-      return window_sums<2>(padded, stride, rows);
-    case 3:
-      return window_sums<3>(padded, stride, rows);
-    default:
-      return window_sums<4>(padded, stride, rows);
-  }
-}
-
-/// Puts values into lists that are sorted per pixel, largest first.
-void insert(const std::vector<float>& values, std::vector<std::vector<float>>& best) {
-  const std::size_t n = values.size();
-  Eigen::Array<float, chunk, 1> rest;
-  for (std::size_t begin = 0; begin < n; begin += chunk) {
-    const auto count = static_cast<Eigen::Index>(std::min(chunk, n - begin));
-    rest.head(count) = ConstValues(&values[begin], count);
-    for (std::vector<float>& list : best) {
-      Values kept(&list[begin], count);
-      for (Eigen::Index i = 0; i + 4 <= count; i += 4) {
-        const Eigen::Array4f a = kept.segment<4>(i), b = rest.segment<4>(i);
-        kept.segment<4>(i) = a.max(b);
-        rest.segment<4>(i) = a.min(b);
-      }
-      for (Eigen::Index i = count / 4 * 4; i < count; ++i) {
-        const float a = kept[i], b = rest[i];
-        kept[i] = std::max(a, b);
-        rest[i] = std::min(a, b);
-      }
-    }
-  }
-}
-
-void clear(std::vector<std::vector<float>>& best) {
-  for (std::vector<float>& list : best) std::fill(list.begin(), list.end(), 0.0F);
-}
-
-/// Mean of the lists over min(their number, views that see the pixel).
-void average(const std::vector<std::vector<float>>& best, const std::vector<float>& count, std::vector<float>& mean) {
-  mean.assign(count.size(), 0.0F);
-  for (const std::vector<float>& list : best) {
-    for (std::size_t i = 0; i < mean.size(); ++i) mean[i] += list[i];
-  }
-  const auto k = static_cast<float>(best.size());
-  for (std::size_t i = 0; i < mean.size(); ++i) mean[i] /= std::max(1.0F, std::min(k, count[i]));
 }
 
 }  // namespace
@@ -131,13 +38,6 @@ TileMatcher::TileMatcher(const MatchLevel& level, PixelBox tile, const Surface& 
       rows_(static_cast<std::size_t>(padded_.height())) {
   take_reference(level, log_depth);
   choose_views(level);
-  const std::size_t n = tile_pixels();
-  correlation_.resize(n);
-  sums_.resize(3 * static_cast<std::size_t>(tile_.width()) * static_cast<std::size_t>(2 * settings_.radius + 1));
-  best_.assign(static_cast<std::size_t>(settings_.best), std::vector<float>(n));
-  if (settings_.compare_halves) {
-    half_best_.fill(std::vector(static_cast<std::size_t>((settings_.best + 1) / 2), std::vector<float>(n)));
-  }
 }
 
 void TileMatcher::take_reference(const MatchLevel& level, const Surface& log_depth) {
@@ -253,70 +153,50 @@ void TileMatcher::prepare(float centre, float half_range) {
   projected_ = centre;
 }
 
-template <int radius>
-void TileMatcher::correlate(const View& view, float t) {
-  constexpr std::size_t ring = 2 * radius + 1;
-  const auto width = static_cast<std::size_t>(tile_.width());
-  const auto count = static_cast<Eigen::Index>(width);
-  std::vector<float> warped(stride_), square(stride_), product(stride_), totals(3 * width);
+void TileMatcher::score(float offset, Scores& scores) {
+  const float t = (offset - centre_) / half_range_;
+  const auto width = static_cast<std::size_t>(tile_.width()),
+             window = rows_ + 1 - static_cast<std::size_t>(tile_.height());
+  const auto best = static_cast<std::size_t>(settings_.best), half_best = (best + 1) / 2;
+  scores.all.resize(tile_pixels());
+  if (settings_.compare_halves) {
+    for (auto& half : scores.half) half.resize(tile_pixels());
+  }
+  // All views go through a row before the next row, so that what a pixel's best views are chosen from stays in the
+  // cache: the window's lines of every view, and the row's best values.
+  const std::size_t ring = 3 * width * window;
+  lines_.resize(ring * views_.size());
+  std::vector<float> warped(stride_), scratch(stride_), totals(3 * width), found(width), copy(width);
+  std::vector<float> lists((best + 2 * half_best) * width);
+  float* const all = lists.data();
+  const std::array<float*, 2> half{all + best * width, all + (best + half_best) * width};
   for (std::size_t v = 0; v < rows_; ++v) {
     const std::size_t row = v * stride_;
-    std::array<const float*, 6> path;
-    for (std::size_t k = 0; k < path.size(); ++k) path[k] = &view.path[k][row];
-    sample_row(*view.view->image, path, t, stride_, warped.data());
-    for (std::size_t u = 0; u < stride_; ++u) {
-      const float value = warped[u] * weight_[row + u];
-      square[u] = value * value;
-      product[u] = warped[u] * weighted_[row + u];
-      warped[u] = value;
+    const bool complete = v + 1 >= window;
+    const std::size_t out = complete ? (v + 1 - window) * width : 0;
+    std::fill(lists.begin(), lists.end(), 0.0F);
+    for (std::size_t k = 0; k < views_.size(); ++k) {
+      const View& view = views_[k];
+      PathRow path;
+      for (std::size_t i = 0; i < path.size(); ++i) path[i] = &view.path[i][row];
+      sample_row(*view.view->image, path, t, stride_, warped.data());
+      float* const lines = &lines_[ring * k];
+      window_lines(warped.data(), &weight_[row], &weighted_[row], width, window, scratch.data(),
+                   lines + 3 * width * (v % window));
+      if (!complete) continue;
+      correlate_row(lines, window, width, {&inverse_count_[out], &mean_[out], &inverse_deviation_[out]},
+                    &view.seen[out], settings_.noise_variance, totals.data(), found.data());
+      if (settings_.compare_halves) {
+        copy = found;
+        insert_row(copy.data(), width, half_best, half[static_cast<std::size_t>(view.view->subset)]);
+      }
+      insert_row(found.data(), width, best, all);
     }
-    float* const line = &sums_[3 * width * (v % ring)];
-    horizontal_sums<radius>(warped.data(), width, line);
-    horizontal_sums<radius>(square.data(), width, line + width);
-    horizontal_sums<radius>(product.data(), width, line + 2 * width);
-    if (v + 1 < ring) continue;
-    for (std::size_t i = 0; i < 3 * width; ++i) {
-      float sum = sums_[i];
-      for (std::size_t k = 1; k < ring; ++k) sum += sums_[3 * width * k + i];
-      totals[i] = sum;
-    }
-    const std::size_t out = (v + 1 - ring) * width;
-    const ConstValues inverse(&inverse_count_[out], count), reference(&mean_[out], count);
-    const ConstValues deviation(&inverse_deviation_[out], count), seen(&view.seen[out], count);
-    const ConstValues squares(&totals[width], count), products(&totals[2 * width], count);
-    Values sum(totals.data(), count), result(&correlation_[out], count);
-    sum *= inverse;
-    result = seen * ((products * inverse - sum * reference) * deviation /
-                     ((squares * inverse - sum * sum).max(0.0F) + settings_.noise_variance).sqrt())
-                        .max(0.0F);
+    if (!complete) continue;
+    mean_row(all, width, best, &count_[out], &scores.all[out]);
+    if (!settings_.compare_halves) continue;
+    for (std::size_t k = 0; k < 2; ++k) mean_row(half[k], width, half_best, &half_count_[k][out], &scores.half[k][out]);
   }
-}
-
-void TileMatcher::correlate(const View& view, float t) {
-  switch (settings_.radius) {
-    case 1:
-      return correlate<1>(view, t);
-    case 2:
-      return correlate<2>(view, t);
-    case 3:
-      return correlate<3>(view, t);
-    default:
-      return correlate<4>(view, t);
-  }
-}
-
-void TileMatcher::score(float offset, Scores& scores) {
-  clear(best_);
-  for (auto& best : half_best_) clear(best);
-  const float t = (offset - centre_) / half_range_;
-  for (const View& view : views_) {
-    correlate(view, t);
-    insert(correlation_, best_);
-    if (settings_.compare_halves) insert(correlation_, half_best_[static_cast<std::size_t>(view.view->subset)]);
-  }
-  average(best_, count_, scores.all);
-  if (!settings_.compare_halves) return;
-  for (std::size_t k = 0; k < 2; ++k) average(half_best_[k], half_count_[k], scores.half[k]);
 }
 
 }  // namespace malus

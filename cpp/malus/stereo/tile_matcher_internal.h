@@ -86,9 +86,6 @@ class TileMatcher {
   void take_reference(const MatchLevel& level, const Surface& log_depth);
   void choose_views(const MatchLevel& level);
   void project(const View& view, float offset, std::vector<float>& x, std::vector<float>& y) const;
-  void correlate(const View& view, float t);
-  template <int radius>
-  void correlate(const View& view, float t);
 
   PixelBox tile_, padded_;
   MatchSettings settings_;
@@ -101,11 +98,8 @@ class TileMatcher {
   std::vector<float> count_;
   std::array<std::vector<float>, 2> half_count_;
   float centre_ = 0, half_range_ = 1;
-  float projected_ = 0;  ///< offset at which the paths' first coefficients are
-  // Scratch of score().
-  std::vector<float> correlation_, sums_;
-  std::vector<std::vector<float>> best_;
-  std::array<std::vector<std::vector<float>>, 2> half_best_;
+  float projected_ = 0;       ///< offset at which the paths' first coefficients are
+  std::vector<float> lines_;  ///< scratch of score(): sums along the rows of a window, a view
 };
 
 }  // namespace malus

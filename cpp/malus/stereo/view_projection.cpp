@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "malus/core/simd.h"
 #include "malus/stereo/view_projection_internal.h"
 
 namespace malus {
@@ -73,6 +74,7 @@ double ViewProjection::depth_in_view(double u, double v, double z) const {
   return z * view_from_station_.row(2).dot(station_.ray(u, v)) + translation_.z();
 }
 
+MALUS_SIMD_CLONES
 void ViewProjection::project_row(double u0, double v, double spacing, const float* z, std::size_t count, float* x,
                                  float* y) const {
   const Eigen::Vector3f start = (view_from_station_ * station_.ray(spacing * u0, spacing * v)).cast<float>();

@@ -6,17 +6,19 @@ reads the cameras of an Agisoft Metashape project.
 """
 
 from malus.photogrammetry.folder import exclusive
-from malus.photogrammetry.front_end import StationCameras, find_cameras, sweep_station
+from malus.photogrammetry.front_end import FusedOnce, StationCameras, Swept, find_cameras, sweep_station
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.model import RegisteredImage, SparseModel
 from malus.photogrammetry.photos import Photo, list_photos
 from malus.photogrammetry.plan import plan
 
 __all__ = [
+    "FusedOnce",
     "Photo",
     "RegisteredImage",
     "SparseModel",
     "StationCameras",
+    "Swept",
     "exclusive",
     "find_cameras",
     "list_photos",

@@ -2,7 +2,8 @@
 
 photos → their cameras (photo_cameras) → the station among them (station_pose) → all of
 them measured more sharply (window_matching) → metric scale (scale) → surface sweep in
-the station's view (malus.stereo) → depth with sigma. Everything is kept below one folder, and what is done is not done
+the station's view (malus.stereo) → depth with sigma, measured again about the surface
+fused with it. Everything is kept below one folder, and what is done is not done
 again (journal).
 """
 
@@ -160,28 +161,61 @@ def _photo_of_same_camera(
     return None
 
 
+@dataclass(frozen=True)
+class Swept:
+    """Depth of the station's undistorted view (H×W) as the photos have it."""
+
+    depth: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+    """One standard deviation of depth."""
+    shape: NDArray[np.float32] | None
+    """Surface that it was measured about; None = without one."""
+    figures: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class FusedOnce:
+    """A surface fused with a first sweep's prior, and that prior (H×W)."""
+
+    depth: NDArray[np.float32]
+    prior_depth: NDArray[np.float32]
+    prior_sigma: NDArray[np.float32]
+
+
+#: Share of the object on which photos must agree for a sweep about the fused surface: below, what they see is mostly
+#: mirror images, which a narrow search finds again wherever it looks.
+AGAIN_COMPLETENESS = 0.3
+#: A fused surface farther from its prior, in standard deviations, is a slope that the polarization had wrong.
+TRUSTED_SIGMAS = 2.0
+
+
 def sweep_station(
     cameras: StationCameras,
     unpolarized: NDArray[np.float32],
     mask: NDArray[np.uint8],
     folder: Path,
     *,
+    fuse: Callable[[Swept], FusedOnce],
+    fused_of: Mapping[str, Any],
     options: Options,
     threads: int,
     progress: Report,
     log: Log,
-) -> tuple[NDArray[np.float32], NDArray[np.float32], dict[str, Any]]:
-    """Depth and its standard deviation (H×W) in the station's undistorted view, and the sweep's figures.
+) -> Swept:
+    """Sweep about the triangulated points and, where that finds enough, again about the surface fused with it.
 
-    Kept below `folder` and read back when nothing that matters has changed.
+    The fused surface knows slopes and detail that photos do not show: windows that lie on it can be larger, and see
+    what weak texture hides. `fuse` is called if the second sweep is not done yet; `fused_of` is all that its surface
+    depends on besides the sweep. Kept below `folder` and read back when nothing that matters has changed.
     """
     raster = lens_of_raster(cameras.station)
     assert raster is not None
     view = replace(raster, rotation=cameras.station.rotation, translation=cameras.station.translation)
     journal = Journal(folder)
-    outputs = ["sweep_depth.tif", "sweep_sigma.tif", "sweep_confidence.tif"]
+    settings = json.loads(options.to_json())["sweep"]
+    again = settings.pop("again")
 
-    def run() -> dict[str, Any]:
+    def swept(outputs: list[str], surface: tuple[NDArray[np.float32], NDArray[np.float32]] | None) -> dict[str, Any]:
         found = stereo.sweep(
             np.nan_to_num(unpolarized),
             view,
@@ -192,6 +226,7 @@ def sweep_station(
             threads,
             lambda _, fraction, message: progress(fraction, message),
             log,
+            surface,
         )
         for name, raster_values in zip(outputs, (found.depth, found.sigma, found.confidence), strict=True):
             _core.write_float_tiff(str(folder / name), raster_values)
@@ -203,14 +238,36 @@ def sweep_station(
             "sigma_gsd": found.median_sigma_gsd,
         }
 
+    def read(outputs: list[str]) -> list[NDArray[np.float32]]:
+        return [_core.read_raster(str(folder / name)) for name in outputs]
+
     inputs = {
         "view": repr(view.values()),
         "photos": [(photo.name, repr(camera.values())) for photo, camera in cameras.photos],
         "image": hashlib.sha256(np.ascontiguousarray(unpolarized).tobytes() + mask.tobytes()).hexdigest(),
         "points": hashlib.sha256(cameras.model.points.tobytes()).hexdigest(),
-        "options": json.loads(options.to_json())["sweep"],
+        "options": settings,
     }
-    figures = journal.stage("sweep", inputs, outputs, run)
+    outputs = ["sweep_depth.tif", "sweep_sigma.tif", "sweep_confidence.tif"]
+    figures = journal.stage("sweep", inputs, outputs, lambda: swept(outputs, None))
+    depth, sigma, _ = read(outputs)
+    first = Swept(depth, sigma, None, figures)
+    if not again or figures["completeness"] < AGAIN_COMPLETENESS:
+        progress(1.0, "")
+        return first
+
+    outputs_again = ["sweep_again_depth.tif", "sweep_again_sigma.tif", "sweep_again_confidence.tif"]
+    shape_file = "sweep_again_shape.tif"
+
+    def swept_again() -> dict[str, Any]:
+        fused = fuse(first)
+        reach = TRUSTED_SIGMAS * fused.prior_sigma
+        shape = np.clip(fused.depth, fused.prior_depth - reach, fused.prior_depth + reach)
+        shape = np.where(np.isfinite(shape), shape, fused.prior_depth)
+        _core.write_float_tiff(str(folder / shape_file), shape)
+        return swept(outputs_again, (shape, fused.prior_sigma))
+
+    figures_again = journal.stage("sweep_again", fused_of, [*outputs_again, shape_file], swept_again)
+    depth, sigma, _, shape = read([*outputs_again, shape_file])
     progress(1.0, "")
-    depth, sigma = (_core.read_raster(str(folder / name)) for name in outputs[:2])
-    return depth, sigma, figures
+    return Swept(depth, sigma, shape, {**figures_again, "first": figures})

@@ -40,7 +40,8 @@ def plan(station: Mapping[str, Any], options: Options, threads: int) -> tuple[li
     does = [
         f"photos: {len(photos)} with {lens}, {len(pairs)} pairs to match, {program.title}",
         f"scale: {len(station['scale'])} known distances" if station["scale"] else "scale: none, arbitrary unit",
-        "sweep: depth of the station's view from the photos",
+        "sweep: depth of the station's view from the photos"
+        + (", then again about the surface fused with it" if options.sweep.again else ""),
     ]
     if known is None and any(group.focal_px is None for group in groups):
         warnings.append("[photos]: neither camera nor EXIF focal length is known; flat scenes cannot be solved so")

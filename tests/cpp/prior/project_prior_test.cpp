@@ -373,7 +373,7 @@ TEST(PriorOfDepthMap, SmoothsWhatWasMeasuredOverWindows) {
     }
   }
   const double before = rms_gsd(depth, plane_depth);
-  const DepthPrior prior = project_prior(depth, sigma, test_camera(), test_pose(), full_mask(), {}, {});
+  const DepthPrior prior = project_prior({depth, sigma, {}}, test_camera(), test_pose(), full_mask(), {}, {});
   EXPECT_NEAR(before, 1, 0.1);
   EXPECT_LT(rms_gsd(prior.depth, plane_depth), 0.5 * before);
   EXPECT_GE(prior.sigma(5, 5), sigma(5, 5));
@@ -382,14 +382,37 @@ TEST(PriorOfDepthMap, SmoothsWhatWasMeasuredOverWindows) {
   EXPECT_LT(prior.sigma(50, 40), 8 * gsd_mm);
   const auto [code, message] = error_of([&] {
     const Image<float> nowhere(size, 1, std::numeric_limits<float>::quiet_NaN());
-    project_prior(nowhere, nowhere, test_camera(), test_pose(), full_mask(), {}, {});
+    project_prior({nowhere, nowhere, {}}, test_camera(), test_pose(), full_mask(), {}, {});
   });
   EXPECT_EQ(code, ErrorCode::data);
   expect_contains(message, "agree nowhere");
   EXPECT_EQ(error_of([&] {
-              project_prior(depth, Image<float>({3, 3}), test_camera(), test_pose(), full_mask(), {}, {});
+              project_prior({depth, Image<float>({3, 3}), {}}, test_camera(), test_pose(), full_mask(), {}, {});
             }).first,
             ErrorCode::input);
+}
+
+TEST(PriorOfDepthMap, GoesOnAsTheShapeItWasMeasuredAbout) {
+  // A bulge that stereo did not see, and a tilt that the shape has wrong.
+  const auto bulge = [](double u, double v) { return -6 * gsd_mm * std::exp(-(std::hypot(u - 50, v - 40) / 8)); };
+  const auto truth = [&](double u, double v) { return plane_depth(u, v) + bulge(u, v); };
+  const Size size = test_camera().size;
+  SweptDepth swept{Image<float>(size), Image<float>(size, 1, static_cast<float>(0.2 * gsd_mm)), Image<float>(size)};
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = 0; u < size.width; ++u) {
+      swept.depth(u, v) = static_cast<float>(truth(u, v));
+      swept.shape(u, v) = static_cast<float>(truth(u, v) + 0.03 * gsd_mm * u);
+      if (std::hypot(u - 50, v - 40) < 12) swept.depth(u, v) = std::numeric_limits<float>::quiet_NaN();
+    }
+  }
+  const auto project_swept = [&] { return project_prior(swept, test_camera(), test_pose(), full_mask(), {}, {}); };
+  const DepthPrior with_shape = project_swept();
+  EXPECT_LT(rms_gsd(with_shape.depth, truth), 0.1);
+  EXPECT_NEAR(with_shape.depth(50, 40), truth(50, 40), 0.3 * gsd_mm);
+  swept.shape(3, 3) = std::numeric_limits<float>::quiet_NaN();
+  EXPECT_EQ(error_of(project_swept).first, ErrorCode::input);
+  swept.shape = {};
+  EXPECT_GT(std::abs(project_swept().depth(50, 40) - truth(50, 40)), gsd_mm);
 }
 
 TEST(PriorOfDepthMap, RejectsOtherSizesAndEmptyMaps) {

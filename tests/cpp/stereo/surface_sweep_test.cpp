@@ -8,6 +8,7 @@
 #include <cmath>
 #include <functional>
 #include <limits>
+#include <random>
 #include <string>
 #include <utility>
 #include <vector>
@@ -194,6 +195,56 @@ TEST_F(SweepOfBumps, StartsFromFewRoughPoints) {
   const Errors errors = errors_of(sweep_surface(input, scene_->views, test_options(), {}), scene_->truth);
   EXPECT_GT(errors.completeness, 0.98);
   EXPECT_LT(errors.median_gsd, 0.15);
+}
+
+TEST_F(SweepOfBumps, MeasuresAKnownSurfaceSharperInNoise) {
+  SweepInput input = scene_->input;
+  std::vector<SweepView> views = scene_->views;
+  std::mt19937 generator(5);
+  std::normal_distribution<float> normal(0, 0.06F);
+  for (SweepView& view : views) {
+    for (float& value : view.intensity) value += normal(generator);
+  }
+  const Errors without = errors_of(sweep_surface(input, views, test_options(), {}), scene_->truth);
+  input.surface = input.surface_sigma = Image<float>(station_size, 1, static_cast<float>(gsd_mm));
+  for (int v = 0; v < station_size.height; ++v) {
+    for (int u = 0; u < station_size.width; ++u) {
+      input.surface(u, v) = static_cast<float>(scene_->truth(u, v) + 2 * gsd_mm * std::sin(u / 30.0));
+    }
+  }
+  input.points.clear();
+  const SweepResult result = sweep_surface(input, views, test_options(), {});
+  const Errors errors = errors_of(result, scene_->truth);
+  EXPECT_GT(errors.completeness, 0.99);
+  EXPECT_LT(errors.median_gsd, 0.8 * without.median_gsd);
+  EXPECT_LT(errors.rms_gsd, 0.8 * without.rms_gsd);
+  EXPECT_GT(errors.within_2_sigma, 0.85);
+  EXPECT_EQ(result.passes.front().reduction, 1);
+}
+
+TEST_F(SweepOfBumps, SearchesAsFarAsAKnownSurfaceIsUncertain) {
+  SweepInput input = scene_->input;
+  input.surface_sigma = Image<float>(station_size, 1, static_cast<float>(12 * gsd_mm));
+  input.surface = Image<float>(station_size);
+  for (std::size_t i = 0; i < input.surface.count(); ++i) {
+    input.surface[i] = static_cast<float>(scene_->truth[i] + 12 * gsd_mm);
+  }
+  input.surface(40, 40) = std::numeric_limits<float>::quiet_NaN();
+  const SweepResult result = sweep_surface(input, scene_->views, test_options(), {});
+  EXPECT_EQ(result.passes.front().reduction, 2);
+  EXPECT_LT(errors_of(result, scene_->truth).median_gsd, 0.3);
+}
+
+TEST_F(SweepOfBumps, RejectsAKnownSurfaceThatSaysNothing) {
+  SweepInput input = scene_->input;
+  input.surface = input.surface_sigma = Image<float>(station_size);
+  auto [code, message] = error_of([&] { sweep_surface(input, scene_->views, test_options(), {}); });
+  EXPECT_EQ(code, ErrorCode::input);
+  expect_contains(message, "known surface: expected a depth");
+  input.surface_sigma = Image<float>({3, 3}, 1, 1.0F);
+  std::tie(code, message) = error_of([&] { sweep_surface(input, scene_->views, test_options(), {}); });
+  EXPECT_EQ(code, ErrorCode::input);
+  expect_contains(message, "standard deviation of the known surface is 3 x 3 pixels");
 }
 
 TEST_F(SweepOfBumps, OneOrTwoPhotosGiveAWarningAndALargerSigma) {

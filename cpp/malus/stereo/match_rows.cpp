@@ -1,0 +1,108 @@
+#include <algorithm>
+#include <cmath>
+
+#include "malus/core/simd.h"
+#include "malus/stereo/match_rows_internal.h"
+
+namespace malus {
+
+MALUS_SIMD_CLONES
+void sample_row(const Image<float>& image, const PathRow& path, float t, std::size_t count, float* out) {
+  constexpr std::size_t chunk = 64;
+  // The last cell's right neighbour must exist, so the coordinates stop just short of the last pixel.
+  const float max_x = static_cast<float>(image.width() - 1) - 1e-3F;
+  const float max_y = static_cast<float>(image.height() - 1) - 1e-3F;
+  const float t2 = t * t;
+  const int stride = image.width();
+  const float *const top_left = image.data(), *const top_right = top_left + 1;
+  const float *const bottom_left = top_left + stride, *const bottom_right = bottom_left + 1;
+  // Arrays that can be no part of the image: only then are its pixels gathered as vectors.
+  std::array<float, chunk> fx, fy, values;
+  std::array<int, chunk> cell;
+  for (std::size_t begin = 0; begin < count; begin += chunk) {
+    const std::size_t n = std::min(chunk, count - begin);
+    for (std::size_t i = 0; i < n; ++i) {
+      const std::size_t k = begin + i;
+      const float x = std::min(std::max(path[0][k] + t * path[1][k] + t2 * path[2][k], 0.0F), max_x);
+      const float y = std::min(std::max(path[3][k] + t * path[4][k] + t2 * path[5][k], 0.0F), max_y);
+      const int column = static_cast<int>(x), row = static_cast<int>(y);
+      fx[i] = x - static_cast<float>(column);
+      fy[i] = y - static_cast<float>(row);
+      cell[i] = row * stride + column;
+    }
+    for (std::size_t i = 0; i < n; ++i) {
+      const float top = top_left[cell[i]] + fx[i] * (top_right[cell[i]] - top_left[cell[i]]);
+      const float bottom = bottom_left[cell[i]] + fx[i] * (bottom_right[cell[i]] - bottom_left[cell[i]]);
+      values[i] = top + fy[i] * (bottom - top);
+    }
+    std::copy_n(values.data(), n, out + begin);
+  }
+}
+
+namespace {
+
+/// out[i] = sum of values[i … i + window − 1], from sums over 1, 2, 4 … neighbors; `values` is lost.
+inline void sum_neighbors(float* values, std::size_t width, std::size_t window, float* out) {
+  std::copy_n(values, width, out);
+  std::size_t known = width + window - 1;
+  for (std::size_t bit = 2, offset = 1; bit <= window; bit *= 2) {
+    known -= bit / 2;
+    for (std::size_t i = 0; i < known; ++i) values[i] += values[i + bit / 2];
+    if ((window & bit) == 0) continue;
+    for (std::size_t i = 0; i < width; ++i) out[i] += values[i + offset];
+    offset += bit;
+  }
+}
+
+}  // namespace
+
+MALUS_SIMD_CLONES
+void window_lines(const float* a, const float* w, const float* b, std::size_t width, std::size_t window, float* scratch,
+                  float* lines) {
+  const std::size_t count = width + window - 1;
+  for (std::size_t i = 0; i < count; ++i) scratch[i] = a[i] * w[i];
+  sum_neighbors(scratch, width, window, lines);
+  for (std::size_t i = 0; i < count; ++i) scratch[i] = a[i] * w[i] * a[i];
+  sum_neighbors(scratch, width, window, lines + width);
+  for (std::size_t i = 0; i < count; ++i) scratch[i] = a[i] * b[i];
+  sum_neighbors(scratch, width, window, lines + 2 * width);
+}
+
+MALUS_SIMD_CLONES
+void correlate_row(const float* lines, std::size_t window, std::size_t width, const ReferenceRow& reference,
+                   const float* seen, float noise_variance, float* totals, float* out) {
+  std::copy_n(lines, 3 * width, totals);
+  for (std::size_t k = 1; k < window; ++k) {
+    for (std::size_t i = 0; i < 3 * width; ++i) totals[i] += lines[3 * width * k + i];
+  }
+  for (std::size_t i = 0; i < width; ++i) {
+    const float inverse = reference.inverse_count[i], mean = totals[i] * inverse;
+    const float variance = std::max(totals[width + i] * inverse - mean * mean, 0.0F) + noise_variance;
+    const float covariance = totals[2 * width + i] * inverse - mean * reference.mean[i];
+    out[i] = seen[i] * std::max(covariance * reference.inverse_deviation[i] / std::sqrt(variance), 0.0F);
+  }
+}
+
+MALUS_SIMD_CLONES
+void insert_row(float* values, std::size_t width, std::size_t count, float* best) {
+  for (std::size_t k = 0; k < count; ++k) {
+    float* const kept = best + k * width;
+    for (std::size_t i = 0; i < width; ++i) {
+      const float a = kept[i], b = values[i];
+      kept[i] = std::max(a, b);
+      values[i] = std::min(a, b);
+    }
+  }
+}
+
+MALUS_SIMD_CLONES
+void mean_row(const float* best, std::size_t width, std::size_t count, const float* views, float* out) {
+  std::fill_n(out, width, 0.0F);
+  for (std::size_t k = 0; k < count; ++k) {
+    for (std::size_t i = 0; i < width; ++i) out[i] += best[k * width + i];
+  }
+  const auto most = static_cast<float>(count);
+  for (std::size_t i = 0; i < width; ++i) out[i] /= std::max(1.0F, std::min(most, views[i]));
+}
+
+}  // namespace malus
