@@ -113,11 +113,12 @@ def main() -> None:
           f"directions: {np.median(angles):.4f}° (median), {max(angles):.4f}° (largest)")  # fmt: skip
 
     mask = np.full(coded.shape, 255, np.uint8)
-    depth, sigma, sweep = sweep_station(cameras, linear, mask, work, **common)
+    swept = sweep_station(cameras, linear, mask, work, **common)
+    depth = swept.depth
     confidence = tifffile.imread(work / "sweep_confidence.tif")
     gsd = depth / k[0, 0]
     print(
-        f"sweep: {json.dumps(sweep)}; sigma over GSD, quartiles {np.nanpercentile(sigma / gsd, [25, 50, 75]).round(2)}"
+        f"sweep: {json.dumps(swept.figures)}; sigma over GSD, quartiles {np.nanpercentile(swept.sigma / gsd, [25, 50, 75]).round(2)}"
     )
     figure, axes = plt.subplots(1, 3, figsize=(15, 4), constrained_layout=True)
     axes[0].imshow(coded, cmap="gray")

@@ -195,18 +195,18 @@ def sweep_station(
     mask: NDArray[np.uint8],
     folder: Path,
     *,
-    fuse: Callable[[Swept], FusedOnce],
-    fused_of: Mapping[str, Any],
     options: Options,
     threads: int,
     progress: Report,
     log: Log,
+    fuse: Callable[[Swept], FusedOnce] | None = None,
+    fused_of: Mapping[str, Any] | None = None,
 ) -> Swept:
     """Sweep about the triangulated points and, where that finds enough, again about the surface fused with it.
 
     The fused surface knows slopes and detail that photos do not show: windows that lie on it can be larger, and see
-    what weak texture hides. `fuse` is called if the second sweep is not done yet; `fused_of` is all that its surface
-    depends on besides the sweep. Kept below `folder` and read back when nothing that matters has changed.
+    what weak texture hides. `fuse` is called if the second sweep is not done yet, None = one sweep; `fused_of` is all that
+    its surface depends on besides the sweep. Kept below `folder` and read back when nothing that matters has changed.
     """
     raster = lens_of_raster(cameras.station)
     assert raster is not None
@@ -252,7 +252,7 @@ def sweep_station(
     figures = journal.stage("sweep", inputs, outputs, lambda: swept(outputs, None))
     depth, sigma, _ = read(outputs)
     first = Swept(depth, sigma, None, figures)
-    if not again or figures["completeness"] < AGAIN_COMPLETENESS:
+    if fuse is None or not again or figures["completeness"] < AGAIN_COMPLETENESS:
         progress(1.0, "")
         return first
 
@@ -267,7 +267,7 @@ def sweep_station(
         _core.write_float_tiff(str(folder / shape_file), shape)
         return swept(outputs_again, (shape, fused.prior_sigma))
 
-    figures_again = journal.stage("sweep_again", fused_of, [*outputs_again, shape_file], swept_again)
+    figures_again = journal.stage("sweep_again", fused_of or {}, [*outputs_again, shape_file], swept_again)
     depth, sigma, _, shape = read([*outputs_again, shape_file])
     progress(1.0, "")
     return Swept(depth, sigma, shape, {**figures_again, "first": figures})
