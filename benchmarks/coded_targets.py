@@ -95,7 +95,9 @@ def main() -> None:
             border = round(300 * (quiet - 1) / 2)
             pattern = np.float32(np.pad(ink, border, constant_values=255)) / 255
             half = quiet * arguments.side_mm / 2
-            corners = np.array([point + half * (a * across + b * down) for a, b in [(-1, -1), (1, -1), (1, 1), (-1, 1)]])
+            corners = np.array(
+                [point + half * (a * across + b * down) for a, b in [(-1, -1), (1, -1), (1, 1), (-1, 1)]]
+            )
             draw_target(photo, cameras[path.name], pattern, corners)
         cv2.imwrite(str(folder / "views" / path.name), photo, [cv2.IMWRITE_JPEG_QUALITY, 95])
 
@@ -114,7 +116,7 @@ def main() -> None:
     station = malus.Station.load(folder / "station.toml")
     result = malus.reconstruct(station, options, workspace=workspace, threads=arguments.threads)
     assert result.quality is not None
-    print(json.dumps(result.quality["photogrammetry"]["scale"], indent=1))
+    print(json.dumps(result.quality["scale"], indent=1))
     images = SparseModel.read(workspace / "prior" / "colmap" / "model").images
     found = {name: image.camera for name, image in images.items()}
     names = sorted(name for name in found if name.startswith("view_"))
