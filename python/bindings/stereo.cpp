@@ -68,6 +68,7 @@ void bind_stereo(py::module_& module) {
         result["points_total"] = static_cast<std::size_t>(found.points_total);
         result["points_used"] = static_cast<std::size_t>(found.points_used);
         result["completeness"] = found.completeness;
+        result["highlights"] = found.highlights;
         result["median_score"] = found.median_score;
         result["median_sigma_gsd"] = found.median_sigma_gsd;
         result["halves_compared"] = found.halves_compared;

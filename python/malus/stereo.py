@@ -50,6 +50,8 @@ class SweepResult:
     """Triangulated points on the object."""
     completeness: float
     """Share of the mask that has a depth."""
+    highlights: float
+    """Share of the mask left out because the station shines there: mirror images agree on a wrong depth."""
     median_score: float
     median_sigma_gsd: float
     halves_compared: bool

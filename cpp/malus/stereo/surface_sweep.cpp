@@ -14,6 +14,7 @@
 #include "malus/core/parallel.h"
 #include "malus/stereo/agreement_internal.h"
 #include "malus/stereo/first_surface_internal.h"
+#include "malus/stereo/highlights_internal.h"
 #include "malus/stereo/intensity_pyramid_internal.h"
 #include "malus/stereo/surface_raster_internal.h"
 #include "malus/stereo/sweep_pass_internal.h"
@@ -137,7 +138,7 @@ class SurfaceSweep {
  public:
   SurfaceSweep(const SweepInput& input, std::span<const SweepView> views, const SweepOptions& options,
                const Context& context)
-      : input_(input), options_(options), context_(context), photos_(input, views, options, context) {}
+      : input_(input), views_(views), options_(options), context_(context), photos_(input, views, options, context) {}
 
   SweepResult run() {
     const int most = level_count(input_.camera.size, options_.min_level_px);
@@ -309,8 +310,9 @@ class SurfaceSweep {
                                           " usable photo(s): no disjoint halves to compare, sigma is a guess from the "
                                           "correlation; at least 3 photos are needed, 8 or more are good");
     }
-    const HalvesDifference halves{&difference_px_, &wide_difference_px_};
-    judge(pass_, halves, rate_, input_.camera.focal(), level_.mask, options_, context_, result_);
+    judge_pass();
+    // On a surface that is mirror images mostly, none of them stands out.
+    if (result_.completeness >= least_completeness && leave_out_highlights()) judge_pass();
     if (result_.completeness < least_completeness) {
       std::ostringstream message;
       message << "surface sweep: the photos agree on " << std::lround(100 * result_.completeness)
@@ -320,7 +322,31 @@ class SurfaceSweep {
     }
   }
 
+  void judge_pass() {
+    const HalvesDifference halves{&difference_px_, &wide_difference_px_};
+    judge(pass_, halves, rate_, input_.camera.focal(), level_.mask, options_, context_, result_);
+  }
+
+  /// Whether there are any.
+  bool leave_out_highlights() {
+    Image<float> surface = pass_.log_depth;
+    fill_gaps(surface, level_.mask);
+    const Mask shines =
+        find_highlights(input_, level_.reference, views_, surface, match_settings().radius + 1, context_);
+    double count = 0, of = 0;
+    for (std::size_t i = 0; i < shines.count(); ++i) {
+      if (level_.mask[i] == 0) continue;
+      ++of;
+      if (shines[i] == 0) continue;
+      ++count;
+      pass_.log_depth[i] = std::numeric_limits<float>::quiet_NaN();
+    }
+    result_.highlights = count / of;
+    return count > 0;
+  }
+
   const SweepInput& input_;
+  std::span<const SweepView> views_;
   const SweepOptions& options_;
   const Context& context_;
   ViewChoice photos_;

@@ -104,6 +104,7 @@ struct SweepResult {
   double points_total = 0;
   double points_used = 0;   ///< on the object
   double completeness = 0;  ///< share of the mask that has a depth
+  double highlights = 0;    ///< share of the mask left out because it shines or lies beside what does
   double median_score = 0;  ///< of the pixels kept
   double median_sigma_gsd = 0;
   bool halves_compared = false;  ///< two disjoint subsets of photos were compared; needs three photos
@@ -118,7 +119,8 @@ struct SweepResult {
 /// the surface at too flat an angle. Each sweep is regularized by semi-global matching (Hirschmüller 2008), finer
 /// sweeps the less, and ends with a parabola's sub-step. Photos are compared at the level of their pyramid that matches
 /// the station's resolution. Two disjoint halves of the photos are scored separately: from their differences comes
-/// sigma, and where they do not agree there is no depth. With one or two photos there are no halves: sigma is larger
+/// sigma, and where they do not agree there is no depth, nor where the station shines: mirror images agree on a depth
+/// that is wrong. With one or two photos there are no halves: sigma is larger
 /// and the log has a warning.
 ///
 /// About a known surface the levels are as many as its standard deviation asks for, the windows are larger, and only

@@ -234,6 +234,7 @@ def sweep_station(
             "views": found.views_used,
             "points": found.points_used,
             "completeness": found.completeness,
+            "highlights": found.highlights,
             "score": found.median_score,
             "sigma_gsd": found.median_sigma_gsd,
         }

@@ -247,6 +247,29 @@ TEST_F(SweepOfBumps, RejectsAKnownSurfaceThatSaysNothing) {
   expect_contains(message, "standard deviation of the known surface is 3 x 3 pixels");
 }
 
+TEST_F(SweepOfBumps, LeavesOutWhereTheStationShines) {
+  const auto shine = [](Image<float>& image, double u0, double v0) {
+    for (int v = 0; v < image.height(); ++v) {
+      for (int u = 0; u < image.width(); ++u) {
+        image(u, v) += static_cast<float>(0.4 * std::exp(-0.5 * (std::pow(u - u0, 2) + std::pow(v - v0, 2)) / 25));
+      }
+    }
+  };
+  const SweepResult dull = sweep_surface(scene_->input, scene_->views, test_options(), {});
+  EXPECT_EQ(dull.highlights, 0);
+  Scene shining = *scene_;
+  shine(shining.input.intensity, 100, 40);
+  shine(shining.views[2].intensity, 60, 90);  // one photo's highlight is the other photos' to outvote
+  const SweepResult result = sweep_surface(shining.input, shining.views, test_options(), {});
+  const double area = 3.14159265 * 16 * 16 / static_cast<double>(station_size.area());
+  EXPECT_GT(result.highlights, 0.3 * area);
+  EXPECT_LT(result.highlights, 1.5 * area);
+  for (int v = 34; v <= 46; ++v) {
+    for (int u = 94; u <= 106; ++u) EXPECT_TRUE(std::isnan(result.depth(u, v))) << u << ' ' << v;
+  }
+  EXPECT_LT(errors_of(result, scene_->truth).rms_gsd, 0.3);
+}
+
 TEST_F(SweepOfBumps, OneOrTwoPhotosGiveAWarningAndALargerSigma) {
   const SweepResult many = sweep_surface(scene_->input, scene_->views, test_options(), {});
   for (const std::size_t photos : {1U, 2U}) {

@@ -1,0 +1,120 @@
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "malus/core/median.h"
+#include "malus/core/parallel.h"
+#include "malus/stereo/highlights_internal.h"
+#include "malus/stereo/intensity_pyramid_internal.h"
+#include "malus/stereo/surface_raster_internal.h"
+#include "malus/stereo/view_projection_internal.h"
+
+namespace malus {
+namespace {
+
+constexpr float none = std::numeric_limits<float>::quiet_NaN();
+constexpr std::size_t least_views = 3;
+/// Ratios of intensities count from here: below, a camera's coding of black shows.
+constexpr float black = 0.02F;
+/// What shines is brighter by this share of the object's median, and by so many of the differences' own deviations.
+constexpr float least_excess = 0.12F, least_deviations = 6;
+
+float bilinear(const Image<float>& image, float x, float y) {
+  const int u = static_cast<int>(std::floor(x)), v = static_cast<int>(std::floor(y));
+  if (u < 0 || v < 0 || u + 1 >= image.width() || v + 1 >= image.height()) return none;
+  const float a = x - static_cast<float>(u), b = y - static_cast<float>(v);
+  return (1 - b) * ((1 - a) * image(u, v) + a * image(u + 1, v)) +
+         b * ((1 - a) * image(u, v + 1) + a * image(u + 1, v + 1));
+}
+
+float median_on(const Image<float>& values, const Mask& mask) {
+  std::vector<float> known;
+  for (std::size_t i = 0; i < values.count(); ++i) {
+    if (mask[i] != 0 && std::isfinite(values[i])) known.push_back(values[i]);
+  }
+  return median_in_place(known);
+}
+
+/// ln of a photo's intensity over the station's at every second pixel, its median 0; NaN where the photo does not look.
+Image<float> log_ratio(const SweepInput& input, const Image<float>& station, const Mask& mask, const SweepView& view,
+                       const Image<float>& log_depth, const Context& context) {
+  const ViewProjection projection(input.camera, input.pose, view.camera, view.pose);
+  const Image<float> photo = halved(view.intensity, context);
+  Image<float> ratio(mask.size(), 1, none);
+  parallel_rows(context, mask.height(), [&](int v) {
+    const auto count = static_cast<std::size_t>(mask.width());
+    std::vector<float> z(count), x(count), y(count);
+    for (std::size_t i = 0; i < count; ++i) z[i] = std::exp(log_depth(static_cast<int>(i), v));
+    projection.project_row(0, v, 2, z.data(), count, x.data(), y.data());
+    for (int u = 0; u < mask.width(); ++u) {
+      const std::size_t i = static_cast<std::size_t>(u);
+      if (mask(u, v) == 0 || !std::isfinite(z[i])) continue;
+      ratio(u, v) = std::log((bilinear(photo, x[i] / 2, y[i] / 2) + black) / (station(u, v) + black));
+    }
+  });
+  const float gain = median_on(ratio, mask);
+  for (float& value : ratio) value -= gain;
+  return ratio;
+}
+
+/// Set within `reach` of a pixel that is.
+Mask grown(const Mask& mask, int reach) {
+  Mask rows(mask.size(), 1, 0), result(mask.size(), 1, 0);
+  for (int v = 0; v < mask.height(); ++v) {
+    for (int u = 0; u < mask.width(); ++u) {
+      if (mask(u, v) == 0) continue;
+      for (int i = std::max(u - reach, 0); i <= std::min(u + reach, mask.width() - 1); ++i) rows(i, v) = 255;
+    }
+  }
+  for (int v = 0; v < mask.height(); ++v) {
+    for (int j = std::max(v - reach, 0); j <= std::min(v + reach, mask.height() - 1); ++j) {
+      for (int u = 0; u < mask.width(); ++u) result(u, j) = std::max(result(u, j), rows(u, v));
+    }
+  }
+  return result;
+}
+
+}  // namespace
+
+Mask find_highlights(const SweepInput& input, const Image<float>& reference, std::span<const SweepView> views,
+                     const Image<float>& log_depth, int reach_px, const Context& context) {
+  if (views.size() < least_views) return Mask(input.mask.size(), 1, 0);
+  // Half the resolution: less noise, and a pixel's error of the surface does not matter.
+  const Image<float> station = halved(reference, context);
+  const Mask mask = halved(input.mask);
+  const Image<float> surface = halved_surface(log_depth, mask, context);
+  std::vector<Image<float>> ratios;
+  for (const SweepView& view : views) ratios.push_back(log_ratio(input, station, mask, view, surface, context));
+
+  Image<float> excess(mask.size(), 1, none);
+  parallel_rows(context, mask.height(), [&](int v) {
+    std::vector<float> values;
+    for (int u = 0; u < mask.width(); ++u) {
+      values.clear();
+      for (const Image<float>& ratio : ratios) {
+        if (std::isfinite(ratio(u, v))) values.push_back(ratio(u, v));
+      }
+      if (values.size() < least_views) continue;
+      excess(u, v) = (station(u, v) + black) * (1 - std::exp(median_in_place(values)));
+    }
+  });
+  Image<float> deviation = excess;
+  const float usual = median_on(excess, mask);
+  for (float& value : deviation) value = std::abs(value - usual);
+  const float threshold =
+      std::max(least_excess * median_on(station, mask), least_deviations * 1.4826F * median_on(deviation, mask));
+
+  Mask shines(mask.size(), 1, 0);
+  for (std::size_t i = 0; i < shines.count(); ++i) {
+    if (mask[i] != 0 && excess[i] > threshold) shines[i] = 255;
+  }
+  shines = grown(shines, (reach_px + 1) / 2);
+  Mask result(input.mask.size(), 1, 0);
+  for (int v = 0; v < result.height(); ++v) {
+    for (int u = 0; u < result.width(); ++u) result(u, v) = shines(u / 2, v / 2);
+  }
+  return result;
+}
+
+}  // namespace malus
