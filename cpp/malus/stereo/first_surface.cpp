@@ -14,7 +14,7 @@ namespace malus {
 namespace {
 
 /// A starting surface needs no more; they are taken evenly.
-constexpr std::size_t most_points = 4000;
+constexpr std::size_t most_points = 1500;
 
 /// Value below which this share of the values is; reorders them.
 double quantile(std::vector<double>& values, double share) {
