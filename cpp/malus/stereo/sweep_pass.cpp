@@ -12,9 +12,9 @@ namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
 /// Tiles are larger where there are few offsets, which keeps their memory alike and their margins a smaller share.
-constexpr int few_offsets = 16, tile_side = 128, tile_side_of_few = 192;
+constexpr int few_offsets = 16, tile_side = 128, tile_side_of_few = 256;
 /// Pixels around a tile over which its semi-global paths run in.
-constexpr int run_in = 12;
+constexpr int run_in = 8;
 /// Offsets over which a pixel's path through a photo is taken as one parabola.
 constexpr int parabola_offsets = 16;
 
