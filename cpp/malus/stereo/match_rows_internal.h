@@ -25,7 +25,8 @@ struct ReferenceRow {
   const float *inverse_count, *mean, *inverse_deviation;
 };
 
-/// Normalized cross-correlation of windows whose lines (see `window_lines`) follow each other; negative ones are 0.
+/// Normalized cross-correlation of windows whose `window` (odd) lines (see `window_lines`) follow each other; negative
+/// ones are 0.
 /// `totals` is scratch of three lines.
 void correlate_row(const float* lines, std::size_t window, std::size_t width, const ReferenceRow& reference,
                    const float* seen, float noise_variance, float* totals, float* out);
