@@ -13,8 +13,17 @@
 namespace malus {
 namespace {
 
-/// A starting surface needs no more; they are taken evenly.
-constexpr std::size_t most_points = 4000;
+/// A starting surface needs no more points to be compared with the photos, nor the spline more of those that look
+/// alike; both are taken evenly. All that look alike set the range.
+constexpr std::size_t most_compared = 1500, most_in_spline = 700;
+
+/// At most `most` of the points.
+std::vector<StationPoint> evenly(const std::vector<StationPoint>& points, std::size_t most) {
+  const std::size_t count = std::min(points.size(), most);
+  std::vector<StationPoint> taken;
+  for (std::size_t k = 0; k < count; ++k) taken.push_back(points[k * points.size() / count]);
+  return taken;
+}
 
 /// Value below which this share of the values is; reorders them.
 double quantile(std::vector<double>& values, double share) {
@@ -89,27 +98,24 @@ std::vector<StationPoint> points_on_object(const std::vector<Eigen::Vector3d>& p
 
 FirstSurface first_surface(const std::vector<StationPoint>& points, const MatchLevel& level, const Pose& pose,
                            const MatchSettings& settings, int min_points, const Context& context) {
-  std::vector<StationPoint> used;
-  const std::size_t count = std::min(points.size(), most_points);
-  for (std::size_t k = 0; k < count; ++k) used.push_back(points[k * points.size() / count]);
+  const std::vector<StationPoint> used = evenly(points, most_compared);
   const std::vector<float> scores = point_scores(used, level, settings, context);
   std::vector<float> ranked = scores;
   const auto fewest = static_cast<std::size_t>(min_points);
   std::nth_element(ranked.begin(), ranked.begin() + static_cast<std::ptrdiff_t>(fewest - 1), ranked.end(),
                    std::greater<>());
   const float least = std::min(visible_score, ranked[fewest - 1]);
-  PointCloud cloud;
   std::vector<StationPoint> visible;
-  for (std::size_t k = 0; k < count; ++k) {
-    if (scores[k] < least) continue;
-    visible.push_back(used[k]);
-    cloud.points.push_back(used[k].world);
+  for (std::size_t k = 0; k < used.size(); ++k) {
+    if (scores[k] >= least) visible.push_back(used[k]);
   }
+  PointCloud cloud;
+  for (const StationPoint& point : evenly(visible, most_in_spline)) cloud.points.push_back(point.world);
 
   // A surface to start from: the smoothing need not be the best, nor the variance exact.
   PriorOptions options;
   options.min_points = 3;
-  options.smoothing_px = std::max(1.0, std::sqrt(object_pixels(level.mask) / static_cast<double>(visible.size())));
+  options.smoothing_px = std::max(1.0, std::sqrt(object_pixels(level.mask) / static_cast<double>(cloud.points.size())));
   options.sigma_samples = 4;
   Context silent = context;
   silent.on_progress = nullptr;

@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 
 #include "malus/core/simd.h"
 #include "malus/stereo/match_rows_internal.h"
@@ -7,18 +8,17 @@
 namespace malus {
 
 MALUS_SIMD_CLONES
-void sample_row(const Image<float>& image, const PathRow& path, float t, std::size_t count, float* out) {
+void sample_row(const PhotoCells& photo, const PathRow& path, float t, std::size_t count, float* out) {
   constexpr std::size_t chunk = 64;
-  // The last cell's right neighbour must exist, so the coordinates stop just short of the last pixel.
-  const float max_x = static_cast<float>(image.width() - 1) - 1e-3F;
-  const float max_y = static_cast<float>(image.height() - 1) - 1e-3F;
-  const float t2 = t * t;
-  const int stride = image.width();
-  const float *const top_left = image.data(), *const top_right = top_left + 1;
-  const float *const bottom_left = top_left + stride, *const bottom_right = bottom_left + 1;
-  // Arrays that can be no part of the image: only then are its pixels gathered as vectors.
-  std::array<float, chunk> fx, fy, values;
+  // The last cell's right neighbor must exist, so the coordinates stop just short of the last pixel.
+  const float max_x = static_cast<float>(photo.size().width - 1) - 1e-3F;
+  const float max_y = static_cast<float>(photo.size().height - 1) - 1e-3F;
+  const float t2 = t * t, least = photo.least(), step = photo.step();
+  const int stride = photo.size().width;
+  const std::uint32_t* const pairs = photo.pairs();
+  std::array<float, chunk> fx, fy;
   std::array<int, chunk> cell;
+  std::array<std::uint32_t, 2 * chunk> corners;
   for (std::size_t begin = 0; begin < count; begin += chunk) {
     const std::size_t n = std::min(chunk, count - begin);
     for (std::size_t i = 0; i < n; ++i) {
@@ -30,12 +30,18 @@ void sample_row(const Image<float>& image, const PathRow& path, float t, std::si
       fy[i] = y - static_cast<float>(row);
       cell[i] = row * stride + column;
     }
+    // Pixels are fetched one by one, 8 bytes each; all else is done in vectors.
+    for (std::size_t i = 0; i < n; ++i) std::memcpy(&corners[2 * i], pairs + cell[i], 2 * sizeof(std::uint32_t));
     for (std::size_t i = 0; i < n; ++i) {
-      const float top = top_left[cell[i]] + fx[i] * (top_right[cell[i]] - top_left[cell[i]]);
-      const float bottom = bottom_left[cell[i]] + fx[i] * (bottom_right[cell[i]] - bottom_left[cell[i]]);
-      values[i] = top + fy[i] * (bottom - top);
+      const std::uint32_t left = corners[2 * i], right = corners[2 * i + 1];
+      const auto top_left = static_cast<float>(static_cast<int>(left & 0xFFFFU));
+      const auto top_right = static_cast<float>(static_cast<int>(right & 0xFFFFU));
+      const auto bottom_left = static_cast<float>(static_cast<int>(left >> 16));
+      const auto bottom_right = static_cast<float>(static_cast<int>(right >> 16));
+      const float top = top_left + fx[i] * (top_right - top_left);
+      const float bottom = bottom_left + fx[i] * (bottom_right - bottom_left);
+      out[begin + i] = least + step * (top + fy[i] * (bottom - top));
     }
-    std::copy_n(values.data(), n, out + begin);
   }
 }
 
@@ -43,6 +49,14 @@ namespace {
 
 /// out[i] = sum of values[i … i + window − 1], from sums over 1, 2, 4 … neighbors; `values` is lost.
 inline void sum_neighbors(float* values, std::size_t width, std::size_t window, float* out) {
+  if (window == 7) {
+    // The usual window, in one pass.
+    for (std::size_t i = 0; i < width; ++i) {
+      out[i] = ((values[i] + values[i + 1]) + (values[i + 2] + values[i + 3])) +
+               ((values[i + 4] + values[i + 5]) + values[i + 6]);
+    }
+    return;
+  }
   std::copy_n(values, width, out);
   std::size_t known = width + window - 1;
   for (std::size_t bit = 2, offset = 1; bit <= window; bit *= 2) {
@@ -72,8 +86,10 @@ MALUS_SIMD_CLONES
 void correlate_row(const float* lines, std::size_t window, std::size_t width, const ReferenceRow& reference,
                    const float* seen, float noise_variance, float* totals, float* out) {
   std::copy_n(lines, 3 * width, totals);
-  for (std::size_t k = 1; k < window; ++k) {
-    for (std::size_t i = 0; i < 3 * width; ++i) totals[i] += lines[3 * width * k + i];
+  // Two lines at once, as the totals go through memory each time.
+  for (std::size_t k = 1; k < window; k += 2) {
+    const float *const one = lines + 3 * width * k, *const other = one + 3 * width;
+    for (std::size_t i = 0; i < 3 * width; ++i) totals[i] += one[i] + other[i];
   }
   for (std::size_t i = 0; i < width; ++i) {
     const float inverse = reference.inverse_count[i], mean = totals[i] * inverse;

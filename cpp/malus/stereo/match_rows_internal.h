@@ -3,7 +3,7 @@
 #include <array>
 #include <cstddef>
 
-#include "malus/core/image.h"
+#include "malus/stereo/photo_cells_internal.h"
 
 namespace malus {
 
@@ -12,8 +12,8 @@ namespace malus {
 /// x0 x1 x2 y0 y1 y2 of a row: pixels of a photo at x0 + t x1 + t² x2, y likewise.
 using PathRow = std::array<const float*, 6>;
 
-/// Bilinear interpolation along the paths; beyond the image its border goes on.
-void sample_row(const Image<float>& image, const PathRow& path, float t, std::size_t count, float* out);
+/// Bilinear interpolation along the paths; beyond the photo its border goes on.
+void sample_row(const PhotoCells& photo, const PathRow& path, float t, std::size_t count, float* out);
 
 /// Sums over `window` (odd) neighbors along the row of w a, (w a)² and a b, where b is the weighted reference: three
 /// lines of `width` values after each other. The row has width + window − 1 pixels, and so has `scratch`.
@@ -25,7 +25,8 @@ struct ReferenceRow {
   const float *inverse_count, *mean, *inverse_deviation;
 };
 
-/// Normalized cross-correlation of windows whose lines (see `window_lines`) follow each other; negative ones are 0.
+/// Normalized cross-correlation of windows whose `window` (odd) lines (see `window_lines`) follow each other; negative
+/// ones are 0.
 /// `totals` is scratch of three lines.
 void correlate_row(const float* lines, std::size_t window, std::size_t width, const ReferenceRow& reference,
                    const float* seen, float noise_variance, float* totals, float* out);

@@ -4,12 +4,34 @@
 #include <vector>
 
 #include "malus/core/parallel.h"
+#include "malus/core/simd.h"
 #include "malus/stereo/surface_raster_internal.h"
 
 namespace malus {
 namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
+
+/// The pixels at (i, j) and (−i, −j) from another.
+struct OppositePixels {
+  int i, j;
+  float weight;
+  float limit;  ///< difference from the pixel between up to which they count
+};
+
+/// Adds a row's weighted differences to opposite pixels, and their weights.
+MALUS_SIMD_CLONES
+void add_opposite(const float* here, const float* one, const float* other, const OppositePixels& pair,
+                  std::size_t count, float* sum, float* weight) {
+  const float limit = pair.limit, share = pair.weight;
+  for (std::size_t k = 0; k < count; ++k) {
+    const float a = one[k] - here[k], b = other[k] - here[k], difference = share * (a + b);
+    // No difference to a pixel without depth is within a limit.
+    const bool counts = (std::abs(a) <= limit) & (std::abs(b) <= limit);
+    sum[k] += counts ? difference : 0.0F;
+    weight[k] += counts ? 2 * share : 0.0F;
+  }
+}
 
 }  // namespace
 
@@ -81,32 +103,30 @@ Image<float> median_filtered(const Image<float>& log_depth, int radius, const Co
 
 Image<float> smoothed(const Image<float>& log_depth, double sigma_px, double largest_step, const Context& context) {
   Image<float> result(log_depth.size(), 1, none);
-  const int radius = std::max(1, static_cast<int>(std::ceil(2 * sigma_px))), side = 2 * radius + 1;
-  std::vector<float> weights(static_cast<std::size_t>(side * side)), limits(weights.size());
-  for (int j = -radius; j <= radius; ++j) {
-    for (int i = -radius; i <= radius; ++i) {
-      const auto k = static_cast<std::size_t>((j + radius) * side + i + radius);
-      weights[k] = static_cast<float>(std::exp(-0.5 * (i * i + j * j) / (sigma_px * sigma_px)));
-      limits[k] = static_cast<float>(largest_step * std::hypot(i, j));
+  const int radius = std::max(1, static_cast<int>(std::ceil(2 * sigma_px)));
+  // Opposite pixels count together or not at all: one side alone would shift a slope.
+  std::vector<OppositePixels> pairs;
+  for (int j = 0; j <= radius; ++j) {
+    for (int i = j == 0 ? 1 : -radius; i <= radius; ++i) {
+      pairs.push_back({i, j, static_cast<float>(std::exp(-0.5 * (i * i + j * j) / (sigma_px * sigma_px))),
+                       static_cast<float>(largest_step * std::hypot(i, j))});
     }
   }
   parallel_rows(context, log_depth.height(), [&](int v) {
-    for (int u = 0; u < log_depth.width(); ++u) {
-      const float here = log_depth(u, v);
-      if (!std::isfinite(here)) continue;
-      float sum = 0, weight = 0;
-      for (int j = -radius; j <= radius; ++j) {
-        for (int i = -radius; i <= radius; ++i) {
-          // Opposite pixels count together or not at all: one side alone would shift a slope.
-          if (!log_depth.contains(u + i, v + j) || !log_depth.contains(u - i, v - j)) continue;
-          const auto k = static_cast<std::size_t>((j + radius) * side + i + radius);
-          const float a = log_depth(u + i, v + j) - here, b = log_depth(u - i, v - j) - here;
-          if (!(std::abs(a) <= limits[k]) || !(std::abs(b) <= limits[k])) continue;
-          sum += weights[k] * a;
-          weight += weights[k];
-        }
-      }
-      result(u, v) = here + sum / weight;
+    const int width = log_depth.width();
+    // The pixel itself differs by 0 and weighs 1.
+    std::vector<float> sum(static_cast<std::size_t>(width), 0.0F), weight(sum.size(), 1.0F);
+    const float* here = log_depth.row(v);
+    for (const OppositePixels& pair : pairs) {
+      const int margin = std::abs(pair.i);
+      if (v < pair.j || v + pair.j >= log_depth.height() || 2 * margin >= width) continue;
+      add_opposite(here + margin, log_depth.row(v + pair.j) + margin + pair.i,
+                   log_depth.row(v - pair.j) + margin - pair.i, pair, static_cast<std::size_t>(width - 2 * margin),
+                   &sum[static_cast<std::size_t>(margin)], &weight[static_cast<std::size_t>(margin)]);
+    }
+    for (int u = 0; u < width; ++u) {
+      const auto at = static_cast<std::size_t>(u);
+      if (std::isfinite(here[u])) result(u, v) = here[u] + sum[at] / weight[at];
     }
   });
   return result;

@@ -111,7 +111,8 @@ struct Sweep {
 };
 
 constexpr std::array coarse_sweeps{Sweep{0.5, 6, true, 1.0}};
-constexpr std::array finest_sweeps{Sweep{0.5, 3, true, 1.0}, Sweep{0.25, 2, true, 1.5}};
+/// The first reaches as far as halves of the photos must differ to disagree; a shorter reach lets chance agree.
+constexpr std::array finest_sweeps{Sweep{0.75, 2, true, 1.0}, Sweep{0.25, 2, true, 1.75}};
 /// Farthest offset of sweeps that follow each other, px of their level.
 double reach_px(std::span<const Sweep> sweeps) {
   double reach = 0;
@@ -124,7 +125,7 @@ constexpr double first_step_px = 0.7;
 constexpr double penalty_step_px = 0.5;
 
 /// Of a known surface only the difference is smoothed, which is smoother than the surface: by this more.
-constexpr double known_smoothing = 3;
+constexpr double known_smoothing = 2.6;
 /// Share of a known surface's pixels whose standard deviation the search reaches.
 constexpr double known_reach = 0.9;
 

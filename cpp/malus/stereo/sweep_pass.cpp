@@ -12,9 +12,9 @@ namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
 /// Tiles are larger where there are few offsets, which keeps their memory alike and their margins a smaller share.
-constexpr int few_offsets = 16, tile_side = 128, tile_side_of_few = 192;
+constexpr int few_offsets = 16, tile_side = 128, tile_side_of_few = 256;
 /// Pixels around a tile over which its semi-global paths run in.
-constexpr int run_in = 12;
+constexpr int run_in = 6;
 /// Offsets over which a pixel's path through a photo is taken as one parabola.
 constexpr int parabola_offsets = 16;
 
@@ -34,13 +34,16 @@ Peak lowest(const float* costs, std::size_t labels) {
   return peak;
 }
 
-bool any_set(const Mask& mask, PixelBox box) {
+/// Bounding box of the object within a box; without pixels if there is none.
+PixelBox object_within(const Mask& mask, PixelBox box) {
+  PixelBox object{box.u1, box.v1, box.u0, box.v0};
   for (int v = box.v0; v < box.v1; ++v) {
     for (int u = box.u0; u < box.u1; ++u) {
-      if (mask(u, v) != 0) return true;
+      if (mask(u, v) == 0) continue;
+      object = {std::min(object.u0, u), std::min(object.v0, v), std::max(object.u1, u + 1), v + 1};
     }
   }
-  return false;
+  return object;
 }
 
 /// Matching costs (1 − correlation) of every offset, pixels of the tile × offsets.
@@ -118,8 +121,9 @@ PassResult run_pass(const MatchLevel& level, const Image<float>& log_depth, cons
                  for (std::size_t k = begin; k < end; ++k) {
                    const int u0 = static_cast<int>(k) % columns * side;
                    const int v0 = static_cast<int>(k) / columns * side;
-                   const PixelBox inner{u0, v0, std::min(u0 + side, size.width), std::min(v0 + side, size.height)};
-                   if (any_set(level.mask, inner)) sweep_tile(level, log_depth, inner, settings, context, result);
+                   const PixelBox inner = object_within(
+                       level.mask, {u0, v0, std::min(u0 + side, size.width), std::min(v0 + side, size.height)});
+                   if (inner.v0 < inner.v1) sweep_tile(level, log_depth, inner, settings, context, result);
                  }
                });
   return result;

@@ -99,8 +99,8 @@ void TileMatcher::choose_views(const MatchLevel& level) {
     View view{&candidate, std::vector<float>(tile_pixels(), 0.0F), {}};
     std::vector<float> x(n), y(n);
     project(view, 0, x, y);
-    const float max_x = static_cast<float>(candidate.image->width() - 1) - margin;
-    const float max_y = static_cast<float>(candidate.image->height() - 1) - margin;
+    const float max_x = static_cast<float>(candidate.photo->size().width - 1) - margin;
+    const float max_y = static_cast<float>(candidate.photo->size().height - 1) - margin;
     double pixels = 0;
     for (std::size_t i = 0; i < view.seen.size(); ++i) {
       const std::size_t k = (i / width + radius) * stride_ + i % width + radius;
@@ -179,7 +179,7 @@ void TileMatcher::score(float offset, Scores& scores) {
       const View& view = views_[k];
       PathRow path;
       for (std::size_t i = 0; i < path.size(); ++i) path[i] = &view.path[i][row];
-      sample_row(*view.view->image, path, t, stride_, warped.data());
+      sample_row(*view.view->photo, path, t, stride_, warped.data());
       float* const lines = &lines_[ring * k];
       window_lines(warped.data(), &weight_[row], &weighted_[row], width, window, scratch.data(),
                    lines + 3 * width * (v % window));

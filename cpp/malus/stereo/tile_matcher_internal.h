@@ -8,14 +8,15 @@
 #include "malus/core/camera.h"
 #include "malus/core/image.h"
 #include "malus/prior/smoothing_spline.h"
+#include "malus/stereo/photo_cells_internal.h"
 #include "malus/stereo/view_projection_internal.h"
 
 namespace malus {
 
 /// A photo at the pyramid level whose resolution matches the station's.
 struct MatchView {
-  const Image<float>* image = nullptr;
-  float scale = 1;  ///< image pixels a pixel of the full photo
+  const PhotoCells* photo = nullptr;
+  float scale = 1;  ///< its pixels a pixel of the full photo
   const ViewProjection* projection = nullptr;
   int subset = 0;      ///< 0 or 1: the disjoint halves that are compared
   double quality = 1;  ///< preference among views that see a pixel

@@ -24,9 +24,8 @@ ViewChoice::ViewChoice(const SweepInput& input, std::span<const SweepView> views
                        const Context& context)
     : station_(input.camera), options_(options) {
   for (const SweepView& view : views) {
-    photos_.emplace_back(ViewProjection(input.camera, input.pose, view.camera, view.pose));
-    Photo& photo = photos_.back();
-    photo.pyramid.push_back(view.intensity);
+    photos_.emplace_back(view, ViewProjection(input.camera, input.pose, view.camera, view.pose));
+    const Photo& photo = photos_.back();
     if (photo.projection.fit_error_px() > largest_fit_error_px) {
       std::ostringstream message;
       message << "surface sweep: photo " << photos_.size() - 1 << ": the lens is approximated to "
@@ -41,7 +40,7 @@ void ViewChoice::measure(const MatchLevel& level, const Image<float>& log_depth)
   for (Photo& photo : photos_) {
     std::vector<double> parallax, resolution, angle;
     double total = 0;
-    const Size size = photo.pyramid.front().size();
+    const Size size = photo.intensity->size();
     for (int v = 0; v < level.mask.height(); v += step) {
       for (int u = 0; u < level.mask.width(); u += step) {
         if (level.mask(u, v) == 0 || !std::isfinite(log_depth(u, v))) continue;
@@ -97,6 +96,17 @@ void ViewChoice::choose() {
   for (std::size_t k = 0; k < used.size(); ++k) used[k]->subset = static_cast<int>(k % 2);
 }
 
+std::size_t ViewChoice::Photo::extend_pyramid(int depth, const Context& context) {
+  if (pyramid.empty()) pyramid.emplace_back(*intensity, context);
+  while (static_cast<int>(pyramid.size()) <= depth) {
+    const Image<float>& last = coarsest.empty() ? *intensity : coarsest;
+    if (std::min(last.width(), last.height()) < 16) break;
+    coarsest = halved(last, context);
+    pyramid.emplace_back(coarsest, context);
+  }
+  return std::min(static_cast<std::size_t>(depth), pyramid.size() - 1);
+}
+
 double ViewChoice::prepare(MatchLevel& level, const Image<float>& log_depth, bool choose_photos,
                            const Context& context) {
   if (choose_photos) {
@@ -110,12 +120,7 @@ double ViewChoice::prepare(MatchLevel& level, const Image<float>& log_depth, boo
     // Level whose pixels are between 0.7 and 1.4 of the station level's.
     const double ratio = photo.resolution * level.reduction;
     const int depth = std::max(0, static_cast<int>(std::lround(std::log2(std::max(ratio, 1e-3)))));
-    while (static_cast<int>(photo.pyramid.size()) <= depth) {
-      const Image<float>& last = photo.pyramid.back();
-      if (std::min(last.width(), last.height()) < 16) break;
-      photo.pyramid.push_back(halved(last, context));
-    }
-    const auto at = std::min(static_cast<std::size_t>(depth), photo.pyramid.size() - 1);
+    const std::size_t at = photo.extend_pyramid(depth, context);
     level.views.push_back(
         {&photo.pyramid[at], 1.0F / static_cast<float>(1 << at), &photo.projection, photo.subset, photo.quality});
     parallax.push_back(photo.parallax / level.reduction);

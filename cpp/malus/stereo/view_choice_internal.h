@@ -27,10 +27,15 @@ class ViewChoice {
 
  private:
   struct Photo {
-    explicit Photo(ViewProjection p) : projection(std::move(p)) {}
+    Photo(const SweepView& view, ViewProjection p) : intensity(&view.intensity), projection(std::move(p)) {}
 
+    /// The level of this depth, or the last that is worth halving.
+    std::size_t extend_pyramid(int depth, const Context& context);
+
+    const Image<float>* intensity;
     ViewProjection projection;
-    std::vector<Image<float>> pyramid;
+    std::vector<PhotoCells> pyramid;
+    Image<float> coarsest;   ///< the pyramid's last level in full precision, to be halved; empty if that is `intensity`
     double parallax = 0;     ///< px of the station's image a unit of ln z, median
     double resolution = 1;   ///< px of the photo a px of the station
     double quality = 0;      ///< 0 = not used

@@ -29,8 +29,9 @@ TEST(MatchRows, SamplesAlongParabolasAndHoldsTheBorder) {
   for (std::size_t i = 0; i < count; ++i) path[0][i] = 0.3F * static_cast<float>(i) + 5;
   const float t = -0.7F;
   std::vector<float> out(count);
-  sample_row(image, {path[0].data(), path[1].data(), path[2].data(), path[3].data(), path[4].data(), path[5].data()}, t,
-             count, out.data());
+  sample_row(PhotoCells(image, Context()),
+             {path[0].data(), path[1].data(), path[2].data(), path[3].data(), path[4].data(), path[5].data()}, t, count,
+             out.data());
   for (std::size_t i = 0; i < count; ++i) {
     const float x = path[0][i] + t * path[1][i] + t * t * path[2][i];
     const float y = path[3][i] + t * path[4][i] + t * t * path[5][i];

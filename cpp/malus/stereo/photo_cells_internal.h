@@ -1,0 +1,31 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "malus/core/context.h"
+#include "malus/core/image.h"
+
+namespace malus {
+
+/// A photo for bilinear interpolation: intensities in 16 bits, to 1/65535 of the photo's range, each with the one below
+/// it, so that the four pixels around a point are 8 bytes that follow each other. Takes as much memory as floats do.
+class PhotoCells {
+ public:
+  PhotoCells(const Image<float>& photo, const Context& context);
+
+  Size size() const { return size_; }
+  /// Pixel (u, v) in the low 16 bits, (u, v + 1) in the high ones, at v · width + u. One more value follows the last.
+  const std::uint32_t* pairs() const { return pairs_.data(); }
+  /// An intensity is least + step · its 16 bits.
+  float least() const { return least_; }
+  float step() const { return step_; }
+
+ private:
+  Size size_;
+  float least_ = 0, step_ = 1;
+  std::vector<std::uint32_t> pairs_;
+};
+
+}  // namespace malus
