@@ -23,13 +23,13 @@ struct StepCost {
   double megabytes_per_mpx;
   double megabytes_per_thread;
 };
-constexpr StepCost polarization_cost{1.5, 0.7, 78, 0};
-constexpr StepCost cloud_cost{9.5, 0.2, 85, 250};
+constexpr StepCost polarization_cost{0.25, 0.65, 78, 0};
+constexpr StepCost cloud_cost{9.5, 0.5, 85, 250};
 constexpr StepCost raster_cost{0.03, 0.5, 78, 0};
-constexpr StepCost height_cost{2.1, 0.95, 72, 130};
+constexpr StepCost height_cost{1.8, 0.93, 72, 130};
 constexpr StepCost grid_cost{0.1, 0.5, 84, 0};
-constexpr StepCost refine_cost{46, 0.9, 125, 600};
-constexpr StepCost output_cost{1.05, 0.4, 141, 0};
+constexpr StepCost refine_cost{44, 0.96, 130, 600};
+constexpr StepCost output_cost{1.0, 0.55, 140, 130};
 /// Of the process before anything is read.
 constexpr double megabytes_fixed = 30;
 
@@ -44,7 +44,7 @@ double megabytes(const StepCost& cost, double megapixels, int threads) {
 /// The height of a raster is solved as a whole, many times, at the first of its halved resolutions that is small
 /// enough.
 double whole_height_seconds(double image_mpx, double object_mpx) {
-  constexpr double largest_mpx = 0.5, seconds_per_mpx = 14;
+  constexpr double largest_mpx = 0.5, seconds_per_mpx = 10;
   double share = 1;
   while (share * image_mpx > largest_mpx) share /= 4;
   return seconds_per_mpx * share * object_mpx;
