@@ -163,7 +163,10 @@ def _with_photos(
         """Not in the workspace, whose steps are those of the fusion with the last sweep; what it warns of, they do."""
         core = station.with_photogrammetry(lens.values(), first.depth, first.sigma, None, "{}")
         last = "refine" if options.fusion == "refined" else "fuse"
-        outcome = _core.reconstruct(core, options.to_json(), None, last, None, threads, None, None)
+        outcome = _core.reconstruct(
+            core, options.to_json(), None, last, None, threads,
+            lambda step, fraction, _: report("sweep", fraction, f"fusing for a better sweep: {step}"), None,
+        )  # fmt: skip
         return photogrammetry.FusedOnce(outcome["depth"], outcome["prior_depth"], outcome["prior_sigma"])
 
     images = run(station, "polarization", None)

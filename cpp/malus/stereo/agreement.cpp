@@ -6,7 +6,7 @@
 #include "malus/core/median.h"
 #include "malus/core/parallel.h"
 #include "malus/stereo/agreement_internal.h"
-#include "malus/stereo/small_regions_internal.h"
+#include "malus/stereo/regions_internal.h"
 
 namespace malus {
 namespace {
@@ -79,18 +79,21 @@ void judge(const PassResult& pass, const HalvesDifference& halves, double rate, 
     }
   });
   Image<float> kept(mask.size(), 1, none);
+  double object = 0, found = 0;
   for (std::size_t i = 0; i < kept.count(); ++i) {
+    object += mask[i] != 0 ? 1 : 0;
     if (std::isfinite(result.depth[i])) kept[i] = pass.log_depth[i];
   }
-  remove_small_regions(kept, region_step_px / rate, options.min_region_px);
+  const double region_step = region_step_px / rate;
+  remove_small_regions(kept, region_step, options.min_region_px);
+  for (const float value : kept) found += std::isfinite(value) ? 1 : 0;
+  if (found < least_completeness * object) keep_contours(kept, region_step, mask);
   for (std::size_t i = 0; i < kept.count(); ++i) {
     if (!std::isfinite(kept[i])) result.depth[i] = result.sigma[i] = result.confidence[i] = none;
   }
 
   std::vector<float> scores, sigmas;
-  double object = 0;
   for (std::size_t i = 0; i < mask.count(); ++i) {
-    object += mask[i] != 0 ? 1 : 0;
     if (!std::isfinite(result.depth[i])) continue;
     scores.push_back(pass.score[i]);
     sigmas.push_back(static_cast<float>(result.sigma[i] / result.depth[i] * focal));

@@ -7,6 +7,9 @@
 
 namespace malus {
 
+/// Below this share of the object with a depth the photos see too little of its surface to be trusted.
+constexpr double least_completeness = 0.3;
+
 /// By how much the two disjoint halves of the photos differ, in px of parallax; NaN where one of them is blind.
 struct HalvesDifference {
   const Image<float>* fine = nullptr;  ///< in the last sweep
@@ -19,8 +22,12 @@ struct HalvesDifference {
 ///   sigma = sigma_scale / 2 · root mean square of the halves' difference around the pixel / share that agrees,
 /// where each pixel's difference is the larger of both sweeps', and at least `sigma_floor_gsd`. Pixels fail where less
 /// than `min_agreement` of the pixels around agree to a px of parallax or the correlation is below `min_score`, and in
-/// connected regions of fewer than `min_region_px`. Without
-/// halves sigma is the depth of half a px of parallax over the correlation.
+/// connected regions of fewer than `min_region_px`. Without halves sigma is the depth of half a px of parallax over the
+/// correlation.
+///
+/// Below `least_completeness` the object is taken to be a mirror, or without texture. There windows at its contour match
+/// what lies behind it, and the pixels beside them go on with its depth: of regions that reach the contour only the
+/// pixels on it are kept, where object and ground meet if it stands on the ground.
 ///
 /// `rate`: px of parallax a unit of ln z. `focal`: of the station, px.
 void judge(const PassResult& pass, const HalvesDifference& halves, double rate, double focal, const Mask& mask,

@@ -129,9 +129,6 @@ constexpr double known_smoothing = 2.6;
 /// Share of a known surface's pixels whose standard deviation the search reaches.
 constexpr double known_reach = 0.9;
 
-/// Below this share of the object with a depth there is a warning.
-constexpr double least_completeness = 0.3;
-
 /// Largest change of a surface's ln z between neighbors that is smoothed over, in steps of one px of parallax.
 constexpr double smoothing_limit_px = 1.5;
 

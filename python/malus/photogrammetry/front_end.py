@@ -185,8 +185,27 @@ class FusedOnce:
 #: Share of the object on which photos must agree for a sweep about the fused surface: below, what they see is mostly
 #: mirror images, which a narrow search finds again wherever it looks.
 AGAIN_COMPLETENESS = 0.3
-#: A fused surface farther from its prior, in standard deviations, is a slope that the polarization had wrong.
+#: Standard deviations by which fused surface and prior may differ: more is a slope that the polarization had wrong, or,
+#: where the photos see little, a mirror image.
 TRUSTED_SIGMAS = 2.0
+
+
+def _held(fused: FusedOnce) -> NDArray[np.float32]:
+    """The fused surface, near its prior everywhere."""
+    reach = TRUSTED_SIGMAS * fused.prior_sigma
+    shape = np.clip(fused.depth, fused.prior_depth - reach, fused.prior_depth + reach)
+    return np.where(np.isfinite(shape), shape, fused.prior_depth)
+
+
+def _contradicted(swept: Swept, fused: FusedOnce) -> NDArray[np.bool_]:
+    """Pixels of a sweep off the surface that it gave with the polarization, up to a scale: the polarization knows the
+    shape, so mirror images stand out of the depths that are of one surface with each other.
+    """
+    gap = np.log(swept.depth / fused.depth)
+    gap -= np.nanmedian(gap)
+    spread = 1.4826 * np.nanmedian(np.abs(gap))
+    far: NDArray[np.bool_] = np.abs(gap) > TRUSTED_SIGMAS * np.hypot(spread, swept.sigma / swept.depth)
+    return far
 
 
 def sweep_station(
@@ -205,8 +224,10 @@ def sweep_station(
     """Sweep about the triangulated points and, where that finds enough, again about the surface fused with it.
 
     The fused surface knows slopes and detail that photos do not show: windows that lie on it can be larger, and see
-    what weak texture hides. `fuse` is called if the second sweep is not done yet, None = one sweep; `fused_of` is all that
-    its surface depends on besides the sweep. Kept below `folder` and read back when nothing that matters has changed.
+    what weak texture hides. Where the first sweep finds little there is no second one, but what the fused surface
+    contradicts is left out, and the rest fused anew. `fuse` is called if that is not done yet, None = one sweep;
+    `fused_of` is all that its surface depends on besides the sweep. Kept below `folder` and read back when nothing that
+    matters has changed.
     """
     raster = lens_of_raster(cameras.station)
     assert raster is not None
@@ -253,22 +274,36 @@ def sweep_station(
     figures = journal.stage("sweep", inputs, outputs, lambda: swept(outputs, None))
     depth, sigma, _ = read(outputs)
     first = Swept(depth, sigma, None, figures)
-    if fuse is None or not again or figures["completeness"] < AGAIN_COMPLETENESS:
+    if fuse is None or not again:
         progress(1.0, "")
         return first
 
-    outputs_again = ["sweep_again_depth.tif", "sweep_again_sigma.tif", "sweep_again_confidence.tif"]
     shape_file = "sweep_again_shape.tif"
 
     def swept_again() -> dict[str, Any]:
         fused = fuse(first)
-        reach = TRUSTED_SIGMAS * fused.prior_sigma
-        shape = np.clip(fused.depth, fused.prior_depth - reach, fused.prior_depth + reach)
-        shape = np.where(np.isfinite(shape), shape, fused.prior_depth)
+        shape = _held(fused)
         _core.write_float_tiff(str(folder / shape_file), shape)
-        return swept(outputs_again, (shape, fused.prior_sigma))
+        return swept(outputs[:3], (shape, fused.prior_sigma))
 
-    figures_again = journal.stage("sweep_again", fused_of or {}, [*outputs_again, shape_file], swept_again)
-    depth, sigma, _, shape = read([*outputs_again, shape_file])
+    def kept() -> dict[str, Any]:
+        mirrored = _contradicted(first, fuse(first))
+        some = replace(
+            first,
+            depth=np.where(mirrored, np.float32(np.nan), first.depth),
+            sigma=np.where(mirrored, np.float32(np.nan), first.sigma),
+        )
+        for name, values in zip(outputs, (some.depth, some.sigma, _held(fuse(some))), strict=True):
+            _core.write_float_tiff(str(folder / name), values)
+        return {**figures, "completeness": float(np.isfinite(some.depth)[mask != 0].mean())}
+
+    if figures["completeness"] < AGAIN_COMPLETENESS:
+        outputs = ["sweep_kept_depth.tif", "sweep_kept_sigma.tif", shape_file]
+        figures_again = journal.stage("sweep_kept", fused_of or {}, outputs, kept)
+        depth, sigma, shape = read(outputs)
+    else:
+        outputs = ["sweep_again_depth.tif", "sweep_again_sigma.tif", "sweep_again_confidence.tif", shape_file]
+        figures_again = journal.stage("sweep_again", fused_of or {}, outputs, swept_again)
+        depth, sigma, _, shape = read(outputs)
     progress(1.0, "")
     return Swept(depth, sigma, shape, {**figures_again, "first": figures})

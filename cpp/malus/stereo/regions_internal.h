@@ -1,0 +1,16 @@
+#pragma once
+
+#include "malus/core/image.h"
+
+namespace malus {
+
+// Connected regions of finite values: neighbors (4) are connected if their values differ by at most `largest_step`.
+
+/// Sets pixels to NaN that belong to regions of fewer than `least_pixels`.
+void remove_small_regions(Image<float>& values, double largest_step, int least_pixels);
+
+/// Sets pixels to NaN that belong to regions which reach the object's contour, except those on the contour: object
+/// pixels beside (8) a pixel of the image off the mask.
+void keep_contours(Image<float>& values, double largest_step, const Mask& mask);
+
+}  // namespace malus

@@ -1,0 +1,62 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+
+#include "malus/stereo/regions_internal.h"
+
+namespace malus {
+namespace {
+
+constexpr float none = std::numeric_limits<float>::quiet_NaN();
+
+/// Nothing known in 20 × 16 pixels.
+Image<float> empty() {
+  return Image<float>({20, 16}, 1, none);
+}
+
+void fill(Image<float>& values, int u0, int v0, int u1, int v1, float value) {
+  for (int v = v0; v < v1; ++v) {
+    for (int u = u0; u < u1; ++u) values(u, v) = value;
+  }
+}
+
+int known(const Image<float>& values) {
+  int count = 0;
+  for (const float value : values) count += std::isfinite(value) ? 1 : 0;
+  return count;
+}
+
+TEST(Regions, SmallOnesAreRemovedAndAStepDividesThem) {
+  Image<float> values = empty();
+  fill(values, 1, 1, 5, 5, 1);    // 16
+  fill(values, 5, 5, 8, 8, 1);    // 9, touches the first at a corner only
+  fill(values, 10, 1, 14, 5, 2);  // 16 and 4 beside it, a step higher
+  fill(values, 14, 1, 15, 5, 3);
+  remove_small_regions(values, 0.5, 10);
+  EXPECT_EQ(known(values), 32);
+  EXPECT_TRUE(std::isnan(values(6, 6)));
+  EXPECT_TRUE(std::isnan(values(14, 2)));
+  EXPECT_EQ(values(13, 2), 2);
+}
+
+TEST(Regions, OfThoseAtTheContourOnlyItsPixelsAreKept) {
+  Mask mask({20, 16});
+  for (int v = 0; v < 16; ++v) {
+    for (int u = 4; u < 20; ++u) mask(u, v) = 1;
+  }
+  Image<float> values = empty();
+  fill(values, 4, 2, 9, 6, 1);     // reaches the contour, which is column 4
+  fill(values, 9, 2, 11, 6, 3);    // beside it, a step higher
+  fill(values, 15, 8, 20, 16, 1);  // ends where the image ends, which is no contour
+  keep_contours(values, 0.5, mask);
+  for (int v = 2; v < 6; ++v) {
+    EXPECT_EQ(values(4, v), 1);
+    for (int u = 5; u < 9; ++u) EXPECT_TRUE(std::isnan(values(u, v))) << u << ' ' << v;
+    EXPECT_EQ(values(9, v), 3);
+  }
+  EXPECT_EQ(known(values), 4 + 8 + 40);
+}
+
+}  // namespace
+}  // namespace malus
