@@ -80,8 +80,8 @@ struct SweepOptions {
           "standard deviation of depth over half the difference of the halves");
     visit("sigma_floor_gsd", self.sigma_floor_gsd, not_negative, "smallest standard deviation, in GSD");
     visit("again", self.again, any_value,
-          "sweep a station again about its fused surface, and fuse with that; where the photos agree on too little, leave "
-          "out what that surface contradicts instead");
+          "sweep a station again about its fused surface, and fuse with that; where the photos agree on too little, "
+          "leave out what that surface contradicts instead");
   }
 };
 
