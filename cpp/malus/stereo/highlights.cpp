@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <opencv2/imgproc.hpp>
 #include <vector>
 
 #include "malus/core/median.h"
@@ -58,23 +59,6 @@ Image<float> log_ratio(const SweepInput& input, const Image<float>& station, con
   return ratio;
 }
 
-/// Set within `reach` of a pixel that is.
-Mask grown(const Mask& mask, int reach) {
-  Mask rows(mask.size(), 1, 0), result(mask.size(), 1, 0);
-  for (int v = 0; v < mask.height(); ++v) {
-    for (int u = 0; u < mask.width(); ++u) {
-      if (mask(u, v) == 0) continue;
-      for (int i = std::max(u - reach, 0); i <= std::min(u + reach, mask.width() - 1); ++i) rows(i, v) = 255;
-    }
-  }
-  for (int v = 0; v < mask.height(); ++v) {
-    for (int j = std::max(v - reach, 0); j <= std::min(v + reach, mask.height() - 1); ++j) {
-      for (int u = 0; u < mask.width(); ++u) result(u, j) = std::max(result(u, j), rows(u, v));
-    }
-  }
-  return result;
-}
-
 }  // namespace
 
 Mask find_highlights(const SweepInput& input, const Image<float>& reference, std::span<const SweepView> views,
@@ -109,7 +93,9 @@ Mask find_highlights(const SweepInput& input, const Image<float>& reference, std
   for (std::size_t i = 0; i < shines.count(); ++i) {
     if (mask[i] != 0 && excess[i] > threshold) shines[i] = 255;
   }
-  shines = grown(shines, (reach_px + 1) / 2);
+  const int width = 2 * ((reach_px + 1) / 2) + 1;
+  cv::Mat region(shines.height(), shines.width(), CV_8U, shines.row(0));
+  cv::dilate(region, region, cv::getStructuringElement(cv::MORPH_RECT, {width, width}));
   Mask result(input.mask.size(), 1, 0);
   for (int v = 0; v < result.height(); ++v) {
     for (int u = 0; u < result.width(); ++u) result(u, v) = shines(u / 2, v / 2);
