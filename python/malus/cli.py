@@ -93,6 +93,15 @@ def _parser() -> argparse.ArgumentParser:
         "--mosaic", metavar="A,B,C,D", help="one image of a polarization camera: angles of its cell by rows"
     )
     start.add_argument("--colors", metavar="RGGB", help="Bayer pattern of a colour polarization camera")
+    start.add_argument(
+        "--metashape",
+        type=Path,
+        metavar="cameras.xml",
+        help="cameras of a Metashape project, for [camera]; with --label",
+    )
+    start.add_argument("--label", help="the polarized view's camera in that project")
+    start.add_argument("--cloud", type=Path, metavar="FILE", help="cloud in the same frame, for [prior]")
+    start.add_argument("--unit", default="mm", help="unit of camera and cloud; default: mm")
     many = add("batch", "many stations: one merged table and page over all of them", station=False, work=False)
     many.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml")
     many.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for all stations")
@@ -215,7 +224,16 @@ def _run(arguments: Sequence[str] | None) -> None:
         mosaic = None if args.mosaic is None else _angles(args.mosaic)
         print(
             malus.import_station(
-                args.folder, args.output, table=args.table, pattern=args.pattern, mosaic=mosaic, colors=args.colors
+                args.folder,
+                args.output,
+                table=args.table,
+                pattern=args.pattern,
+                mosaic=mosaic,
+                colors=args.colors,
+                metashape=args.metashape,
+                label=args.label,
+                cloud=args.cloud,
+                unit=args.unit,
             )
         )
         return

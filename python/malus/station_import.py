@@ -7,14 +7,19 @@ import json
 import math
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from malus._files import write_text
 from malus.errors import InputError
+from malus.photogrammetry.metashape import read_metashape
 from malus.raw import is_raw
+from malus.units import METRES
 
 _IMAGES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg"})
 _BAYER = ("RGGB", "BGGR", "GRBG", "GBRG")
@@ -40,6 +45,10 @@ def import_station(
     pattern: str | None = None,
     mosaic: Sequence[float] | None = None,
     colors: str | None = None,
+    metashape: str | Path | None = None,
+    label: str | None = None,
+    cloud: str | Path | None = None,
+    unit: str = "mm",
 ) -> Path:
     """Write a station file for the images of a folder, and return its path.
 
@@ -48,13 +57,24 @@ def import_station(
     polanalyser writes them (its `mueller_psa`, or a number under `polarizer_angle`, `angle_deg` or `angle`, degrees);
     else from the file names: the last number, or what `pattern`, a regular expression with one group, captures.
     `mosaic` and `colors` are those of a polarization camera whose one image is in the folder. A file mask.png becomes
-    the mask. Camera and prior are left to be filled in. Raises malus.InputError; an existing file is not replaced.
+    the mask. `metashape` is the cameras.xml of an Agisoft Metashape project in which the polarized view was aligned too,
+    `label` its camera there, whose lens and pose become [camera]; `cloud` is the project's cloud in the same frame and
+    becomes [prior]; `unit` is that of both. What is not given is left to be filled in. Raises malus.InputError; an
+    existing file is not replaced.
     """
     folder, output = Path(folder), Path(output)
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder, expected one with polarized images")
     if colors is not None and (mosaic is None or colors not in _BAYER):
         raise InputError(f"--colors {colors}, expected one of {', '.join(_BAYER)}, with --mosaic")
+    if (metashape is None) != (label is None):
+        raise InputError(
+            "--metashape and --label go together: the project's cameras, and which one of them is the station's"
+        )
+    if unit not in METRES:
+        raise InputError(f"--unit {unit}, expected one of {', '.join(METRES)}")
+    if cloud is not None and not Path(cloud).is_file():
+        raise InputError(f"--cloud {cloud}: no such file")
     if output.exists():
         raise InputError(f"{output} exists already, expected a name for a new station file")
     mask = next((path for path in folder.iterdir() if path.name.lower() == "mask.png"), None)
@@ -64,17 +84,60 @@ def import_station(
         lines = _shot_lines(_shots(folder, mask, table, pattern), output)
     if mask is not None:
         lines.append(f"mask = {_text(_relative(mask, output))}")
-    write_text(
-        output,
-        "\n".join(
-            ["[station]", f"name = {_text(folder.resolve().name)}", 'unit = "mm"', "", "[polarized]", *lines, ""]
-            + [
-                "# To come: [camera] and [prior], or [photos]; without them `malus decompose` makes the polarization maps."
-            ]
-            + [""]
-        ),
-    )
+    camera = [] if metashape is None or label is None else _camera_lines(Path(metashape), label)
+    prior = [] if cloud is None else ["[prior]", f"cloud = {_text(_relative(Path(cloud), output))}", ""]
+    missing = [part for part, lines_of in (("[camera]", camera), ("[prior]", prior)) if not lines_of]
+    note = [f"# To come: {' and '.join(missing)}."] if missing else []
+    if len(missing) == 2:
+        note = [
+            "# To come: [camera] and [prior], or [photos]; without them `malus decompose` makes the polarization maps."
+        ]
+    head = ["[station]", f"name = {_text(folder.resolve().name)}", f"unit = {_text(unit)}", ""]
+    write_text(output, "\n".join([*head, "[polarized]", *lines, "", *camera, *prior, *note, ""]))
     return output
+
+
+def _camera_lines(cameras_xml: Path, label: str) -> list[str]:
+    cameras = read_metashape(cameras_xml)
+    names = [name for name in cameras if label in (name, Path(name).stem)]
+    if len(names) != 1:
+        some = ", ".join(sorted(cameras)[:10]) + (" …" if len(cameras) > 10 else "")
+        raise InputError(
+            f"{cameras_xml}: {len(names)} aligned cameras {label!r}, expected one; there are {some or 'none'}"
+        )
+    camera = cameras[names[0]]
+    rotation, translation = camera.pose()
+    # COLMAP's convention in station files: the first pixel's centre is at 0.5.
+    params = [value + 0.5 if 2 <= index < 4 else value for index, value in enumerate(camera.params)]
+    return [
+        f"[camera]  # {names[0]} of {cameras_xml.name}",
+        f"model = {_text(camera.model)}",
+        f"width = {camera.width}",
+        f"height = {camera.height}",
+        f"params = {_numbers(params)}",
+        f"qvec = {_numbers(_quaternion(rotation))}",
+        f"tvec = {_numbers(translation)}",
+        "",
+    ]
+
+
+def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """w, x, y, z of a rotation, w ≥ 0: the eigenvector of Bar-Itzhack's matrix (2000), which has no special cases."""
+    r = rotation
+    symmetric = np.array(
+        [
+            [r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
+            [r[0, 1] + r[1, 0], r[1, 1] - r[0, 0] - r[2, 2], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]],
+            [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
+            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]],
+        ]
+    )
+    x, y, z, w = np.linalg.eigh(symmetric)[1][:, 3]
+    return np.array([w, x, y, z]) * (1 if w >= 0 else -1)
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return "[" + ", ".join(f"{float(value):.17g}" for value in values) + "]"
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

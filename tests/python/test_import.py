@@ -94,6 +94,46 @@ def test_mosaic(folder: Path, tmp_path: Path) -> None:
     assert content["mosaic_colors"] == "RGGB"
 
 
+METASHAPE = """<document version="2.0.0"><chunk><sensors><sensor id="0" label="unknown" type="frame">
+<resolution width="12" height="8"/><calibration type="frame" class="adjusted"><f>20</f><cx>0.5</cx><cy>-1</cy><k1>-0.1</k1>
+<p1>1e-3</p1></calibration></sensor></sensors>
+<components><component id="0"><transform><rotation>0 -1 0 1 0 0 0 0 1</rotation><translation>10 20 30</translation>
+<scale>2</scale></transform></component></components>
+<cameras><camera id="0" label="shot_0.png" sensor_id="0" component_id="0">
+<transform>0 0 1 1  1 0 0 2  0 1 0 3  0 0 0 1</transform></camera>
+<camera id="1" label="b" sensor_id="0" component_id="0"/></cameras></chunk></document>"""
+
+
+def test_camera_and_cloud_of_a_metashape_project(folder: Path, tmp_path: Path) -> None:
+    for angle in (0, 60, 120):
+        image(folder / f"shot_{angle}.png")
+    project = folder / "cameras.xml"
+    project.write_text(METASHAPE)
+    (folder / "cloud.ply").write_text("ply\n")
+    station = folder / "station.toml"
+    outcome = run_malus(
+        "import", folder, "-o", station, "--metashape", project, "--label", "shot_0", "--cloud", folder / "cloud.ply",
+        "--unit", "m",
+    )  # fmt: skip
+    assert outcome.code == 0, outcome.err
+    description = malus.Station.load(station).describe()
+    camera = malus.photogrammetry.read_metashape(project)["shot_0.png"]
+    assert description["camera"]["model"] == camera.model
+    np.testing.assert_allclose(description["camera"]["params"], camera.params, atol=1e-12)
+    rotation, translation = camera.pose()
+    np.testing.assert_allclose(description["camera"]["rotation"], rotation, atol=1e-12)
+    np.testing.assert_allclose(description["camera"]["translation"], translation, atol=1e-12)
+    assert description["unit"] == "m"
+    assert Path(description["prior_cloud"]) == folder / "cloud.ply"
+    assert "To come" not in station.read_text()
+    for label, expected in (("c", "0 aligned cameras 'c', expected one; there are shot_0.png"), (None, "go together")):
+        name = [] if label is None else ["--label", label]
+        outcome = run_malus("import", folder, "-o", folder / "other.toml", "--metashape", project, *name)
+        assert outcome.code == 2
+        assert expected in outcome.err
+        assert not (folder / "other.toml").exists()
+
+
 @pytest.mark.parametrize(
     ("files", "arguments", "message"),
     [
@@ -112,6 +152,8 @@ def test_mosaic(folder: Path, tmp_path: Path) -> None:
         ({"a_1.png": None}, ["--mosaic", "x"], "expected four angles"),
         ({"a_1.png": None}, ["--colors", "RGGB"], "with --mosaic"),
         ({"a_1.png": None, "station.toml": "x"}, [], "exists already"),
+        ({"a_1.png": None}, ["--unit", "inch"], "--unit inch, expected one of um, mm"),
+        ({"a_1.png": None}, ["--cloud", "no.ply"], "no.ply: no such file"),
     ],
 )
 def test_mistakes_are_named(folder: Path, files: dict[str, str | None], arguments: list[str], message: str) -> None:

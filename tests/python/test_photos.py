@@ -291,6 +291,17 @@ def test_metashape_cameras(tmp_path: Path) -> None:
     np.testing.assert_allclose(-rotation.T @ translation, [10 - 4, 20 + 2, 30 + 6], atol=1e-12)
     assert camera.params[:4] == [2000, 2000, 503.0, 397.5]
     assert list(camera.params[4:9]) == [-0.1, 0.0, 2e-3, 1e-3, 0.0]
+    # Newer versions have the transform with the component that the camera belongs to.
+    transform = METASHAPE[METASHAPE.index("<transform><rotation>") : METASHAPE.index("</chunk>")]
+    components = f'<components><component id="0">{transform}</component><component id="1"/></components></chunk>'
+    divided = METASHAPE.replace(transform, "").replace("</chunk>", components)
+    path.write_text(divided.replace('sensor_id="0">', 'sensor_id="0" component_id="0">'))
+    (in_component,) = read_metashape(path).values()
+    for values, expected in zip(in_component.pose(), camera.pose(), strict=True):
+        np.testing.assert_array_equal(values, expected)
+    path.write_text(divided.replace('sensor_id="0">', 'sensor_id="0" component_id="1">'))
+    rotation, translation = read_metashape(path)["a.jpg"].pose()
+    np.testing.assert_allclose(-rotation.T @ translation, [1, 2, 3], atol=1e-12)
     path.write_text(METASHAPE.replace("<k1>", "<b2>0.5</b2><k1>"))
     with pytest.raises(package.InputError, match="b2"):
         read_metashape(path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,22 +24,27 @@ def _numbers(text: str | None, count: int, where: str) -> list[float]:
     return values
 
 
-def _chunk_transform(chunk: ElementTree.Element, where: str) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Rotation, translation and scale of world_from_chunk; identity where the chunk has none."""
-    rotation, translation, scale = np.eye(3), np.zeros(3), 1.0
-    transform = chunk.find("transform")
+@dataclass(frozen=True)
+class _Similarity:
+    """x' = scale · rotation · x + translation."""
+
+    rotation: NDArray[np.float64]
+    translation: NDArray[np.float64]
+    scale: float
+
+
+def _similarity(parent: ElementTree.Element, where: str) -> _Similarity | None:
+    """The <transform> of a chunk or a component; None where it has none."""
+    transform = parent.find("transform")
     if transform is None:
-        return rotation, translation, scale
-    element = transform.find("rotation")
-    if element is not None:
-        rotation = np.array(_numbers(element.text, 9, f"{where}: <rotation>")).reshape(3, 3)
-    element = transform.find("translation")
-    if element is not None:
-        translation = np.array(_numbers(element.text, 3, f"{where}: <translation>"))
-    element = transform.find("scale")
-    if element is not None:
-        scale = _numbers(element.text, 1, f"{where}: <scale>")[0]
-    return rotation, translation, scale
+        return None
+
+    def values(tag: str, count: int, default: list[float]) -> NDArray[np.float64]:
+        element = transform.find(tag)
+        return np.array(default if element is None else _numbers(element.text, count, f"{where}: <{tag}>"))
+
+    rotation = values("rotation", 9, [1, 0, 0, 0, 1, 0, 0, 0, 1]).reshape(3, 3)
+    return _Similarity(rotation, values("translation", 3, [0, 0, 0]), float(values("scale", 1, [1])[0]))
 
 
 def _lens(sensor: ElementTree.Element, where: str) -> tuple[str, int, int, list[float]]:
@@ -78,8 +84,8 @@ def _lens(sensor: ElementTree.Element, where: str) -> tuple[str, int, int, list[
 def read_metashape(path: str | Path, chunk: int = 0) -> dict[str, Camera]:
     """Cameras with lens and pose, by label, of one chunk of a Metashape cameras.xml.
 
-    The world frame and unit are those of the chunk's transform (its own frame if it has none); cameras without a position
-    are left out. Poses come out as cam_from_world, lenses as FULL_OPENCV. Raises InputError naming file and element.
+    The world frame and unit are those of the transform of a camera's component (versions that divide chunks into
+    components have it there), else of the chunk (its own frame if it has none); cameras without a position are left out. Poses come out as cam_from_world, lenses as FULL_OPENCV. Raises InputError naming file and element.
     """
     file = Path(path)
     try:
@@ -90,7 +96,11 @@ def read_metashape(path: str | Path, chunk: int = 0) -> dict[str, Camera]:
     if not 0 <= chunk < len(chunks):
         raise InputError(f"{file}: chunk {chunk} of {len(chunks)}, expected one that is there")
     source = chunks[chunk]
-    rotation, translation, scale = _chunk_transform(source, str(file))
+    of_chunk = _similarity(source, str(file)) or _Similarity(np.eye(3), np.zeros(3), 1.0)
+    of_component = {
+        component.get("id"): _similarity(component, f"{file}: component {component.get('id')}")
+        for component in source.iterfind("components/component")
+    }
     lenses = {
         sensor.get("id"): _lens(sensor, f'{file}: sensor "{sensor.get("label", sensor.get("id"))}"')
         for sensor in source.iterfind("sensors/sensor")
@@ -106,8 +116,9 @@ def read_metashape(path: str | Path, chunk: int = 0) -> dict[str, Camera]:
         if element.get("sensor_id") not in lenses:
             raise InputError(f"{where} has sensor {element.get('sensor_id')!r}, which has no calibration")
         chunk_from_cam = np.array(_numbers(transform.text, 16, f"{where}: <transform>")).reshape(4, 4)
-        world_from_cam = rotation @ chunk_from_cam[:3, :3]
-        center = scale * rotation @ chunk_from_cam[:3, 3] + translation
+        world = of_component.get(element.get("component_id")) or of_chunk
+        world_from_cam = world.rotation @ chunk_from_cam[:3, :3]
+        center = world.scale * world.rotation @ chunk_from_cam[:3, 3] + world.translation
         model, width, height, params = lenses[element.get("sensor_id")]
         cameras[label] = Camera(model, width, height, params, world_from_cam.T, -world_from_cam.T @ center)
     return cameras
