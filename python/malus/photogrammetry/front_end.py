@@ -185,9 +185,11 @@ class FusedOnce:
 #: Share of the object on which photos must agree for a sweep about the fused surface: below, what they see is mostly
 #: mirror images, which a narrow search finds again wherever it looks.
 AGAIN_COMPLETENESS = 0.3
-#: Standard deviations by which fused surface and prior may differ: more is a slope that the polarization had wrong, or,
-#: where the photos see little, a mirror image.
+#: A fused surface farther from its prior, in standard deviations, is a slope that the polarization had wrong.
 TRUSTED_SIGMAS = 2.0
+#: Depths farther from the fused surface, in robust standard deviations of all of them, are mirror images. Their own sigma
+#: says nothing: halves of the photos agree on them.
+LARGEST_GAP = 4.0
 
 
 def _held(fused: FusedOnce) -> NDArray[np.float32]:
@@ -203,8 +205,7 @@ def _contradicted(swept: Swept, fused: FusedOnce) -> NDArray[np.bool_]:
     """
     gap = np.log(swept.depth / fused.depth)
     gap -= np.nanmedian(gap)
-    spread = 1.4826 * np.nanmedian(np.abs(gap))
-    far: NDArray[np.bool_] = np.abs(gap) > TRUSTED_SIGMAS * np.hypot(spread, swept.sigma / swept.depth)
+    far: NDArray[np.bool_] = np.abs(gap) > LARGEST_GAP * 1.4826 * np.nanmedian(np.abs(gap))
     return far
 
 
