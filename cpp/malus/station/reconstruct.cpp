@@ -8,6 +8,7 @@
 #include "malus/capture/capture.h"
 #include "malus/core/depth_normals.h"
 #include "malus/core/median.h"
+#include "malus/core/parallel.h"
 #include "malus/io/colmap_workspace.h"
 #include "malus/io/image_file.h"
 #include "malus/io/point_cloud_file.h"
@@ -97,17 +98,21 @@ void fit_polarizer_of(PolarizedStack& stack, const PolarizedSpec& spec, const Po
   stack.angles_rad = fit.angles_rad;
   for (std::size_t k = 0; k < stack.images.size(); ++k) {
     const auto share = static_cast<float>(1 / fit.gains[k]);
-    for (float& value : stack.images[k]) value *= share;
+    Image<float>& image = stack.images[k];
+    parallel_rows(context, image.height(), [&](int v) {
+      std::for_each(image.row(v), image.row(v) + image.width(), [share](float& value) { value *= share; });
+    });
   }
 }
 
 /// Pixels that do not follow the sinusoid are left out one by one; many of them have one cause.
 void warn_of_misfits(const PolarizationState& state, const Context& context) {
-  double object = 0, misfits = 0;
+  std::size_t object_pixels = 0, misfit_pixels = 0;
   for (const std::uint8_t pixel : state.valid) {
-    object += pixel != static_cast<std::uint8_t>(PixelState::outside);
-    misfits += pixel == static_cast<std::uint8_t>(PixelState::misfit);
+    object_pixels += pixel != static_cast<std::uint8_t>(PixelState::outside);
+    misfit_pixels += pixel == static_cast<std::uint8_t>(PixelState::misfit);
   }
+  const auto object = static_cast<double>(object_pixels), misfits = static_cast<double>(misfit_pixels);
   if (misfits <= many_misfits * object) return;
   context.log(LogLevel::warning, std::to_string(std::lround(100 * misfits / object)) +
                                      " % of the object's pixels do not follow the polarizer's sinusoid: is `response` "
