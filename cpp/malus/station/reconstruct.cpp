@@ -173,6 +173,16 @@ FrameHints frame_hints(const Station& station, const PolarizationStep& images, c
   return hints;
 }
 
+/// A copy whose memory the threads get together.
+Image<float> copy_of(const Image<float>& image, const Context& context) {
+  constexpr std::size_t huge_page = (std::size_t{2} << 20) / sizeof(float);
+  auto copy = Image<float>::uninitialized(image.size(), image.channels());
+  parallel_for(context, image.count(), huge_page, [&](std::size_t begin, std::size_t end) {
+    std::copy(image.data() + begin, image.data() + end, copy.data() + begin);
+  });
+  return copy;
+}
+
 PolarizerStep make_polarizer(const Station& station, const PolarizationStep& images, const DepthPrior& prior,
                              const Options& options, const Context& context) {
   PolarizerOptions known = options.polarizer;
@@ -183,7 +193,11 @@ PolarizerStep make_polarizer(const Station& station, const PolarizationStep& ima
   const FrameEstimate surface = estimate_frame(images.state, &images.camera, normals, hints, known, context);
   CalibratedFrame calibrated =
       calibrate_frame(images.polarizer, images.polarizer_fitted, hints.known_scale, surface, known);
-  PolarizationState state = images.state;
+  PolarizationState state;
+  state.angles_rad = images.state.angles_rad;
+  state.i_un = copy_of(images.state.i_un, context);
+  state.rho = copy_of(images.state.rho, context);
+  state.phi = copy_of(images.state.phi, context);
   if (calibrated.calibration.from_surface) apply_frame(state, calibrated.frame, context);
   for (const std::string& warning : calibrated.calibration.warnings) context.log(LogLevel::warning, warning);
   return {std::move(state.i_un), std::move(state.rho), std::move(state.phi), std::move(state.angles_rad),
