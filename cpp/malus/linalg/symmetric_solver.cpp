@@ -71,7 +71,8 @@ struct SymmetricSolver::Impl {
     workspace.status = CHOLMOD_OK;
     if (status == CHOLMOD_OUT_OF_MEMORY || status == CHOLMOD_TOO_LARGE) throw out_of_memory(what);
     std::ostringstream message;
-    message << "linear system of " << unknowns << " unknowns: CHOLMOD failed with status " << status << " while " << what;
+    message << "linear system of " << unknowns << " unknowns: CHOLMOD failed with status " << status << " while "
+            << what;
     throw Error(ErrorCode::external, message.str());
   }
   Error out_of_memory(const char* what) const {
