@@ -112,25 +112,28 @@ Exposures load_exposures(const CaptureInput& input, const ResponseCurve& curve, 
                          const Context& context) {
   const PolarizedSpec& spec = input.polarized;
   const std::array<double, 3> weights = channel_weights(spec);
+  const std::size_t count = input.names.size();
   Exposures exposures;
-  for (std::size_t k = 0; k < input.names.size(); ++k) {
-    const std::string& name = input.names[k];
-    context.progress("capture", 0, "reading " + name);
-    const RawImage raw = input.load(k);
-    const Levels levels = levels_of(raw, spec, options.saturation, name);
-    LinearImage linear = linearize(raw, curve, levels, weights, name, context);
+  exposures.names = input.names;
+  exposures.images.resize(count);
+  exposures.saturated.resize(count);
+  context.progress("capture", 0, "reading " + std::to_string(count) + " images");
+  parallel_for(context, count, 1, [&](std::size_t k, std::size_t) {
+    RawImage raw = input.load(k);
+    const Levels levels = levels_of(raw, spec, options.saturation, input.names[k]);
+    LinearImage linear = linearize(std::move(raw), curve, levels, weights, input.names[k], context);
     if (k == 0) {
-      exposures.color = is_color(raw) && !spec.mosaic;
+      exposures.color = linear.color && !spec.mosaic;
       exposures.noise =
           noise_model(spec, curve, levels, exposures.color ? std::optional(weights) : std::nullopt, linear);
-    } else {
-      require_same_size(linear.intensity, name, exposures.images[0], input.names[0]);
     }
     const auto share = static_cast<float>(1 / exposure_ratio(spec, k));
     if (spec.exposure_s) std::ranges::for_each(linear.intensity, [share](float& value) { value *= share; });
-    exposures.names.push_back(name);
-    exposures.images.push_back(std::move(linear.intensity));
-    exposures.saturated.push_back(std::move(linear.saturated));
+    exposures.images[k] = std::move(linear.intensity);
+    exposures.saturated[k] = std::move(linear.saturated);
+  });
+  for (std::size_t k = 1; k < count; ++k) {
+    require_same_size(exposures.images[k], input.names[k], exposures.images[0], input.names[0]);
   }
   return exposures;
 }
@@ -208,8 +211,10 @@ void clear_outside(Mask& mask, const Mask& keep) {
   for (std::size_t i = 0; i < mask.count(); ++i) mask[i] = mask[i] && keep[i] ? 255 : 0;
 }
 
-void add_flags(Mask& flags, const Mask& more) {
-  for (std::size_t i = 0; i < flags.count(); ++i) flags[i] |= more[i];
+/// Sets the flags that are set in the other mask too; no flags yet = those.
+void add_flags(Mask& flags, Mask more) {
+  if (flags.empty()) flags = std::move(more);
+  for (std::size_t i = 0; i < more.count(); ++i) flags[i] |= more[i];
 }
 
 /// The object in the undistorted raster: the mask at the nearest captured pixel.
@@ -234,30 +239,33 @@ struct Layer {
 
 Layer resample_layer(Exposures& exposures, std::size_t k, const ResamplingMap& map, Interpolation interpolation,
                      Mask& object, const Context& context) {
-  const Image<float> source = std::move(exposures.images[k]);
+  Image<float> source = std::move(exposures.images[k]);
+  if (map.is_identity()) return {std::move(source), std::move(exposures.saturated[k])};
   Resampled resampled = resample(source, object.size(), map, interpolation, context);
   clear_outside(object, resampled.valid);
   return {std::move(resampled.image), resample_flags(exposures.saturated[k], object.size(), map, context)};
 }
 
 /// Mean of a group by inverse variance over the images that are not saturated; the shortest where all are.
-Layer merge(std::vector<Layer> layers, const std::vector<double>& ratios, const NoiseModel& noise) {
-  const auto shortest = static_cast<std::size_t>(std::ranges::min_element(ratios) - ratios.begin());
-  Layer merged = layers[shortest];
-  for (std::size_t i = 0; i < merged.intensity.count(); ++i) {
-    // Expected signal from the shortest exposure, which is the last to saturate: all get their weights from it.
-    const double signal = layers[shortest].intensity[i];
-    double sum = 0, weights = 0;
-    for (std::size_t k = 0; k < layers.size(); ++k) {
-      if (layers[k].saturated[i]) continue;
-      const double weight = ratios[k] * ratios[k] / noise.variance(signal * ratios[k]);
-      sum += weight * layers[k].intensity[i];
-      weights += weight;
+Layer merge(std::vector<Layer> layers, const std::vector<double>& ratios, const NoiseModel& noise,
+            const Context& context) {
+  // The shortest exposure is the last to saturate: all get their weights from the signal that it expects.
+  Layer& merged = layers[static_cast<std::size_t>(std::ranges::min_element(ratios) - ratios.begin())];
+  parallel_for(context, merged.intensity.count(), 1 << 18, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      const double signal = merged.intensity[i];
+      double sum = 0, weights = 0;
+      for (std::size_t k = 0; k < layers.size(); ++k) {
+        if (layers[k].saturated[i]) continue;
+        const double weight = ratios[k] * ratios[k] / noise.variance(signal * ratios[k]);
+        sum += weight * layers[k].intensity[i];
+        weights += weight;
+      }
+      if (weights > 0) merged.intensity[i] = static_cast<float>(sum / weights);
+      merged.saturated[i] = weights > 0 ? 0 : 255;
     }
-    if (weights > 0) merged.intensity[i] = static_cast<float>(sum / weights);
-    merged.saturated[i] = weights > 0 ? 0 : 255;
-  }
-  return merged;
+  });
+  return std::move(merged);
 }
 
 double unsaturated_share(const Layer& layer, const Mask& object) {
@@ -273,7 +281,6 @@ double unsaturated_share(const Layer& layer, const Mask& object) {
 void fill_stack(Exposures& exposures, const CaptureInput& input, const std::vector<Affine>& maps,
                 const std::vector<Group>& groups, Interpolation interpolation, PolarizedStack& stack,
                 const Context& context) {
-  stack.saturated = Mask(stack.mask.size());
   for (std::size_t g = 0; g < groups.size(); ++g) {
     context.progress("capture", static_cast<double>(g) / static_cast<double>(groups.size()), "resampling");
     std::vector<Layer> layers;
@@ -282,11 +289,12 @@ void fill_stack(Exposures& exposures, const CaptureInput& input, const std::vect
       const ResamplingMap map(input.lens, maps[k]);
       layers.push_back(resample_layer(exposures, k, map, interpolation, stack.mask, context));
       ratios.push_back(exposure_ratio(input.polarized, k));
-      unsaturated.push_back(unsaturated_share(layers.back(), stack.mask));
+      if (groups[g].size() > 1) unsaturated.push_back(unsaturated_share(layers.back(), stack.mask));
     }
     if (layers.size() > 1 && g == 0) stack.noise = merged_noise(exposures.noise, ratios, unsaturated);
-    Layer layer = layers.size() > 1 ? merge(std::move(layers), ratios, exposures.noise) : std::move(layers.front());
-    add_flags(stack.saturated, layer.saturated);
+    Layer layer =
+        layers.size() > 1 ? merge(std::move(layers), ratios, exposures.noise, context) : std::move(layers.front());
+    add_flags(stack.saturated, std::move(layer.saturated));
     stack.images.push_back(std::move(layer.intensity));
   }
 }
@@ -318,9 +326,8 @@ Image<float> mean_color(const CaptureInput& input, const ResponseCurve& curve, c
 void check_usable(const PolarizedStack& stack) {
   std::size_t object = 0, saturated = 0;
   for (std::size_t i = 0; i < stack.mask.count(); ++i) {
-    if (!stack.mask[i]) continue;
-    ++object;
-    saturated += stack.saturated[i] != 0;
+    object += stack.mask[i] != 0;
+    saturated += (stack.mask[i] != 0) & (stack.saturated[i] != 0);
   }
   if (object == 0) throw data_error("no pixel of the object lies inside all polarized images (mask and undistortion)");
   if (static_cast<double>(saturated) > all_saturated * static_cast<double>(object)) {

@@ -40,11 +40,11 @@ struct CaptureOptions {
   }
 };
 
-/// What a stack is made from. Images are loaded one at a time.
+/// What a stack is made from.
 struct CaptureInput {
   PolarizedSpec polarized;         ///< levels, response, channel, angles, mosaic, noise; its paths are not opened here
   std::vector<std::string> names;  ///< of the images, for messages; one each
-  std::function<RawImage(std::size_t index)> load;
+  std::function<RawImage(std::size_t index)> load;  ///< is called by several threads at once
   std::optional<LensCamera> lens;  ///< camera of the first image; nothing = pixels are taken as they are
   std::optional<Mask> mask;        ///< of the first image as captured, non-zero = object
 };

@@ -52,11 +52,15 @@ Resampled resample(const Image<float>& source, Size size, const ResamplingMap& m
                    const Context& context) {
   if (map.is_identity() && source.size() == size) return {source, Mask(size, 1, 255)};
   const int channels = source.channels();
-  Resampled result{Image<float>(size, channels, std::numeric_limits<float>::quiet_NaN()), Mask(size)};
+  Resampled result{Image<float>::uninitialized(size, channels), Mask::uninitialized(size)};
   parallel_rows(context, size.height, [&](int v) {
     for (int u = 0; u < size.width; ++u) {
       const auto support = support_at(map(u, v), source.size());
-      if (!support) continue;
+      result.valid(u, v) = support ? 255 : 0;
+      if (!support) {
+        for (int c = 0; c < channels; ++c) result.image(u, v, c) = std::numeric_limits<float>::quiet_NaN();
+        continue;
+      }
       const Eigen::Vector4d wu = bicubic_weights(support->fu, interpolation);
       const Eigen::Vector4d wv = bicubic_weights(support->fv, interpolation);
       for (int c = 0; c < channels; ++c) {
@@ -68,7 +72,6 @@ Resampled resample(const Image<float>& source, Size size, const ResamplingMap& m
         }
         result.image(u, v, c) = static_cast<float>(sum);
       }
-      result.valid(u, v) = 255;
     }
   });
   return result;
@@ -76,15 +79,16 @@ Resampled resample(const Image<float>& source, Size size, const ResamplingMap& m
 
 Mask resample_flags(const Mask& flags, Size size, const ResamplingMap& map, const Context& context) {
   if (map.is_identity() && flags.size() == size) return flags;
-  Mask result(size);
+  auto result = Mask::uninitialized(size);
   parallel_rows(context, size.height, [&](int v) {
     for (int u = 0; u < size.width; ++u) {
       const auto support = support_at(map(u, v), flags.size());
-      if (!support) continue;
-      for (int j = 0; j < 4; ++j) {
+      std::uint8_t any = 0;
+      for (int j = 0; support && j < 4; ++j) {
         const std::uint8_t* row = flags.row(support->v + j) + support->u;
-        if (row[0] | row[1] | row[2] | row[3]) result(u, v) = 255;
+        any |= row[0] | row[1] | row[2] | row[3];
       }
+      result(u, v) = any != 0 ? 255 : 0;
     }
   });
   return result;

@@ -4,6 +4,7 @@
 #include <charconv>
 #include <cmath>
 #include <fstream>
+#include <limits>
 #include <optional>
 #include <sstream>
 
@@ -64,18 +65,52 @@ void check_table(ResponseCurve& curve, const std::string& name) {
 /// Encoded → linear for every pixel of a raster; tables in DN are looked up before the levels are applied.
 class Linearizer {
  public:
-  Linearizer(const ResponseCurve& curve, const Levels& levels) : curve_(curve), levels_(levels) {
+  Linearizer(const RawImage& raw, const ResponseCurve& curve, const Levels& levels) : curve_(curve), levels_(levels) {
     table_in_dn_ = curve.kind == ResponseCurve::Kind::table && curve.encoded.back() > 1;
+    if (raw.is_float || curve.is_identity()) return;
+    // Every number that the file can hold goes through the curve once.
+    for (int dn = 0; dn < 1 << raw.bits; ++dn) of_number_.push_back(through_curve(dn));
   }
   double encoded(double dn) const { return (dn - levels_.black_dn) / (levels_.white_dn - levels_.black_dn); }
-  double linear(double dn) const { return curve_.linearize(table_in_dn_ ? dn : encoded(dn)); }
+  double linear(double dn) const {
+    if (!(dn >= 0 && dn < static_cast<double>(of_number_.size()))) return through_curve(dn);
+    return of_number_[static_cast<std::size_t>(dn)];
+  }
   bool saturated(double dn) const { return encoded(dn) >= levels_.saturation; }
 
+  /// Puts linear intensities in the place of a row of grey values; whether all of them are finite.
+  bool linearize_row(float* values, int count, std::uint8_t* saturated) const {
+    // Copies, which the writing of bytes cannot change: these loops are vector code.
+    const double black = levels_.black_dn, range = levels_.white_dn - black, saturation = levels_.saturation;
+    for (int i = 0; i < count; ++i) saturated[i] = (values[i] - black) / range >= saturation ? 255 : 0;
+    if (curve_.is_identity()) {
+      for (int i = 0; i < count; ++i) values[i] = static_cast<float>((values[i] - black) / range);
+    } else {
+      for (int i = 0; i < count; ++i) values[i] = static_cast<float>(linear(values[i]));
+    }
+    int bad = 0;
+    for (int i = 0; i < count; ++i) bad |= !(std::abs(values[i]) <= std::numeric_limits<float>::max());
+    return bad == 0;
+  }
+
  private:
+  double through_curve(double dn) const { return curve_.linearize(table_in_dn_ ? dn : encoded(dn)); }
+
   const ResponseCurve& curve_;
   const Levels& levels_;
   bool table_in_dn_ = false;
+  std::vector<double> of_number_;  ///< linear intensity of each digital number; empty = through the curve
 };
+
+/// Whether the image has three channels that differ somewhere.
+bool is_color(const RawImage& raw) {
+  if (raw.pixels.channels() != 3) return false;
+  const float* p = raw.pixels.data();
+  for (std::size_t i = 0; i < raw.pixels.count(); i += 3) {
+    if (p[i] != p[i + 1] || p[i] != p[i + 2]) return true;
+  }
+  return false;
+}
 
 }  // namespace
 
@@ -175,25 +210,29 @@ std::array<double, 3> channel_weights(const PolarizedSpec& spec) {
                     "\", expected \"luminance\", \"mean\", \"red\", \"green\" or \"blue\"");
 }
 
-bool is_color(const RawImage& raw) {
-  if (raw.pixels.channels() != 3) return false;
-  const float* p = raw.pixels.data();
-  for (std::size_t i = 0; i < raw.pixels.count(); i += 3) {
-    if (p[i] != p[i + 1] || p[i] != p[i + 2]) return true;
-  }
-  return false;
-}
-
-LinearImage linearize(const RawImage& raw, const ResponseCurve& curve, const Levels& levels,
+LinearImage linearize(RawImage raw, const ResponseCurve& curve, const Levels& levels,
                       const std::array<double, 3>& weights, const std::string& name, const Context& context) {
   const int channels = raw.pixels.channels();
   if (channels != 1 && channels != 3) {
     throw input_error(name + " has " + std::to_string(channels) + " channels, expected 1 or 3");
   }
   const bool color = is_color(raw);
-  const Linearizer linearizer(curve, levels);
+  const Linearizer linearizer(raw, curve, levels);
   const Size size = raw.pixels.size();
-  LinearImage result{Image<float>(size), Mask(size)};
+  const auto not_finite = [&](int u, int v) {
+    return input_error(name + ": pixel (" + std::to_string(u) + ", " + std::to_string(v) + ") is not a finite number");
+  };
+  if (channels == 1) {
+    LinearImage result{std::move(raw.pixels), Mask::uninitialized(size)};
+    parallel_rows(context, size.height, [&](int v) {
+      float* const row = result.intensity.row(v);
+      if (linearizer.linearize_row(row, size.width, result.saturated.row(v))) return;
+      const auto bad = std::find_if(row, row + size.width, [](float value) { return !std::isfinite(value); });
+      throw not_finite(static_cast<int>(bad - row), v);
+    });
+    return result;
+  }
+  LinearImage result{Image<float>::uninitialized(size), Mask::uninitialized(size), color};
   parallel_rows(context, size.height, [&](int v) {
     for (int u = 0; u < size.width; ++u) {
       double sum = 0;
@@ -204,10 +243,7 @@ LinearImage linearize(const RawImage& raw, const ResponseCurve& curve, const Lev
         sum += weight * linearizer.linear(dn);
         saturated = saturated || linearizer.saturated(dn);
       }
-      if (!std::isfinite(sum)) {
-        throw input_error(name + ": pixel (" + std::to_string(u) + ", " + std::to_string(v) +
-                          ") is not a finite number");
-      }
+      if (!std::isfinite(sum)) throw not_finite(u, v);
       result.intensity(u, v) = static_cast<float>(sum);
       result.saturated(u, v) = saturated ? 255 : 0;
     }
@@ -217,8 +253,8 @@ LinearImage linearize(const RawImage& raw, const ResponseCurve& curve, const Lev
 
 Image<float> linearize_color(const RawImage& raw, const ResponseCurve& curve, const Levels& levels,
                              const Context& context) {
-  const Linearizer linearizer(curve, levels);
-  Image<float> color(raw.pixels.size(), raw.pixels.channels());
+  const Linearizer linearizer(raw, curve, levels);
+  auto color = Image<float>::uninitialized(raw.pixels.size(), raw.pixels.channels());
   const int values = color.width() * color.channels();
   parallel_rows(context, color.height(), [&](int v) {
     const float* in = raw.pixels.row(v);

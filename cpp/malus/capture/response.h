@@ -59,19 +59,17 @@ std::array<double, 3> channel_weights(const PolarizedSpec& spec);
 struct LinearImage {
   Image<float> intensity;  ///< 1 channel
   Mask saturated;          ///< 255 where any channel with a weight is at the white level
+  bool color = false;      ///< whether the image had three channels that differ somewhere
 };
 
 /// Subtracts black, divides by white − black, applies the curve and combines the channels (after linearization).
 /// An RGB file whose three channels are equal everywhere is taken as monochrome. Input error naming `name` when the
 /// image holds values that are not finite or has neither 1 nor 3 channels.
-LinearImage linearize(const RawImage& raw, const ResponseCurve& curve, const Levels& levels,
+LinearImage linearize(RawImage raw, const ResponseCurve& curve, const Levels& levels,
                       const std::array<double, 3>& weights, const std::string& name, const Context& context);
 
 /// The three linear channels of a colour image.
 Image<float> linearize_color(const RawImage& raw, const ResponseCurve& curve, const Levels& levels,
                              const Context& context);
-
-/// Whether the image has three channels that differ somewhere.
-bool is_color(const RawImage& raw);
 
 }  // namespace malus

@@ -1,5 +1,6 @@
 #include "malus/core/depth_normals.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -22,8 +23,9 @@ double log_slope(float before, float here, float after) {
 
 Image<float> normals_from_depth(const Image<float>& depth, const Pinhole& camera, const Context& context) {
   constexpr float none = std::numeric_limits<float>::quiet_NaN();
-  Image<float> normals(depth.size(), 3, none);
+  auto normals = Image<float>::uninitialized(depth.size(), 3);
   parallel_rows(context, depth.height(), [&](int v) {
+    std::fill_n(normals.row(v), 3 * depth.width(), none);
     for (int u = 0; u < depth.width(); ++u) {
       const float here = depth(u, v);
       if (!std::isfinite(here)) continue;

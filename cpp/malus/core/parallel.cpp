@@ -1,6 +1,7 @@
 #include "malus/core/parallel.h"
 
 #include <atomic>
+#include <condition_variable>
 #include <exception>
 #include <mutex>
 
@@ -29,6 +30,53 @@ void parallel_for(const Context& context, std::size_t count, std::size_t grain,
     }
   };
   const std::size_t threads = std::min(static_cast<std::size_t>(std::max(context.threads, 1)), blocks);
+  if (threads > 0) run_on_workers(threads - 1, work);
+  if (error) std::rethrow_exception(error);
+}
+
+void parallel_tree(const Context& context, std::span<const int> parents, const std::function<void(std::size_t)>& body) {
+  std::vector<int> waiting_for(parents.size(), 0);
+  for (const int parent : parents) {
+    if (parent >= 0) ++waiting_for[static_cast<std::size_t>(parent)];
+  }
+  // The last is taken first: branches are finished before others are begun, as long as there is one a thread.
+  std::vector<std::size_t> ready;
+  for (std::size_t i = parents.size(); i-- > 0;) {
+    if (waiting_for[i] == 0) ready.push_back(i);
+  }
+  std::size_t left = parents.size();
+  std::exception_ptr error;
+  std::mutex mutex;
+  std::condition_variable changed;
+  const auto work = [&] {
+    std::unique_lock lock(mutex);
+    for (;;) {
+      changed.wait(lock, [&] { return !ready.empty() || left == 0 || error; });
+      if (left == 0 || error) return;
+      const std::size_t node = ready.back();
+      ready.pop_back();
+      lock.unlock();
+      std::exception_ptr own_error;
+      try {
+        context.check_cancel();
+        body(node);
+      } catch (...) {
+        own_error = std::current_exception();
+      }
+      lock.lock();
+      if (own_error && !error) error = own_error;
+      const int parent = parents[node];
+      if (parent >= 0 && --waiting_for[static_cast<std::size_t>(parent)] == 0) {
+        ready.push_back(static_cast<std::size_t>(parent));
+      }
+      if (--left == 0 || error) {
+        changed.notify_all();
+      } else if (ready.size() > 1) {
+        changed.notify_one();
+      }
+    }
+  };
+  const std::size_t threads = std::min(static_cast<std::size_t>(std::max(context.threads, 1)), parents.size());
   if (threads > 0) run_on_workers(threads - 1, work);
   if (error) std::rethrow_exception(error);
 }

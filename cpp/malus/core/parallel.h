@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <functional>
+#include <span>
 #include <vector>
 
 #include "malus/core/context.h"
@@ -14,6 +15,10 @@ namespace malus {
 /// checked before each block.
 void parallel_for(const Context& context, std::size_t count, std::size_t grain,
                   const std::function<void(std::size_t, std::size_t)>& body);
+
+/// Calls body(i) for every node of a forest on context.threads threads, each after the calls for its children;
+/// parents[i] is −1 for a root. The first exception is rethrown here; cancellation is checked before each node.
+void parallel_tree(const Context& context, std::span<const int> parents, const std::function<void(std::size_t)>& body);
 
 /// Rows of a raster: parallel_for over rows, body(v) for each.
 template <class Body>

@@ -26,16 +26,22 @@ class NodeGrid {
   int pixel(int node) const { return offset_ + node * pitch_; }
 
   /// Nodes that at() reads for any finite pixel of a raster of the image's size.
-  Mask nodes_under(const Image<float>& image) const {
+  Mask nodes_under(const Image<float>& image, const Context& context) const {
     Mask nodes(values_.size());
-    for (int v = 0; v < image.height(); ++v) {
-      const auto [j0, j1, t] = interval(v, values_.height());
-      for (int u = 0; u < image.width(); ++u) {
-        if (!std::isfinite(image(u, v))) continue;
-        const auto [i0, i1, s] = interval(u, values_.width());
-        nodes(i0, j0) = nodes(i1, j0) = nodes(i0, j1) = nodes(i1, j1) = 1;
+    std::vector<Interval> columns;
+    for (int u = 0; u < image.width(); ++u) columns.push_back(interval(u, values_.width()));
+    parallel_rows(context, nodes.height(), [&](int j) {
+      const int first = j == 0 ? 0 : pixel(j - 1), last = j + 1 == nodes.height() ? image.height() - 1 : pixel(j + 1);
+      for (int v = first; v <= last; ++v) {
+        const Interval row = interval(v, values_.height());
+        if (row.low != j && row.high != j) continue;
+        for (int u = 0; u < image.width(); ++u) {
+          if (!std::isfinite(image(u, v))) continue;
+          const Interval& column = columns[static_cast<std::size_t>(u)];
+          nodes(column.low, j) = nodes(column.high, j) = 1;
+        }
       }
-    }
+    });
     return nodes;
   }
 
@@ -145,7 +151,7 @@ Image<float> transfer(const Image<float>& polarization, const Image<float>& prio
   }
   if (!any) throw data_error("prior and polarization height share no node of the grid, expected surfaces that overlap");
   disagreement.values() = nodes;
-  const Mask needed = difference.nodes_under(prior);
+  const Mask needed = difference.nodes_under(prior, context);
   smooth_nodes(nodes, needed, options.sigma_nodes, context);
   for (std::size_t k = 0; k < nodes.count(); ++k) {
     const float detail = disagreement.values()[k] - nodes[k];
@@ -153,12 +159,11 @@ Image<float> transfer(const Image<float>& polarization, const Image<float>& prio
   }
   smooth_nodes(disagreement.values(), needed, options.sigma_nodes, context);
 
-  Image<float> fused(prior.size(), 1, none);
+  auto fused = Image<float>::uninitialized(prior.size());
   parallel_rows(context, prior.height(), [&](int v) {
     for (int u = 0; u < prior.width(); ++u) {
-      if (!std::isfinite(prior(u, v))) continue;
-      const float detail = polarization(u, v);
-      fused(u, v) = std::isfinite(detail) ? static_cast<float>(detail + difference.at(u, v)) : prior(u, v);
+      const bool both = std::isfinite(prior(u, v)) && std::isfinite(polarization(u, v));
+      fused(u, v) = both ? static_cast<float>(polarization(u, v) + difference.at(u, v)) : prior(u, v);
     }
   });
   return fused;
@@ -183,15 +188,20 @@ FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const G
   require_size(height.height, prior.depth.size(), "polarization height");
   context.progress("fuse", 0.1, "grid transfer");
   const double focal = prior.camera.focal();
-  Image<float> polarization = height.height;
   Image<float> coarse = height_from_depth(prior.depth, prior.camera, height.perspective, context);
-  const UnitRange polarization_range(polarization), prior_range(coarse);
-  if (options.unit_scaling) {
-    polarization_range.to_unit(polarization);
-    prior_range.to_unit(coarse);
-  }
   NodeGrid disagreement(prior.depth.size(), options.grid_px);
-  Image<float> fused = transfer(polarization, coarse, options, disagreement, context);
+  Image<float> fused;
+  double scale = 1;
+  if (options.unit_scaling) {
+    const UnitRange prior_range(coarse);
+    Image<float> polarization = height.height;
+    UnitRange(polarization).to_unit(polarization);
+    prior_range.to_unit(coarse);
+    fused = transfer(polarization, coarse, options, disagreement, context);
+    scale = prior_range.span;
+  } else {
+    fused = transfer(height.height, coarse, options, disagreement, context);
+  }
 
   FusedSurface surface;
   surface.camera = prior.camera;
@@ -199,13 +209,15 @@ FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const G
   surface.method = "grid";
   surface.status = "done";
   if (height.status != "converged") surface.warnings.push_back("polarization height: " + height.status);
-  surface.depth = Image<float>(fused.size(), 1, none);
-  surface.sigma = Image<float>(fused.size(), 1, none);
-  const double scale = options.unit_scaling ? prior_range.span : 1;
-  const double mean_depth = mean_of(prior.depth);
+  surface.depth = Image<float>::uninitialized(fused.size());
+  surface.sigma = Image<float>::uninitialized(fused.size());
+  const double mean_depth = height.perspective ? 0 : mean_of(prior.depth);
   parallel_rows(context, fused.height(), [&](int v) {
     for (int u = 0; u < fused.width(); ++u) {
-      if (!std::isfinite(fused(u, v))) continue;
+      if (!std::isfinite(fused(u, v))) {
+        surface.depth(u, v) = surface.sigma(u, v) = none;
+        continue;
+      }
       // What the fusion adds to the prior, in GSD, applied to the prior's own depth.
       const double change = (fused(u, v) - coarse(u, v)) * scale;
       const double z = prior.depth(u, v);

@@ -336,15 +336,15 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
 Image<float> height_from_depth(const Image<float>& depth, const Pinhole& camera, bool perspective,
                                const Context& context) {
   const auto measure = [&](float z) { return perspective ? std::log(static_cast<double>(z)) : static_cast<double>(z); };
-  Image<float> height(depth.size(), 1, none);
   // Relative to one of the depths the values are small: single precision keeps them until the mean is known.
   const auto known = std::find_if(depth.begin(), depth.end(), [](float z) { return std::isfinite(z); });
-  if (known == depth.end()) return height;
+  if (known == depth.end()) return Image<float>(depth.size(), 1, none);
+  auto height = Image<float>::uninitialized(depth.size());
   const double origin = measure(*known);
   constexpr std::size_t grain = 65536;
   parallel_for(context, depth.count(), grain, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
-      if (std::isfinite(depth[i])) height[i] = static_cast<float>(origin - measure(depth[i]));
+      height[i] = std::isfinite(depth[i]) ? static_cast<float>(origin - measure(depth[i])) : none;
     }
   });
   const double mean = mean_of(height, context), scale = camera.focal() / (perspective ? 1 : origin - mean);

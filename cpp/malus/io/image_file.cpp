@@ -36,7 +36,10 @@ void check_header(const codecs::ImageHeader& header, const std::string& name) {
   }
 }
 
-RawImage decode(std::string_view bytes, const std::string& name, const codecs::HeaderCheck& check) {
+RawImage decode(const std::filesystem::path& path, const std::string& what, const std::string& name,
+                const codecs::HeaderCheck& check) {
+  const auto file = read_bytes(path, what);
+  const std::string_view bytes(file.data(), file.size());
   const auto starts_with = [&](std::string_view magic) { return bytes.substr(0, magic.size()) == magic; };
   try {
     if (starts_with("\x89PNG\r\n\x1a\n"sv)) return codecs::decode_png(bytes, check);
@@ -79,7 +82,7 @@ void refuse_raw(const std::filesystem::path& path, const std::string& name) {
 RawImage read_image(const std::filesystem::path& path, const std::string& what) {
   const std::string name = name_of(what, path);
   refuse_raw(path, name);
-  return decode(read_file(path, what), name, [&](const codecs::ImageHeader& header) { check_header(header, name); });
+  return decode(path, what, name, [&](const codecs::ImageHeader& header) { check_header(header, name); });
 }
 
 Size read_image_size(const std::filesystem::path& path, const std::string& what) {
@@ -90,7 +93,7 @@ Size read_image_size(const std::filesystem::path& path, const std::string& what)
   refuse_raw(path, name);
   try {
     // The header check runs before any pixel is decoded; leaving from there skips the decoding.
-    decode(read_file(path, what), name, [&](const codecs::ImageHeader& header) {
+    decode(path, what, name, [&](const codecs::ImageHeader& header) {
       check_header(header, name);
       throw Found{header.size};
     });

@@ -45,17 +45,21 @@ Error InputFile::error(const std::string& message) const {
   return input_error(what_ + " " + path_.string() + ": " + message);
 }
 
-bool InputFile::fill() {
+std::size_t InputFile::read_part(char* target, std::size_t size) {
   ssize_t got = 0;
   do {
-    got = ::read(descriptor_, buffer_.data(), buffer_.size());
+    got = ::read(descriptor_, target, size);
   } while (got < 0 && errno == EINTR);
   if (got < 0) {
     throw resource_error("cannot read " + what_ + " " + path_.string() + ": " + std::generic_category().message(errno));
   }
+  return static_cast<std::size_t>(got);
+}
+
+bool InputFile::fill() {
   begin_ = 0;
-  end_ = static_cast<std::size_t>(got);
-  return got > 0;
+  end_ = read_part(buffer_.data(), buffer_.size());
+  return end_ > 0;
 }
 
 void InputFile::skip(std::uint64_t size) {
@@ -71,7 +75,14 @@ void InputFile::skip(std::uint64_t size) {
 std::size_t InputFile::read_some(void* target, std::size_t size) {
   char* out = static_cast<char*>(target);
   std::size_t copied = 0;
-  while (copied < size && (begin_ < end_ || fill())) {
+  while (copied < size) {
+    if (begin_ == end_ && size - copied >= buffer_.size()) {
+      const std::size_t got = read_part(out + copied, size - copied);
+      if (got == 0) break;
+      copied += got;
+      continue;
+    }
+    if (begin_ == end_ && !fill()) break;
     const std::size_t part = std::min(size - copied, end_ - begin_);
     std::memcpy(out + copied, buffer_.data() + begin_, part);
     begin_ += part;
@@ -110,6 +121,13 @@ bool InputFile::read_line(std::string_view& line) {
 std::string read_file(const std::filesystem::path& path, const std::string& what) {
   InputFile file(path, what);
   std::string bytes(file.size(), '\0');
+  file.read(bytes.data(), bytes.size());
+  return bytes;
+}
+
+std::vector<char, LargeAllocator<char>> read_bytes(const std::filesystem::path& path, const std::string& what) {
+  InputFile file(path, what);
+  std::vector<char, LargeAllocator<char>> bytes(file.size());
   file.read(bytes.data(), bytes.size());
   return bytes;
 }

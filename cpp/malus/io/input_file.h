@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "malus/core/error.h"
+#include "malus/core/large_allocator.h"
 
 namespace malus {
 
@@ -17,6 +18,9 @@ std::uint64_t require_file(const std::filesystem::path& path, const std::string&
 
 /// The whole file; errors as require_file, and ErrorCode::resource when reading fails.
 std::string read_file(const std::filesystem::path& path, const std::string& what);
+
+/// The same for files that may be large.
+std::vector<char, LargeAllocator<char>> read_bytes(const std::filesystem::path& path, const std::string& what);
 
 /// Reads a file front to back through one buffer, so that memory does not grow with the file.
 class InputFile {
@@ -46,6 +50,8 @@ class InputFile {
 
  private:
   bool fill();
+  /// One read into memory; 0 at the end of the file.
+  std::size_t read_part(char* target, std::size_t size);
 
   std::filesystem::path path_;
   std::string what_;

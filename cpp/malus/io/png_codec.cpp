@@ -25,7 +25,7 @@ struct Reader {
   int bits = 8;
   int channels_read = 1;
   std::size_t row_bytes = 0;
-  std::vector<png_byte> samples;
+  std::vector<png_byte, LargeAllocator<png_byte>> samples;
   std::vector<png_bytep> rows;
 
   ~Reader() { png_destroy_read_struct(&png, &info, nullptr); }
@@ -121,10 +121,10 @@ bool write_rows(Writer& writer, const png_byte* pixels, Size size, int channels,
 }
 
 template <class Sample>
-void to_float(const std::vector<png_byte>& samples, Image<float>& pixels) {
+void to_float(const png_byte* samples, Image<float>& pixels) {
   for (std::size_t i = 0; i < pixels.count(); ++i) {
     Sample sample;
-    std::memcpy(&sample, samples.data() + i * sizeof(Sample), sizeof(Sample));
+    std::memcpy(&sample, samples + i * sizeof(Sample), sizeof(Sample));
     pixels[i] = static_cast<float>(sample);
   }
 }
@@ -148,12 +148,12 @@ RawImage decode_png(std::string_view bytes, const HeaderCheck& check) {
   for (std::size_t v = 0; v < height; ++v) reader.rows[v] = reader.samples.data() + v * reader.row_bytes;
   if (!read_rows(reader)) throw std::runtime_error(reader.error);
 
-  RawImage image{Image<float>(reader.header.size, reader.header.channels), reader.bits, false,
+  RawImage image{Image<float>::uninitialized(reader.header.size, reader.header.channels), reader.bits, false,
                  reader.bits == 16 ? 65535.0 : 255.0};
   if (reader.bits == 16) {
-    to_float<png_uint_16>(reader.samples, image.pixels);
+    to_float<png_uint_16>(reader.samples.data(), image.pixels);
   } else {
-    to_float<png_byte>(reader.samples, image.pixels);
+    to_float<png_byte>(reader.samples.data(), image.pixels);
   }
   return image;
 }

@@ -197,7 +197,7 @@ void read_blocks(TIFF* tiff, const Layout& layout, const Errors& errors, Image<f
   if (block_bytes <= 0 || static_cast<std::size_t>(block_bytes) < expected) {
     throw std::runtime_error("has tiles or strips of an impossible size");
   }
-  std::vector<unsigned char> block(static_cast<std::size_t>(block_bytes));
+  std::vector<unsigned char, LargeAllocator<unsigned char>> block(static_cast<std::size_t>(block_bytes));
   const auto width = static_cast<std::uint32_t>(layout.size.width);
   const auto height = static_cast<std::uint32_t>(layout.size.height);
   const int planes = layout.planar ? layout.channels : 1;
@@ -311,7 +311,7 @@ RawImage decode_tiff(std::string_view bytes, const HeaderCheck& check) {
   check({layout.size, layout.channels, most_pixels(layout, bytes.size())});
 
   const bool is_float = layout.format == SAMPLEFORMAT_IEEEFP;
-  RawImage image{Image<float>(layout.size, layout.channels), layout.bits, is_float,
+  RawImage image{Image<float>::uninitialized(layout.size, layout.channels), layout.bits, is_float,
                  is_float ? 1.0 : (layout.bits == 16 ? 65535.0 : 255.0)};
   read_blocks(tiff.get(), layout, errors, image.pixels);
   if (layout.photometric == PHOTOMETRIC_MINISWHITE) {

@@ -3,11 +3,14 @@
 #include <cholmod.h>
 
 #include <cmath>
+#include <new>
+#include <optional>
 #include <sstream>
 #include <string>
 
 #include "malus/core/parallel.h"
 #include "malus/linalg/sequential_blas.h"
+#include "malus/linalg/supernodal_cholesky_internal.h"
 
 namespace malus {
 namespace {
@@ -66,14 +69,17 @@ struct SymmetricSolver::Impl {
     if (workspace.status >= CHOLMOD_OK) return;
     const int status = workspace.status;
     workspace.status = CHOLMOD_OK;
+    if (status == CHOLMOD_OUT_OF_MEMORY || status == CHOLMOD_TOO_LARGE) throw out_of_memory(what);
     std::ostringstream message;
-    message << "linear system of " << unknowns << " unknowns: ";
-    if (status == CHOLMOD_OUT_OF_MEMORY || status == CHOLMOD_TOO_LARGE) {
-      message << "out of memory while " << what << " (the factor takes " << estimate.factor_bytes / 1e9 << " GB)";
-      throw resource_error(message.str());
-    }
-    message << "CHOLMOD failed with status " << status << " while " << what;
+    message << "linear system of " << unknowns << " unknowns: CHOLMOD failed with status " << status << " while "
+            << what;
     throw Error(ErrorCode::external, message.str());
+  }
+  Error out_of_memory(const char* what) const {
+    std::ostringstream message;
+    message << "linear system of " << unknowns << " unknowns: out of memory while " << what << " (the factor takes "
+            << estimate.factor_bytes / 1e9 << " GB)";
+    return resource_error(message.str());
   }
 
   /// Replaces `count` right-hand sides, one after the other, by their solutions.
@@ -94,6 +100,7 @@ struct SymmetricSolver::Impl {
   const Context context;
   cholmod_common common{};
   cholmod_factor* factor = nullptr;
+  std::optional<SupernodalCholesky> cholesky;  ///< of the factor's analysis
   Eigen::Index unknowns = 0;
   Eigen::Index entries = 0;
   FactorEstimate estimate;
@@ -119,6 +126,7 @@ FactorEstimate SymmetricSolver::analyze(const Matrix& lower, std::span<const int
   impl_->factor = cholmod_analyze_p(&matrix, const_cast<int*>(order.data()), nullptr, 0, &impl_->common);
   impl_->check("ordering");
   impl_->estimate = {8 * impl_->common.lnz, impl_->common.fl};
+  impl_->cholesky.emplace(*impl_->factor, lower);
   impl_->context.check_cancel();
   return impl_->estimate;
 }
@@ -129,16 +137,17 @@ SolveStatus SymmetricSolver::factorize(const Matrix& lower) {
   if (lower.rows() != impl_->unknowns || lower.nonZeros() != impl_->entries) {
     throw input_error("linear system: the matrix has another pattern than the analyzed one");
   }
-  impl_->context.check_cancel();
-  const SequentialBlas sequential;
-  cholmod_sparse matrix = view(lower);
-  cholmod_factorize(&matrix, impl_->factor, &impl_->common);
-  impl_->check("factorizing");
-  impl_->context.check_cancel();
-  const bool definite =
-      impl_->common.status != CHOLMOD_NOT_POSDEF && impl_->factor->minor == static_cast<std::size_t>(impl_->unknowns);
-  impl_->common.status = CHOLMOD_OK;
-  return definite ? SolveStatus::solved : SolveStatus::not_positive_definite;
+  if (impl_->factor->xtype == CHOLMOD_PATTERN) {
+    // Memory for the numbers of a supernodal L·Lᵀ.
+    cholmod_change_factor(CHOLMOD_REAL, 1, 1, 1, 1, impl_->factor, &impl_->common);
+    impl_->check("factorizing");
+  }
+  try {
+    const bool definite = impl_->cholesky->factorize(lower, static_cast<double*>(impl_->factor->x), impl_->context);
+    return definite ? SolveStatus::solved : SolveStatus::not_positive_definite;
+  } catch (const std::bad_alloc&) {
+    throw impl_->out_of_memory("factorizing");
+  }
 }
 
 SolveStatus SymmetricSolver::solve(const Matrix& lower, const Eigen::VectorXd& b, Eigen::VectorXd& x,

@@ -51,86 +51,115 @@ struct PixelWeight {
   }
 };
 
-/// Reads the images in square cells, whose means follow the same model with less noise. Noise that differs between
-/// images (the base image is not resampled) and what registration leaves of texture would otherwise pass for
-/// polarization on objects with little of it.
-class CellReader {
+/// Mean intensities of the images in square cells, which follow the same model with less noise. Noise that differs
+/// between images (the base image is not resampled) and what registration leaves of texture would otherwise pass for
+/// polarization on objects with little of it. Only cells are kept whose pixels can all be used.
+class Cells {
  public:
-  CellReader(std::span<const Image<float>> images, const NoiseModel& noise, const Mask& mask, const Mask& saturated)
-      : images_(images), noise_(noise), mask_(mask), saturated_(saturated) {
-    const auto object = static_cast<double>(std::ranges::count_if(mask, [](std::uint8_t m) { return m != 0; }));
-    side_ = std::clamp(static_cast<int>(std::sqrt(object / wanted_cells)), 1, largest_cell_px);
+  struct Cell {
+    int column, row;
+    double variance;  ///< of the noise of the means
+  };
+  /// The cells of one part of the image, row by row.
+  struct Part {
+    std::vector<Cell> cells;
+    std::vector<double> means;  ///< of every image, cell by cell
+  };
+
+  Cells(std::span<const Image<float>> images, const NoiseModel& noise, const Mask& mask, const Mask& saturated,
+        const Context& context)
+      : count_(static_cast<Eigen::Index>(images.size())), parts_(parts_per_side * parts_per_side) {
+    std::size_t object = 0;
+    for (const std::uint8_t m : mask) object += m != 0;
+    side_ = std::clamp(static_cast<int>(std::sqrt(static_cast<double>(object) / wanted_cells)), 1, largest_cell_px);
+    size_ = {images[0].width() / side_, images[0].height() / side_};
+    parallel_for(context, parts_.size(), 1, [&](std::size_t part, std::size_t) {
+      const int row = static_cast<int>(part) / parts_per_side, column = static_cast<int>(part) % parts_per_side;
+      for (int v = size_.height * row / parts_per_side; v < size_.height * (row + 1) / parts_per_side; ++v) {
+        for (int u = size_.width * column / parts_per_side; u < size_.width * (column + 1) / parts_per_side; ++u) {
+          if (is_usable(u, v, mask, saturated)) read(u, v, images, noise, parts_[part]);
+        }
+      }
+    });
   }
 
-  /// The cell's mean intensities and the variance of their noise; false unless all its pixels can be used.
-  bool read(int column, int row, Eigen::VectorXd& values, double& variance) const {
-    values.setZero();
-    for (int v = row * side_; v < (row + 1) * side_; ++v) {
-      for (int u = column * side_; u < (column + 1) * side_; ++u) {
-        if (mask_(u, v) == 0 || (!saturated_.empty() && saturated_(u, v) != 0)) return false;
-        for (std::size_t k = 0; k < images_.size(); ++k) values[static_cast<Eigen::Index>(k)] += images_[k](u, v);
-      }
-    }
-    const double pixels = side_ * side_;
-    values /= pixels;
-    const double mean = values.mean();
-    if (!std::isfinite(mean) || !(mean > 5 * std::sqrt(noise_.variance(0)))) return false;
-    variance = noise_.variance(mean) / pixels;
-    return true;
+  const std::vector<Part>& parts() const { return parts_; }
+  Eigen::Map<const Eigen::VectorXd> means(const Part& part, std::size_t cell) const {
+    return {part.means.data() + static_cast<Eigen::Index>(cell) * count_, count_};
   }
   /// In cells.
-  Size size() const { return {images_[0].width() / side_, images_[0].height() / side_}; }
+  Size size() const { return size_; }
   double pixels_in_cell() const { return side_ * side_; }
-  Eigen::Index count() const { return static_cast<Eigen::Index>(images_.size()); }
+  /// Of images.
+  Eigen::Index count() const { return count_; }
 
  private:
-  std::span<const Image<float>> images_;
-  const NoiseModel& noise_;
-  const Mask& mask_;
-  const Mask& saturated_;
-  int side_ = 1;
-};
-
-Moments second_moments(const CellReader& reader, const PixelWeight& weight, const Context& context) {
-  constexpr int parts = parts_per_side * parts_per_side;
-  const Eigen::Index count = reader.count();
-  Moments moments;
-  moments.parts.assign(parts, Eigen::MatrixXd::Zero(count, count));
-  std::vector<double> pixels(parts, 0.0), weights(parts, 0.0);
-  const Size size = reader.size();
-  parallel_for(context, parts, 1, [&](std::size_t part, std::size_t) {
-    const int row = static_cast<int>(part) / parts_per_side, column = static_cast<int>(part) % parts_per_side;
-    Eigen::VectorXd values(count);
-    double variance = 1;
-    for (int v = size.height * row / parts_per_side; v < size.height * (row + 1) / parts_per_side; ++v) {
-      for (int u = size.width * column / parts_per_side; u < size.width * (column + 1) / parts_per_side; ++u) {
-        if (!reader.read(u, v, values, variance)) continue;
-        const double use = weight(values, variance);
-        moments.parts[part].selfadjointView<Eigen::Lower>().rankUpdate(values, use);
-        weights[part] += use * variance;
-        pixels[part] += reader.pixels_in_cell();
+  bool is_usable(int column, int row, const Mask& mask, const Mask& saturated) const {
+    for (int v = row * side_; v < (row + 1) * side_; ++v) {
+      for (int u = column * side_; u < (column + 1) * side_; ++u) {
+        if (mask(u, v) == 0 || (!saturated.empty() && saturated(u, v) != 0)) return false;
       }
     }
-    moments.parts[part] = moments.parts[part].selfadjointView<Eigen::Lower>();
+    return true;
+  }
+
+  void read(int column, int row, std::span<const Image<float>> images, const NoiseModel& noise, Part& part) const {
+    const double pixels = pixels_in_cell();
+    Eigen::VectorXd means(count_);
+    for (std::size_t k = 0; k < images.size(); ++k) {
+      double sum = 0;
+      for (int v = row * side_; v < (row + 1) * side_; ++v) {
+        const float* const first = images[k].row(v) + column * side_;
+        for (int u = 0; u < side_; ++u) sum += first[u];
+      }
+      means[static_cast<Eigen::Index>(k)] = sum / pixels;
+    }
+    const double mean = means.mean();
+    if (!std::isfinite(mean) || !(mean > 5 * std::sqrt(noise.variance(0)))) return;
+    part.cells.push_back({column, row, noise.variance(mean) / pixels});
+    part.means.insert(part.means.end(), means.begin(), means.end());
+  }
+
+  Eigen::Index count_;
+  std::vector<Part> parts_;
+  int side_ = 1;
+  Size size_;
+};
+
+Moments second_moments(const Cells& cells, const PixelWeight& weight, const Context& context) {
+  const Eigen::Index count = cells.count();
+  const std::size_t parts = cells.parts().size();
+  Moments moments;
+  moments.parts.assign(parts, Eigen::MatrixXd::Zero(count, count));
+  std::vector<double> weights(parts, 0.0);
+  parallel_for(context, parts, 1, [&](std::size_t i, std::size_t) {
+    const Cells::Part& part = cells.parts()[i];
+    for (std::size_t cell = 0; cell < part.cells.size(); ++cell) {
+      const Eigen::VectorXd means = cells.means(part, cell);
+      const double use = weight(means, part.cells[cell].variance);
+      moments.parts[i].selfadjointView<Eigen::Lower>().rankUpdate(means, use);
+      weights[i] += use * part.cells[cell].variance;
+    }
+    moments.parts[i] = moments.parts[i].selfadjointView<Eigen::Lower>();
   });
-  for (const double number : pixels) moments.pixels += number;
+  for (const Cells::Part& part : cells.parts()) {
+    moments.pixels += cells.pixels_in_cell() * static_cast<double>(part.cells.size());
+  }
   for (const double sum : weights) moments.weights += sum;
   return moments;
 }
 
-/// Median squared residual per degree of freedom over a regular sample of pixels.
-double typical_residual(const CellReader& reader, const PixelWeight& weight) {
+/// Median squared residual per degree of freedom over a regular sample of cells.
+double typical_residual(const Cells& cells, const PixelWeight& weight) {
   constexpr double samples = 40000;
-  const Size size = reader.size();
-  const int stride = std::max(1, static_cast<int>(std::sqrt(static_cast<double>(size.area()) / samples)));
+  const int stride = std::max(1, static_cast<int>(std::sqrt(static_cast<double>(cells.size().area()) / samples)));
   std::vector<double> residuals;
-  Eigen::VectorXd values(reader.count());
-  double variance = 1;
-  for (int v = 0; v < size.height; v += stride) {
-    for (int u = 0; u < size.width; u += stride) {
-      if (!reader.read(u, v, values, variance)) continue;
-      residuals.push_back((weight.complement * values).squaredNorm() / static_cast<double>(weight.complement.rows()) /
-                          variance);
+  for (const Cells::Part& part : cells.parts()) {
+    for (std::size_t i = 0; i < part.cells.size(); ++i) {
+      const Cells::Cell& cell = part.cells[i];
+      if (cell.column % stride != 0 || cell.row % stride != 0) continue;
+      residuals.push_back((weight.complement * cells.means(part, i)).squaredNorm() /
+                          static_cast<double>(weight.complement.rows()) / cell.variance);
     }
   }
   if (residuals.empty()) return 1;
@@ -390,11 +419,11 @@ PolarizerFit fit_polarizer(std::span<const Image<float>> images, std::span<const
   check(images, nominal_rad, mask, saturated, options);
   const bool free_angles = nominal_rad.empty();
   const auto count = static_cast<Eigen::Index>(images.size());
-  const CellReader reader(images, noise, mask, saturated);
+  const Cells cells(images, noise, mask, saturated, context);
   Nominal nominal = nominal_values(nominal_rad, count, options);
 
   PixelWeight weight;
-  Moments moments = second_moments(reader, weight, context);
+  Moments moments = second_moments(cells, weight, context);
   if (moments.pixels < 100) {
     throw data_error(
         "fewer than 100 pixels of the object are neither saturated nor dark in the polarized images: "
@@ -405,8 +434,8 @@ PolarizerFit fit_polarizer(std::span<const Image<float>> images, std::span<const
   for (int pass = 0; pass < robust_passes && count > 3; ++pass) {
     context.progress("polarization", 0, "polarizer angles");
     weight.complement = Projection(polarizer).complement();
-    weight.scale2 = typical_residual(reader, weight);
-    moments = second_moments(reader, weight, context);
+    weight.scale2 = typical_residual(cells, weight);
+    moments = second_moments(cells, weight, context);
     inflation = inflation_of(moments, polarizer);
     minimize(polarizer, moments.total(), inflation, nominal);
   }

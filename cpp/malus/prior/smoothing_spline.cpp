@@ -18,6 +18,8 @@ namespace {
 
 /// Keeps parts of the mask without any point solvable, at the height 0 of the reference surface.
 constexpr double ridge = 1e-9;
+/// That a thread takes at a time.
+constexpr std::size_t points_at_once = 2048;
 
 /// The three quadratic B-splines of a cell, or their derivatives, at t in [0, 1].
 Eigen::Vector3d splines(double t) {
@@ -302,11 +304,19 @@ void SmoothingSpline::solve(double lambda, double kappa) {
 }
 
 void SmoothingSpline::append_residuals(Residuals& residuals) const {
-  for (const ViewPoint& p : points_) {
-    residuals.heights.push_back(std::sqrt(p.facing) * std::abs(p.height - evaluate(p.u, p.v)));
-    if (!p.has_slope()) continue;
-    const Eigen::Vector2d r = slope_residual(p, cell_of(p.u, p.v));
-    residuals.slopes.push_back(std::sqrt(std::max(r.dot(slope_information(p) * r), 0.0)));
+  std::vector<double> heights(points_.size()), slopes(points_.size());
+  parallel_for(context_, points_.size(), points_at_once, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      const ViewPoint& p = points_[i];
+      heights[i] = std::sqrt(p.facing) * std::abs(p.height - evaluate(p.u, p.v));
+      if (!p.has_slope()) continue;
+      const Eigen::Vector2d r = slope_residual(p, cell_of(p.u, p.v));
+      slopes[i] = std::sqrt(std::max(r.dot(slope_information(p) * r), 0.0));
+    }
+  });
+  residuals.heights.insert(residuals.heights.end(), heights.begin(), heights.end());
+  for (std::size_t i = 0; i < points_.size(); ++i) {
+    if (points_[i].has_slope()) residuals.slopes.push_back(slopes[i]);
   }
 }
 
@@ -332,22 +342,29 @@ void SmoothingSpline::soften_edges(double tolerance) {
 }
 
 double SmoothingSpline::reweight(const ResidualSpread& spread) {
+  const auto weight_of = [](double squared_ratio) {
+    return static_cast<float>(1 / ((1 + squared_ratio / 4) * (1 + squared_ratio / 4)));
+  };
+  const std::vector<float> weights_before = weights_, slope_weights_before = slope_weights_;
+  parallel_for(context_, points_.size(), points_at_once, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      const ViewPoint& p = points_[i];
+      const std::size_t cell = cell_of(p.u, p.v);
+      const double r = p.height - value(cell, basis(p.u, p.v));
+      weights_[i] = weight_of(p.facing * r * r / (spread.height * spread.height));
+      if (!p.has_slope()) continue;
+      const Eigen::Vector2d s = slope_residual(p, cell);
+      slope_weights_[i] = weight_of(s.dot(slope_information(p) * s) / (spread.slope * spread.slope));
+    }
+  });
   double change = 0;
   std::size_t data = 0;
-  const auto update = [&](float& weight, double squared_ratio) {
-    const float next = static_cast<float>(1 / ((1 + squared_ratio / 4) * (1 + squared_ratio / 4)));
-    change += std::abs(next - weight);
-    weight = next;
-    ++data;
-  };
   for (std::size_t i = 0; i < points_.size(); ++i) {
-    const ViewPoint& p = points_[i];
-    const std::size_t cell = cell_of(p.u, p.v);
-    const double r = p.height - value(cell, basis(p.u, p.v));
-    update(weights_[i], p.facing * r * r / (spread.height * spread.height));
-    if (!p.has_slope()) continue;
-    const Eigen::Vector2d s = slope_residual(p, cell);
-    update(slope_weights_[i], s.dot(slope_information(p) * s) / (spread.slope * spread.slope));
+    change += std::abs(weights_[i] - weights_before[i]);
+    ++data;
+    if (!points_[i].has_slope()) continue;
+    change += std::abs(slope_weights_[i] - slope_weights_before[i]);
+    ++data;
   }
   return data == 0 ? 0 : change / static_cast<double>(data);
 }

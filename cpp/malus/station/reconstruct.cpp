@@ -8,6 +8,7 @@
 #include "malus/capture/capture.h"
 #include "malus/core/depth_normals.h"
 #include "malus/core/median.h"
+#include "malus/core/parallel.h"
 #include "malus/io/colmap_workspace.h"
 #include "malus/io/image_file.h"
 #include "malus/io/point_cloud_file.h"
@@ -97,17 +98,21 @@ void fit_polarizer_of(PolarizedStack& stack, const PolarizedSpec& spec, const Po
   stack.angles_rad = fit.angles_rad;
   for (std::size_t k = 0; k < stack.images.size(); ++k) {
     const auto share = static_cast<float>(1 / fit.gains[k]);
-    for (float& value : stack.images[k]) value *= share;
+    Image<float>& image = stack.images[k];
+    parallel_rows(context, image.height(), [&](int v) {
+      std::for_each(image.row(v), image.row(v) + image.width(), [share](float& value) { value *= share; });
+    });
   }
 }
 
 /// Pixels that do not follow the sinusoid are left out one by one; many of them have one cause.
 void warn_of_misfits(const PolarizationState& state, const Context& context) {
-  double object = 0, misfits = 0;
+  std::size_t object_pixels = 0, misfit_pixels = 0;
   for (const std::uint8_t pixel : state.valid) {
-    object += pixel != static_cast<std::uint8_t>(PixelState::outside);
-    misfits += pixel == static_cast<std::uint8_t>(PixelState::misfit);
+    object_pixels += pixel != static_cast<std::uint8_t>(PixelState::outside);
+    misfit_pixels += pixel == static_cast<std::uint8_t>(PixelState::misfit);
   }
+  const auto object = static_cast<double>(object_pixels), misfits = static_cast<double>(misfit_pixels);
   if (misfits <= many_misfits * object) return;
   context.log(LogLevel::warning, std::to_string(std::lround(100 * misfits / object)) +
                                      " % of the object's pixels do not follow the polarizer's sinusoid: is `response` "
@@ -168,6 +173,16 @@ FrameHints frame_hints(const Station& station, const PolarizationStep& images, c
   return hints;
 }
 
+/// A copy whose memory the threads get together.
+Image<float> copy_of(const Image<float>& image, const Context& context) {
+  constexpr std::size_t huge_page = (std::size_t{2} << 20) / sizeof(float);
+  auto copy = Image<float>::uninitialized(image.size(), image.channels());
+  parallel_for(context, image.count(), huge_page, [&](std::size_t begin, std::size_t end) {
+    std::copy(image.data() + begin, image.data() + end, copy.data() + begin);
+  });
+  return copy;
+}
+
 PolarizerStep make_polarizer(const Station& station, const PolarizationStep& images, const DepthPrior& prior,
                              const Options& options, const Context& context) {
   PolarizerOptions known = options.polarizer;
@@ -178,7 +193,11 @@ PolarizerStep make_polarizer(const Station& station, const PolarizationStep& ima
   const FrameEstimate surface = estimate_frame(images.state, &images.camera, normals, hints, known, context);
   CalibratedFrame calibrated =
       calibrate_frame(images.polarizer, images.polarizer_fitted, hints.known_scale, surface, known);
-  PolarizationState state = images.state;
+  PolarizationState state;
+  state.angles_rad = images.state.angles_rad;
+  state.i_un = copy_of(images.state.i_un, context);
+  state.rho = copy_of(images.state.rho, context);
+  state.phi = copy_of(images.state.phi, context);
   if (calibrated.calibration.from_surface) apply_frame(state, calibrated.frame, context);
   for (const std::string& warning : calibrated.calibration.warnings) context.log(LogLevel::warning, warning);
   return {std::move(state.i_un), std::move(state.rho), std::move(state.phi), std::move(state.angles_rad),

@@ -1,5 +1,6 @@
 #include <cmath>
 
+#include "malus/core/parallel.h"
 #include "malus/io/atomic_file.h"
 #include "malus/io/colmap_model.h"
 #include "malus/io/image_file.h"
@@ -12,18 +13,12 @@ namespace {
 
 namespace fs = std::filesystem;
 
-void save_raster(const Image<float>& raster, const fs::path& work, const std::string& name,
-                 std::vector<std::string>& files) {
-  create_folder((work / name).parent_path());
-  write_float_tiff(work / name, raster);
-  files.emplace_back(name);
+void save_raster(const Image<float>& raster, const std::string& name, StepFiles& files) {
+  files.add({name}, [&raster, name](const fs::path& work) { write_float_tiff(work / name, raster); });
 }
 
-void save_bytes(const Image<std::uint8_t>& raster, const fs::path& work, const char* name,
-                std::vector<std::string>& files) {
-  create_folder((work / name).parent_path());
-  write_png(work / name, raster);
-  files.emplace_back(name);
+void save_bytes(const Image<std::uint8_t>& raster, const std::string& name, StepFiles& files) {
+  files.add({name}, [&raster, name](const fs::path& work) { write_png(work / name, raster); });
 }
 
 /// Folder of the maps of intensity, degree and phase, see PolarizationStep::awaits_surface.
@@ -82,6 +77,16 @@ Pose pose_from_json(const Json& json) {
 
 }  // namespace
 
+void StepFiles::add(const std::vector<std::string>& names, std::function<void(const fs::path& work)> write) {
+  names_.insert(names_.end(), names.begin(), names.end());
+  tasks_.push_back(std::move(write));
+}
+
+void StepFiles::write(const fs::path& work, const Context& context) const {
+  for (const std::string& name : names_) create_folder((work / name).parent_path());
+  parallel_for(context, tasks_.size(), 1, [&](std::size_t i, std::size_t) { tasks_[i](work); });
+}
+
 Json to_json(const Pinhole& camera) {
   return {{"width", camera.size.width},
           {"height", camera.size.height},
@@ -100,19 +105,19 @@ Json to_json(const Pose& pose) {
   return {{"rotation", rotation}, {"translation", translation}};
 }
 
-Json save(const PolarizationStep& result, const fs::path& work, std::vector<std::string>& files) {
+Json save(const PolarizationStep& result, StepFiles& files) {
   const PolarizationState& state = result.state;
   const std::string maps = maps_folder(result.awaits_surface);
-  save_raster(state.i_un, work, maps + "unpolarized.tif", files);
-  save_raster(state.rho, work, maps + "degree.tif", files);
-  save_raster(state.phi, work, maps + "phase.tif", files);
-  save_raster(state.residual, work, "polarization/residual.tif", files);
-  save_bytes(state.valid, work, "polarization/valid.png", files);
+  save_raster(state.i_un, maps + "unpolarized.tif", files);
+  save_raster(state.rho, maps + "degree.tif", files);
+  save_raster(state.phi, maps + "phase.tif", files);
+  save_raster(state.residual, "polarization/residual.tif", files);
+  save_bytes(state.valid, "polarization/valid.png", files);
   if (!state.variance_factor.empty()) {
-    save_raster(state.variance_factor, work, "polarization/variance_factor.tif", files);
+    save_raster(state.variance_factor, "polarization/variance_factor.tif", files);
   }
-  if (!result.color.empty()) save_raster(result.color, work, "polarization/color.tif", files);
-  if (!result.scene.empty()) save_raster(result.scene, work, "polarization/scene.tif", files);
+  if (!result.color.empty()) save_raster(result.color, "polarization/color.tif", files);
+  if (!result.scene.empty()) save_raster(result.scene, "polarization/scene.tif", files);
   return {{"camera", to_json(result.camera)},
           {"has_scene", !result.scene.empty()},
           {"angles_rad", state.angles_rad},
@@ -156,10 +161,10 @@ void load(PolarizationStep& result, const fs::path& work, const Json& notes) {
   if (notes.at("has_scene").get<bool>()) result.scene = read_float_raster(work / "polarization/scene.tif");
 }
 
-Json save(const PolarizerStep& result, const fs::path& work, std::vector<std::string>& files) {
-  save_raster(result.i_un, work, "polarization/unpolarized.tif", files);
-  save_raster(result.rho, work, "polarization/degree.tif", files);
-  save_raster(result.phi, work, "polarization/phase.tif", files);
+Json save(const PolarizerStep& result, StepFiles& files) {
+  save_raster(result.i_un, "polarization/unpolarized.tif", files);
+  save_raster(result.rho, "polarization/degree.tif", files);
+  save_raster(result.phi, "polarization/phase.tif", files);
   return {{"angles_rad", result.angles_rad}, {"calibration", fields_to_json(result.calibration)}};
 }
 
@@ -171,9 +176,9 @@ void load(PolarizerStep& result, const fs::path& work, const Json& notes) {
   fields_from_json(result.calibration, notes.at("calibration"));
 }
 
-Json save(const DepthPrior& result, const fs::path& work, std::vector<std::string>& files) {
-  save_raster(result.depth, work, "prior/depth.tif", files);
-  save_raster(result.sigma, work, "prior/sigma.tif", files);
+Json save(const DepthPrior& result, StepFiles& files) {
+  save_raster(result.depth, "prior/depth.tif", files);
+  save_raster(result.sigma, "prior/sigma.tif", files);
   return {{"camera", to_json(result.camera)},
           {"pose", to_json(result.pose)},
           {"points_total", result.points_total},
@@ -197,9 +202,9 @@ void load(DepthPrior& result, const fs::path& work, const Json& notes) {
   result.filled_fraction = number(notes.at("filled_fraction"));
 }
 
-Json save(const ReflectionMap& result, const fs::path& work, std::vector<std::string>& files) {
-  save_raster(result.zenith, work, "polarization/zenith.tif", files);
-  save_bytes(result.label, work, "polarization/label.png", files);
+Json save(const ReflectionMap& result, StepFiles& files) {
+  save_raster(result.zenith, "polarization/zenith.tif", files);
+  save_bytes(result.label, "polarization/label.png", files);
   return Json::object();
 }
 
@@ -208,8 +213,8 @@ void load(ReflectionMap& result, const fs::path& work, const Json&) {
   result.label = read_labels(work / "polarization/label.png");
 }
 
-Json save(const HeightMap& result, const fs::path& work, std::vector<std::string>& files) {
-  save_raster(result.height, work, "height/height.tif", files);
+Json save(const HeightMap& result, StepFiles& files) {
+  save_raster(result.height, "height/height.tif", files);
   return {{"perspective", result.perspective},
           {"light", {result.light[0], result.light[1], result.light[2], result.light[3]}},
           {"status", result.status},
@@ -226,12 +231,13 @@ void load(HeightMap& result, const fs::path& work, const Json& notes) {
   result.unknowns = notes.at("unknowns").get<std::size_t>();
 }
 
-Json save(const FusedSurface& result, const fs::path& work, std::vector<std::string>& files) {
-  save_raster(result.depth, work, "fused/depth.tif", files);
-  save_raster(result.normals, work, "fused/normals.tif", files);
-  save_raster(result.sigma, work, "fused/sigma.tif", files);
-  write_colmap_text(work / "fused/camera.txt", work / "fused/image.txt", result.camera, result.pose, "depth.tif");
-  files.insert(files.end(), {"fused/camera.txt", "fused/image.txt"});
+Json save(const FusedSurface& result, StepFiles& files) {
+  save_raster(result.depth, "fused/depth.tif", files);
+  save_raster(result.normals, "fused/normals.tif", files);
+  save_raster(result.sigma, "fused/sigma.tif", files);
+  files.add({"fused/camera.txt", "fused/image.txt"}, [&result](const fs::path& work) {
+    write_colmap_text(work / "fused/camera.txt", work / "fused/image.txt", result.camera, result.pose, "depth.tif");
+  });
   return {{"camera", to_json(result.camera)},
           {"pose", to_json(result.pose)},
           {"method", result.method},
@@ -250,10 +256,10 @@ void load(FusedSurface& result, const fs::path& work, const Json& notes) {
   result.warnings = notes.at("warnings").get<std::vector<std::string>>();
 }
 
-Json save(const RefinementStep& result, const fs::path& work, std::vector<std::string>& files) {
-  Json notes = save(result.surface, work, files);
-  save_bytes(result.label, work, "fused/label.png", files);
-  save_bytes(result.confidence, work, "fused/confidence.png", files);
+Json save(const RefinementStep& result, StepFiles& files) {
+  Json notes = save(result.surface, files);
+  save_bytes(result.label, "fused/label.png", files);
+  save_bytes(result.confidence, "fused/confidence.png", files);
   notes["report"] = result.report;
   return notes;
 }
@@ -265,12 +271,12 @@ void load(RefinementStep& result, const fs::path& work, const Json& notes) {
   result.report = notes.at("report");
 }
 
-Json save(const AssessStep& result, const fs::path& work, std::vector<std::string>& files) {
+Json save(const AssessStep& result, StepFiles& files) {
   if (result.quality.reference && !result.quality.reference->distance.empty()) {
-    save_raster(result.quality.reference->distance, work, "fused/reference_distance.tif", files);
+    save_raster(result.quality.reference->distance, "fused/reference_distance.tif", files);
   }
-  write_file(work / "quality.json", result.file.dump(2) + "\n");
-  files.emplace_back("quality.json");
+  files.add({"quality.json"},
+            [&result](const fs::path& work) { write_file(work / "quality.json", result.file.dump(2) + "\n"); });
   return Json::object();
 }
 

@@ -3,6 +3,7 @@
 // Private to the station room: the files and notes in which each step's result rests in a workspace.
 
 #include <filesystem>
+#include <functional>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
@@ -10,6 +11,7 @@
 #include "malus/assess/quality.h"
 #include "malus/capture/polarized_stack.h"
 #include "malus/core/camera.h"
+#include "malus/core/context.h"
 #include "malus/core/image.h"
 #include "malus/core/pose.h"
 #include "malus/fusion/fused_surface.h"
@@ -58,17 +60,31 @@ struct AssessStep {
   Json file;
 };
 
-// For each result: `save` writes its rasters below the workspace folder, appends their names to `files` and returns the
-// numbers that go into the manifest; `load` reads both back. What is loaded equals what was saved to the bit.
+/// The files of a step: what writes them is collected first, so that they can be written beside each other.
+class StepFiles {
+ public:
+  /// `write(work)` writes the named files below the workspace folder. What it refers to must live until then.
+  void add(const std::vector<std::string>& names, std::function<void(const std::filesystem::path& work)> write);
+  /// Writes them all, on the context's threads, and makes their folders.
+  void write(const std::filesystem::path& work, const Context& context) const;
+  const std::vector<std::string>& names() const { return names_; }
 
-Json save(const PolarizationStep& result, const std::filesystem::path& work, std::vector<std::string>& files);
-Json save(const PolarizerStep& result, const std::filesystem::path& work, std::vector<std::string>& files);
-Json save(const DepthPrior& result, const std::filesystem::path& work, std::vector<std::string>& files);
-Json save(const ReflectionMap& result, const std::filesystem::path& work, std::vector<std::string>& files);
-Json save(const HeightMap& result, const std::filesystem::path& work, std::vector<std::string>& files);
-Json save(const FusedSurface& result, const std::filesystem::path& work, std::vector<std::string>& files);
-Json save(const RefinementStep& result, const std::filesystem::path& work, std::vector<std::string>& files);
-Json save(const AssessStep& result, const std::filesystem::path& work, std::vector<std::string>& files);
+ private:
+  std::vector<std::string> names_;
+  std::vector<std::function<void(const std::filesystem::path& work)>> tasks_;
+};
+
+// For each result: `save` adds its rasters to the files of the step and returns the numbers that go into the manifest;
+// `load` reads both back. What is loaded equals what was saved to the bit.
+
+Json save(const PolarizationStep& result, StepFiles& files);
+Json save(const PolarizerStep& result, StepFiles& files);
+Json save(const DepthPrior& result, StepFiles& files);
+Json save(const ReflectionMap& result, StepFiles& files);
+Json save(const HeightMap& result, StepFiles& files);
+Json save(const FusedSurface& result, StepFiles& files);
+Json save(const RefinementStep& result, StepFiles& files);
+Json save(const AssessStep& result, StepFiles& files);
 
 void load(PolarizationStep& result, const std::filesystem::path& work, const Json& notes);
 void load(PolarizerStep& result, const std::filesystem::path& work, const Json& notes);

@@ -51,9 +51,13 @@ class StepRunner {
     }
     const auto start = begin(step);
     T result = compute(context_of(step));
-    std::vector<std::string> files;
-    const Json notes = workspace_ ? save(result, workspace_->folder(), files) : Json::object();
-    finish(step, key, files, start, notes);
+    StepFiles files;
+    Json notes = Json::object();
+    if (workspace_) {
+      notes = save(result, files);
+      files.write(workspace_->folder(), context_);
+    }
+    finish(step, key, files.names(), start, notes);
     return result;
   }
 

@@ -2,7 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <random>
+#include <thread>
 
 #include "capture/scenes.h"
 #include "malus/capture/noise.h"
@@ -33,6 +35,20 @@ TEST(Capture, aligned_images_pass_bit_for_bit) {
   EXPECT_TRUE(stack.mask == Mask(size, 1, 255));
   EXPECT_EQ(stack.camera.size, size);
   EXPECT_TRUE(stack.color.empty());
+}
+
+TEST(Capture, images_are_loaded_side_by_side) {
+  // The first two wait for each other: only two threads load them both.
+  CaptureInput input = aligned_input();
+  std::atomic<int> here{0};
+  input.load = [&, load = input.load](std::size_t k) {
+    here.fetch_add(1);
+    while (k < 2 && here.load() < 2) std::this_thread::yield();
+    return load(k);
+  };
+  const PolarizedStack stack = capture_stack(input, {}, two_threads());
+  EXPECT_TRUE(stack.images == aligned_scene());
+  EXPECT_TRUE(stack.saturated == capture_stack(aligned_input(), {}, Context{}).saturated);
 }
 
 TEST(Capture, angles_follow_the_scale) {

@@ -67,6 +67,21 @@ TEST(Response, table_in_dn_is_interpolated_and_scaled) {
   EXPECT_FLOAT_EQ(linear.intensity(0, 0), 5.0f / 40);
 }
 
+TEST(Response, numbers_of_a_file_go_through_the_curve) {
+  for (const std::string response : {"linear", "srgb", "gamma:2.2"}) {
+    const ResponseCurve curve = response_curve(response, "response");
+    const Levels levels{3, 250, 1.0 / 247, 0.995};
+    std::vector<float> numbers;
+    for (int dn = 0; dn < 256; ++dn) numbers.push_back(static_cast<float>(dn));
+    const LinearImage linear = linearize(raw_8bit(1, numbers), curve, levels, {1, 0, 0}, "x", Context{});
+    for (int dn = 0; dn < 256; ++dn) {
+      const double encoded = (dn - 3) / 247.0;
+      EXPECT_EQ(linear.intensity(dn, 0), static_cast<float>(curve.linearize(encoded))) << response << ' ' << dn;
+      EXPECT_EQ(linear.saturated(dn, 0) != 0, encoded >= 0.995) << response << ' ' << dn;
+    }
+  }
+}
+
 TEST(Response, one_column_is_evenly_spaced) {
   EXPECT_DOUBLE_EQ(read_response_table(table_file("0\n1\n4\n")).linearize(0.75), 2.5 / 4);
 }

@@ -2,6 +2,9 @@
 
 #include <sys/mount.h>
 
+#include <algorithm>
+#include <string>
+
 #include "malus/io/image_file.h"
 #include "malus/io/input_file.h"
 #include "temporary_folder.h"
@@ -107,6 +110,28 @@ TEST(InputFile, ReadsLinesAcrossBufferBordersAndKeepsCount) {
   EXPECT_EQ(file.line_number(), 4u);
   EXPECT_EQ(file.remaining(), 0u);
   EXPECT_FALSE(file.read_line(line));
+}
+
+TEST(InputFile, SmallAndLargeReadsFollowEachOther) {
+  TemporaryFolder folder;
+  std::string bytes;
+  for (int i = 0; i < 700'000; ++i) bytes += std::to_string(i) + '\n';
+  const auto path = folder.write("numbers", bytes);
+  InputFile file(path, "numbers");
+  std::string got;
+  std::size_t part = 5;
+  while (got.size() < bytes.size()) {
+    std::string next(std::min(part, bytes.size() - got.size()), '\0');
+    file.read(next.data(), next.size());
+    got += next;
+    EXPECT_EQ(file.remaining(), bytes.size() - got.size());
+    part = part * 7 % 3'000'017;
+  }
+  EXPECT_TRUE(got == bytes);
+  char more = 0;
+  EXPECT_EQ(file.read_some(&more, 1), 0U);
+  const auto whole = read_bytes(path, "numbers");
+  EXPECT_TRUE(std::equal(whole.begin(), whole.end(), bytes.begin(), bytes.end()));
 }
 
 TEST(InputFile, ErrorsNamePurposePathAndReason) {

@@ -6,6 +6,7 @@
 #include <atomic>
 
 #include "malus/linalg/grid_system.h"
+#include "malus/linalg/nested_dissection.h"
 
 namespace malus {
 namespace {
@@ -118,7 +119,51 @@ TEST(SymmetricSolver, SameResultWithOneAndTwoThreads) {
     solver.factorize(lower);
     solver.solve(lower, system.right(), results[threads - 1]);
   }
-  EXPECT_LT((results[0] - results[1]).norm(), 1e-10 * results[0].norm());
+  EXPECT_TRUE(results[0] == results[1]);
+}
+
+TEST(SymmetricSolver, PartsWithoutConnectionAndGivenOrdersAreFactorizedLikeADenseMatrix) {
+  // Two discs of unlike size and a pixel of its own: several trees of supernodes.
+  Mask mask({40, 24});
+  for (int v = 0; v < 24; ++v) {
+    for (int u = 0; u < 40; ++u) {
+      mask(u, v) = std::hypot(u - 11, v - 11) < 10 || std::hypot(u - 31, v - 12) < 7 || (u == 39 && v == 0) ? 255 : 0;
+    }
+  }
+  const PixelIndex pixels(mask);
+  const GridSystem system = plate(pixels, 3);
+  const auto lower = system.lower(0);
+  const Eigen::MatrixXd dense = Eigen::MatrixXd(lower).selfadjointView<Eigen::Lower>();
+  const Eigen::LLT<Eigen::MatrixXd> expected(dense);
+  const double log_determinant = 2 * expected.matrixLLT().diagonal().array().log().sum();
+  for (const bool by_position : {false, true}) {
+    Context context;
+    context.threads = 3;
+    SymmetricSolver solver{context};
+    solver.analyze(lower, by_position ? nested_dissection(pixels, 2) : std::vector<int>{});
+    ASSERT_EQ(solver.factorize(lower), SolveStatus::solved);
+    EXPECT_NEAR(solver.log_determinant(), log_determinant, 1e-11 * std::abs(log_determinant));
+    Eigen::MatrixXd columns = dense;
+    solver.solve_columns(columns);
+    EXPECT_LT((columns - Eigen::MatrixXd::Identity(dense.rows(), dense.cols())).cwiseAbs().maxCoeff(), 1e-10);
+  }
+}
+
+TEST(SymmetricSolver, IsOfUseAgainAfterAMatrixThatIsNotDefinite) {
+  const PixelIndex pixels(disc(60));
+  const GridSystem system = plate(pixels, 2);
+  const auto lower = system.lower(0);
+  auto indefinite = lower;
+  indefinite.coeffRef(700, 700) = -1;
+  Context context;
+  context.threads = 2;
+  SymmetricSolver solver{context};
+  ASSERT_EQ(solver.factorize(lower), SolveStatus::solved);
+  EXPECT_EQ(solver.factorize(indefinite), SolveStatus::not_positive_definite);
+  ASSERT_EQ(solver.factorize(lower), SolveStatus::solved);
+  Eigen::VectorXd x;
+  ASSERT_EQ(solver.solve(lower, system.right(), x), SolveStatus::solved);
+  EXPECT_LT(solver.relative_residual(), 1e-12);
 }
 
 TEST(GridSystem, KeepsItsPatternWhenCleared) {

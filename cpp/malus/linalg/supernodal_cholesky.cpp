@@ -1,0 +1,123 @@
+#include <algorithm>
+#include <atomic>
+#include <memory>
+
+#include "malus/core/parallel.h"
+#include "malus/linalg/sequential_blas.h"
+#include "malus/linalg/supernodal_cholesky_internal.h"
+
+extern "C" {
+void dpotrf_(const char* uplo, const int* n, double* a, const int* lda, int* info);
+void dtrsm_(const char* side, const char* uplo, const char* transa, const char* diag, const int* m, const int* n,
+            const double* alpha, const double* a, const int* lda, double* b, const int* ldb);
+void dsyrk_(const char* uplo, const char* trans, const int* n, const int* k, const double* alpha, const double* a,
+            const int* lda, const double* beta, double* c, const int* ldc);
+}
+
+namespace malus {
+
+SupernodalCholesky::SupernodalCholesky(const cholmod_factor& factor, const SymmetricSolver::Matrix& lower)
+    : nodes_(factor.nsuper + 1), parents_(factor.nsuper, -1) {
+  const int* first_column = static_cast<const int*>(factor.super);
+  const int* first_row = static_cast<const int*>(factor.pi);
+  const int* first_value = static_cast<const int*>(factor.px);
+  const int* rows = static_cast<const int*>(factor.s);
+  std::vector<int> node_of(factor.n);
+  for (std::size_t s = 0; s < factor.nsuper; ++s) {
+    nodes_[s].columns = first_column[s + 1] - first_column[s];
+    nodes_[s].rows.assign(rows + first_row[s], rows + first_row[s + 1]);
+    nodes_[s].values = static_cast<std::size_t>(first_value[s]);
+    std::fill(node_of.begin() + first_column[s], node_of.begin() + first_column[s + 1], static_cast<int>(s));
+  }
+  for (std::size_t s = 0; s < factor.nsuper; ++s) {
+    const Supernode& node = nodes_[s];
+    if (node.rows_below() == 0) continue;
+    parents_[s] = node_of[static_cast<std::size_t>(node.rows[static_cast<std::size_t>(node.columns)])];
+    nodes_[static_cast<std::size_t>(parents_[s])].children.push_back(static_cast<int>(s));
+  }
+
+  std::vector<int> new_of_old(factor.n);
+  const int* old_of_new = static_cast<const int*>(factor.Perm);
+  for (std::size_t k = 0; k < factor.n; ++k) new_of_old[static_cast<std::size_t>(old_of_new[k])] = static_cast<int>(k);
+  const auto for_each_entry = [&](auto&& body) {
+    for (int j = 0; j < lower.outerSize(); ++j) {
+      for (int e = lower.outerIndexPtr()[j]; e < lower.outerIndexPtr()[j + 1]; ++e) {
+        const auto [column, row] = std::minmax(
+            {new_of_old[static_cast<std::size_t>(j)], new_of_old[static_cast<std::size_t>(lower.innerIndexPtr()[e])]});
+        body(e, row, column, static_cast<std::size_t>(node_of[static_cast<std::size_t>(column)]));
+      }
+    }
+  };
+  for_each_entry([&](int, int, int, std::size_t s) { ++nodes_[s + 1].entries; });
+  for (std::size_t s = 0; s < factor.nsuper; ++s) nodes_[s + 1].entries += nodes_[s].entries;
+  entries_.resize(static_cast<std::size_t>(lower.nonZeros()));
+  std::vector<std::size_t> next(factor.nsuper);
+  for (std::size_t s = 0; s < factor.nsuper; ++s) next[s] = nodes_[s].entries;
+  for_each_entry([&](int e, int row, int column, std::size_t s) {
+    const Supernode& node = nodes_[s];
+    const auto place = std::lower_bound(node.rows.begin(), node.rows.end(), row) - node.rows.begin();
+    const auto column_in_node = static_cast<std::size_t>(column - first_column[s]);
+    entries_[next[s]++] = {e, node.values + column_in_node * node.rows.size() + static_cast<std::size_t>(place)};
+  });
+}
+
+void SupernodalCholesky::add_child(const Supernode& node, const Supernode& child, const double* child_rest,
+                                   double* block, double* rest) const {
+  const std::size_t count = child.rows_below(), columns = static_cast<std::size_t>(node.columns),
+                    below = node.rows_below();
+  // The child's rows below it are among this one's rows, in the same order.
+  std::vector<std::size_t> places(count);
+  std::size_t place = 0;
+  for (std::size_t i = 0; i < count; ++i) {
+    while (node.rows[place] != child.rows[static_cast<std::size_t>(child.columns) + i]) ++place;
+    places[i] = place;
+  }
+  for (std::size_t j = 0; j < count; ++j) {
+    const double* const from = child_rest + j * count;
+    if (places[j] < columns) {
+      double* const to = block + places[j] * node.rows.size();
+      for (std::size_t i = j; i < count; ++i) to[places[i]] += from[i];
+    } else {
+      double* const to = rest + (places[j] - columns) * below;
+      for (std::size_t i = j; i < count; ++i) to[places[i] - columns] += from[i];
+    }
+  }
+}
+
+bool SupernodalCholesky::factorize(const SymmetricSolver::Matrix& lower, double* values, const Context& context) const {
+  // Of each supernode −L₂ L₂ᵀ with the rows L₂ below its diagonal block, and the like of its children.
+  std::vector<std::unique_ptr<double[]>> rests(parents_.size());
+  std::atomic<bool> definite{true};
+  parallel_tree(context, parents_, [&](std::size_t s) {
+    if (!definite.load(std::memory_order_relaxed)) return;
+    const Supernode& node = nodes_[s];
+    const int rows = static_cast<int>(node.rows.size()), below = static_cast<int>(node.rows_below());
+    double* const block = values + node.values;
+    std::fill_n(block, node.rows.size() * static_cast<std::size_t>(node.columns), 0.0);
+    for (std::size_t e = node.entries; e < nodes_[s + 1].entries; ++e) {
+      values[entries_[e].target] += lower.valuePtr()[entries_[e].source];
+    }
+    rests[s] = std::make_unique<double[]>(node.rows_below() * node.rows_below());
+    double* const rest = rests[s].get();
+    for (const int child : node.children) {
+      const auto c = static_cast<std::size_t>(child);
+      add_child(node, nodes_[c], rests[c].get(), block, rest);
+      rests[c].reset();
+    }
+    const SequentialBlas sequential;
+    int info = 0;
+    dpotrf_("L", &node.columns, block, &rows, &info);
+    if (info != 0) {
+      definite = false;
+      return;
+    }
+    if (below == 0) return;
+    const double one = 1, minus_one = -1;
+    double* const rows_below = block + node.columns;
+    dtrsm_("R", "L", "T", "N", &below, &node.columns, &one, block, &rows, rows_below, &rows);
+    dsyrk_("L", "N", &below, &node.columns, &minus_one, rows_below, &rows, &one, rest, &below);
+  });
+  return definite;
+}
+
+}  // namespace malus
