@@ -112,13 +112,16 @@ Exposures load_exposures(const CaptureInput& input, const ResponseCurve& curve, 
                          const Context& context) {
   const PolarizedSpec& spec = input.polarized;
   const std::array<double, 3> weights = channel_weights(spec);
+  const std::size_t count = input.names.size();
   Exposures exposures;
-  for (std::size_t k = 0; k < input.names.size(); ++k) {
+  exposures.names = input.names;
+  exposures.images.resize(count);
+  exposures.saturated.resize(count);
+  const auto load = [&](std::size_t k, const Context& inner) {
     const std::string& name = input.names[k];
-    context.progress("capture", 0, "reading " + name);
     const RawImage raw = input.load(k);
     const Levels levels = levels_of(raw, spec, options.saturation, name);
-    LinearImage linear = linearize(raw, curve, levels, weights, name, context);
+    LinearImage linear = linearize(raw, curve, levels, weights, name, inner);
     if (k == 0) {
       exposures.color = is_color(raw) && !spec.mosaic;
       exposures.noise =
@@ -128,10 +131,14 @@ Exposures load_exposures(const CaptureInput& input, const ResponseCurve& curve, 
     }
     const auto share = static_cast<float>(1 / exposure_ratio(spec, k));
     if (spec.exposure_s) std::ranges::for_each(linear.intensity, [share](float& value) { value *= share; });
-    exposures.names.push_back(name);
-    exposures.images.push_back(std::move(linear.intensity));
-    exposures.saturated.push_back(std::move(linear.saturated));
-  }
+    exposures.images[k] = std::move(linear.intensity);
+    exposures.saturated[k] = std::move(linear.saturated);
+  };
+  context.progress("capture", 0, "reading " + std::to_string(count) + (count == 1 ? " image" : " images"));
+  load(0, context);
+  Context inner = context;
+  inner.threads = 1;
+  parallel_for(context, count - 1, 1, [&](std::size_t k, std::size_t) { load(k + 1, inner); });
   return exposures;
 }
 

@@ -1,6 +1,7 @@
 #include "malus/fusion/grid_fusion.h"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <limits>
 #include <vector>
@@ -26,16 +27,19 @@ class NodeGrid {
   int pixel(int node) const { return offset_ + node * pitch_; }
 
   /// Nodes that at() reads for any finite pixel of a raster of the image's size.
-  Mask nodes_under(const Image<float>& image) const {
+  Mask nodes_under(const Image<float>& image, const Context& context) const {
     Mask nodes(values_.size());
-    for (int v = 0; v < image.height(); ++v) {
+    const auto mark = [&nodes](int i, int j) {  // rows of pixels share nodes
+      std::atomic_ref(nodes(i, j)).store(1, std::memory_order_relaxed);
+    };
+    parallel_rows(context, image.height(), [&](int v) {
       const auto [j0, j1, t] = interval(v, values_.height());
       for (int u = 0; u < image.width(); ++u) {
         if (!std::isfinite(image(u, v))) continue;
         const auto [i0, i1, s] = interval(u, values_.width());
-        nodes(i0, j0) = nodes(i1, j0) = nodes(i0, j1) = nodes(i1, j1) = 1;
+        mark(i0, j0), mark(i1, j0), mark(i0, j1), mark(i1, j1);
       }
-    }
+    });
     return nodes;
   }
 
@@ -130,39 +134,39 @@ struct UnitRange {
   }
 };
 
-/// The transfer on heights: returns the fused height, and the square of the detail difference at the nodes, smoothed.
-Image<float> transfer(const Image<float>& polarization, const Image<float>& prior, const GridFusionOptions& options,
-                      NodeGrid& disagreement, const Context& context) {
-  NodeGrid difference(prior.size(), options.grid_px);
-  Image<float>& nodes = difference.values();
-  bool any = false;
-  for (int j = 0; j < nodes.height(); ++j) {
-    for (int i = 0; i < nodes.width(); ++i) {
-      const int u = difference.pixel(i), v = difference.pixel(j);
-      nodes(i, j) = prior(u, v) - polarization(u, v);
-      any = any || std::isfinite(nodes(i, j));
-    }
-  }
-  if (!any) throw data_error("prior and polarization height share no node of the grid, expected surfaces that overlap");
-  disagreement.values() = nodes;
-  const Mask needed = difference.nodes_under(prior);
-  smooth_nodes(nodes, needed, options.sigma_nodes, context);
-  for (std::size_t k = 0; k < nodes.count(); ++k) {
-    const float detail = disagreement.values()[k] - nodes[k];
-    disagreement.values()[k] = detail * detail;
-  }
-  smooth_nodes(disagreement.values(), needed, options.sigma_nodes, context);
+/// The transfer on heights: the smoothed difference, and the square of what the smoothing took out of it, smoothed.
+struct Transfer {
+  NodeGrid difference, disagreement;
 
-  Image<float> fused(prior.size(), 1, none);
-  parallel_rows(context, prior.height(), [&](int v) {
-    for (int u = 0; u < prior.width(); ++u) {
-      if (!std::isfinite(prior(u, v))) continue;
-      const float detail = polarization(u, v);
-      fused(u, v) = std::isfinite(detail) ? static_cast<float>(detail + difference.at(u, v)) : prior(u, v);
+  Transfer(const Image<float>& polarization, const Image<float>& prior, const GridFusionOptions& options,
+           const Context& context)
+      : difference(prior.size(), options.grid_px), disagreement(prior.size(), options.grid_px) {
+    Image<float>& nodes = difference.values();
+    bool any = false;
+    for (int j = 0; j < nodes.height(); ++j) {
+      for (int i = 0; i < nodes.width(); ++i) {
+        const int u = difference.pixel(i), v = difference.pixel(j);
+        nodes(i, j) = prior(u, v) - polarization(u, v);
+        any = any || std::isfinite(nodes(i, j));
+      }
     }
-  });
-  return fused;
-}
+    if (!any)
+      throw data_error("prior and polarization height share no node of the grid, expected surfaces that overlap");
+    disagreement.values() = nodes;
+    const Mask needed = difference.nodes_under(prior, context);
+    smooth_nodes(nodes, needed, options.sigma_nodes, context);
+    for (std::size_t k = 0; k < nodes.count(); ++k) {
+      const float detail = disagreement.values()[k] - nodes[k];
+      disagreement.values()[k] = detail * detail;
+    }
+    smooth_nodes(disagreement.values(), needed, options.sigma_nodes, context);
+  }
+
+  /// The fused height at a pixel with these two.
+  float fused(int u, int v, float polarization, float prior) const {
+    return std::isfinite(polarization) ? static_cast<float>(polarization + difference.at(u, v)) : prior;
+  }
+};
 
 /// Mean of the finite values.
 double mean_of(const Image<float>& values) {
@@ -183,15 +187,18 @@ FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const G
   require_size(height.height, prior.depth.size(), "polarization height");
   context.progress("fuse", 0.1, "grid transfer");
   const double focal = prior.camera.focal();
-  Image<float> polarization = height.height;
   Image<float> coarse = height_from_depth(prior.depth, prior.camera, height.perspective, context);
-  const UnitRange polarization_range(polarization), prior_range(coarse);
+  Image<float> unit_height;
+  double scale = 1;
   if (options.unit_scaling) {
-    polarization_range.to_unit(polarization);
+    const UnitRange prior_range(coarse);
+    scale = prior_range.span;
     prior_range.to_unit(coarse);
+    unit_height = height.height;
+    UnitRange(unit_height).to_unit(unit_height);
   }
-  NodeGrid disagreement(prior.depth.size(), options.grid_px);
-  Image<float> fused = transfer(polarization, coarse, options, disagreement, context);
+  const Image<float>& polarization = options.unit_scaling ? unit_height : height.height;
+  const Transfer transfer(polarization, coarse, options, context);
 
   FusedSurface surface;
   surface.camera = prior.camera;
@@ -199,23 +206,27 @@ FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const G
   surface.method = "grid";
   surface.status = "done";
   if (height.status != "converged") surface.warnings.push_back("polarization height: " + height.status);
-  surface.depth = Image<float>(fused.size(), 1, none);
-  surface.sigma = Image<float>(fused.size(), 1, none);
-  const double scale = options.unit_scaling ? prior_range.span : 1;
-  const double mean_depth = mean_of(prior.depth);
-  parallel_rows(context, fused.height(), [&](int v) {
-    for (int u = 0; u < fused.width(); ++u) {
-      if (!std::isfinite(fused(u, v))) continue;
+  surface.depth = Image<float>::uninitialized(coarse.size());
+  surface.sigma = Image<float>::uninitialized(coarse.size());
+  const double mean_depth = height.perspective ? 0 : mean_of(prior.depth);
+  parallel_rows(context, coarse.height(), [&](int v) {
+    for (int u = 0; u < coarse.width(); ++u) {
+      const float before = coarse(u, v);
+      surface.depth(u, v) = surface.sigma(u, v) = none;
+      if (!std::isfinite(before)) continue;
+      const float after = transfer.fused(u, v, polarization(u, v), before);
+      if (!std::isfinite(after)) continue;
       // What the fusion adds to the prior, in GSD, applied to the prior's own depth.
-      const double change = (fused(u, v) - coarse(u, v)) * scale;
+      const double change = (after - before) * scale;
       const double z = prior.depth(u, v);
       const double moved = height.perspective ? z * std::exp(-change / focal) : z - change * mean_depth / focal;
       const double gsd = z / focal;
       surface.depth(u, v) = static_cast<float>(moved);
-      surface.sigma(u, v) = static_cast<float>(
-          std::sqrt(prior.sigma(u, v) * prior.sigma(u, v) + gsd * gsd * scale * scale * disagreement.at(u, v)));
+      surface.sigma(u, v) = static_cast<float>(std::sqrt(prior.sigma(u, v) * prior.sigma(u, v) +
+                                                         gsd * gsd * scale * scale * transfer.disagreement.at(u, v)));
     }
   });
+  coarse = {};
   surface.normals = normals_from_depth(surface.depth, surface.camera, context);
   context.progress("fuse", 1.0);
   return surface;

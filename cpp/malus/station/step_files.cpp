@@ -1,5 +1,7 @@
 #include <cmath>
+#include <functional>
 
+#include "malus/core/parallel.h"
 #include "malus/io/atomic_file.h"
 #include "malus/io/colmap_model.h"
 #include "malus/io/image_file.h"
@@ -12,18 +14,29 @@ namespace {
 
 namespace fs = std::filesystem;
 
-void save_raster(const Image<float>& raster, const fs::path& work, const std::string& name,
-                 std::vector<std::string>& files) {
-  create_folder((work / name).parent_path());
-  write_float_tiff(work / name, raster);
-  files.emplace_back(name);
+/// A file of a step's result, and what writes it.
+struct ResultFile {
+  std::string name;  ///< below the workspace folder
+  std::function<void(const fs::path&)> write;
+};
+
+ResultFile raster_file(const std::string& name, const Image<float>& raster) {
+  return {name, [&raster](const fs::path& path) { write_float_tiff(path, raster); }};
 }
 
-void save_bytes(const Image<std::uint8_t>& raster, const fs::path& work, const char* name,
-                std::vector<std::string>& files) {
-  create_folder((work / name).parent_path());
-  write_png(work / name, raster);
-  files.emplace_back(name);
+ResultFile bytes_file(const std::string& name, const Image<std::uint8_t>& raster) {
+  return {name, [&raster](const fs::path& path) { write_png(path, raster); }};
+}
+
+/// Writes several files at a time.
+void save_files(const std::vector<ResultFile>& results, const fs::path& work, std::vector<std::string>& files,
+                const Context& context) {
+  for (const ResultFile& file : results) {
+    create_folder((work / file.name).parent_path());
+    files.push_back(file.name);
+  }
+  parallel_for(context, results.size(), 1,
+               [&](std::size_t k, std::size_t) { results[k].write(work / results[k].name); });
 }
 
 /// Folder of the maps of intensity, degree and phase, see PolarizationStep::awaits_surface.
@@ -100,19 +113,19 @@ Json to_json(const Pose& pose) {
   return {{"rotation", rotation}, {"translation", translation}};
 }
 
-Json save(const PolarizationStep& result, const fs::path& work, std::vector<std::string>& files) {
+Json save(const PolarizationStep& result, const fs::path& work, std::vector<std::string>& files,
+          const Context& context) {
   const PolarizationState& state = result.state;
   const std::string maps = maps_folder(result.awaits_surface);
-  save_raster(state.i_un, work, maps + "unpolarized.tif", files);
-  save_raster(state.rho, work, maps + "degree.tif", files);
-  save_raster(state.phi, work, maps + "phase.tif", files);
-  save_raster(state.residual, work, "polarization/residual.tif", files);
-  save_bytes(state.valid, work, "polarization/valid.png", files);
-  if (!state.variance_factor.empty()) {
-    save_raster(state.variance_factor, work, "polarization/variance_factor.tif", files);
-  }
-  if (!result.color.empty()) save_raster(result.color, work, "polarization/color.tif", files);
-  if (!result.scene.empty()) save_raster(result.scene, work, "polarization/scene.tif", files);
+  std::vector<ResultFile> results{
+      bytes_file("polarization/valid.png", state.valid), raster_file(maps + "unpolarized.tif", state.i_un),
+      raster_file(maps + "degree.tif", state.rho), raster_file(maps + "phase.tif", state.phi),
+      raster_file("polarization/residual.tif", state.residual)};
+  if (!state.variance_factor.empty())
+    results.push_back(raster_file("polarization/variance_factor.tif", state.variance_factor));
+  if (!result.color.empty()) results.push_back(raster_file("polarization/color.tif", result.color));
+  if (!result.scene.empty()) results.push_back(raster_file("polarization/scene.tif", result.scene));
+  save_files(results, work, files, context);
   return {{"camera", to_json(result.camera)},
           {"has_scene", !result.scene.empty()},
           {"angles_rad", state.angles_rad},
@@ -156,10 +169,10 @@ void load(PolarizationStep& result, const fs::path& work, const Json& notes) {
   if (notes.at("has_scene").get<bool>()) result.scene = read_float_raster(work / "polarization/scene.tif");
 }
 
-Json save(const PolarizerStep& result, const fs::path& work, std::vector<std::string>& files) {
-  save_raster(result.i_un, work, "polarization/unpolarized.tif", files);
-  save_raster(result.rho, work, "polarization/degree.tif", files);
-  save_raster(result.phi, work, "polarization/phase.tif", files);
+Json save(const PolarizerStep& result, const fs::path& work, std::vector<std::string>& files, const Context& context) {
+  save_files({raster_file("polarization/unpolarized.tif", result.i_un),
+              raster_file("polarization/degree.tif", result.rho), raster_file("polarization/phase.tif", result.phi)},
+             work, files, context);
   return {{"angles_rad", result.angles_rad}, {"calibration", fields_to_json(result.calibration)}};
 }
 
@@ -171,9 +184,9 @@ void load(PolarizerStep& result, const fs::path& work, const Json& notes) {
   fields_from_json(result.calibration, notes.at("calibration"));
 }
 
-Json save(const DepthPrior& result, const fs::path& work, std::vector<std::string>& files) {
-  save_raster(result.depth, work, "prior/depth.tif", files);
-  save_raster(result.sigma, work, "prior/sigma.tif", files);
+Json save(const DepthPrior& result, const fs::path& work, std::vector<std::string>& files, const Context& context) {
+  save_files({raster_file("prior/depth.tif", result.depth), raster_file("prior/sigma.tif", result.sigma)}, work, files,
+             context);
   return {{"camera", to_json(result.camera)},
           {"pose", to_json(result.pose)},
           {"points_total", result.points_total},
@@ -197,9 +210,10 @@ void load(DepthPrior& result, const fs::path& work, const Json& notes) {
   result.filled_fraction = number(notes.at("filled_fraction"));
 }
 
-Json save(const ReflectionMap& result, const fs::path& work, std::vector<std::string>& files) {
-  save_raster(result.zenith, work, "polarization/zenith.tif", files);
-  save_bytes(result.label, work, "polarization/label.png", files);
+Json save(const ReflectionMap& result, const fs::path& work, std::vector<std::string>& files, const Context& context) {
+  save_files(
+      {bytes_file("polarization/label.png", result.label), raster_file("polarization/zenith.tif", result.zenith)}, work,
+      files, context);
   return Json::object();
 }
 
@@ -208,8 +222,8 @@ void load(ReflectionMap& result, const fs::path& work, const Json&) {
   result.label = read_labels(work / "polarization/label.png");
 }
 
-Json save(const HeightMap& result, const fs::path& work, std::vector<std::string>& files) {
-  save_raster(result.height, work, "height/height.tif", files);
+Json save(const HeightMap& result, const fs::path& work, std::vector<std::string>& files, const Context& context) {
+  save_files({raster_file("height/height.tif", result.height)}, work, files, context);
   return {{"perspective", result.perspective},
           {"light", {result.light[0], result.light[1], result.light[2], result.light[3]}},
           {"status", result.status},
@@ -226,10 +240,10 @@ void load(HeightMap& result, const fs::path& work, const Json& notes) {
   result.unknowns = notes.at("unknowns").get<std::size_t>();
 }
 
-Json save(const FusedSurface& result, const fs::path& work, std::vector<std::string>& files) {
-  save_raster(result.depth, work, "fused/depth.tif", files);
-  save_raster(result.normals, work, "fused/normals.tif", files);
-  save_raster(result.sigma, work, "fused/sigma.tif", files);
+Json save(const FusedSurface& result, const fs::path& work, std::vector<std::string>& files, const Context& context) {
+  save_files({raster_file("fused/normals.tif", result.normals), raster_file("fused/depth.tif", result.depth),
+              raster_file("fused/sigma.tif", result.sigma)},
+             work, files, context);
   write_colmap_text(work / "fused/camera.txt", work / "fused/image.txt", result.camera, result.pose, "depth.tif");
   files.insert(files.end(), {"fused/camera.txt", "fused/image.txt"});
   return {{"camera", to_json(result.camera)},
@@ -250,10 +264,10 @@ void load(FusedSurface& result, const fs::path& work, const Json& notes) {
   result.warnings = notes.at("warnings").get<std::vector<std::string>>();
 }
 
-Json save(const RefinementStep& result, const fs::path& work, std::vector<std::string>& files) {
-  Json notes = save(result.surface, work, files);
-  save_bytes(result.label, work, "fused/label.png", files);
-  save_bytes(result.confidence, work, "fused/confidence.png", files);
+Json save(const RefinementStep& result, const fs::path& work, std::vector<std::string>& files, const Context& context) {
+  Json notes = save(result.surface, work, files, context);
+  save_files({bytes_file("fused/label.png", result.label), bytes_file("fused/confidence.png", result.confidence)}, work,
+             files, context);
   notes["report"] = result.report;
   return notes;
 }
@@ -265,9 +279,9 @@ void load(RefinementStep& result, const fs::path& work, const Json& notes) {
   result.report = notes.at("report");
 }
 
-Json save(const AssessStep& result, const fs::path& work, std::vector<std::string>& files) {
+Json save(const AssessStep& result, const fs::path& work, std::vector<std::string>& files, const Context& context) {
   if (result.quality.reference && !result.quality.reference->distance.empty()) {
-    save_raster(result.quality.reference->distance, work, "fused/reference_distance.tif", files);
+    save_files({raster_file("fused/reference_distance.tif", result.quality.reference->distance)}, work, files, context);
   }
   write_file(work / "quality.json", result.file.dump(2) + "\n");
   files.emplace_back("quality.json");

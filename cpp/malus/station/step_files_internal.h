@@ -10,6 +10,7 @@
 #include "malus/assess/quality.h"
 #include "malus/capture/polarized_stack.h"
 #include "malus/core/camera.h"
+#include "malus/core/context.h"
 #include "malus/core/image.h"
 #include "malus/core/pose.h"
 #include "malus/fusion/fused_surface.h"
@@ -61,14 +62,22 @@ struct AssessStep {
 // For each result: `save` writes its rasters below the workspace folder, appends their names to `files` and returns the
 // numbers that go into the manifest; `load` reads both back. What is loaded equals what was saved to the bit.
 
-Json save(const PolarizationStep& result, const std::filesystem::path& work, std::vector<std::string>& files);
-Json save(const PolarizerStep& result, const std::filesystem::path& work, std::vector<std::string>& files);
-Json save(const DepthPrior& result, const std::filesystem::path& work, std::vector<std::string>& files);
-Json save(const ReflectionMap& result, const std::filesystem::path& work, std::vector<std::string>& files);
-Json save(const HeightMap& result, const std::filesystem::path& work, std::vector<std::string>& files);
-Json save(const FusedSurface& result, const std::filesystem::path& work, std::vector<std::string>& files);
-Json save(const RefinementStep& result, const std::filesystem::path& work, std::vector<std::string>& files);
-Json save(const AssessStep& result, const std::filesystem::path& work, std::vector<std::string>& files);
+Json save(const PolarizationStep& result, const std::filesystem::path& work, std::vector<std::string>& files,
+          const Context& context);
+Json save(const PolarizerStep& result, const std::filesystem::path& work, std::vector<std::string>& files,
+          const Context& context);
+Json save(const DepthPrior& result, const std::filesystem::path& work, std::vector<std::string>& files,
+          const Context& context);
+Json save(const ReflectionMap& result, const std::filesystem::path& work, std::vector<std::string>& files,
+          const Context& context);
+Json save(const HeightMap& result, const std::filesystem::path& work, std::vector<std::string>& files,
+          const Context& context);
+Json save(const FusedSurface& result, const std::filesystem::path& work, std::vector<std::string>& files,
+          const Context& context);
+Json save(const RefinementStep& result, const std::filesystem::path& work, std::vector<std::string>& files,
+          const Context& context);
+Json save(const AssessStep& result, const std::filesystem::path& work, std::vector<std::string>& files,
+          const Context& context);
 
 void load(PolarizationStep& result, const std::filesystem::path& work, const Json& notes);
 void load(PolarizerStep& result, const std::filesystem::path& work, const Json& notes);

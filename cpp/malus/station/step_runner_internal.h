@@ -52,7 +52,7 @@ class StepRunner {
     const auto start = begin(step);
     T result = compute(context_of(step));
     std::vector<std::string> files;
-    const Json notes = workspace_ ? save(result, workspace_->folder(), files) : Json::object();
+    const Json notes = workspace_ ? save(result, workspace_->folder(), files, context_) : Json::object();
     finish(step, key, files, start, notes);
     return result;
   }
