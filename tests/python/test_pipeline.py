@@ -153,6 +153,19 @@ def test_one_and_two_threads_agree(finished: Path, small_station_source: Path, t
     assert np.abs(one - two).max() < 1e-3 * gsd
 
 
+@pytest.mark.parametrize("fusion", ["grid", "refined"])
+def test_letting_maps_go_changes_no_file(fusion: str, small_station_source: Path, tmp_path: Path) -> None:
+    station, options = malus.Station.load(small_station_source / "station.toml"), malus.Options(fusion=fusion)
+    kept = malus.reconstruct(station, options, workspace=tmp_path / "kept", threads=2)
+    lean = malus.reconstruct(station, options, workspace=tmp_path / "lean", threads=2, keep_maps=False)
+    assert lean.quality == kept.quality and lean.quality is not None
+    for name, value in vars(lean).items():
+        assert value is None or name in ("quality", "workspace"), name
+    assert kept.normals is not None and kept.zenith_rad is not None and kept.phase_rad is not None
+    outputs = [json.loads((tmp_path / work / "manifest.json").read_text())["steps"] for work in ("kept", "lean")]
+    assert [step["outputs"] for step in outputs[0].values()] == [step["outputs"] for step in outputs[1].values()]
+
+
 def test_python_arrays_give_the_same_surface(finished: Path, small_station_source: Path) -> None:
     images = [tifffile.imread(p) / np.float32(16383) for p in sorted((small_station_source / "pol").glob("*.tif"))]
     words = next(
