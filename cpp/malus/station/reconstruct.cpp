@@ -174,7 +174,8 @@ FrameHints frame_hints(const Station& station, const PolarizationStep& images, c
   return hints;
 }
 
-PolarizerStep make_polarizer(const Station& station, const PolarizationStep& images, const DepthPrior& prior,
+/// Takes the maps of intensity, degree and phase out of `images`.
+PolarizerStep make_polarizer(const Station& station, PolarizationStep& images, const DepthPrior& prior,
                              const Options& options, const Context& context) {
   PolarizerOptions known = options.polarizer;
   // The angles of a polarization camera are made with its sensor.
@@ -184,7 +185,7 @@ PolarizerStep make_polarizer(const Station& station, const PolarizationStep& ima
   const FrameEstimate surface = estimate_frame(images.state, &images.camera, normals, hints, known, context);
   CalibratedFrame calibrated =
       calibrate_frame(images.polarizer, images.polarizer_fitted, hints.known_scale, surface, known);
-  PolarizationState state = images.state;
+  PolarizationState& state = images.state;
   if (calibrated.calibration.from_surface) apply_frame(state, calibrated.frame, context);
   for (const std::string& warning : calibrated.calibration.warnings) context.log(LogLevel::warning, warning);
   return {std::move(state.i_un), std::move(state.rho), std::move(state.phi), std::move(state.angles_rad),
