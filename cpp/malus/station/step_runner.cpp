@@ -29,7 +29,8 @@ double peak_mb() {
   return static_cast<double>(use_of_process().ru_maxrss) * 1024 / 1e6;
 }
 
-/// Gives the memory back that a step's many small allocations leave scattered: a tenth of what the rasters take.
+/// Gives the memory back that a step's many small allocations leave scattered: 0.4 GB after the height of 18
+/// megapixels.
 void release_unused_memory() {
 #ifdef __GLIBC__
   malloc_trim(0);
