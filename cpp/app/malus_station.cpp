@@ -87,7 +87,8 @@ void run(const Arguments& arguments) {
     const std::lock_guard lock(mutex);
     reporter.log(level, message);
   };
-  malus::RunOptions where{.workspace = arguments.workspace, .until = std::nullopt, .reference = std::nullopt};
+  malus::RunOptions where{
+      .workspace = arguments.workspace, .until = std::nullopt, .reference = std::nullopt, .keep_maps = false};
   if (!arguments.until.empty()) where.until = arguments.until;
   if (!arguments.reference.empty()) where.reference = arguments.reference;
   const malus::Options options = read_options(arguments);

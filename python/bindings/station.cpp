@@ -85,20 +85,20 @@ Station with_developed(const Station& station, const std::vector<std::string>& i
 py::dict to_dict(Reconstruction&& run) {
   py::dict result;
   const auto raster = [&](const char* name, Image<float>&& image) { result[name] = to_array(std::move(image)); };
-  FusedSurface surface = run.surface.value_or(FusedSurface{});
+  FusedSurface surface = std::move(run.surface).value_or(FusedSurface{});
   raster("depth", std::move(surface.depth));
   raster("normals", std::move(surface.normals));
   raster("sigma", std::move(surface.sigma));
-  DepthPrior prior = run.prior.value_or(DepthPrior{});
+  DepthPrior prior = std::move(run.prior).value_or(DepthPrior{});
   raster("prior_depth", std::move(prior.depth));
   raster("prior_sigma", std::move(prior.sigma));
-  raster("polarization_height", std::move(run.height.value_or(HeightMap{}).height));
+  raster("polarization_height", std::move(run.height).value_or(HeightMap{}).height);
   raster("unpolarized", std::move(run.polarization.i_un));
   raster("scene", std::move(run.scene));
   result["valid"] = to_array(std::move(run.polarization.valid));
   raster("degree", std::move(run.polarization.rho));
   raster("phase_rad", std::move(run.polarization.phi));
-  raster("zenith_rad", std::move(run.reflection.value_or(ReflectionMap{}).zenith));
+  raster("zenith_rad", std::move(run.reflection).value_or(ReflectionMap{}).zenith);
   result["quality"] = run.quality ? py::object(py::str(run.quality_json)) : py::none();
   return result;
 }
@@ -135,20 +135,21 @@ void bind_station(py::module_& module) {
   module.def(
       "reconstruct",
       [](const Station& station, const std::string& options_json, const std::optional<std::string>& workspace,
-         const std::optional<std::string>& until, const std::optional<std::string>& reference, int threads,
-         const py::object& on_progress, const py::object& on_log) {
+         const std::optional<std::string>& until, const std::optional<std::string>& reference, bool keep_maps,
+         int threads, const py::object& on_progress, const py::object& on_log) {
         const Options options = options_from_json({}, options_json);
         RunOptions run;
         if (workspace) run.workspace = *workspace;
         run.until = until;
         if (reference) run.reference = *reference;
+        run.keep_maps = keep_maps;
         Reconstruction result;
         run_interruptible(threads, on_progress, on_log,
                           [&](const Context& context) { result = reconstruct(station, options, run, context); });
         return to_dict(std::move(result));
       },
       py::arg("station"), py::arg("options"), py::arg("workspace"), py::arg("until"), py::arg("reference"),
-      py::arg("threads"), py::arg("progress"), py::arg("log"));
+      py::arg("keep_maps"), py::arg("threads"), py::arg("progress"), py::arg("log"));
 
   module.def("check", [](const Station& station, const std::string& options_json, int threads) {
     std::string plan;

@@ -47,6 +47,7 @@ def reconstruct(
     workspace: str | None,
     until: str | None,
     reference: str | None,
+    keep_maps: bool,
     threads: int,
     progress: Callable[[str, float, str], None] | None,
     log: Callable[[str, str], None] | None,

@@ -54,6 +54,7 @@ def run_station(task: Task) -> Outcome:
             Station.load(task.station),
             Options(**json.loads(task.options)),
             workspace=task.workspace,
+            keep_maps=False,
             threads=task.threads,
         )
         if task.report:

@@ -151,6 +151,7 @@ def _reconstruct(args: argparse.Namespace, station_path: Path, until: str | None
             workspace=args.output,
             until=until,
             reference=getattr(args, "reference", None),
+            keep_maps=False,
             threads=args.threads,
             progress=lambda p: view.progress(p.step, p.fraction, p.message),
             log=view.log,

@@ -62,6 +62,7 @@ def reconstruct(
     workspace: str | Path | None = None,
     until: str | None = None,
     reference: str | Path | None = None,
+    keep_maps: bool = True,
     threads: int = 1,
     progress: Callable[[Progress], None] | None = None,
     log: Callable[[str, str], None] | None = None,
@@ -70,7 +71,9 @@ def reconstruct(
 
     With a workspace folder every step is written there, and steps already done with the same inputs and options are not
     repeated; without one everything stays in memory. `until` names the last step to run (see STEPS). `reference` is a PLY
-    cloud or mesh in the world frame to compare the surface with. `progress` and `log` are called from this thread. Ctrl-C stops within a second; what a finished step wrote stays.
+    cloud or mesh in the world frame to compare the surface with. keep_maps=False lets go of maps that no later step needs:
+    less memory, and the result has figures only; the maps are in the workspace. `progress` and `log` are called from this
+    thread. Ctrl-C stops within a second; what a finished step wrote stays.
 
     A station with [photos] and no [prior] gets its pose and its prior from the photos (malus.photogrammetry, needs the
     program COLMAP or the package pycolmap); progress then has the steps "photos" and "sweep" too.
@@ -83,13 +86,14 @@ def reconstruct(
         if progress is not None:
             progress(Progress(step, fraction, message))
 
-    def run(core: _core.Station, last: str | None, scan: str | Path | None) -> dict[str, Any]:
+    def run(core: _core.Station, last: str | None, scan: str | Path | None, *, keep: bool = True) -> dict[str, Any]:
         return _core.reconstruct(
             core,
             settings.to_json(),
             None if workspace is None else str(workspace),
             last,
             None if scan is None else str(scan),
+            keep,
             threads,
             None if progress is None else report,
             log,
@@ -102,7 +106,7 @@ def reconstruct(
                 core = _with_photos(
                     station.describe(), core, settings, folder, run, threads, report, log or (lambda _, __: None)
                 )
-        outcome = run(core, until, reference)
+        outcome = run(core, until, reference, keep=keep_maps)
     for intermediate in ("scene", "valid"):
         del outcome[intermediate]
     quality = outcome.pop("quality")
@@ -164,7 +168,7 @@ def _with_photos(
         core = station.with_photogrammetry(lens.values(), first.depth, first.sigma, None, "{}")
         last = "refine" if options.fusion == "refined" else "fuse"
         outcome = _core.reconstruct(
-            core, options.to_json(), None, last, None, threads,
+            core, options.to_json(), None, last, None, True, threads,
             lambda step, fraction, _: report("sweep", fraction, f"fusing for a better sweep: {step}"), None,
         )  # fmt: skip
         return photogrammetry.FusedOnce(outcome["depth"], outcome["prior_depth"], outcome["prior_sigma"])

@@ -153,6 +153,28 @@ def test_one_and_two_threads_agree(finished: Path, small_station_source: Path, t
     assert np.abs(one - two).max() < 1e-3 * gsd
 
 
+@pytest.mark.parametrize("fusion", ["grid", "refined"])
+def test_letting_maps_go_changes_no_file(fusion: str, small_station_source: Path, tmp_path: Path) -> None:
+    station, options = malus.Station.load(small_station_source / "station.toml"), malus.Options(fusion=fusion)
+    kept = malus.reconstruct(station, options, workspace=tmp_path / "kept", threads=2)
+    lean = malus.reconstruct(station, options, workspace=tmp_path / "lean", threads=2, keep_maps=False)
+    for name, value in vars(lean).items():
+        assert value is None or name in ("quality", "workspace"), name
+    assert kept.normals is not None and kept.zenith_rad is not None and kept.phase_rad is not None
+    assert kept.quality is not None and lean.quality is not None
+    manifests = [json.loads((tmp_path / work / "manifest.json").read_text()) for work in ("kept", "lean")]
+    for figures in (kept.quality, lean.quality):
+        figures.pop("refinement", None)  # says how long it took
+    assert lean.quality == kept.quality
+    outputs = [
+        {name: output for step in manifest["steps"].values() for name, output in step["outputs"].items()}
+        for manifest in manifests
+    ]
+    for files in outputs:
+        del files["quality.json"]
+    assert outputs[0] == outputs[1] and "fused/surface.ply" in outputs[0]
+
+
 def test_python_arrays_give_the_same_surface(finished: Path, small_station_source: Path) -> None:
     images = [tifffile.imread(p) / np.float32(16383) for p in sorted((small_station_source / "pol").glob("*.tif"))]
     words = next(

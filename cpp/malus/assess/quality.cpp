@@ -1,7 +1,9 @@
 #include "malus/assess/quality.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <numbers>
 
@@ -15,17 +17,36 @@ namespace {
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 constexpr double degrees = 180 / std::numbers::pi;
 
-std::vector<double> finite_values(const Image<float>& image, double divisor) {
-  std::vector<double> values;
-  values.reserve(image.count());
-  for (const float value : image) {
-    if (std::isfinite(value)) values.push_back(value / divisor);
-  }
-  return values;
+constexpr std::size_t grain = 1 << 16;
+
+RankedValues rank_values(const Image<float>& image, const Context& context) {
+  const auto values = [&image](std::size_t begin, std::size_t end, float* to) {
+    std::copy(image.data() + begin, image.data() + end, to);
+  };
+  return {image.count(), values, context};
 }
 
-double fraction_of(std::size_t part, std::size_t whole) {
-  return whole > 0 ? static_cast<double>(part) / static_cast<double>(whole) : nan;
+/// Figures of some pixels that are added up.
+template <std::size_t n>
+struct Sums : std::array<double, n> {
+  Sums& operator+=(const Sums& other) {
+    for (std::size_t i = 0; i < n; ++i) (*this)[i] += other[i];
+    return *this;
+  }
+};
+
+/// Sums over all pixels of what add(pixel, sums) adds for each.
+template <std::size_t n, class Add>
+std::array<double, n> sum_pixels(std::size_t count, const Context& context, Add&& add) {
+  return parallel_sum(context, count, grain, Sums<n>{}, [&](std::size_t begin, std::size_t end) {
+    Sums<n> part{};
+    for (std::size_t i = begin; i < end; ++i) add(i, part);
+    return part;
+  });
+}
+
+double fraction_of(double part, double whole) {
+  return whole > 0 ? part / whole : nan;
 }
 
 void require_sizes(const AssessInput& input) {
@@ -55,60 +76,87 @@ bool is_object(const AssessInput& input, std::size_t pixel) {
          (input.prior != nullptr && std::isfinite(input.prior->depth[pixel]));
 }
 
-CoverageFigures measure_coverage(const AssessInput& input) {
-  std::size_t object = 0, fused = 0, prior = 0;
-  for (std::size_t i = 0; i < input.surface->depth.count(); ++i) {
-    if (!is_object(input, i)) continue;
-    ++object;
-    fused += std::isfinite(input.surface->depth[i]);
-    prior += input.prior != nullptr && std::isfinite(input.prior->depth[i]);
-  }
-  return {static_cast<double>(object), static_cast<double>(fused), fraction_of(fused, object),
-          fraction_of(prior, object)};
+CoverageFigures measure_coverage(const AssessInput& input, const Context& context) {
+  const Image<float>& depth = input.surface->depth;
+  const auto [object, fused, prior] = sum_pixels<3>(depth.count(), context, [&](std::size_t i, Sums<3>& sums) {
+    if (!is_object(input, i)) return;
+    sums[0] += 1;
+    sums[1] += std::isfinite(depth[i]);
+    sums[2] += input.prior != nullptr && std::isfinite(input.prior->depth[i]);
+  });
+  return {object, fused, fraction_of(fused, object), fraction_of(prior, object)};
 }
 
-std::optional<SigmaFigures> measure_sigma(const FusedSurface& surface, double gsd, double limit_gsd) {
-  if (surface.sigma.empty()) return std::nullopt;
-  const std::vector<double> values = finite_values(surface.sigma, gsd);
-  const auto below = std::count_if(values.begin(), values.end(), [&](double sigma) { return sigma <= limit_gsd; });
-  const double share = fraction_of(static_cast<std::size_t>(below), values.size());
-  return SigmaFigures{percentile(values, 0.5), percentile(values, 0.95), limit_gsd, share, 1 - share};
+std::optional<SigmaFigures> measure_sigma(const FusedSurface& surface, double gsd, double limit_gsd,
+                                          const Context& context) {
+  const Image<float>& sigma = surface.sigma;
+  if (sigma.empty()) return std::nullopt;
+  const RankedValues values = rank_values(sigma, context);
+  const auto [below] = sum_pixels<1>(sigma.count(), context, [&](std::size_t i, Sums<1>& sums) {
+    sums[0] += std::isfinite(sigma[i]) && sigma[i] / gsd <= limit_gsd;
+  });
+  const double share = fraction_of(below, static_cast<double>(values.size()));
+  const std::vector<double> gsds = percentiles(values, gsd, {0.5, 0.95});
+  return SigmaFigures{gsds[0], gsds[1], limit_gsd, share, 1 - share};
 }
 
 struct Spread {
   double rms, mad;
 };
 
-Spread detail_of(const Image<float>& depth, double gsd, const AssessOptions& options, const Context& context) {
-  std::vector<double> detail = finite_values(high_pass(depth, options.detail_sigma_px, context), gsd);
-  const double rms = root_mean_square(detail);
-  return {rms, robust_sigma(std::move(detail))};
+Spread detail_of(const Image<float>& detail, double gsd, const Context& context) {
+  const auto [squares, count] = sum_pixels<2>(detail.count(), context, [&](std::size_t i, Sums<2>& sums) {
+    if (!std::isfinite(detail[i])) return;
+    const double value = detail[i] / gsd;
+    sums[0] += value * value;
+    sums[1] += 1;
+  });
+  const auto sizes = [&detail](std::size_t begin, std::size_t end, float* to) {
+    std::transform(detail.data() + begin, detail.data() + end, to, [](float value) { return std::abs(value); });
+  };
+  const double median = percentiles({detail.count(), sizes, context}, gsd, {0.5})[0];
+  return {count > 0 ? std::sqrt(squares / count) : nan, 1.4826 * median};
 }
 
 DetailFigures compare_with_prior(const FusedSurface& surface, const DepthPrior& prior, double gsd,
                                  const AssessOptions& options, const Context& context) {
-  Image<float> difference(surface.depth.size());
-  std::size_t compared = 0, within = 0;
-  for (std::size_t i = 0; i < difference.count(); ++i) {
-    difference[i] = surface.depth[i] - prior.depth[i];
-    if (prior.sigma.empty() || !std::isfinite(difference[i]) || !std::isfinite(prior.sigma[i])) continue;
-    ++compared;
-    within += std::abs(difference[i]) < 2 * prior.sigma[i];
-  }
-  const Summary summary = summarize(finite_values(difference, gsd));
-  const Spread change = detail_of(difference, gsd, options, context);
-  const Spread before = detail_of(prior.depth, gsd, options, context);
-  const Spread after = detail_of(surface.depth, gsd, options, context);
+  const Image<float>&fused = surface.depth, &before = prior.depth;
+  struct Index {
+    enum : std::size_t { count, sum, squares, compared, within, size };
+  };
+  const auto sums = sum_pixels<Index::size>(fused.count(), context, [&](std::size_t i, Sums<Index::size>& part) {
+    const float difference = fused[i] - before[i];
+    if (!std::isfinite(difference)) return;
+    const double value = difference / gsd;
+    part[Index::count] += 1;
+    part[Index::sum] += value;
+    part[Index::squares] += value * value;
+    if (prior.sigma.empty() || !std::isfinite(prior.sigma[i])) return;
+    part[Index::compared] += 1;
+    part[Index::within] += std::abs(difference) < 2 * prior.sigma[i];
+  });
+  const auto differences = [&](std::size_t begin, std::size_t end, float* to) {
+    std::transform(fused.data() + begin, fused.data() + end, before.data() + begin, to, std::minus<>());
+  };
+  const RowSource difference_rows = [&](int v, int begin, int end, float* to) {
+    std::transform(fused.row(v) + begin, fused.row(v) + end, before.row(v) + begin, to, std::minus<>());
+  };
+  // One raster of detail at a time.
+  const double sigma_px = options.detail_sigma_px;
+  const Spread of_change = detail_of(high_pass(fused.size(), difference_rows, sigma_px, context), gsd, context);
+  const Spread of_prior = detail_of(high_pass(before, sigma_px, context), gsd, context);
+  const Spread of_fused = detail_of(high_pass(fused, sigma_px, context), gsd, context);
+  const double mean = sums[Index::sum] / sums[Index::count], square = sums[Index::squares] / sums[Index::count];
   DetailFigures figures;
-  figures.difference_rms_gsd = std::sqrt(std::max(summary.rmse * summary.rmse - summary.mean * summary.mean, 0.0));
-  figures.difference_bias_gsd = summary.median;
-  figures.difference_detail_rms_gsd = change.rms;
-  figures.difference_detail_mad_gsd = change.mad;
-  figures.prior_detail_rms_gsd = before.rms;
-  figures.prior_detail_mad_gsd = before.mad;
-  figures.fused_detail_rms_gsd = after.rms;
-  figures.fused_detail_mad_gsd = after.mad;
-  figures.within_2_prior_sigma_fraction = fraction_of(within, compared);
+  figures.difference_rms_gsd = std::sqrt(std::max(square - mean * mean, 0.0));
+  figures.difference_bias_gsd = percentiles({fused.count(), differences, context}, gsd, {0.5})[0];
+  figures.difference_detail_rms_gsd = of_change.rms;
+  figures.difference_detail_mad_gsd = of_change.mad;
+  figures.prior_detail_rms_gsd = of_prior.rms;
+  figures.prior_detail_mad_gsd = of_prior.mad;
+  figures.fused_detail_rms_gsd = of_fused.rms;
+  figures.fused_detail_mad_gsd = of_fused.mad;
+  figures.within_2_prior_sigma_fraction = fraction_of(sums[Index::within], sums[Index::compared]);
   return figures;
 }
 
@@ -117,29 +165,36 @@ PriorFigures provenance_of(const DepthPrior& prior, double gsd) {
           prior.spacing_px,   prior.smoothing_px, prior.filled_fraction};
 }
 
-PolarizationFigures measure_polarization(const AssessInput& input) {
+PolarizationFigures measure_polarization(const AssessInput& input, const Context& context) {
   const PolarizationState& state = *input.polarization;
-  std::size_t object = 0;
-  std::array<std::size_t, 256> states{};
-  std::vector<double> residuals, degrees_of_polarization;
-  for (std::size_t i = 0; i < state.valid.count(); ++i) {
-    if (!is_object(input, i)) continue;
-    ++object;
-    ++states[state.valid[i]];
-    if (state.valid[i] != static_cast<std::uint8_t>(PixelState::valid)) continue;
-    if (std::isfinite(state.residual[i])) residuals.push_back(state.residual[i]);
-    if (std::isfinite(state.rho[i])) degrees_of_polarization.push_back(state.rho[i]);
-  }
-  const auto share = [&](PixelState kind) { return fraction_of(states[static_cast<std::size_t>(kind)], object); };
+  constexpr std::array kinds{PixelState::valid, PixelState::saturated, PixelState::dark, PixelState::misfit};
+  // Pixels of each kind, and of the object.
+  const auto counts = sum_pixels<kinds.size() + 1>(state.valid.count(), context, [&](std::size_t i, auto& sums) {
+    if (!is_object(input, i)) return;
+    for (std::size_t k = 0; k < kinds.size(); ++k) sums[k] += state.valid[i] == static_cast<std::uint8_t>(kinds[k]);
+    sums[kinds.size()] += 1;
+  });
+  /// Median and 95th percentile of the object's valid pixels.
+  const auto middle_and_p95 = [&](const Image<float>& map) {
+    const auto values = [&](std::size_t begin, std::size_t end, float* to) {
+      for (std::size_t i = begin; i < end; ++i) {
+        const bool counts_in = is_object(input, i) && state.valid[i] == static_cast<std::uint8_t>(PixelState::valid);
+        to[i - begin] = counts_in ? map[i] : std::numeric_limits<float>::quiet_NaN();
+      }
+    };
+    return percentiles({map.count(), values, context}, 1, {0.5, 0.95});
+  };
+  const std::vector<double> residuals = middle_and_p95(state.residual),
+                            degrees_of_polarization = middle_and_p95(state.rho);
   PolarizationFigures figures;
-  figures.valid_fraction = share(PixelState::valid);
-  figures.saturated_fraction = share(PixelState::saturated);
-  figures.dark_fraction = share(PixelState::dark);
-  figures.misfit_fraction = share(PixelState::misfit);
-  figures.residual_median = percentile(residuals, 0.5);
-  figures.residual_p95 = percentile(std::move(residuals), 0.95);
-  figures.degree_median = percentile(degrees_of_polarization, 0.5);
-  figures.degree_p95 = percentile(std::move(degrees_of_polarization), 0.95);
+  figures.valid_fraction = fraction_of(counts[0], counts.back());
+  figures.saturated_fraction = fraction_of(counts[1], counts.back());
+  figures.dark_fraction = fraction_of(counts[2], counts.back());
+  figures.misfit_fraction = fraction_of(counts[3], counts.back());
+  figures.residual_median = residuals[0];
+  figures.residual_p95 = residuals[1];
+  figures.degree_median = degrees_of_polarization[0];
+  figures.degree_p95 = degrees_of_polarization[1];
   for (const double angle : state.angles_rad) figures.angles_deg.push_back(angle * degrees);
   figures.exposures = state.exposures;
   return figures;
@@ -157,7 +212,7 @@ HeightFigures describe_height(const HeightMap& height) {
 
 }  // namespace
 
-double ground_sampling_distance(const Image<float>& depth, const Pinhole& camera) {
+double ground_sampling_distance(const Image<float>& depth, const Pinhole& camera, const Context& context) {
   std::vector<double> depths;
   const int centre_u = depth.width() / 2, centre_v = depth.height() / 2;
   for (int v = centre_v - 2; v <= centre_v + 2; ++v) {
@@ -165,9 +220,10 @@ double ground_sampling_distance(const Image<float>& depth, const Pinhole& camera
       if (depth.contains(u, v) && std::isfinite(depth(u, v))) depths.push_back(depth(u, v));
     }
   }
-  if (depths.empty()) depths = finite_values(depth, 1);
-  if (depths.empty()) throw data_error("the surface has no depth at all, so there is nothing to assess");
-  return percentile(std::move(depths), 0.5) / camera.focal();
+  if (!depths.empty()) return percentile(std::move(depths), 0.5) / camera.focal();
+  const RankedValues all = rank_values(depth, context);
+  if (all.size() == 0) throw data_error("the surface has no depth at all, so there is nothing to assess");
+  return percentiles(all, 1, {0.5})[0] / camera.focal();
 }
 
 Quality assess(const AssessInput& input, const AssessOptions& options, const Context& context) {
@@ -181,13 +237,13 @@ Quality assess(const AssessInput& input, const AssessOptions& options, const Con
   quality.unit = input.unit;
   quality.width = surface.depth.width();
   quality.height = surface.depth.height();
-  quality.gsd = ground_sampling_distance(surface.depth, surface.camera);
+  quality.gsd = ground_sampling_distance(surface.depth, surface.camera, context);
   quality.registration_rms_px = input.registration_rms_px;
 
   context.progress("assess", 0, "coverage and detail");
-  quality.coverage = measure_coverage(input);
-  quality.sigma = measure_sigma(surface, quality.gsd, options.sigma_limit_gsd);
-  if (input.polarization != nullptr) quality.polarization = measure_polarization(input);
+  quality.coverage = measure_coverage(input, context);
+  quality.sigma = measure_sigma(surface, quality.gsd, options.sigma_limit_gsd, context);
+  if (input.polarization != nullptr) quality.polarization = measure_polarization(input, context);
   if (input.height != nullptr) quality.polarization_height = describe_height(*input.height);
   if (input.prior != nullptr) {
     quality.prior = provenance_of(*input.prior, quality.gsd);
@@ -196,7 +252,8 @@ Quality assess(const AssessInput& input, const AssessOptions& options, const Con
 
   context.progress("assess", 0.4, "patches and profiles");
   const bool in_sections = !(input.patches.empty() && input.profiles.empty());
-  const Image<float> prior = input.prior != nullptr && in_sections ? input.prior->depth : Image<float>();
+  const Image<float> none;
+  const Image<float>& prior = input.prior != nullptr ? input.prior->depth : none;
   const Image<float> polarization =
       input.height != nullptr && in_sections
           ? depth_from_height(*input.height, input.prior != nullptr ? prior : surface.depth, surface.camera, context)

@@ -192,7 +192,7 @@ struct AssessInput {
 
 /// Depth / focal length at the image centre (median of the 5 × 5 pixels about it), or of the map's median depth where
 /// the centre is empty. Throws a data error if there is no depth at all.
-double ground_sampling_distance(const Image<float>& depth, const Pinhole& camera);
+double ground_sampling_distance(const Image<float>& depth, const Pinhole& camera, const Context& context = {});
 
 /// Measures everything that the input allows. Throws an input error for a patch or profile outside of the image or
 /// rasters of another size, a data error for a surface without depth or a reference that cannot be used.

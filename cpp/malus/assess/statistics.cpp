@@ -42,6 +42,26 @@ double percentile(std::vector<double> values, double fraction) {
   return percentile_in_place(values, fraction);
 }
 
+std::vector<double> percentiles(const RankedValues& values, double divisor, std::initializer_list<double> fractions) {
+  if (values.size() == 0) return std::vector<double>(fractions.size(), nan);
+  std::vector<std::size_t> ranks;  // the last one not above, and the next
+  std::vector<double> parts;
+  for (const double fraction : fractions) {
+    const double rank = fraction * static_cast<double>(values.size() - 1);
+    ranks.push_back(static_cast<std::size_t>(rank));
+    ranks.push_back(std::min(ranks.back() + 1, values.size() - 1));
+    parts.push_back(rank - std::floor(rank));
+  }
+  const std::vector<float> ranked = values.at(ranks);
+  std::vector<double> result;
+  for (std::size_t k = 0; k < parts.size(); ++k) {
+    // A quotient rounds as its dividend is ordered: the percentile of the quotients is that of the values.
+    const double lower = ranked[2 * k] / divisor, upper = ranked[2 * k + 1] / divisor;
+    result.push_back(lower + parts[k] * (upper - lower));
+  }
+  return result;
+}
+
 double robust_sigma(std::vector<double> values) {
   for (double& value : values) value = std::abs(value);
   return 1.4826 * percentile_in_place(values, 0.5);

@@ -493,7 +493,7 @@ std::vector<ImageRegistration> register_images(const std::vector<Image<float>>& 
   }
 
   const OneOpenCvThread one_opencv_thread;
-  const Pyramid pyramid = coarser_levels(images, context);
+  Pyramid pyramid = coarser_levels(images, context);
   std::vector<Affine> maps(images.size(), identity_affine());
   Level::Assessment assessment;
   double last_step_px = 0;
@@ -502,6 +502,8 @@ std::vector<ImageRegistration> register_images(const std::vector<Image<float>>& 
     context.progress("capture", 1 - static_cast<double>(coarser + 1) / static_cast<double>(pyramid.size() + 1),
                      "registration");
     const bool has_quarters = coarser + 2 <= pyramid.size();
+    // The finest level takes the most memory, and only quarters beside the images.
+    if (finest && !coarsest) pyramid.front().clear();
     const Level level(finest ? images : pyramid[coarser - 1],
                       has_quarters ? pyramid[coarser + 1] : std::vector<Image<float>>{}, noise, options, context);
     for (std::size_t k = 1; coarsest && k < images.size(); ++k) maps[k] = level.phase_correlation(k);

@@ -3,41 +3,66 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <vector>
 
 #include "malus/core/parallel.h"
 
 namespace malus {
 namespace {
 
-/// Derivative of ln z along one axis from the pixel before and after; NaN if neither is finite.
-double log_slope(float before, float here, float after) {
-  const bool has_before = std::isfinite(before), has_after = std::isfinite(after);
-  if (has_before && has_after)
-    return 0.5 * (std::log(static_cast<double>(after)) - std::log(static_cast<double>(before)));
-  if (has_after) return std::log(static_cast<double>(after)) - std::log(static_cast<double>(here));
-  if (has_before) return std::log(static_cast<double>(here)) - std::log(static_cast<double>(before));
-  return std::numeric_limits<double>::quiet_NaN();
+constexpr float none = std::numeric_limits<float>::quiet_NaN();
+
+/// Derivative of ln z along one axis from the pixels before and after, which are NaN where there is none; NaN if
+/// neither is finite.
+double log_slope(double before, double here, double after) {
+  const bool has_before = !std::isnan(before), has_after = !std::isnan(after);
+  if (has_before && has_after) return 0.5 * (after - before);
+  if (has_after) return after - here;
+  return here - before;
 }
+
+/// ln z of some rows; NaN where there is no depth and beyond the raster.
+class LogRows {
+ public:
+  LogRows(const Image<float>& depth, int first, int last)
+      : first_(first), width_(depth.width() + 2), logs_(static_cast<std::size_t>((last - first) * width_), none) {
+    for (int v = std::max(first, 0); v < std::min(last, depth.height()); ++v) {
+      for (int u = 0; u < depth.width(); ++u) {
+        const float z = depth(u, v);
+        if (std::isfinite(z)) logs_[index(u, v)] = std::log(static_cast<double>(z));
+      }
+    }
+  }
+  double operator()(int u, int v) const { return logs_[index(u, v)]; }
+
+ private:
+  std::size_t index(int u, int v) const {
+    return static_cast<std::size_t>(v - first_) * static_cast<std::size_t>(width_) + static_cast<std::size_t>(u + 1);
+  }
+
+  int first_, width_;
+  std::vector<double> logs_;
+};
 
 }  // namespace
 
 Image<float> normals_from_depth(const Image<float>& depth, const Pinhole& camera, const Context& context) {
-  constexpr float none = std::numeric_limits<float>::quiet_NaN();
   auto normals = Image<float>::uninitialized(depth.size(), 3);
-  parallel_rows(context, depth.height(), [&](int v) {
-    std::fill_n(normals.row(v), 3 * depth.width(), none);
-    for (int u = 0; u < depth.width(); ++u) {
-      const float here = depth(u, v);
-      if (!std::isfinite(here)) continue;
-      const double slope_u =
-          log_slope(u > 0 ? depth(u - 1, v) : none, here, u + 1 < depth.width() ? depth(u + 1, v) : none);
-      const double slope_v =
-          log_slope(v > 0 ? depth(u, v - 1) : none, here, v + 1 < depth.height() ? depth(u, v + 1) : none);
-      const Eigen::Vector3d normal(camera.fx * slope_u, camera.fy * slope_v,
-                                   -1 - (u - camera.cx) * slope_u - (v - camera.cy) * slope_v);
-      const double length = normal.norm();
-      if (!std::isfinite(length)) continue;
-      for (int c = 0; c < 3; ++c) normals(u, v, c) = static_cast<float>(normal[c] / length);
+  // Rows enough that each logarithm is taken little more than once.
+  parallel_for(context, static_cast<std::size_t>(depth.height()), 16, [&](std::size_t begin, std::size_t end) {
+    const int first = static_cast<int>(begin), last = static_cast<int>(end);
+    const LogRows logs(depth, first - 1, last + 1);
+    for (int v = first; v < last; ++v) {
+      for (int u = 0; u < depth.width(); ++u) {
+        const double here = logs(u, v);
+        const double slope_u = log_slope(logs(u - 1, v), here, logs(u + 1, v));
+        const double slope_v = log_slope(logs(u, v - 1), here, logs(u, v + 1));
+        const Eigen::Vector3d normal(camera.fx * slope_u, camera.fy * slope_v,
+                                     -1 - (u - camera.cx) * slope_u - (v - camera.cy) * slope_v);
+        const double length = normal.norm();
+        const bool known = std::isfinite(length) && !std::isnan(here);
+        for (int c = 0; c < 3; ++c) normals(u, v, c) = known ? static_cast<float>(normal[c] / length) : none;
+      }
     }
   });
   return normals;

@@ -1,8 +1,11 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <Eigen/Geometry>
 #include <array>
+#include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <vector>
 
 namespace malus {
@@ -20,6 +23,24 @@ struct PointCloud {
 struct TriangleMesh {
   PointCloud vertices;
   std::vector<std::array<std::uint32_t, 3>> triangles;
+};
+
+/// Consecutive vertices and triangles of a mesh, from these on. Its triangles count vertices from the strip's first;
+/// behind its own vertices stand those of the next strip that they need, without normals and colours.
+struct MeshStrip {
+  std::size_t first_vertex = 0, first_triangle = 0;
+  std::size_t vertices = 0;  ///< its own
+  TriangleMesh mesh;
+};
+
+/// A mesh that is not held in memory: its strips are made when they are asked for, by any number of threads.
+struct MeshInStrips {
+  enum class Parts { geometry, all };  ///< points and triangles; with normals and colours
+
+  std::size_t vertices = 0, triangles = 0, strips = 0;
+  bool has_colors = false;  ///< there are normals always
+  Eigen::AlignedBox3d box;  ///< of the vertices
+  std::function<MeshStrip(std::size_t index, Parts)> strip;
 };
 
 }  // namespace malus

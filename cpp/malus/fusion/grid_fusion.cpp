@@ -1,6 +1,7 @@
 #include "malus/fusion/grid_fusion.h"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <limits>
 #include <vector>
@@ -28,18 +29,15 @@ class NodeGrid {
   /// Nodes that at() reads for any finite pixel of a raster of the image's size.
   Mask nodes_under(const Image<float>& image, const Context& context) const {
     Mask nodes(values_.size());
-    std::vector<Interval> columns;
-    for (int u = 0; u < image.width(); ++u) columns.push_back(interval(u, values_.width()));
-    parallel_rows(context, nodes.height(), [&](int j) {
-      const int first = j == 0 ? 0 : pixel(j - 1), last = j + 1 == nodes.height() ? image.height() - 1 : pixel(j + 1);
-      for (int v = first; v <= last; ++v) {
-        const Interval row = interval(v, values_.height());
-        if (row.low != j && row.high != j) continue;
-        for (int u = 0; u < image.width(); ++u) {
-          if (!std::isfinite(image(u, v))) continue;
-          const Interval& column = columns[static_cast<std::size_t>(u)];
-          nodes(column.low, j) = nodes(column.high, j) = 1;
-        }
+    const auto mark = [&nodes](int i, int j) {  // rows of pixels share nodes
+      std::atomic_ref(nodes(i, j)).store(1, std::memory_order_relaxed);
+    };
+    parallel_rows(context, image.height(), [&](int v) {
+      const auto [j0, j1, t] = interval(v, values_.height());
+      for (int u = 0; u < image.width(); ++u) {
+        if (!std::isfinite(image(u, v))) continue;
+        const auto [i0, i1, s] = interval(u, values_.width());
+        mark(i0, j0), mark(i1, j0), mark(i0, j1), mark(i1, j1);
       }
     });
     return nodes;
@@ -136,38 +134,39 @@ struct UnitRange {
   }
 };
 
-/// The transfer on heights: returns the fused height, and the square of the detail difference at the nodes, smoothed.
-Image<float> transfer(const Image<float>& polarization, const Image<float>& prior, const GridFusionOptions& options,
-                      NodeGrid& disagreement, const Context& context) {
-  NodeGrid difference(prior.size(), options.grid_px);
-  Image<float>& nodes = difference.values();
-  bool any = false;
-  for (int j = 0; j < nodes.height(); ++j) {
-    for (int i = 0; i < nodes.width(); ++i) {
-      const int u = difference.pixel(i), v = difference.pixel(j);
-      nodes(i, j) = prior(u, v) - polarization(u, v);
-      any = any || std::isfinite(nodes(i, j));
-    }
-  }
-  if (!any) throw data_error("prior and polarization height share no node of the grid, expected surfaces that overlap");
-  disagreement.values() = nodes;
-  const Mask needed = difference.nodes_under(prior, context);
-  smooth_nodes(nodes, needed, options.sigma_nodes, context);
-  for (std::size_t k = 0; k < nodes.count(); ++k) {
-    const float detail = disagreement.values()[k] - nodes[k];
-    disagreement.values()[k] = detail * detail;
-  }
-  smooth_nodes(disagreement.values(), needed, options.sigma_nodes, context);
+/// The transfer on heights: the smoothed difference, and the square of what the smoothing took out of it, smoothed.
+struct Transfer {
+  NodeGrid difference, disagreement;
 
-  auto fused = Image<float>::uninitialized(prior.size());
-  parallel_rows(context, prior.height(), [&](int v) {
-    for (int u = 0; u < prior.width(); ++u) {
-      const bool both = std::isfinite(prior(u, v)) && std::isfinite(polarization(u, v));
-      fused(u, v) = both ? static_cast<float>(polarization(u, v) + difference.at(u, v)) : prior(u, v);
+  Transfer(const Image<float>& polarization, const Image<float>& prior, const GridFusionOptions& options,
+           const Context& context)
+      : difference(prior.size(), options.grid_px), disagreement(prior.size(), options.grid_px) {
+    Image<float>& nodes = difference.values();
+    bool any = false;
+    for (int j = 0; j < nodes.height(); ++j) {
+      for (int i = 0; i < nodes.width(); ++i) {
+        const int u = difference.pixel(i), v = difference.pixel(j);
+        nodes(i, j) = prior(u, v) - polarization(u, v);
+        any = any || std::isfinite(nodes(i, j));
+      }
     }
-  });
-  return fused;
-}
+    if (!any)
+      throw data_error("prior and polarization height share no node of the grid, expected surfaces that overlap");
+    disagreement.values() = nodes;
+    const Mask needed = difference.nodes_under(prior, context);
+    smooth_nodes(nodes, needed, options.sigma_nodes, context);
+    for (std::size_t k = 0; k < nodes.count(); ++k) {
+      const float detail = disagreement.values()[k] - nodes[k];
+      disagreement.values()[k] = detail * detail;
+    }
+    smooth_nodes(disagreement.values(), needed, options.sigma_nodes, context);
+  }
+
+  /// The fused height at a pixel with these two.
+  float fused(int u, int v, float polarization, float prior) const {
+    return std::isfinite(polarization) ? static_cast<float>(polarization + difference.at(u, v)) : prior;
+  }
+};
 
 /// Mean of the finite values.
 double mean_of(const Image<float>& values) {
@@ -189,19 +188,17 @@ FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const G
   context.progress("fuse", 0.1, "grid transfer");
   const double focal = prior.camera.focal();
   Image<float> coarse = height_from_depth(prior.depth, prior.camera, height.perspective, context);
-  NodeGrid disagreement(prior.depth.size(), options.grid_px);
-  Image<float> fused;
+  Image<float> unit_height;
   double scale = 1;
   if (options.unit_scaling) {
     const UnitRange prior_range(coarse);
-    Image<float> polarization = height.height;
-    UnitRange(polarization).to_unit(polarization);
-    prior_range.to_unit(coarse);
-    fused = transfer(polarization, coarse, options, disagreement, context);
     scale = prior_range.span;
-  } else {
-    fused = transfer(height.height, coarse, options, disagreement, context);
+    prior_range.to_unit(coarse);
+    unit_height = height.height;
+    UnitRange(unit_height).to_unit(unit_height);
   }
+  const Image<float>& polarization = options.unit_scaling ? unit_height : height.height;
+  const Transfer transfer(polarization, coarse, options, context);
 
   FusedSurface surface;
   surface.camera = prior.camera;
@@ -209,25 +206,27 @@ FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const G
   surface.method = "grid";
   surface.status = "done";
   if (height.status != "converged") surface.warnings.push_back("polarization height: " + height.status);
-  surface.depth = Image<float>::uninitialized(fused.size());
-  surface.sigma = Image<float>::uninitialized(fused.size());
+  surface.depth = Image<float>::uninitialized(coarse.size());
+  surface.sigma = Image<float>::uninitialized(coarse.size());
   const double mean_depth = height.perspective ? 0 : mean_of(prior.depth);
-  parallel_rows(context, fused.height(), [&](int v) {
-    for (int u = 0; u < fused.width(); ++u) {
-      if (!std::isfinite(fused(u, v))) {
-        surface.depth(u, v) = surface.sigma(u, v) = none;
-        continue;
-      }
+  parallel_rows(context, coarse.height(), [&](int v) {
+    for (int u = 0; u < coarse.width(); ++u) {
+      const float before = coarse(u, v);
+      surface.depth(u, v) = surface.sigma(u, v) = none;
+      if (!std::isfinite(before)) continue;
+      const float after = transfer.fused(u, v, polarization(u, v), before);
+      if (!std::isfinite(after)) continue;
       // What the fusion adds to the prior, in GSD, applied to the prior's own depth.
-      const double change = (fused(u, v) - coarse(u, v)) * scale;
+      const double change = (after - before) * scale;
       const double z = prior.depth(u, v);
       const double moved = height.perspective ? z * std::exp(-change / focal) : z - change * mean_depth / focal;
       const double gsd = z / focal;
       surface.depth(u, v) = static_cast<float>(moved);
-      surface.sigma(u, v) = static_cast<float>(
-          std::sqrt(prior.sigma(u, v) * prior.sigma(u, v) + gsd * gsd * scale * scale * disagreement.at(u, v)));
+      surface.sigma(u, v) = static_cast<float>(std::sqrt(prior.sigma(u, v) * prior.sigma(u, v) +
+                                                         gsd * gsd * scale * scale * transfer.disagreement.at(u, v)));
     }
   });
+  coarse = {};
   surface.normals = normals_from_depth(surface.depth, surface.camera, context);
   context.progress("fuse", 1.0);
   return surface;

@@ -28,7 +28,7 @@ void validate(const HeightInput& input, const HeightOptions& options) {
   validate_fields(options, "height");
   const Size size = input.polarization.size();
   require_size(input.reflection.label, size, "reflection labels");
-  if (!input.light && input.prior_normals == nullptr) {
+  if (!input.light && !input.estimated_light && input.prior_normals == nullptr) {
     throw input_error("height: neither a light nor prior normals to estimate it with");
   }
   if (input.prior_normals != nullptr) require_size(*input.prior_normals, size, "prior normals");
@@ -279,7 +279,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
   map.perspective = camera != nullptr;
   map.height = Image<float>(state.size(), 1, none);
 
-  const Mask valid = pixels_in(state, PixelState::valid);
+  Mask valid = pixels_in(state, PixelState::valid);
   if (std::none_of(valid.begin(), valid.end(), [](std::uint8_t value) { return value != 0; })) {
     map.status = "no valid pixels";
     return map;
@@ -290,7 +290,9 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
     map.light = *input.light;
     tangential = tangential_light(map.light.head<3>(), camera, state.size());
   } else {
-    const LightEstimate light = estimate_light(state.i_un, *input.prior_normals, valid, camera, light_options, context);
+    const LightEstimate light =
+        input.estimated_light ? *input.estimated_light
+                              : estimate_light(state.i_un, *input.prior_normals, valid, camera, light_options, context);
     if (light.status == LightStatus::too_few_pixels || light.status == LightStatus::normals_alike) {
       map.status = "light not found: " + std::string(enum_name(light.status));
       return map;
@@ -304,6 +306,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
     return map;
   }
 
+  valid = {};
   const HeightLight model{map.light, shading_sigma};
 
   // Every pixel of the object gets a height; those without usable polarization are bridged by the smoothness.

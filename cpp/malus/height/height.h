@@ -79,8 +79,10 @@ struct HeightInput {
   const Pinhole* camera = nullptr;  ///< null = orthographic
   /// i_un = light[0..2] · n + light[3], camera frame (x right, y down, z forward); nothing = estimated with the prior.
   std::optional<Eigen::Vector4d> light;
-  const Image<float>* prior_normals = nullptr;  ///< 3 channels, camera frame; needed if `light` is not given
+  const Image<float>* prior_normals = nullptr;  ///< 3 channels, camera frame; needed if there is no light yet
   const Image<float>* prior_height = nullptr;   ///< as HeightMap::height; a possible start, and HeightBoundary::prior
+  /// The light as estimate_light finds it with the prior's normals, for who does not keep these.
+  std::optional<LightEstimate> estimated_light = std::nullopt;
 };
 
 /// Height from polarization and shading alone (Eq 9 to 11).

@@ -24,6 +24,8 @@ class AtomicFile {
 
   void write(const void* data, std::size_t size);
   void write(std::string_view bytes) { write(bytes.data(), bytes.size()); }
+  /// Writes at a place of the file, where nothing needs to be yet; from several threads at once.
+  void write_at(std::size_t offset, const void* data, std::size_t size);
   void commit();
 
   /// Open for reading and writing until `commit`, for libraries that seek in their output.

@@ -12,6 +12,7 @@
 #include <sstream>
 #include <utility>
 
+#include "malus/core/parallel.h"
 #include "malus/io/atomic_file.h"
 #include "malus/io/input_file.h"
 #include "malus/io/ply_header_internal.h"
@@ -470,43 +471,43 @@ void require_text(const std::filesystem::path& path, const InputFile& file) {
 
 static_assert(std::endian::native == std::endian::little, "PLY is written in the machine's byte order");
 
-template <class Coordinate>
-void write_vertices(AtomicFile& file, const PointCloud& cloud) {
-  const bool normals = !cloud.normals.empty(), colors = !cloud.colors.empty();
-  const std::size_t size =
-      3 * sizeof(Coordinate) + (normals ? sizeof(Eigen::Vector3f) : 0) + (colors ? sizeof(Rgb) : 0);
-  write_records(file, cloud.points.size(), size, [&](std::size_t i, RecordEncoder& encoder) {
-    for (const double x : cloud.points[i]) encoder.put(static_cast<Coordinate>(x));
+/// How the vertices of a file are written, and its faces.
+struct PlyLayout {
+  bool doubles = false, normals = false, colors = false;
+
+  std::size_t vertex_size() const {
+    return 3 * (doubles ? sizeof(double) : sizeof(float)) + (normals ? sizeof(Eigen::Vector3f) : 0) +
+           (colors ? sizeof(Rgb) : 0);
+  }
+  void put_vertex(const PointCloud& cloud, std::size_t i, RecordEncoder& encoder) const {
+    for (const double x : cloud.points[i]) doubles ? encoder.put(x) : encoder.put(static_cast<float>(x));
     if (normals) encoder.put(cloud.normals[i]);
     if (colors) encoder.put(cloud.colors[i]);
-  });
-}
+  }
+  static constexpr std::size_t face_size = 1 + sizeof(Triangles::value_type);
+  static void put_face(const Triangles::value_type& triangle, RecordEncoder& encoder) {
+    encoder.put(std::uint8_t{3});
+    encoder.put(triangle);
+  }
+  /// Without faces for a cloud.
+  std::string header(std::size_t vertices, std::optional<std::size_t> faces) const {
+    const std::string coordinate = doubles ? "property double " : "property float ";
+    std::string header = "ply\nformat binary_little_endian 1.0\nelement vertex " + std::to_string(vertices) + "\n";
+    for (const char* name : {"x", "y", "z"}) header += coordinate + name + "\n";
+    if (normals) header += "property float nx\nproperty float ny\nproperty float nz\n";
+    if (colors) header += "property uchar red\nproperty uchar green\nproperty uchar blue\n";
+    if (faces) header += "element face " + std::to_string(*faces) + "\nproperty list uchar int vertex_indices\n";
+    return header + "end_header\n";
+  }
+};
 
 /// Whether rounding to float could move a vertex by more than a thousandth of the mean spacing.
-bool needs_double(const std::vector<Eigen::Vector3d>& points) {
-  if (points.empty()) return false;
-  Eigen::Vector3d low = points.front(), high = points.front();
-  for (const Eigen::Vector3d& point : points) {
-    low = low.cwiseMin(point);
-    high = high.cwiseMax(point);
-  }
+bool needs_double(const Eigen::AlignedBox3d& box, std::size_t count) {
+  if (count == 0) return false;
   constexpr double float_rounding = 1.0 / (1 << 24);
-  const double largest = std::max(low.cwiseAbs().maxCoeff(), high.cwiseAbs().maxCoeff());
-  const double spacing = (high - low).norm() / std::sqrt(static_cast<double>(points.size()));
+  const double largest = std::max(box.min().cwiseAbs().maxCoeff(), box.max().cwiseAbs().maxCoeff());
+  const double spacing = box.diagonal().norm() / std::sqrt(static_cast<double>(count));
   return largest * float_rounding > 1e-3 * spacing;
-}
-
-std::string header_of(const PointCloud& cloud, bool doubles, const Triangles* triangles) {
-  const std::string coordinate = doubles ? "property double " : "property float ";
-  std::string header =
-      "ply\nformat binary_little_endian 1.0\nelement vertex " + std::to_string(cloud.points.size()) + "\n";
-  for (const char* name : {"x", "y", "z"}) header += coordinate + name + "\n";
-  if (!cloud.normals.empty()) header += "property float nx\nproperty float ny\nproperty float nz\n";
-  if (!cloud.colors.empty()) header += "property uchar red\nproperty uchar green\nproperty uchar blue\n";
-  if (triangles) {
-    header += "element face " + std::to_string(triangles->size()) + "\nproperty list uchar int vertex_indices\n";
-  }
-  return header + "end_header\n";
 }
 
 void write(const std::filesystem::path& path, const PointCloud& cloud, const Triangles* triangles) {
@@ -517,16 +518,16 @@ void write(const std::filesystem::path& path, const PointCloud& cloud, const Tri
                       std::to_string(cloud.normals.size()) + " normals and " + std::to_string(cloud.colors.size()) +
                       " colours, expected none or as many");
   }
-  const bool doubles = needs_double(cloud.points);
+  Eigen::AlignedBox3d box;
+  for (const Eigen::Vector3d& point : cloud.points) box.extend(point);
+  const PlyLayout layout{needs_double(box, count), !cloud.normals.empty(), !cloud.colors.empty()};
   AtomicFile file(path);
-  file.write(header_of(cloud, doubles, triangles));
-  doubles ? write_vertices<double>(file, cloud) : write_vertices<float>(file, cloud);
+  file.write(layout.header(count, triangles ? std::optional(triangles->size()) : std::nullopt));
+  write_records(file, count, layout.vertex_size(),
+                [&](std::size_t i, RecordEncoder& encoder) { layout.put_vertex(cloud, i, encoder); });
   if (triangles) {
-    write_records(file, triangles->size(), 1 + sizeof(Triangles::value_type),
-                  [&](std::size_t i, RecordEncoder& encoder) {
-                    encoder.put(std::uint8_t{3});
-                    encoder.put((*triangles)[i]);
-                  });
+    write_records(file, triangles->size(), PlyLayout::face_size,
+                  [&](std::size_t i, RecordEncoder& encoder) { PlyLayout::put_face((*triangles)[i], encoder); });
   }
   file.commit();
 }
@@ -573,6 +574,28 @@ void write_ply(const std::filesystem::path& path, const PointCloud& cloud) {
 
 void write_ply(const std::filesystem::path& path, const TriangleMesh& mesh) {
   write(path, mesh.vertices, &mesh.triangles);
+}
+
+void write_ply(const std::filesystem::path& path, const MeshInStrips& mesh, const Context& context) {
+  const PlyLayout layout{needs_double(mesh.box, mesh.vertices), true, mesh.has_colors};
+  AtomicFile file(path);
+  const std::string header = layout.header(mesh.vertices, mesh.triangles);
+  file.write(header);
+  const std::size_t first_face = header.size() + mesh.vertices * layout.vertex_size();
+  parallel_for(context, mesh.strips, 1, [&](std::size_t k, std::size_t) {
+    MeshStrip strip = mesh.strip(k, MeshInStrips::Parts::all);
+    std::vector<char> vertices(strip.vertices * layout.vertex_size());
+    RecordEncoder to_vertices(vertices.data());
+    for (std::size_t i = 0; i < strip.vertices; ++i) layout.put_vertex(strip.mesh.vertices, i, to_vertices);
+    file.write_at(header.size() + strip.first_vertex * layout.vertex_size(), vertices.data(), vertices.size());
+
+    std::vector<char> faces(strip.mesh.triangles.size() * PlyLayout::face_size);
+    RecordEncoder to_faces(faces.data());
+    const auto first = static_cast<std::uint32_t>(strip.first_vertex);
+    for (const auto& [a, b, c] : strip.mesh.triangles) PlyLayout::put_face({a + first, b + first, c + first}, to_faces);
+    file.write_at(first_face + strip.first_triangle * PlyLayout::face_size, faces.data(), faces.size());
+  });
+  file.commit();
 }
 
 }  // namespace malus

@@ -40,5 +40,7 @@ TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context
 void write_ply(const std::filesystem::path& path, const PointCloud& cloud);
 /// The same with faces (list uchar int vertex_indices).
 void write_ply(const std::filesystem::path& path, const TriangleMesh& mesh);
+/// The same file from strips, on all threads.
+void write_ply(const std::filesystem::path& path, const MeshInStrips& mesh, const Context& context);
 
 }  // namespace malus

@@ -96,10 +96,10 @@ std::vector<Sample> take_samples(const PolarizationState& state, const Pinhole* 
   const int side =
       std::max(smallest_cell_px, static_cast<int>(std::sqrt(static_cast<double>(size.area()) / max_samples)));
   std::vector<std::vector<Sample>> rows(static_cast<std::size_t>((size.height + side - 1) / side));
-  parallel_for(context, rows.size(), 1, [&](std::size_t row, std::size_t) {
-    const int v = static_cast<int>(row) * side;
+  parallel_rows(context, static_cast<int>(rows.size()), [&](int row) {
     for (int u = 0; u < size.width; u += side) {
-      if (const auto sample = sample_of(state, camera, normals, hints, u, v, side)) rows[row].push_back(*sample);
+      if (const auto sample = sample_of(state, camera, normals, hints, u, row * side, side))
+        rows[static_cast<std::size_t>(row)].push_back(*sample);
     }
   });
   std::vector<Sample> samples;

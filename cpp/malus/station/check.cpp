@@ -23,13 +23,13 @@ struct StepCost {
   double megabytes_per_mpx;
   double megabytes_per_thread;
 };
-constexpr StepCost polarization_cost{0.25, 0.65, 78, 0};
+constexpr StepCost polarization_cost{0.3, 0.65, 64, 0};
 constexpr StepCost cloud_cost{9.5, 0.5, 85, 250};
-constexpr StepCost raster_cost{0.03, 0.5, 78, 0};
-constexpr StepCost height_cost{1.8, 0.93, 72, 130};
-constexpr StepCost grid_cost{0.1, 0.5, 84, 0};
+constexpr StepCost raster_cost{0.04, 0.5, 35, 0};
+constexpr StepCost height_cost{1.8, 0.93, 52, 170};
+constexpr StepCost grid_cost{0.12, 0.8, 56, 0};
 constexpr StepCost refine_cost{44, 0.96, 130, 600};
-constexpr StepCost output_cost{1.0, 0.55, 140, 130};
+constexpr StepCost output_cost{0.8, 0.72, 57, 20};
 /// Of the process before anything is read.
 constexpr double megabytes_fixed = 30;
 

@@ -157,6 +157,14 @@ PolarizationStep capture_and_decompose(const Station& station, const Options& op
   return step;
 }
 
+/// The light as the valid pixels of a surface with these normals have it.
+LightEstimate light_on(const PolarizationStep& images, const Image<float>& normals, const Pinhole* camera,
+                       const Options& options, const Context& context) {
+  Mask valid = images.state.valid;
+  for (std::uint8_t& pixel : valid) pixel = pixel == static_cast<std::uint8_t>(PixelState::valid) ? 255 : 0;
+  return estimate_light(images.state.i_un, normals, valid, camera, options.light, context);
+}
+
 /// What is known of the reflection, the light and the scale, to compare the polarization with the prior.
 FrameHints frame_hints(const Station& station, const PolarizationStep& images, const Image<float>& normals,
                        const Options& options, const Context& context) {
@@ -166,24 +174,13 @@ FrameHints frame_hints(const Station& station, const PolarizationStep& images, c
   if (optics.reflection == "diffuse" || optics.reflection == "specular")
     hints.specular = optics.reflection == "specular";
   if (optics.refractive_index) hints.refractive_index = *optics.refractive_index;
-  Mask valid = images.state.valid;
-  for (std::uint8_t& pixel : valid) pixel = pixel == static_cast<std::uint8_t>(PixelState::valid) ? 255 : 0;
-  const LightEstimate light = estimate_light(images.state.i_un, normals, valid, &images.camera, options.light, context);
+  const LightEstimate light = light_on(images, normals, &images.camera, options, context);
   if (light.status == LightStatus::estimated) hints.light = light.coefficients.head<3>();
   return hints;
 }
 
-/// A copy whose memory the threads get together.
-Image<float> copy_of(const Image<float>& image, const Context& context) {
-  constexpr std::size_t huge_page = (std::size_t{2} << 20) / sizeof(float);
-  auto copy = Image<float>::uninitialized(image.size(), image.channels());
-  parallel_for(context, image.count(), huge_page, [&](std::size_t begin, std::size_t end) {
-    std::copy(image.data() + begin, image.data() + end, copy.data() + begin);
-  });
-  return copy;
-}
-
-PolarizerStep make_polarizer(const Station& station, const PolarizationStep& images, const DepthPrior& prior,
+/// Takes the maps of intensity, degree and phase out of `images`.
+PolarizerStep make_polarizer(const Station& station, PolarizationStep& images, const DepthPrior& prior,
                              const Options& options, const Context& context) {
   PolarizerOptions known = options.polarizer;
   // The angles of a polarization camera are made with its sensor.
@@ -193,11 +190,7 @@ PolarizerStep make_polarizer(const Station& station, const PolarizationStep& ima
   const FrameEstimate surface = estimate_frame(images.state, &images.camera, normals, hints, known, context);
   CalibratedFrame calibrated =
       calibrate_frame(images.polarizer, images.polarizer_fitted, hints.known_scale, surface, known);
-  PolarizationState state;
-  state.angles_rad = images.state.angles_rad;
-  state.i_un = copy_of(images.state.i_un, context);
-  state.rho = copy_of(images.state.rho, context);
-  state.phi = copy_of(images.state.phi, context);
+  PolarizationState& state = images.state;
   if (calibrated.calibration.from_surface) apply_frame(state, calibrated.frame, context);
   for (const std::string& warning : calibrated.calibration.warnings) context.log(LogLevel::warning, warning);
   return {std::move(state.i_un), std::move(state.rho), std::move(state.phi), std::move(state.angles_rad),
@@ -245,14 +238,18 @@ ReflectionMap make_reflection(const Station& station, const PolarizationStep& im
 
 HeightMap make_height(const PolarizationStep& images, const DepthPrior& prior, const ReflectionMap& reflection,
                       const Options& options, const Context& context) {
-  const Image<float> normals = normals_from_depth(prior.depth, images.camera, context);
+  const Pinhole* camera = options.height.perspective ? &images.camera : nullptr;
+  // The normals are the largest of the maps, and only the light is asked of them.
+  const LightEstimate light =
+      light_on(images, normals_from_depth(prior.depth, images.camera, context), camera, options, context);
   const Image<float> height = height_from_depth(prior.depth, images.camera, options.height.perspective, context);
   return solve_height({.polarization = images.state,
                        .reflection = reflection,
-                       .camera = options.height.perspective ? &images.camera : nullptr,
+                       .camera = camera,
                        .light = std::nullopt,
-                       .prior_normals = &normals,
-                       .prior_height = &height},
+                       .prior_normals = nullptr,
+                       .prior_height = &height,
+                       .estimated_light = light},
                       options.height, options.light, context);
 }
 
@@ -276,6 +273,10 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
   StationInputs inputs(station, context);
   StepRunner steps(options, run, context);
   Reconstruction result;
+  // What no later step needs.
+  const auto release = [&run](auto&... unused) {
+    if (!run.keep_maps) ((unused = {}), ...);
+  };
 
   // What the images say.
   PolarizationStep images =
@@ -327,6 +328,7 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
         "height", {.after = {"polarizer", "prior", "zenith"}, .option_sections = {"light", "height"}},
         [&](const Context& c) { return make_height(images, *result.prior, *result.reflection, options, c); });
   }
+  release(result.reflection);
 
   // One surface of both: the paper's grid transfer (Eq 14 to 16), or the nonlinear refinement.
   std::string fused_by;
@@ -345,6 +347,7 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
     result.surface = std::move(refined.surface);
     refinement = std::move(refined.report);
   }
+  release(images.state.phi, images.scene);
 
   if (steps.wants("mesh")) {
     steps.write("mesh",
@@ -357,6 +360,8 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
                                       files);
                 });
   }
+  release(images.state.i_un, images.color);
+  if (result.surface) release(result.surface->normals);
 
   if (steps.wants("assess")) {
     StepInputs assess_inputs{.after = {"polarizer", "prior", "height", fused_by},
@@ -391,6 +396,7 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
     result.quality = std::move(figures.quality);
     result.quality_json = figures.file.dump(2);
   }
+  release(images.state, result.prior, result.height, result.surface);
   result.polarization = std::move(images.state);
   result.scene = std::move(images.scene);
   return result;

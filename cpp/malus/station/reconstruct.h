@@ -28,6 +28,8 @@ struct RunOptions {
   std::optional<std::filesystem::path> workspace;  ///< nothing = keep everything in memory
   std::optional<std::string> until;                ///< last step to run; nothing = all
   std::optional<std::filesystem::path> reference;  ///< cloud or mesh in the world frame to compare the surface with
+  /// false: maps that no later step needs are let go, which takes less memory, and the result has figures only.
+  bool keep_maps = true;
 };
 
 /// What was computed; a step that was not run leaves its member empty.

@@ -1,4 +1,7 @@
 #include <sys/resource.h>
+#ifdef __GLIBC__
+#include <malloc.h>
+#endif
 
 #include <algorithm>
 
@@ -24,6 +27,14 @@ double cpu_seconds() {
 
 double peak_mb() {
   return static_cast<double>(use_of_process().ru_maxrss) * 1024 / 1e6;
+}
+
+/// Gives the memory back that a step's many small allocations leave scattered: 0.4 GB after the height of 18
+/// megapixels.
+void release_unused_memory() {
+#ifdef __GLIBC__
+  malloc_trim(0);
+#endif
 }
 
 }  // namespace
@@ -78,6 +89,7 @@ StepRunner::Start StepRunner::begin(const std::string& step) {
 void StepRunner::finish(const std::string& step, const std::string& key, const std::vector<std::string>& files,
                         const Start& start, const Json& notes) {
   context_.check_cancel();
+  release_unused_memory();
   const std::chrono::duration<double> time = std::chrono::steady_clock::now() - start.time;
   const Workspace::Use use{time.count(), cpu_seconds() - start.cpu_seconds, peak_mb()};
   if (workspace_) workspace_->finish(step, key, files, use, notes.dump());

@@ -8,20 +8,17 @@ namespace malus {
 void write_surface_files(const FusedSurface& surface, const Image<float>& color, const SurfaceOptions& options,
                          const LengthUnit& unit, const std::string& name, const Context& context,
                          const std::filesystem::path& work, std::vector<std::string>& files) {
-  const TriangleMesh mesh = mesh_from_depth(surface, color, options, context);
-  write_ply(work / "fused/surface.ply", mesh);
+  // The full mesh is many times larger than the maps it comes from.
+  const MeshInStrips mesh = mesh_in_strips(surface, color, options, context);
+  write_ply(work / "fused/surface.ply", mesh, context);
   files.emplace_back("fused/surface.ply");
 
-  const Image<std::uint8_t> texture = fit_within(display_image(color, surface.depth, options.white_percentile, context),
-                                                 options.glb_texture_px, context);
-  const ProjectedTexture projected{texture, surface.camera, surface.pose};
+  const Image<std::uint8_t> texture =
+      display_image(color, surface.depth, options.white_percentile, options.glb_texture_px, context);
   SurfaceOptions coarse = options;
-  coarse.subsample = subsample_for(mesh.triangles.size(), options.glb_triangles, options);
-  if (coarse.subsample == options.subsample) {
-    write_glb(work / "fused/surface.glb", mesh, projected, unit, name);
-  } else {
-    write_glb(work / "fused/surface.glb", mesh_from_depth(surface, {}, coarse, context), projected, unit, name);
-  }
+  coarse.subsample = subsample_for(mesh.triangles, options.glb_triangles, options);
+  write_glb(work / "fused/surface.glb", mesh_from_depth(surface, {}, coarse, context),
+            {texture, surface.camera, surface.pose}, unit, name);
   files.emplace_back("fused/surface.glb");
 
   try {

@@ -25,9 +25,9 @@ struct HalvesDifference {
 /// connected regions of fewer than `min_region_px`. Without halves sigma is the depth of half a px of parallax over the
 /// correlation.
 ///
-/// Below `least_completeness` the object is taken to be a mirror, or without texture. There windows at its contour match
-/// what lies behind it, and the pixels beside them go on with its depth: of regions that reach the contour only the
-/// pixels on it are kept, where object and ground meet if it stands on the ground.
+/// Below `least_completeness` the object is taken to be a mirror, or without texture. There windows at its contour
+/// match what lies behind it, and the pixels beside them go on with its depth: of regions that reach the contour only
+/// the pixels on it are kept, where object and ground meet if it stands on the ground.
 ///
 /// `rate`: px of parallax a unit of ln z. `focal`: of the station, px.
 void judge(const PassResult& pass, const HalvesDifference& halves, double rate, double focal, const Mask& mask,

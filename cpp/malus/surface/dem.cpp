@@ -2,14 +2,15 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <cmath>
-#include <iterator>
 #include <limits>
+#include <span>
 #include <vector>
 
-#include "malus/core/median.h"
 #include "malus/core/parallel.h"
+#include "malus/core/ranked_values.h"
 #include "malus/surface/plane.h"
 
 namespace malus {
@@ -18,20 +19,92 @@ namespace {
 constexpr std::size_t grain = 1 << 14;
 constexpr float below_everything = -std::numeric_limits<float>::infinity();
 
-double median_gsd(const FusedSurface& surface) {
-  std::vector<float> depths;
-  std::copy_if(surface.depth.begin(), surface.depth.end(), std::back_inserter(depths),
-               [](float z) { return std::isfinite(z) && z > 0; });
-  return median_in_place(depths) / surface.camera.focal();
+using Points = std::span<const Eigen::Vector3d>;
+using Triangles = std::span<const std::array<std::uint32_t, 3>>;
+
+/// A mesh in memory in parts that threads can take.
+class WholeMesh {
+ public:
+  explicit WholeMesh(const TriangleMesh& mesh) : mesh_(mesh) {}
+
+  std::size_t vertices() const { return mesh_.vertices.points.size(); }
+  /// Calls visit(part, first vertex, points) for consecutive points.
+  template <class Visit>
+  void for_points(const Context& context, Visit&& visit) const {
+    parallel_for(context, vertices(), grain, [&](std::size_t begin, std::size_t end) {
+      visit(begin / grain, begin, Points(mesh_.vertices.points).subspan(begin, end - begin));
+    });
+  }
+  std::size_t parts() const { return (vertices() + grain - 1) / grain; }
+  /// Calls visit(points, triangles) for consecutive triangles; they count the points given.
+  template <class Visit>
+  void for_triangles(const Context& context, Visit&& visit) const {
+    parallel_for(context, mesh_.triangles.size(), grain, [&](std::size_t begin, std::size_t end) {
+      visit(Points(mesh_.vertices.points), Triangles(mesh_.triangles).subspan(begin, end - begin));
+    });
+  }
+
+ private:
+  const TriangleMesh& mesh_;
+};
+
+/// The same of a mesh that is made strip by strip.
+class StripMesh {
+ public:
+  explicit StripMesh(const MeshInStrips& mesh) : mesh_(mesh) {}
+
+  std::size_t vertices() const { return mesh_.vertices; }
+  template <class Visit>
+  void for_points(const Context& context, Visit&& visit) const {
+    for_strips(context, [&](std::size_t k, const MeshStrip& strip) {
+      visit(k, strip.first_vertex, Points(strip.mesh.vertices.points).first(strip.vertices));
+    });
+  }
+  std::size_t parts() const { return mesh_.strips; }
+  template <class Visit>
+  void for_triangles(const Context& context, Visit&& visit) const {
+    for_strips(context, [&](std::size_t, const MeshStrip& strip) {
+      visit(Points(strip.mesh.vertices.points), Triangles(strip.mesh.triangles));
+    });
+  }
+
+ private:
+  template <class Visit>
+  void for_strips(const Context& context, Visit&& visit) const {
+    parallel_for(context, mesh_.strips, 1,
+                 [&](std::size_t k, std::size_t) { visit(k, mesh_.strip(k, MeshInStrips::Parts::geometry)); });
+  }
+
+  const MeshInStrips& mesh_;
+};
+
+double median_gsd(const FusedSurface& surface, const Context& context) {
+  const Image<float>& depth = surface.depth;
+  const auto usable = [&depth](std::size_t begin, std::size_t end, float* to) {
+    std::transform(depth.data() + begin, depth.data() + end, to,
+                   [](float z) { return z > 0 ? z : std::numeric_limits<float>::quiet_NaN(); });
+  };
+  const RankedValues depths(depth.count(), usable, context);
+  return depths.at(std::array{depths.size() / 2}).front() / surface.camera.focal();
 }
 
 /// Robust plane through up to a million evenly spread vertices, which fix it far better than a pixel.
-Plane object_plane(const std::vector<Eigen::Vector3d>& points, const Eigen::Vector3d& viewpoint,
-                   const Context& context) {
-  const std::size_t stride = points.size() / 1000003 + 1;
-  std::vector<Eigen::Vector3d> spread;
-  for (std::size_t i = 0; i < points.size(); i += stride) spread.push_back(points[i]);
+template <class Mesh>
+Plane object_plane(const Mesh& mesh, const Eigen::Vector3d& viewpoint, const Context& context) {
+  const std::size_t stride = mesh.vertices() / 1000003 + 1;
+  std::vector<Eigen::Vector3d> spread((mesh.vertices() + stride - 1) / stride);
+  mesh.for_points(context, [&](std::size_t, std::size_t first, Points points) {
+    for (std::size_t k = (first + stride - 1) / stride; k * stride < first + points.size(); ++k)
+      spread[k] = points[k * stride - first];
+  });
   return fit_plane(spread, viewpoint, PlaneWeights::robust, context).plane;
+}
+
+template <class Change>
+void for_values(Image<float>& image, const Context& context, Change&& change) {
+  parallel_for(context, image.count(), std::size_t{1} << 19, [&](std::size_t begin, std::size_t end) {
+    std::for_each(image.data() + begin, image.data() + end, change);
+  });
 }
 
 /// Axes of the raster; its origin is still the plane's centroid.
@@ -55,18 +128,20 @@ Eigen::Vector3d raster_coordinates(const Dem& dem, const Eigen::Vector3d& x) {
 }
 
 /// Moves the origin to the top-left of the vertices and allocates the raster.
-void allocate(Dem& dem, const std::vector<Eigen::Vector3d>& points) {
-  Eigen::Array2d low = Eigen::Array2d::Constant(std::numeric_limits<double>::infinity()), high = -low;
-  for (const Eigen::Vector3d& x : points) {
-    const Eigen::Array2d position = raster_coordinates(dem, x).head<2>().array();
-    low = low.min(position);
-    high = high.max(position);
-  }
-  const Eigen::Array2d extent = (high - low).floor() + 1;
+template <class Mesh>
+void allocate(Dem& dem, const Mesh& mesh, const Context& context) {
+  std::vector<Eigen::AlignedBox2d> boxes(mesh.parts());
+  mesh.for_points(context, [&](std::size_t part, std::size_t, Points points) {
+    for (const Eigen::Vector3d& x : points) boxes[part].extend(raster_coordinates(dem, x).head<2>());
+  });
+  Eigen::AlignedBox2d box;
+  for (const Eigen::AlignedBox2d& part : boxes) box.extend(part);
+  const Eigen::Array2d low = box.min(), extent = (box.max() - box.min()).array().floor() + 1;
   if (!(extent.prod() <= 4e8))
     throw resource_error("the elevation model would exceed 400 million pixels; raise surface.dem_pixel");
   dem.origin = dem.world(low.x(), low.y(), 0);
-  dem.elevation = Image<float>({static_cast<int>(extent.x()), static_cast<int>(extent.y())}, 1, below_everything);
+  dem.elevation = Image<float>::uninitialized({static_cast<int>(extent.x()), static_cast<int>(extent.y())});
+  for_values(dem.elevation, context, [](float& value) { value = below_everything; });
 }
 
 /// Raises a pixel to this elevation. The maximum does not depend on the order, so neither does the raster on threads.
@@ -102,26 +177,37 @@ void rasterize(const std::array<Eigen::Vector3d, 3>& corner, Image<float>& eleva
   }
 }
 
+template <class Mesh>
+Dem make_dem(const Mesh& mesh, const FusedSurface& surface, const SurfaceOptions& options, const Context& context) {
+  Dem dem = plane_frame(object_plane(mesh, surface.pose.centre(), context), surface.pose);
+  dem.pixel = options.dem_pixel ? *options.dem_pixel : median_gsd(surface, context) * options.subsample;
+  allocate(dem, mesh, context);
+  mesh.for_triangles(context, [&](Points points, Triangles triangles) {
+    for (const auto& [a, b, c] : triangles) {
+      rasterize(
+          {raster_coordinates(dem, points[a]), raster_coordinates(dem, points[b]), raster_coordinates(dem, points[c])},
+          dem.elevation);
+    }
+  });
+  for_values(dem.elevation, context, [](float& value) {
+    if (value == below_everything) value = std::numeric_limits<float>::quiet_NaN();
+  });
+  return dem;
+}
+
 }  // namespace
 
 Dem dem_from_mesh(const TriangleMesh& mesh, const FusedSurface& surface, const SurfaceOptions& options,
                   const Context& context) {
   validate_fields(options, "surface");
   if (mesh.triangles.empty()) throw data_error("the mesh has no triangles, so there is no elevation model");
-  const std::vector<Eigen::Vector3d>& points = mesh.vertices.points;
-  Dem dem = plane_frame(object_plane(points, surface.pose.centre(), context), surface.pose);
-  dem.pixel = options.dem_pixel ? *options.dem_pixel : median_gsd(surface) * options.subsample;
-  allocate(dem, points);
-  parallel_for(context, mesh.triangles.size(), grain, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t t = begin; t < end; ++t) {
-      const auto& [a, b, c] = mesh.triangles[t];
-      rasterize(
-          {raster_coordinates(dem, points[a]), raster_coordinates(dem, points[b]), raster_coordinates(dem, points[c])},
-          dem.elevation);
-    }
-  });
-  std::replace(dem.elevation.begin(), dem.elevation.end(), below_everything, std::numeric_limits<float>::quiet_NaN());
-  return dem;
+  return make_dem(WholeMesh(mesh), surface, options, context);
+}
+
+Dem dem_from_mesh(const MeshInStrips& mesh, const FusedSurface& surface, const SurfaceOptions& options,
+                  const Context& context) {
+  validate_fields(options, "surface");
+  return make_dem(StripMesh(mesh), surface, options, context);
 }
 
 }  // namespace malus

@@ -33,5 +33,8 @@ struct Dem {
 /// would exceed 400 million pixels.
 Dem dem_from_mesh(const TriangleMesh& mesh, const FusedSurface& surface, const SurfaceOptions& options,
                   const Context& context);
+/// The same of a mesh that is not in memory.
+Dem dem_from_mesh(const MeshInStrips& mesh, const FusedSurface& surface, const SurfaceOptions& options,
+                  const Context& context);
 
 }  // namespace malus

@@ -1,6 +1,7 @@
 #include "malus/surface/display_image.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <vector>
 
@@ -37,50 +38,57 @@ double white_factor(const Image<float>& color, const Image<float>& depth, double
   return values[static_cast<std::size_t>(rank)] > 0 ? 1.0 / values[static_cast<std::size_t>(rank)] : 1;
 }
 
+constexpr int table_steps = 1 << 14;  // finer than 8-bit sRGB everywhere, its steepest slope included
+
 }  // namespace
 
-Image<std::uint8_t> display_image(const Image<float>& color, const Image<float>& depth, double white_percentile,
-                                  const Context& context) {
+DisplayColors::DisplayColors(const Image<float>& color, const Image<float>& depth, double white_percentile)
+    : color_(color), table_(table_steps + 1) {
   require_size(color, depth.size(), "the colour image");
   if (color.channels() != 1 && color.channels() != 3) {
     throw input_error("the colour image has " + std::to_string(color.channels()) + " channels, expected 1 or 3");
   }
-  constexpr int steps = 1 << 14;  // finer than 8-bit sRGB everywhere, its steepest slope included
-  std::vector<std::uint8_t> table(steps + 1);
-  for (int i = 0; i <= steps; ++i) table[static_cast<std::size_t>(i)] = srgb(static_cast<double>(i) / steps);
-  const double factor = white_factor(color, depth, white_percentile);
-  Image<std::uint8_t> display(color.size(), 3);
-  parallel_rows(context, color.height(), [&](int v) {
-    for (int u = 0; u < color.width(); ++u) {
+  for (std::size_t i = 0; i < table_.size(); ++i) table_[i] = srgb(static_cast<double>(i) / table_steps);
+  factor_ = white_factor(color, depth, white_percentile);
+}
+
+Rgb DisplayColors::operator()(int u, int v) const {
+  Rgb rgb;
+  for (int c = 0; c < 3; ++c) {
+    const double value = factor_ * color_(u, v, color_.channels() == 3 ? c : 0);
+    rgb[static_cast<std::size_t>(c)] =
+        value > 0 ? table_[static_cast<std::size_t>(std::min(value, 1.0) * table_steps + 0.5)] : std::uint8_t{0};
+  }
+  return rgb;
+}
+
+Image<std::uint8_t> display_image(const Image<float>& color, const Image<float>& depth, double white_percentile,
+                                  int longest_side, const Context& context) {
+  const DisplayColors colors(color, depth, white_percentile);
+  const int n = std::max(1, (std::max(color.width(), color.height()) + longest_side - 1) / longest_side);
+  auto display = Image<std::uint8_t>::uninitialized({(color.width() + n - 1) / n, (color.height() + n - 1) / n}, 3);
+  parallel_rows(context, display.height(), [&](int v) {
+    for (int u = 0; u < display.width(); ++u) {
+      const int u1 = std::min((u + 1) * n, color.width()), v1 = std::min((v + 1) * n, color.height());
+      const int count = (u1 - u * n) * (v1 - v * n);
+      std::array<int, 3> sum{count / 2, count / 2, count / 2};
+      for (int y = v * n; y < v1; ++y) {
+        for (int x = u * n; x < u1; ++x) {
+          const Rgb pixel = colors(x, y);
+          for (std::size_t c = 0; c < 3; ++c) sum[c] += pixel[c];
+        }
+      }
       for (int c = 0; c < 3; ++c) {
-        const double value = factor * color(u, v, color.channels() == 3 ? c : 0);
-        display(u, v, c) =
-            value > 0 ? table[static_cast<std::size_t>(std::min(value, 1.0) * steps + 0.5)] : std::uint8_t{0};
+        display(u, v, c) = static_cast<std::uint8_t>(sum[static_cast<std::size_t>(c)] / count);
       }
     }
   });
   return display;
 }
 
-Image<std::uint8_t> fit_within(const Image<std::uint8_t>& image, int longest_side, const Context& context) {
-  const int side = std::max(image.width(), image.height());
-  const int n = (side + longest_side - 1) / longest_side;
-  if (n <= 1) return image;
-  Image<std::uint8_t> small({(image.width() + n - 1) / n, (image.height() + n - 1) / n}, image.channels());
-  parallel_rows(context, small.height(), [&](int v) {
-    for (int u = 0; u < small.width(); ++u) {
-      const int u1 = std::min((u + 1) * n, image.width()), v1 = std::min((v + 1) * n, image.height());
-      const int count = (u1 - u * n) * (v1 - v * n);
-      for (int c = 0; c < image.channels(); ++c) {
-        int sum = count / 2;
-        for (int y = v * n; y < v1; ++y) {
-          for (int x = u * n; x < u1; ++x) sum += image(x, y, c);
-        }
-        small(u, v, c) = static_cast<std::uint8_t>(sum / count);
-      }
-    }
-  });
-  return small;
+Image<std::uint8_t> display_image(const Image<float>& color, const Image<float>& depth, double white_percentile,
+                                  const Context& context) {
+  return display_image(color, depth, white_percentile, std::max({color.width(), color.height(), 1}), context);
 }
 
 }  // namespace malus

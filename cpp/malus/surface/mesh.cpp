@@ -4,8 +4,10 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <memory>
 #include <numbers>
 #include <numeric>
+#include <optional>
 #include <vector>
 
 #include "malus/core/depth_normals.h"
@@ -31,34 +33,47 @@ bool is_step(float before, float here, float there, float after, double focal, c
   return step > options.step_ratio * around;
 }
 
-/// For every pixel, whether the way to its right and lower neighbour is cut (discontinuity or missing depth).
-Mask find_cuts(const FusedSurface& surface, const SurfaceOptions& options, const Context& context) {
-  const Image<float>& depth = surface.depth;
-  const int width = depth.width(), height = depth.height();
-  Mask cuts(depth.size(), 1, cut_right | cut_down);
-  const auto at = [&](int u, int v) { return depth.contains(u, v) ? depth(u, v) : -1.0f; };
-  parallel_rows(context, height, [&](int v) {
-    for (int u = 0; u < width; ++u) {
-      const float here = depth(u, v);
-      if (!usable(here)) continue;
-      const float right = at(u + 1, v), down = at(u, v + 1);
-      std::uint8_t cut = cut_right | cut_down;
-      if (usable(right) && !is_step(at(u - 1, v), here, right, at(u + 2, v), surface.camera.fx, options))
-        cut &= ~cut_right;
-      if (usable(down) && !is_step(at(u, v - 1), here, down, at(u, v + 2), surface.camera.fy, options))
-        cut &= ~cut_down;
-      cuts(u, v) = cut;
+/// For the pixels of some rows, whether the way to their right and lower neighbour is cut (discontinuity or missing
+/// depth).
+class Cuts {
+ public:
+  Cuts(const FusedSurface& surface, const SurfaceOptions& options, int first_row, int last_row)
+      : first_row_(first_row), cuts_({surface.depth.width(), last_row - first_row}, 1, cut_right | cut_down) {
+    const Image<float>& depth = surface.depth;
+    const auto at = [&](int u, int v) { return depth.contains(u, v) ? depth(u, v) : -1.0f; };
+    for (int v = first_row; v < last_row; ++v) {
+      for (int u = 0; u < depth.width(); ++u) {
+        const float here = depth(u, v);
+        if (!usable(here)) continue;
+        const float right = at(u + 1, v), down = at(u, v + 1);
+        std::uint8_t cut = cut_right | cut_down;
+        if (usable(right) && !is_step(at(u - 1, v), here, right, at(u + 2, v), surface.camera.fx, options))
+          cut &= ~cut_right;
+        if (usable(down) && !is_step(at(u, v - 1), here, down, at(u, v + 2), surface.camera.fy, options))
+          cut &= ~cut_down;
+        cuts_(u, v - first_row) = cut;
+      }
     }
-  });
-  return cuts;
-}
+  }
+
+  std::uint8_t operator()(int u, int v) const { return cuts_(u, v - first_row_); }
+
+ private:
+  int first_row_;
+  Mask cuts_;
+};
 
 /// Corners of a grid cell, and the triangle at each corner (the corner and its two neighbours), counter-clockwise as
 /// displayed: 0 top left, 1 top right, 2 bottom left, 3 bottom right.
-using Corners = std::array<std::array<int, 2>, 4>;
-constexpr std::array<std::array<int, 3>, 4> corner_triangles{{{0, 2, 1}, {1, 0, 3}, {2, 3, 0}, {3, 1, 2}}};
+constexpr std::array<std::array<std::size_t, 3>, 4> corner_triangles{{{0, 2, 1}, {1, 0, 3}, {2, 3, 0}, {3, 1, 2}}};
+/// The triangles (bits) that have each corner.
+constexpr std::array<std::uint8_t, 4> triangles_at{0b0111, 0b1011, 0b1101, 0b1110};
 
-/// The grid of vertices (every subsample-th pixel), its cells, and which of their triangles exist.
+/// Strips have about so many pixels: their meshes stay in a core's cache while they are written.
+constexpr int pixels_of_strip = 1 << 17;
+
+/// The grid of vertices (every subsample-th pixel), its cells, and which of their triangles exist; cut into strips of
+/// rows.
 class Grid {
  public:
   Grid(const FusedSurface& surface, const SurfaceOptions& options, const Context& context)
@@ -66,60 +81,70 @@ class Grid {
         camera_(surface.camera),
         step_(options.subsample),
         min_cosine_(std::cos(options.max_incidence_deg * std::numbers::pi / 180)),
-        size_{(depth_.width() - 1) / step_ + 1, (depth_.height() - 1) / step_ + 1} {
+        size_{(depth_.width() - 1) / step_ + 1, (depth_.height() - 1) / step_ + 1},
+        strip_rows_(std::max(1, pixels_of_strip / (depth_.width() * step_))) {
     if (size_.width < 2 || size_.height < 2) return;
-    const Mask cuts = find_cuts(surface, options, context);
-    cells_ = Mask({size_.width - 1, size_.height - 1});
-    parallel_rows(context, cells_.height(), [&](int j) {
-      for (int i = 0; i < cells_.width(); ++i) cells_(i, j) = triangles_of_cell(cuts, i, j);
-    });
+    cells_ = Mask::uninitialized({size_.width - 1, size_.height - 1});
+    parallel_for(context, static_cast<std::size_t>(cells_.height()), static_cast<std::size_t>(strip_rows_),
+                 [&](std::size_t begin, std::size_t end) {
+                   const int first = static_cast<int>(begin), last = static_cast<int>(end);
+                   const Cuts cuts(surface, options, pixel(first), pixel(last) + 1);
+                   for (int j = first; j < last; ++j) {
+                     for (int i = 0; i < cells_.width(); ++i) cells_(i, j) = triangles_of_cell(cuts, i, j);
+                   }
+                 });
   }
 
   Size size() const { return size_; }
   int pixel(int index) const { return index * step_; }
+  std::size_t strips() const {
+    return cells_.empty() ? 0 : static_cast<std::size_t>((size_.height + strip_rows_ - 1) / strip_rows_);
+  }
+  int first_row(std::size_t strip) const { return static_cast<int>(strip) * strip_rows_; }
+  int last_row(std::size_t strip) const { return std::min(first_row(strip) + strip_rows_, size_.height); }
   /// Bit c set: the triangle at corner c of this cell exists. 0 outside of the grid.
   std::uint8_t cell(int i, int j) const { return cells_.contains(i, j) ? cells_(i, j) : 0; }
-  int cell_rows() const { return cells_.height(); }
-  int cell_columns() const { return cells_.width(); }
-  static Corners corners(int i, int j) { return {{{i, j}, {i + 1, j}, {i, j + 1}, {i + 1, j + 1}}}; }
+  std::size_t triangles_in_row(int j) const {
+    std::size_t count = 0;
+    if (j >= cells_.height()) return count;
+    for (int i = 0; i < cells_.width(); ++i)
+      count += static_cast<std::size_t>(std::popcount(static_cast<unsigned>(cells_(i, j))));
+    return count;
+  }
 
-  Eigen::Vector3d point(const std::array<int, 2>& vertex) const {
-    const int u = pixel(vertex[0]), v = pixel(vertex[1]);
+  Eigen::Vector3d point(int i, int j) const {
+    const int u = pixel(i), v = pixel(j);
     return camera_.ray(u, v) * static_cast<double>(depth_(u, v));
   }
 
   /// Sum of the normals (twice the area long) of the triangles around a vertex; zero if there are none.
   Eigen::Vector3d normal_of_faces(int i, int j) const {
     Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-    visit_triangles_around(i, j, [&](const Corners& cell, const std::array<int, 3>& triangle) {
-      const Eigen::Vector3d origin = point(cell[triangle[0]]);
-      sum += (point(cell[triangle[1]]) - origin).cross(point(cell[triangle[2]]) - origin);
-    });
+    for (int corner = 0; corner < 4; ++corner) {  // the vertex is this corner of the cell
+      const int cell_i = i - (corner & 1), cell_j = j - (corner >> 1);
+      const unsigned around = cell(cell_i, cell_j) & triangles_at[static_cast<std::size_t>(corner)];
+      if (around == 0) continue;
+      const std::array points = corners(cell_i, cell_j);
+      for (std::size_t c = 0; c < 4; ++c) {
+        if (!(around >> c & 1)) continue;
+        const Eigen::Vector3d& origin = points[corner_triangles[c][0]];
+        sum += (points[corner_triangles[c][1]] - origin).cross(points[corner_triangles[c][2]] - origin);
+      }
+    }
     return sum;
   }
 
   bool is_used(int i, int j) const {
-    bool used = false;
-    visit_triangles_around(i, j, [&](const Corners&, const std::array<int, 3>&) { used = true; });
-    return used;
+    return (cell(i, j) & triangles_at[0]) || (cell(i - 1, j) & triangles_at[1]) || (cell(i, j - 1) & triangles_at[2]) ||
+           (cell(i - 1, j - 1) & triangles_at[3]);
   }
 
  private:
-  template <class Visit>
-  void visit_triangles_around(int i, int j, Visit&& visit) const {
-    for (int corner = 0; corner < 4; ++corner) {  // the vertex is this corner of the cell
-      const int cell_i = i - (corner & 1), cell_j = j - (corner >> 1);
-      const std::uint8_t present = cell(cell_i, cell_j);
-      for (int c = 0; c < 4; ++c) {
-        const auto& triangle = corner_triangles[c];
-        if ((present >> c & 1) && std::find(triangle.begin(), triangle.end(), corner) != triangle.end()) {
-          visit(corners(cell_i, cell_j), triangle);
-        }
-      }
-    }
+  std::array<Eigen::Vector3d, 4> corners(int i, int j) const {
+    return {point(i, j), point(i + 1, j), point(i, j + 1), point(i + 1, j + 1)};
   }
 
-  bool is_cut(const Mask& cuts, int i, int j, std::uint8_t direction) const {
+  bool is_cut(const Cuts& cuts, int i, int j, std::uint8_t direction) const {
     const int du = direction == cut_right ? 1 : 0, dv = 1 - du;
     for (int k = 0; k < step_; ++k) {
       if (cuts(pixel(i) + k * du, pixel(j) + k * dv) & direction) return true;
@@ -127,15 +152,13 @@ class Grid {
     return false;
   }
 
-  std::uint8_t triangles_of_cell(const Mask& cuts, int i, int j) const {
+  std::uint8_t triangles_of_cell(const Cuts& cuts, int i, int j) const {
     const bool top = !is_cut(cuts, i, j, cut_right), left = !is_cut(cuts, i, j, cut_down);
     const bool bottom = !is_cut(cuts, i, j + 1, cut_right), right = !is_cut(cuts, i + 1, j, cut_down);
     const std::array<bool, 4> possible{top && left, top && right, bottom && left, bottom && right};
-    const Corners cell = corners(i, j);
-    std::array<Eigen::Vector3d, 4> points;
-    for (int c = 0; c < 4; ++c) points[c] = point(cell[c]);
+    const std::array points = corners(i, j);
     std::uint8_t present = 0;
-    for (int c = 0; c < 4; ++c) {
+    for (std::size_t c = 0; c < 4; ++c) {
       if (possible[c] && faces_camera(points, corner_triangles[c])) present |= static_cast<std::uint8_t>(1 << c);
     }
     constexpr std::uint8_t split_falling = 1 << 1 | 1 << 2, split_rising = 1 << 0 | 1 << 3;  // diagonal 0–3 and 1–2
@@ -147,7 +170,7 @@ class Grid {
     return present & (falling ? split_falling : split_rising);
   }
 
-  bool faces_camera(const std::array<Eigen::Vector3d, 4>& points, const std::array<int, 3>& triangle) const {
+  bool faces_camera(const std::array<Eigen::Vector3d, 4>& points, const std::array<std::size_t, 3>& triangle) const {
     const Eigen::Vector3d& origin = points[triangle[0]];
     const Eigen::Vector3d normal = (points[triangle[1]] - origin).cross(points[triangle[2]] - origin);
     const double along = -normal.dot(origin);
@@ -159,10 +182,11 @@ class Grid {
   int step_;
   double min_cosine_;
   Size size_;
+  int strip_rows_;
   Mask cells_;
 };
 
-/// Where each row starts, and the total behind the last one.
+/// Where each strip starts, and the total behind the last one.
 std::vector<std::size_t> starts_of(const std::vector<std::size_t>& counts) {
   std::vector<std::size_t> starts(counts.size() + 1, 0);
   std::inclusive_scan(counts.begin(), counts.end(), starts.begin() + 1);
@@ -183,122 +207,144 @@ void require_consistent(const FusedSurface& surface, const Image<float>& color) 
   }
 }
 
-/// Index of each grid vertex in the mesh, and the numbers of vertices.
-struct VertexNumbers {
-  Image<std::uint32_t> index;
-  std::size_t count = 0;
-};
-
 constexpr std::uint32_t unused = 0xffffffff;
 
-VertexNumbers number_vertices(const Grid& grid, const Context& context) {
-  VertexNumbers numbers{Image<std::uint32_t>(grid.size(), 1, unused), 0};
-  std::vector<std::size_t> counts(static_cast<std::size_t>(grid.size().height));
-  parallel_rows(context, grid.size().height, [&](int j) {
-    std::uint32_t count = 0;
-    for (int i = 0; i < grid.size().width; ++i) {
-      if (grid.is_used(i, j)) numbers.index(i, j) = count++;
-    }
-    counts[static_cast<std::size_t>(j)] = count;
-  });
-  const std::vector<std::size_t> starts = starts_of(counts);
-  numbers.count = starts.back();
-  if (numbers.count >= unused)
-    throw resource_error("the mesh would have more than 4294967294 vertices; raise surface.subsample");
-  parallel_rows(context, grid.size().height, [&](int j) {
-    const auto start = static_cast<std::uint32_t>(starts[static_cast<std::size_t>(j)]);
-    for (int i = 0; i < grid.size().width; ++i) {
-      if (numbers.index(i, j) != unused) numbers.index(i, j) += start;
-    }
-  });
-  return numbers;
-}
-
-/// Calls body(i, j, vertex number) for every vertex of the mesh.
-template <class Body>
-void for_vertices(const VertexNumbers& numbers, const Context& context, Body&& body) {
-  parallel_rows(context, numbers.index.height(), [&](int j) {
-    for (int i = 0; i < numbers.index.width(); ++i) {
-      if (numbers.index(i, j) != unused) body(i, j, static_cast<std::size_t>(numbers.index(i, j)));
-    }
-  });
-}
-
-std::vector<std::array<std::uint32_t, 3>> collect_triangles(const Grid& grid, const VertexNumbers& numbers,
-                                                            const Context& context) {
-  std::vector<std::size_t> counts(static_cast<std::size_t>(grid.cell_rows()));
-  parallel_rows(context, grid.cell_rows(), [&](int j) {
-    for (int i = 0; i < grid.cell_columns(); ++i) {
-      counts[static_cast<std::size_t>(j)] +=
-          static_cast<std::size_t>(std::popcount(static_cast<unsigned>(grid.cell(i, j))));
-    }
-  });
-  const std::vector<std::size_t> starts = starts_of(counts);
-  std::vector<std::array<std::uint32_t, 3>> triangles(starts.back());
-  parallel_rows(context, grid.cell_rows(), [&](int j) {
-    std::size_t next = starts[static_cast<std::size_t>(j)];
-    for (int i = 0; i < grid.cell_columns(); ++i) {
-      const Corners cell = Grid::corners(i, j);
-      for (int c = 0; c < 4; ++c) {
-        if (!(grid.cell(i, j) >> c & 1)) continue;
-        for (std::size_t k = 0; k < 3; ++k) {
-          const auto& [column, row] = cell[corner_triangles[c][k]];
-          triangles[next][k] = numbers.index(column, row);
+/// What strips are made from.
+class StripMaker {
+ public:
+  StripMaker(const FusedSurface& surface, const Image<float>& color, const SurfaceOptions& options,
+             const Context& context)
+      : surface_(surface),
+        grid_(surface, options, context),
+        differences_(surface.normals.empty() ? normals_from_depth(surface.depth, surface.camera, context)
+                                             : Image<float>()) {
+    if (!color.empty()) display_.emplace(color, surface.depth, options.white_percentile);
+    const std::size_t strips = grid_.strips();
+    std::vector<std::size_t> vertices(strips), triangles(strips);
+    std::vector<Eigen::AlignedBox3d> boxes(strips);
+    parallel_for(context, strips, 1, [&](std::size_t k, std::size_t) {
+      for (int j = grid_.first_row(k); j < grid_.last_row(k); ++j) {
+        triangles[k] += grid_.triangles_in_row(j);
+        for (int i = 0; i < grid_.size().width; ++i) {
+          if (!grid_.is_used(i, j)) continue;
+          ++vertices[k];
+          boxes[k].extend(world_point(i, j));
         }
-        ++next;
+      }
+    });
+    first_vertex_ = starts_of(vertices);
+    first_triangle_ = starts_of(triangles);
+    for (const Eigen::AlignedBox3d& box : boxes) box_.extend(box);
+  }
+
+  std::size_t strips() const { return grid_.strips(); }
+  std::size_t vertices() const { return first_vertex_.back(); }
+  std::size_t triangles() const { return first_triangle_.back(); }
+  const Eigen::AlignedBox3d& box() const { return box_; }
+
+  MeshStrip strip(std::size_t k, MeshInStrips::Parts parts) const {
+    const int first = grid_.first_row(k), last = grid_.last_row(k), width = grid_.size().width;
+    MeshStrip strip{first_vertex_[k], first_triangle_[k], first_vertex_[k + 1] - first_vertex_[k], {}};
+    PointCloud& vertices = strip.mesh.vertices;
+    const bool all = parts == MeshInStrips::Parts::all;
+    vertices.points.reserve(strip.vertices + static_cast<std::size_t>(width));
+    if (all) vertices.normals.reserve(strip.vertices);
+    if (all && display_) vertices.colors.reserve(strip.vertices);
+    strip.mesh.triangles.reserve(first_triangle_[k + 1] - first_triangle_[k]);
+
+    std::vector<std::uint32_t> above(static_cast<std::size_t>(width)), below(above.size());
+    for (int j = first; j < std::min(last + 1, grid_.size().height); ++j) {
+      for (int i = 0; i < width; ++i) {
+        std::uint32_t& number = below[static_cast<std::size_t>(i)];
+        number = unused;
+        if (!grid_.is_used(i, j)) continue;
+        number = static_cast<std::uint32_t>(vertices.points.size());
+        vertices.points.push_back(world_point(i, j));
+        if (!all || j == last) continue;
+        vertices.normals.push_back(world_normal(i, j));
+        if (display_) vertices.colors.push_back((*display_)(grid_.pixel(i), grid_.pixel(j)));
+      }
+      if (j > first) add_triangles(j - 1, above, below, strip.mesh.triangles);
+      above.swap(below);
+    }
+    return strip;
+  }
+
+ private:
+  Eigen::Vector3d world_point(int i, int j) const { return surface_.pose.world_from_cam(grid_.point(i, j)); }
+
+  Eigen::Vector3f world_normal(int i, int j) const {
+    const Image<float>& map = surface_.normals.empty() ? differences_ : surface_.normals;
+    const float* n = &map(grid_.pixel(i), grid_.pixel(j));
+    Eigen::Vector3d normal(n[0], n[1], n[2]);
+    if (!normal.allFinite()) normal = grid_.normal_of_faces(i, j).normalized();  // a vertex always has a face
+    return (surface_.pose.rotation.transpose() * normal).cast<float>();
+  }
+
+  /// The triangles of a row of cells, from the numbers of the vertices above and below.
+  void add_triangles(int j, const std::vector<std::uint32_t>& above, const std::vector<std::uint32_t>& below,
+                     std::vector<std::array<std::uint32_t, 3>>& triangles) const {
+    for (std::size_t i = 0; i + 1 < above.size(); ++i) {
+      const unsigned present = grid_.cell(static_cast<int>(i), j);
+      const std::array corners{above[i], above[i + 1], below[i], below[i + 1]};
+      for (std::size_t c = 0; c < 4; ++c) {
+        const auto& triangle = corner_triangles[c];
+        if (present >> c & 1) triangles.push_back({corners[triangle[0]], corners[triangle[1]], corners[triangle[2]]});
       }
     }
-  });
-  return triangles;
-}
+  }
 
-void fill_normals(const FusedSurface& surface, const Grid& grid, const VertexNumbers& numbers, const Context& context,
-                  std::vector<Eigen::Vector3f>& normals) {
-  const Image<float> differences =
-      surface.normals.empty() ? normals_from_depth(surface.depth, surface.camera, context) : Image<float>();
-  const Image<float>& map = surface.normals.empty() ? differences : surface.normals;
-  const Eigen::Matrix3d world_from_cam = surface.pose.rotation.transpose();
-  normals.resize(numbers.count);
-  for_vertices(numbers, context, [&](int i, int j, std::size_t vertex) {
-    const float* n = &map(grid.pixel(i), grid.pixel(j));
-    Eigen::Vector3d normal(n[0], n[1], n[2]);
-    if (!normal.allFinite()) normal = grid.normal_of_faces(i, j).normalized();  // a vertex always has a face
-    normals[vertex] = (world_from_cam * normal).cast<float>();
-  });
-}
-
-void fill_colors(const Image<std::uint8_t>& display, const Grid& grid, const VertexNumbers& numbers,
-                 const Context& context, std::vector<Rgb>& colors) {
-  colors.resize(numbers.count);
-  for_vertices(numbers, context, [&](int i, int j, std::size_t vertex) {
-    const std::uint8_t* pixel = &display(grid.pixel(i), grid.pixel(j));
-    colors[vertex] = {pixel[0], pixel[1], pixel[2]};
-  });
-}
+  const FusedSurface& surface_;
+  Grid grid_;
+  Image<float> differences_;  ///< normals, if the surface has none
+  std::optional<DisplayColors> display_;
+  std::vector<std::size_t> first_vertex_, first_triangle_;  ///< of each strip, and of all behind the last
+  Eigen::AlignedBox3d box_;
+};
 
 }  // namespace
 
-TriangleMesh mesh_from_depth(const FusedSurface& surface, const Image<float>& color, const SurfaceOptions& options,
-                             const Context& context) {
+MeshInStrips mesh_in_strips(const FusedSurface& surface, const Image<float>& color, const SurfaceOptions& options,
+                            const Context& context) {
   validate_fields(options, "surface");
   require_consistent(surface, color);
   context.progress("mesh", 0, "triangulating");
-  const Grid grid(surface, options, context);
-  const VertexNumbers numbers = number_vertices(grid, context);
-  if (numbers.count == 0) throw data_error("the fused depth has no connected pixels, so there is no surface to mesh");
-
-  context.progress("mesh", 0.4, std::to_string(numbers.count) + " vertices");
-  TriangleMesh mesh;
-  mesh.triangles = collect_triangles(grid, numbers, context);
-  mesh.vertices.points.resize(numbers.count);
-  for_vertices(numbers, context, [&](int i, int j, std::size_t vertex) {
-    mesh.vertices.points[vertex] = surface.pose.world_from_cam(grid.point({i, j}));
-  });
-  fill_normals(surface, grid, numbers, context, mesh.vertices.normals);
-  if (!color.empty()) {
-    fill_colors(display_image(color, surface.depth, options.white_percentile, context), grid, numbers, context,
-                mesh.vertices.colors);
+  const auto maker = std::make_shared<const StripMaker>(surface, color, options, context);
+  if (maker->vertices() == 0) {
+    throw data_error("the fused depth has no connected pixels, so there is no surface to mesh");
   }
+  if (maker->vertices() >= unused)
+    throw resource_error("the mesh would have more than 4294967294 vertices; raise surface.subsample");
+  return {maker->vertices(), maker->triangles(),
+          maker->strips(),   !color.empty(),
+          maker->box(),      [maker](std::size_t k, MeshInStrips::Parts parts) { return maker->strip(k, parts); }};
+}
+
+TriangleMesh mesh_from_depth(const FusedSurface& surface, const Image<float>& color, const SurfaceOptions& options,
+                             const Context& context) {
+  const MeshInStrips strips = mesh_in_strips(surface, color, options, context);
+  context.progress("mesh", 0.4, std::to_string(strips.vertices) + " vertices");
+  TriangleMesh mesh;
+  mesh.vertices.points.resize(strips.vertices);
+  mesh.vertices.normals.resize(strips.vertices);
+  if (strips.has_colors) mesh.vertices.colors.resize(strips.vertices);
+  mesh.triangles.resize(strips.triangles);
+  parallel_for(context, strips.strips, 1, [&](std::size_t k, std::size_t) {
+    const auto place = [](const auto& values, std::size_t count, auto& whole, std::size_t first) {
+      std::copy_n(values.begin(), count, whole.begin() + static_cast<std::ptrdiff_t>(first));
+    };
+    const MeshStrip strip = strips.strip(k, MeshInStrips::Parts::all);
+    const PointCloud& vertices = strip.mesh.vertices;
+    place(vertices.points, strip.vertices, mesh.vertices.points, strip.first_vertex);
+    place(vertices.normals, strip.vertices, mesh.vertices.normals, strip.first_vertex);
+    if (strips.has_colors) place(vertices.colors, strip.vertices, mesh.vertices.colors, strip.first_vertex);
+    const auto start = static_cast<std::uint32_t>(strip.first_vertex);
+    std::ranges::transform(strip.mesh.triangles,
+                           mesh.triangles.begin() + static_cast<std::ptrdiff_t>(strip.first_triangle),
+                           [start](const std::array<std::uint32_t, 3>& triangle) {
+                             return std::array{triangle[0] + start, triangle[1] + start, triangle[2] + start};
+                           });
+  });
   context.progress("mesh", 1, std::to_string(mesh.triangles.size()) + " triangles");
   return mesh;
 }

@@ -55,6 +55,10 @@ struct SurfaceOptions {
 TriangleMesh mesh_from_depth(const FusedSurface& surface, const Image<float>& color, const SurfaceOptions& options,
                              const Context& context);
 
+/// The same mesh strip by strip, for surfaces whose mesh would be larger than their maps. Both rasters must outlive it.
+MeshInStrips mesh_in_strips(const FusedSurface& surface, const Image<float>& color, const SurfaceOptions& options,
+                            const Context& context);
+
 /// The subsample with which a surface whose mesh has `triangles` at options.subsample has `limit` or about as many; at
 /// least options.subsample, at most the option's bound.
 int subsample_for(std::size_t triangles, int limit, const SurfaceOptions& options);

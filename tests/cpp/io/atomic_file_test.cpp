@@ -41,6 +41,16 @@ TEST(AtomicFile, AbandonedWriteKeepsTheOldFile) {
   EXPECT_EQ(read_file(path, "result"), "old");
 }
 
+TEST(AtomicFile, PartsMayBeWrittenInAnyOrder) {
+  const TemporaryFolder folder;
+  AtomicFile file(folder / "parts");
+  file.write("head ");
+  file.write_at(9, "tail", 4);
+  file.write_at(5, "mid ", 4);
+  file.commit();
+  EXPECT_EQ(read_file(folder / "parts", "parts"), "head mid tail");
+}
+
 TEST(AtomicFile, WrongPlaceIsAnInputErrorWithPathAndReason) {
   const TemporaryFolder folder;
   expect_error(

@@ -89,7 +89,7 @@ TEST(Dem, SameWithAnyNumberOfThreads) {
 
 TEST(Dem, RefusesAnEmptyMeshAndAHugeRaster) {
   const FusedSurface surface = mesa(1);
-  EXPECT_THROW(dem_from_mesh({}, surface, {}, {}), Error);
+  EXPECT_THROW(dem_from_mesh(TriangleMesh{}, surface, {}, {}), Error);
   SurfaceOptions tiny;
   tiny.dem_pixel = 1e-4;
   try {

@@ -1,14 +1,17 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <set>
 
 #include "io/temporary_folder.h"
+#include "malus/core/depth_normals.h"
 #include "malus/io/glb_file.h"
 #include "malus/io/image_file.h"
 #include "malus/io/input_file.h"
+#include "malus/io/point_cloud_file.h"
 #include "malus/surface/dem_file.h"
 #include "malus/surface/display_image.h"
 #include "malus/surface/mesh.h"
@@ -38,14 +41,80 @@ TEST(DisplayImage, WhiteIsThePercentileAndGreyIsEncoded) {
 }
 
 TEST(DisplayImage, FitsWithinASideByAveragingWholeBlocks) {
-  Image<std::uint8_t> image({7, 4}, 1, 100);
-  image(0, 0) = 104;
-  image(6, 3) = 10;
-  const Image<std::uint8_t> small = fit_within(image, 4, {});
+  Image<float> color({7, 4}, 1, 0.25f);
+  color(6, 0) = 1;  // white, so that the rest is darker
+  color(0, 0) = 0;
+  const Image<float> depth(color.size(), 1, 1.0f);
+  const Image<std::uint8_t> full = display_image(color, depth, 100, {}),
+                            small = display_image(color, depth, 100, 4, {});
+  ASSERT_EQ(full(1, 1), 137);  // sRGB of one quarter
   EXPECT_EQ(small.size(), (Size{4, 2}));
-  EXPECT_EQ(small(0, 0), 101);
-  EXPECT_EQ(small(3, 1), 55);  // the last column has two rows of one pixel
-  EXPECT_EQ(fit_within(image, 7, {}), image);
+  EXPECT_EQ(small(0, 0, 2), (3 * 137 + 2) / 4);
+  EXPECT_EQ(small(3, 0), (255 + 137 + 1) / 2);  // the last column has two rows of one pixel
+  EXPECT_EQ(small(3, 1), 137);
+  EXPECT_EQ(display_image(color, depth, 100, 7, {}), full);
+}
+
+/// A ball before a wall, with holes, large enough for many strips of uneven size.
+FusedSurface ball_and_wall() {
+  const Pinhole camera = centred_camera({901, 640}, 1200);
+  FusedSurface surface = surface_of(camera.size, 1200, [&](int u, int v) {
+    const float ball = sphere_depth(camera, {10, -20, 900}, 150, u, v);
+    return std::isfinite(ball) ? ball : plane_depth(camera, {0.1, -0.2, 1}, 1100, u, v);
+  });
+  surface.normals = normals_from_depth(surface.depth, camera, {});
+  for (int v = 100; v < 400; ++v) surface.depth(v + 20, v) = none;
+  for (int u = 0; u < 901; ++u) surface.depth(u, 333) = surface.depth(u, 334) = none;
+  for (int v = 500; v < 530; ++v) {
+    for (int u = 0; u < 901; ++u) surface.normals(u, v) = none;
+  }
+  return surface;
+}
+
+Image<float> gradient(Size size) {
+  Image<float> color(size, 3);
+  for (std::size_t i = 0; i < color.count(); ++i) color[i] = static_cast<float>(i % 977) / 977;
+  return color;
+}
+
+TEST(Strips, GiveTheFilesOfTheWholeMeshWithAnyNumberOfThreads) {
+  const TemporaryFolder folder;
+  const FusedSurface surface = ball_and_wall();
+  const Image<float> color = gradient(surface.depth.size());
+  Context three;
+  three.threads = 3;
+  for (const int subsample : {1, 3}) {
+    SurfaceOptions options;
+    options.subsample = subsample;
+    const MeshInStrips strips = mesh_in_strips(surface, color, options, three);
+    ASSERT_GT(strips.strips, 4u);
+    const TriangleMesh mesh = mesh_from_depth(surface, color, options, {});
+    EXPECT_EQ(strips.vertices, mesh.vertices.points.size());
+    EXPECT_EQ(strips.triangles, mesh.triangles.size());
+    for (const auto& triangle : mesh.triangles) ASSERT_LT(std::ranges::max(triangle), strips.vertices);
+    write_ply(folder / "strips.ply", strips, three);
+    write_ply(folder / "whole.ply", mesh);
+    EXPECT_EQ(read_file(folder / "strips.ply", "mesh"), read_file(folder / "whole.ply", "mesh"));
+
+    const Dem a = dem_from_mesh(strips, surface, options, three), b = dem_from_mesh(mesh, surface, options, {});
+    EXPECT_EQ(a.pixel, b.pixel);
+    EXPECT_LT((a.origin - b.origin).norm(), 1e-9);
+    ASSERT_EQ(a.elevation.size(), b.elevation.size());
+    for (std::size_t i = 0; i < a.elevation.count(); ++i) {
+      ASSERT_TRUE(a.elevation[i] == b.elevation[i] || (std::isnan(a.elevation[i]) && std::isnan(b.elevation[i])));
+    }
+  }
+}
+
+TEST(Strips, OfAFarFrameHaveDoubleCoordinatesAsTheWholeMeshHas) {
+  const TemporaryFolder folder;
+  FusedSurface surface = ball_and_wall();
+  surface.pose.translation += Eigen::Vector3d(4e6, 5e6, 0);
+  write_ply(folder / "strips.ply", mesh_in_strips(surface, {}, {}, {}), {});
+  write_ply(folder / "whole.ply", mesh_from_depth(surface, {}, {}, {}));
+  const std::string bytes = read_file(folder / "strips.ply", "mesh");
+  EXPECT_NE(bytes.find("property double x"), std::string::npos);
+  EXPECT_EQ(bytes, read_file(folder / "whole.ply", "mesh"));
 }
 
 TEST(Subsample, FollowsTheTriangles) {
