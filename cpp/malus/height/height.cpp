@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "malus/core/parallel.h"
+#include "malus/core/tiled_axis.h"
 #include "malus/height/height_problem_internal.h"
 
 namespace malus {
@@ -139,29 +140,10 @@ void solve_whole(const HeightData& data, const HeightOptions& options, const Hei
     map.height(problem.pixels().u(i), problem.pixels().v(i)) = static_cast<float>(height[i]);
 }
 
-/// One axis cut into tiles that overlap by twice the margin, in which their weights ramp up and down; the weights of
-/// all tiles add up to 1.
-class TiledAxis {
- public:
-  explicit TiledAxis(int extent) : extent_(extent), tiles_(std::max(1, (extent + tile_px / 2) / tile_px)) {}
-
-  int tiles() const { return tiles_; }
-  int first(int tile) const { return tile == 0 ? 0 : cut(tile) - margin_px; }
-  int last(int tile) const { return tile == tiles_ - 1 ? extent_ : cut(tile + 1) + margin_px; }
-  float weight(int tile, int x) const { return rise(tile, x) * (1 - rise(tile + 1, x)); }
-
- private:
-  int cut(int tile) const { return static_cast<int>(static_cast<std::int64_t>(extent_) * tile / tiles_); }
-  /// From 0 to 1 across the start of a tile. What is next to the edge is held and has no weight.
-  float rise(int tile, int x) const {
-    constexpr int held = margin_px / 2;
-    if (tile == 0) return 1;
-    if (tile == tiles_) return 0;
-    return std::clamp((static_cast<float>(x - cut(tile)) + 0.5F + held) / (2.0F * held), 0.0F, 1.0F);
-  }
-
-  int extent_, tiles_;
-};
+/// One axis of an image in tiles. What is next to a tile's edge is held and has no weight.
+TiledAxis tiled(int extent) {
+  return TiledAxis(0, extent, std::max(1, (extent + tile_px / 2) / tile_px), margin_px, margin_px / 2);
+}
 
 /// Holds what lies along the tile's edges, where the surface goes on beyond, to the start.
 void hold_ring(HeightData& tile, const Image<float>& start, HeightBox box, Size whole) {
@@ -212,7 +194,7 @@ TileResult solve_tile(const HeightData& tile, const Image<float>& start, HeightB
 void solve_in_tiles(const std::function<HeightData(HeightBox)>& tile, const Image<float>& start,
                     const HeightOptions& options, const HeightLight& light, const Context& context, HeightMap& map) {
   const Size size = start.size();
-  const TiledAxis columns(size.width), rows(size.height);
+  const TiledAxis columns = tiled(size.width), rows = tiled(size.height);
   const auto box_of = [&](std::size_t k) {
     const int column = static_cast<int>(k) % columns.tiles(), row = static_cast<int>(k) / columns.tiles();
     return HeightBox{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
@@ -236,9 +218,9 @@ void solve_in_tiles(const std::function<HeightData(HeightBox)>& tile, const Imag
     const int column = static_cast<int>(k) % columns.tiles(), row = static_cast<int>(k) / columns.tiles();
     const HeightBox box = box_of(k);
     parallel_rows(context, box.height(), [&](int y) {
-      const float along_v = rows.weight(row, box.v0 + y);
+      const double along_v = rows.weight(row, box.v0 + y);
       for (int x = 0; x < box.width(); ++x) {
-        const float weight = along_v * columns.weight(column, box.u0 + x);
+        const auto weight = static_cast<float>(along_v * columns.weight(column, box.u0 + x));
         if (weight > 0) map.height(box.u0 + x, box.v0 + y) += weight * result.height(x, y);
       }
     });

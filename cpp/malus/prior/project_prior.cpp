@@ -16,6 +16,7 @@
 #include "malus/core/error.h"
 #include "malus/core/median.h"
 #include "malus/core/parallel.h"
+#include "malus/core/tiled_axis.h"
 #include "malus/prior/choose_smoothing.h"
 #include "malus/prior/rasterize_mesh.h"
 #include "malus/prior/smoothing_spline.h"
@@ -191,31 +192,6 @@ void add_to(Surface& surface, const SplineFit& fit, const Mask& mask, const Cont
   });
 }
 
-/// One axis of a raster cut into tiles that overlap by twice a margin, in which their weights ramp up and down; the
-/// weights of all tiles add up to 1.
-class TiledAxis {
- public:
-  TiledAxis(int begin, int end, int tiles, int margin) : begin_(begin), end_(end), tiles_(tiles), margin_(margin) {}
-
-  int tiles() const { return tiles_; }
-  int first(int tile) const { return tile == 0 ? begin_ : std::max(begin_, cut(tile) - margin_); }
-  int last(int tile) const { return tile == tiles_ - 1 ? end_ : std::min(end_, cut(tile + 1) + margin_); }
-  double weight(int tile, int x) const { return rise(tile, x) * (1 - rise(tile + 1, x)); }
-
- private:
-  int cut(int tile) const {
-    return begin_ + static_cast<int>(static_cast<std::int64_t>(end_ - begin_) * tile / tiles_);
-  }
-  /// From 0 to 1 across the start of a tile.
-  double rise(int tile, int x) const {
-    if (tile == 0) return 1;
-    if (tile == tiles_) return 0;
-    return std::clamp((x + 0.5 - cut(tile) + margin_) / (2.0 * margin_), 0.0, 1.0);
-  }
-
-  int begin_, end_, tiles_, margin_;
-};
-
 /// Surface through all points: one system, or above max_unknowns a coarse one for the whole and overlapping tiles for
 /// what it leaves.
 Surface smooth_cloud(std::vector<ViewPoint> points, const Mask& mask, const Smoothing& how, const PriorOptions& options,
@@ -250,8 +226,8 @@ Surface smooth_cloud(std::vector<ViewPoint> points, const Mask& mask, const Smoo
   Smoothing fine = how;
   fine.tension_px = margin;
   const int side = std::max(4 * margin, static_cast<int>(how.cell_px * std::sqrt(options.max_unknowns)) - 2 * margin);
-  const TiledAxis columns(box.u0, box.u1, (box.width() + side - 1) / side, margin);
-  const TiledAxis rows(box.v0, box.v1, (box.height() + side - 1) / side, margin);
+  const TiledAxis columns(box.u0, box.u1, (box.width() + side - 1) / side, margin, margin);
+  const TiledAxis rows(box.v0, box.v1, (box.height() + side - 1) / side, margin, margin);
   double noise2 = 0, counted = 0;
   const int tiles = columns.tiles() * rows.tiles();
   std::vector<std::optional<SplineFit>> fits(static_cast<std::size_t>(std::max(context.threads, 1)));

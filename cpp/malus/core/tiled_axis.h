@@ -1,0 +1,36 @@
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+
+namespace malus {
+
+/// One axis of a raster cut into tiles that overlap. Across a cut the weight of one tile falls as that of the next
+/// rises; the weights of all tiles add up to 1 at every pixel.
+class TiledAxis {
+ public:
+  /// Pixels begin … end − 1 in `tiles` of nearly the same size, which reach `margin` beyond their cuts; weights change
+  /// within `ramp` of a cut, at most the margin.
+  TiledAxis(int begin, int end, int tiles, int margin, int ramp)
+      : begin_(begin), end_(end), tiles_(tiles), margin_(margin), ramp_(ramp) {}
+
+  int tiles() const { return tiles_; }
+  int first(int tile) const { return tile == 0 ? begin_ : std::max(begin_, cut(tile) - margin_); }
+  int last(int tile) const { return tile == tiles_ - 1 ? end_ : std::min(end_, cut(tile + 1) + margin_); }
+  double weight(int tile, int x) const { return rise(tile, x) * (1 - rise(tile + 1, x)); }
+
+ private:
+  int cut(int tile) const {
+    return begin_ + static_cast<int>(static_cast<std::int64_t>(end_ - begin_) * tile / tiles_);
+  }
+  /// From 0 to 1 across the start of a tile.
+  double rise(int tile, int x) const {
+    if (tile == 0) return 1;
+    if (tile == tiles_) return 0;
+    return std::clamp((x + 0.5 - cut(tile) + ramp_) / (2.0 * ramp_), 0.0, 1.0);
+  }
+
+  int begin_, end_, tiles_, margin_, ramp_;
+};
+
+}  // namespace malus
