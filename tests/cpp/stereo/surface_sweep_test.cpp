@@ -6,124 +6,20 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
-#include <functional>
 #include <limits>
 #include <random>
 #include <string>
 #include <utility>
 #include <vector>
 
-#include "looking_pose.h"
 #include "malus/core/error.h"
+#include "stereo/sweep_scenes.h"
 #include "thrown_error.h"
 
 namespace malus {
 namespace {
 
-constexpr double distance_mm = 400, focal = 500, gsd_mm = distance_mm / focal;
-constexpr Size station_size{160, 120};
-
-/// Height of the scene's surface above z = distance_mm in the world, which is the station's frame before its pose.
-using Surface = std::function<double(double x, double y)>;
-
-double plane(double x, double y) {
-  return distance_mm + 0.25 * x - 0.15 * y;
-}
-
-double bumps(double x, double y) {
-  return distance_mm + 5 * gsd_mm * std::sin(x / 12) * std::cos(y / 15) + 0.1 * x;
-}
-
-/// Reflectance of the surface at (x, y): a sum of waves down to a few GSD without a period in sight.
-double texture(double x, double y) {
-  double sum = 0.5, amplitude = 0.11;
-  for (int octave = 0; octave < 4; ++octave) {
-    const double k = 0.21 * std::pow(1.9, octave), turn = 1.1 * octave;
-    const double a = x * std::cos(turn) + y * std::sin(turn), b = y * std::cos(turn) - x * std::sin(turn);
-    sum += amplitude * (std::sin(k * a + octave) + std::sin(1.17 * k * b + 2 * octave));
-    amplitude *= 0.6;
-  }
-  return std::clamp(sum, 0.02, 1.0);
-}
-
-Pose looking_from(const Eigen::Vector3d& centre) {
-  return looking_pose(centre, {0, 0, distance_mm});
-}
-
-/// Where the ray from `origin` meets the surface.
-Eigen::Vector3d meet(const Surface& surface, const Eigen::Vector3d& origin, const Eigen::Vector3d& direction) {
-  double t = (distance_mm - origin.z()) / direction.z();
-  for (int iteration = 0; iteration < 10; ++iteration) {
-    const Eigen::Vector3d point = origin + t * direction;
-    t += (surface(point.x(), point.y()) - point.z()) / direction.z();
-  }
-  return origin + t * direction;
-}
-
-/// Photo of the surface through a lens, 2 × 2 rays a pixel; `gain` and `offset` as a camera of its own would have.
-SweepView photo(const Surface& surface, const Eigen::Vector3d& centre, const LensCamera& camera, double gain = 1,
-                double offset = 0) {
-  SweepView view{Image<float>(camera.size), camera, looking_from(centre)};
-  for (int v = 0; v < camera.size.height; ++v) {
-    for (int u = 0; u < camera.size.width; ++u) {
-      // Over a pixel the lens shifts and scales evenly enough.
-      const Eigen::Vector2d ideal = camera.undistort(Eigen::Vector2d(u, v));
-      double sum = 0;
-      for (const double dv : {-0.25, 0.25}) {
-        for (const double du : {-0.25, 0.25}) {
-          const Eigen::Vector2d shifted = ideal + Eigen::Vector2d(du, dv) / camera.pinhole().focal();
-          const Eigen::Vector3d direction = view.pose.rotation.transpose() * shifted.homogeneous();
-          const Eigen::Vector3d point = meet(surface, view.pose.centre(), direction);
-          sum += texture(point.x(), point.y());
-        }
-      }
-      view.intensity(u, v) = static_cast<float>(gain * sum / 4 + offset);
-    }
-  }
-  return view;
-}
-
-LensCamera distorted_lens() {
-  return {LensModel::opencv, {190, 140}, {560, 555, 93, 71, -0.25, 0.1, 0.002, -0.001}};
-}
-
-struct Scene {
-  SweepInput input;
-  std::vector<SweepView> views;
-  Image<double> truth{station_size};
-};
-
-/// Station at the origin and photos around it, seeing the surface from 15° to 20° aside.
-Scene make_scene(const Surface& surface, int photos) {
-  const LensCamera lens{LensModel::pinhole, station_size, {focal, focal, 79, 60.5}};
-  Scene scene;
-  const SweepView station = photo(surface, {0, 0, 0}, lens);
-  scene.input.intensity = station.intensity;
-  scene.input.camera = lens.pinhole();
-  scene.input.pose = station.pose;
-  scene.input.mask = Mask(station_size, 1, 255);
-  for (int v = 0; v < station_size.height; ++v) {
-    for (int u = 0; u < station_size.width; ++u) {
-      const Eigen::Vector3d point =
-          meet(surface, station.pose.centre(), station.pose.rotation.transpose() * lens.pinhole().ray(u, v));
-      scene.truth(u, v) = station.pose.cam_from_world(point).z();
-      if (u % 16 == 8 && v % 16 == 8) scene.input.points.push_back(point);
-    }
-  }
-  for (int k = 0; k < photos; ++k) {
-    const double turn = 2 * 3.14159265 * k / std::max(photos, 1) + 0.4;
-    const Eigen::Vector3d centre(125 * std::cos(turn), 125 * std::sin(turn), 10.0 * k);
-    scene.views.push_back(photo(surface, centre, distorted_lens(), 0.7 + 0.03 * k, 0.05));
-  }
-  return scene;
-}
-
-SweepOptions test_options() {
-  SweepOptions options;
-  options.station_gamma = 1;
-  options.min_level_px = 50;
-  return options;
-}
+using namespace sweep_scenes;
 
 struct Errors {
   double completeness = 0, median_gsd = 0, rms_gsd = 0, within_2_sigma = 0;
