@@ -1,3 +1,4 @@
+#include "malus/core/parallel.h"
 #include "malus/io/glb_file.h"
 #include "malus/io/point_cloud_file.h"
 #include "malus/station/surface_files_internal.h"
@@ -5,28 +6,55 @@
 #include "malus/surface/display_image.h"
 
 namespace malus {
+namespace {
+
+/// Empty, or why there is no elevation model.
+std::string write_elevation(const std::filesystem::path& path, const MeshInStrips& mesh, const FusedSurface& surface,
+                            const SurfaceOptions& options, const LengthUnit& unit, const std::string& name,
+                            const Context& context) {
+  try {
+    write_dem(path, dem_from_mesh(mesh, surface, options, context), unit, name);
+    return {};
+  } catch (const Error& error) {
+    if (error.code() != ErrorCode::data) throw;
+    return error.what();
+  }
+}
+
+}  // namespace
+
 void write_surface_files(const FusedSurface& surface, const Image<float>& color, const SurfaceOptions& options,
                          const LengthUnit& unit, const std::string& name, const Context& context,
                          const std::filesystem::path& work, std::vector<std::string>& files) {
   // The full mesh is many times larger than the maps it comes from.
   const MeshInStrips mesh = mesh_in_strips(surface, color, options, context);
-  write_ply(work / "fused/surface.ply", mesh, context);
-  files.emplace_back("fused/surface.ply");
+  const auto write_display = [&](const Context& inner) {
+    const Image<std::uint8_t> texture =
+        display_image(color, surface.depth, options.white_percentile, options.glb_texture_px, inner);
+    SurfaceOptions coarse = options;
+    coarse.subsample = subsample_for(mesh.triangles, options.glb_triangles, options);
+    write_glb(work / "fused/surface.glb", mesh_from_depth(surface, {}, coarse, inner),
+              {texture, surface.camera, surface.pose}, unit, name);
+  };
 
-  const Image<std::uint8_t> texture =
-      display_image(color, surface.depth, options.white_percentile, options.glb_texture_px, context);
-  SurfaceOptions coarse = options;
-  coarse.subsample = subsample_for(mesh.triangles, options.glb_triangles, options);
-  write_glb(work / "fused/surface.glb", mesh_from_depth(surface, {}, coarse, context),
-            {texture, surface.camera, surface.pose}, unit, name);
-  files.emplace_back("fused/surface.glb");
-
-  try {
-    write_dem(work / "fused/dem.tif", dem_from_mesh(mesh, surface, options, context), unit, name);
+  // The large file is bound by the system's copying of its pages, which one thread does at a time; the others compute.
+  Context half = context;
+  half.threads = (context.threads + 1) / 2;
+  half.on_progress = nullptr;
+  std::string no_elevation;
+  parallel_for(context, 2, 1, [&](std::size_t task, std::size_t) {
+    if (task == 0) {
+      write_ply(work / "fused/surface.ply", mesh, half);
+    } else {
+      write_display(half);
+      no_elevation = write_elevation(work / "fused/dem.tif", mesh, surface, options, unit, name, half);
+    }
+  });
+  files.insert(files.end(), {"fused/surface.ply", "fused/surface.glb"});
+  if (no_elevation.empty()) {
     files.emplace_back("fused/dem.tif");
-  } catch (const Error& error) {
-    if (error.code() != ErrorCode::data) throw;
-    context.log(LogLevel::warning, std::string("no fused/dem.tif: ") + error.what());
+  } else {
+    context.log(LogLevel::warning, "no fused/dem.tif: " + no_elevation);
   }
 }
 
