@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -114,6 +115,16 @@ def placed(scene: dict[str, object], tmp_path: Path) -> StationCameras:
     return StationCameras(scene["camera"], photos, SparseModel({}, scene["points"], np.zeros(0), np.zeros(0, int)), {})
 
 
+def sweep_station(
+    scene: dict[str, object], placed: StationCameras, folder: Path, options: malus.Options,
+    fuse: Callable[[front_end.Swept], front_end.FusedOnce],
+) -> front_end.Swept:  # fmt: skip
+    return front_end.sweep_station(
+        placed, scene["intensity"], np.full((HEIGHT, WIDTH), 255, np.uint8), folder, fuse=fuse, fused_of={},
+        options=options, threads=1, progress=lambda *_: None, log=lambda *_: None,
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize(("again", "completeness", "fusions"), [(True, 0.3, 1), (False, 0.3, 0)])
 def test_station_is_swept_again_about_the_fused_surface_once(
     scene: dict[str, object], placed: StationCameras, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
@@ -132,13 +143,7 @@ def test_station_is_swept_again_about_the_fused_surface_once(
         surface[0, 0] = np.nan
         return front_end.FusedOnce(surface, prior, np.full_like(prior, gsd))
 
-    def swept() -> front_end.Swept:
-        return front_end.sweep_station(
-            placed, scene["intensity"], np.full((HEIGHT, WIDTH), 255, np.uint8), tmp_path, fuse=fuse, fused_of={},
-            options=options, threads=1, progress=lambda *_: None, log=lambda *_: None,
-        )  # fmt: skip
-
-    first, second = swept(), swept()
+    first, second = (sweep_station(scene, placed, tmp_path, options, fuse) for _ in range(2))
     assert len(fused) == fusions
     np.testing.assert_array_equal(first.depth, second.depth)
     assert (first.shape is None) == (fusions == 0)
@@ -165,13 +170,7 @@ def test_where_photos_see_little_what_the_fused_surface_contradicts_is_left_out(
         surface[mirror] -= 20 * gsd
         return front_end.FusedOnce(surface, surface + 5 * gsd, np.full_like(surface, gsd))
 
-    def swept() -> front_end.Swept:
-        return front_end.sweep_station(
-            placed, scene["intensity"], np.full((HEIGHT, WIDTH), 255, np.uint8), tmp_path, fuse=fuse, fused_of={},
-            options=options, threads=1, progress=lambda *_: None, log=lambda *_: None,
-        )  # fmt: skip
-
-    first, second = swept(), swept()
+    first, second = (sweep_station(scene, placed, tmp_path, options, fuse) for _ in range(2))
     assert len(fused) == 2
     before, after = (np.isfinite(sweep.depth) for sweep in fused)
     assert not after[mirror].any()
