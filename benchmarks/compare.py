@@ -280,7 +280,8 @@ def main() -> None:
             {
                 "Malus multigrid": lambda: program(side, threads, "multigrid"),
                 "Malus multigrid, 1 thread": lambda: program(side, 1, "multigrid"),
-                "Malus, CHOLMOD by position": lambda: program(side, 1, "cholmod-by-position"),
+                "Malus, CHOLMOD by position": lambda: program(side, threads, "cholmod-by-position"),
+                "Malus, CHOLMOD by position, 1 thread": lambda: program(side, 1, "cholmod-by-position"),
                 "CHOLMOD (METIS)": lambda: program(side, 1, "cholmod"),
                 "PyAMG, smoothed aggregation": lambda: child("pyamg", system),
             },
