@@ -246,6 +246,13 @@ def test_check_says_what_would_be_done(small_station: Path) -> None:
     assert (plan["width"], plan["height"], plan["object_pixels"]) == (200, 160, 32000)
     assert plan["seconds"] > 0 and plan["memory_mb"] > 0
     assert any("points fall on the object" in line for line in plan["does"])
+    assert not any("memory" in line for line in plan["warnings"])
+
+
+def test_check_says_when_memory_will_not_do(small_station: Path) -> None:
+    outcome = run_malus("check", small_station, "--json", "--threads", "100000")
+    assert outcome.code == 0, outcome.err
+    assert any("GB of memory, of which this machine has" in line for line in json.loads(outcome.out)["warnings"])
 
 
 def test_ctrl_c_stops_within_a_second_and_leaves_nothing_half_done(small_station: Path, tmp_path: Path) -> None:

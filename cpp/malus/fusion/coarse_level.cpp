@@ -9,7 +9,16 @@
 namespace malus {
 namespace {
 
-constexpr float none = std::numeric_limits<float>::quiet_NaN();
+/// Pixels that are means of others.
+class CoarsePixels final : public PixelSource {
+ public:
+  explicit CoarsePixels(Size size) : pixels_(Image<PixelData>::uninitialized(size)) {}
+  PixelData at(int u, int v) const override { return pixels_(u, v); }
+  PixelData& operator()(int u, int v) { return pixels_(u, v); }
+
+ private:
+  Image<PixelData> pixels_;
+};
 
 /// Calls visit(u, v) for the pixels under a coarse one for which `counts` is set.
 template <class Visit>
@@ -21,48 +30,56 @@ void for_each_child(const Mask& counts, int column, int row, Visit&& visit) {
   }
 }
 
-void coarsen_surface(const RefinementField& fine, RefinementField& coarse, int column, int row) {
-  double x = 0, x_prior = 0, sigma = 0;
-  int count = 0, specular = 0;
+/// x of a coarse pixel with at least one child on the object, in the coarse GSD.
+double coarse_x(const RefinementImage& fine, int column, int row) {
+  double x = 0;
+  int count = 0;
   for_each_child(fine.object, column, row, [&](int u, int v) {
     x += fine.x(u, v);
-    x_prior += fine.x_prior(u, v);
-    sigma += fine.prior_sigma(u, v);
-    specular += fine.kind_at(u, v) == Reflection::specular;
     ++count;
   });
-  if (count == 0) return;
-  coarse.object(column, row) = 255;
-  coarse.x(column, row) = x / count / 2;
-  coarse.x_prior(column, row) = x_prior / count / 2;
-  coarse.prior_sigma(column, row) = static_cast<float>(sigma / count / 2);
-  coarse.kind(column, row) =
-      static_cast<std::uint8_t>(2 * specular > count ? Reflection::specular : Reflection::diffuse);
+  return x / count / 2;
 }
 
-void coarsen_light(const RefinementField& fine, RefinementField& coarse, int column, int row) {
+/// What a coarse pixel's children say; its place is on the object and usable where one of theirs is.
+PixelData coarse_pixel(const RefinementImage& fine, RefinementImage& coarse, int column, int row) {
+  double x_prior = 0, sigma = 0;
   float s0 = 0, s1 = 0, s2 = 0, variance = 0;
-  int count = 0;
-  for_each_child(fine.usable, column, row, [&](int u, int v) {
-    s0 += fine.s0(u, v);
-    s1 += fine.s1(u, v);
-    s2 += fine.s2(u, v);
-    variance += fine.variance(u, v);
+  int count = 0, usable = 0, specular = 0;
+  for_each_child(fine.object, column, row, [&](int u, int v) {
+    const PixelData pixel = fine.source->at(u, v);
+    x_prior += pixel.x_prior;
+    sigma += pixel.prior_sigma;
+    specular += fine.kind_at(u, v) == Reflection::specular;
     ++count;
+    if (!fine.usable(u, v)) return;
+    s0 += pixel.s0;
+    s1 += pixel.s1;
+    s2 += pixel.s2;
+    variance += pixel.variance;
+    ++usable;
   });
-  if (count == 0) return;
-  const float share = 1.0F / static_cast<float>(count);
+  if (count == 0) return {};
+  coarse.object(column, row) = 255;
+  coarse.kind(column, row) =
+      static_cast<std::uint8_t>(2 * specular > count ? Reflection::specular : Reflection::diffuse);
+  PixelData pixel;
+  pixel.x_prior = x_prior / count / 2;
+  pixel.prior_sigma = static_cast<float>(sigma / count / 2);
+  if (usable == 0) return pixel;
   coarse.usable(column, row) = 255;
-  coarse.s0(column, row) = share * s0;
-  coarse.s1(column, row) = share * s1;
-  coarse.s2(column, row) = share * s2;
-  coarse.variance(column, row) = share * share * variance;
+  const float share = 1.0F / static_cast<float>(usable);
+  pixel.s0 = share * s0;
+  pixel.s1 = share * s1;
+  pixel.s2 = share * s2;
+  pixel.variance = share * share * variance;
+  return pixel;
 }
 
 }  // namespace
 
-RefinementField coarsened(const RefinementField& fine, const Context& context) {
-  RefinementField coarse;
+RefinementImage coarsened(const RefinementImage& fine, const Context& context) {
+  RefinementImage coarse;
   coarse.camera = fine.camera.binned();
   coarse.focal = fine.focal / 2;
   coarse.log_depth_origin = fine.log_depth_origin;
@@ -70,21 +87,26 @@ RefinementField coarsened(const RefinementField& fine, const Context& context) {
   coarse.shading = fine.shading;
   const Size size = coarse.camera.size;
   coarse.object = coarse.usable = Mask(size);
-  coarse.x = coarse.x_prior = Image<double>(size, 1, std::numeric_limits<double>::quiet_NaN());
-  coarse.prior_sigma = coarse.s0 = coarse.s1 = coarse.s2 = coarse.variance = Image<float>(size, 1, none);
+  coarse.x = Image<double>(size, 1, std::numeric_limits<double>::quiet_NaN());
   coarse.kind = Image<std::uint8_t>(size);
+  auto pixels = std::make_shared<CoarsePixels>(size);
   parallel_rows(context, size.height, [&](int row) {
     for (int column = 0; column < size.width; ++column) {
-      coarsen_surface(fine, coarse, column, row);
-      coarsen_light(fine, coarse, column, row);
+      (*pixels)(column, row) = coarse_pixel(fine, coarse, column, row);
+      if (coarse.object(column, row)) coarse.x(column, row) = coarse_x(fine, column, row);
     }
   });
-  prepare_weights(coarse);
+  coarse.source = std::move(pixels);
   return coarse;
 }
 
-void take_over(RefinementField& fine, const RefinementField& coarse, const Context& context) {
-  const RefinementField before = coarsened(fine, context);
+void take_over(RefinementImage& fine, const RefinementImage& coarse, const Context& context) {
+  Image<double> change(coarse.size());
+  parallel_rows(context, change.height(), [&](int row) {
+    for (int column = 0; column < change.width(); ++column) {
+      if (coarse.object(column, row)) change(column, row) = coarse.x(column, row) - coarse_x(fine, column, row);
+    }
+  });
   parallel_rows(context, fine.size().height, [&](int v) {
     for (int u = 0; u < fine.size().width; ++u) {
       if (!fine.object(u, v)) continue;
@@ -95,7 +117,7 @@ void take_over(RefinementField& fine, const RefinementField& coarse, const Conte
         const int i = column + k % 2, j = row + k / 2;
         if (!coarse.is_object(i, j)) continue;
         const double weight = (1 - std::abs(at_u - i)) * (1 - std::abs(at_v - j));
-        sum += weight * (coarse.x(i, j) - before.x(i, j));
+        sum += weight * change(i, j);
         weights += weight;
       }
       fine.x(u, v) += 2 * sum / weights;  // the pixel's own coarse one is always there

@@ -9,6 +9,7 @@
 #include "malus/core/median.h"
 #include "malus/core/parallel.h"
 #include "malus/fusion/coarse_level.h"
+#include "malus/fusion/even_choice.h"
 #include "malus/fusion/masked_blur.h"
 #include "malus/fusion/refinement_weights.h"
 #include "malus/fusion/reflection_fit.h"
@@ -26,27 +27,34 @@ double seconds_since(std::chrono::steady_clock::time_point start) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
-void label_regions(RefinementField& field, const RefineInput& input, const Context& context) {
+std::vector<RowRange> rows_of(const std::vector<TileStrip>& strips) {
+  std::vector<RowRange> rows;
+  for (const TileStrip& strip : strips) rows.push_back(strip.rows);
+  return rows;
+}
+
+void label_regions(RefinementImage& image, const RefineInput& input, const std::vector<RowRange>& strips,
+                   const Context& context) {
   switch (input.reflection) {
     case ReflectionChoice::automatic:
-      label_reflection(field, context);
+      label_reflection(image, strips, context);
       return;
     case ReflectionChoice::diffuse:
-      field.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+      image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
       return;
     case ReflectionChoice::specular:
-      field.kind.fill(static_cast<std::uint8_t>(Reflection::specular));
+      image.kind.fill(static_cast<std::uint8_t>(Reflection::specular));
       return;
     case ReflectionChoice::labels:
-      label_reflection(field, context);
-      require_size(input.labels, field.size(), "the label image");
+      label_reflection(image, strips, context);
+      require_size(input.labels, image.size(), "the label image");
       for (std::size_t i = 0; i < input.labels.count(); ++i) {
         if (input.labels[i] > 2) {
           throw input_error("the label image has a pixel " + std::to_string(input.labels[i]) +
                             ", expected 0 (not known), 1 (diffuse) or 2 (specular)");
         }
-        if (input.labels[i] == 1) field.kind[i] = static_cast<std::uint8_t>(Reflection::diffuse);
-        if (input.labels[i] == 2) field.kind[i] = static_cast<std::uint8_t>(Reflection::specular);
+        if (input.labels[i] == 1) image.kind[i] = static_cast<std::uint8_t>(Reflection::diffuse);
+        if (input.labels[i] == 2) image.kind[i] = static_cast<std::uint8_t>(Reflection::specular);
       }
       return;
   }
@@ -57,94 +65,58 @@ MirroredTerms mirrored_terms(const RefineOptions& options) {
 }
 
 /// Fits what all pixels share at the current surface. Returns by how much the lobe lowered the robust cost.
-double fit_reflection(RefinementField& field, const RefineOptions& options, RefineReport& report,
+double fit_reflection(RefinementImage& image, const RefineOptions& options, RefineReport& report,
                       const Context& context) {
   double lobe_gain = 0;
-  const auto diffuse = collect_samples(field, Reflection::diffuse, sample_count);
+  const auto diffuse = collect_samples(image, Reflection::diffuse, sample_count);
   if (!diffuse.empty()) {
     const Shading shading = fit_shading(diffuse);
-    field.shading = shading.harmonics;
-    HighlightLobe start = field.reflection.lobe;
+    image.shading = shading.harmonics;
+    HighlightLobe start = image.reflection.lobe;
     if (start.strength == 0) start.light = shading.light;
-    const DiffuseFit fit = fit_diffuse(diffuse, field.reflection.eta, mirrored_terms(options), start, context);
-    field.reflection.environment = fit.environment;
-    field.reflection.lobe = fit.lobe;
+    const DiffuseFit fit = fit_diffuse(diffuse, image.reflection.eta, mirrored_terms(options), start, context);
+    image.reflection.environment = fit.environment;
+    image.reflection.lobe = fit.lobe;
     if (options.environment) report.environment_sigma = fit.environment_sigma;
     report.lobe_strength_sigma = fit.strength_sigma;
     report.lobe_roughness_sigma = fit.roughness_sigma;
     report.light_sigma_rad = fit.light_sigma_rad;
     lobe_gain = 1 - fit.cost / std::max(fit.cost_without_lobe, 1e-12);
   }
-  const auto specular = collect_samples(field, Reflection::specular, sample_count);
+  const auto specular = collect_samples(image, Reflection::specular, sample_count);
   if (!specular.empty()) {
-    const SpecularFit fit = fit_specular(specular, field.reflection.eta);
-    field.reflection.mirror = fit.mirror;
+    const SpecularFit fit = fit_specular(specular, image.reflection.eta);
+    image.reflection.mirror = fit.mirror;
     report.mirror_body_sigma = fit.body_sigma;
     report.mirror_environment_sigma = fit.environment_sigma;
   }
-  report.reflection = field.reflection;
+  report.reflection = image.reflection;
   return lobe_gain;
 }
 
-double rms_change(const Image<double>& now, const Image<double>& before, const Mask& object) {
-  double sum = 0, count = 0;
-  for (std::size_t i = 0; i < now.count(); ++i) {
-    if (!object[i]) continue;
-    sum += (now[i] - before[i]) * (now[i] - before[i]);
-    ++count;
-  }
-  return std::sqrt(sum / count);
-}
-
-FusedSurface surface_of(const RefinementField& field, const DepthPrior& prior, const Context& context) {
-  FusedSurface surface;
-  surface.camera = prior.camera;
-  surface.pose = prior.pose;
-  surface.method = "refined";
-  surface.depth = Image<float>(field.size(), 1, std::numeric_limits<float>::quiet_NaN());
-  parallel_rows(context, field.size().height, [&](int v) {
-    for (int u = 0; u < field.size().width; ++u) {
-      if (field.object(u, v)) surface.depth(u, v) = static_cast<float>(field.depth_of(field.x(u, v)));
-    }
-  });
-  surface.normals = normals_from_depth(surface.depth, surface.camera, context);
-  surface.sigma = surface_sigma(field, context);
-  return surface;
-}
-
 /// Side of a square as large as the object [px].
-double object_side(const RefinementField& field) {
+double object_side(const SurfaceEstimate& surface) {
   return std::sqrt(
-      static_cast<double>(std::count_if(field.object.begin(), field.object.end(), [](auto m) { return m != 0; })));
+      static_cast<double>(std::count_if(surface.object.begin(), surface.object.end(), [](auto m) { return m != 0; })));
 }
 
-/// Label and weight of every pixel's polarization, as images.
-void report_pixels(const RefinementField& field, RefineReport& report) {
-  report.specular_share = specular_share(field);
-  report.label = report.confidence = Image<std::uint8_t>(field.size());
-  for (std::size_t i = 0; i < field.object.count(); ++i) {
-    if (field.object[i]) report.label[i] = field.kind[i];
-  }
-  for (int v = 0; v < field.size().height; ++v) {
-    for (int u = 0; u < field.size().width; ++u) {
-      if (!field.object(u, v)) continue;
-      report.confidence(u, v) = static_cast<std::uint8_t>(std::lround(255 * stokes_weight(field, u, v)));
-    }
-  }
-}
-
-/// s0 of the middle specular pixel.
-double median_specular_s0(const RefinementField& field) {
+/// s0 of the middle specular pixel, of the many of a large image.
+double median_specular_s0(const RefinementImage& image) {
+  const double share = 4e6 / static_cast<double>(image.size().area());
   std::vector<float> values;
-  for (std::size_t i = 0; i < field.object.count(); ++i) {
-    if (field.usable[i] && field.kind[i] == static_cast<std::uint8_t>(Reflection::specular))
-      values.push_back(field.s0[i]);
+  for (int v = 0; v < image.size().height; ++v) {
+    for (int u = 0; u < image.size().width; ++u) {
+      const auto pixel =
+          static_cast<std::size_t>(v) * static_cast<std::size_t>(image.size().width) + static_cast<std::size_t>(u);
+      if (image.usable[pixel] && image.kind_at(u, v) == Reflection::specular && is_chosen(pixel, share))
+        values.push_back(image.source->at(u, v).s0);
+    }
   }
   return median_in_place(values);
 }
 
 /// What the numbers say about whether to trust the surface.
-void judge(const RefinementField& field, const RefineReport& report, FusedSurface& surface) {
+void judge(const RefinementImage& image, const RefineReport& report, FusedSurface& surface) {
   surface.status = "converged";
   const RefineIteration& last = *std::find_if(report.iterations.rbegin(), report.iterations.rend(),
                                               [](const auto& round) { return !round.search; });
@@ -159,7 +131,7 @@ void judge(const RefinementField& field, const RefineReport& report, FusedSurfac
   }
   // In front of a mirror image as weakly polarized as this a dielectric body would have to be nearly white.
   constexpr double largest_body_share = 0.7;
-  const double s0 = median_specular_s0(field);
+  const double s0 = median_specular_s0(image);
   if (report.specular_share > 0.5 && report.reflection.mirror.body > largest_body_share * s0) {
     surface.status = "low confidence";
     surface.warnings.push_back(
@@ -184,28 +156,32 @@ struct ProgressRange {
 /// Runs rounds of: fit what all pixels share, weigh the residuals, solve. On large images first at half the resolution.
 class Refiner {
  public:
-  Refiner(RefinementField& field, const RefineOptions& options, RefineReport& report, const Context& context,
+  Refiner(RefinementImage& image, const RefineOptions& options, RefineReport& report, const Context& context,
           ProgressRange range = {}, int binning = 1)
-      : field_(field),
+      : image_(image),
         options_(options),
         report_(report),
         context_(context),
         range_(range),
         binning_(binning),
-        tiles_(divide_into_tiles(field.size(), options.tile_px, options.margin_px)),
-        mirrors_(specular_share(field) > worthwhile_share),
-        searches_(options.search && mirrors_) {}
+        tiles_(divide_into_tiles(image.size(), options.tile_px, options.margin_px)),
+        strips_(divide_into_strips(tiles_, image.size(), 1e6 * options.strip_megapixels)) {}
+
+  /// Decides how each region reflects.
+  void label(const RefineInput& input) { label_regions(image_, input, rows_of(strips_), context_); }
 
   /// estimate_index: the refractive index is not known. Returns what the solver took.
   SolveStatistics run(bool estimate_index) {
+    mirrors_ = specular_share(image_) > worthwhile_share;
+    searches_ = options_.search && mirrors_;
     // The search for other minima takes most of the time, and what it finds is larger than a few pixels.
-    const bool coarse_first = searches_ && object_side(field_) >= 2 * options_.coarsest_px;
+    const bool coarse_first = searches_ && object_side(image_) >= 2 * options_.coarsest_px;
     if (coarse_first) {
       const double share = 0.4;
       const ProgressRange coarse_range{range_.begin, range_.begin + share * (range_.end - range_.begin)};
-      RefinementField coarse = coarsened(field_, context_);
+      RefinementImage coarse = coarsened(image_, context_);
       total_ += Refiner(coarse, options_, report_, context_, coarse_range, 2 * binning_).run(estimate_index);
-      take_over(field_, coarse, context_);
+      take_over(image_, coarse, context_);
       range_.begin = coarse_range.end;
       rounds_ = options_.fine_iterations;
       for (int i = 0; i < rounds_; ++i) round(1, true, true);
@@ -222,12 +198,44 @@ class Refiner {
       if (searches_) search();
     }
     settle();
-    const FitQuality quality = update_weights(field_, weights(1, true), context_);
+    return total_;
+  }
+
+  /// The surface that was found, and what is reported of its pixels.
+  FusedSurface finish(const DepthPrior& prior) {
+    constexpr int margin = surface_sigma_reach_px + weights_reach_px;
+    const Size size = image_.size();
+    FusedSurface surface;
+    surface.camera = prior.camera;
+    surface.pose = prior.pose;
+    surface.method = "refined";
+    surface.depth = surface.sigma = Image<float>(size, 1, std::numeric_limits<float>::quiet_NaN());
+    report_.specular_share = specular_share(image_);
+    report_.label = report_.confidence = Image<std::uint8_t>(size);
+    ResidualSummary summary(size);
+    for (const TileStrip& tiles : strips_) {
+      const StripField strip = weighted_strip(tiles.rows, margin, weights(1, true), &summary);
+      const Image<float> sigma = surface_sigma(strip.field, context_);
+      parallel_rows(context_, tiles.rows.end - tiles.rows.begin, [&](int row) {
+        const int v = tiles.rows.begin + row, strip_v = v - strip.first_row;
+        for (int u = 0; u < size.width; ++u) {
+          if (!image_.object(u, v)) continue;
+          surface.depth(u, v) = static_cast<float>(image_.depth_of(image_.x(u, v)));
+          surface.sigma(u, v) = sigma(u, strip_v);
+          report_.label(u, v) = image_.kind(u, v);
+          report_.confidence(u, v) =
+              static_cast<std::uint8_t>(std::lround(255 * stokes_weight(strip.field, u, strip_v)));
+        }
+      });
+    }
+    image_.x = {};  // as much memory as the normals take
+    surface.normals = normals_from_depth(surface.depth, surface.camera, context_);
+    const FitQuality quality = summary.quality();
     report_.tiles = static_cast<int>(tiles_.size());
     report_.stokes_cost = quality.robust_cost;
     report_.median_residual = quality.median_residual;
     report_.linear_solver_share = total_.linear_solver_seconds / std::max(total_.solver_seconds, 1e-9);
-    return total_;
+    return surface;
   }
 
  private:
@@ -257,31 +265,75 @@ class Refiner {
   /// Takes the refractive index from the data, at the surface as it is.
   void estimate_refractive_index() {
     constexpr std::size_t index_samples = 8000;
-    const RefractiveIndexFit fit = fit_refractive_index(collect_samples(field_, Reflection::diffuse, index_samples),
-                                                        collect_samples(field_, Reflection::specular, index_samples),
+    const RefractiveIndexFit fit = fit_refractive_index(collect_samples(image_, Reflection::diffuse, index_samples),
+                                                        collect_samples(image_, Reflection::specular, index_samples),
                                                         mirrored_terms(options_), context_);
-    field_.reflection.eta = fit.eta;
+    image_.reflection.eta = fit.eta;
     report_.eta_sigma = fit.sigma;
+  }
+
+  /// Field of a strip with its weights. Residuals are added to the summary if there is one.
+  StripField weighted_strip(RowRange rows, int margin, const WeightOptions& options, ResidualSummary* summary) const {
+    StripField strip = strip_field(image_, rows, margin, context_);
+    const PixelResiduals residuals = update_weights(strip.field, options, context_);
+    if (summary != nullptr) summary->add(residuals, strip.rows, strip.first_row);
+    return strip;
   }
 
   void round(double widening, bool fit, bool regional) {
     const auto start = std::chrono::steady_clock::now();
-    if (fit) lobe_gain_ = fit_reflection(field_, options_, report_, context_);
-    const FitQuality quality = update_weights(field_, weights(widening, regional), context_);
-    const Image<double> before = field_.x;
+    if (fit) lobe_gain_ = fit_reflection(image_, options_, report_, context_);
+    const WeightOptions weights = this->weights(widening, regional);
+    const int margin = whole_blocks(options_.margin_px) + whole_blocks(tile_ring_px + weights_reach_px);
+    ResidualSummary summary(image_.size());
+    StripField strip;
+    for (const TileStrip& tiles : strips_) {
+      strip = {};  // makes room
+      strip = weighted_strip(tiles.rows, margin, weights, &summary);
+    }
+    const FitQuality quality = summary.quality();
+    const double albedo_weight = summary.albedo_weight(weights);
+    BlendedTiles blended(image_.size(), tiles_);
+    SolveStatistics statistics;
+    // Backwards: the last strip is at hand.
+    for (auto tiles = strips_.rbegin(); tiles != strips_.rend(); ++tiles) {
+      if (tiles != strips_.rbegin()) {
+        strip = {};
+        strip = weighted_strip(tiles->rows, margin, weights, nullptr);
+      }
+      strip.field.albedo_weight = albedo_weight;
+      statistics += solve_strip(strip, tiles->tiles, blended);
+    }
+    ++done_;
+    tiles_done_ = 0;
+    total_ += statistics;
+    const double change = blended.replace(image_.x, image_.object, context_);
+    report_.iterations.push_back({binning_, searching_, statistics.cost_before, statistics.cost_after,
+                                  quality.robust_cost, quality.median_residual, change, statistics.rejected_steps,
+                                  seconds_since(start)});
+  }
+
+  SolveStatistics solve_strip(const StripField& strip, const std::vector<Tile>& tiles, BlendedTiles& blended) {
     // The shared parameters come from the prior's slopes at first: no far step with them.
     constexpr std::size_t careful_rounds = 2;
     const int steps = report_.iterations.size() < careful_rounds ? 1 : options_.steps;
-    const TileOptions solve{steps, options_.smoothness, options_.prior_robust_gsd / binning_};
-    const auto progress = [&](int done) {
-      return range_.begin + (range_.end - range_.begin) * std::min(done, rounds_) / rounds_;
-    };
-    const SolveStatistics solved = solve_tiles(field_, tiles_, solve, progress(done_), progress(done_ + 1), context_);
-    ++done_;
-    total_ += solved;
-    report_.iterations.push_back({binning_, searching_, solved.cost_before, solved.cost_after, quality.robust_cost,
-                                  quality.median_residual, rms_change(field_.x, before, field_.object),
-                                  solved.rejected_steps, seconds_since(start)});
+    std::vector<Tile> in_strip = tiles;
+    for (Tile& tile : in_strip) tile = {tile.core.from(0, strip.first_row), tile.outer.from(0, strip.first_row)};
+    const std::vector<TileSolution> solutions = solve_tiles(
+        strip.field, in_strip, {steps, options_.smoothness, options_.prior_robust_gsd / binning_},
+        [&] { report_progress(++tiles_done_); }, context_);
+    SolveStatistics statistics;
+    for (std::size_t i = 0; i < tiles.size(); ++i) {
+      statistics += solutions[i].statistics;
+      blended.add(tiles[i], solutions[i].x);
+    }
+    return statistics;
+  }
+
+  void report_progress(std::size_t tiles_of_round) const {
+    const double rounds = done_ + static_cast<double>(tiles_of_round) / static_cast<double>(tiles_.size());
+    const double share = std::min(rounds / rounds_, 1.0);
+    context_.progress("fusion", range_.begin + share * (range_.end - range_.begin), "refining the surface");
   }
 
   /// More rounds where the surface still moves, which a poor prior makes it do.
@@ -292,15 +344,18 @@ class Refiner {
       round(1, true, true);
   }
 
+  /// Of images of the coarsest level, which are small.
   void search() {
-    const Image<double> incumbent = field_.x;
-    field_.x = sharpened_prior();
+    const Image<double> incumbent = image_.x;
+    image_.x = sharpened_prior();
     searching_ = true;
     for (const double widening : search_widenings) round(widening, false, false);
     searching_ = false;
-    const Image<double> candidate = field_.x;
-    field_.x = incumbent;
-    const RegionChoice choice = take_cheaper_regions(field_, candidate, weights(1, false), context_);
+    const Image<double> candidate = std::move(image_.x);
+    image_.x = incumbent;
+    RefinementField field = image_.part(image_.everything(), context_);
+    const RegionChoice choice = take_cheaper_regions(field, candidate, weights(1, false), context_);
+    image_.x = std::move(field.x);
     report_.regions_compared += choice.regions;
     report_.regions_taken += choice.taken;
     if (choice.taken == 0) return;
@@ -309,26 +364,28 @@ class Refiner {
 
   Image<double> sharpened_prior() const {
     constexpr double detail_sigma_px = 8;
-    Image<float> prior(field_.size());
-    for (std::size_t i = 0; i < prior.count(); ++i) prior[i] = static_cast<float>(field_.x_prior[i]);
-    const Image<float> smooth = masked_blur(prior, field_.object, detail_sigma_px, context_);
-    Image<double> x = field_.x_prior;
+    Image<double> x = image_.part(image_.everything(), context_).x_prior;
+    Image<float> prior(x.size());
+    for (std::size_t i = 0; i < prior.count(); ++i) prior[i] = static_cast<float>(x[i]);
+    const Image<float> smooth = masked_blur(prior, image_.object, detail_sigma_px, context_);
     for (std::size_t i = 0; i < x.count(); ++i) {
-      if (field_.object[i]) x[i] += options_.search_sharpening * (x[i] - smooth[i]);
+      if (image_.object[i]) x[i] += options_.search_sharpening * (x[i] - smooth[i]);
     }
     return x;
   }
 
-  RefinementField& field_;
+  RefinementImage& image_;
   const RefineOptions& options_;
   RefineReport& report_;
   const Context& context_;
   ProgressRange range_;
-  int binning_;  ///< pixels of the image along a side of one of the field's
+  int binning_;  ///< pixels of the station's image along a side of one of this
   std::vector<Tile> tiles_;
-  bool mirrors_;
-  bool searches_;  ///< only mirrors gain: what a diffuse body's slopes could flip to, its shading contradicts
+  std::vector<TileStrip> strips_;
+  bool mirrors_ = false;
+  bool searches_ = false;  ///< only mirrors gain: what a diffuse body's slopes could flip to, its shading contradicts
   int rounds_ = 1, done_ = 0;
+  std::size_t tiles_done_ = 0;  ///< of the round
   double lobe_gain_ = 0;
   bool searching_ = false;
   SolveStatistics total_;
@@ -340,14 +397,14 @@ RefineResult refine(const PolarizationState& state, const DepthPrior& prior, con
                     const RefineOptions& options, const Context& context) {
   const auto start = std::chrono::steady_clock::now();
   validate_fields(options, "fusion");
-  RefinementField field = make_field(state, prior, context);
-  field.reflection.eta = input.refractive_index.value_or(1.5);
+  RefinementImage image = make_image(state, prior, context);
+  image.reflection.eta = input.refractive_index.value_or(1.5);
   RefineResult result;
-  label_regions(field, input, context);
-  Refiner(field, options, result.report, context).run(!input.refractive_index);
-  result.surface = surface_of(field, prior, context);
-  report_pixels(field, result.report);
-  judge(field, result.report, result.surface);
+  Refiner refiner(image, options, result.report, context);
+  refiner.label(input);
+  refiner.run(!input.refractive_index);
+  result.surface = refiner.finish(prior);
+  judge(image, result.report, result.surface);
   result.report.seconds = seconds_since(start);
   return result;
 }

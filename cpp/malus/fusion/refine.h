@@ -31,6 +31,7 @@ struct RefineOptions {
   double coarsest_px = 100;
   int tile_px = 384;
   int margin_px = 32;
+  double strip_megapixels = 6;
   double robust_scale = 2.5;
   double graduation = 4;
   double relative_error = 0.002;
@@ -59,6 +60,8 @@ struct RefineOptions {
     visit("steps", self.steps, Range{1, 50}, "Gauss-Newton steps of each solve after the first two, which take one");
     visit("tile_px", self.tile_px, Range{64, 4096}, "largest side of a tile's core");
     visit("margin_px", self.margin_px, Range{16, 512}, "overlap of a tile with its neighbours");
+    visit("strip_megapixels", self.strip_megapixels, Range{0.001, 1e6},
+          "size of the strips of whole rows of tiles that are worked on one after the other; memory grows with it");
     visit("robust_scale", self.robust_scale, Range{0.1, 100},
           "Stokes residual, in standard deviations, that counts half");
     visit("graduation", self.graduation, Range{1, 100},

@@ -7,6 +7,7 @@
 
 #include "malus/core/median.h"
 #include "malus/core/parallel.h"
+#include "malus/fusion/even_choice.h"
 #include "malus/fusion/fresnel_factors.h"
 #include "malus/fusion/masked_blur.h"
 #include "malus/fusion/quad_costs_internal.h"
@@ -52,12 +53,6 @@ bool has_specular(const RefinementField& field) {
          field.kind.end();
 }
 
-/// Squared residual in units of its variance (mean of both components) and ln(body / shading) of every pixel.
-struct PixelResiduals {
-  Image<float> squared;
-  Image<float> log_albedo;
-};
-
 PixelResiduals pixel_residuals(RefinementField& field, const WeightOptions& options, const Context& context) {
   constexpr float none = std::numeric_limits<float>::quiet_NaN();
   constexpr double darkest_body = 1e-3;
@@ -97,26 +92,6 @@ void weigh_regions(RefinementField& field, Image<float> squared, double sigma_px
   }
 }
 
-/// Robust standard deviation of the log-albedo steps between horizontal neighbours.
-double albedo_spread(const Image<float>& log_albedo) {
-  std::vector<float> steps;
-  for (int v = 0; v < log_albedo.height(); ++v) {
-    for (int u = 0; u + 1 < log_albedo.width(); ++u) {
-      const float step = std::abs(log_albedo(u + 1, v) - log_albedo(u, v));
-      if (std::isfinite(step)) steps.push_back(step);
-    }
-  }
-  return 1.4826 * median_in_place(steps);
-}
-
-void weigh_albedo(RefinementField& field, const Image<float>& log_albedo, const WeightOptions& options) {
-  // A body of one albedo says more about its shape by its shading than a textured one.
-  constexpr double textured = 0.06, most = 2.5;
-  const double evenness = std::clamp(textured / std::max(albedo_spread(log_albedo), 1e-6), 1.0, most);
-  field.albedo_weight = square(options.albedo_weight * evenness);
-  field.albedo_contrast = options.albedo_contrast;
-}
-
 /// Weight of a full block, 1 / GSD. Errors of the reflection model bend the surface over long distances; a prior that
 /// is known well holds it. A poor prior must still hold what would drift without.
 double block_weight(double prior_sigma_gsd, const WeightOptions& options) {
@@ -153,29 +128,52 @@ void weigh_prior_blocks(RefinementField& field, const WeightOptions& options, co
   });
 }
 
-FitQuality summarize(const Image<float>& squared) {
-  std::vector<float> values;
-  double cost = 0;
-  for (const float value : squared) {
-    if (!std::isfinite(value)) continue;
-    values.push_back(value);
-    cost += std::log1p(0.5 * value);
-  }
-  if (values.empty()) return {};
-  return {std::sqrt(static_cast<double>(median_in_place(values))), cost / static_cast<double>(values.size())};
-}
-
 }  // namespace
 
-FitQuality update_weights(RefinementField& field, const WeightOptions& options, const Context& context) {
+PixelResiduals update_weights(RefinementField& field, const WeightOptions& options, const Context& context) {
   field.robust_scale = options.robust_scale;
   field.specular_widening = options.specular_widening;
+  field.albedo_contrast = options.albedo_contrast;
   if (has_specular(field)) estimate_mirror_body(field, context);
-  const PixelResiduals residuals = pixel_residuals(field, options, context);
+  PixelResiduals residuals = pixel_residuals(field, options, context);
   if (options.regional_sigma_px > 0) weigh_regions(field, residuals.squared, options.regional_sigma_px, context);
-  weigh_albedo(field, residuals.log_albedo, options);
   weigh_prior_blocks(field, options, context);
-  return summarize(residuals.squared);
+  return residuals;
+}
+
+ResidualSummary::ResidualSummary(Size image) : image_(image) {
+  constexpr double enough = 4e6;
+  share_ = enough / static_cast<double>(image.area());
+}
+
+void ResidualSummary::add(const PixelResiduals& part, RowRange rows, int first_row) {
+  for (int v = rows.begin; v < rows.end; ++v) {
+    for (int u = 0; u < image_.width; ++u) {
+      const float squared = part.squared(u, v);
+      if (!std::isfinite(squared)) continue;
+      cost_ += std::log1p(0.5 * squared);
+      ++count_;
+      const auto pixel = static_cast<std::size_t>(first_row + v) * static_cast<std::size_t>(image_.width) +
+                         static_cast<std::size_t>(u);
+      if (!is_chosen(pixel, share_)) continue;
+      squared_.push_back(squared);
+      if (u + 1 == image_.width) continue;
+      const float step = std::abs(part.log_albedo(u + 1, v) - part.log_albedo(u, v));
+      if (std::isfinite(step)) albedo_steps_.push_back(step);
+    }
+  }
+}
+
+FitQuality ResidualSummary::quality() {
+  if (squared_.empty()) return {};
+  return {std::sqrt(static_cast<double>(median_in_place(squared_))), cost_ / count_};
+}
+
+double ResidualSummary::albedo_weight(const WeightOptions& options) {
+  // A body of one albedo says more about its shape by its shading than a textured one.
+  constexpr double textured = 0.06, most = 2.5;
+  const double spread = 1.4826 * median_in_place(albedo_steps_);
+  return square(options.albedo_weight * std::clamp(textured / std::max(spread, 1e-6), 1.0, most));
 }
 
 double stokes_weight(const RefinementField& field, int u, int v) {

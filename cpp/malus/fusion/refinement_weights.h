@@ -1,7 +1,7 @@
 #pragma once
 
 #include "malus/core/context.h"
-#include "malus/fusion/refinement_field.h"
+#include "malus/fusion/refinement_image.h"
 
 namespace malus {
 
@@ -25,8 +25,35 @@ struct FitQuality {
   double robust_cost = 0;  ///< mean of ln(1 + r² / 4)
 };
 
-/// Recomputes the robust weights of all residuals, and ln of the body light, at the current surface.
-FitQuality update_weights(RefinementField& field, const WeightOptions& options, const Context& context);
+/// Stokes residuals of a field's pixels at its surface; NaN where polarization is not used.
+struct PixelResiduals {
+  Image<float> squared;     ///< in units of their variance, mean of both components
+  Image<float> log_albedo;  ///< ln(body / shading), diffuse regions
+};
+
+/// How far around a pixel the field decides on its weights [px], in whole prior blocks.
+inline constexpr int weights_reach_px = 24;
+
+/// Recomputes the robust weights of all residuals, and ln of the body light, at the current surface; all but the weight
+/// of albedo changes, for which the whole image must be known.
+PixelResiduals update_weights(RefinementField& field, const WeightOptions& options, const Context& context);
+
+/// What an image's residuals look like, collected part by part.
+class ResidualSummary {
+ public:
+  explicit ResidualSummary(Size image);
+  /// Adds some of a part's rows; `first_row` is the part's in the image.
+  void add(const PixelResiduals& part, RowRange rows, int first_row);
+  FitQuality quality();
+  /// Weight of changes of ln albedo.
+  double albedo_weight(const WeightOptions& options);
+
+ private:
+  Size image_;
+  double share_;  ///< of pixels that medians are taken of
+  double cost_ = 0, count_ = 0;
+  std::vector<float> squared_, albedo_steps_;
+};
 
 /// Weight, 0 … 1, that the robust loss leaves to a pixel's Stokes residuals at the current surface; 0 where
 /// polarization is not used.

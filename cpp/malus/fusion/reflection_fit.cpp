@@ -8,6 +8,7 @@
 #include <memory>
 
 #include "malus/core/median.h"
+#include "malus/fusion/even_choice.h"
 #include "malus/fusion/fresnel_factors.h"
 #include "malus/polarization/fresnel.h"
 
@@ -17,14 +18,6 @@ namespace {
 constexpr double model_error = 0.003;  // of s0: what no forward model explains
 constexpr int irls_rounds = 15;
 constexpr int node_count = EnvironmentProfile::node_count;
-
-/// Even, repeatable choice of pixels that does not follow rows or columns.
-bool is_chosen(std::size_t pixel, double share) {
-  std::uint64_t hash = (static_cast<std::uint64_t>(pixel) + 1) * 0x9E3779B97F4A7C15ull;
-  hash = (hash ^ (hash >> 30)) * 0xBF58476D1CE4E5B9ull;
-  hash ^= hash >> 31;
-  return static_cast<double>(hash >> 11) * 0x1.0p-53 < share;
-}
 
 /// Weighted least squares of y on the rows of A with Cauchy weights at 1.5 robust standard deviations.
 Eigen::VectorXd robust_fit(const Eigen::MatrixXd& rows, const Eigen::VectorXd& values) {
@@ -297,26 +290,27 @@ double ReflectionSample::radial_stokes() const {
   return (s1 * direction[0] + s2 * direction[1]) / std::max(tan2(), 1e-12);
 }
 
-std::vector<ReflectionSample> collect_samples(const RefinementField& field, Reflection kind,
+std::vector<ReflectionSample> collect_samples(const RefinementImage& image, Reflection kind,
                                               std::size_t largest_count) {
   const auto takes_part = [&](std::size_t i) {
-    return field.usable[i] && field.kind[i] == static_cast<std::uint8_t>(kind);
+    return image.usable[i] && image.kind[i] == static_cast<std::uint8_t>(kind);
   };
   std::size_t count = 0;
-  for (std::size_t i = 0; i < field.usable.count(); ++i) count += takes_part(i);
+  for (std::size_t i = 0; i < image.usable.count(); ++i) count += takes_part(i);
   const double share = static_cast<double>(largest_count) / static_cast<double>(std::max<std::size_t>(count, 1));
   constexpr double largest_tan2 = 6;  // the rim is too uncertain to learn from
   std::vector<ReflectionSample> samples;
-  for (int v = 0; v < field.size().height; ++v) {
-    for (int u = 0; u < field.size().width; ++u) {
+  for (int v = 0; v < image.size().height; ++v) {
+    for (int u = 0; u < image.size().width; ++u) {
       const std::size_t i =
-          static_cast<std::size_t>(v) * static_cast<std::size_t>(field.size().width) + static_cast<std::size_t>(u);
+          static_cast<std::size_t>(v) * static_cast<std::size_t>(image.size().width) + static_cast<std::size_t>(u);
       if (!takes_part(i) || !is_chosen(i, share)) continue;
-      const Eigen::Vector2d slopes = central_slopes(field, u, v);
+      const Eigen::Vector2d slopes = central_slopes(image, u, v);
       if (slopes.squaredNorm() > largest_tan2) continue;
-      const double s0 = field.s0[i];
-      samples.push_back({slopes[0], slopes[1], s0, field.s1[i], field.s2[i],
-                         std::sqrt(field.variance[i] + model_error * model_error * s0 * s0), field.frame_at(u, v)});
+      const PixelData pixel = image.source->at(u, v);
+      const double s0 = pixel.s0;
+      samples.push_back({slopes[0], slopes[1], s0, pixel.s1, pixel.s2,
+                         std::sqrt(pixel.variance + model_error * model_error * s0 * s0), image.frame_at(u, v)});
     }
   }
   return samples;

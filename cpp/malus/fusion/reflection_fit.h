@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "malus/core/context.h"
-#include "malus/fusion/refinement_field.h"
+#include "malus/fusion/refinement_image.h"
 
 namespace malus {
 
@@ -22,7 +22,7 @@ struct ReflectionSample {
 };
 
 /// Usable pixels of one kind at the current slopes, thinned evenly to at most about `largest_count`.
-std::vector<ReflectionSample> collect_samples(const RefinementField& field, Reflection kind, std::size_t largest_count);
+std::vector<ReflectionSample> collect_samples(const RefinementImage& image, Reflection kind, std::size_t largest_count);
 
 /// Light of a diffuse surface.
 struct Shading {

@@ -31,46 +31,59 @@ Evidence collect_evidence(const RefinementField& field, const Context& context) 
   return evidence;
 }
 
+/// Kind that nearly all the evidence around a pixel speaks for, as its share of specular evidence says; 0 = neither.
+std::uint8_t clear_kind(float specular_share) {
+  constexpr double clear = 0.9;
+  if (specular_share > clear) return static_cast<std::uint8_t>(Reflection::specular);
+  return specular_share < 1 - clear ? static_cast<std::uint8_t>(Reflection::diffuse) : 0;
+}
+
 }  // namespace
 
-double label_reflection(RefinementField& field, const Context& context) {
-  const Evidence evidence = collect_evidence(field, context);
+double label_reflection(RefinementImage& image, const std::vector<RowRange>& strips, const Context& context) {
+  // Highlights, shadows and noise look like the other kind in places; a different material does so all over a region.
+  constexpr double pooling_px = 20;
+  constexpr int reach_px = 64;  // of the pooling, in whole prior blocks
+  constexpr std::size_t smallest_region_px = 4000;
   double specular = 0, all = 0;
-  for (std::size_t i = 0; i < evidence.weight.count(); ++i) {
-    if (!(evidence.weight[i] > 0)) continue;
-    all += evidence.weight[i];
-    specular += evidence.specular[i];
+  Image<std::uint8_t> clear(image.size());
+  for (const RowRange& rows : strips) {
+    const StripField strip = strip_field(image, rows, reach_px, context);
+    const RefinementField& field = strip.field;
+    const Evidence evidence = collect_evidence(field, context);
+    const Image<float> weights = masked_blur(evidence.weight, field.object, pooling_px, context);
+    const Image<float> speculars = masked_blur(evidence.specular, field.object, pooling_px, context);
+    for (int v = strip.rows.begin; v < strip.rows.end; ++v) {
+      for (int u = 0; u < field.size().width; ++u) {
+        if (evidence.weight(u, v) > 0) {
+          all += evidence.weight(u, v);
+          specular += evidence.specular(u, v);
+        }
+        if (field.object(u, v) && weights(u, v) > 0)
+          clear(u, strip.first_row + v) = clear_kind(speculars(u, v) / weights(u, v));
+      }
+    }
   }
   const double share = all > 0 ? specular / all : 0;
   const bool mostly_specular = share > 0.5;
   const auto usual = static_cast<std::uint8_t>(mostly_specular ? Reflection::specular : Reflection::diffuse);
   const auto other = static_cast<std::uint8_t>(mostly_specular ? Reflection::diffuse : Reflection::specular);
-  field.kind.fill(usual);
-
-  // Highlights, shadows and noise look like the other kind in places; a different material does so all over a region.
-  constexpr double pooling_px = 20, clear = 0.9;
-  constexpr std::size_t smallest_region_px = 4000;
-  const Image<float> weights = masked_blur(evidence.weight, field.object, pooling_px, context);
-  const Image<float> speculars = masked_blur(evidence.specular, field.object, pooling_px, context);
-  Mask opposite(field.size());
-  for (std::size_t i = 0; i < opposite.count(); ++i) {
-    if (!field.object[i] || !(weights[i] > 0)) continue;
-    const double local = speculars[i] / weights[i];
-    opposite[i] = (mostly_specular ? local < 1 - clear : local > clear) ? 255 : 0;
-  }
+  image.kind.fill(usual);
+  Mask opposite(image.size());
+  for (std::size_t i = 0; i < opposite.count(); ++i) opposite[i] = clear[i] == other ? 255 : 0;
   for (const PixelSet& region : connected_sets(opposite)) {
     if (region.size() < smallest_region_px) continue;
-    for (const std::size_t pixel : region) field.kind[pixel] = other;
+    for (const std::size_t pixel : region) image.kind[pixel] = other;
   }
   return share;
 }
 
-double specular_share(const RefinementField& field) {
+double specular_share(const SurfaceEstimate& surface) {
   double specular = 0, all = 0;
-  for (std::size_t i = 0; i < field.object.count(); ++i) {
-    if (!field.object[i]) continue;
+  for (std::size_t i = 0; i < surface.object.count(); ++i) {
+    if (!surface.object[i]) continue;
     ++all;
-    specular += field.kind[i] == static_cast<std::uint8_t>(Reflection::specular);
+    specular += surface.kind[i] == static_cast<std::uint8_t>(Reflection::specular);
   }
   return specular / all;
 }

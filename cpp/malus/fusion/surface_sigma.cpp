@@ -32,7 +32,7 @@ double slope_variance(const RefinementField& field, int u, int v) {
 
 Image<float> surface_sigma(const RefinementField& field, const Context& context) {
   constexpr float none = std::numeric_limits<float>::quiet_NaN();
-  constexpr double low_frequency_px = 24, high_frequency_px = 3;
+  constexpr double low_frequency_px = surface_sigma_reach_px / 3.0, high_frequency_px = 3;  // blurs end at 3 sigma
   Image<float> change(field.size(), 1, none), slope(field.size(), 1, none);
   parallel_rows(context, field.size().height, [&](int v) {
     for (int u = 0; u < field.size().width; ++u) {

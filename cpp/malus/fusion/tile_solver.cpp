@@ -16,12 +16,7 @@
 namespace malus {
 namespace {
 
-constexpr int ring_px = 2 * quad_px;  // frozen pixels around a tile that its residuals look at
-
-PixelRect grown(const PixelRect& rect, int by, Size size) {
-  return {std::max(rect.u0 - by, 0), std::max(rect.v0 - by, 0), std::min(rect.u1 + by, size.width),
-          std::min(rect.v1 + by, size.height)};
-}
+static_assert(tile_ring_px == 2 * quad_px);
 
 /// Borders of an even division of [0, length) into parts of at most about `largest`, on multiples of the prior blocks.
 std::vector<int> borders(int length, int largest) {
@@ -42,7 +37,7 @@ class TileProblem {
   TileProblem(const RefinementField& field, const Tile& tile, const TileOptions& options)
       : field_(field),
         tile_(tile),
-        local_(grown(tile.outer, ring_px, field.size())),
+        local_(tile.outer.grown(tile_ring_px, field.size())),
         prior_loss_(options.prior_robust_gsd),
         albedo_loss_(std::max(std::sqrt(field.albedo_weight) * field.albedo_contrast, 1e-9)) {
     columns_ = (local_.width() + 1) / quad_px;
@@ -308,7 +303,7 @@ std::vector<std::size_t> largest_first(const std::vector<Tile>& tiles, const Mas
 }  // namespace
 
 std::vector<Tile> divide_into_tiles(Size size, int core_px, int margin_px) {
-  const int margin = (margin_px + prior_block_px - 1) / prior_block_px * prior_block_px;
+  const int margin = whole_blocks(margin_px);
   int core_width = core_px, core_height = core_px;
   // A single tile would keep one thread busy and leave the others idle.
   constexpr int margins_worthwhile = 8;
@@ -321,10 +316,27 @@ std::vector<Tile> divide_into_tiles(Size size, int core_px, int margin_px) {
   for (std::size_t j = 0; j + 1 < vs.size(); ++j) {
     for (std::size_t i = 0; i + 1 < us.size(); ++i) {
       const PixelRect core{us[i], vs[j], us[i + 1], vs[j + 1]};
-      tiles.push_back({core, grown(core, margin, size)});
+      tiles.push_back({core, core.grown(margin, size)});
     }
   }
   return tiles;
+}
+
+std::vector<TileStrip> divide_into_strips(const std::vector<Tile>& tiles, Size image, double strip_px) {
+  std::vector<RowRange> tile_rows;
+  for (const Tile& tile : tiles) {
+    if (tile.core.u0 == 0) tile_rows.push_back({tile.core.v0, tile.core.v1});
+  }
+  const std::size_t columns = tiles.size() / tile_rows.size();
+  const double wanted = std::ceil(static_cast<double>(image.area()) / strip_px);
+  const std::size_t count = static_cast<std::size_t>(std::min(wanted, static_cast<double>(tile_rows.size())));
+  std::vector<TileStrip> strips;
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::size_t first = i * tile_rows.size() / count, last = (i + 1) * tile_rows.size() / count;
+    const auto at = [&](std::size_t row) { return tiles.begin() + static_cast<std::ptrdiff_t>(row * columns); };
+    strips.push_back({{tile_rows[first].begin, tile_rows[last - 1].end}, {at(first), at(last)}});
+  }
+  return strips;
 }
 
 SolveStatistics& SolveStatistics::operator+=(const SolveStatistics& other) {
@@ -338,47 +350,61 @@ SolveStatistics& SolveStatistics::operator+=(const SolveStatistics& other) {
   return *this;
 }
 
-SolveStatistics solve_tiles(RefinementField& field, const std::vector<Tile>& tiles, const TileOptions& options,
-                            double fraction_begin, double fraction_end, const Context& context) {
-  std::vector<std::vector<double>> solutions(tiles.size());
-  std::vector<SolveStatistics> statistics(tiles.size());
+std::vector<TileSolution> solve_tiles(const RefinementField& field, const std::vector<Tile>& tiles,
+                                      const TileOptions& options, const std::function<void()>& solved,
+                                      const Context& context) {
+  std::vector<TileSolution> solutions(tiles.size());
   std::mutex reporting;
-  std::size_t done = 0;
   const std::vector<std::size_t> order = largest_first(tiles, field.object);
   parallel_for(context, tiles.size(), 1, [&](std::size_t begin, std::size_t end) {
     for (const std::size_t i : std::span(order).subspan(begin, end - begin)) {
       TileProblem problem(field, tiles[i], options);
-      statistics[i] = problem.solve(options, context);
+      solutions[i].statistics = problem.solve(options, context);
       context.check_cancel();
-      solutions[i] = problem.solution();
+      solutions[i].x = problem.solution();
       const std::lock_guard lock(reporting);
-      ++done;
-      const double share = static_cast<double>(done) / static_cast<double>(tiles.size());
-      context.progress("fusion", fraction_begin + share * (fraction_end - fraction_begin), "refining the surface");
+      solved();
     }
   });
+  return solutions;
+}
 
-  Image<double> sum(field.size()), weights(field.size());
-  SolveStatistics total;
-  for (std::size_t i = 0; i < tiles.size(); ++i) {
-    total += statistics[i];
-    const PixelRect &core = tiles[i].core, &outer = tiles[i].outer;
-    const double* value = solutions[i].data();
-    for (int v = outer.v0; v < outer.v1; ++v) {
-      const double along_v = blend_weight(v, core.v0, core.v1, outer.v0, outer.v1);
-      for (int u = outer.u0; u < outer.u1; ++u, ++value) {
-        const double weight = along_v * blend_weight(u, core.u0, core.u1, outer.u0, outer.u1);
-        sum(u, v) += weight * *value;
-        weights(u, v) += weight;
-      }
-    }
+BlendedTiles::BlendedTiles(Size image, const std::vector<Tile>& tiles)
+    : sum_(image),
+      column_weights_(static_cast<std::size_t>(image.width)),
+      row_weights_(static_cast<std::size_t>(image.height)) {
+  for (const auto& [core, outer] : tiles) {
+    for (int u = outer.u0; core.v0 == 0 && u < outer.u1; ++u)
+      column_weights_[static_cast<std::size_t>(u)] += blend_weight(u, core.u0, core.u1, outer.u0, outer.u1);
+    for (int v = outer.v0; core.u0 == 0 && v < outer.v1; ++v)
+      row_weights_[static_cast<std::size_t>(v)] += blend_weight(v, core.v0, core.v1, outer.v0, outer.v1);
   }
-  parallel_rows(context, field.size().height, [&](int v) {
-    for (int u = 0; u < field.size().width; ++u) {
-      if (field.object(u, v)) field.x(u, v) = sum(u, v) / weights(u, v);
+}
+
+void BlendedTiles::add(const Tile& tile, const std::vector<double>& x) {
+  const PixelRect &core = tile.core, &outer = tile.outer;
+  const double* value = x.data();
+  for (int v = outer.v0; v < outer.v1; ++v) {
+    const double along_v = blend_weight(v, core.v0, core.v1, outer.v0, outer.v1);
+    for (int u = outer.u0; u < outer.u1; ++u, ++value)
+      sum_(u, v) += along_v * blend_weight(u, core.u0, core.u1, outer.u0, outer.u1) * *value;
+  }
+}
+
+double BlendedTiles::replace(Image<double>& x, const Mask& object, const Context& context) const {
+  std::vector<double> sums(static_cast<std::size_t>(x.height())), counts(sums);
+  parallel_rows(context, x.height(), [&](int v) {
+    const auto row = static_cast<std::size_t>(v);
+    for (int u = 0; u < x.width(); ++u) {
+      if (!object(u, v)) continue;
+      const double blended = sum_(u, v) / (column_weights_[static_cast<std::size_t>(u)] * row_weights_[row]);
+      const double change = blended - x(u, v);
+      sums[row] += change * change;
+      ++counts[row];
+      x(u, v) = blended;
     }
   });
-  return total;
+  return std::sqrt(std::accumulate(sums.begin(), sums.end(), 0.0) / std::accumulate(counts.begin(), counts.end(), 0.0));
 }
 
 }  // namespace malus

@@ -1,18 +1,12 @@
 #pragma once
 
+#include <functional>
 #include <vector>
 
 #include "malus/core/context.h"
-#include "malus/fusion/refinement_field.h"
+#include "malus/fusion/refinement_image.h"
 
 namespace malus {
-
-/// Rectangle of pixels, ends excluded.
-struct PixelRect {
-  int u0 = 0, v0 = 0, u1 = 0, v1 = 0;
-  int width() const { return u1 - u0; }
-  int height() const { return v1 - v0; }
-};
 
 /// A tile solves for `outer` and answers for `core`; cores cover the image without overlap. Borders are multiples of
 /// the prior blocks.
@@ -22,6 +16,15 @@ struct Tile {
 
 /// Even division of an image into cores of at most about core_px a side with margin_px around each.
 std::vector<Tile> divide_into_tiles(Size size, int core_px, int margin_px);
+
+/// Some whole rows of tiles, which are worked on together.
+struct TileStrip {
+  RowRange rows;  ///< of the image
+  std::vector<Tile> tiles;
+};
+
+/// Even division of an image's tiles into strips of about so many pixels: only one strip's field is made at a time.
+std::vector<TileStrip> divide_into_strips(const std::vector<Tile>& tiles, Size image, double strip_px);
 
 struct TileOptions {
   int iterations = 1;           ///< accepted Gauss–Newton steps of one solve
@@ -38,10 +41,33 @@ struct SolveStatistics {
   SolveStatistics& operator+=(const SolveStatistics& other);
 };
 
-/// Minimizes the frozen-weight cost on every tile with the surface outside it held, and blends the overlapping
-/// solutions into field.x with weights that fall to zero inside the margin. Tiles run in parallel; the result does not
-/// depend on the number of threads. step/fractions: for progress.
-SolveStatistics solve_tiles(RefinementField& field, const std::vector<Tile>& tiles, const TileOptions& options,
-                            double fraction_begin, double fraction_end, const Context& context);
+/// Frozen pixels around a tile's outer rectangle that its residuals look at.
+inline constexpr int tile_ring_px = 4;
+
+/// What a tile has found.
+struct TileSolution {
+  SolveStatistics statistics;
+  std::vector<double> x;  ///< of the outer rectangle, row major
+};
+
+/// Minimizes the frozen-weight cost on every tile with the surface outside it held. Tiles run in parallel; the results
+/// do not depend on the number of threads. `solved` is called after each, one call at a time.
+std::vector<TileSolution> solve_tiles(const RefinementField& field, const std::vector<Tile>& tiles,
+                                      const TileOptions& options, const std::function<void()>& solved,
+                                      const Context& context);
+
+/// The surface that overlapping tiles make: each counts by a weight that falls to zero inside its margin.
+class BlendedTiles {
+ public:
+  /// Of tiles as divide_into_tiles makes them.
+  BlendedTiles(Size image, const std::vector<Tile>& tiles);
+  void add(const Tile& tile, const std::vector<double>& x);
+  /// Puts the surface in place of x where the mask is set, and returns by how much it changes x (RMS).
+  double replace(Image<double>& x, const Mask& object, const Context& context) const;
+
+ private:
+  Image<double> sum_;
+  std::vector<double> column_weights_, row_weights_;  ///< a pixel's sum of weights is their product
+};
 
 }  // namespace malus

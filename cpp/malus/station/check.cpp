@@ -1,5 +1,7 @@
 #include "malus/station/check.h"
 
+#include <unistd.h>
+
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
@@ -136,6 +138,16 @@ void check_prior(const Station& station, const Mask& object, const PriorOptions&
   }
 }
 
+void warn_of_memory(Plan& plan) {
+  const double machine_mb =
+      1e-6 * static_cast<double>(sysconf(_SC_PHYS_PAGES)) * static_cast<double>(sysconf(_SC_PAGESIZE));
+  if (plan.memory_mb < machine_mb) return;
+  plan.warnings.push_back("the run is expected to take " +
+                          with_count(std::round(plan.memory_mb / 1000), "GB of memory, of which this machine has ") +
+                          with_count(std::round(machine_mb / 1000),
+                                     "GB: take fewer threads, mask what is not the object, or halve the images"));
+}
+
 }  // namespace
 
 Plan check_station(const Station& station, const Options& options, const Context& context) {
@@ -175,6 +187,7 @@ Plan check_station(const Station& station, const Options& options, const Context
       plan.memory_mb = std::max(plan.memory_mb, megabytes(*cost, object_mpx, context.threads));
     }
   }
+  warn_of_memory(plan);
   context.progress("check", 1.0);
   return plan;
 }

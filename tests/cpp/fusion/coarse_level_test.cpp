@@ -20,8 +20,8 @@ TEST(CoarseLevel, SeesTheSameSurfaceInALargerGsd) {
   SyntheticStation station = station_of({61, 48});
   station.state.valid(20, 10) = static_cast<std::uint8_t>(PixelState::saturated);
   station.state.valid(30, 30) = static_cast<std::uint8_t>(PixelState::outside);
-  const RefinementField fine = make_field(station.state, station.prior, Context{});
-  const RefinementField coarse = coarsened(fine, Context{});
+  const RefinementImage fine = make_image(station.state, station.prior, Context{});
+  const RefinementImage coarse = coarsened(fine, Context{});
   ASSERT_EQ(coarse.size(), (Size{31, 24}));
   // The middle of four pixels lies on the ray of the coarse one, at the same depth and with the same slope.
   EXPECT_LT((coarse.camera.ray(7, 9) - fine.camera.ray(14.5, 18.5)).norm(), 1e-12);
@@ -29,9 +29,10 @@ TEST(CoarseLevel, SeesTheSameSurfaceInALargerGsd) {
   for (int k = 0; k < 4; ++k) depth += fine.depth_of(fine.x(14 + k % 2, 18 + k / 2)) / 4;
   EXPECT_NEAR(coarse.depth_of(coarse.x(7, 9)), depth, 1e-4);
   EXPECT_NEAR(coarse.x(8, 9) - coarse.x(7, 9), fine.x(16, 18) - fine.x(15, 18), 0.05);
-  EXPECT_NEAR(coarse.prior_sigma(7, 9), fine.prior_sigma(14, 18) / 2, 1e-3);
-  EXPECT_NEAR(coarse.variance(7, 9), fine.variance(14, 18) / 4, 0.01 * fine.variance(14, 18));
-  EXPECT_NEAR(coarse.variance(10, 5), fine.variance(20, 11) / 3, 0.01 * fine.variance(20, 11));
+  const auto variance = [&](int u, int v) { return fine.source->at(u, v).variance; };
+  EXPECT_NEAR(coarse.source->at(7, 9).prior_sigma, fine.source->at(14, 18).prior_sigma / 2, 1e-3);
+  EXPECT_NEAR(coarse.source->at(7, 9).variance, variance(14, 18) / 4, 0.01 * variance(14, 18));
+  EXPECT_NEAR(coarse.source->at(10, 5).variance, variance(20, 11) / 3, 0.01 * variance(20, 11));
   EXPECT_NE(coarse.object(15, 15), 0);
 }
 
@@ -40,8 +41,8 @@ TEST(CoarseLevel, ItsChangeIsTakenOver) {
   for (int v = 0; v < 48; ++v) {
     for (int u = 0; u < 11; ++u) station.state.valid(u, v) = static_cast<std::uint8_t>(PixelState::outside);
   }
-  RefinementField fine = make_field(station.state, station.prior, Context{});
-  RefinementField coarse = coarsened(fine, Context{});
+  RefinementImage fine = make_image(station.state, station.prior, Context{});
+  RefinementImage coarse = coarsened(fine, Context{});
   // 0.2 GSD a pixel along u, −0.1 along v.
   const auto change = [](double u, double v) { return 3 + 0.2 * u - 0.1 * v; };
   for (int row = 0; row < coarse.size().height; ++row) {

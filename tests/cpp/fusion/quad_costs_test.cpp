@@ -22,7 +22,8 @@ RefinementField rough_field(Reflection kind) {
   SyntheticStation station = make_station(options);
   for (const auto& [u, v] : {std::pair{10, 10}, {11, 10}, {12, 11}, {17, 4}, {0, 0}, {5, 20}})
     station.state.valid(u, v) = 0;
-  RefinementField field = make_field(station.state, station.prior, Context{});
+  const RefinementImage image = make_image(station.state, station.prior, Context{});
+  RefinementField field = image.part(image.everything(), Context{});
   field.kind.fill(static_cast<std::uint8_t>(kind));
   field.reflection = options.model;
   field.shading = {0.3, 0.1, -0.2, -0.6};
@@ -31,7 +32,10 @@ RefinementField rough_field(Reflection kind) {
   for (std::size_t i = 0; i < field.x.count(); ++i) {
     if (field.object[i]) field.x[i] += gauss(random);
   }
-  update_weights(field, WeightOptions{}, Context{});
+  const WeightOptions weights;
+  ResidualSummary summary(field.size());
+  summary.add(update_weights(field, weights, Context{}), {0, field.size().height}, 0);
+  field.albedo_weight = summary.albedo_weight(weights);
   return field;
 }
 

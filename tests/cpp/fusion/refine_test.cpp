@@ -114,6 +114,36 @@ TEST(Refine, TilesLeaveNoSeam) {
   EXPECT_LT(jump, 0.01);
 }
 
+TEST(Refine, InStripsIsTheSameAsInOnePiece) {
+  for (const Reflection kind : {Reflection::diffuse, Reflection::specular}) {
+    SyntheticOptions scene;
+    scene.size = {80, 200};
+    scene.kind = kind;
+    scene.model.environment.radiance.fill(0.1);
+    scene.model.mirror = {0.15, 14};
+    SyntheticStation station = make_station(scene);
+    station.state.valid(30, 130) = static_cast<std::uint8_t>(PixelState::outside);
+    RefineOptions options = quick();
+    options.tile_px = 64;
+    options.margin_px = 16;
+    options.regional_weights = true;
+    options.strip_megapixels = 1;
+    const RefineResult whole = refine(station.state, station.prior, {}, options, Context{});
+    options.strip_megapixels = 0.01;
+    const RefineResult strips = refine(station.state, station.prior, {}, options, Context{});
+    EXPECT_GT(whole.report.tiles, 4);
+    EXPECT_NEAR(strips.report.stokes_cost, whole.report.stokes_cost, 1e-9);
+    EXPECT_EQ(strips.report.label, whole.report.label);
+    const double pixel = station.prior.depth(40, 100) / station.prior.camera.focal();
+    for (std::size_t i = 0; i < station.truth.count(); ++i) {
+      if (std::isnan(whole.surface.depth[i])) continue;
+      ASSERT_NEAR(strips.surface.depth[i], whole.surface.depth[i], 1e-3 * pixel);
+      ASSERT_NEAR(strips.surface.sigma[i], whole.surface.sigma[i], 1e-3 * pixel);
+      ASSERT_NEAR(strips.report.confidence[i], whole.report.confidence[i], 1);
+    }
+  }
+}
+
 TEST(Refine, SigmaIsPositiveAndCoversTheError) {
   SyntheticOptions scene;
   scene.model.environment.radiance.fill(0.1);
@@ -212,6 +242,29 @@ TEST(Tiles, AnImageOfOneTileIsHalvedIfThatIsWorthItsMargins) {
   ASSERT_EQ(tall.size(), 2u);
   EXPECT_EQ(tall[1].core.width(), 200);
   EXPECT_EQ(divide_into_tiles({200, 200}, 384, 32).size(), 1u);
+}
+
+TEST(Tiles, StripsAreWholeRowsOfThem) {
+  const Size size{413, 251};
+  const std::vector<Tile> tiles = divide_into_tiles(size, 64, 16);
+  ASSERT_EQ(tiles.size(), 28u);
+  for (const auto& [strip_px, count] : {std::pair{1e6, 1}, {6e4, 2}, {4e4, 3}, {1.0, 4}}) {
+    const std::vector<TileStrip> strips = divide_into_strips(tiles, size, strip_px);
+    EXPECT_EQ(strips.size(), static_cast<std::size_t>(count));
+    int row = 0;
+    std::size_t next = 0;
+    for (const TileStrip& strip : strips) {
+      EXPECT_EQ(strip.rows.begin, row);
+      row = strip.rows.end;
+      for (const Tile& tile : strip.tiles) {
+        EXPECT_EQ(tile.core, tiles[next++].core);
+        EXPECT_GE(tile.core.v0, strip.rows.begin);
+        EXPECT_LE(tile.core.v1, strip.rows.end);
+      }
+    }
+    EXPECT_EQ(row, size.height);
+    EXPECT_EQ(next, tiles.size());
+  }
 }
 
 TEST(Tiles, CoverTheImageOnceOnBlockBorders) {

@@ -1,0 +1,26 @@
+#pragma once
+
+#include <algorithm>
+
+#include "malus/core/image.h"
+
+namespace malus {
+
+/// Rectangle of pixels, ends excluded.
+struct PixelRect {
+  int u0 = 0, v0 = 0, u1 = 0, v1 = 0;
+
+  int width() const { return u1 - u0; }
+  int height() const { return v1 - v0; }
+  Size size() const { return {width(), height()}; }
+  bool operator==(const PixelRect&) const = default;
+  /// This one and so many pixels around it, as far as an image of that size has them.
+  PixelRect grown(int by, Size image) const {
+    return {std::max(u0 - by, 0), std::max(v0 - by, 0), std::min(u1 + by, image.width),
+            std::min(v1 + by, image.height)};
+  }
+  /// The same pixels in an image that begins at (u, v) of this one.
+  PixelRect from(int u, int v) const { return {u0 - u, v0 - v, u1 - u, v1 - v}; }
+};
+
+}  // namespace malus

@@ -1,0 +1,137 @@
+#include "malus/fusion/refinement_image.h"
+
+#include <cmath>
+#include <limits>
+
+#include "malus/core/parallel.h"
+
+namespace malus {
+namespace {
+
+constexpr float none = std::numeric_limits<float>::quiet_NaN();
+
+/// Pixels of a station.
+class StationPixels final : public PixelSource {
+ public:
+  StationPixels(const PolarizationState& state, const DepthPrior& prior, double log_depth_origin)
+      : state_(state),
+        prior_(prior),
+        focal_(prior.camera.focal()),
+        log_depth_origin_(log_depth_origin),
+        variances_(state) {}
+
+  PixelData at(int u, int v) const override {
+    PixelData pixel;
+    const double depth = prior_.depth(u, v);
+    pixel.x_prior = focal_ * (std::log(depth) - log_depth_origin_);
+    const double sigma = prior_.sigma.empty() ? none : prior_.sigma(u, v);
+    if (std::isfinite(sigma)) pixel.prior_sigma = static_cast<float>(sigma / (depth / focal_));
+    const Eigen::Vector3d stokes = state_.stokes(u, v);
+    pixel.s0 = static_cast<float>(stokes[0]);
+    pixel.s1 = static_cast<float>(stokes[1]);
+    pixel.s2 = static_cast<float>(stokes[2]);
+    pixel.variance = static_cast<float>(variances_(u, v, stokes).linear);
+    return pixel;
+  }
+
+ private:
+  const PolarizationState& state_;
+  const DepthPrior& prior_;
+  double focal_, log_depth_origin_;
+  StokesVariances variances_;
+};
+
+double mean_log_depth(const Mask& object, const DepthPrior& prior) {
+  double sum = 0, count = 0;
+  for (std::size_t i = 0; i < object.count(); ++i) {
+    if (!object[i]) continue;
+    sum += std::log(static_cast<double>(prior.depth[i]));
+    ++count;
+  }
+  if (count == 0) throw data_error("refine: the prior has a depth on no pixel of the object");
+  return sum / count;
+}
+
+/// Copy of a part of a raster.
+template <class T>
+Image<T> copy_of(const Image<T>& image, const PixelRect& rect) {
+  Image<T> part = Image<T>::uninitialized(rect.size());
+  for (int v = rect.v0; v < rect.v1; ++v)
+    std::copy(image.row(v) + rect.u0, image.row(v) + rect.u1, part.row(v - rect.v0));
+  return part;
+}
+
+}  // namespace
+
+RefinementField RefinementImage::part(const PixelRect& rect, const Context& context) const {
+  RefinementField field;
+  field.camera = camera;
+  field.camera.size = rect.size();
+  field.camera.cx -= rect.u0;
+  field.camera.cy -= rect.v0;
+  field.focal = focal;
+  field.log_depth_origin = log_depth_origin;
+  field.object = copy_of(object, rect);
+  field.usable = copy_of(usable, rect);
+  field.x = copy_of(x, rect);
+  field.kind = copy_of(kind, rect);
+  field.reflection = reflection;
+  field.shading = shading;
+  const Size size = rect.size();
+  field.x_prior = Image<double>::uninitialized(size);
+  for (Image<float>* raster : {&field.prior_sigma, &field.s0, &field.s1, &field.s2, &field.variance, &field.mirror_body,
+                               &field.stokes_precision, &field.regional_weight, &field.log_body})
+    *raster = Image<float>::uninitialized(size);
+  parallel_rows(context, size.height, [&](int v) {
+    for (int u = 0; u < size.width; ++u) {
+      const PixelData pixel =
+          field.object(u, v) ? source->at(rect.u0 + u, rect.v0 + v) : PixelData{none, none, none, none, none, none};
+      field.x_prior(u, v) = pixel.x_prior;
+      field.prior_sigma(u, v) = pixel.prior_sigma;
+      field.s0(u, v) = pixel.s0;
+      field.s1(u, v) = pixel.s1;
+      field.s2(u, v) = pixel.s2;
+      field.variance(u, v) = pixel.variance;
+      field.mirror_body(u, v) = field.stokes_precision(u, v) = 0;
+      field.regional_weight(u, v) = 1;
+      field.log_body(u, v) = none;
+    }
+  });
+  field.block_weight = field.block_mean = Image<float>(field.block_count());
+  return field;
+}
+
+RefinementImage make_image(const PolarizationState& state, const DepthPrior& prior, const Context& context) {
+  const Size size = state.size();
+  require_size(prior.depth, size, "the prior's depth");
+  if (!prior.sigma.empty()) require_size(prior.sigma, size, "the prior's sigma");
+  RefinementImage image;
+  image.camera = prior.camera;
+  image.focal = prior.camera.focal();
+  image.object = image.usable = Mask(size);
+  parallel_rows(context, size.height, [&](int v) {
+    for (int u = 0; u < size.width; ++u) {
+      const bool known = state.valid(u, v) != static_cast<std::uint8_t>(PixelState::outside);
+      if (!known || !(prior.depth(u, v) > 0) || !std::isfinite(prior.depth(u, v))) continue;
+      image.object(u, v) = 255;
+      const Eigen::Vector3d stokes = state.stokes(u, v);
+      image.usable(u, v) = state.is_valid(u, v) && stokes[0] > 0 && stokes.allFinite() ? 255 : 0;
+    }
+  });
+  image.log_depth_origin = mean_log_depth(image.object, prior);
+  image.source = std::make_shared<StationPixels>(state, prior, image.log_depth_origin);
+  image.x = Image<double>::uninitialized(size);
+  image.kind = Image<std::uint8_t>(size);
+  parallel_rows(context, size.height, [&](int v) {
+    for (int u = 0; u < size.width; ++u)
+      image.x(u, v) = image.object(u, v) ? image.source->at(u, v).x_prior : static_cast<double>(none);
+  });
+  return image;
+}
+
+StripField strip_field(const RefinementImage& image, RowRange rows, int margin, const Context& context) {
+  const int begin = std::max(rows.begin - margin, 0), end = std::min(rows.end + margin, image.size().height);
+  return {image.part({0, begin, image.size().width, end}, context), begin, {rows.begin - begin, rows.end - begin}};
+}
+
+}  // namespace malus
