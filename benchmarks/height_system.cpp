@@ -51,6 +51,7 @@ int main(int count, char** arguments) {
   const double ridge = relative_ridge * system.largest_diagonal();
   if (solver == "export") {
     export_system(system, ridge, arguments[4]);
+    std::cout << "{}\n";
     return 0;
   }
   Eigen::VectorXd x;

@@ -12,13 +12,18 @@ import argparse
 import json
 import os
 import shutil
+import statistics
 import subprocess
 import tempfile
 from pathlib import Path
 
-from malus import synthetic
+from measuring import ROOT, Row
 
-PROGRAM = Path(__file__).resolve().parents[1] / "build" / "malus-station"
+from malus import synthetic
+from malus.reconstruction import STEPS
+
+PROGRAM = ROOT / "build" / "malus-station"
+FIGURES = ("seconds", "cpu_seconds", "peak_mb")
 
 
 def station_of(folder: Path, megapixels: float, prior: str) -> Path:
@@ -33,15 +38,27 @@ def station_of(folder: Path, megapixels: float, prior: str) -> Path:
     )
 
 
-def measure(station: Path, fusion: str, threads: int) -> dict[str, dict[str, float]]:
+def measure(station: Path, fusion: str, threads: int, until: str | None = None) -> dict[str, Row]:
     """Times of the steps as manifest.json has them."""
     work = station.parent / "work"
     shutil.rmtree(work, ignore_errors=True)
     command = [PROGRAM, station, "-o", work, "--fusion", fusion, "--threads", str(threads), "--quiet"]
+    command += ["--until", until] if until else []
     subprocess.run(command, check=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"})
-    times: dict[str, dict[str, float]] = json.loads((work / "manifest.json").read_text())["times"]
+    times = json.loads((work / "manifest.json").read_text())["times"]
     shutil.rmtree(work)
-    return times
+    return {step: {key: times[step][key] for key in FIGURES} for step in STEPS if step in times}
+
+
+def step_medians(
+    station: Path, fusion: str, threads: list[int], runs: int, until: str | None = None
+) -> list[dict[str, Row]]:
+    """Median times of every step for each number of threads, measured in turn."""
+    taken = [[measure(station, fusion, count, until) for count in threads] for _ in range(runs)]
+    return [
+        {step: {key: statistics.median(run[i][step][key] for run in taken) for key in FIGURES} for step in taken[0][i]}
+        for i in range(len(threads))
+    ]
 
 
 def main() -> None:
