@@ -160,12 +160,12 @@ SplineFit fit_robust(const Mask& mask, PixelBox box, const Smoothing& how, std::
   SmoothingSpline spline(mask, box, how.cell_px, how.tension_px, points, context);
   for (int round = 0; round < max_rounds; ++round) {
     spline.solve(how.strength.lambda, how.strength.kappa);
-    spline.soften_edges(how.edge_tolerance);
     Residuals residuals;
     spline.append_residuals(residuals);
-    if (spline.reweight(robust_spread(residuals)) < settled) break;
+    if (!spline.reweight(robust_spread(residuals), settled)) break;
+    spline.soften_edges(how.edge_tolerance);
+    if (round + 1 == max_rounds) spline.solve(how.strength.lambda, how.strength.kappa);
   }
-  spline.solve(how.strength.lambda, how.strength.kappa);
   const double data = spline.weight_sum() + 2 * spline.slope_weight_sum();
   const double noise2 = spline.penalized_residual() / std::max(data - 3, 1.0) / weighted_gaussian_variance;
   Image<float> variance = spline.variance(samples, context.seed);

@@ -56,6 +56,27 @@ Eigen::Matrix2d slope_information(const ViewPoint& p) {
   return (Eigen::Matrix2d() << p.info_uu, p.info_uv, p.info_uv, p.info_vv).finished();
 }
 
+/// ±1 with equal probability. A draw is a sum over hundreds of them, so it is as good as one of normal variables.
+class RandomSigns {
+ public:
+  explicit RandomSigns(std::uint64_t seed) : generator_(seed) {}
+  double operator()() {
+    if (left_ == 0) {
+      bits_ = generator_();
+      left_ = 64;
+    }
+    --left_;
+    const double sign = (bits_ & 1) != 0 ? 1 : -1;
+    bits_ >>= 1;
+    return sign;
+  }
+
+ private:
+  std::mt19937_64 generator_;
+  std::uint64_t bits_ = 0;
+  int left_ = 0;
+};
+
 /// Where column (a, b) of the lower triangle keeps the entry of control point (a + da, b + db).
 int slot_of(int da, int db) {
   return db == 0 ? da : 5 * db + da;
@@ -321,52 +342,57 @@ void SmoothingSpline::append_residuals(Residuals& residuals) const {
 }
 
 void SmoothingSpline::soften_edges(double tolerance) {
-  std::vector<double> energies;
-  double mean = 0;
-  for (std::size_t cell = 0; cell < active_.size(); ++cell) {
-    if (active_[cell] == 0) continue;
+  std::vector<double> energies(active_.size());
+  for_each_cell([&](std::size_t cell) {
     const auto ids = cell_unknowns(cell);
     Eigen::Matrix<double, 9, 1> x;
     for (std::size_t k = 0; k < 9; ++k) x[static_cast<Eigen::Index>(k)] = coefficients_[ids[k]];
-    energies.push_back(tilt_[cell] * x.dot(stiffness_ * x));
-    mean += energies.back();
-  }
-  if (energies.empty()) return;
-  const double typical = std::sqrt(mean / static_cast<double>(energies.size()) * std::max(median(energies), 0.0));
-  if (!(typical > 0)) return;
-  auto energy = energies.begin();
+    energies[cell] = tilt_[cell] * x.dot(stiffness_ * x);
+  });
+  std::vector<double> of_active;
   for (std::size_t cell = 0; cell < active_.size(); ++cell) {
-    if (active_[cell] != 0)
-      softening_[cell] = tilt_[cell] * static_cast<float>(1 / (1 + std::max(*energy++, 0.0) / (tolerance * typical)));
+    if (active_[cell] != 0) of_active.push_back(energies[cell]);
+  }
+  if (of_active.empty()) return;
+  const double mean = std::accumulate(of_active.begin(), of_active.end(), 0.0) / static_cast<double>(of_active.size());
+  const double typical = std::sqrt(mean * std::max(median_in_place(of_active), 0.0));
+  if (!(typical > 0)) return;
+  for (std::size_t cell = 0; cell < active_.size(); ++cell) {
+    if (active_[cell] == 0) continue;
+    const double energy = std::max(energies[cell], 0.0);
+    softening_[cell] = tilt_[cell] * static_cast<float>(1 / (1 + energy / (tolerance * typical)));
   }
 }
 
-double SmoothingSpline::reweight(const ResidualSpread& spread) {
+bool SmoothingSpline::reweight(const ResidualSpread& spread, double settled) {
   const auto weight_of = [](double squared_ratio) {
     return static_cast<float>(1 / ((1 + squared_ratio / 4) * (1 + squared_ratio / 4)));
   };
-  const std::vector<float> weights_before = weights_, slope_weights_before = slope_weights_;
+  std::vector<float> weights(weights_), slope_weights(slope_weights_);
   parallel_for(context_, points_.size(), points_at_once, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       const ViewPoint& p = points_[i];
       const std::size_t cell = cell_of(p.u, p.v);
       const double r = p.height - value(cell, basis(p.u, p.v));
-      weights_[i] = weight_of(p.facing * r * r / (spread.height * spread.height));
+      weights[i] = weight_of(p.facing * r * r / (spread.height * spread.height));
       if (!p.has_slope()) continue;
       const Eigen::Vector2d s = slope_residual(p, cell);
-      slope_weights_[i] = weight_of(s.dot(slope_information(p) * s) / (spread.slope * spread.slope));
+      slope_weights[i] = weight_of(s.dot(slope_information(p) * s) / (spread.slope * spread.slope));
     }
   });
   double change = 0;
   std::size_t data = 0;
   for (std::size_t i = 0; i < points_.size(); ++i) {
-    change += std::abs(weights_[i] - weights_before[i]);
+    change += std::abs(weights[i] - weights_[i]);
     ++data;
     if (!points_[i].has_slope()) continue;
-    change += std::abs(slope_weights_[i] - slope_weights_before[i]);
+    change += std::abs(slope_weights[i] - slope_weights_[i]);
     ++data;
   }
-  return data == 0 ? 0 : change / static_cast<double>(data);
+  if (data == 0 || change < settled * static_cast<double>(data)) return false;
+  weights_ = std::move(weights);
+  slope_weights_ = std::move(slope_weights);
+  return true;
 }
 
 double SmoothingSpline::weight_sum() const {
@@ -410,24 +436,22 @@ void SmoothingSpline::evaluate_row(int v, float* out) const {
 
 void SmoothingSpline::draw(const Eigen::Matrix<double, 9, 9>& stiffness_root, std::uint64_t seed,
                            Eigen::Ref<Eigen::VectorXd> right) const {
-  std::mt19937_64 generator(seed);
-  std::normal_distribution<double> normal;
+  RandomSigns sign(seed);
   for (std::size_t cell = 0; cell < active_.size(); ++cell) {
     if (active_[cell] == 0) continue;
-    Eigen::Matrix<double, 9, 1> noise;
-    for (double& value : noise) value = normal(generator);
-    Eigen::Matrix<double, 9, 1> block = lambda_ * std::sqrt(softening_[cell]) * stiffness_root * noise;
+    Eigen::Matrix<double, 9, 1> block = Eigen::Matrix<double, 9, 1>::Zero();
+    for (int k = 0; k < 9; ++k) block += sign() * stiffness_root.col(k);
+    block *= lambda_ * std::sqrt(softening_[cell]);
     for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
       const ViewPoint& p = points_[i];
       const Basis b = basis(p.u, p.v);
-      const double scaled = std::sqrt(weights_[i] * p.facing) * normal(generator);
+      const double scaled = std::sqrt(weights_[i] * p.facing) * sign();
       for (int k = 0; k < 9; ++k) block[k] += scaled * b[static_cast<std::size_t>(k)];
       if (slope_weights_[i] == 0) continue;
       const auto slopes = slope_basis(p.u, p.v);
-      const double across = normal(generator), down = normal(generator);
-      const Eigen::Vector2d drawn = kappa_ * std::sqrt(slope_weights_[i]) *
-                                    slope_information(p).llt().matrixL().toDenseMatrix() *
-                                    Eigen::Vector2d(across, down);
+      const double across = sign(), down = sign();
+      const Eigen::Vector2d root = slope_information(p).llt().matrixL() * Eigen::Vector2d(across, down);
+      const Eigen::Vector2d drawn = kappa_ * std::sqrt(slope_weights_[i]) * root;
       for (int k = 0; k < 9; ++k) {
         const std::size_t at = static_cast<std::size_t>(k);
         block[k] += drawn.x() * slopes[0][at] + drawn.y() * slopes[1][at];

@@ -52,8 +52,9 @@ class SmoothingSpline {
   /// Minimizes with the present weights.
   void solve(double lambda, double kappa);
   /// Weights 1 / (1 + (r / 2 spread)²)² of the present residuals, of heights by their spread and of slopes by theirs
-  /// (rad). Returns by how much weights changed in the mean.
-  double reweight(const ResidualSpread& spread);
+  /// (rad). Returns whether they are new: if they would change by less than `settled` in the mean, they stay, and the
+  /// minimum is still theirs.
+  bool reweight(const ResidualSpread& spread, double settled = 0);
   /// Lets cells give way in which f bends far more than is usual (steps, occluding edges): their λ² is multiplied by
   /// 1 / (1 + energy / (tolerance · typical)), with the energy of the present f and `typical` the geometric mean of its
   /// mean and median over the cells.
@@ -94,8 +95,8 @@ class SmoothingSpline {
   std::vector<int> elimination_order() const;
   void assemble(double lambda, double kappa);
   Eigen::VectorXd right_side() const;
-  /// White noise times the square root of the normal matrix, row by row of the problem: its solution is a draw from the
-  /// posterior N(0, A⁻¹).
+  /// Noise of unit variance times the square root of the normal matrix, row by row of the problem: its solution is a
+  /// draw with the posterior's covariance A⁻¹.
   void draw(const Eigen::Matrix<double, 9, 9>& stiffness_root, std::uint64_t seed,
             Eigen::Ref<Eigen::VectorXd> right) const;
   /// Calls body(cell) for every active cell, on all threads; two cells at a time have no control point in common.
