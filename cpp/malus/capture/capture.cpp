@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <map>
 #include <numbers>
 #include <utility>
@@ -16,6 +17,8 @@ namespace malus {
 namespace {
 
 constexpr double all_saturated = 0.99;
+/// Pixels of a mask that a thread takes at a time.
+constexpr std::size_t flags_at_once = 1 << 18;
 
 /// Linear images before registration.
 struct Exposures {
@@ -207,14 +210,23 @@ std::vector<ImageRegistration> registrations(const Exposures& exposures, const C
   return results;
 }
 
-void clear_outside(Mask& mask, const Mask& keep) {
-  for (std::size_t i = 0; i < mask.count(); ++i) mask[i] = mask[i] && keep[i] ? 255 : 0;
+void clear_outside(Mask& mask, const Mask& keep, const Context& context) {
+  parallel_for(context, mask.count(), flags_at_once, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) mask[i] = mask[i] && keep[i] ? 255 : 0;
+  });
 }
 
 /// Sets the flags that are set in the other mask too; no flags yet = those.
-void add_flags(Mask& flags, Mask more) {
-  if (flags.empty()) flags = std::move(more);
-  for (std::size_t i = 0; i < more.count(); ++i) flags[i] |= more[i];
+void add_flags(Mask& flags, Mask more, const Context& context) {
+  if (flags.empty()) {
+    flags = std::move(more);
+    return;
+  }
+  parallel_for(context, flags.count(), flags_at_once, [&](std::size_t begin, std::size_t end) {
+    std::transform(more.begin() + static_cast<std::ptrdiff_t>(begin), more.begin() + static_cast<std::ptrdiff_t>(end),
+                   flags.begin() + static_cast<std::ptrdiff_t>(begin),
+                   flags.begin() + static_cast<std::ptrdiff_t>(begin), std::bit_or<std::uint8_t>());
+  });
 }
 
 /// The object in the undistorted raster: the mask at the nearest captured pixel.
@@ -242,7 +254,7 @@ Layer resample_layer(Exposures& exposures, std::size_t k, const ResamplingMap& m
   Image<float> source = std::move(exposures.images[k]);
   if (map.is_identity()) return {std::move(source), std::move(exposures.saturated[k])};
   Resampled resampled = resample(source, object.size(), map, interpolation, context);
-  clear_outside(object, resampled.valid);
+  clear_outside(object, resampled.valid, context);
   return {std::move(resampled.image), resample_flags(exposures.saturated[k], object.size(), map, context)};
 }
 
@@ -294,7 +306,7 @@ void fill_stack(Exposures& exposures, const CaptureInput& input, const std::vect
     if (layers.size() > 1 && g == 0) stack.noise = merged_noise(exposures.noise, ratios, unsaturated);
     Layer layer =
         layers.size() > 1 ? merge(std::move(layers), ratios, exposures.noise, context) : std::move(layers.front());
-    add_flags(stack.saturated, std::move(layer.saturated));
+    add_flags(stack.saturated, std::move(layer.saturated), context);
     stack.images.push_back(std::move(layer.intensity));
   }
 }
@@ -323,12 +335,17 @@ Image<float> mean_color(const CaptureInput& input, const ResponseCurve& curve, c
   return mean;
 }
 
-void check_usable(const PolarizedStack& stack) {
-  std::size_t object = 0, saturated = 0;
-  for (std::size_t i = 0; i < stack.mask.count(); ++i) {
-    object += stack.mask[i] != 0;
-    saturated += (stack.mask[i] != 0) & (stack.saturated[i] != 0);
-  }
+void check_usable(const PolarizedStack& stack, const Context& context) {
+  const auto count = [&](auto&& counts) {
+    return parallel_sum(context, stack.mask.count(), flags_at_once, std::size_t{0},
+                        [&](std::size_t begin, std::size_t end) {
+                          std::size_t sum = 0;
+                          for (std::size_t i = begin; i < end; ++i) sum += counts(i);
+                          return sum;
+                        });
+  };
+  const std::size_t object = count([&](std::size_t i) { return stack.mask[i] != 0; });
+  const std::size_t saturated = count([&](std::size_t i) { return (stack.mask[i] != 0) & (stack.saturated[i] != 0); });
   if (object == 0) throw data_error("no pixel of the object lies inside all polarized images (mask and undistortion)");
   if (static_cast<double>(saturated) > all_saturated * static_cast<double>(object)) {
     throw data_error(
@@ -390,7 +407,7 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
     for (const std::size_t k : group) worst = std::max(worst, rms_px[k]);
     stack.registration_rms_px.push_back(worst);
   }
-  check_usable(stack);
+  check_usable(stack, context);
   if (exposures.color) stack.color = mean_color(input, curve, options, size, maps, context);
   if (!shared.empty()) {
     stack.shared = resample(shared, size, base_map, options.registration.interpolation, context).image;

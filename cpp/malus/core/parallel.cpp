@@ -1,7 +1,6 @@
 #include "malus/core/parallel.h"
 
 #include <atomic>
-#include <condition_variable>
 #include <exception>
 #include <mutex>
 
@@ -44,15 +43,13 @@ void parallel_tree(const Context& context, std::span<const int> parents, const s
   for (std::size_t i = parents.size(); i-- > 0;) {
     if (waiting_for[i] == 0) ready.push_back(i);
   }
-  std::size_t left = parents.size();
   std::exception_ptr error;
   std::mutex mutex;
-  std::condition_variable changed;
+  // Who finds nothing ready leaves, and may help with loops within: a node becomes ready by the call that ends last
+  // among its children, and whoever made that call goes on with it.
   const auto work = [&] {
     std::unique_lock lock(mutex);
-    for (;;) {
-      changed.wait(lock, [&] { return !ready.empty() || left == 0 || error; });
-      if (left == 0 || error) return;
+    while (!ready.empty() && !error) {
       const std::size_t node = ready.back();
       ready.pop_back();
       lock.unlock();
@@ -68,11 +65,6 @@ void parallel_tree(const Context& context, std::span<const int> parents, const s
       const int parent = parents[node];
       if (parent >= 0 && --waiting_for[static_cast<std::size_t>(parent)] == 0) {
         ready.push_back(static_cast<std::size_t>(parent));
-      }
-      if (--left == 0 || error) {
-        changed.notify_all();
-      } else if (ready.size() > 1) {
-        changed.notify_one();
       }
     }
   };

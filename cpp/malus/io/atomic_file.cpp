@@ -83,6 +83,14 @@ void AtomicFile::write_at(std::size_t offset, const void* data, std::size_t size
   }
 }
 
+void AtomicFile::expect(std::size_t size) {
+  // File systems that cannot do it do without.
+#ifdef __linux__
+  if (::fallocate(descriptor_, 0, 0, static_cast<off_t>(size)) != 0 && errno == ENOSPC)
+    throw file_error("cannot write", path_, errno);
+#endif
+}
+
 void AtomicFile::commit() {
   if (::fsync(descriptor_) != 0) throw file_error("cannot write", path_, errno);
   if (::close(std::exchange(descriptor_, -1)) != 0) throw file_error("cannot write", path_, errno);

@@ -24,6 +24,9 @@ class AtomicFile {
 
   void write(const void* data, std::size_t size);
   void write(std::string_view bytes) { write(bytes.data(), bytes.size()); }
+  /// Has the system reserve room for a file of `size` bytes: cheaper than page by page while it is written, and a full
+  /// disk is noticed before the work.
+  void expect(std::size_t size);
   /// Writes at a place of the file, where nothing needs to be yet; from several threads at once.
   void write_at(std::size_t offset, const void* data, std::size_t size);
   void commit();

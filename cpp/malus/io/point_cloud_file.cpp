@@ -582,6 +582,7 @@ void write_ply(const std::filesystem::path& path, const MeshInStrips& mesh, cons
   const std::string header = layout.header(mesh.vertices, mesh.triangles);
   file.write(header);
   const std::size_t first_face = header.size() + mesh.vertices * layout.vertex_size();
+  file.expect(first_face + mesh.triangles * PlyLayout::face_size);
   parallel_for(context, mesh.strips, 1, [&](std::size_t k, std::size_t) {
     MeshStrip strip = mesh.strip(k, MeshInStrips::Parts::all);
     std::vector<char> vertices(strip.vertices * layout.vertex_size());

@@ -15,6 +15,23 @@ void dsyrk_(const char* uplo, const char* trans, const int* n, const int* k, con
 }
 
 namespace malus {
+namespace {
+
+/// Calls body(j) for every column of a square block. Near the root, where there are fewer branches than threads, the
+/// blocks are large, and idle threads take a share of their columns.
+template <class Body>
+void for_columns(const Context& context, std::size_t columns, Body&& body) {
+  constexpr std::size_t worth_sharing = 512, columns_at_once = 64;
+  if (columns < worth_sharing) {
+    for (std::size_t j = 0; j < columns; ++j) body(j);
+    return;
+  }
+  parallel_for(context, columns, columns_at_once, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t j = begin; j < end; ++j) body(j);
+  });
+}
+
+}  // namespace
 
 SupernodalCholesky::SupernodalCholesky(const cholmod_factor& factor, const SymmetricSolver::Matrix& lower)
     : nodes_(factor.nsuper + 1), parents_(factor.nsuper, -1) {
@@ -62,7 +79,7 @@ SupernodalCholesky::SupernodalCholesky(const cholmod_factor& factor, const Symme
 }
 
 void SupernodalCholesky::add_child(const Supernode& node, const Supernode& child, const double* child_rest,
-                                   double* block, double* rest) const {
+                                   double* block, double* rest, const Context& context) const {
   const std::size_t count = child.rows_below(), columns = static_cast<std::size_t>(node.columns),
                     below = node.rows_below();
   // The child's rows below it are among this one's rows, in the same order.
@@ -72,7 +89,7 @@ void SupernodalCholesky::add_child(const Supernode& node, const Supernode& child
     while (node.rows[place] != child.rows[static_cast<std::size_t>(child.columns) + i]) ++place;
     places[i] = place;
   }
-  for (std::size_t j = 0; j < count; ++j) {
+  for_columns(context, count, [&](std::size_t j) {
     const double* const from = child_rest + j * count;
     if (places[j] < columns) {
       double* const to = block + places[j] * node.rows.size();
@@ -81,7 +98,7 @@ void SupernodalCholesky::add_child(const Supernode& node, const Supernode& child
       double* const to = rest + (places[j] - columns) * below;
       for (std::size_t i = j; i < count; ++i) to[places[i] - columns] += from[i];
     }
-  }
+  });
 }
 
 bool SupernodalCholesky::factorize(const SymmetricSolver::Matrix& lower, double* values, const Context& context) const {
@@ -97,11 +114,14 @@ bool SupernodalCholesky::factorize(const SymmetricSolver::Matrix& lower, double*
     for (std::size_t e = node.entries; e < nodes_[s + 1].entries; ++e) {
       values[entries_[e].target] += lower.valuePtr()[entries_[e].source];
     }
-    rests[s] = std::make_unique<double[]>(node.rows_below() * node.rows_below());
+    const std::size_t rest_rows = node.rows_below();
+    rests[s] = std::make_unique_for_overwrite<double[]>(rest_rows * rest_rows);
     double* const rest = rests[s].get();
+    // Only the lower triangle is ever used.
+    for_columns(context, rest_rows, [&](std::size_t j) { std::fill_n(rest + j * rest_rows + j, rest_rows - j, 0.0); });
     for (const int child : node.children) {
       const auto c = static_cast<std::size_t>(child);
-      add_child(node, nodes_[c], rests[c].get(), block, rest);
+      add_child(node, nodes_[c], rests[c].get(), block, rest, context);
       rests[c].reset();
     }
     const SequentialBlas sequential;

@@ -43,8 +43,8 @@ class SupernodalCholesky {
   };
 
   /// Adds what a child leaves for the rows below it, to the block and to what is left for the rows below that.
-  void add_child(const Supernode& node, const Supernode& child, const double* child_rest, double* block,
-                 double* rest) const;
+  void add_child(const Supernode& node, const Supernode& child, const double* child_rest, double* block, double* rest,
+                 const Context& context) const;
 
   std::vector<Supernode> nodes_;  ///< and one behind them that only says where entries end
   std::vector<int> parents_;      ///< −1 = none

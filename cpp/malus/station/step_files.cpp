@@ -108,11 +108,12 @@ Json to_json(const Pose& pose) {
 Json save(const PolarizationStep& result, StepFiles& files) {
   const PolarizationState& state = result.state;
   const std::string maps = maps_folder(result.awaits_surface);
+  // It is compressed, which takes longer than the others: begun last, all would wait for it.
+  save_bytes(state.valid, "polarization/valid.png", files);
   save_raster(state.i_un, maps + "unpolarized.tif", files);
   save_raster(state.rho, maps + "degree.tif", files);
   save_raster(state.phi, maps + "phase.tif", files);
   save_raster(state.residual, "polarization/residual.tif", files);
-  save_bytes(state.valid, "polarization/valid.png", files);
   if (!state.variance_factor.empty()) {
     save_raster(state.variance_factor, "polarization/variance_factor.tif", files);
   }

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "malus/core/context.h"
+#include "malus/core/kept_memory.h"
 #include "malus/io/workspace.h"
 #include "malus/station/options.h"
 #include "malus/station/reconstruct.h"
@@ -92,6 +93,7 @@ class StepRunner {
   void report_kept(const std::string& step) const;
 
   const Context& context_;
+  KeptMemory kept_memory_;
   std::optional<std::string> until_;
   Json options_;
   std::unique_ptr<Workspace> workspace_;

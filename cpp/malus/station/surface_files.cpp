@@ -37,17 +37,17 @@ void write_surface_files(const FusedSurface& surface, const Image<float>& color,
               {texture, surface.camera, surface.pose}, unit, name);
   };
 
-  // The large file is bound by the system's copying of its pages, which one thread does at a time; the others compute.
-  Context half = context;
-  half.threads = (context.threads + 1) / 2;
-  half.on_progress = nullptr;
+  // The large file is bound by the system's copying of its pages, which one thread does at a time; the others compute,
+  // and whoever is done first helps.
+  Context quiet = context;
+  quiet.on_progress = nullptr;
   std::string no_elevation;
   parallel_for(context, 2, 1, [&](std::size_t task, std::size_t) {
     if (task == 0) {
-      write_ply(work / "fused/surface.ply", mesh, half);
+      write_ply(work / "fused/surface.ply", mesh, quiet);
     } else {
-      write_display(half);
-      no_elevation = write_elevation(work / "fused/dem.tif", mesh, surface, options, unit, name, half);
+      write_display(quiet);
+      no_elevation = write_elevation(work / "fused/dem.tif", mesh, surface, options, unit, name, quiet);
     }
   });
   files.insert(files.end(), {"fused/surface.ply", "fused/surface.glb"});

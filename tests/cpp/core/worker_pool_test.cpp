@@ -59,6 +59,35 @@ TEST(WorkerPool, NestedLoopsAndLoopsOfSeveralThreadsDoNotWaitForEachOther) {
   for (const int sum : sums) EXPECT_EQ(sum, 20 * 45);
 }
 
+TEST(WorkerPool, WhoIsDoneHelpsWithTheLoopsOfTheOthers) {
+  // Whichever thread has the short part of the outer loop: the calls within the long one wait for each other.
+  for (const std::size_t longer : {0U, 1U}) {
+    std::atomic<int> here{0};
+    parallel_for(with_threads(2), 2, 1, [&](std::size_t part, std::size_t) {
+      if (part != longer) return;
+      parallel_for(with_threads(2), 2, 1, [&](std::size_t, std::size_t) {
+        here.fetch_add(1);
+        while (here.load() < 2) std::this_thread::yield();
+      });
+    });
+    EXPECT_EQ(here.load(), 2);
+  }
+}
+
+TEST(WorkerPool, LoopsWithinTakeNoMoreThreadsThanTheOuterOne) {
+  std::atomic<int> at_work{0}, most{0};
+  parallel_for(with_threads(3), 6, 1, [&](std::size_t, std::size_t) {
+    parallel_for(with_threads(3), 20, 1, [&](std::size_t, std::size_t) {
+      const int now = at_work.fetch_add(1) + 1;
+      for (int seen = most.load(); seen < now && !most.compare_exchange_weak(seen, now);) {
+      }
+      std::this_thread::sleep_for(std::chrono::microseconds(200));
+      at_work.fetch_sub(1);
+    });
+  });
+  EXPECT_LE(most.load(), 3);
+}
+
 TEST(WorkerPool, AForkedChildGetsThreadsOfItsOwn) {
   run_on_workers(2, [] {});
   const pid_t child = fork();

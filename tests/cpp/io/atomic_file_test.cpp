@@ -51,6 +51,17 @@ TEST(AtomicFile, PartsMayBeWrittenInAnyOrder) {
   EXPECT_EQ(read_file(folder / "parts", "parts"), "head mid tail");
 }
 
+TEST(AtomicFile, ReservedRoomIsFilledByWhatIsWritten) {
+  const TemporaryFolder folder;
+  const auto path = folder / "result.txt";
+  AtomicFile file(path);
+  file.expect(6);
+  file.write("abc");
+  file.write_at(3, "def", 3);
+  file.commit();
+  EXPECT_EQ(read_file(path, "result"), "abcdef");
+}
+
 TEST(AtomicFile, WrongPlaceIsAnInputErrorWithPathAndReason) {
   const TemporaryFolder folder;
   expect_error(
