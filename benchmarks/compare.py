@@ -192,7 +192,6 @@ Synthetic reliefs (`malus.synthetic`), all object, prior from a depth map, from 
 {table(["megapixels", "fusion", "seconds", "on one thread", "processor seconds a megapixel", "peak GB"], sums)}
 
 {table(["station", "step", "1 thread", f"{threads} threads", "times as fast"], steps)}
-
 """
 
 
