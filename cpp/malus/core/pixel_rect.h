@@ -6,7 +6,7 @@
 
 namespace malus {
 
-/// Rectangle of pixels, ends excluded.
+/// Part of a raster: columns [u0, u1), rows [v0, v1).
 struct PixelRect {
   int u0 = 0, v0 = 0, u1 = 0, v1 = 0;
 
@@ -22,5 +22,17 @@ struct PixelRect {
   /// The same pixels in an image that begins at (u, v) of this one.
   PixelRect from(int u, int v) const { return {u0 - u, v0 - v, u1 - u, v1 - v}; }
 };
+
+/// Copy of a part of a raster; nothing of an empty one.
+template <class T>
+Image<T> cropped(const Image<T>& whole, const PixelRect& rect) {
+  if (whole.empty()) return {};
+  Image<T> part = Image<T>::uninitialized(rect.size(), whole.channels());
+  for (int v = rect.v0; v < rect.v1; ++v) {
+    const T* const row = whole.row(v);
+    std::copy(row + rect.u0 * whole.channels(), row + rect.u1 * whole.channels(), part.row(v - rect.v0));
+  }
+  return part;
+}
 
 }  // namespace malus

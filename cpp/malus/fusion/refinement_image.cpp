@@ -52,29 +52,17 @@ double mean_log_depth(const Mask& object, const DepthPrior& prior) {
   return sum / count;
 }
 
-/// Copy of a part of a raster.
-template <class T>
-Image<T> copy_of(const Image<T>& image, const PixelRect& rect) {
-  Image<T> part = Image<T>::uninitialized(rect.size());
-  for (int v = rect.v0; v < rect.v1; ++v)
-    std::copy(image.row(v) + rect.u0, image.row(v) + rect.u1, part.row(v - rect.v0));
-  return part;
-}
-
 }  // namespace
 
 RefinementField RefinementImage::part(const PixelRect& rect, const Context& context) const {
   RefinementField field;
-  field.camera = camera;
-  field.camera.size = rect.size();
-  field.camera.cx -= rect.u0;
-  field.camera.cy -= rect.v0;
+  field.camera = camera.cropped(rect);
   field.focal = focal;
   field.log_depth_origin = log_depth_origin;
-  field.object = copy_of(object, rect);
-  field.usable = copy_of(usable, rect);
-  field.x = copy_of(x, rect);
-  field.kind = copy_of(kind, rect);
+  field.object = cropped(object, rect);
+  field.usable = cropped(usable, rect);
+  field.x = cropped(x, rect);
+  field.kind = cropped(kind, rect);
   field.reflection = reflection;
   field.shading = shading;
   const Size size = rect.size();

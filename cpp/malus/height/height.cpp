@@ -146,7 +146,7 @@ TiledAxis tiled(int extent) {
 }
 
 /// Holds what lies along the tile's edges, where the surface goes on beyond, to the start.
-void hold_ring(HeightData& tile, const Image<float>& start, HeightBox box, Size whole) {
+void hold_ring(HeightData& tile, const Image<float>& start, PixelRect box, Size whole) {
   constexpr int ring_px = GridSystem::reach;
   tile.ring_height = Image<float>(tile.size(), 1, none);
   for (int v = 0; v < box.height(); ++v) {
@@ -167,7 +167,7 @@ struct TileResult {
   std::size_t pixels = 0;
 };
 
-TileResult solve_tile(const HeightData& tile, const Image<float>& start, HeightBox box, const HeightOptions& options,
+TileResult solve_tile(const HeightData& tile, const Image<float>& start, PixelRect box, const HeightOptions& options,
                       const HeightLight& light, const Context& context) {
   TileResult result;
   result.height = Image<float>(tile.size(), 1, none);
@@ -191,13 +191,13 @@ TileResult solve_tile(const HeightData& tile, const Image<float>& start, HeightB
 
 /// A Gauss–Newton step in tiles from a start at the raster's resolution; tile(box) gives their data. map.height becomes
 /// the result.
-void solve_in_tiles(const std::function<HeightData(HeightBox)>& tile, const Image<float>& start,
+void solve_in_tiles(const std::function<HeightData(PixelRect)>& tile, const Image<float>& start,
                     const HeightOptions& options, const HeightLight& light, const Context& context, HeightMap& map) {
   const Size size = start.size();
   const TiledAxis columns = tiled(size.width), rows = tiled(size.height);
   const auto box_of = [&](std::size_t k) {
     const int column = static_cast<int>(k) % columns.tiles(), row = static_cast<int>(k) / columns.tiles();
-    return HeightBox{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
+    return PixelRect{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
   };
   std::vector<TileResult> results(static_cast<std::size_t>(columns.tiles()) * static_cast<std::size_t>(rows.tiles()));
   // One thread a tile: its vectors then stay in that core's cache.
@@ -216,7 +216,7 @@ void solve_in_tiles(const std::function<HeightData(HeightBox)>& tile, const Imag
   for (std::size_t k = 0; k < results.size(); ++k) {
     const TileResult& result = results[k];
     const int column = static_cast<int>(k) % columns.tiles(), row = static_cast<int>(k) / columns.tiles();
-    const HeightBox box = box_of(k);
+    const PixelRect box = box_of(k);
     parallel_rows(context, box.height(), [&](int y) {
       const double along_v = rows.weight(row, box.v0 + y);
       for (int x = 0; x < box.width(); ++x) {
@@ -247,7 +247,7 @@ void solve_by_levels(const HeightData& data, const HeightOptions& options, const
   solve_by_levels(coarsened(data, context), options, light, context, map);
   if (map.status == "singular") return;
   const Image<float> start = refined_height(map.height, data.object, context);
-  solve_in_tiles([&](HeightBox box) { return part_of(data, box); }, start, options, light, context, map);
+  solve_in_tiles([&](PixelRect box) { return part_of(data, box); }, start, options, light, context, map);
 }
 
 }  // namespace
@@ -295,7 +295,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
   const Mask object = pixels_in(state, PixelState::saturated);
   map.unknowns =
       static_cast<std::size_t>(std::count_if(object.begin(), object.end(), [](std::uint8_t m) { return m != 0; }));
-  const HeightBox all{0, 0, state.size().width, state.size().height};
+  const PixelRect all{0, 0, state.size().width, state.size().height};
   if (options.method == HeightMethod::likelihood && state.size().area() > whole_pixels) {
     solve_by_levels(coarsened(input, options, context), options, model, context, map);
     if (map.status == "singular") {
@@ -303,7 +303,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
       return map;
     }
     const Image<float> start = refined_height(map.height, object, context);
-    const auto tile = [&](HeightBox box) {
+    const auto tile = [&](PixelRect box) {
       Context inner = context;
       inner.threads = 1;
       return height_data(input, options, box, inner);

@@ -11,18 +11,6 @@ namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
 
-Pinhole moved(const Pinhole& camera, HeightBox box) {
-  return {{box.width(), box.height()}, camera.fx, camera.fy, camera.cx - box.u0, camera.cy - box.v0};
-}
-
-template <class T>
-Image<T> cropped(const Image<T>& whole, HeightBox box) {
-  if (whole.empty()) return {};
-  Image<T> part({box.width(), box.height()});
-  for (int v = 0; v < box.height(); ++v) std::copy_n(whole.row(box.v0 + v) + box.u0, box.width(), part.row(v));
-  return part;
-}
-
 HeightData empty_data(Size size, bool with_prior, bool with_border) {
   HeightData data;
   data.object = Mask(size);
@@ -96,12 +84,12 @@ void coarsen_pixel(const HeightData& fine, int column, int row, HeightData& coar
 
 }  // namespace
 
-HeightData height_data(const HeightInput& input, const HeightOptions& options, HeightBox box, const Context& context) {
+HeightData height_data(const HeightInput& input, const HeightOptions& options, PixelRect box, const Context& context) {
   const PolarizationState& state = input.polarization;
   const ReflectionMap& reflection = input.reflection;
   const bool with_border = options.boundary == HeightBoundary::prior;
   HeightData data = empty_data({box.width(), box.height()}, input.prior_height != nullptr, with_border);
-  if (options.perspective && input.camera != nullptr) data.camera = moved(*input.camera, box);
+  if (options.perspective && input.camera != nullptr) data.camera = input.camera->cropped(box);
   data.refractive_index = reflection.refractive_index;
   const StokesVariances variances(state);
   parallel_rows(context, box.height(), [&](int row) {
@@ -140,9 +128,9 @@ HeightData height_data(const HeightInput& input, const HeightOptions& options, H
   return data;
 }
 
-HeightData part_of(const HeightData& whole, HeightBox box) {
+HeightData part_of(const HeightData& whole, PixelRect box) {
   HeightData part;
-  if (whole.camera) part.camera = moved(*whole.camera, box);
+  if (whole.camera) part.camera = whole.camera->cropped(box);
   part.refractive_index = whole.refractive_index;
   part.object = cropped(whole.object, box);
   part.kind = cropped(whole.kind, box);

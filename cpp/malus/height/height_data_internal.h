@@ -2,17 +2,10 @@
 
 #include <optional>
 
+#include "malus/core/pixel_rect.h"
 #include "malus/height/height.h"
 
 namespace malus {
-
-/// Part of a raster: columns [u0, u1), rows [v0, v1).
-struct HeightBox {
-  int u0 = 0, v0 = 0, u1 = 0, v1 = 0;
-
-  int width() const { return u1 - u0; }
-  int height() const { return v1 - v0; }
-};
 
 /// What the height of a raster, of a part of it or of it at a lower resolution follows from. Heights are in its pixels.
 struct HeightData {
@@ -37,9 +30,9 @@ struct HeightData {
 };
 
 /// A part of the station's rasters.
-HeightData height_data(const HeightInput& input, const HeightOptions& options, HeightBox box, const Context& context);
+HeightData height_data(const HeightInput& input, const HeightOptions& options, PixelRect box, const Context& context);
 /// A part of rasters of this kind.
-HeightData part_of(const HeightData& whole, HeightBox box);
+HeightData part_of(const HeightData& whole, PixelRect box);
 /// At half the resolution: means over the pixels with data, of Stokes vectors.
 HeightData coarsened(const HeightData& fine, const Context& context);
 /// The same of the station, without ever having all of it in this form.

@@ -10,6 +10,9 @@ extern "C" {
 void dpotrf_(const char* uplo, const int* n, double* a, const int* lda, int* info);
 void dtrsm_(const char* side, const char* uplo, const char* transa, const char* diag, const int* m, const int* n,
             const double* alpha, const double* a, const int* lda, double* b, const int* ldb);
+void dgemm_(const char* transa, const char* transb, const int* m, const int* n, const int* k, const double* alpha,
+            const double* a, const int* lda, const double* b, const int* ldb, const double* beta, double* c,
+            const int* ldc);
 void dsyrk_(const char* uplo, const char* trans, const int* n, const int* k, const double* alpha, const double* a,
             const int* lda, const double* beta, double* c, const int* ldc);
 }
@@ -29,6 +32,66 @@ void for_columns(const Context& context, std::size_t columns, Body&& body) {
   parallel_for(context, columns, columns_at_once, [&](std::size_t begin, std::size_t end) {
     for (std::size_t j = begin; j < end; ++j) body(j);
   });
+}
+
+/// Rows or columns of a large front that a thread takes at a time; a front of fewer than three times as many rows is
+/// not worth sharing.
+constexpr int front_block = 256;
+
+/// Calls body(first, count) for blocks of [0, length).
+template <class Body>
+void for_blocks(const Context& context, bool share, int length, Body&& body) {
+  if (!share) {
+    body(0, length);
+    return;
+  }
+  parallel_for(context, static_cast<std::size_t>(length), front_block, [&](std::size_t begin, std::size_t end) {
+    const SequentialBlas sequential;
+    body(static_cast<int>(begin), static_cast<int>(end - begin));
+  });
+}
+
+/// The first `columns` columns of the lower triangle of c −= a aᵀ, for an a of `rows` rows and `depth` columns.
+void subtract_square(const Context& context, bool share, int rows, int columns, int depth, const double* a, int lda,
+                     double* c, int ldc) {
+  const double one = 1, minus_one = -1;
+  for_blocks(context, share, columns, [&](int first, int count) {
+    const double* const of_block = a + first;
+    double* const corner = c + first + static_cast<std::ptrdiff_t>(first) * ldc;
+    dsyrk_("L", "N", &count, &depth, &minus_one, of_block, &lda, &one, corner, &ldc);
+    const int below = rows - first - count;
+    if (below == 0) return;
+    dgemm_("N", "T", &below, &count, &depth, &minus_one, of_block + count, &lda, of_block, &lda, &one, corner + count,
+           &ldc);
+  });
+}
+
+/// Factorizes the block of a supernode, its rows below the diagonal block included, and takes these times their
+/// transpose from the lower triangle of `rest`. False unless it is positive definite. Large blocks near the root, where
+/// there are fewer branches than threads, are shared with idle threads, panel by panel.
+bool factorize_front(const Context& context, int columns, int rows, double* block, double* rest) {
+  const bool share = rows >= 3 * front_block;
+  const int panel = share ? front_block : columns, below = rows - columns;
+  const double one = 1;
+  const SequentialBlas sequential;
+  for (int first = 0; first < columns; first += panel) {
+    const int count = std::min(panel, columns - first), rows_after = rows - first - count;
+    double* const corner = block + first + static_cast<std::ptrdiff_t>(first) * rows;
+    int info = 0;
+    dpotrf_("L", &count, corner, &rows, &info);
+    if (info != 0) return false;
+    if (rows_after == 0) break;
+    double* const after = corner + count;
+    for_blocks(context, share, rows_after, [&](int begin, int some) {
+      dtrsm_("R", "L", "T", "N", &some, &count, &one, corner, &rows, after + begin, &rows);
+    });
+    const int columns_after = columns - first - count;
+    if (columns_after > 0)
+      subtract_square(context, share, rows_after, columns_after, count, after, rows,
+                      after + static_cast<std::ptrdiff_t>(count) * rows, rows);
+  }
+  if (below > 0) subtract_square(context, share, below, below, columns, block + columns, rows, rest, below);
+  return true;
 }
 
 }  // namespace
@@ -108,7 +171,7 @@ bool SupernodalCholesky::factorize(const SymmetricSolver::Matrix& lower, double*
   parallel_tree(context, parents_, [&](std::size_t s) {
     if (!definite.load(std::memory_order_relaxed)) return;
     const Supernode& node = nodes_[s];
-    const int rows = static_cast<int>(node.rows.size()), below = static_cast<int>(node.rows_below());
+    const int rows = static_cast<int>(node.rows.size());
     double* const block = values + node.values;
     std::fill_n(block, node.rows.size() * static_cast<std::size_t>(node.columns), 0.0);
     for (std::size_t e = node.entries; e < nodes_[s + 1].entries; ++e) {
@@ -124,18 +187,7 @@ bool SupernodalCholesky::factorize(const SymmetricSolver::Matrix& lower, double*
       add_child(node, nodes_[c], rests[c].get(), block, rest, context);
       rests[c].reset();
     }
-    const SequentialBlas sequential;
-    int info = 0;
-    dpotrf_("L", &node.columns, block, &rows, &info);
-    if (info != 0) {
-      definite = false;
-      return;
-    }
-    if (below == 0) return;
-    const double one = 1, minus_one = -1;
-    double* const rows_below = block + node.columns;
-    dtrsm_("R", "L", "T", "N", &below, &node.columns, &one, block, &rows, rows_below, &rows);
-    dsyrk_("L", "N", &below, &node.columns, &minus_one, rows_below, &rows, &one, rest, &below);
+    if (!factorize_front(context, node.columns, rows, block, rest)) definite = false;
   });
   return definite;
 }

@@ -15,10 +15,10 @@ constexpr int window_cells = 100;
 constexpr std::size_t max_windows = 6;
 
 /// The windows with points spread over the box: every k-th of those that hold at least half as many as is usual.
-std::vector<PixelBox> pick_windows(PixelBox box, std::span<const ViewPoint> points, double side_px) {
+std::vector<PixelRect> pick_windows(PixelRect box, std::span<const ViewPoint> points, double side_px) {
   const int columns = std::max(1, static_cast<int>(std::round(box.width() / side_px)));
   const int rows = std::max(1, static_cast<int>(std::round(box.height() / side_px)));
-  std::vector<PixelBox> windows;
+  std::vector<PixelRect> windows;
   for (int row = 0; row < rows; ++row) {
     for (int column = 0; column < columns; ++column) {
       windows.push_back({box.u0 + box.width() * column / columns, box.v0 + box.height() * row / rows,
@@ -34,11 +34,11 @@ std::vector<PixelBox> pick_windows(PixelBox box, std::span<const ViewPoint> poin
              in_box(p.u - box.u0, box.width(), columns)];
   }
   const std::size_t usual = points.size() / windows.size();
-  std::vector<PixelBox> good;
+  std::vector<PixelRect> good;
   for (std::size_t i = 0; i < windows.size(); ++i) {
     if (2 * counts[i] >= usual && counts[i] > 0) good.push_back(windows[i]);
   }
-  std::vector<PixelBox> picked;
+  std::vector<PixelRect> picked;
   const std::size_t count = std::min(good.size(), max_windows);
   for (std::size_t i = 0; i < count; ++i) picked.push_back(good[(2 * i + 1) * good.size() / (2 * count)]);
   return picked;
@@ -46,13 +46,13 @@ std::vector<PixelBox> pick_windows(PixelBox box, std::span<const ViewPoint> poin
 
 class Windows {
  public:
-  Windows(const Mask& mask, PixelBox box, std::span<const ViewPoint> points, double spacing_px,
+  Windows(const Mask& mask, PixelRect box, std::span<const ViewPoint> points, double spacing_px,
           const Context& context) {
     const double cell_px = std::max(1.0, 0.6 * spacing_px);
     // The windows are solved beside each other.
     Context inner = context;
     inner.threads = 1;
-    for (const PixelBox& window : pick_windows(box, points, window_cells * cell_px)) {
+    for (const PixelRect& window : pick_windows(box, points, window_cells * cell_px)) {
       splines_.emplace_back(mask, window, cell_px, 1e3 * spacing_px, points, inner);
     }
   }
@@ -121,8 +121,8 @@ ResidualSpread robust_spread(Residuals& residuals) {
           std::max(min_spread_rad, robust_spread(residuals.slopes) / (1.4826 * 1.1774))};
 }
 
-SmoothingStrength choose_smoothing(const Mask& mask, PixelBox box, std::span<const ViewPoint> points, double spacing_px,
-                                   const Context& context) {
+SmoothingStrength choose_smoothing(const Mask& mask, PixelRect box, std::span<const ViewPoint> points,
+                                   double spacing_px, const Context& context) {
   Windows windows(mask, box, points, spacing_px, context);
   const bool oriented = std::any_of(points.begin(), points.end(), [](const ViewPoint& p) { return p.has_slope(); });
   // λ that smooths over `lengths` spacings.

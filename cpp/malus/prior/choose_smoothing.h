@@ -29,7 +29,7 @@ struct SmoothingStrength {
 /// heights profiled out:
 ///   (Σw + 2 Σw' − 3) ln (penalized residual) + ln det A(λ, κ) − (n − 3) 2 ln λ − 2 Σw' 2 ln κ → min,
 /// summed over a few windows of the raster, after the points have got robust weights.
-SmoothingStrength choose_smoothing(const Mask& mask, PixelBox box, std::span<const ViewPoint> points, double spacing_px,
-                                   const Context& context);
+SmoothingStrength choose_smoothing(const Mask& mask, PixelRect box, std::span<const ViewPoint> points,
+                                   double spacing_px, const Context& context);
 
 }  // namespace malus

@@ -94,8 +94,8 @@ class ReferencePlane {
   Eigen::Vector3d plane_;
 };
 
-PixelBox bounding_box(const Mask& mask) {
-  PixelBox box{mask.width(), mask.height(), 0, 0};
+PixelRect bounding_box(const Mask& mask) {
+  PixelRect box{mask.width(), mask.height(), 0, 0};
   for (int v = 0; v < mask.height(); ++v) {
     for (int u = 0; u < mask.width(); ++u) {
       if (mask(u, v) == 0) continue;
@@ -105,7 +105,7 @@ PixelBox bounding_box(const Mask& mask) {
   return box;
 }
 
-bool has_object(const Mask& mask, PixelBox box) {
+bool has_object(const Mask& mask, PixelRect box) {
   for (int v = box.v0; v < box.v1; ++v) {
     if (std::any_of(mask.row(v) + box.u0, mask.row(v) + box.u1, [](std::uint8_t m) { return m != 0; })) return true;
   }
@@ -152,7 +152,7 @@ struct SplineFit {
 };
 
 /// Robust smoothing of the points in a box.
-SplineFit fit_robust(const Mask& mask, PixelBox box, const Smoothing& how, std::span<const ViewPoint> points,
+SplineFit fit_robust(const Mask& mask, PixelRect box, const Smoothing& how, std::span<const ViewPoint> points,
                      int samples, const Context& context) {
   // Clusters of outliers lose their hold slowly: go on until the weights stand still.
   constexpr int max_rounds = 8;
@@ -175,7 +175,7 @@ SplineFit fit_robust(const Mask& mask, PixelBox box, const Smoothing& how, std::
 /// Adds weight(u, v) times the spline and its variance for unit noise to a surface.
 template <class Weight>
 void add_to(Surface& surface, const SplineFit& fit, const Mask& mask, const Context& context, Weight&& weight) {
-  const PixelBox& box = fit.spline.box();
+  const PixelRect& box = fit.spline.box();
   const Image<float>& variance = fit.variance;
   parallel_rows(context, box.height(), [&](int row) {
     const int v = box.v0 + row;
@@ -196,7 +196,7 @@ void add_to(Surface& surface, const SplineFit& fit, const Mask& mask, const Cont
 /// what it leaves.
 Surface smooth_cloud(std::vector<ViewPoint> points, const Mask& mask, const Smoothing& how, const PriorOptions& options,
                      const Context& context) {
-  const PixelBox box = bounding_box(mask);
+  const PixelRect box = bounding_box(mask);
   Surface surface{Image<float>(mask.size(), 1, 0.0F), Image<float>(mask.size(), 1, 0.0F), 0};
   const double unknowns = static_cast<double>(box.width()) * box.height() / (how.cell_px * how.cell_px);
   if (unknowns <= options.max_unknowns) {
@@ -239,7 +239,7 @@ Surface smooth_cloud(std::vector<ViewPoint> points, const Mask& mask, const Smoo
       const int tile = first + static_cast<int>(i), column = tile % columns.tiles(), row = tile / columns.tiles();
       fits[i].reset();
       if (tile >= tiles) return;
-      const PixelBox area{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
+      const PixelRect area{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
       if (has_object(mask, area)) fits[i] = fit_robust(mask, area, fine, points, options.sigma_samples, inner);
     });
     for (std::size_t i = 0; i < fits.size(); ++i) {

@@ -77,6 +77,10 @@ class RandomSigns {
   int left_ = 0;
 };
 
+bool contains(const PixelRect& box, const ViewPoint& p) {
+  return p.u >= box.u0 - 0.5F && p.v >= box.v0 - 0.5F && p.u < box.u1 - 0.5F && p.v < box.v1 - 0.5F;
+}
+
 /// Where column (a, b) of the lower triangle keeps the entry of control point (a + da, b + db).
 int slot_of(int da, int db) {
   return db == 0 ? da : 5 * db + da;
@@ -84,7 +88,7 @@ int slot_of(int da, int db) {
 
 }  // namespace
 
-SmoothingSpline::SmoothingSpline(const Mask& mask, PixelBox box, double cell_px, double tension_px,
+SmoothingSpline::SmoothingSpline(const Mask& mask, PixelRect box, double cell_px, double tension_px,
                                  std::span<const ViewPoint> points, const Context& context)
     : context_(context),
       box_(box),
@@ -101,7 +105,7 @@ SmoothingSpline::SmoothingSpline(const Mask& mask, PixelBox box, double cell_px,
   }
   cell_start_.assign(active_.size() + 1, 0);
   for (const ViewPoint& p : points) {
-    if (!box.contains(p)) continue;
+    if (!contains(box, p)) continue;
     active_[cell_of(p.u, p.v)] = 1;
     ++cell_start_[cell_of(p.u, p.v) + 1];
   }
@@ -109,7 +113,7 @@ SmoothingSpline::SmoothingSpline(const Mask& mask, PixelBox box, double cell_px,
   points_.resize(cell_start_.back());
   std::vector<std::uint32_t> next(cell_start_.begin(), cell_start_.end() - 1);
   for (const ViewPoint& p : points) {
-    if (box.contains(p)) points_[next[cell_of(p.u, p.v)]++] = p;
+    if (contains(box, p)) points_[next[cell_of(p.u, p.v)]++] = p;
   }
   weights_.assign(points_.size(), 1.0F);
   slope_weights_.resize(points_.size());

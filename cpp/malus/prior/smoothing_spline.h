@@ -9,21 +9,11 @@
 
 #include "malus/core/context.h"
 #include "malus/core/image.h"
+#include "malus/core/pixel_rect.h"
 #include "malus/linalg/symmetric_solver.h"
 #include "malus/prior/visible_points.h"
 
 namespace malus {
-
-/// Part of a raster: columns [u0, u1), rows [v0, v1).
-struct PixelBox {
-  int u0 = 0, v0 = 0, u1 = 0, v1 = 0;
-
-  int width() const { return u1 - u0; }
-  int height() const { return v1 - v0; }
-  bool contains(const ViewPoint& p) const {
-    return p.u >= u0 - 0.5F && p.v >= v0 - 0.5F && p.u < u1 - 0.5F && p.v < v1 - 0.5F;
-  }
-};
 
 /// Absolute residuals of heights (GSD) and slopes (rad), as if seen from the front.
 struct Residuals {
@@ -44,7 +34,7 @@ struct ResidualSpread {
 /// farther than `tension_px` from all points instead of running away along the last slope.
 class SmoothingSpline {
  public:
-  SmoothingSpline(const Mask& mask, PixelBox box, double cell_px, double tension_px, std::span<const ViewPoint> points,
+  SmoothingSpline(const Mask& mask, PixelRect box, double cell_px, double tension_px, std::span<const ViewPoint> points,
                   const Context& context);
 
   std::size_t unknowns() const { return unknowns_; }
@@ -78,7 +68,7 @@ class SmoothingSpline {
   Image<float> variance(int samples, std::uint64_t seed);
 
   double cell_px() const { return cell_px_; }
-  const PixelBox& box() const { return box_; }
+  const PixelRect& box() const { return box_; }
 
  private:
   using Basis = std::array<double, 9>;
@@ -104,7 +94,7 @@ class SmoothingSpline {
   void for_each_cell(Body&& body) const;
 
   Context context_;
-  PixelBox box_;
+  PixelRect box_;
   double cell_px_;
   int columns_, rows_;                 ///< of cells; control points are two more each way
   std::vector<std::uint8_t> active_;   ///< a cell

@@ -9,6 +9,7 @@
 #include <sstream>
 
 #include "malus/capture/capture.h"
+#include "malus/fusion/tile_solver.h"
 #include "malus/io/colmap_workspace.h"
 #include "malus/io/point_cloud_file.h"
 #include "malus/polarization/decompose.h"
@@ -30,7 +31,7 @@ constexpr StepCost cloud_cost{9.5, 0.5, 85, 250};
 constexpr StepCost raster_cost{0.04, 0.5, 35, 0};
 constexpr StepCost height_cost{1.8, 0.93, 52, 170};
 constexpr StepCost grid_cost{0.12, 0.8, 56, 0};
-constexpr StepCost refine_cost{44, 0.96, 130, 600};
+constexpr StepCost refine_cost{44, 0.96, 50, 0};  // memory: and what refine_parts_megabytes says
 constexpr StepCost output_cost{0.8, 0.72, 57, 20};
 /// Of the process before anything is read.
 constexpr double megabytes_fixed = 30;
@@ -41,6 +42,16 @@ double seconds(const StepCost& cost, double megapixels, int threads) {
 
 double megabytes(const StepCost& cost, double megapixels, int threads) {
   return megabytes_fixed + megapixels * cost.megabytes_per_mpx + threads * cost.megabytes_per_thread;
+}
+
+/// Of the refinement's parts: the field of a strip, and a tile's problem for each thread.
+double refine_parts_megabytes(Size size, const RefineOptions& options, int threads) {
+  constexpr double strip_mb_per_mpx = 110, tile_mb_per_mpx = 5000;
+  double tile_mpx = 0;
+  for (const Tile& tile : divide_into_tiles(size, options.tile_px, options.margin_px))
+    tile_mpx = std::max(tile_mpx, static_cast<double>(tile.outer.size().area()) / 1e6);
+  const double strip_mpx = std::min(options.strip_megapixels, static_cast<double>(size.area()) / 1e6);
+  return strip_mb_per_mpx * strip_mpx + threads * tile_mb_per_mpx * tile_mpx;
 }
 
 /// The height of a raster is solved as a whole, many times, at the first of its halved resolutions that is small
@@ -184,7 +195,9 @@ Plan check_station(const Station& station, const Options& options, const Context
     plan.seconds += whole_height_seconds(image_mpx, object_mpx);
     for (const StepCost* cost : {&prior, &height_cost, &fusion, &output_cost}) {
       plan.seconds += seconds(*cost, object_mpx, context.threads);
-      plan.memory_mb = std::max(plan.memory_mb, megabytes(*cost, object_mpx, context.threads));
+      double memory_mb = megabytes(*cost, object_mpx, context.threads);
+      if (cost == &refine_cost) memory_mb += refine_parts_megabytes(plan.size, options.refine, context.threads);
+      plan.memory_mb = std::max(plan.memory_mb, memory_mb);
     }
   }
   warn_of_memory(plan);

@@ -47,7 +47,7 @@ std::vector<float> point_scores(const std::vector<StationPoint>& points, const M
   parallel_for(context, points.size(), 64, [&](std::size_t begin, std::size_t end) {
     for (std::size_t k = begin; k < end; ++k) {
       const StationPoint& point = points[k];
-      const PixelBox pixel{point.u, point.v, point.u + 1, point.v + 1};
+      const PixelRect pixel{point.u, point.v, point.u + 1, point.v + 1};
       TileMatcher matcher(level, pixel, static_cast<float>(point.log_depth), settings);
       if (matcher.views() == 0) continue;
       TileMatcher::Scores found;

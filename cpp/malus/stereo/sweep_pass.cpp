@@ -35,8 +35,8 @@ Peak lowest(const float* costs, std::size_t labels) {
 }
 
 /// Bounding box of the object within a box; without pixels if there is none.
-PixelBox object_within(const Mask& mask, PixelBox box) {
-  PixelBox object{box.u1, box.v1, box.u0, box.v0};
+PixelRect object_within(const Mask& mask, PixelRect box) {
+  PixelRect object{box.u1, box.v1, box.u0, box.v0};
   for (int v = box.v0; v < box.v1; ++v) {
     for (int u = box.u0; u < box.u1; ++u) {
       if (mask(u, v) == 0) continue;
@@ -78,12 +78,10 @@ TileCosts tile_costs(TileMatcher& matcher, const PassSettings& settings, std::si
   return costs;
 }
 
-void sweep_tile(const MatchLevel& level, const Image<float>& log_depth, PixelBox inner, const PassSettings& settings,
+void sweep_tile(const MatchLevel& level, const Image<float>& log_depth, PixelRect inner, const PassSettings& settings,
                 const Context& context, PassResult& result) {
   const int margin = settings.regularize ? run_in : 0;
-  const PixelBox tile{std::max(inner.u0 - margin, 0), std::max(inner.v0 - margin, 0),
-                      std::min(inner.u1 + margin, level.mask.width()),
-                      std::min(inner.v1 + margin, level.mask.height())};
+  const PixelRect tile = inner.grown(margin, level.mask.size());
   TileMatcher matcher(level, tile, log_depth, settings.match);
   if (matcher.views() == 0) return;
   const auto width = static_cast<std::size_t>(tile.width()), height = static_cast<std::size_t>(tile.height());
@@ -121,7 +119,7 @@ PassResult run_pass(const MatchLevel& level, const Image<float>& log_depth, cons
                  for (std::size_t k = begin; k < end; ++k) {
                    const int u0 = static_cast<int>(k) % columns * side;
                    const int v0 = static_cast<int>(k) / columns * side;
-                   const PixelBox inner = object_within(
+                   const PixelRect inner = object_within(
                        level.mask, {u0, v0, std::min(u0 + side, size.width), std::min(v0 + side, size.height)});
                    if (inner.v0 < inner.v1) sweep_tile(level, log_depth, inner, settings, context, result);
                  }

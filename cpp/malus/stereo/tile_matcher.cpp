@@ -27,7 +27,7 @@ std::vector<float> window_sums(int radius, const std::vector<float>& padded, std
 
 }  // namespace
 
-TileMatcher::TileMatcher(const MatchLevel& level, PixelBox tile, const Surface& log_depth,
+TileMatcher::TileMatcher(const MatchLevel& level, PixelRect tile, const Surface& log_depth,
                          const MatchSettings& settings)
     : tile_(tile),
       padded_{tile.u0 - settings.radius, tile.v0 - settings.radius, tile.u1 + settings.radius,

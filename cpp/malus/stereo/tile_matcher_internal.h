@@ -51,11 +51,11 @@ class TileMatcher {
   };
 
   /// `log_depth` is the base surface over the whole level, NaN outside the object.
-  TileMatcher(const MatchLevel& level, PixelBox tile, const Image<float>& log_depth, const MatchSettings& settings)
+  TileMatcher(const MatchLevel& level, PixelRect tile, const Image<float>& log_depth, const MatchSettings& settings)
       : TileMatcher(
             level, tile, [&](int u, int v) { return log_depth(u, v); }, settings) {}
   /// The same with a base surface of one depth.
-  TileMatcher(const MatchLevel& level, PixelBox tile, float log_depth, const MatchSettings& settings)
+  TileMatcher(const MatchLevel& level, PixelRect tile, float log_depth, const MatchSettings& settings)
       : TileMatcher(
             level, tile, [&](int, int) { return log_depth; }, settings) {}
 
@@ -73,7 +73,7 @@ class TileMatcher {
  private:
   using Surface = std::function<float(int u, int v)>;
 
-  TileMatcher(const MatchLevel& level, PixelBox tile, const Surface& log_depth, const MatchSettings& settings);
+  TileMatcher(const MatchLevel& level, PixelRect tile, const Surface& log_depth, const MatchSettings& settings);
 
   struct View {
     const MatchView* view;
@@ -88,7 +88,7 @@ class TileMatcher {
   void choose_views(const MatchLevel& level);
   void project(const View& view, float offset, std::vector<float>& x, std::vector<float>& y) const;
 
-  PixelBox tile_, padded_;
+  PixelRect tile_, padded_;
   MatchSettings settings_;
   double reduction_;
   std::size_t stride_, rows_;                                    ///< of the padded tile
