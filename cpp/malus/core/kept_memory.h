@@ -1,5 +1,7 @@
 #pragma once
 
+#include <cstddef>
+
 namespace malus {
 
 /// While one of these exists, large memory (core/large_allocator.h) that is freed is kept for what is allocated next,
@@ -12,6 +14,9 @@ class KeptMemory {
   ~KeptMemory();
   KeptMemory(const KeptMemory&) = delete;
   KeptMemory& operator=(const KeptMemory&) = delete;
+
+  /// Gives all but so many bytes of what is kept back to the system.
+  static void limit(std::size_t bytes);
 };
 
 }  // namespace malus

@@ -62,6 +62,13 @@ class LargeMemory {
     if (--keepers_ == 0) give_back(std::numeric_limits<std::size_t>::max());
   }
 
+  void limit(std::size_t bytes) {
+    const std::lock_guard lock(mutex_);
+    std::size_t kept = 0;
+    for (const auto& part : kept_) kept += part.second;
+    if (kept > bytes) give_back(pages_of(kept - bytes));
+  }
+
   void lock() { mutex_.lock(); }
   void unlock() { mutex_.unlock(); }
 
@@ -154,6 +161,10 @@ KeptMemory::~KeptMemory() {
   large_memory().remove_keeper();
 }
 
+void KeptMemory::limit(std::size_t bytes) {
+  large_memory().limit(bytes);
+}
+
 #else
 
 void* allocate_large(std::size_t bytes) {
@@ -166,6 +177,7 @@ void free_large(void* memory, std::size_t bytes) noexcept {
 
 KeptMemory::KeptMemory() = default;
 KeptMemory::~KeptMemory() = default;
+void KeptMemory::limit(std::size_t /*bytes*/) {}
 
 #endif
 

@@ -27,7 +27,7 @@ struct StepCost {
   double megabytes_per_thread;
 };
 constexpr StepCost polarization_cost{0.3, 0.65, 64, 0};
-constexpr StepCost cloud_cost{9.5, 0.5, 85, 250};
+constexpr StepCost cloud_cost{5.8, 0.83, 85, 250};
 constexpr StepCost raster_cost{0.04, 0.5, 35, 0};
 constexpr StepCost height_cost{1.8, 0.93, 52, 170};
 constexpr StepCost grid_cost{0.12, 0.8, 56, 0};

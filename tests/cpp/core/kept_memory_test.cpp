@@ -51,6 +51,18 @@ TEST(KeptMemory, PartsGrowTogether) {
   EXPECT_EQ(written(24, 4).data(), begin);
 }
 
+TEST(KeptMemory, KeepsNoMoreThanItsLimit) {
+  const KeptMemory kept;
+  std::optional<Bytes> whole = written(32, 1);
+  const char* const begin = whole->data();
+  whole.reset();
+  KeptMemory::limit(40 * megabyte);
+  EXPECT_EQ(written(32, 2).data(), begin);
+  KeptMemory::limit(8 * megabyte);
+  // The end of it is still kept.
+  EXPECT_EQ(written(8, 3).data(), begin + 24 * megabyte);
+}
+
 TEST(KeptMemory, MakesRoomForWhatItCannotServe) {
   const KeptMemory kept;
   Bytes().swap(*std::make_unique<Bytes>(written(8, 1)));
