@@ -6,10 +6,10 @@
 #include <limits>
 
 #include "malus/core/depth_normals.h"
+#include "malus/core/even_choice.h"
 #include "malus/core/median.h"
 #include "malus/core/parallel.h"
 #include "malus/fusion/coarse_level.h"
-#include "malus/fusion/even_choice.h"
 #include "malus/fusion/masked_blur.h"
 #include "malus/fusion/refinement_weights.h"
 #include "malus/fusion/reflection_fit.h"

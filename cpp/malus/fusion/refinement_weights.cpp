@@ -5,9 +5,9 @@
 #include <limits>
 #include <vector>
 
+#include "malus/core/even_choice.h"
 #include "malus/core/median.h"
 #include "malus/core/parallel.h"
-#include "malus/fusion/even_choice.h"
 #include "malus/fusion/fresnel_factors.h"
 #include "malus/fusion/masked_blur.h"
 #include "malus/fusion/quad_costs_internal.h"

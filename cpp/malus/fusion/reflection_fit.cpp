@@ -7,8 +7,8 @@
 #include <cmath>
 #include <memory>
 
+#include "malus/core/even_choice.h"
 #include "malus/core/median.h"
-#include "malus/fusion/even_choice.h"
 #include "malus/fusion/fresnel_factors.h"
 #include "malus/polarization/fresnel.h"
 

@@ -1,51 +1,40 @@
 #include <cmath>
 #include <numeric>
+#include <utility>
 
+#include "malus/core/disjoint_sets.h"
 #include "malus/linalg/conjugate_gradients_internal.h"
 
 namespace malus {
 namespace {
 
+/// That a thread takes at a time.
+constexpr std::size_t unknowns_at_once = 65536;
+
 /// Number of each unknown's connected part, and how many there are.
-std::vector<int> connected_parts(const GridSystem& system, const Context& context, int& count) {
-  constexpr int block_unknowns = 1 << 16;
+std::pair<std::vector<int>, int> connected_parts(const GridSystem& system, const Context& context) {
+  constexpr int block_unknowns = static_cast<int>(unknowns_at_once);
   const PixelIndex& pixels = system.pixels();
-  std::vector<int> parent(static_cast<std::size_t>(pixels.count()));
-  std::iota(parent.begin(), parent.end(), 0);
-  const auto root = [&](int i) {
-    while (parent[static_cast<std::size_t>(i)] != i) {
-      int& up = parent[static_cast<std::size_t>(i)];
-      up = parent[static_cast<std::size_t>(up)];
-      i = up;
-    }
-    return i;
-  };
+  DisjointSets parts(static_cast<std::size_t>(pixels.count()));
   const auto join = [&](int i, auto&& counts) {
     system.for_each_entry(i, [&](int du, int dv, double value) {
       if (value == 0) return;
       const int j = pixels.at(pixels.u(i) + du, pixels.v(i) + dv);
-      if (!counts(j)) return;
-      const int a = root(i), b = root(j);
-      parent[static_cast<std::size_t>(std::max(a, b))] = std::min(a, b);
+      if (counts(j)) parts.join(i, j);
     });
   };
   // Unknowns are numbered row by row and couple with later ones: within a block no other block's are touched.
-  parallel_for(context, parent.size(), block_unknowns, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i)
-      join(static_cast<int>(i), [&](int other) { return other < static_cast<int>(end); });
-  });
+  parallel_for(context, static_cast<std::size_t>(pixels.count()), block_unknowns,
+               [&](std::size_t begin, std::size_t end) {
+                 for (std::size_t i = begin; i < end; ++i)
+                   join(static_cast<int>(i), [&](int other) { return other < static_cast<int>(end); });
+               });
   for (int end = block_unknowns; end < pixels.count(); end += block_unknowns) {
     const int last_row = pixels.v(end);
     for (int i = end - 1; i >= 0 && pixels.v(i) >= last_row - GridSystem::reach; --i)
       join(i, [&](int other) { return other >= end; });
   }
-  // Roots are the first of their part: they are numbered before the others need the number.
-  count = 0;
-  for (int i = 0; i < pixels.count(); ++i) {
-    int& part = parent[static_cast<std::size_t>(i)];
-    part = part == i ? count++ : parent[static_cast<std::size_t>(part)];
-  }
-  return parent;
+  return std::move(parts).numbered();
 }
 
 double value_at(const NodeVector<double>& x, int u, int v) {
@@ -78,14 +67,12 @@ double ConjugateGradients::sum_over_segments(Body&& body) const {
   return std::accumulate(parts.begin(), parts.end(), 0.0);
 }
 
-void ConjugateGradients::load(const Eigen::VectorXd& from, NodeVector<double>& to) const {
+template <class Value>
+void ConjugateGradients::set(NodeVector<double>& to, Value&& value) const {
   const PixelIndex& pixels = system_.pixels();
-  constexpr std::size_t grain = 65536;
-  parallel_for(context_, static_cast<std::size_t>(pixels.count()), grain, [&](std::size_t begin, std::size_t end) {
-    for (int i = static_cast<int>(begin); i < static_cast<int>(end); ++i) {
-      const int u = pixels.u(i), v = pixels.v(i);
-      *to.at(u % 2 + 2 * (v % 2), u / 2, v / 2) = from[i];
-    }
+  system_.for_each_unknown(context_, [&](int i) {
+    const int u = pixels.u(i), v = pixels.v(i);
+    *to.at(u % 2 + 2 * (v % 2), u / 2, v / 2) = value(i);
   });
 }
 
@@ -111,21 +98,35 @@ double ConjugateGradients::subtract_product(const NodeVector<double>& x, NodeVec
 void ConjugateGradients::set_part_constants(const NodeVector<double>& residual, NodeVector<double>& ones,
                                             NodeVector<double>& row_sums, Eigen::VectorXd& x) const {
   const PixelIndex& pixels = system_.pixels();
-  int count = 0;
-  const std::vector<int> part = connected_parts(system_, context_, count);
-  load(Eigen::VectorXd::Zero(pixels.count()), row_sums);
-  load(Eigen::VectorXd::Ones(pixels.count()), ones);
+  const auto [part, count] = connected_parts(system_, context_);
+  set(row_sums, [](int) { return 0.0; });
+  set(ones, [](int) { return 1.0; });
   subtract_product(ones, row_sums);
-  std::vector<double> top(static_cast<std::size_t>(count)), bottom(static_cast<std::size_t>(count));
-  for (int i = 0; i < pixels.count(); ++i) {
-    const std::size_t k = static_cast<std::size_t>(part[static_cast<std::size_t>(i)]);
-    top[k] += value_at(residual, pixels.u(i), pixels.v(i));
-    bottom[k] -= value_at(row_sums, pixels.u(i), pixels.v(i));
+  // Neighbours in number are mostly of one part: each run of them is summed for itself.
+  struct Run {
+    int part;
+    double residual, row_sum;
+  };
+  std::vector<std::vector<Run>> runs((part.size() + unknowns_at_once - 1) / unknowns_at_once);
+  parallel_for(context_, part.size(), unknowns_at_once, [&](std::size_t begin, std::size_t end) {
+    std::vector<Run>& own = runs[begin / unknowns_at_once];
+    for (std::size_t i = begin; i < end; ++i) {
+      if (own.empty() || own.back().part != part[i]) own.push_back({part[i], 0, 0});
+      const int u = pixels.u(static_cast<int>(i)), v = pixels.v(static_cast<int>(i));
+      own.back().residual += value_at(residual, u, v);
+      own.back().row_sum -= value_at(row_sums, u, v);
+    }
+  });
+  std::vector<double> constants(static_cast<std::size_t>(count)), sums(constants);
+  for (const std::vector<Run>& block : runs) {
+    for (const Run& run : block) {
+      constants[static_cast<std::size_t>(run.part)] += run.residual;
+      sums[static_cast<std::size_t>(run.part)] += run.row_sum;
+    }
   }
-  for (int i = 0; i < pixels.count(); ++i) {
-    const std::size_t k = static_cast<std::size_t>(part[static_cast<std::size_t>(i)]);
-    if (bottom[k] > 0) x[i] += top[k] / bottom[k];
-  }
+  for (std::size_t k = 0; k < constants.size(); ++k) constants[k] = sums[k] > 0 ? constants[k] / sums[k] : 0;
+  system_.for_each_unknown(
+      context_, [&](int i) { x[i] += constants[static_cast<std::size_t>(part[static_cast<std::size_t>(i)])]; });
 }
 
 SolveStatus ConjugateGradients::solve(double tolerance, double reduction, int max_iterations,
@@ -134,13 +135,11 @@ SolveStatus ConjugateGradients::solve(double tolerance, double reduction, int ma
   const double scale = right.norm() > 0 ? right.norm() : 1;
   const Size nodes = matrix_.nodes();
   NodeVector<double> x(nodes), r(nodes), direction(nodes), product(nodes);
-  load(right, r);
+  set(r, [&](int i) { return right[i]; });
   double squared = right.squaredNorm();
   if (solution.size() == right.size()) {
-    load(solution, x);
+    set(x, [&](int i) { return solution[i]; });
     squared = subtract_product(x, r);
-  } else {
-    solution.resize(right.size());
   }
   const double enough = std::max(tolerance * scale, reduction * std::sqrt(squared));
   const std::size_t segments = static_cast<std::size_t>(matrix_.segments());
@@ -225,7 +224,9 @@ SolveStatus ConjugateGradients::solve(double tolerance, double reduction, int ma
     });
   }
   const PixelIndex& pixels = system_.pixels();
-  for (int i = 0; i < pixels.count(); ++i) solution[i] = value_at(x, pixels.u(i), pixels.v(i));
+  solution.resize(right.size());
+  system_.for_each_unknown(context_, [&](int i) { solution[i] = value_at(x, pixels.u(i), pixels.v(i)); });
+  x = {};  // room for what follows
   relative_residual_ = std::sqrt(squared) / scale;
   if (status == SolveStatus::not_positive_definite) return status;
   set_part_constants(r, direction, product, solution);

@@ -27,7 +27,9 @@ class ConjugateGradients {
   /// Sum of body(row, segment, first column, count) over the segments, in their order.
   template <class Body>
   double sum_over_segments(Body&& body) const;
-  void load(const Eigen::VectorXd& from, NodeVector<double>& to) const;
+  /// to = value(unknown) at its component of its node.
+  template <class Value>
+  void set(NodeVector<double>& to, Value&& value) const;
   double subtract_product(const NodeVector<double>& x, NodeVector<double>& r) const;
   void set_part_constants(const NodeVector<double>& residual, NodeVector<double>& ones, NodeVector<double>& row_sums,
                           Eigen::VectorXd& x) const;
