@@ -96,12 +96,15 @@ bool factorize_front(const Context& context, int columns, int rows, double* bloc
 
 }  // namespace
 
-SupernodalCholesky::SupernodalCholesky(const cholmod_factor& factor, const SymmetricSolver::Matrix& lower)
+SupernodalCholesky::SupernodalCholesky(const cholmod_factor& factor, const SymmetricSolver::Matrix& lower,
+                                       const Context& context)
     : nodes_(factor.nsuper + 1), parents_(factor.nsuper, -1) {
   const int* first_column = static_cast<const int*>(factor.super);
   const int* first_row = static_cast<const int*>(factor.pi);
   const int* first_value = static_cast<const int*>(factor.px);
   const int* rows = static_cast<const int*>(factor.s);
+  const int* old_of_new = static_cast<const int*>(factor.Perm);
+  old_of_new_.assign(old_of_new, old_of_new + factor.n);
   std::vector<int> node_of(factor.n);
   for (std::size_t s = 0; s < factor.nsuper; ++s) {
     nodes_[s].columns = first_column[s + 1] - first_column[s];
@@ -115,51 +118,101 @@ SupernodalCholesky::SupernodalCholesky(const cholmod_factor& factor, const Symme
     parents_[s] = node_of[static_cast<std::size_t>(node.rows[static_cast<std::size_t>(node.columns)])];
     nodes_[static_cast<std::size_t>(parents_[s])].children.push_back(static_cast<int>(s));
   }
+  find_places(context);
+  find_entries(lower, node_of, context);
+  cut_into_branches();
+}
 
-  std::vector<int> new_of_old(factor.n);
-  const int* old_of_new = static_cast<const int*>(factor.Perm);
-  for (std::size_t k = 0; k < factor.n; ++k) new_of_old[static_cast<std::size_t>(old_of_new[k])] = static_cast<int>(k);
-  const auto for_each_entry = [&](auto&& body) {
-    for (int j = 0; j < lower.outerSize(); ++j) {
-      for (int e = lower.outerIndexPtr()[j]; e < lower.outerIndexPtr()[j + 1]; ++e) {
-        const auto [column, row] = std::minmax(
-            {new_of_old[static_cast<std::size_t>(j)], new_of_old[static_cast<std::size_t>(lower.innerIndexPtr()[e])]});
-        body(e, row, column, static_cast<std::size_t>(node_of[static_cast<std::size_t>(column)]));
+void SupernodalCholesky::find_places(const Context& context) {
+  constexpr std::size_t nodes_at_once = 64;
+  parallel_for(context, parents_.size(), nodes_at_once, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t s = begin; s < end; ++s) {
+      if (parents_[s] < 0) continue;
+      Supernode& node = nodes_[s];
+      const std::vector<int>& of_parent = nodes_[static_cast<std::size_t>(parents_[s])].rows;
+      // The rows below are among the parent's rows, in the same order.
+      node.places.reserve(node.rows_below());
+      int place = 0;
+      for (std::size_t i = static_cast<std::size_t>(node.columns); i < node.rows.size(); ++i) {
+        while (of_parent[static_cast<std::size_t>(place)] != node.rows[i]) ++place;
+        node.places.push_back(place);
       }
     }
-  };
-  for_each_entry([&](int, int, int, std::size_t s) { ++nodes_[s + 1].entries; });
-  for (std::size_t s = 0; s < factor.nsuper; ++s) nodes_[s + 1].entries += nodes_[s].entries;
-  entries_.resize(static_cast<std::size_t>(lower.nonZeros()));
-  std::vector<std::size_t> next(factor.nsuper);
-  for (std::size_t s = 0; s < factor.nsuper; ++s) next[s] = nodes_[s].entries;
-  for_each_entry([&](int e, int row, int column, std::size_t s) {
-    const Supernode& node = nodes_[s];
-    const auto place = std::lower_bound(node.rows.begin(), node.rows.end(), row) - node.rows.begin();
-    const auto column_in_node = static_cast<std::size_t>(column - first_column[s]);
-    entries_[next[s]++] = {e, node.values + column_in_node * node.rows.size() + static_cast<std::size_t>(place)};
   });
+}
+
+void SupernodalCholesky::find_entries(const SymmetricSolver::Matrix& lower, const std::vector<int>& node_of,
+                                      const Context& context) {
+  std::vector<int> new_of_old(old_of_new_.size());
+  for (std::size_t k = 0; k < new_of_old.size(); ++k) {
+    new_of_old[static_cast<std::size_t>(old_of_new_[k])] = static_cast<int>(k);
+  }
+  struct Place {
+    std::size_t node, target;
+  };
+  std::vector<Place, LargeAllocator<Place>> places(static_cast<std::size_t>(lower.nonZeros()));
+  constexpr std::size_t columns_at_once = 4096;
+  parallel_for(context, new_of_old.size(), columns_at_once, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t j = begin; j < end; ++j) {
+      for (int e = lower.outerIndexPtr()[j]; e < lower.outerIndexPtr()[j + 1]; ++e) {
+        const auto [column, row] =
+            std::minmax({new_of_old[j], new_of_old[static_cast<std::size_t>(lower.innerIndexPtr()[e])]});
+        const auto s = static_cast<std::size_t>(node_of[static_cast<std::size_t>(column)]);
+        const Supernode& node = nodes_[s];
+        const auto place = std::lower_bound(node.rows.begin(), node.rows.end(), row) - node.rows.begin();
+        const auto column_in_node = static_cast<std::size_t>(column - node.rows.front());
+        places[static_cast<std::size_t>(e)] = {
+            s, node.values + column_in_node * node.rows.size() + static_cast<std::size_t>(place)};
+      }
+    }
+  });
+  for (const Place& place : places) ++nodes_[place.node + 1].entries;
+  for (std::size_t s = 0; s < parents_.size(); ++s) nodes_[s + 1].entries += nodes_[s].entries;
+  entries_.resize(places.size());
+  std::vector<std::size_t> next(parents_.size());
+  for (std::size_t s = 0; s < parents_.size(); ++s) next[s] = nodes_[s].entries;
+  for (std::size_t e = 0; e < places.size(); ++e) {
+    entries_[next[places[e].node]++] = {static_cast<int>(e), places[e].target};
+  }
+}
+
+/// Branches are small enough to occupy a few threads evenly.
+void SupernodalCholesky::cut_into_branches() {
+  constexpr double largest_share = 1.0 / 16;
+  std::vector<double> entries(parents_.size());
+  double all = 0;
+  for (std::size_t s = 0; s < parents_.size(); ++s) {
+    const double own = static_cast<double>(nodes_[s].columns) * static_cast<double>(nodes_[s].rows.size());
+    all += own;
+    entries[s] += own;
+    if (parents_[s] >= 0) entries[static_cast<std::size_t>(parents_[s])] += entries[s];
+  }
+  constexpr int none = -1;
+  std::vector<int> branch_of(parents_.size(), none);
+  int count = 0;
+  for (std::size_t s = parents_.size(); s-- > 0;) {
+    if (entries[s] > largest_share * all) continue;
+    const int above = parents_[s] < 0 ? none : branch_of[static_cast<std::size_t>(parents_[s])];
+    branch_of[s] = above == none ? count++ : above;
+  }
+  branches_.resize(static_cast<std::size_t>(count));
+  for (std::size_t s = 0; s < parents_.size(); ++s) {
+    (branch_of[s] == none ? trunk_ : branches_[static_cast<std::size_t>(branch_of[s])]).push_back(s);
+  }
 }
 
 void SupernodalCholesky::add_child(const Supernode& node, const Supernode& child, const double* child_rest,
                                    double* block, double* rest, const Context& context) const {
-  const std::size_t count = child.rows_below(), columns = static_cast<std::size_t>(node.columns),
-                    below = node.rows_below();
-  // The child's rows below it are among this one's rows, in the same order.
-  std::vector<std::size_t> places(count);
-  std::size_t place = 0;
-  for (std::size_t i = 0; i < count; ++i) {
-    while (node.rows[place] != child.rows[static_cast<std::size_t>(child.columns) + i]) ++place;
-    places[i] = place;
-  }
+  const std::size_t count = child.rows_below(), below = node.rows_below();
+  const int* const places = child.places.data();
   for_columns(context, count, [&](std::size_t j) {
     const double* const from = child_rest + j * count;
-    if (places[j] < columns) {
-      double* const to = block + places[j] * node.rows.size();
+    if (places[j] < node.columns) {
+      double* const to = block + static_cast<std::size_t>(places[j]) * node.rows.size();
       for (std::size_t i = j; i < count; ++i) to[places[i]] += from[i];
     } else {
-      double* const to = rest + (places[j] - columns) * below;
-      for (std::size_t i = j; i < count; ++i) to[places[i] - columns] += from[i];
+      double* const to = rest + static_cast<std::size_t>(places[j] - node.columns) * below;
+      for (std::size_t i = j; i < count; ++i) to[places[i] - node.columns] += from[i];
     }
   });
 }

@@ -8,8 +8,6 @@
 #include <sstream>
 #include <string>
 
-#include "malus/core/parallel.h"
-#include "malus/linalg/sequential_blas.h"
 #include "malus/linalg/supernodal_cholesky_internal.h"
 
 namespace malus {
@@ -59,16 +57,16 @@ struct SymmetricSolver::Impl {
   Impl(const Impl&) = delete;
   Impl& operator=(const Impl&) = delete;
 
+  bool factorized() const { return factor != nullptr && factor->xtype == CHOLMOD_REAL; }
   void free_factor() {
     if (factor != nullptr) cholmod_free_factor(&factor, &common);
   }
 
   /// Turns CHOLMOD's failures into errors; `what` was being done.
-  void check(const char* what) { check(common, what); }
-  void check(cholmod_common& workspace, const char* what) const {
-    if (workspace.status >= CHOLMOD_OK) return;
-    const int status = workspace.status;
-    workspace.status = CHOLMOD_OK;
+  void check(const char* what) {
+    if (common.status >= CHOLMOD_OK) return;
+    const int status = common.status;
+    common.status = CHOLMOD_OK;
     if (status == CHOLMOD_OUT_OF_MEMORY || status == CHOLMOD_TOO_LARGE) throw out_of_memory(what);
     std::ostringstream message;
     message << "linear system of " << unknowns << " unknowns: CHOLMOD failed with status " << status << " while "
@@ -83,18 +81,12 @@ struct SymmetricSolver::Impl {
   }
 
   /// Replaces `count` right-hand sides, one after the other, by their solutions.
-  void apply_inverse(double* columns, Eigen::Index count, cholmod_common& workspace) {
-    cholmod_dense right{};
-    right.nrow = right.d = static_cast<std::size_t>(unknowns);
-    right.ncol = static_cast<std::size_t>(count);
-    right.nzmax = right.nrow * right.ncol;
-    right.x = columns;
-    right.xtype = CHOLMOD_REAL;
-    right.dtype = CHOLMOD_DOUBLE;
-    cholmod_dense* solution = cholmod_solve(CHOLMOD_A, factor, &right, &workspace);
-    check(workspace, "solving");
-    std::copy_n(static_cast<const double*>(solution->x), unknowns * count, columns);
-    cholmod_free_dense(&solution, &workspace);
+  void apply_inverse(double* columns, Eigen::Index count) const {
+    try {
+      cholesky->solve(static_cast<const double*>(factor->x), columns, static_cast<int>(count), context);
+    } catch (const std::bad_alloc&) {
+      throw out_of_memory("solving");
+    }
   }
 
   const Context context;
@@ -126,7 +118,7 @@ FactorEstimate SymmetricSolver::analyze(const Matrix& lower, std::span<const int
   impl_->factor = cholmod_analyze_p(&matrix, const_cast<int*>(order.data()), nullptr, 0, &impl_->common);
   impl_->check("ordering");
   impl_->estimate = {8 * impl_->common.lnz, impl_->common.fl};
-  impl_->cholesky.emplace(*impl_->factor, lower);
+  impl_->cholesky.emplace(*impl_->factor, lower, impl_->context);
   impl_->context.check_cancel();
   return impl_->estimate;
 }
@@ -152,12 +144,11 @@ SolveStatus SymmetricSolver::factorize(const Matrix& lower) {
 
 SolveStatus SymmetricSolver::solve(const Matrix& lower, const Eigen::VectorXd& b, Eigen::VectorXd& x,
                                    double residual_limit) {
-  if (impl_->factor == nullptr || b.size() != impl_->unknowns || lower.rows() != impl_->unknowns) {
+  if (!impl_->factorized() || b.size() != impl_->unknowns || lower.rows() != impl_->unknowns) {
     throw input_error("linear system: factorize a matrix of the right-hand side's size first");
   }
-  const SequentialBlas sequential;
   const auto apply_inverse = [&](Eigen::VectorXd right) {
-    impl_->apply_inverse(right.data(), 1, impl_->common);
+    impl_->apply_inverse(right.data(), 1);
     return right;
   };
   const auto residual = [&] { return Eigen::VectorXd(b - lower.selfadjointView<Eigen::Lower>() * x); };
@@ -173,37 +164,19 @@ SolveStatus SymmetricSolver::solve(const Matrix& lower, const Eigen::VectorXd& b
 }
 
 void SymmetricSolver::solve_columns(Eigen::MatrixXd& columns) const {
-  if (impl_->factor == nullptr || columns.rows() != impl_->unknowns) {
+  if (!impl_->factorized() || columns.rows() != impl_->unknowns) {
     throw input_error("linear system: factorize a matrix of the right-hand sides' size first");
   }
-  // A few at a time go through the factor together; more would only take memory.
-  constexpr std::size_t at_once = 4;
-  parallel_for(impl_->context, static_cast<std::size_t>(columns.cols()), at_once,
-               [&](std::size_t begin, std::size_t end) {
-                 const SequentialBlas sequential;
-                 // The factor is only read; CHOLMOD's workspace cannot be shared.
-                 cholmod_common workspace{};
-                 cholmod_start(&workspace);
-                 workspace.print = 0;
-                 const auto finish = [](cholmod_common* used) { cholmod_finish(used); };
-                 const std::unique_ptr<cholmod_common, decltype(finish)> guard(&workspace, finish);
-                 impl_->apply_inverse(columns.col(static_cast<Eigen::Index>(begin)).data(),
-                                      static_cast<Eigen::Index>(end - begin), workspace);
-               });
+  impl_->apply_inverse(columns.data(), columns.cols());
 }
 
 double SymmetricSolver::log_determinant() const {
-  if (impl_->factor == nullptr || impl_->factor->xtype != CHOLMOD_REAL) {
+  if (!impl_->factorized()) {
     throw input_error("linear system: factorize a matrix before asking for its determinant");
   }
   const cholmod_factor& factor = *impl_->factor;
   const double* x = static_cast<const double*>(factor.x);
   double sum = 0;
-  if (factor.is_super == 0) {
-    const int* first = static_cast<const int*>(factor.p);
-    for (std::size_t column = 0; column < factor.n; ++column) sum += std::log(x[first[column]]);
-    return factor.is_ll != 0 ? 2 * sum : sum;
-  }
   const int* super = static_cast<const int*>(factor.super);
   const int* rows = static_cast<const int*>(factor.pi);
   const int* values = static_cast<const int*>(factor.px);

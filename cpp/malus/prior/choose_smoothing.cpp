@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <optional>
 
 #include "malus/core/median.h"
 #include "malus/core/parallel.h"
@@ -49,12 +50,11 @@ class Windows {
   Windows(const Mask& mask, PixelRect box, std::span<const ViewPoint> points, double spacing_px,
           const Context& context) {
     const double cell_px = std::max(1.0, 0.6 * spacing_px);
-    // The windows are solved beside each other.
-    Context inner = context;
-    inner.threads = 1;
-    for (const PixelRect& window : pick_windows(box, points, window_cells * cell_px)) {
-      splines_.emplace_back(mask, window, cell_px, 1e3 * spacing_px, points, inner);
-    }
+    const std::vector<PixelRect> windows = pick_windows(box, points, window_cells * cell_px);
+    splines_.resize(windows.size());
+    parallel_for(context, windows.size(), 1, [&](std::size_t i, std::size_t) {
+      splines_[i].emplace(mask, windows[i], cell_px, 1e3 * spacing_px, points, context);
+    });
   }
 
   /// Robust weights at this smoothing.
@@ -62,34 +62,41 @@ class Windows {
     for (int round = 0; round < rounds; ++round) {
       solve(strength, context);
       Residuals residuals;
-      for (const SmoothingSpline& spline : splines_) spline.append_residuals(residuals);
-      const ResidualSpread spread = robust_spread(residuals);
-      for (SmoothingSpline& spline : splines_) spline.reweight(spread);
+      for (const auto& spline : splines_) spline->append_residuals(residuals);
+      const ResidualSpread spread = robust_spread(residuals, context);
+      parallel_for(context, splines_.size(), 1, [&](std::size_t i, std::size_t) { splines_[i]->reweight(spread); });
     }
   }
 
   /// −2 × restricted log likelihood, up to a constant.
   double criterion(const SmoothingStrength& strength, const Context& context) {
     solve(strength, context);
-    double weight = 0, residual = 0, determinant = 0;
-    for (const SmoothingSpline& spline : splines_) {
+    struct Terms {
+      double weight = 0, residual = 0, determinant = 0;
+      Terms& operator+=(const Terms& other) {
+        weight += other.weight, residual += other.residual, determinant += other.determinant;
+        return *this;
+      }
+    };
+    const Terms sum = parallel_sum(context, splines_.size(), 1, Terms{}, [&](std::size_t i, std::size_t) {
+      const SmoothingSpline& spline = *splines_[i];
       const double slopes = 2 * spline.slope_weight_sum();
-      weight += spline.weight_sum() + slopes - 3;
-      residual += spline.penalized_residual();
-      determinant +=
+      double determinant =
           spline.log_determinant() - 2 * std::log(strength.lambda) * (static_cast<double>(spline.unknowns()) - 3);
       if (slopes > 0) determinant -= 2 * std::log(strength.kappa) * slopes;
-    }
-    return weight * std::log(std::max(residual, 1e-30)) + determinant;
+      return Terms{spline.weight_sum() + slopes - 3, spline.penalized_residual(), determinant};
+    });
+    return sum.weight * std::log(std::max(sum.residual, 1e-30)) + sum.determinant;
   }
 
  private:
+  /// Beside each other; threads that are left over share the solution of one.
   void solve(const SmoothingStrength& strength, const Context& context) {
     parallel_for(context, splines_.size(), 1,
-                 [&](std::size_t i, std::size_t) { splines_[i].solve(strength.lambda, strength.kappa); });
+                 [&](std::size_t i, std::size_t) { splines_[i]->solve(strength.lambda, strength.kappa); });
   }
 
-  std::vector<SmoothingSpline> splines_;
+  std::vector<std::optional<SmoothingSpline>> splines_;
 };
 
 /// Minimum by steps of `step` downhill from a start, then a parabola through the last three.
@@ -115,10 +122,13 @@ double robust_spread(std::vector<double>& absolute_residuals) {
   return 1.4826 * median_in_place(absolute_residuals);
 }
 
-ResidualSpread robust_spread(Residuals& residuals) {
+ResidualSpread robust_spread(Residuals& residuals, const Context& context) {
+  double spread[2];
+  parallel_for(context, 2, 1, [&](std::size_t k, std::size_t) {
+    spread[k] = robust_spread(k == 0 ? residuals.heights : residuals.slopes);
+  });
   // The median length of a plane vector is 1.1774 standard deviations of its coordinates.
-  return {std::max(min_spread_gsd, robust_spread(residuals.heights)),
-          std::max(min_spread_rad, robust_spread(residuals.slopes) / (1.4826 * 1.1774))};
+  return {std::max(min_spread_gsd, spread[0]), std::max(min_spread_rad, spread[1] / (1.4826 * 1.1774))};
 }
 
 SmoothingStrength choose_smoothing(const Mask& mask, PixelRect box, std::span<const ViewPoint> points,

@@ -17,7 +17,7 @@ inline constexpr double min_spread_rad = 1e-3;
 double robust_spread(std::vector<double>& absolute_residuals);
 
 /// Spread of heights and slopes, at least what is no longer noise.
-ResidualSpread robust_spread(Residuals& residuals);
+ResidualSpread robust_spread(Residuals& residuals, const Context& context);
 
 /// How much a SmoothingSpline smooths.
 struct SmoothingStrength {

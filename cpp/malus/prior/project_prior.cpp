@@ -62,7 +62,7 @@ void lower(ViewPoint& point, double height, const Eigen::Vector2d& slope) {
 class ReferencePlane {
  public:
   explicit ReferencePlane(const std::vector<ViewPoint>& points) {
-    constexpr std::size_t most = 500'000;
+    constexpr std::size_t most = 50'000;
     const std::size_t stride = points.size() / most + 1, count = (points.size() + stride - 1) / stride;
     std::vector<double> weights(count, 1.0), residuals(count);
     for (int round = 0; round < 8; ++round) {
@@ -162,7 +162,7 @@ SplineFit fit_robust(const Mask& mask, PixelRect box, const Smoothing& how, std:
     spline.solve(how.strength.lambda, how.strength.kappa);
     Residuals residuals;
     spline.append_residuals(residuals);
-    if (!spline.reweight(robust_spread(residuals), settled)) break;
+    if (!spline.reweight(robust_spread(residuals, context), settled)) break;
     spline.soften_edges(how.edge_tolerance);
     if (round + 1 == max_rounds) spline.solve(how.strength.lambda, how.strength.kappa);
   }

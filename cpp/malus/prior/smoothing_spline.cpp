@@ -317,9 +317,15 @@ Eigen::VectorXd SmoothingSpline::right_side() const {
 }
 
 void SmoothingSpline::solve(double lambda, double kappa) {
-  assemble(lambda, kappa);
-  if (!analyzed_) solver_.analyze(matrix_, elimination_order());
-  analyzed_ = true;
+  if (!analyzed_) {
+    // One thread's work, on the pattern only; meanwhile the others assemble.
+    parallel_for(context_, 2, 1, [&](std::size_t task, std::size_t) {
+      task == 0 ? static_cast<void>(solver_.analyze(matrix_, elimination_order())) : assemble(lambda, kappa);
+    });
+    analyzed_ = true;
+  } else {
+    assemble(lambda, kappa);
+  }
   if (solver_.factorize(matrix_) != SolveStatus::solved) {
     throw data_error("prior: the smoothing of the points has no unique solution");
   }

@@ -88,6 +88,11 @@ TEST(SymmetricSolver, WrongShapesAndPatternsAreInputErrors) {
   Eigen::VectorXd x;
   const auto lower = plate(pixels, 1).lower(0);
   EXPECT_THROW(solver.solve(lower, Eigen::VectorXd::Ones(3), x), Error);
+  solver.analyze(lower);
+  EXPECT_THROW(solver.solve(lower, Eigen::VectorXd::Ones(pixels.count()), x), Error);
+  Eigen::MatrixXd columns = Eigen::MatrixXd::Ones(pixels.count(), 2);
+  EXPECT_THROW(solver.solve_columns(columns), Error);
+  EXPECT_THROW(solver.log_determinant(), Error);
   solver.factorize(lower);
   SymmetricSolver::Matrix other(pixels.count(), pixels.count());
   other.setIdentity();
@@ -136,6 +141,7 @@ TEST(SymmetricSolver, LargeFrontsAreSharedWithoutChangingTheResult) {
   lower.finalize();
   const Eigen::VectorXd right = Eigen::VectorXd::LinSpaced(count, -1, 2);
   Eigen::VectorXd results[2];
+  Eigen::MatrixXd columns[2];
   for (int threads : {1, 2}) {
     Context context;
     context.threads = threads;
@@ -143,8 +149,33 @@ TEST(SymmetricSolver, LargeFrontsAreSharedWithoutChangingTheResult) {
     ASSERT_EQ(solver.factorize(lower), SolveStatus::solved);
     ASSERT_EQ(solver.solve(lower, right, results[threads - 1]), SolveStatus::solved);
     EXPECT_LT(solver.relative_residual(), 1e-13);
+    columns[threads - 1] = right * Eigen::RowVectorXd::LinSpaced(3, 1, 3);
+    solver.solve_columns(columns[threads - 1]);
   }
   EXPECT_TRUE(results[0] == results[1]);
+  EXPECT_TRUE(columns[0] == columns[1]);
+}
+
+TEST(SymmetricSolver, ColumnsAreSolvedLikeOneAfterTheOther) {
+  const PixelIndex pixels(disc(90));
+  const GridSystem system = plate(pixels, 3);
+  const auto lower = system.lower(0);
+  SymmetricSolver solver{Context{}};
+  ASSERT_EQ(solver.factorize(lower), SolveStatus::solved);
+  // Sets of right-hand sides that go through the factor together, whole ones and not.
+  for (const int count : {1, 2, 8, 9, 11}) {
+    Eigen::MatrixXd columns(pixels.count(), count);
+    for (int k = 0; k < count; ++k) {
+      for (int i = 0; i < pixels.count(); ++i) columns(i, k) = std::sin(0.1 * i * (k + 1));
+    }
+    const Eigen::MatrixXd right = columns;
+    solver.solve_columns(columns);
+    for (int k = 0; k < count; ++k) {
+      Eigen::VectorXd x;
+      ASSERT_EQ(solver.solve(lower, right.col(k), x), SolveStatus::solved);
+      EXPECT_LT((columns.col(k) - x).norm(), 1e-11 * x.norm()) << k << " of " << count;
+    }
+  }
 }
 
 TEST(SymmetricSolver, PartsWithoutConnectionAndGivenOrdersAreFactorizedLikeADenseMatrix) {
