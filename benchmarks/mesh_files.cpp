@@ -1,5 +1,5 @@
-// A mesh of SIDE × SIDE vertices written as PLY and GLB into FOLDER, each followed by `cp` and `sync` of the same file,
-// as a JSON line: megabytes a second of each. The writers sync their files too.
+// A mesh of SIDE × SIDE vertices written as PLY and GLB into FOLDER by THREADS threads, each followed by `cp` and
+// `sync` of the same file, as a JSON line: megabytes a second of each. The writers sync their files too.
 #include <chrono>
 #include <cmath>
 #include <cstdlib>
@@ -61,19 +61,21 @@ std::string measure(const std::filesystem::path& path, Write&& write) {
 }  // namespace
 
 int main(int count, char** arguments) {
-  if (count != 3) {
-    std::cerr << "usage: mesh_files SIDE FOLDER\n";
+  if (count != 4) {
+    std::cerr << "usage: mesh_files SIDE FOLDER THREADS\n";
     return 2;
   }
   const int side = std::stoi(arguments[1]);
   const std::filesystem::path folder = arguments[2];
+  Context context;
+  context.threads = std::stoi(arguments[3]);
   const TriangleMesh mesh = make_mesh(side);
   const Image<std::uint8_t> photograph({256, 256}, 1, 128);
   const Pinhole camera{{256, 256}, 1000, 1000, 128, 128};
   const Pose pose;
   std::cout << "{" << measure(folder / "mesh.ply", [&] {
-    write_ply(folder / "mesh.ply", mesh);
+    write_ply(folder / "mesh.ply", mesh, context);
   }) << ", " << measure(folder / "mesh.glb", [&] {
-    write_glb(folder / "mesh.glb", mesh, {photograph, camera, pose}, length_unit("mm"), "mesh");
+    write_glb(folder / "mesh.glb", mesh, {photograph, camera, pose}, length_unit("mm"), "mesh", context);
   }) << "}\n";
 }

@@ -262,7 +262,9 @@ def write_dem(
     unit: str,
     name: str,
 ) -> None: ...
-def write_ply(path: str, vertices: Float64, normals: Float32, colors: Bytes, triangles: NDArray[np.uint32]) -> None: ...
+def write_ply(
+    path: str, vertices: Float64, normals: Float32, colors: Bytes, triangles: NDArray[np.uint32], threads: int
+) -> None: ...
 def write_glb(
     path: str,
     vertices: Float64,
@@ -274,6 +276,7 @@ def write_glb(
     translation: Float64,
     unit: str,
     name: str,
+    threads: int,
 ) -> None: ...
 def fit_patch(
     depth: Float32, camera: Pinhole, x0: int, y0: int, x1: int, y1: int, gsd: float

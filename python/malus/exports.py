@@ -111,14 +111,14 @@ class Exporter:
 
 def _write_ply(exporter: Exporter, path: Path, faces: int | None) -> None:
     mesh = exporter.simplified(faces)
-    _core.write_ply(str(path), mesh.vertices, mesh.normals, mesh.colors, mesh.triangles)
+    _core.write_ply(str(path), mesh.vertices, mesh.normals, mesh.colors, mesh.triangles, exporter.threads)
 
 
 def _write_glb(exporter: Exporter, path: Path, faces: int | None) -> None:
     mesh = exporter.simplified(faces)
     _core.write_glb(
         str(path), mesh.vertices, mesh.normals, mesh.triangles, exporter.picture(), exporter.workspace.camera,
-        exporter.rotation, exporter.translation, exporter.unit, exporter.name,
+        exporter.rotation, exporter.translation, exporter.unit, exporter.name, exporter.threads,
     )  # fmt: skip
 
 

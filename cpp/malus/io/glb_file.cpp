@@ -33,9 +33,9 @@ constexpr std::uint32_t magic = 0x46546C67, format_version = 2, chunk_json = 0x4
 /// are larger than the mesh.
 class Buffer {
  public:
-  using Write = std::function<void(AtomicFile&)>;
+  using Write = std::function<void(AtomicFile&, std::size_t offset, const Context&)>;
 
-  /// Appends a piece of `size` bytes and returns the number of its view.
+  /// Appends a piece of `size` bytes that write(file, offset, context) writes, and returns the number of its view.
   int add(std::size_t size, std::optional<int> target, Write write) {
     Json view = {{"buffer", 0}, {"byteOffset", size_}, {"byteLength", size}};
     if (target) view["target"] = *target;
@@ -48,18 +48,21 @@ class Buffer {
   template <class Item, class Convert>
   int add_vertices(const std::vector<Item>& items, Convert convert) {
     constexpr std::size_t record = sizeof(decltype(convert(items.front())));
-    return add(items.size() * record, target_vertices, [&items, convert](AtomicFile& file) {
-      write_records(file, items.size(), record,
-                    [&](std::size_t i, RecordEncoder& encoder) { encoder.put(convert(items[i])); });
-    });
+    return add(items.size() * record, target_vertices,
+               [&items, convert](AtomicFile& file, std::size_t offset, const Context& context) {
+                 write_records(file, offset, items.size(), record, context,
+                               [&](std::size_t i, RecordEncoder& encoder) { encoder.put(convert(items[i])); });
+               });
   }
 
   std::size_t size() const { return size_; }
   const Json& views() const { return views_; }
-  void write(AtomicFile& file) const {
+  void write(AtomicFile& file, std::size_t offset, const Context& context) const {
     for (const Piece& piece : pieces_) {
-      piece.write(file);
-      file.write(std::string(aligned(piece.size) - piece.size, '\0'));
+      piece.write(file, offset, context);
+      const std::string padding(aligned(piece.size) - piece.size, '\0');
+      file.write_at(offset + piece.size, padding.data(), padding.size());
+      offset += aligned(piece.size);
     }
   }
 
@@ -155,14 +158,17 @@ Json document(const TriangleMesh& mesh, const ProjectedTexture& texture, const L
   accessors.push_back(accessor(uv, type_float, "VEC2", count));
   const auto indices = accessors.size();
   const std::size_t index_bytes = mesh.triangles.size() * sizeof mesh.triangles.front();
-  const int triangles = buffer.add(index_bytes, target_indices, [&mesh, index_bytes](AtomicFile& file) {
-    file.write(mesh.triangles.data(), index_bytes);
-  });
+  const int triangles = buffer.add(index_bytes, target_indices,
+                                   [&mesh, index_bytes](AtomicFile& file, std::size_t offset, const Context&) {
+                                     file.write_at(offset, mesh.triangles.data(), index_bytes);
+                                   });
   accessors.push_back(accessor(triangles, type_uint, "SCALAR", 3 * mesh.triangles.size()));
   std::string jpeg = codecs::encode_jpeg(texture.image, jpeg_quality);
   const std::size_t jpeg_bytes = jpeg.size();
-  const int image =
-      buffer.add(jpeg_bytes, std::nullopt, [jpeg = std::move(jpeg)](AtomicFile& file) { file.write(jpeg); });
+  const int image = buffer.add(jpeg_bytes, std::nullopt,
+                               [jpeg = std::move(jpeg)](AtomicFile& file, std::size_t offset, const Context&) {
+                                 file.write_at(offset, jpeg.data(), jpeg.size());
+                               });
 
   const Pinhole& camera = texture.camera;
   const double distance = unit.metres * (texture.pose.centre() - positions.middle / unit.metres).norm();
@@ -202,7 +208,7 @@ Json document(const TriangleMesh& mesh, const ProjectedTexture& texture, const L
 }  // namespace
 
 void write_glb(const std::filesystem::path& path, const TriangleMesh& mesh, const ProjectedTexture& texture,
-               const LengthUnit& unit, const std::string& name) {
+               const LengthUnit& unit, const std::string& name, const Context& context) {
   const std::size_t count = mesh.vertices.points.size();
   if (mesh.triangles.empty()) throw input_error("cannot write " + path.string() + ": the mesh has no triangles");
   if (!mesh.vertices.normals.empty() && mesh.vertices.normals.size() != count) {
@@ -212,13 +218,14 @@ void write_glb(const std::filesystem::path& path, const TriangleMesh& mesh, cons
   Buffer buffer;
   std::string json = document(mesh, texture, unit, name, buffer).dump();
   json.resize((json.size() + 3) / 4 * 4, ' ');
-  const std::size_t total = 12 + 8 + json.size() + 8 + buffer.size();
+  const std::size_t first_piece = 12 + 8 + json.size() + 8, total = first_piece + buffer.size();
   if (total > std::numeric_limits<std::uint32_t>::max()) {
     throw resource_error("cannot write " + path.string() +
                          ": it would exceed 4 GB, the most that a GLB file can hold; "
                          "lower surface.glb_triangles");
   }
   AtomicFile file(path);
+  file.expect(total);
   const auto put = [&](std::uint32_t value) { file.write(&value, sizeof value); };
   put(magic);
   put(format_version);
@@ -228,7 +235,7 @@ void write_glb(const std::filesystem::path& path, const TriangleMesh& mesh, cons
   file.write(json);
   put(static_cast<std::uint32_t>(buffer.size()));
   put(chunk_binary);
-  buffer.write(file);
+  buffer.write(file, first_piece, context);
   file.commit();
 }
 

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "malus/core/camera.h"
+#include "malus/core/context.h"
 #include "malus/core/geometry.h"
 #include "malus/core/image.h"
 #include "malus/core/length_unit.h"
@@ -27,6 +28,6 @@ struct ProjectedTexture {
 /// photograph was taken. Throws an input error for a mesh without triangles or with normals that are not one a vertex,
 /// a resource error when it cannot be written or would exceed 4 GB.
 void write_glb(const std::filesystem::path& path, const TriangleMesh& mesh, const ProjectedTexture& texture,
-               const LengthUnit& unit, const std::string& name);
+               const LengthUnit& unit, const std::string& name, const Context& context = {});
 
 }  // namespace malus

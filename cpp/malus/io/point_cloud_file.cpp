@@ -510,7 +510,8 @@ bool needs_double(const Eigen::AlignedBox3d& box, std::size_t count) {
   return largest * float_rounding > 1e-3 * spacing;
 }
 
-void write(const std::filesystem::path& path, const PointCloud& cloud, const Triangles* triangles) {
+void write(const std::filesystem::path& path, const PointCloud& cloud, const Triangles* triangles,
+           const Context& context) {
   const std::size_t count = cloud.points.size();
   if ((!cloud.normals.empty() && cloud.normals.size() != count) ||
       (!cloud.colors.empty() && cloud.colors.size() != count)) {
@@ -522,11 +523,14 @@ void write(const std::filesystem::path& path, const PointCloud& cloud, const Tri
   for (const Eigen::Vector3d& point : cloud.points) box.extend(point);
   const PlyLayout layout{needs_double(box, count), !cloud.normals.empty(), !cloud.colors.empty()};
   AtomicFile file(path);
-  file.write(layout.header(count, triangles ? std::optional(triangles->size()) : std::nullopt));
-  write_records(file, count, layout.vertex_size(),
+  const std::string header = layout.header(count, triangles ? std::optional(triangles->size()) : std::nullopt);
+  file.write(header);
+  const std::size_t first_face = header.size() + count * layout.vertex_size();
+  file.expect(first_face + (triangles ? triangles->size() * PlyLayout::face_size : 0));
+  write_records(file, header.size(), count, layout.vertex_size(), context,
                 [&](std::size_t i, RecordEncoder& encoder) { layout.put_vertex(cloud, i, encoder); });
   if (triangles) {
-    write_records(file, triangles->size(), PlyLayout::face_size,
+    write_records(file, first_face, triangles->size(), PlyLayout::face_size, context,
                   [&](std::size_t i, RecordEncoder& encoder) { PlyLayout::put_face((*triangles)[i], encoder); });
   }
   file.commit();
@@ -568,12 +572,12 @@ TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context
   return {read_xyz(file, context), {}};
 }
 
-void write_ply(const std::filesystem::path& path, const PointCloud& cloud) {
-  write(path, cloud, nullptr);
+void write_ply(const std::filesystem::path& path, const PointCloud& cloud, const Context& context) {
+  write(path, cloud, nullptr, context);
 }
 
-void write_ply(const std::filesystem::path& path, const TriangleMesh& mesh) {
-  write(path, mesh.vertices, &mesh.triangles);
+void write_ply(const std::filesystem::path& path, const TriangleMesh& mesh, const Context& context) {
+  write(path, mesh.vertices, &mesh.triangles, context);
 }
 
 void write_ply(const std::filesystem::path& path, const MeshInStrips& mesh, const Context& context) {

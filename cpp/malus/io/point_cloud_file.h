@@ -37,10 +37,10 @@ TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context
 /// where there are any. Coordinates are float unless rounding to float could move a point by more than a thousandth of
 /// the mean vertex spacing (diagonal of the bounding box / √count), as it does in a national grid; then they are
 /// double.
-void write_ply(const std::filesystem::path& path, const PointCloud& cloud);
+void write_ply(const std::filesystem::path& path, const PointCloud& cloud, const Context& context = {});
 /// The same with faces (list uchar int vertex_indices).
-void write_ply(const std::filesystem::path& path, const TriangleMesh& mesh);
-/// The same file from strips, on all threads.
-void write_ply(const std::filesystem::path& path, const MeshInStrips& mesh, const Context& context);
+void write_ply(const std::filesystem::path& path, const TriangleMesh& mesh, const Context& context = {});
+/// The same file from strips.
+void write_ply(const std::filesystem::path& path, const MeshInStrips& mesh, const Context& context = {});
 
 }  // namespace malus

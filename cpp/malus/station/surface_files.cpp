@@ -34,7 +34,7 @@ void write_surface_files(const FusedSurface& surface, const Image<float>& color,
     SurfaceOptions coarse = options;
     coarse.subsample = subsample_for(mesh.triangles, options.glb_triangles, options);
     write_glb(work / "fused/surface.glb", mesh_from_depth(surface, {}, coarse, inner),
-              {texture, surface.camera, surface.pose}, unit, name);
+              {texture, surface.camera, surface.pose}, unit, name, inner);
   };
 
   // The large file is bound by the system's copying of its pages, which one thread does at a time; the others compute,

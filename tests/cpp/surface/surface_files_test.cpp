@@ -175,6 +175,32 @@ TEST(Glb, IsInMetresAndItsTextureLiesOnThePixelGrid) {
   EXPECT_EQ(*columns.rbegin(), 79);
 }
 
+TEST(MeshFiles, OfManyPartsAreTheSameWithAnyNumberOfThreads) {
+  const TemporaryFolder folder;
+  const FusedSurface surface = ball();
+  TriangleMesh mesh;
+  constexpr std::uint32_t count = 200'003;
+  for (std::uint32_t i = 0; i < count; ++i) {
+    mesh.vertices.points.emplace_back(0.1 * i, std::sin(0.01 * i), 400);
+    mesh.vertices.normals.emplace_back(0.0F, 0.6F, -0.8F);
+    mesh.triangles.push_back({i, (i + 1) % count, (i + 7) % count});
+  }
+  const Image<std::uint8_t> texture({80, 60}, 3, 128);
+  Context three;
+  three.threads = 3;
+  for (const auto& [name, context] : {std::pair("one", Context{}), std::pair("three", three)}) {
+    write_ply(folder / (std::string(name) + ".ply"), mesh, context);
+    write_glb(folder / (std::string(name) + ".glb"), mesh, {texture, surface.camera, surface.pose}, length_unit("mm"),
+              "mesh", context);
+  }
+  for (const char* kind : {".ply", ".glb"}) {
+    const std::string one = read_file(folder / (std::string("one") + kind), "mesh");
+    EXPECT_GT(one.size(), 3u << 20);
+    EXPECT_TRUE(one == read_file(folder / (std::string("three") + kind), "mesh")) << kind;
+  }
+  EXPECT_EQ(read_mesh(folder / "three.ply").triangles, mesh.triangles);
+}
+
 TEST(Glb, RefusesAMeshThatHasNoTriangles) {
   const TemporaryFolder folder;
   const FusedSurface surface = ball();
