@@ -10,6 +10,7 @@
 #include "cameras.h"
 #include "clouds.h"
 #include "interruptible.h"
+#include "malus/core/parallel.h"
 #include "malus/station/options.h"
 #include "malus/stereo/surface_sweep.h"
 
@@ -30,53 +31,57 @@ py::dict to_dict(const SweepPassReport& pass) {
 }  // namespace
 
 void bind_stereo(py::module_& module) {
-  module.def(
-      "sweep_surface", [](const Array<float>& intensity, const CameraValues& station_camera,
-                          const std::vector<std::pair<Array<float>, CameraValues>>& photos, const Array<double>& points,
-                          const std::optional<std::pair<Array<float>, Array<float>>>& surface,
-                          const std::optional<Array<std::uint8_t>>& mask, const std::string& options_json, int threads,
-                          const py::object& on_progress, const py::object& on_log) {
-        const Options options = options_from_json({}, options_json);
-        SweepInput input;
-        input.intensity = to_image(intensity);
-        const auto [camera, pose] = to_camera(station_camera, "camera");
-        if (camera.has_distortion()) {
-          throw input_error("camera: the station's view must be undistorted, this camera has distortion");
-        }
-        input.camera = camera.pinhole();
-        input.pose = pose;
-        input.mask = mask ? to_image(*mask) : Mask(input.camera.size, 1, 255);
-        input.points = to_cloud(points).points;
-        if (surface) {
-          input.surface = to_image(surface->first);
-          input.surface_sigma = to_image(surface->second);
-        }
-        std::vector<SweepView> views;
-        for (const auto& [image, values] : photos) {
-          auto [view_camera, view_pose] = to_camera(values, "views[" + std::to_string(views.size()) + "]");
-          views.push_back({to_image(image), std::move(view_camera), view_pose});
-        }
-        SweepResult found;
-        run_interruptible(threads, on_progress, on_log,
-                          [&](const Context& context) { found = sweep_surface(input, views, options.sweep, context); });
-        py::dict result;
-        result["depth"] = to_array(std::move(found.depth));
-        result["sigma"] = to_array(std::move(found.sigma));
-        result["confidence"] = to_array(std::move(found.confidence));
-        result["views_total"] = found.views_total;
-        result["views_used"] = found.views_used;
-        result["points_total"] = static_cast<std::size_t>(found.points_total);
-        result["points_used"] = static_cast<std::size_t>(found.points_used);
-        result["completeness"] = found.completeness;
-        result["highlights"] = found.highlights;
-        result["median_score"] = found.median_score;
-        result["median_sigma_gsd"] = found.median_sigma_gsd;
-        result["halves_compared"] = found.halves_compared;
-        py::list passes;
-        for (const SweepPassReport& pass : found.passes) passes.append(to_dict(pass));
-        result["passes"] = passes;
-        return result;
-      });
+  module.def("sweep_surface",
+             [](const Array<float>& intensity, const CameraValues& station_camera,
+                const std::vector<std::pair<Array<float>, CameraValues>>& photos, const Array<double>& points,
+                const std::optional<std::pair<Array<float>, Array<float>>>& surface,
+                const std::optional<Array<std::uint8_t>>& mask, const std::string& options_json, int threads,
+                const py::object& on_progress, const py::object& on_log) {
+               const Options options = options_from_json({}, options_json);
+               SweepInput input;
+               input.intensity = to_image(intensity);
+               const auto [camera, pose] = to_camera(station_camera, "camera");
+               if (camera.has_distortion()) {
+                 throw input_error("camera: the station's view must be undistorted, this camera has distortion");
+               }
+               input.camera = camera.pinhole();
+               input.pose = pose;
+               input.mask = mask ? to_image(*mask) : Mask(input.camera.size, 1, 255);
+               input.points = to_cloud(points).points;
+               if (surface) {
+                 input.surface = to_image(surface->first);
+                 input.surface_sigma = to_image(surface->second);
+               }
+               std::vector<SweepView> views;
+               for (const auto& [image, values] : photos) {
+                 auto [view_camera, view_pose] = to_camera(values, "views[" + std::to_string(views.size()) + "]");
+                 views.push_back({{}, std::move(view_camera), view_pose});
+               }
+               SweepResult found;
+               run_interruptible(threads, on_progress, on_log, [&](const Context& context) {
+                 // Only the arrays' memory is read, which takes no interpreter.
+                 parallel_for(context, views.size(), 1,
+                              [&](std::size_t k, std::size_t) { views[k].intensity = to_image(photos[k].first); });
+                 found = sweep_surface(input, views, options.sweep, context);
+               });
+               py::dict result;
+               result["depth"] = to_array(std::move(found.depth));
+               result["sigma"] = to_array(std::move(found.sigma));
+               result["confidence"] = to_array(std::move(found.confidence));
+               result["views_total"] = found.views_total;
+               result["views_used"] = found.views_used;
+               result["points_total"] = static_cast<std::size_t>(found.points_total);
+               result["points_used"] = static_cast<std::size_t>(found.points_used);
+               result["completeness"] = found.completeness;
+               result["highlights"] = found.highlights;
+               result["median_score"] = found.median_score;
+               result["median_sigma_gsd"] = found.median_sigma_gsd;
+               result["halves_compared"] = found.halves_compared;
+               py::list passes;
+               for (const SweepPassReport& pass : found.passes) passes.append(to_dict(pass));
+               result["passes"] = passes;
+               return result;
+             });
 }
 
 }  // namespace malus::python

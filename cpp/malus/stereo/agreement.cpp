@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <vector>
@@ -79,28 +80,35 @@ void judge(const PassResult& pass, const HalvesDifference& halves, double rate, 
     }
   });
   Image<float> kept(mask.size(), 1, none);
-  double object = 0, found = 0;
-  for (std::size_t i = 0; i < kept.count(); ++i) {
-    object += mask[i] != 0 ? 1 : 0;
-    if (std::isfinite(result.depth[i])) kept[i] = pass.log_depth[i];
-  }
+  parallel_rows(context, mask.height(), [&](int v) {
+    for (int u = 0; u < mask.width(); ++u) {
+      if (std::isfinite(result.depth(u, v))) kept(u, v) = pass.log_depth(u, v);
+    }
+  });
+  const double object = static_cast<double>(mask.count() - static_cast<std::size_t>(std::ranges::count(mask, 0)));
   const double region_step = region_step_px / rate;
-  remove_small_regions(kept, region_step, options.min_region_px);
-  for (const float value : kept) found += std::isfinite(value) ? 1 : 0;
-  if (found < least_completeness * object) keep_contours(kept, region_step, mask);
-  for (std::size_t i = 0; i < kept.count(); ++i) {
-    if (!std::isfinite(kept[i])) result.depth[i] = result.sigma[i] = result.confidence[i] = none;
-  }
+  remove_small_regions(kept, region_step, options.min_region_px, context);
+  const auto found = std::ranges::count_if(kept, [](float value) { return std::isfinite(value); });
+  if (static_cast<double>(found) < least_completeness * object) keep_contours(kept, region_step, mask, context);
+  parallel_rows(context, mask.height(), [&](int v) {
+    for (int u = 0; u < mask.width(); ++u) {
+      if (!std::isfinite(kept(u, v))) result.depth(u, v) = result.sigma(u, v) = result.confidence(u, v) = none;
+    }
+  });
 
-  std::vector<float> scores, sigmas;
-  for (std::size_t i = 0; i < mask.count(); ++i) {
-    if (!std::isfinite(result.depth[i])) continue;
-    scores.push_back(pass.score[i]);
-    sigmas.push_back(static_cast<float>(result.sigma[i] / result.depth[i] * focal));
-  }
-  result.completeness = static_cast<double>(scores.size()) / object;
-  result.median_score = median(std::move(scores));
-  result.median_sigma_gsd = median(std::move(sigmas));
+  std::array<std::vector<float>, 2> scores_and_sigmas;
+  std::array<double, 2> medians{};
+  parallel_for(context, 2, 1, [&](std::size_t k, std::size_t) {
+    std::vector<float>& values = scores_and_sigmas[k];
+    for (std::size_t i = 0; i < mask.count(); ++i) {
+      if (!std::isfinite(result.depth[i])) continue;
+      values.push_back(k == 0 ? pass.score[i] : static_cast<float>(result.sigma[i] / result.depth[i] * focal));
+    }
+    medians[k] = median_in_place(values);
+  });
+  result.completeness = static_cast<double>(scores_and_sigmas[0].size()) / object;
+  result.median_score = medians[0];
+  result.median_sigma_gsd = medians[1];
 }
 
 }  // namespace malus

@@ -66,10 +66,12 @@ Mask find_highlights(const SweepInput& input, const Image<float>& reference, std
   if (views.size() < least_views) return Mask(input.mask.size(), 1, 0);
   // Half the resolution: less noise, and a pixel's error of the surface does not matter.
   const Image<float> station = halved(reference, context);
-  const Mask mask = halved(input.mask);
+  const Mask mask = halved(input.mask, context);
   const Image<float> surface = halved_surface(log_depth, mask, context);
-  std::vector<Image<float>> ratios;
-  for (const SweepView& view : views) ratios.push_back(log_ratio(input, station, mask, view, surface, context));
+  std::vector<Image<float>> ratios(views.size());
+  parallel_for(context, views.size(), 1, [&](std::size_t k, std::size_t) {
+    ratios[k] = log_ratio(input, station, mask, views[k], surface, context);
+  });
 
   Image<float> excess(mask.size(), 1, none);
   parallel_rows(context, mask.height(), [&](int v) {
@@ -97,9 +99,9 @@ Mask find_highlights(const SweepInput& input, const Image<float>& reference, std
   cv::Mat region(shines.height(), shines.width(), CV_8U, shines.row(0));
   cv::dilate(region, region, cv::getStructuringElement(cv::MORPH_RECT, {width, width}));
   Mask result(input.mask.size(), 1, 0);
-  for (int v = 0; v < result.height(); ++v) {
+  parallel_rows(context, result.height(), [&](int v) {
     for (int u = 0; u < result.width(); ++u) result(u, v) = shines(u / 2, v / 2);
-  }
+  });
   return result;
 }
 

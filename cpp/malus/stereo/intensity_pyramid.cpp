@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <array>
+#include <cstdint>
 #include <utility>
 
 #include "malus/core/parallel.h"
@@ -42,16 +43,22 @@ Pinhole halved(const Pinhole& camera) {
   return {half_size(camera.size), camera.fx / 2, camera.fy / 2, camera.cx / 2, camera.cy / 2};
 }
 
-Mask halved(const Mask& mask) {
-  Mask half(half_size(mask.size()));
-  for (int v = 0; v < mask.height(); ++v) {
-    for (int u = 0; u < mask.width(); ++u) {
-      if (mask(u, v) == 0) continue;
-      for (int j = (v - 1) / 2; j <= std::min((v + 2) / 2, half.height() - 1); ++j) {
-        for (int i = (u - 1) / 2; i <= std::min((u + 2) / 2, half.width() - 1); ++i) half(i, j) = 255;
-      }
+Mask halved(const Mask& mask, const Context& context) {
+  constexpr int reach = 2;
+  Mask half(half_size(mask.size()), 1, 0);
+  parallel_rows(context, half.height(), [&](int v) {
+    std::vector<std::uint8_t> column(static_cast<std::size_t>(mask.width()), 0);
+    for (int j = std::max(2 * v - reach, 0); j <= std::min(2 * v + reach, mask.height() - 1); ++j) {
+      for (int u = 0; u < mask.width(); ++u) column[static_cast<std::size_t>(u)] |= mask(u, j);
     }
-  }
+    for (int u = 0; u < half.width(); ++u) {
+      std::uint8_t any = 0;
+      for (int i = std::max(2 * u - reach, 0); i <= std::min(2 * u + reach, mask.width() - 1); ++i) {
+        any |= column[static_cast<std::size_t>(i)];
+      }
+      if (any != 0) half(u, v) = 255;
+    }
+  });
   return half;
 }
 

@@ -15,7 +15,7 @@ Image<float> halved(const Image<float>& image, const Context& context);
 Pinhole halved(const Pinhole& camera);
 /// Set where any pixel of the mask within 2 px of the result's pixel is: each pixel of the mask lies between pixels of
 /// the result that are set.
-Mask halved(const Mask& mask);
+Mask halved(const Mask& mask, const Context& context);
 
 /// The image, then each half as large as the one before, `levels` in all.
 std::vector<Image<float>> intensity_pyramid(Image<float> image, int levels, const Context& context);

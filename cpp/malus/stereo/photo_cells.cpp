@@ -11,7 +11,8 @@ constexpr float largest_code = 65535;
 }  // namespace
 
 PhotoCells::PhotoCells(const Image<float>& photo, const Context& context)
-    : size_(photo.size()), pairs_(photo.size().area() + 1, 0) {
+    : size_(photo.size()), pairs_(photo.size().area() + 1) {
+  pairs_.back() = 0;
   if (photo.empty()) return;
   const auto [least, most] = std::minmax_element(photo.begin(), photo.end());
   least_ = *least;

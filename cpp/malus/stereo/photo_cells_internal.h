@@ -6,6 +6,7 @@
 
 #include "malus/core/context.h"
 #include "malus/core/image.h"
+#include "malus/core/large_allocator.h"
 
 namespace malus {
 
@@ -25,7 +26,7 @@ class PhotoCells {
  private:
   Size size_;
   float least_ = 0, step_ = 1;
-  std::vector<std::uint32_t> pairs_;
+  std::vector<std::uint32_t, LargeAllocator<std::uint32_t>> pairs_;
 };
 
 }  // namespace malus

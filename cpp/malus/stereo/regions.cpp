@@ -1,11 +1,13 @@
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <limits>
 #include <utility>
 #include <vector>
 
+#include "malus/core/disjoint_sets.h"
+#include "malus/core/parallel.h"
 #include "malus/stereo/regions_internal.h"
 
 namespace malus {
@@ -13,40 +15,35 @@ namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
 
-struct Pixel {
-  int u, v;
-};
-
-/// Calls `visit` with the pixels of each region, which it may set to NaN.
-template <class Visit>
-void for_each_region(const Image<float>& values, double largest_step, Visit&& visit) {
-  constexpr std::array<std::pair<int, int>, 4> neighbors{{{1, 0}, {-1, 0}, {0, 1}, {0, -1}}};
-  Mask visited(values.size());
-  std::vector<Pixel> region;
-  for (int v = 0; v < values.height(); ++v) {
-    for (int u = 0; u < values.width(); ++u) {
-      if (visited(u, v) != 0 || !std::isfinite(values(u, v))) continue;
-      region.assign(1, {u, v});
-      visited(u, v) = 1;
-      for (std::size_t k = 0; k < region.size(); ++k) {
-        const auto [x, y] = region[k];
-        for (const auto& [dx, dy] : neighbors) {
-          const int i = x + dx, j = y + dy;
-          if (!values.contains(i, j) || visited(i, j) != 0) continue;
-          // Not a number compares false.
-          if (!(std::abs(values(i, j) - values(x, y)) <= largest_step)) continue;
-          visited(i, j) = 1;
-          region.push_back({i, j});
-        }
-      }
-      visit(region);
+/// Number of each pixel's region, and how many there are; a pixel that is not finite is a region of its own.
+std::pair<std::vector<int>, int> regions_of(const Image<float>& values, double largest_step, const Context& context) {
+  constexpr int strip_rows = 64;
+  const int width = values.width(), height = values.height(), strips = (height + strip_rows - 1) / strip_rows;
+  DisjointSets regions(values.count());
+  const auto join_up = [&](int v) {
+    const float *const here = values.row(v), *const above = values.row(v - 1);
+    for (int u = 0; u < width; ++u) {
+      // Not a number compares false.
+      if (std::abs(here[u] - above[u]) <= largest_step) regions.join(v * width + u, (v - 1) * width + u);
     }
-  }
+  };
+  parallel_for(context, static_cast<std::size_t>(strips), 1, [&](std::size_t strip, std::size_t) {
+    const int top = static_cast<int>(strip) * strip_rows;
+    for (int v = top; v < std::min(top + strip_rows, height); ++v) {
+      const float* const row = values.row(v);
+      for (int u = 1; u < width; ++u) {
+        if (std::abs(row[u] - row[u - 1]) <= largest_step) regions.join(v * width + u, v * width + u - 1);
+      }
+      if (v > top) join_up(v);
+    }
+  });
+  for (int v = strip_rows; v < height; v += strip_rows) join_up(v);
+  return std::move(regions).numbered();
 }
 
-bool on_contour(const Mask& mask, Pixel pixel) {
-  for (int v = pixel.v - 1; v <= pixel.v + 1; ++v) {
-    for (int u = pixel.u - 1; u <= pixel.u + 1; ++u) {
+bool on_contour(const Mask& mask, int u0, int v0) {
+  for (int v = v0 - 1; v <= v0 + 1; ++v) {
+    for (int u = u0 - 1; u <= u0 + 1; ++u) {
       if (mask.contains(u, v) && mask(u, v) == 0) return true;
     }
   }
@@ -55,21 +52,29 @@ bool on_contour(const Mask& mask, Pixel pixel) {
 
 }  // namespace
 
-void remove_small_regions(Image<float>& values, double largest_step, int least_pixels) {
-  for_each_region(values, largest_step, [&](const std::vector<Pixel>& region) {
-    if (region.size() >= static_cast<std::size_t>(least_pixels)) return;
-    for (const Pixel& pixel : region) values(pixel.u, pixel.v) = none;
-  });
+void remove_small_regions(Image<float>& values, double largest_step, int least_pixels, const Context& context) {
+  const auto [region, count] = regions_of(values, largest_step, context);
+  std::vector<int> pixels(static_cast<std::size_t>(count), 0);
+  for (const int r : region) ++pixels[static_cast<std::size_t>(r)];
+  for (std::size_t i = 0; i < values.count(); ++i) {
+    if (pixels[static_cast<std::size_t>(region[i])] < least_pixels) values[i] = none;
+  }
 }
 
-void keep_contours(Image<float>& values, double largest_step, const Mask& mask) {
-  for_each_region(values, largest_step, [&](const std::vector<Pixel>& region) {
-    const auto contour = [&](const Pixel& pixel) { return on_contour(mask, pixel); };
-    if (std::none_of(region.begin(), region.end(), contour)) return;
-    for (const Pixel& pixel : region) {
-      if (!contour(pixel)) values(pixel.u, pixel.v) = none;
+void keep_contours(Image<float>& values, double largest_step, const Mask& mask, const Context& context) {
+  const auto [region, count] = regions_of(values, largest_step, context);
+  std::vector<std::uint8_t> reaches(static_cast<std::size_t>(count), 0);
+  Mask contour(mask.size(), 1, 0);
+  for (int v = 0; v < mask.height(); ++v) {
+    for (int u = 0; u < mask.width(); ++u) {
+      if (!on_contour(mask, u, v)) continue;
+      contour(u, v) = 1;
+      reaches[static_cast<std::size_t>(region[static_cast<std::size_t>(v * mask.width() + u)])] = 1;
     }
-  });
+  }
+  for (std::size_t i = 0; i < values.count(); ++i) {
+    if (contour[i] == 0 && reaches[static_cast<std::size_t>(region[i])] != 0) values[i] = none;
+  }
 }
 
 }  // namespace malus

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "malus/core/context.h"
 #include "malus/core/image.h"
 
 namespace malus {
@@ -7,10 +8,10 @@ namespace malus {
 // Connected regions of finite values: neighbors (4) are connected if their values differ by at most `largest_step`.
 
 /// Sets pixels to NaN that belong to regions of fewer than `least_pixels`.
-void remove_small_regions(Image<float>& values, double largest_step, int least_pixels);
+void remove_small_regions(Image<float>& values, double largest_step, int least_pixels, const Context& context);
 
 /// Sets pixels to NaN that belong to regions which reach the object's contour, except those on the contour: object
 /// pixels beside (8) a pixel of the image off the mask.
-void keep_contours(Image<float>& values, double largest_step, const Mask& mask);
+void keep_contours(Image<float>& values, double largest_step, const Mask& mask, const Context& context);
 
 }  // namespace malus

@@ -35,7 +35,7 @@ void add_opposite(const float* here, const float* one, const float* other, const
 
 }  // namespace
 
-void fill_gaps(Image<float>& log_depth, const Mask& mask) {
+void fill_gaps(Image<float>& log_depth, const Mask& mask, const Context& context) {
   struct Pixel {
     int u, v;
   };
@@ -57,12 +57,14 @@ void fill_gaps(Image<float>& log_depth, const Mask& mask) {
     });
     return count > 0 ? static_cast<float>(sum / count) : none;
   };
-  std::vector<Pixel> ring;
-  for (int v = 0; v < mask.height(); ++v) {
+  std::vector<std::vector<Pixel>> rings(static_cast<std::size_t>(mask.height()));
+  parallel_rows(context, mask.height(), [&](int v) {
     for (int u = 0; u < mask.width(); ++u) {
-      if (is_gap(u, v) && std::isfinite(mean_around({u, v}))) ring.push_back({u, v});
+      if (is_gap(u, v) && std::isfinite(mean_around({u, v}))) rings[static_cast<std::size_t>(v)].push_back({u, v});
     }
-  }
+  });
+  std::vector<Pixel> ring;
+  for (const std::vector<Pixel>& of_row : rings) ring.insert(ring.end(), of_row.begin(), of_row.end());
   while (!ring.empty()) {
     std::vector<float> values;
     for (const Pixel p : ring) values.push_back(mean_around(p));

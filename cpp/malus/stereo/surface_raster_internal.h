@@ -8,7 +8,7 @@ namespace malus {
 /// Surfaces between sweeps: rasters of ln z, NaN = none.
 
 /// Fills pixels of the mask that have no value from the nearest ones that have, ring by ring.
-void fill_gaps(Image<float>& log_depth, const Mask& mask);
+void fill_gaps(Image<float>& log_depth, const Mask& mask, const Context& context);
 /// Each pixel becomes the median of its (2 radius + 1)² surroundings.
 Image<float> median_filtered(const Image<float>& log_depth, int radius, const Context& context);
 /// Gaussian mean of sigma `sigma_px` over pixels whose value differs by at most `largest_step` a pixel of distance.

@@ -10,6 +10,8 @@
 #include <utility>
 
 #include "malus/core/error.h"
+#include "malus/core/even_choice.h"
+#include "malus/core/kept_memory.h"
 #include "malus/core/median.h"
 #include "malus/core/parallel.h"
 #include "malus/stereo/agreement_internal.h"
@@ -23,18 +25,21 @@
 namespace malus {
 namespace {
 
-void require_finite(const Image<float>& image, const std::string& name) {
-  for (const float value : image) {
-    if (!std::isfinite(value)) throw input_error(name + ": intensities must be finite numbers");
-  }
+bool is_finite(const Image<float>& image) {
+  return std::all_of(image.begin(), image.end(), [](float value) { return std::isfinite(value); });
 }
 
-void validate(const SweepInput& input, std::span<const SweepView> views, const SweepOptions& options) {
+void require_finite(bool finite, const std::string& name) {
+  if (!finite) throw input_error(name + ": intensities must be finite numbers");
+}
+
+void validate(const SweepInput& input, std::span<const SweepView> views, const SweepOptions& options,
+              const Context& context) {
   validate_fields(options, "sweep");
   if (input.camera.size.area() == 0) throw input_error("surface sweep: the station's camera has no pixels");
   require_size(input.intensity, input.camera.size, "surface sweep: the station's intensity");
   require_size(input.mask, input.camera.size, "surface sweep: mask");
-  require_finite(input.intensity, "surface sweep: the station's intensity");
+  require_finite(is_finite(input.intensity), "surface sweep: the station's intensity");
   if (std::none_of(input.mask.begin(), input.mask.end(), [](std::uint8_t m) { return m != 0; })) {
     throw input_error("surface sweep: mask: no pixel is set, expected the object's pixels to be non-zero");
   }
@@ -51,21 +56,38 @@ void validate(const SweepInput& input, std::span<const SweepView> views, const S
   if (views.empty()) {
     throw data_error("surface sweep: no photos, expected at least one whose pose is known");
   }
+  std::vector<std::uint8_t> finite(views.size());
+  parallel_for(context, views.size(), 1,
+               [&](std::size_t k, std::size_t) { finite[k] = is_finite(views[k].intensity); });
   for (std::size_t k = 0; k < views.size(); ++k) {
     const std::string name = "surface sweep: photo " + std::to_string(k);
     views[k].camera.validate(name);
     require_size(views[k].intensity, views[k].camera.size, name);
-    require_finite(views[k].intensity, name);
+    require_finite(finite[k] != 0, name);
     if (!views[k].pose.rotation.allFinite() || !views[k].pose.translation.allFinite()) {
       throw input_error(name + ": the pose is not finite");
     }
   }
 }
 
-float median_of(const Image<float>& values) {
+/// Calls body(i) for every pixel, on all threads.
+template <class Body>
+void for_each_pixel(const Image<float>& image, const Context& context, Body&& body) {
+  constexpr std::size_t pixels_at_once = 65536;
+  parallel_for(context, image.count(), pixels_at_once, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) body(i);
+  });
+}
+
+/// Median of value(i) where it is finite, of an even choice of the pixels if there are many: it is for the report.
+template <class Value>
+float typical(std::size_t pixels, Value&& value) {
+  constexpr double most = 1e6;
+  const double share = std::min(1.0, most / static_cast<double>(pixels));
   std::vector<float> finite;
-  for (const float value : values) {
-    if (std::isfinite(value)) finite.push_back(value);
+  for (std::size_t i = 0; i < pixels; ++i) {
+    if (share < 1 && !is_chosen(i, share)) continue;
+    if (const float x = value(i); std::isfinite(x)) finite.push_back(x);
   }
   return median_in_place(finite);
 }
@@ -81,17 +103,17 @@ Image<float> coded(const Image<float>& intensity, double gamma, const Context& c
 }
 
 /// NaN where it has no depth.
-Image<float> log_of(const Image<float>& depth) {
-  Image<float> result(depth.size(), 1, std::numeric_limits<float>::quiet_NaN());
-  for (std::size_t i = 0; i < depth.count(); ++i) {
-    if (depth[i] > 0) result[i] = std::log(depth[i]);
-  }
+Image<float> log_of(const Image<float>& depth, const Context& context) {
+  Image<float> result = Image<float>::uninitialized(depth.size(), 1);
+  for_each_pixel(depth, context, [&](std::size_t i) {
+    result[i] = depth[i] > 0 ? std::log(depth[i]) : std::numeric_limits<float>::quiet_NaN();
+  });
   return result;
 }
 
-Image<float> sum(const Image<float>& a, const Image<float>& b) {
-  Image<float> result = a;
-  for (std::size_t i = 0; i < result.count(); ++i) result[i] += b[i];
+Image<float> sum(const Image<float>& a, const Image<float>& b, const Context& context) {
+  Image<float> result = Image<float>::uninitialized(a.size(), 1);
+  for_each_pixel(a, context, [&](std::size_t i) { result[i] = a[i] + b[i]; });
   return result;
 }
 
@@ -146,7 +168,7 @@ class SurfaceSweep {
     std::vector<Mask> masks{input_.mask};
     std::vector<Pinhole> cameras{input_.camera};
     while (static_cast<int>(masks.size()) < levels) {
-      masks.push_back(halved(masks.back()));
+      masks.push_back(halved(masks.back(), context_));
       cameras.push_back(halved(cameras.back()));
     }
     const std::vector<Image<float>> shapes = shape_pyramid(masks);
@@ -161,8 +183,8 @@ class SurfaceSweep {
       if (k + 1 < levels) {
         enter_level(k, references, masks, cameras, shapes);
         deviation_ = doubled(deviation_, level_.mask, context_);
-        fill_gaps(deviation_, level_.mask);
-        rate_ = photos_.prepare(level_, sum(shape_, deviation_), false, context_);
+        fill_gaps(deviation_, level_.mask, context_);
+        rate_ = photos_.prepare(level_, sum(shape_, deviation_, context_), false, context_);
       }
       if (k > 0) {
         for (const Sweep& step : coarse_sweeps) sweep(step);
@@ -193,7 +215,7 @@ class SurfaceSweep {
     level_.mask = input_.mask;
     level_.camera = input_.camera;
     level_.reduction = 1;
-    const double rate = photos_.prepare(level_, log_of(input_.surface), true, context_);
+    const double rate = photos_.prepare(level_, log_of(input_.surface, context_), true, context_);
     std::vector<double> sigmas_px;
     for (std::size_t i = 0; i < input_.mask.count(); ++i) {
       const double relative = input_.surface_sigma[i] / input_.surface[i];
@@ -213,11 +235,11 @@ class SurfaceSweep {
     std::vector<Image<float>> shapes;
     for (const Mask& mask : masks) shapes.emplace_back(mask.size(), 1, 0.0F);
     if (!is_known()) return shapes;
-    shapes[0] = log_of(input_.surface);
-    fill_gaps(shapes[0], masks[0]);
+    shapes[0] = log_of(input_.surface, context_);
+    fill_gaps(shapes[0], masks[0], context_);
     for (std::size_t k = 1; k < shapes.size(); ++k) {
       shapes[k] = halved_surface(shapes[k - 1], masks[k], context_);
-      fill_gaps(shapes[k], masks[k]);
+      fill_gaps(shapes[k], masks[k], context_);
     }
     return shapes;
   }
@@ -253,7 +275,7 @@ class SurfaceSweep {
     result_.points_total = static_cast<double>(input_.points.size());
     result_.points_used = static_cast<double>(first.points_used);
     deviation_ = std::move(first.log_depth);
-    fill_gaps(deviation_, level_.mask);
+    fill_gaps(deviation_, level_.mask, context_);
     rate_ = photos_.prepare(level_, deviation_, true, context_);
     const double wanted = std::ceil(first.range * rate_ / first_step_px);
     const double most = std::ceil(options_.max_search / first_step_px);
@@ -275,27 +297,33 @@ class SurfaceSweep {
     deviation_ = median_filtered(deviation_, 1, context_);
     deviation_ =
         smoothed(deviation_, step.smooth_px * (is_known() ? known_smoothing : 1), smoothing_limit_px / rate_, context_);
-    fill_gaps(deviation_, level_.mask);
-    const Image<float> before = sum(shape_, deviation_);
+    fill_gaps(deviation_, level_.mask, context_);
+    const Image<float> before = sum(shape_, deviation_, context_);
     pass_ = run_pass(level_, before, settings, context_);
     SweepPassReport report;
-    Image<float> change(before.size());
-    for (std::size_t i = 0; i < before.count(); ++i) change[i] = std::abs(pass_.log_depth[i] - before[i]);
+    float score = 0, change = 0;
+    parallel_for(context_, 2, 1, [&](std::size_t task, std::size_t) {
+      if (task == 0) {
+        score = typical(before.count(), [&](std::size_t i) { return pass_.score[i]; });
+      } else {
+        change = typical(before.count(), [&](std::size_t i) { return std::abs(pass_.log_depth[i] - before[i]); });
+      }
+    });
     const double gsd = 1 / input_.camera.focal();
     report.reduction = level_.reduction;
     report.offsets = 2 * step.half_count + 1;
     report.step_gsd = settings.step / gsd;
-    report.score = median_of(pass_.score);
-    report.change_gsd = median_of(change) / gsd;
+    report.score = score;
+    report.change_gsd = change / gsd;
     report.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     result_.passes.push_back(report);
     if (level_.reduction == 1) {
       wide_difference_px_ = std::move(difference_px_);
       difference_px_ = std::move(pass_.difference);
-      for (float& value : difference_px_) value *= static_cast<float>(step.step_px);
+      for_each_pixel(difference_px_, context_,
+                     [&](std::size_t i) { difference_px_[i] *= static_cast<float>(step.step_px); });
     }
-    deviation_ = pass_.log_depth;
-    for (std::size_t i = 0; i < deviation_.count(); ++i) deviation_[i] -= shape_[i];
+    for_each_pixel(deviation_, context_, [&](std::size_t i) { deviation_[i] = pass_.log_depth[i] - shape_[i]; });
     context_.progress("sweep", 1.0 / level_.reduction, "1/" + std::to_string(level_.reduction) + " resolution");
   }
 
@@ -328,7 +356,7 @@ class SurfaceSweep {
   /// Whether there are any.
   bool leave_out_highlights() {
     Image<float> surface = pass_.log_depth;
-    fill_gaps(surface, level_.mask);
+    fill_gaps(surface, level_.mask, context_);
     const Mask shines =
         find_highlights(input_, level_.reference, views_, surface, match_settings().radius + 1, context_);
     double count = 0, of = 0;
@@ -360,7 +388,9 @@ class SurfaceSweep {
 
 SweepResult sweep_surface(const SweepInput& input, std::span<const SweepView> views, const SweepOptions& options,
                           const Context& context) {
-  validate(input, views, options);
+  validate(input, views, options, context);
+  // Every pass allocates what the one before it has freed.
+  const KeptMemory kept;
   return SurfaceSweep(input, views, options, context).run();
 }
 

@@ -1,5 +1,7 @@
 #include <algorithm>
+#include <atomic>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <vector>
 
@@ -58,7 +60,6 @@ TileCosts tile_costs(TileMatcher& matcher, const PassSettings& settings, std::si
   TileCosts costs;
   costs.all.resize(pixels * stride);
   if (settings.match.compare_halves) costs.half.fill(costs.all);
-  TileMatcher::Scores scores;
   const auto store = [&](const std::vector<float>& values, std::size_t label, std::vector<float>& out) {
     for (std::size_t i = 0; i < pixels; ++i) out[i * stride + label] = 1 - values[i];
   };
@@ -67,13 +68,18 @@ TileCosts tile_costs(TileMatcher& matcher, const PassSettings& settings, std::si
     const float first = settings.step * static_cast<float>(begin - settings.half_count);
     const float last = settings.step * static_cast<float>(end - 1 - settings.half_count);
     matcher.prepare(0.5F * (first + last), std::max(0.5F * (last - first), 0.5F * settings.step));
-    for (int label = begin; label < end; ++label) {
-      context.check_cancel();
-      matcher.score(settings.step * static_cast<float>(label - settings.half_count), scores);
-      store(scores.all, static_cast<std::size_t>(label), costs.all);
-      if (!settings.match.compare_halves) continue;
-      for (std::size_t k = 0; k < 2; ++k) store(scores.half[k], static_cast<std::size_t>(label), costs.half[k]);
-    }
+    // Threads that have no tile left share the offsets of the others'.
+    std::atomic<int> next{begin};
+    parallel_for(context, static_cast<std::size_t>(end - begin), 1, [&](std::size_t, std::size_t) {
+      TileMatcher::Scores scores;
+      for (int label = next++; label < end; label = next++) {
+        context.check_cancel();
+        matcher.score(settings.step * static_cast<float>(label - settings.half_count), scores);
+        store(scores.all, static_cast<std::size_t>(label), costs.all);
+        if (!settings.match.compare_halves) continue;
+        for (std::size_t k = 0; k < 2; ++k) store(scores.half[k], static_cast<std::size_t>(label), costs.half[k]);
+      }
+    });
   }
   return costs;
 }
@@ -113,17 +119,19 @@ PassResult run_pass(const MatchLevel& level, const Image<float>& log_depth, cons
   const Size size = level.mask.size();
   PassResult result{Image<float>(size, 1, none), Image<float>(size, 1, none), Image<float>(size, 1, none)};
   const int side = 2 * settings.half_count + 1 <= few_offsets ? tile_side_of_few : tile_side;
-  const int columns = (size.width + side - 1) / side, rows = (size.height + side - 1) / side;
-  parallel_for(context, static_cast<std::size_t>(columns) * static_cast<std::size_t>(rows), 1,
-               [&](std::size_t begin, std::size_t end) {
-                 for (std::size_t k = begin; k < end; ++k) {
-                   const int u0 = static_cast<int>(k) % columns * side;
-                   const int v0 = static_cast<int>(k) / columns * side;
-                   const PixelRect inner = object_within(
-                       level.mask, {u0, v0, std::min(u0 + side, size.width), std::min(v0 + side, size.height)});
-                   if (inner.v0 < inner.v1) sweep_tile(level, log_depth, inner, settings, context, result);
-                 }
-               });
+  std::vector<PixelRect> tiles;
+  for (int v = 0; v < size.height; v += side) {
+    for (int u = 0; u < size.width; u += side) {
+      const PixelRect tile =
+          object_within(level.mask, {u, v, std::min(u + side, size.width), std::min(v + side, size.height)});
+      if (tile.v0 < tile.v1) tiles.push_back(tile);
+    }
+  }
+  // Large ones first, so that threads end together.
+  std::ranges::stable_sort(tiles, std::ranges::greater{},
+                           [](const PixelRect& tile) { return tile.width() * tile.height(); });
+  parallel_for(context, tiles.size(), 1,
+               [&](std::size_t k, std::size_t) { sweep_tile(level, log_depth, tiles[k], settings, context, result); });
   return result;
 }
 

@@ -153,7 +153,7 @@ void TileMatcher::prepare(float centre, float half_range) {
   projected_ = centre;
 }
 
-void TileMatcher::score(float offset, Scores& scores) {
+void TileMatcher::score(float offset, Scores& scores) const {
   const float t = (offset - centre_) / half_range_;
   const auto width = static_cast<std::size_t>(tile_.width()),
              window = rows_ + 1 - static_cast<std::size_t>(tile_.height());
@@ -165,7 +165,7 @@ void TileMatcher::score(float offset, Scores& scores) {
   // All views go through a row before the next row, so that what a pixel's best views are chosen from stays in the
   // cache: the window's lines of every view, and the row's best values.
   const std::size_t ring = 3 * width * window;
-  lines_.resize(ring * views_.size());
+  scores.lines.resize(ring * views_.size());
   std::vector<float> warped(stride_), scratch(stride_), totals(3 * width), found(width), copy(width);
   std::vector<float> lists((best + 2 * half_best) * width);
   float* const all = lists.data();
@@ -180,7 +180,7 @@ void TileMatcher::score(float offset, Scores& scores) {
       PathRow path;
       for (std::size_t i = 0; i < path.size(); ++i) path[i] = &view.path[i][row];
       sample_row(*view.view->photo, path, t, stride_, warped.data());
-      float* const lines = &lines_[ring * k];
+      float* const lines = &scores.lines[ring * k];
       window_lines(warped.data(), &weight_[row], &weighted_[row], width, window, scratch.data(),
                    lines + 3 * width * (v % window));
       if (!complete) continue;

@@ -48,6 +48,7 @@ class TileMatcher {
   struct Scores {
     std::vector<float> all;
     std::array<std::vector<float>, 2> half;  ///< of the two subsets
+    std::vector<float> lines;                ///< scratch: sums along the rows of a window, a view
   };
 
   /// `log_depth` is the base surface over the whole level, NaN outside the object.
@@ -68,7 +69,8 @@ class TileMatcher {
   /// Prepares for offsets of ln z in [centre − half_range, centre + half_range], over which a pixel's path through a
   /// photo is taken as a parabola.
   void prepare(float centre, float half_range);
-  void score(float offset, Scores& scores);
+  /// By several threads at once, each with scores of its own.
+  void score(float offset, Scores& scores) const;
 
  private:
   using Surface = std::function<float(int u, int v)>;
@@ -99,8 +101,7 @@ class TileMatcher {
   std::vector<float> count_;
   std::array<std::vector<float>, 2> half_count_;
   float centre_ = 0, half_range_ = 1;
-  float projected_ = 0;       ///< offset at which the paths' first coefficients are
-  std::vector<float> lines_;  ///< scratch of score(): sums along the rows of a window, a view
+  float projected_ = 0;  ///< offset at which the paths' first coefficients are
 };
 
 }  // namespace malus

@@ -5,6 +5,7 @@
 
 #include "malus/core/error.h"
 #include "malus/core/median.h"
+#include "malus/core/parallel.h"
 #include "malus/stereo/intensity_pyramid_internal.h"
 #include "malus/stereo/view_choice_internal.h"
 
@@ -113,18 +114,22 @@ double ViewChoice::prepare(MatchLevel& level, const Image<float>& log_depth, boo
     measure(level, log_depth);
     choose();
   }
-  level.views.clear();
-  std::vector<double> parallax;
+  std::vector<Photo*> used;
   for (Photo& photo : photos_) {
-    if (photo.quality <= 0) continue;
+    if (photo.quality > 0) used.push_back(&photo);
+  }
+  level.views.assign(used.size(), {});
+  std::vector<double> parallax(used.size());
+  parallel_for(context, used.size(), 1, [&](std::size_t k, std::size_t) {
+    Photo& photo = *used[k];
     // Level whose pixels are between 0.7 and 1.4 of the station level's.
     const double ratio = photo.resolution * level.reduction;
     const int depth = std::max(0, static_cast<int>(std::lround(std::log2(std::max(ratio, 1e-3)))));
     const std::size_t at = photo.extend_pyramid(depth, context);
-    level.views.push_back(
-        {&photo.pyramid[at], 1.0F / static_cast<float>(1 << at), &photo.projection, photo.subset, photo.quality});
-    parallax.push_back(photo.parallax / level.reduction);
-  }
+    level.views[k] = {&photo.pyramid[at], 1.0F / static_cast<float>(1 << at), &photo.projection, photo.subset,
+                      photo.quality};
+    parallax[k] = photo.parallax / level.reduction;
+  });
   return median(parallax);
 }
 

@@ -49,7 +49,6 @@ class ViewChoice {
   Pinhole station_;
   SweepOptions options_;
   std::vector<Photo> photos_;
-  double unseen_angle_ = 0;  ///< photos left out for their angle
 };
 
 }  // namespace malus

@@ -33,7 +33,7 @@ TEST(Regions, SmallOnesAreRemovedAndAStepDividesThem) {
   fill(values, 5, 5, 8, 8, 1);    // 9, touches the first at a corner only
   fill(values, 10, 1, 14, 5, 2);  // 16 and 4 beside it, a step higher
   fill(values, 14, 1, 15, 5, 3);
-  remove_small_regions(values, 0.5, 10);
+  remove_small_regions(values, 0.5, 10, {});
   EXPECT_EQ(known(values), 32);
   EXPECT_TRUE(std::isnan(values(6, 6)));
   EXPECT_TRUE(std::isnan(values(14, 2)));
@@ -49,13 +49,34 @@ TEST(Regions, OfThoseAtTheContourOnlyItsPixelsAreKept) {
   fill(values, 4, 2, 9, 6, 1);     // reaches the contour, which is column 4
   fill(values, 9, 2, 11, 6, 3);    // beside it, a step higher
   fill(values, 15, 8, 20, 16, 1);  // ends where the image ends, which is no contour
-  keep_contours(values, 0.5, mask);
+  keep_contours(values, 0.5, mask, {});
   for (int v = 2; v < 6; ++v) {
     EXPECT_EQ(values(4, v), 1);
     for (int u = 5; u < 9; ++u) EXPECT_TRUE(std::isnan(values(u, v))) << u << ' ' << v;
     EXPECT_EQ(values(9, v), 3);
   }
   EXPECT_EQ(known(values), 4 + 8 + 40);
+}
+
+TEST(Regions, ReachAcrossStripsThatThreadsTake) {
+  // A comb of 60 teeth: columns of 199 pixels that only their lowest row joins, and one tooth that does not reach it.
+  Image<float> values({121, 200}, 1, none);
+  for (int u = 0; u < 120; u += 2) fill(values, u, 0, u + 1, 199, 1);
+  fill(values, 0, 199, 120, 200, 1);
+  values(40, 199) = none;
+  values(40, 198) = none;
+  // Without row 198 the tooth at column 40 is alone, and row 199 falls into two combs of 20 and 39 teeth.
+  Context context;
+  context.threads = 3;
+  remove_small_regions(values, 0.5, 198, context);
+  EXPECT_EQ(known(values), 198 + 20 * 199 + 40 + 39 * 199 + 79);
+  remove_small_regions(values, 0.5, 199, context);
+  EXPECT_EQ(known(values), 20 * 199 + 40 + 39 * 199 + 79);
+  EXPECT_TRUE(std::isnan(values(40, 100)));
+  remove_small_regions(values, 0.5, 5000, context);
+  EXPECT_EQ(known(values), 39 * 199 + 79);
+  EXPECT_TRUE(std::isnan(values(0, 0)));
+  EXPECT_EQ(values(118, 0), 1);
 }
 
 }  // namespace
