@@ -12,19 +12,22 @@ void parallel_for(const Context& context, std::size_t count, std::size_t grain,
                   const std::function<void(std::size_t, std::size_t)>& body) {
   const std::size_t blocks = (count + grain - 1) / grain;
   std::atomic<std::size_t> next{0};
-  std::atomic<bool> failed{false};
+  // Of the blocks that threw. Those before it have begun or will: which exception is rethrown is not left to chance.
+  std::atomic<std::size_t> first_failed{blocks};
   std::exception_ptr error;
   std::mutex error_mutex;
   const auto work = [&] {
     for (;;) {
       const std::size_t block = next.fetch_add(1);
-      if (block >= blocks || failed.load()) return;
+      if (block >= first_failed.load()) return;
       try {
         context.check_cancel();
         body(block * grain, std::min(count, (block + 1) * grain));
       } catch (...) {
         const std::lock_guard lock(error_mutex);
-        if (!failed.exchange(true)) error = std::current_exception();
+        if (block >= first_failed.load()) continue;
+        first_failed.store(block);
+        error = std::current_exception();
       }
     }
   };

@@ -11,8 +11,8 @@
 namespace malus {
 
 /// Calls body(begin, end) for consecutive blocks of at most `grain` indices that cover [0, count), on context.threads
-/// threads. Blocks do not depend on the number of threads. The first exception is rethrown here; cancellation is
-/// checked before each block.
+/// threads. Blocks do not depend on the number of threads. The exception of the first block that throws one is rethrown
+/// here, the same with any number of threads; cancellation is checked before each block.
 void parallel_for(const Context& context, std::size_t count, std::size_t grain,
                   const std::function<void(std::size_t, std::size_t)>& body);
 

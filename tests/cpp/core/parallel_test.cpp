@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <numeric>
 #include <thread>
 
@@ -91,7 +92,28 @@ TEST(Parallel, TreeRethrowsAndStopsWhenCancelled) {
   EXPECT_THROW(parallel_tree(context, parents, [](std::size_t) { FAIL(); }), Error);
 }
 
-TEST(Parallel, RethrowsTheFirstErrorAndStopsWhenCancelled) {
+TEST(Parallel, RethrowsTheErrorOfTheFirstBlockThatFails) {
+  Context context;
+  context.threads = 3;
+  // The second and third fail long before the first does.
+  std::atomic<int> others{0};
+  try {
+    parallel_for(context, 100, 1, [&](std::size_t block, std::size_t) {
+      if (block > 0) {
+        others.fetch_add(1);
+        throw data_error("another");
+      }
+      while (others.load() == 0) std::this_thread::yield();
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+      throw data_error("the first");
+    });
+    FAIL();
+  } catch (const Error& error) {
+    EXPECT_STREQ(error.what(), "the first");
+  }
+}
+
+TEST(Parallel, StopsAtErrorsAndWhenCancelled) {
   Context context;
   context.threads = 3;
   EXPECT_THROW(parallel_for(context, 100, 1, [](std::size_t, std::size_t) { throw data_error("x"); }), Error);
