@@ -77,7 +77,7 @@ class Image {
   bool operator==(const Image&) const = default;
 
  private:
-  using Pixels = std::vector<T, LargeAllocator<T>>;
+  using Pixels = LargeVector<T>;
 
   std::size_t offset(int u, int v, int c) const {
     return (static_cast<std::size_t>(v) * static_cast<std::size_t>(size_.width) + static_cast<std::size_t>(u)) *

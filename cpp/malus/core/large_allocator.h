@@ -5,6 +5,7 @@
 #include <memory>
 #include <new>
 #include <utility>
+#include <vector>
 
 namespace malus {
 
@@ -39,5 +40,8 @@ struct LargeAllocator {
 
   bool operator==(const LargeAllocator&) const = default;
 };
+
+template <class T>
+using LargeVector = std::vector<T, LargeAllocator<T>>;
 
 }  // namespace malus

@@ -125,9 +125,9 @@ std::string read_file(const std::filesystem::path& path, const std::string& what
   return bytes;
 }
 
-std::vector<char, LargeAllocator<char>> read_bytes(const std::filesystem::path& path, const std::string& what) {
+LargeVector<char> read_bytes(const std::filesystem::path& path, const std::string& what) {
   InputFile file(path, what);
-  std::vector<char, LargeAllocator<char>> bytes(file.size());
+  LargeVector<char> bytes(file.size());
   file.read(bytes.data(), bytes.size());
   return bytes;
 }

@@ -20,7 +20,7 @@ std::uint64_t require_file(const std::filesystem::path& path, const std::string&
 std::string read_file(const std::filesystem::path& path, const std::string& what);
 
 /// The same for files that may be large.
-std::vector<char, LargeAllocator<char>> read_bytes(const std::filesystem::path& path, const std::string& what);
+LargeVector<char> read_bytes(const std::filesystem::path& path, const std::string& what);
 
 /// Reads a file front to back through one buffer, so that memory does not grow with the file.
 class InputFile {

@@ -25,7 +25,7 @@ struct Reader {
   int bits = 8;
   int channels_read = 1;
   std::size_t row_bytes = 0;
-  std::vector<png_byte, LargeAllocator<png_byte>> samples;
+  LargeVector<png_byte> samples;
   std::vector<png_bytep> rows;
 
   ~Reader() { png_destroy_read_struct(&png, &info, nullptr); }

@@ -197,7 +197,7 @@ void read_blocks(TIFF* tiff, const Layout& layout, const Errors& errors, Image<f
   if (block_bytes <= 0 || static_cast<std::size_t>(block_bytes) < expected) {
     throw std::runtime_error("has tiles or strips of an impossible size");
   }
-  std::vector<unsigned char, LargeAllocator<unsigned char>> block(static_cast<std::size_t>(block_bytes));
+  LargeVector<unsigned char> block(static_cast<std::size_t>(block_bytes));
   const auto width = static_cast<std::uint32_t>(layout.size.width);
   const auto height = static_cast<std::uint32_t>(layout.size.height);
   const int planes = layout.planar ? layout.channels : 1;

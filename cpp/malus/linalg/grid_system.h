@@ -112,7 +112,7 @@ class GridSystem {
   }
 
   const PixelIndex* pixels_;
-  std::vector<double, LargeAllocator<double>> values_;
+  LargeVector<double> values_;
   std::vector<std::uint16_t> used_;
   Eigen::VectorXd right_;
 };

@@ -44,7 +44,7 @@ class Multigrid {
 
     NodeStencil<float> matrix;
     /// Inverses of the nodes' diagonal blocks, upper triangles, segment by segment.
-    std::vector<std::array<float, segment_nodes>, LargeAllocator<std::array<float, segment_nodes>>> block_inverses;
+    LargeVector<std::array<float, segment_nodes>> block_inverses;
     NodeVector<float> b, x, next, step;
     float inverse_norm = 0;  ///< 1 / largest eigenvalue of the scaled matrix
 

@@ -126,7 +126,7 @@ class NodeStencil {
   int segments_ = 0;
   std::vector<Segment> table_;
   std::vector<std::vector<T>> rows_;  ///< while they are appended to
-  std::vector<T, LargeAllocator<T>> values_;
+  LargeVector<T> values_;
 };
 
 /// The matrix of a grid system with this added to the diagonal.

@@ -103,7 +103,7 @@ class NodeVector {
 
   Size nodes_;
   std::size_t stride_ = 0, plane_ = 0;
-  std::vector<T, LargeAllocator<T>> values_;
+  LargeVector<T> values_;
 };
 
 }  // namespace malus

@@ -150,7 +150,7 @@ void SupernodalCholesky::find_entries(const SymmetricSolver::Matrix& lower, cons
   struct Place {
     std::size_t node, target;
   };
-  std::vector<Place, LargeAllocator<Place>> places(static_cast<std::size_t>(lower.nonZeros()));
+  LargeVector<Place> places(static_cast<std::size_t>(lower.nonZeros()));
   constexpr std::size_t columns_at_once = 4096;
   parallel_for(context, new_of_old.size(), columns_at_once, [&](std::size_t begin, std::size_t end) {
     for (std::size_t j = begin; j < end; ++j) {

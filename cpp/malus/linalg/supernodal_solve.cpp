@@ -250,7 +250,7 @@ void SupernodalCholesky::solve(const double* values, double* columns, int count,
     const int some = std::min(most_lanes, count - done), lanes = some == 1 ? 1 : most_lanes;
     const std::size_t width = static_cast<std::size_t>(lanes);
     // What is missing to a full set of right-hand sides stays zero.
-    std::vector<double, LargeAllocator<double>> x(unknowns * width, 0.0);
+    LargeVector<double> x(unknowns * width, 0.0);
     for_each_row([&](std::size_t i, const double* from) {
       for (int c = 0; c < some; ++c)
         x[i * width + static_cast<std::size_t>(c)] = from[static_cast<std::size_t>(c) * unknowns];

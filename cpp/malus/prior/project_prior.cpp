@@ -9,8 +9,10 @@
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
 #include <optional>
+#include <span>
 #include <sstream>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "malus/core/error.h"
@@ -61,7 +63,7 @@ void lower(ViewPoint& point, double height, const Eigen::Vector2d& slope) {
 /// cloud an even selection says as much: its points are in the order of their places in the view.
 class ReferencePlane {
  public:
-  explicit ReferencePlane(const std::vector<ViewPoint>& points) {
+  explicit ReferencePlane(std::span<const ViewPoint> points) {
     constexpr std::size_t most = 50'000;
     const std::size_t stride = points.size() / most + 1, count = (points.size() + stride - 1) / stride;
     std::vector<double> weights(count, 1.0), residuals(count);
@@ -113,7 +115,7 @@ bool has_object(const Mask& mask, PixelRect box) {
 }
 
 /// Share of object pixels farther than `distance_px` from every point.
-double far_fraction(const Mask& mask, const std::vector<ViewPoint>& points, double distance_px) {
+double far_fraction(const Mask& mask, std::span<const ViewPoint> points, double distance_px) {
   cv::Mat free(mask.height(), mask.width(), CV_8U, cv::Scalar(1)), distance;
   for (const ViewPoint& p : points) {
     free.at<std::uint8_t>(pixel_of(p.v, mask.height()), pixel_of(p.u, mask.width())) = 0;
@@ -194,7 +196,7 @@ void add_to(Surface& surface, const SplineFit& fit, const Mask& mask, const Cont
 
 /// Surface through all points: one system, or above max_unknowns a coarse one for the whole and overlapping tiles for
 /// what it leaves.
-Surface smooth_cloud(std::vector<ViewPoint> points, const Mask& mask, const Smoothing& how, const PriorOptions& options,
+Surface smooth_cloud(LargeVector<ViewPoint> points, const Mask& mask, const Smoothing& how, const PriorOptions& options,
                      const Context& context) {
   const PixelRect box = bounding_box(mask);
   Surface surface{Image<float>(mask.size(), 1, 0.0F), Image<float>(mask.size(), 1, 0.0F), 0};
@@ -294,7 +296,7 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
   const int width = 2 * surroundings_px + 1;
   cv::dilate(holes, near, cv::getStructuringElement(cv::MORPH_RECT, {width, width}));
   Mask region(mask.size());
-  std::vector<ViewPoint> points;
+  LargeVector<ViewPoint> points;
   std::vector<float> depths;
   for (int v = 0; v < mask.height(); ++v) {
     for (int u = 0; u < mask.width(); ++u) {
@@ -307,11 +309,8 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
   for (int v = 0; v < mask.height(); ++v) {
     for (int u = 0; u < mask.width(); ++u) {
       if (region(u, v) == 0 || !std::isfinite(prior.depth(u, v))) continue;
-      ViewPoint point;
-      point.u = static_cast<float>(u);
-      point.v = static_cast<float>(v);
-      point.height = static_cast<float>(focal * std::log(prior.depth(u, v) / reference));
-      points.push_back(point);
+      const auto height = static_cast<float>(focal * std::log(prior.depth(u, v) / reference));
+      points.push_back(ViewPoint::without_normal(static_cast<float>(u), static_cast<float>(v), height));
     }
   }
   const ReferencePlane plane(points);
@@ -320,7 +319,7 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
   how.strength.lambda = how.length_px = how.cell_px = 1;
   how.tension_px = options.tension_spacings;
   how.edge_tolerance = options.edge_tolerance;
-  const Surface surface = smooth_cloud(points, region, how, options, context);
+  const Surface surface = smooth_cloud(std::move(points), region, how, options, context);
   parallel_rows(context, mask.height(), [&](int v) {
     for (int u = 0; u < mask.width(); ++u) {
       if (holes.at<std::uint8_t>(v, u) == 0) continue;
@@ -396,9 +395,9 @@ DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const P
   context.progress("prior", 0.15, "choosing the smoothing");
   const Smoothing how = smoothing_for(visible, mask, options, context);
   context.progress("prior", 0.3, "smoothing the cloud");
-  const Surface surface = smooth_cloud(visible.points, mask, how, options, context);
-
   DepthPrior prior = empty_prior(camera, pose);
+  prior.filled_fraction = far_fraction(mask, visible.points, 2 * visible.spacing_px);
+  const Surface surface = smooth_cloud(std::move(visible.points), mask, how, options, context);
   const double focal = camera.focal();
   const double shared2 = options.correlated_noise * options.correlated_noise;
   parallel_rows(context, camera.size.height, [&](int v) {
@@ -415,7 +414,6 @@ DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const P
   prior.noise = surface.noise * visible.reference_depth / focal;
   prior.spacing_px = visible.spacing_px;
   prior.smoothing_px = how.length_px;
-  prior.filled_fraction = far_fraction(mask, visible.points, 2 * visible.spacing_px);
   context.progress("prior", 1);
   return prior;
 }

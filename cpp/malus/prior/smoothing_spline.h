@@ -100,7 +100,7 @@ class SmoothingSpline {
   std::vector<std::uint8_t> active_;   ///< a cell
   std::vector<std::int32_t> unknown_;  ///< a control point; -1 = none
   std::size_t unknowns_ = 0;
-  std::vector<ViewPoint> points_;          ///< sorted by cell
+  LargeVector<ViewPoint> points_;          ///< sorted by cell
   std::vector<std::uint32_t> cell_start_;  ///< of points_, a cell
   std::vector<float> weights_, slope_weights_;
   Eigen::Matrix<double, 9, 9> stiffness_;  ///< of any cell

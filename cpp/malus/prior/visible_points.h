@@ -2,12 +2,12 @@
 
 #include <algorithm>
 #include <cstddef>
-#include <vector>
 
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
 #include "malus/core/geometry.h"
 #include "malus/core/image.h"
+#include "malus/core/large_allocator.h"
 #include "malus/core/pose.h"
 
 namespace malus {
@@ -17,13 +17,17 @@ namespace malus {
 /// The noise of a point has no preferred direction, so on a surface that is inclined by θ to the ray its height is
 /// uncertain by 1 / cos θ. The noise of a normal has none either, so its slope is uncertain by 1 / cos² θ down the
 /// slope and by 1 / cos θ across.
+///
+/// No value is set of itself: fresh memory for millions of them is not touched before they are known.
 struct ViewPoint {
-  float u = 0, v = 0;                           ///< pixel
-  float height = 0;                             ///< f · ln(z / reference depth), in GSD, growing away from the camera
-  float slope_u = 0, slope_v = 0;               ///< of the height, a px
-  float facing = 1;                             ///< cos² θ; 1 without a normal
-  float info_uu = 0, info_uv = 0, info_vv = 0;  ///< of the slope, for a normal of unit (rad) noise; 0 without a normal
+  float u, v;                       ///< pixel
+  float height;                     ///< f · ln(z / reference depth), in GSD, growing away from the camera
+  float slope_u, slope_v;           ///< of the height, a px; 0 without a normal
+  float facing;                     ///< cos² θ; 1 without a normal
+  float info_uu, info_uv, info_vv;  ///< of the slope, for a normal of unit (rad) noise; 0 without a normal
 
+  /// A point whose normal is not known.
+  static ViewPoint without_normal(float u, float v, float height) { return {u, v, height, 0, 0, 1, 0, 0, 0}; }
   bool has_slope() const { return info_uu > 0; }
 };
 
@@ -39,7 +43,7 @@ struct PointCensus {
 };
 
 struct VisiblePoints {
-  std::vector<ViewPoint> points;  ///< at most a few a pixel, in row order
+  LargeVector<ViewPoint> points;  ///< at most a few a pixel, in row order
   double reference_depth = 0;     ///< median depth
   double spacing_px = 0;          ///< of neighbouring points, median over the points
   PointCensus census;

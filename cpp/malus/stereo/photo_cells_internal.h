@@ -26,7 +26,7 @@ class PhotoCells {
  private:
   Size size_;
   float least_ = 0, step_ = 1;
-  std::vector<std::uint32_t, LargeAllocator<std::uint32_t>> pairs_;
+  LargeVector<std::uint32_t> pairs_;
 };
 
 }  // namespace malus

@@ -14,7 +14,7 @@
 namespace malus {
 namespace {
 
-using Bytes = std::vector<char, LargeAllocator<char>>;
+using Bytes = LargeVector<char>;
 
 constexpr std::size_t megabyte = 1 << 20;
 

@@ -13,11 +13,8 @@ std::vector<ViewPoint> scattered(double (*height)(double, double)) {
   std::vector<ViewPoint> points;
   for (int i = 0; i < 400; ++i) {
     const double u = std::fmod(i * 0.754877666 * 30, 30.0), v = std::fmod(i * 0.569840291 * 30, 30.0);
-    ViewPoint point;
-    point.u = static_cast<float>(u);
-    point.v = static_cast<float>(v);
-    point.height = static_cast<float>(height(u, v));
-    points.push_back(point);
+    points.push_back(
+        ViewPoint::without_normal(static_cast<float>(u), static_cast<float>(v), static_cast<float>(height(u, v))));
   }
   return points;
 }
