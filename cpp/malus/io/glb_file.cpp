@@ -46,9 +46,9 @@ class Buffer {
   }
   /// Appends one record for each of `items`, which must outlive the buffer.
   template <class Item, class Convert>
-  int add_vertices(const std::vector<Item>& items, Convert convert) {
+  int add_records(const std::vector<Item>& items, int target, Convert convert) {
     constexpr std::size_t record = sizeof(decltype(convert(items.front())));
-    return add(items.size() * record, target_vertices,
+    return add(items.size() * record, target,
                [&items, convert](AtomicFile& file, std::size_t offset, const Context& context) {
                  write_records(file, offset, items.size(), record, context,
                                [&](std::size_t i, RecordEncoder& encoder) { encoder.put(convert(items[i])); });
@@ -142,26 +142,24 @@ Json document(const TriangleMesh& mesh, const ProjectedTexture& texture, const L
   const std::size_t count = mesh.vertices.points.size();
   const Positions positions(mesh.vertices.points, unit.metres);
   Json accessors = Json::array(), attributes;
-  Json position = accessor(buffer.add_vertices(mesh.vertices.points, positions), type_float, "VEC3", count);
+  Json position =
+      accessor(buffer.add_records(mesh.vertices.points, target_vertices, positions), type_float, "VEC3", count);
   position["min"] = positions.low;
   position["max"] = positions.high;
   accessors.push_back(position);
   attributes["POSITION"] = 0;
   if (!mesh.vertices.normals.empty()) {
     attributes["NORMAL"] = accessors.size();
-    const int view = buffer.add_vertices(mesh.vertices.normals, unit_normal);
+    const int view = buffer.add_records(mesh.vertices.normals, target_vertices, unit_normal);
     accessors.push_back(accessor(view, type_float, "VEC3", count));
   }
   attributes["TEXCOORD_0"] = accessors.size();
-  const int uv = buffer.add_vertices(mesh.vertices.points,
-                                     [&texture](const Eigen::Vector3d& x) { return texture_coordinate(x, texture); });
+  const int uv = buffer.add_records(mesh.vertices.points, target_vertices,
+                                    [&texture](const Eigen::Vector3d& x) { return texture_coordinate(x, texture); });
   accessors.push_back(accessor(uv, type_float, "VEC2", count));
   const auto indices = accessors.size();
-  const std::size_t index_bytes = mesh.triangles.size() * sizeof mesh.triangles.front();
-  const int triangles = buffer.add(index_bytes, target_indices,
-                                   [&mesh, index_bytes](AtomicFile& file, std::size_t offset, const Context&) {
-                                     file.write_at(offset, mesh.triangles.data(), index_bytes);
-                                   });
+  const int triangles =
+      buffer.add_records(mesh.triangles, target_indices, [](const auto& triangle) { return triangle; });
   accessors.push_back(accessor(triangles, type_uint, "SCALAR", 3 * mesh.triangles.size()));
   std::string jpeg = codecs::encode_jpeg(texture.image, jpeg_quality);
   const std::size_t jpeg_bytes = jpeg.size();

@@ -589,16 +589,18 @@ void write_ply(const std::filesystem::path& path, const MeshInStrips& mesh, cons
   file.expect(first_face + mesh.triangles * PlyLayout::face_size);
   parallel_for(context, mesh.strips, 1, [&](std::size_t k, std::size_t) {
     MeshStrip strip = mesh.strip(k, MeshInStrips::Parts::all);
-    std::vector<char> vertices(strip.vertices * layout.vertex_size());
-    RecordEncoder to_vertices(vertices.data());
+    FileBlock vertices(header.size() + strip.first_vertex * layout.vertex_size(),
+                       strip.vertices * layout.vertex_size());
+    RecordEncoder to_vertices = vertices.encoder();
     for (std::size_t i = 0; i < strip.vertices; ++i) layout.put_vertex(strip.mesh.vertices, i, to_vertices);
-    file.write_at(header.size() + strip.first_vertex * layout.vertex_size(), vertices.data(), vertices.size());
+    vertices.write_to(file);
 
-    std::vector<char> faces(strip.mesh.triangles.size() * PlyLayout::face_size);
-    RecordEncoder to_faces(faces.data());
+    FileBlock faces(first_face + strip.first_triangle * PlyLayout::face_size,
+                    strip.mesh.triangles.size() * PlyLayout::face_size);
+    RecordEncoder to_faces = faces.encoder();
     const auto first = static_cast<std::uint32_t>(strip.first_vertex);
     for (const auto& [a, b, c] : strip.mesh.triangles) PlyLayout::put_face({a + first, b + first, c + first}, to_faces);
-    file.write_at(first_face + strip.first_triangle * PlyLayout::face_size, faces.data(), faces.size());
+    faces.write_to(file);
   });
   file.commit();
 }

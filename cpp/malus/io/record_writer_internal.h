@@ -1,10 +1,10 @@
 #pragma once
 
-#include <algorithm>
 #include <cstddef>
 #include <cstring>
-#include <vector>
+#include <memory>
 
+#include "malus/core/large_allocator.h"
 #include "malus/core/parallel.h"
 #include "malus/io/atomic_file.h"
 
@@ -25,23 +25,38 @@ class RecordEncoder {
   char* at_;
 };
 
+/// Bytes for a place of a file, in memory that begins as far from a page's beginning as the place does.
+class FileBlock {
+ public:
+  FileBlock(std::size_t offset, std::size_t size)
+      : offset_(offset), size_(size), memory_(size + 2 * AtomicFile::page_size) {
+    void* at = memory_.data();
+    std::size_t space = memory_.size();
+    std::align(AtomicFile::page_size, 0, at, space);
+    bytes_ = static_cast<char*>(at) + offset % AtomicFile::page_size;
+  }
+
+  RecordEncoder encoder() { return RecordEncoder(bytes_); }
+  void write_to(AtomicFile& file) const { file.write_at(offset_, bytes_, size_); }
+
+ private:
+  std::size_t offset_, size_;
+  LargeVector<char> memory_;
+  char* bytes_;
+};
+
 /// Writes `count` records of `size` bytes each at a place of the file, on all threads: encode(i, encoder) puts record
 /// i.
 template <class Encode>
 void write_records(AtomicFile& file, std::size_t offset, std::size_t count, std::size_t size, const Context& context,
                    Encode&& encode) {
-  // Small enough to stay in the processor's cache until the kernel has copied it, which it does for one thread at a
-  // time; the others encode meanwhile.
-  constexpr std::size_t block_bytes = 1 << 17, blocks_at_once = 8;
-  const std::size_t block = block_bytes / size;
-  parallel_for(context, count, block * blocks_at_once, [&](std::size_t first, std::size_t last) {
-    std::vector<char> bytes(std::min(block, last - first) * size);
-    for (std::size_t begin = first; begin < last; begin += block) {
-      const std::size_t end = std::min(begin + block, last);
-      RecordEncoder encoder(bytes.data());
-      for (std::size_t i = begin; i < end; ++i) encode(i, encoder);
-      file.write_at(offset + begin * size, bytes.data(), (end - begin) * size);
-    }
+  // Large enough for a disk, small enough to stay in the processor's cache where the system copies it.
+  constexpr std::size_t block_bytes = 1 << 20;
+  parallel_for(context, count, block_bytes / size, [&](std::size_t first, std::size_t last) {
+    FileBlock block(offset + first * size, (last - first) * size);
+    RecordEncoder encoder = block.encoder();
+    for (std::size_t i = first; i < last; ++i) encode(i, encoder);
+    block.write_to(file);
   });
 }
 

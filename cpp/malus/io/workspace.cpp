@@ -137,14 +137,16 @@ void Workspace::begin(const std::string& step) {
   if (marked || !std::filesystem::exists(state_->manifest_path())) state_->save();
 }
 
-void Workspace::finish(const std::string& step, const std::string& key, const std::vector<std::string>& outputs,
+Workspace::Output Workspace::examine(const std::string& path) const {
+  const std::filesystem::path file = state_->folder / path;
+  return {path, require_file(file, "output"), sha256_of_file(file, "output", AfterHash::not_read_soon)};
+}
+
+void Workspace::finish(const std::string& step, const std::string& key, const std::vector<Output>& outputs,
                        const Use& use, const std::string& notes_json) {
   Json record = {{"status", "done"}, {"key", key}, {"outputs", Json::object()}, {"notes", parse_value(notes_json)}};
-  for (const std::string& output : outputs) {
-    const std::filesystem::path path = state_->folder / output;
-    const std::uint64_t size = require_file(path, "output");
-    record["outputs"][output] = {{"size", size}, {"sha256", sha256_of_file(path, "output")}};
-  }
+  for (const Output& output : outputs)
+    record["outputs"][output.path] = {{"size", output.size}, {"sha256", output.sha256}};
   state_->manifest["steps"][step] = std::move(record);
   state_->manifest["times"][step] = {
       {"seconds", use.seconds}, {"cpu_seconds", use.cpu_seconds}, {"peak_mb", use.peak_mb}, {"finished", utc_now()}};

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <filesystem>
 #include <memory>
 #include <string>
@@ -25,6 +26,13 @@ class Workspace {
     double peak_mb = 0;      ///< most memory the process has had until then
   };
 
+  /// A file that a step has written.
+  struct Output {
+    std::string path;  ///< below the folder
+    std::uint64_t size = 0;
+    std::string sha256;
+  };
+
   /// Opens the folder, creating it if needed, and locks it until destruction. Throws ErrorCode::input when it cannot be
   /// created or written, is in use by another process, or its manifest is damaged (the message says what to do);
   /// ErrorCode::resource when the disk is full.
@@ -42,9 +50,11 @@ class Workspace {
 
   /// Removes the step's mark before it is run again. Marks of steps that depend on it are the caller's business.
   void begin(const std::string& step);
-  /// Marks the step as done. `outputs` are paths below the folder, whose sizes and SHA-256 are recorded; `notes_json`
-  /// is any JSON value. The manifest is on the disk when this returns.
-  void finish(const std::string& step, const std::string& key, const std::vector<std::string>& outputs, const Use& use,
+  /// What is recorded of a file, by its path below the folder; from several threads at once. Throws ErrorCode::input if
+  /// it is not there.
+  Output examine(const std::string& path) const;
+  /// Marks the step as done; `notes_json` is any JSON value. The manifest is on the disk when this returns.
+  void finish(const std::string& step, const std::string& key, const std::vector<Output>& outputs, const Use& use,
               const std::string& notes_json = "{}");
   /// Records a value, JSON text, under a name of its own at the top of the manifest.
   void set_info(const std::string& name, const std::string& json);

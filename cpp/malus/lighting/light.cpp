@@ -5,9 +5,11 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <vector>
 
 #include "malus/core/median.h"
+#include "malus/core/parallel.h"
 #include "malus/polarization/ray_frame.h"
 
 namespace malus {
@@ -18,21 +20,71 @@ struct Sample {
   double intensity;
 };
 
+/// Threads take so many samples at a time.
+constexpr std::size_t grain = 4096;
+
+/// Weighted least squares for the coefficients of the basis.
+struct NormalEquations {
+  Eigen::Matrix4d matrix = Eigen::Matrix4d::Zero();
+  Eigen::Vector4d right = Eigen::Vector4d::Zero();
+
+  NormalEquations& operator+=(const NormalEquations& other) {
+    matrix += other.matrix;
+    right += other.right;
+    return *this;
+  }
+};
+
+NormalEquations normal_equations(const std::vector<Sample>& samples, const std::vector<double>& weights,
+                                 const Context& context) {
+  return parallel_sum(context, samples.size(), grain, NormalEquations{}, [&](std::size_t begin, std::size_t end) {
+    NormalEquations sum;
+    for (std::size_t i = begin; i < end; ++i) {
+      const Eigen::Vector4d weighted = weights[i] * samples[i].basis;
+      sum.matrix += weighted * samples[i].basis.transpose();
+      sum.right += samples[i].intensity * weighted;
+    }
+    return sum;
+  });
+}
+
+/// Writes the absolute residuals; returns their weighted root mean square.
+double find_residuals(const std::vector<Sample>& samples, const std::vector<double>& weights,
+                      const Eigen::Vector4d& coefficients, std::vector<double>& residuals, const Context& context) {
+  const Eigen::Array2d sums =
+      parallel_sum(context, samples.size(), grain, Eigen::Array2d(0, 0), [&](std::size_t begin, std::size_t end) {
+        Eigen::Array2d sum(0, 0);
+        for (std::size_t i = begin; i < end; ++i) {
+          residuals[i] = std::abs(samples[i].intensity - coefficients.dot(samples[i].basis));
+          sum += Eigen::Array2d(weights[i] * residuals[i] * residuals[i], weights[i]);
+        }
+        return sum;
+      });
+  return std::sqrt(sums[0] / sums[1]);
+}
+
 std::vector<Sample> take_samples(const Image<float>& intensity, const Image<float>& normals, const Mask& mask,
-                                 int max_samples) {
+                                 int max_samples, const Context& context) {
+  constexpr std::size_t pixels = 1 << 16;  // that a thread takes at a time
   const auto usable = [&](std::size_t i) {
     return mask[i] != 0 && std::isfinite(intensity[i]) && std::isfinite(normals[3 * i]);
   };
-  std::size_t count = 0;
-  for (std::size_t i = 0; i < intensity.count(); ++i) count += usable(i) ? 1 : 0;
-  const std::size_t stride = count / static_cast<std::size_t>(max_samples) + 1;
-  std::vector<Sample> samples;
-  samples.reserve(count / stride + 1);
-  std::size_t next = 0;
-  for (std::size_t i = 0; i < intensity.count(); ++i) {
-    if (!usable(i) || next++ % stride != 0) continue;
-    samples.push_back({{normals[3 * i], normals[3 * i + 1], normals[3 * i + 2], 1}, intensity[i]});
-  }
+  std::vector<std::size_t> before((intensity.count() + pixels - 1) / pixels + 1, 0);  // usable ones, by part
+  parallel_for(context, intensity.count(), pixels, [&](std::size_t begin, std::size_t end) {
+    std::size_t count = 0;
+    for (std::size_t i = begin; i < end; ++i) count += usable(i) ? 1 : 0;
+    before[begin / pixels + 1] = count;
+  });
+  std::partial_sum(before.begin(), before.end(), before.begin());
+  const std::size_t stride = before.back() / static_cast<std::size_t>(max_samples) + 1;
+  std::vector<Sample> samples((before.back() + stride - 1) / stride);
+  parallel_for(context, intensity.count(), pixels, [&](std::size_t begin, std::size_t end) {
+    std::size_t next = before[begin / pixels];
+    for (std::size_t i = begin; i < end; ++i) {
+      if (!usable(i) || next++ % stride != 0) continue;
+      samples[(next - 1) / stride] = {{normals[3 * i], normals[3 * i + 1], normals[3 * i + 2], 1}, intensity[i]};
+    }
+  });
   return samples;
 }
 
@@ -58,7 +110,7 @@ LightEstimate estimate_light(const Image<float>& intensity, const Image<float>& 
   if (normals.channels() != 3) throw input_error("normals: expected 3 channels");
 
   LightEstimate light;
-  const std::vector<Sample> samples = take_samples(intensity, normals, mask, options.max_samples);
+  const std::vector<Sample> samples = take_samples(intensity, normals, mask, options.max_samples, context);
   light.pixels = samples.size();
   const int unknowns = options.model == LightModel::directional ? 3 : 4;
   if (samples.size() < 10u * static_cast<unsigned>(unknowns)) {
@@ -69,29 +121,17 @@ LightEstimate estimate_light(const Image<float>& intensity, const Image<float>& 
   std::vector<double> residuals(samples.size()), weights(samples.size(), 1.0);
   for (int iteration = 0; iteration < options.iterations; ++iteration) {
     context.check_cancel();
-    Eigen::Matrix4d normal = Eigen::Matrix4d::Zero();
-    Eigen::Vector4d right = Eigen::Vector4d::Zero();
-    for (std::size_t i = 0; i < samples.size(); ++i) {
-      normal += weights[i] * samples[i].basis * samples[i].basis.transpose();
-      right += weights[i] * samples[i].intensity * samples[i].basis;
-    }
-    const Eigen::MatrixXd used = normal.topLeftCorner(unknowns, unknowns);
+    const NormalEquations equations = normal_equations(samples, weights, context);
+    const Eigen::MatrixXd used = equations.matrix.topLeftCorner(unknowns, unknowns);
     const Eigen::VectorXd values = Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(used).eigenvalues();
     light.condition = values[0] > 0 ? values[unknowns - 1] / values[0] : std::numeric_limits<double>::infinity();
     if (!(light.condition <= options.max_condition)) {
       light.status = LightStatus::normals_alike;
       return light;
     }
-    light.coefficients.head(unknowns) = used.ldlt().solve(right.head(unknowns));
+    light.coefficients.head(unknowns) = used.ldlt().solve(equations.right.head(unknowns));
 
-    double weight_sum = 0, square_sum = 0;
-    for (std::size_t i = 0; i < samples.size(); ++i) {
-      const double residual = samples[i].intensity - light.coefficients.dot(samples[i].basis);
-      weight_sum += weights[i];
-      square_sum += weights[i] * residual * residual;
-      residuals[i] = std::abs(residual);
-    }
-    light.rms = std::sqrt(square_sum / weight_sum);
+    light.rms = find_residuals(samples, weights, light.coefficients, residuals, context);
     std::vector<double> sorted = residuals;
     light.robust_sigma = 1.4826 * median_in_place(sorted);
     const double scale = std::max(options.outlier_scale * light.robust_sigma, 1e-12);

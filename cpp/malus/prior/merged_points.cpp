@@ -127,7 +127,7 @@ ProjectedCloud project(const PointCloud& cloud, const Pinhole& camera, const Pos
   parallel_for(context, cloud.points.size(), block_size, [&](std::size_t begin, std::size_t end) {
     std::vector<ProjectedPoint> out;
     std::vector<Eigen::Vector3f> normals;
-    PointCensus& counted = counts[begin / block_size];
+    PointCensus counted;
     out.reserve(end - begin);
     if (projected.has_normals()) normals.reserve(end - begin);
     PointInView batch[batch_size];
@@ -173,6 +173,7 @@ ProjectedCloud project(const PointCloud& cloud, const Pinhole& camera, const Pos
       }
     }
     projected.put(begin / block_size, out, normals);
+    counts[begin / block_size] = counted;
   });
   for (const PointCensus& counted : counts) census += counted;
   return projected;

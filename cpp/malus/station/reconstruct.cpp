@@ -354,10 +354,9 @@ Reconstruction reconstruct(const Station& station, const Options& options, const
                 {.after = {"polarizer", fused_by},
                  .option_sections = {"surface"},
                  .station = {{"name", station.file.name}, {"unit", station.file.unit}}},
-                [&](const Context& c, const std::filesystem::path& work, std::vector<std::string>& files) {
+                [&](const Context& c, StepOutputs& outputs) {
                   write_surface_files(*result.surface, images.color.empty() ? images.state.i_un : images.color,
-                                      options.surface, length_unit(station.file.unit), station.file.name, c, work,
-                                      files);
+                                      options.surface, length_unit(station.file.unit), station.file.name, c, outputs);
                 });
   }
   release(images.state.i_un, images.color);

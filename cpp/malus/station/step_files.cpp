@@ -1,4 +1,7 @@
+#include <algorithm>
 #include <cmath>
+#include <functional>
+#include <utility>
 
 #include "malus/core/parallel.h"
 #include "malus/io/atomic_file.h"
@@ -14,11 +17,12 @@ namespace {
 namespace fs = std::filesystem;
 
 void save_raster(const Image<float>& raster, const std::string& name, StepFiles& files) {
-  files.add({name}, [&raster, name](const fs::path& work) { write_float_tiff(work / name, raster); });
+  files.add({name}, raster.count() * sizeof(float),
+            [&raster, name](const fs::path& work) { write_float_tiff(work / name, raster); });
 }
 
 void save_bytes(const Image<std::uint8_t>& raster, const std::string& name, StepFiles& files) {
-  files.add({name}, [&raster, name](const fs::path& work) { write_png(work / name, raster); });
+  files.add({name}, raster.count(), [&raster, name](const fs::path& work) { write_png(work / name, raster); });
 }
 
 /// Folder of the maps of intensity, degree and phase, see PolarizationStep::awaits_surface.
@@ -77,14 +81,20 @@ Pose pose_from_json(const Json& json) {
 
 }  // namespace
 
-void StepFiles::add(const std::vector<std::string>& names, std::function<void(const fs::path& work)> write) {
-  names_.insert(names_.end(), names.begin(), names.end());
-  tasks_.push_back(std::move(write));
+void StepFiles::add(const std::vector<std::string>& names, std::size_t bytes,
+                    std::function<void(const fs::path& work)> write) {
+  tasks_.push_back({names, bytes, std::move(write)});
 }
 
-void StepFiles::write(const fs::path& work, const Context& context) const {
-  for (const std::string& name : names_) create_folder((work / name).parent_path());
-  parallel_for(context, tasks_.size(), 1, [&](std::size_t i, std::size_t) { tasks_[i](work); });
+void StepFiles::write(StepOutputs& outputs, const Context& context) {
+  for (const Task& task : tasks_) {
+    for (const std::string& name : task.names) create_folder((outputs.folder() / name).parent_path());
+  }
+  std::ranges::stable_sort(tasks_, std::greater<>(), &Task::bytes);
+  parallel_for(context, tasks_.size(), 1, [&](std::size_t i, std::size_t) {
+    tasks_[i].write(outputs.folder());
+    for (const std::string& name : tasks_[i].names) outputs.add(name);
+  });
 }
 
 Json to_json(const Pinhole& camera) {
@@ -236,7 +246,7 @@ Json save(const FusedSurface& result, StepFiles& files) {
   save_raster(result.depth, "fused/depth.tif", files);
   save_raster(result.normals, "fused/normals.tif", files);
   save_raster(result.sigma, "fused/sigma.tif", files);
-  files.add({"fused/camera.txt", "fused/image.txt"}, [&result](const fs::path& work) {
+  files.add({"fused/camera.txt", "fused/image.txt"}, 0, [&result](const fs::path& work) {
     write_colmap_text(work / "fused/camera.txt", work / "fused/image.txt", result.camera, result.pose, "depth.tif");
   });
   return {{"camera", to_json(result.camera)},
@@ -276,7 +286,7 @@ Json save(const AssessStep& result, StepFiles& files) {
   if (result.quality.reference && !result.quality.reference->distance.empty()) {
     save_raster(result.quality.reference->distance, "fused/reference_distance.tif", files);
   }
-  files.add({"quality.json"},
+  files.add({"quality.json"}, 0,
             [&result](const fs::path& work) { write_file(work / "quality.json", result.file.dump(2) + "\n"); });
   return Json::object();
 }

@@ -21,6 +21,7 @@
 #include "malus/polarization/polarizer_calibration.h"
 #include "malus/polarization/reflection.h"
 #include "malus/prior/depth_prior.h"
+#include "malus/station/step_outputs_internal.h"
 
 namespace malus {
 
@@ -63,15 +64,20 @@ struct AssessStep {
 /// The files of a step: what writes them is collected first, so that they can be written beside each other.
 class StepFiles {
  public:
-  /// `write(work)` writes the named files below the workspace folder. What it refers to must live until then.
-  void add(const std::vector<std::string>& names, std::function<void(const std::filesystem::path& work)> write);
-  /// Writes them all, on the context's threads, and makes their folders.
-  void write(const std::filesystem::path& work, const Context& context) const;
-  const std::vector<std::string>& names() const { return names_; }
+  /// `write(work)` writes the named files, of about so many bytes, below the workspace folder. What it refers to must
+  /// live until then.
+  void add(const std::vector<std::string>& names, std::size_t bytes,
+           std::function<void(const std::filesystem::path& work)> write);
+  /// Writes them all, on the context's threads, the largest first, and makes their folders.
+  void write(StepOutputs& outputs, const Context& context);
 
  private:
-  std::vector<std::string> names_;
-  std::vector<std::function<void(const std::filesystem::path& work)>> tasks_;
+  struct Task {
+    std::vector<std::string> names;
+    std::size_t bytes;
+    std::function<void(const std::filesystem::path& work)> write;
+  };
+  std::vector<Task> tasks_;
 };
 
 // For each result: `save` adds its rasters to the files of the step and returns the numbers that go into the manifest;

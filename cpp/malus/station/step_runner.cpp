@@ -89,14 +89,13 @@ StepRunner::Start StepRunner::begin(const std::string& step) {
   return {std::chrono::steady_clock::now(), cpu_seconds()};
 }
 
-void StepRunner::finish(const std::string& step, const std::string& key, const std::vector<std::string>& files,
-                        const Start& start, const Json& notes) {
+void StepRunner::record(const std::string& step, const std::string& key, const StepOutputs& outputs, const Start& start,
+                        const Json& notes) {
   context_.check_cancel();
   release_unused_memory();
   const std::chrono::duration<double> time = std::chrono::steady_clock::now() - start.time;
   const Workspace::Use use{time.count(), cpu_seconds() - start.cpu_seconds, peak_mb()};
-  if (workspace_) workspace_->finish(step, key, files, use, notes.dump());
-  context_.progress(step, 1.0);
+  workspace_->finish(step, key, outputs.written(), use, notes.dump());
 }
 
 void StepRunner::report_kept(const std::string& step) const {

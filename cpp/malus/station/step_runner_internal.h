@@ -52,17 +52,18 @@ class StepRunner {
     }
     const auto start = begin(step);
     T result = compute(context_of(step));
-    StepFiles files;
-    Json notes = Json::object();
     if (workspace_) {
-      notes = save(result, files);
-      files.write(workspace_->folder(), context_);
+      StepFiles files;
+      const Json notes = save(result, files);
+      StepOutputs outputs(*workspace_);
+      files.write(outputs, context_);
+      record(step, key, outputs, start, notes);
     }
-    finish(step, key, files.names(), start, notes);
+    context_.progress(step, 1.0);
     return result;
   }
 
-  /// A step that only writes files below the workspace: `write(context, folder, files)`, not run in memory.
+  /// A step that only writes files below the workspace: `write(context, outputs)`, not run in memory.
   template <class Write>
   void write(const std::string& step, const StepInputs& inputs, Write&& write_files) {
     if (!workspace_) return;
@@ -72,9 +73,10 @@ class StepRunner {
       return;
     }
     const auto start = begin(step);
-    std::vector<std::string> files;
-    write_files(context_of(step), workspace_->folder(), files);
-    finish(step, key, files, start, Json::object());
+    StepOutputs outputs(*workspace_);
+    write_files(context_of(step), outputs);
+    record(step, key, outputs, start, Json::object());
+    context_.progress(step, 1.0);
   }
 
  private:
@@ -85,11 +87,12 @@ class StepRunner {
   };
 
   std::string key_of(const std::string& step, const StepInputs& inputs);
-  /// The context for a step's computation: its parts' progress counts as the step's, which ends with `finish`.
+  /// The context for a step's computation: its parts' progress counts as the step's, which ends when it is recorded.
   Context context_of(const std::string& step) const;
   Start begin(const std::string& step);
-  void finish(const std::string& step, const std::string& key, const std::vector<std::string>& files,
-              const Start& start, const Json& notes);
+  /// Marks the step as done in the manifest.
+  void record(const std::string& step, const std::string& key, const StepOutputs& outputs, const Start& start,
+              const Json& notes);
   void report_kept(const std::string& step) const;
 
   const Context& context_;

@@ -25,7 +25,8 @@ std::string write_elevation(const std::filesystem::path& path, const MeshInStrip
 
 void write_surface_files(const FusedSurface& surface, const Image<float>& color, const SurfaceOptions& options,
                          const LengthUnit& unit, const std::string& name, const Context& context,
-                         const std::filesystem::path& work, std::vector<std::string>& files) {
+                         StepOutputs& outputs) {
+  const std::string ply = "fused/surface.ply", glb = "fused/surface.glb", dem = "fused/dem.tif";
   // The full mesh is many times larger than the maps it comes from.
   const MeshInStrips mesh = mesh_in_strips(surface, color, options, context);
   const auto write_display = [&](const Context& inner) {
@@ -33,29 +34,27 @@ void write_surface_files(const FusedSurface& surface, const Image<float>& color,
         display_image(color, surface.depth, options.white_percentile, options.glb_texture_px, inner);
     SurfaceOptions coarse = options;
     coarse.subsample = subsample_for(mesh.triangles, options.glb_triangles, options);
-    write_glb(work / "fused/surface.glb", mesh_from_depth(surface, {}, coarse, inner),
+    write_glb(outputs.folder() / glb, mesh_from_depth(surface, {}, coarse, inner),
               {texture, surface.camera, surface.pose}, unit, name, inner);
   };
 
-  // The large file is bound by the system's copying of its pages, which one thread does at a time; the others compute,
-  // and whoever is done first helps.
+  // The large file is bound by the disk, or by the system's copying of its pages, which one thread does at a time; the
+  // others compute, and whoever is done first helps.
   Context quiet = context;
   quiet.on_progress = nullptr;
   std::string no_elevation;
   parallel_for(context, 2, 1, [&](std::size_t task, std::size_t) {
     if (task == 0) {
-      write_ply(work / "fused/surface.ply", mesh, quiet);
+      write_ply(outputs.folder() / ply, mesh, quiet);
+      outputs.add(ply);
     } else {
       write_display(quiet);
-      no_elevation = write_elevation(work / "fused/dem.tif", mesh, surface, options, unit, name, quiet);
+      outputs.add(glb);
+      no_elevation = write_elevation(outputs.folder() / dem, mesh, surface, options, unit, name, quiet);
+      if (no_elevation.empty()) outputs.add(dem);
     }
   });
-  files.insert(files.end(), {"fused/surface.ply", "fused/surface.glb"});
-  if (no_elevation.empty()) {
-    files.emplace_back("fused/dem.tif");
-  } else {
-    context.log(LogLevel::warning, "no fused/dem.tif: " + no_elevation);
-  }
+  if (!no_elevation.empty()) context.log(LogLevel::warning, "no " + dem + ": " + no_elevation);
 }
 
 }  // namespace malus

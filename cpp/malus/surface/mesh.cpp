@@ -2,7 +2,6 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
-#include <bit>
 #include <cmath>
 #include <memory>
 #include <numbers>
@@ -68,6 +67,8 @@ class Cuts {
 constexpr std::array<std::array<std::size_t, 3>, 4> corner_triangles{{{0, 2, 1}, {1, 0, 3}, {2, 3, 0}, {3, 1, 2}}};
 /// The triangles (bits) that have each corner.
 constexpr std::array<std::uint8_t, 4> triangles_at{0b0111, 0b1011, 0b1101, 0b1110};
+/// How many bits of a cell are set; portable processors have no instruction for it.
+constexpr std::array<std::uint8_t, 16> triangle_count{0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4};
 
 /// Strips have about so many pixels: their meshes stay in a core's cache while they are written.
 constexpr int pixels_of_strip = 1 << 17;
@@ -107,8 +108,7 @@ class Grid {
   std::size_t triangles_in_row(int j) const {
     std::size_t count = 0;
     if (j >= cells_.height()) return count;
-    for (int i = 0; i < cells_.width(); ++i)
-      count += static_cast<std::size_t>(std::popcount(static_cast<unsigned>(cells_(i, j))));
+    for (int i = 0; i < cells_.width(); ++i) count += triangle_count[cells_(i, j)];
     return count;
   }
 
@@ -162,7 +162,7 @@ class Grid {
       if (possible[c] && faces_camera(points, corner_triangles[c])) present |= static_cast<std::uint8_t>(1 << c);
     }
     constexpr std::uint8_t split_falling = 1 << 1 | 1 << 2, split_rising = 1 << 0 | 1 << 3;  // diagonal 0–3 and 1–2
-    const auto count = [&](std::uint8_t split) { return std::popcount(static_cast<unsigned>(present & split)); };
+    const auto count = [&](std::uint8_t split) { return static_cast<int>(triangle_count[present & split]); };
     const int difference = count(split_falling) - count(split_rising);
     const bool falling = difference != 0
                              ? difference > 0
@@ -223,14 +223,20 @@ class StripMaker {
     std::vector<std::size_t> vertices(strips), triangles(strips);
     std::vector<Eigen::AlignedBox3d> boxes(strips);
     parallel_for(context, strips, 1, [&](std::size_t k, std::size_t) {
+      // Their own, since threads that write to neighbouring places wait for each other.
+      std::size_t used = 0, faces = 0;
+      Eigen::AlignedBox3d box;
       for (int j = grid_.first_row(k); j < grid_.last_row(k); ++j) {
-        triangles[k] += grid_.triangles_in_row(j);
+        faces += grid_.triangles_in_row(j);
         for (int i = 0; i < grid_.size().width; ++i) {
           if (!grid_.is_used(i, j)) continue;
-          ++vertices[k];
-          boxes[k].extend(world_point(i, j));
+          ++used;
+          box.extend(world_point(i, j));
         }
       }
+      vertices[k] = used;
+      triangles[k] = faces;
+      boxes[k] = box;
     });
     first_vertex_ = starts_of(vertices);
     first_triangle_ = starts_of(triangles);

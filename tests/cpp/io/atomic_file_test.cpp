@@ -7,6 +7,7 @@
 
 #include "malus/io/image_file.h"
 #include "malus/io/input_file.h"
+#include "malus/io/record_writer_internal.h"
 #include "temporary_folder.h"
 
 namespace malus {
@@ -60,6 +61,29 @@ TEST(AtomicFile, ReservedRoomIsFilledByWhatIsWritten) {
   file.write_at(3, "def", 3);
   file.commit();
   EXPECT_EQ(read_file(path, "result"), "abcdef");
+}
+
+TEST(AtomicFile, LargeFilesAreWrittenByAllThreadsWherePagesEndAnywhere) {
+  // 65 MB of records that are no divisor of a page, behind a header.
+  constexpr std::size_t header = 301, record = 27, count = 2'500'000;
+  const TemporaryFolder folder;
+  const auto path = folder / "large";
+  const auto byte_of = [](std::size_t at) { return static_cast<char>(at % 251 + at / 4096 % 7); };
+  Context context;
+  context.threads = 3;
+  AtomicFile file(path);
+  file.expect(header + count * record);
+  file.write(std::string(header, '#'));
+  write_records(file, header, count, record, context, [&](std::size_t i, RecordEncoder& encoder) {
+    for (std::size_t k = 0; k < record; ++k) encoder.put(byte_of(i * record + k));
+  });
+  file.commit();
+  const std::string written = read_file(path, "large");
+  ASSERT_EQ(written.size(), header + count * record);
+  EXPECT_EQ(written.substr(0, header), std::string(header, '#'));
+  std::size_t wrong = 0;
+  for (std::size_t i = 0; i < count * record; ++i) wrong += written[header + i] != byte_of(i);
+  EXPECT_EQ(wrong, 0U);
 }
 
 TEST(AtomicFile, WrongPlaceIsAnInputErrorWithPathAndReason) {

@@ -41,7 +41,8 @@ TEST(Workspace, RemembersFinishedStepsAcrossRuns) {
     workspace.begin("prior");
     EXPECT_FALSE(workspace.is_done("prior", "key"));
     folder.write("work/deep/prior/depth.tif", "1234");
-    workspace.finish("prior", "key", {"prior/depth.tif"}, {1.5, 2.5, 100}, R"({"b": 2.5, "a": [1]})");
+    workspace.finish("prior", "key", {workspace.examine("prior/depth.tif")}, {1.5, 2.5, 100},
+                     R"({"b": 2.5, "a": [1]})");
     workspace.set_info("options", R"({"x": 1})");
   }
   {
@@ -65,14 +66,14 @@ TEST(Workspace, MissingOrChangedOutputsAreNotDone) {
   const TemporaryFolder folder;
   Workspace workspace(folder.path());
   folder.write("a.tif", "1234");
-  workspace.finish("step", "key", {"a.tif"}, {});
+  workspace.finish("step", "key", {workspace.examine("a.tif")}, {});
   EXPECT_TRUE(workspace.is_done("step", "key"));
   folder.write("a.tif", "12345");
   EXPECT_FALSE(workspace.is_done("step", "key"));
   std::filesystem::remove(folder / "a.tif");
   EXPECT_FALSE(workspace.is_done("step", "key"));
   expect_error(
-      ErrorCode::input, [&] { workspace.finish("step", "key", {"a.tif"}, {}); }, "output", "a.tif");
+      ErrorCode::input, [&] { workspace.finish("step", "key", {workspace.examine("a.tif")}, {}); }, "output", "a.tif");
 }
 
 TEST(Workspace, BeginRemovesTheMarkOnDisk) {
@@ -80,7 +81,7 @@ TEST(Workspace, BeginRemovesTheMarkOnDisk) {
   folder.write("a.tif", "1234");
   {
     Workspace workspace(folder.path());
-    workspace.finish("step", "key", {"a.tif"}, {});
+    workspace.finish("step", "key", {workspace.examine("a.tif")}, {});
     workspace.begin("step");
   }
   EXPECT_FALSE(Workspace(folder.path()).is_done("step", "key")) << "as after a run that died in the step";
@@ -93,8 +94,8 @@ TEST(Workspace, EqualRunsDifferOnlyInTimes) {
     folder->write("y", "2");
     Workspace workspace(folder->path());
     const bool first = folder == &a;
-    workspace.finish(first ? "one" : "two", "k", {first ? "x" : "y"}, {first ? 1.0 : 2.0});
-    workspace.finish(first ? "two" : "one", "k", {first ? "y" : "x"}, {first ? 3.0 : 4.0});
+    workspace.finish(first ? "one" : "two", "k", {workspace.examine(first ? "x" : "y")}, {first ? 1.0 : 2.0});
+    workspace.finish(first ? "two" : "one", "k", {workspace.examine(first ? "y" : "x")}, {first ? 3.0 : 4.0});
   }
   nlohmann::json one = manifest_of(a.path()), two = manifest_of(b.path());
   EXPECT_NE(one["times"], two["times"]);
@@ -131,7 +132,7 @@ TEST(Workspace, DamagedManifestSaysWhatToDo) {
   folder.write("a.tif", "1234");
   {
     Workspace workspace(folder.path());
-    workspace.finish("step", "key", {"a.tif"}, {});
+    workspace.finish("step", "key", {workspace.examine("a.tif")}, {});
   }
   const std::string good = read_file(folder / "manifest.json", "manifest");
   for (
