@@ -8,6 +8,7 @@
 #include "malus/io/image_file.h"
 #include "malus/io/input_file.h"
 #include "malus/io/record_writer_internal.h"
+#include "malus/io/sha256.h"
 #include "temporary_folder.h"
 
 namespace malus {
@@ -78,12 +79,15 @@ TEST(AtomicFile, LargeFilesAreWrittenByAllThreadsWherePagesEndAnywhere) {
     for (std::size_t k = 0; k < record; ++k) encoder.put(byte_of(i * record + k));
   });
   file.commit();
+  // Not in the system's cache yet, and hashed past it too.
+  const std::string hash = sha256_of_file(path, "large", AfterHash::not_read_soon);
   const std::string written = read_file(path, "large");
   ASSERT_EQ(written.size(), header + count * record);
   EXPECT_EQ(written.substr(0, header), std::string(header, '#'));
   std::size_t wrong = 0;
   for (std::size_t i = 0; i < count * record; ++i) wrong += written[header + i] != byte_of(i);
   EXPECT_EQ(wrong, 0U);
+  EXPECT_EQ(hash, sha256_of_bytes(written));
 }
 
 TEST(AtomicFile, WrongPlaceIsAnInputErrorWithPathAndReason) {
