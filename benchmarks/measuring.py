@@ -12,6 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 ROOT = Path(__file__).resolve().parents[1]
 Row = dict[str, Any]
 
@@ -26,6 +28,12 @@ def timed(work: Callable[[], Any]) -> float:
     return time.perf_counter() - start
 
 
+def touch_memory(gigabytes: float = 3.0) -> None:
+    """Writes to so much memory and frees it. The host of a virtual machine may take back what is free: memory that a process gets is then
+    as slow as a disk, the more so the longer nothing ran before."""
+    np.ones(int(gigabytes * 1e9 / 8))
+
+
 def peer(*arguments: object) -> Row:
     """A measurement of peers.py in a process of its own."""
     return _json_of(sys.executable, ROOT / "benchmarks" / "peers.py", *arguments)
@@ -37,6 +45,7 @@ def program(name: str, *arguments: object) -> Row:
 
 
 def _json_of(*command: object) -> Row:
+    touch_memory()
     done = subprocess.run([str(part) for part in command], capture_output=True, text=True, check=True)
     row: Row = json.loads(done.stdout.splitlines()[-1])
     return row

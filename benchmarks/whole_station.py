@@ -17,7 +17,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from measuring import ROOT, Row
+from measuring import ROOT, Row, touch_memory
 
 from malus import synthetic
 from malus.reconstruction import STEPS
@@ -44,6 +44,7 @@ def measure(station: Path, fusion: str, threads: int, until: str | None = None) 
     shutil.rmtree(work, ignore_errors=True)
     command = [PROGRAM, station, "-o", work, "--fusion", fusion, "--threads", str(threads), "--quiet"]
     command += ["--until", until] if until else []
+    touch_memory(4)
     subprocess.run(command, check=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"})
     times = json.loads((work / "manifest.json").read_text())["times"]
     shutil.rmtree(work)
