@@ -134,7 +134,9 @@ def clouds_and_meshes(arguments: argparse.Namespace, folder: Path) -> str:
     clouds = medians(
         {f"{arguments.threads} threads": visible(arguments.threads), "1 thread": visible(1)}, arguments.runs
     )
-    meshes = medians({"meshes": lambda: program("mesh_files", arguments.fit_side, folder, arguments.threads)}, arguments.runs)["meshes"]
+    meshes = medians(
+        {"meshes": lambda: program("mesh_files", arguments.fit_side, folder, arguments.threads)}, arguments.runs
+    )["meshes"]
     lines = [
         [name, *(f"{meshes[f'{name}_{kind}_mb_s']:.0f}" for kind in ("written", "copied"))] for name in ("ply", "glb")
     ]

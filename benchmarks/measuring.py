@@ -12,8 +12,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 ROOT = Path(__file__).resolve().parents[1]
 Row = dict[str, Any]
 
@@ -30,8 +28,8 @@ def timed(work: Callable[[], Any]) -> float:
 
 def touch_memory(gigabytes: float = 3.0) -> None:
     """Writes to so much memory and frees it. The host of a virtual machine may take back what is free: memory that a process gets is then
-    as slow as a disk, the more so the longer nothing ran before."""
-    np.ones(int(gigabytes * 1e9 / 8))
+    as slow as a disk, the more so the longer nothing ran before. In a process of its own: a child's peak memory begins with its parent's."""
+    subprocess.run([sys.executable, "-c", f"import numpy; numpy.ones({int(gigabytes * 1e9 / 8)})"], check=True)
 
 
 def peer(*arguments: object) -> Row:
