@@ -26,13 +26,13 @@ struct StepCost {
   double megabytes_per_mpx;
   double megabytes_per_thread;
 };
-constexpr StepCost polarization_cost{0.2, 0.75, 64, 0};
-constexpr StepCost cloud_cost{5.8, 0.83, 85, 250};
+constexpr StepCost polarization_cost{0.14, 0.8, 64, 0};
+constexpr StepCost cloud_cost{5.3, 0.88, 100, 250};
 constexpr StepCost raster_cost{0.04, 0.5, 35, 0};
-constexpr StepCost height_cost{1.8, 0.93, 52, 170};
+constexpr StepCost height_cost{1.65, 0.93, 52, 170};
 constexpr StepCost grid_cost{0.12, 0.8, 56, 0};
-constexpr StepCost refine_cost{44, 0.96, 50, 0};  // memory: and what refine_parts_megabytes says
-constexpr StepCost output_cost{0.78, 0.85, 57, 20};
+constexpr StepCost refine_cost{45, 0.96, 50, 0};  // memory: and what refine_parts_megabytes says
+constexpr StepCost output_cost{0.7, 0.85, 57, 20};
 /// Of the process before anything is read.
 constexpr double megabytes_fixed = 30;
 
