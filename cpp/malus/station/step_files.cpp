@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <mutex>
 #include <utility>
 
 #include "malus/core/parallel.h"
@@ -91,9 +92,27 @@ void StepFiles::write(StepOutputs& outputs, const Context& context) {
     for (const std::string& name : task.names) create_folder((outputs.folder() / name).parent_path());
   }
   std::ranges::stable_sort(tasks_, std::greater<>(), &Task::bytes);
-  parallel_for(context, tasks_.size(), 1, [&](std::size_t i, std::size_t) {
-    tasks_[i].write(outputs.folder());
-    for (const std::string& name : tasks_[i].names) outputs.add(name);
+  // Who finds nothing left to write hashes what is written.
+  std::mutex mutex;
+  std::size_t next = 0;
+  std::vector<std::string> written;
+  parallel_for(context, tasks_.size(), 1, [&](std::size_t, std::size_t) {
+    std::unique_lock lock(mutex);
+    while (next < tasks_.size() || !written.empty()) {
+      if (next < tasks_.size()) {
+        const Task& task = tasks_[next++];
+        lock.unlock();
+        task.write(outputs.folder());
+        lock.lock();
+        written.insert(written.end(), task.names.begin(), task.names.end());
+      } else {
+        const std::string name = written.back();
+        written.pop_back();
+        lock.unlock();
+        outputs.add(name);
+        lock.lock();
+      }
+    }
   });
 }
 
