@@ -3,14 +3,13 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <limits>
 #include <numeric>
 #include <vector>
 
+#include "malus/core/median.h"
 #include "malus/core/parallel.h"
-#include "malus/core/ranked_values.h"
 #include "malus/polarization/ray_frame.h"
 
 namespace malus {
@@ -47,15 +46,6 @@ NormalEquations normal_equations(const std::vector<Sample>& samples, const std::
     }
     return sum;
   });
-}
-
-/// The upper one of an even number, to the precision of a float.
-double median_of(const std::vector<double>& values, const Context& context) {
-  const auto list = [&values](std::size_t begin, std::size_t end, float* part) {
-    for (std::size_t i = begin; i < end; ++i) part[i - begin] = static_cast<float>(values[i]);
-  };
-  const RankedValues ranked(values.size(), list, context);
-  return ranked.size() == 0 ? 0 : ranked.at(std::array{ranked.size() / 2}).front();
 }
 
 /// Writes the absolute residuals; returns their weighted root mean square.
@@ -142,7 +132,8 @@ LightEstimate estimate_light(const Image<float>& intensity, const Image<float>& 
     light.coefficients.head(unknowns) = used.ldlt().solve(equations.right.head(unknowns));
 
     light.rms = find_residuals(samples, weights, light.coefficients, residuals, context);
-    light.robust_sigma = 1.4826 * median_of(residuals, context);
+    std::vector<double> sorted = residuals;
+    light.robust_sigma = 1.4826 * median_in_place(sorted);
     const double scale = std::max(options.outlier_scale * light.robust_sigma, 1e-12);
     for (std::size_t i = 0; i < samples.size(); ++i) {
       weights[i] = 1 / (1 + residuals[i] * residuals[i] / (scale * scale));
