@@ -2,7 +2,9 @@
 
 #include <openssl/evp.h>
 
+#include <algorithm>
 #include <array>
+#include <cstdint>
 #include <future>
 #include <memory>
 #include <stdexcept>
@@ -53,16 +55,17 @@ std::string sha256_of_bytes(std::string_view bytes) {
 }
 
 std::string sha256_of_file(const std::filesystem::path& path, const std::string& what, AfterHash after) {
-  constexpr std::size_t part = 4 << 20, page = 4096;
+  constexpr std::size_t largest_part = 4 << 20, page = 4096;
   InputFile file(path, what);
-  if (after == AfterHash::not_read_soon && file.size() > 4 * part) file.pass_by_cache();
+  if (after == AfterHash::not_read_soon && file.size() > 4 * largest_part) file.pass_by_cache();
+  const auto part = static_cast<std::size_t>(std::min<std::uint64_t>(largest_part, (file.size() / page + 1) * page));
   Sha256 hash;
   LargeVector<char> memory(2 * part + page);
   void* pages = memory.data();
   std::size_t space = memory.size();
   std::align(page, 2 * part, pages, space);
   std::array<char*, 2> parts{static_cast<char*>(pages), static_cast<char*>(pages) + part};
-  const auto read = [&file](char* to) { return file.read_some(to, part); };
+  const auto read = [&file, part](char* to) { return file.read_some(to, part); };
   std::size_t length = read(parts[0]);
   while (length > 0) {
     // The next part is read while this one is hashed.
