@@ -14,7 +14,8 @@ int main() {
   std::vector<double> angles;
   for (int k = 0; k < 6; ++k) {
     angles.push_back(k * std::numbers::pi / 6);
-    images.emplace_back(malus::Size{8, 8}, 1, static_cast<float>(0.4 * (1 + degree * std::cos(2 * (angles.back() - phase)))));
+    images.emplace_back(malus::Size{8, 8}, 1,
+                        static_cast<float>(0.4 * (1 + degree * std::cos(2 * (angles.back() - phase)))));
   }
   const malus::Mask mask({8, 8}, 1, 255);
   const auto state = malus::decompose(images, angles, {}, mask, {}, {}, {});
@@ -24,7 +25,7 @@ int main() {
     return 1;
   } catch (const malus::Error& error) {
     std::printf("malus %s: degree %.4f, phase %.4f, %zu steps, %s\n", malus::version, state.rho(3, 3), state.phi(3, 3),
-                malus::step_names.size(), error.what());
+                malus::step_names().size(), error.what());
     return right && error.code() == malus::ErrorCode::input ? 0 : 1;
   }
 }

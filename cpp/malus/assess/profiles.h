@@ -8,7 +8,7 @@
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
 #include "malus/core/image.h"
-#include "malus/io/station_file.h"
+#include "malus/io/station_spec.h"
 
 namespace malus {
 

@@ -9,7 +9,7 @@
 #include "malus/assess/patches.h"
 #include "malus/assess/profiles.h"
 #include "malus/height/height_map.h"
-#include "malus/io/station_file.h"
+#include "malus/io/station_spec.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/prior/depth_prior.h"
 

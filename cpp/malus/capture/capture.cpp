@@ -40,9 +40,6 @@ void check_input(const CaptureInput& input) {
     throw input_error("angles_deg has " + std::to_string(spec.angles_deg->size()) + " angles for " +
                       std::to_string(input.names.size()) + " images");
   }
-  if (spec.angle_direction != "ccw" && spec.angle_direction != "cw") {
-    throw input_error("angle_direction = \"" + spec.angle_direction + "\", expected \"ccw\" or \"cw\"");
-  }
   if (spec.frames_averaged < 1) {
     throw input_error("frames_averaged = " + std::to_string(spec.frames_averaged) + ", expected 1 or more");
   }
@@ -58,7 +55,7 @@ std::vector<double> polarizer_angles_rad(const PolarizedSpec& spec) {
   } else if (spec.angles_deg) {
     readings_deg = *spec.angles_deg;
   }
-  const double sign = spec.angle_direction == "cw" ? -1 : 1;
+  const double sign = spec.angle_direction == AngleDirection::clockwise ? -1 : 1;
   for (double& reading : readings_deg) reading = sign * (reading - spec.angle_zero_deg) * std::numbers::pi / 180;
   return readings_deg;
 }

@@ -12,7 +12,7 @@
 #include "malus/core/context.h"
 #include "malus/core/fields.h"
 #include "malus/io/image_file.h"
-#include "malus/io/station_file.h"
+#include "malus/io/station_spec.h"
 
 namespace malus {
 

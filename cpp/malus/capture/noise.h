@@ -4,7 +4,7 @@
 #include <optional>
 
 #include "malus/capture/response.h"
-#include "malus/io/station_file.h"
+#include "malus/io/station_spec.h"
 #include "malus/polarization/noise_model.h"
 
 namespace malus {

@@ -201,13 +201,19 @@ std::array<double, 3> channel_weights(const PolarizedSpec& spec) {
     for (double& weight : weights) weight /= sum;
     return weights;
   }
-  if (spec.channel == "red") return {1, 0, 0};
-  if (spec.channel == "green") return {0, 1, 0};
-  if (spec.channel == "blue") return {0, 0, 1};
-  if (spec.channel == "mean") return {1.0 / 3, 1.0 / 3, 1.0 / 3};
-  if (spec.channel == "luminance") return {0.2126, 0.7152, 0.0722};
-  throw input_error("channel = \"" + spec.channel +
-                    "\", expected \"luminance\", \"mean\", \"red\", \"green\" or \"blue\"");
+  switch (spec.channel) {
+    case ColorChannel::red:
+      return {1, 0, 0};
+    case ColorChannel::green:
+      return {0, 1, 0};
+    case ColorChannel::blue:
+      return {0, 0, 1};
+    case ColorChannel::mean:
+      return {1.0 / 3, 1.0 / 3, 1.0 / 3};
+    case ColorChannel::luminance:
+      break;
+  }
+  return {0.2126, 0.7152, 0.0722};
 }
 
 LinearImage linearize(RawImage raw, const ResponseCurve& curve, const Levels& levels,

@@ -463,22 +463,27 @@ LensCamera to_colmap_pixels(LensCamera camera) {
   return shifted(std::move(camera), colmap_offset);
 }
 
+std::vector<std::filesystem::path> colmap_model_files(const std::filesystem::path& folder) {
+  for (const std::string ending : {".bin", ".txt"}) {
+    const std::vector files{folder / ("cameras" + ending), folder / ("images" + ending)};
+    if (std::filesystem::exists(files[0]) && std::filesystem::exists(files[1])) return files;
+  }
+  throw input_error(
+      "COLMAP model " + folder.string() +
+      (std::filesystem::is_directory(folder) ? " has no cameras and images files (.bin or .txt)" : " is not a folder"));
+}
+
 ColmapModel read_colmap_model(const std::filesystem::path& folder, ColmapParts parts) {
   Builder builder(folder);
   const bool points = parts == ColmapParts::everything;
-  if (std::filesystem::exists(builder.file("cameras.bin")) && std::filesystem::exists(builder.file("images.bin"))) {
+  if (colmap_model_files(folder)[0].extension() == ".bin") {
     read_cameras_binary(builder);
     read_images_binary(builder, parts);
     if (points && std::filesystem::exists(builder.file("points3D.bin"))) read_points_binary(builder);
-  } else if (std::filesystem::exists(builder.file("cameras.txt")) &&
-             std::filesystem::exists(builder.file("images.txt"))) {
+  } else {
     read_cameras_text(builder);
     read_images_text(builder, parts);
     if (points && std::filesystem::exists(builder.file("points3D.txt"))) read_points_text(builder);
-  } else {
-    throw input_error("COLMAP model " + folder.string() +
-                      (std::filesystem::is_directory(folder) ? " has no cameras and images files (.bin or .txt)"
-                                                             : " is not a folder"));
   }
   return builder.take();
 }
@@ -495,15 +500,17 @@ void write_colmap_model(const std::filesystem::path& folder, const ColmapModel& 
   }
 }
 
-void write_colmap_text(const std::filesystem::path& camera_path, const std::filesystem::path& image_path,
-                       const Pinhole& camera, const Pose& pose, const std::string& image_name) {
+std::string colmap_text(const Pinhole& camera) {
   const LensCamera lens{LensModel::pinhole, camera.size, {camera.fx, camera.fy, camera.cx, camera.cy}};
+  return std::string(cameras_header) + camera_line(1, lens);
+}
+
+std::string colmap_text(const Pose& pose, const std::string& image_name) {
   ColmapImage image;
   image.name = image_name;
   image.camera_id = 1;
   image.pose = pose;
-  write_file(camera_path, std::string(cameras_header) + camera_line(1, lens));
-  write_file(image_path, std::string(images_header) + image_lines(1, image));
+  return std::string(images_header) + image_lines(1, image);
 }
 
 Image<float> read_colmap_array(const std::filesystem::path& path) {

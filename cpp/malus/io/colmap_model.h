@@ -65,12 +65,15 @@ enum class ColmapParts { cameras_and_images, everything };
 /// of an unknown camera, numbers that are not finite, a rotation of length zero.
 ColmapModel read_colmap_model(const std::filesystem::path& folder, ColmapParts parts = ColmapParts::everything);
 
+/// The files of a model's cameras and images that read_colmap_model reads. Throws ErrorCode::input if there are none.
+std::vector<std::filesystem::path> colmap_model_files(const std::filesystem::path& folder);
+
 /// Writes a model that COLMAP 3.8 and 4.x read, to an existing folder. `brown` has no counterpart there: input error.
 void write_colmap_model(const std::filesystem::path& folder, const ColmapModel& model, ColmapFormat format);
 
-/// Writes one PINHOLE camera (id 1) and one image (id 1) as COLMAP text, to two files.
-void write_colmap_text(const std::filesystem::path& camera_path, const std::filesystem::path& image_path,
-                       const Pinhole& camera, const Pose& pose, const std::string& image_name);
+/// Content of a cameras.txt with one PINHOLE camera (id 1), and of an images.txt with one image (id 1) that it took.
+std::string colmap_text(const Pinhole& camera);
+std::string colmap_text(const Pose& pose, const std::string& image_name);
 
 /// Depth map (1 channel) or normal map (3) of COLMAP's dense stereo, `*.geometric.bin`: "w&h&c&", then float32, channel
 /// after channel. Pixels without a value (all zeros there) are NaN.

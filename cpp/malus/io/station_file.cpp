@@ -9,6 +9,7 @@
 #include <set>
 #include <sstream>
 
+#include "malus/core/length_unit.h"
 #include "malus/io/colmap_model.h"
 #include "malus/io/colmap_workspace.h"
 #include "malus/io/image_file.h"
@@ -24,15 +25,19 @@ constexpr double distinct_angle_deg = 1e-3;
 
 constexpr std::array<std::string_view, 4> bayer_patterns{"RGGB", "BGGR", "GRBG", "GBRG"};
 
-/// One of the allowed texts, or the fallback when the key is absent.
-std::string choice(const TomlTable& table, std::string_view key, const std::string& fallback,
-                   const std::vector<std::string_view>& allowed) {
-  const auto value = table.text(key);
-  if (!value) return fallback;
-  if (std::find(allowed.begin(), allowed.end(), *value) != allowed.end()) return *value;
-  std::string list;
-  for (const std::string_view name : allowed) list += (list.empty() ? "\"" : ", \"") + std::string(name) + '"';
-  throw table.wrong(key, "one of " + list);
+/// Keys of a spec's fields, and those that only the file has.
+template <class Spec>
+std::vector<std::string_view> keys_of(const Spec& spec, std::vector<std::string_view> keys = {}) {
+  Spec::fields(spec, [&keys](std::string_view key, const auto&...) { keys.push_back(key); });
+  return keys;
+}
+
+/// Sets the fields that have no form of their own.
+template <class Spec>
+void read_fields(const TomlTable& table, Spec& spec) {
+  Spec::fields(spec, [&table](std::string_view key, auto& value, const auto& range) {
+    if constexpr (std::convertible_to<decltype(range), Range>) table.read(key, value, range);
+  });
 }
 
 /// Sub-table of the document, or nothing.
@@ -53,6 +58,14 @@ std::vector<const toml::table*> tables(const TomlTable& table, std::string_view 
     result.push_back(element.as_table());
   }
   return result;
+}
+
+std::string read_unit(const TomlTable& table, const std::string& otherwise) {
+  const std::string name = table.text("unit").value_or(otherwise);
+  if (std::ranges::find(length_units, name, &LengthUnit::name) != length_units.end()) return name;
+  std::string list;
+  for (const LengthUnit& unit : length_units) list += (list.empty() ? "\"" : ", \"") + std::string(unit.name) + '"';
+  throw table.wrong("unit", "one of " + list);
 }
 
 // ---- [polarized] ----
@@ -195,6 +208,7 @@ std::optional<std::vector<double>> read_exposures(const TomlTable& table, const 
 
 PolarizedSpec read_polarized(const TomlTable& table) {
   PolarizedSpec spec;
+  read_fields(table, spec);
   spec.images = read_image_list(table);
   if (table.has("mosaic")) {
     spec.mosaic = read_mosaic(table);
@@ -215,10 +229,6 @@ PolarizedSpec read_polarized(const TomlTable& table) {
     spec.angles_deg = read_angles(table, spec.images);
   }
   spec.exposure_s = read_exposures(table, spec);
-  spec.angle_direction = choice(table, "angle_direction", spec.angle_direction, {"ccw", "cw"});
-  spec.angle_zero_deg = table.number("angle_zero_deg", {-360, 360}).value_or(spec.angle_zero_deg);
-
-  spec.channel = choice(table, "channel", spec.channel, {"luminance", "red", "green", "blue", "mean"});
   spec.channel_weights = table.numbers_exactly<3>("channel_weights", not_negative);
   if (spec.channel_weights) {
     if (table.has("channel")) throw table.error("channel", "cannot be given together with channel_weights");
@@ -228,8 +238,6 @@ PolarizedSpec read_polarized(const TomlTable& table) {
   }
 
   spec.response = read_response(table);
-  spec.white_level = table.number("white_level", positive_range);
-  spec.black_level = table.number("black_level", not_negative).value_or(spec.black_level);
   if (spec.white_level && spec.black_level >= *spec.white_level) {
     throw table.wrong("black_level", "less than the white level");
   }
@@ -241,10 +249,6 @@ PolarizedSpec read_polarized(const TomlTable& table) {
       throw table.error("images", "has RAW files and others, expected one kind");
     }
   }
-  spec.frames_averaged = table.integer("frames_averaged", {1, 1e6}).value_or(spec.frames_averaged);
-  spec.full_well_e = table.number("full_well_e", positive_range);
-  spec.read_noise_e = table.number("read_noise_e", not_negative);
-  spec.mask = table.existing_file("mask");
   return spec;
 }
 
@@ -257,14 +261,17 @@ OpticsSpec read_optics(const TomlTable& table) {
   } else {
     spec.refractive_index = table.number("refractive_index", {1.05, 4}).value_or(*spec.refractive_index);
   }
-  spec.reflection = table.text("reflection").value_or(spec.reflection);
-  if (spec.reflection != "auto" && spec.reflection != "diffuse" && spec.reflection != "specular") {
-    if (!std::filesystem::exists(table.resolve(spec.reflection))) {
-      throw table.wrong("reflection", "\"diffuse\", \"specular\", \"auto\" or the file of a label image");
-    }
-    spec.label_image = table.existing_file("reflection");
-    spec.reflection = "labels";
+  const std::string reflection = table.text("reflection").value_or("auto");
+  const auto choice = enum_value<ReflectionChoice>(reflection);
+  if (choice && *choice != ReflectionChoice::labels) {
+    spec.reflection = *choice;
+    return spec;
   }
+  if (!std::filesystem::exists(table.resolve(reflection))) {
+    throw table.wrong("reflection", "\"diffuse\", \"specular\", \"auto\" or the file of a label image");
+  }
+  spec.label_image = table.existing_file("reflection");
+  spec.reflection = ReflectionChoice::labels;
   return spec;
 }
 
@@ -333,7 +340,7 @@ std::optional<Pose> read_pose(const TomlTable& table) {
   return std::nullopt;
 }
 
-CameraSpec read_colmap_camera(const TomlTable& table) {
+void read_colmap_camera(const TomlTable& table, StationFile& station) {
   for (const std::string_view key :
        {"model", "width", "height", "params", "qvec", "tvec", "omega_phi_kappa_deg", "center"}) {
     if (table.has(key)) throw table.error(key, "cannot be given together with colmap_model");
@@ -344,13 +351,14 @@ CameraSpec read_colmap_camera(const TomlTable& table) {
     throw table.wrong("colmap_model", "a folder with cameras and images files");
   const ColmapModel model = read_colmap_model(folder, ColmapParts::cameras_and_images);
   const ColmapImage& image = model.image(name, table.where("image"));
-  return {model.cameras.at(image.camera_id), image.pose};
+  station.camera = CameraSpec{model.cameras.at(image.camera_id), image.pose};
+  station.camera_files = colmap_model_files(folder);
 }
 
 void read_camera(const TomlTable& table, StationFile& station) {
   station.camera_image = table.text("image");
   if (table.has("colmap_model")) {
-    station.camera = read_colmap_camera(table);
+    read_colmap_camera(table, station);
     return;
   }
   if (!table.has("model")) {
@@ -363,7 +371,7 @@ void read_camera(const TomlTable& table, StationFile& station) {
     station.camera = CameraSpec{lens, *pose};
   } else if (station.photos) {
     station.lens = lens;
-  } else if (station.prior && station.prior->depth) {
+  } else if (station.prior && std::holds_alternative<DepthFile>(*station.prior)) {
     station.camera = CameraSpec{lens, Pose{}};
   } else {
     throw table.error(
@@ -375,24 +383,23 @@ void read_camera(const TomlTable& table, StationFile& station) {
 
 // ---- the rest ----
 
-PriorSpec read_prior(const TomlTable& table) {
-  const auto cloud = table.text("cloud");
-  const bool workspace = cloud && std::filesystem::is_directory(table.resolve(*cloud));
-  const PriorSpec spec{workspace ? table.resolve(*cloud) : table.existing_file("cloud"), table.existing_file("mesh"),
-                       table.existing_file("depth")};
-  const int given = spec.cloud.has_value() + spec.mesh.has_value() + spec.depth.has_value();
+PriorFile read_prior(const TomlTable& table) {
+  const std::array<std::string_view, 3> keys{"cloud", "mesh", "depth"};
+  const auto given = std::ranges::count_if(keys, [&](std::string_view key) { return table.has(key); });
   if (given != 1) {
     throw table.error(
         "cloud", "[prior] has " + std::to_string(given) + " surfaces, expected exactly one of cloud, mesh and depth");
   }
-  if (workspace) {
-    try {
-      colmap_workspace_files(*spec.cloud);
-    } catch (const Error& error) {
-      throw table.error("cloud", std::string("is a folder, but no COLMAP dense workspace: ") + error.what());
-    }
+  if (table.has("mesh")) return MeshFile{*table.existing_file("mesh")};
+  if (table.has("depth")) return DepthFile{*table.existing_file("depth")};
+  const std::filesystem::path folder = table.resolve(*table.text("cloud"));
+  if (!std::filesystem::is_directory(folder)) return CloudFile{*table.existing_file("cloud")};
+  try {
+    colmap_workspace_files(folder);
+  } catch (const Error& error) {
+    throw table.error("cloud", std::string("is a folder, but no COLMAP dense workspace: ") + error.what());
   }
-  return spec;
+  return CloudFile{folder};
 }
 
 PhotosSpec read_photos(const TomlTable& table) {
@@ -413,7 +420,7 @@ std::vector<ImageMark> read_marks(const TomlTable& table, std::string_view key, 
   std::set<std::string> images;
   for (const toml::table* entry : tables(table, key, "a list of marks { image = \"…\", x = …, y = … }")) {
     const TomlTable mark(*entry, table.file(), table.where(key).substr(table.file().string().size() + 2),
-                         {"image", "x", "y"});
+                         keys_of(ImageMark{}));
     ImageMark result;
     result.image = mark.required(mark.text("image"), "image", "the name of a photo");
     result.x = mark.required(mark.number("x"), "x", "the column in pixels");
@@ -521,7 +528,7 @@ StationFile read_station_file(const std::filesystem::path& given_path) {
   const TomlTable document(
       root, station.path, "",
       {"station", "polarized", "optics", "camera", "prior", "photos", "scale", "patch", "profile"});
-  const auto optional_section = [&](std::string_view key, std::initializer_list<std::string_view> known) {
+  const auto optional_section = [&](std::string_view key, const std::vector<std::string_view>& known) {
     const toml::table* table = section(document, key);
     return table ? std::optional(TomlTable(*table, station.path, "[" + std::string(key) + "]", known)) : std::nullopt;
   };
@@ -529,21 +536,17 @@ StationFile read_station_file(const std::filesystem::path& given_path) {
   station.name = station.path.parent_path().filename().string();
   if (const auto table = optional_section("station", {"name", "unit"})) {
     station.name = table->text("name").value_or(station.name);
-    station.unit = choice(*table, "unit", station.unit, {"um", "mm", "cm", "m", "in", "ft"});
+    station.unit = read_unit(*table, station.unit);
   }
 
-  const auto polarized = document.required(
-      optional_section("polarized",
-                       {"images", "angles_deg", "angle_pattern", "angle_direction", "angle_zero_deg", "mosaic",
-                        "mosaic_colors", "exposure_s", "channel", "channel_weights", "response", "white_level",
-                        "black_level", "frames_averaged", "full_well_e", "read_noise_e", "mask"}),
-      "polarized", "the section [polarized] with the images taken through the polarizer");
+  const auto polarized =
+      document.required(optional_section("polarized", keys_of(PolarizedSpec{}, {"angle_pattern"})), "polarized",
+                        "the section [polarized] with the images taken through the polarizer");
   station.polarized = read_polarized(polarized);
 
   if (const auto table = optional_section("optics", {"refractive_index", "reflection"}))
     station.optics = read_optics(*table);
-  if (const auto table = optional_section("photos", {"folder", "exclude", "camera"}))
-    station.photos = read_photos(*table);
+  if (const auto table = optional_section("photos", keys_of(PhotosSpec{}))) station.photos = read_photos(*table);
   if (const auto table = optional_section("prior", {"cloud", "mesh", "depth"})) station.prior = read_prior(*table);
   if (const auto table = optional_section("camera", {"colmap_model",
                                                      "image",
@@ -577,8 +580,7 @@ StationFile read_station_file(const std::filesystem::path& given_path) {
         "scale", "needs [photos], in which its ends are marked; without them the camera and prior are metric already");
   }
   for (std::size_t i = 0; i < bars.size(); ++i) {
-    const TomlTable table(*bars[i], station.path, "[[scale]] " + std::to_string(i + 1),
-                          {"distance", "a", "b", "targets", "targets_dictionary", "check"});
+    const TomlTable table(*bars[i], station.path, "[[scale]] " + std::to_string(i + 1), keys_of(ScaleBar{}));
     station.scale_bars.push_back(read_scale_bar(table, *station.photos));
   }
 
@@ -594,7 +596,7 @@ StationFile read_station_file(const std::filesystem::path& given_path) {
   names.clear();
   for (const toml::table* entry : tables(document, "profile", "tables [[profile]]")) {
     const std::size_t index = station.profiles.size();
-    const TomlTable table(*entry, station.path, "[[profile]] " + std::to_string(index + 1), {"name", "from", "to"});
+    const TomlTable table(*entry, station.path, "[[profile]] " + std::to_string(index + 1), keys_of(ProfileSpec{}));
     station.profiles.push_back(read_profile(table, read_name(table, index, names), size));
   }
   return station;

@@ -41,7 +41,7 @@ bool in_range(double value, Range range) {
 }  // namespace
 
 TomlTable::TomlTable(const toml::table& table, std::filesystem::path file, std::string name,
-                     std::initializer_list<std::string_view> known)
+                     const std::vector<std::string_view>& known)
     : table_(&table), file_(std::move(file)), name_(std::move(name)) {
   for (const auto& [key, node] : table) {
     if (std::find(known.begin(), known.end(), key.str()) == known.end()) {

@@ -6,9 +6,8 @@
 #include <toml++/toml.h>
 
 #include <array>
+#include <concepts>
 #include <filesystem>
-#include <initializer_list>
-#include <limits>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -16,17 +15,15 @@
 
 #include "malus/core/error.h"
 #include "malus/core/fields.h"
+#include "malus/io/station_spec.h"
 
 namespace malus {
-
-/// Numbers greater than zero.
-inline constexpr Range positive_range{std::numeric_limits<double>::min()};
 
 class TomlTable {
  public:
   /// `name` is how messages call the table: "[polarized]", "[[patch]] 2". Throws for a key that is not `known`.
   TomlTable(const toml::table& table, std::filesystem::path file, std::string name,
-            std::initializer_list<std::string_view> known);
+            const std::vector<std::string_view>& known);
 
   bool has(std::string_view key) const { return table_->contains(key); }
   const toml::node* find(std::string_view key) const { return table_->get(key); }
@@ -41,6 +38,12 @@ class TomlTable {
   std::optional<std::vector<std::string>> texts(std::string_view key) const;
   template <std::size_t N>
   std::optional<std::array<double, N>> numbers_exactly(std::string_view key, Range range = any_value) const;
+  /// One of the enum's names.
+  template <NamedEnum T>
+  std::optional<T> choice(std::string_view key) const;
+  /// Sets the value of a spec's field if the table has its key.
+  template <class T>
+  void read(std::string_view key, T& value, Range range) const;
   template <class T>
   T required(std::optional<T> value, std::string_view key, const std::string& expected) const;
 
@@ -72,6 +75,35 @@ std::optional<std::array<double, N>> TomlTable::numbers_exactly(std::string_view
   std::array<double, N> result{};
   std::copy(list->begin(), list->end(), result.begin());
   return result;
+}
+
+template <NamedEnum T>
+std::optional<T> TomlTable::choice(std::string_view key) const {
+  const auto name = text(key);
+  if (!name) return std::nullopt;
+  const auto value = enum_value<T>(*name);
+  if (value) return value;
+  std::string list;
+  for (const std::string_view known : names_of(T{})) list += (list.empty() ? "\"" : ", \"") + std::string(known) + '"';
+  throw wrong(key, "one of " + list);
+}
+
+template <class T>
+void TomlTable::read(std::string_view key, T& value, Range range) const {
+  if constexpr (NamedEnum<T>) {
+    value = choice<T>(key).value_or(value);
+  } else if constexpr (std::same_as<T, bool>) {
+    value = boolean(key).value_or(value);
+  } else if constexpr (std::same_as<T, int>) {
+    value = integer(key, range).value_or(value);
+  } else if constexpr (std::same_as<T, double>) {
+    value = number(key, range).value_or(value);
+  } else if constexpr (std::same_as<T, std::optional<double>>) {
+    value = number(key, range);
+  } else {
+    static_assert(std::same_as<T, std::optional<std::filesystem::path>>, "fields of other types have an own form");
+    value = existing_file(key);
+  }
 }
 
 template <class T>

@@ -6,6 +6,7 @@
 #include "malus/core/context.h"
 #include "malus/core/fields.h"
 #include "malus/core/image.h"
+#include "malus/core/reflection_choice.h"
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/polarization_state.h"
 
@@ -13,12 +14,6 @@ namespace malus {
 
 /// Which reflection governs the polarization of a pixel; the values of ReflectionMap::label.
 enum class Reflection : std::uint8_t { outside = 0, diffuse = 1, specular = 2 };
-
-/// How labels come about.
-enum class ReflectionChoice { automatic, diffuse, specular, labels };
-constexpr auto names_of(ReflectionChoice) {
-  return std::to_array<std::string_view>({"auto", "diffuse", "specular", "labels"});
-}
 
 struct ReflectionOptions {
   // What is known about the object, from the station and so not among the option fields.

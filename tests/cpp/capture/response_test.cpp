@@ -129,7 +129,7 @@ TEST(Response, channels_are_combined_after_linearization) {
   spec.response = "gamma:2";
   EXPECT_NEAR(linear_of(raw_8bit(3, {102, 51, 204}), spec).intensity(0, 0),
               0.2126 * 0.16 + 0.7152 * 0.04 + 0.0722 * 0.64, 1e-6);
-  spec.channel = "blue";
+  spec.channel = ColorChannel::blue;
   EXPECT_NEAR(linear_of(raw_8bit(3, {102, 51, 204}), spec).intensity(0, 0), 0.64, 1e-6);
   spec.channel_weights = std::array<double, 3>{2, 2, 0};
   EXPECT_NEAR(linear_of(raw_8bit(3, {102, 51, 204}), spec).intensity(0, 0), 0.1, 1e-6);
@@ -137,16 +137,14 @@ TEST(Response, channels_are_combined_after_linearization) {
 
 TEST(Response, only_used_channels_saturate) {
   PolarizedSpec spec;
-  spec.channel = "green";
+  spec.channel = ColorChannel::green;
   EXPECT_EQ(linear_of(raw_8bit(3, {255, 100, 100}), spec).saturated(0, 0), 0);
-  spec.channel = "mean";
+  spec.channel = ColorChannel::mean;
   EXPECT_EQ(linear_of(raw_8bit(3, {255, 100, 100}), spec).saturated(0, 0), 255);
 }
 
 TEST(Response, bad_channels_and_pixels_are_input_errors) {
   PolarizedSpec spec;
-  spec.channel = "cyan";
-  EXPECT_NE(error_of(ErrorCode::input, [&] { channel_weights(spec); }).find("cyan"), std::string::npos);
   spec.channel_weights = std::array<double, 3>{0, 0, 0};
   EXPECT_NE(error_of(ErrorCode::input, [&] { channel_weights(spec); }).find("zero"), std::string::npos);
   spec.channel_weights = std::array<double, 3>{1, -1, 0};

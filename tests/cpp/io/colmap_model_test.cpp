@@ -100,7 +100,8 @@ TEST(ColmapModel, QuaternionIsScalarFirstAndCamFromWorld) {
 TEST(ColmapModel, OneCameraAndPoseAsText) {
   const TemporaryFolder folder;
   const Pinhole camera{{720, 480}, 1937.25, 1938.5, 361.25, 237.5};
-  write_colmap_text(folder / "cameras.txt", folder / "images.txt", camera, some_pose(1), "station");
+  folder.write("cameras.txt", colmap_text(camera));
+  folder.write("images.txt", colmap_text(some_pose(1), "station"));
   EXPECT_NE(read_file(folder / "cameras.txt", "camera").find("1 PINHOLE 720 480 1937.25 1938.5 361.75 238\n"),
             std::string::npos);
   const ColmapModel model = read_colmap_model(folder.path());

@@ -1,0 +1,14 @@
+#pragma once
+
+#include <array>
+#include <string_view>
+
+namespace malus {
+
+/// How the pixels of an object are labeled diffuse or specular: as known of all of them, by a label image, or decided.
+enum class ReflectionChoice { automatic, diffuse, specular, labels };
+constexpr auto names_of(ReflectionChoice) {
+  return std::to_array<std::string_view>({"auto", "diffuse", "specular", "labels"});
+}
+
+}  // namespace malus

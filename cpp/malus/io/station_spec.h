@@ -1,0 +1,210 @@
+#pragma once
+
+#include <array>
+#include <filesystem>
+#include <limits>
+#include <optional>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "malus/core/camera.h"
+#include "malus/core/fields.h"
+#include "malus/core/pose.h"
+#include "malus/core/reflection_choice.h"
+
+namespace malus {
+
+// What can be said of a station. The specs list their fields once, as options do (core/fields.h): that list feeds the
+// station file, the description for people and for Python, and what results depend on.
+
+/// Numbers greater than zero.
+inline constexpr Range positive_range{std::numeric_limits<double>::min()};
+
+/// In a spec's list of fields in the place of a range: the station file has it in a form of its own.
+struct OwnForm {};
+inline constexpr OwnForm own_form{};
+
+/// In which direction a polarizer's scale counts, as the image is displayed.
+enum class AngleDirection { counter_clockwise, clockwise };
+constexpr auto names_of(AngleDirection) {
+  return std::to_array<std::string_view>({"ccw", "cw"});
+}
+
+/// What is taken of a colour image.
+enum class ColorChannel { luminance, red, green, blue, mean };
+constexpr auto names_of(ColorChannel) {
+  return std::to_array<std::string_view>({"luminance", "red", "green", "blue", "mean"});
+}
+
+/// [polarized]: the images taken through the polarizer, and how to read them. Paths are absolute once loaded.
+struct PolarizedSpec {
+  std::vector<std::filesystem::path> images;      ///< one a polarizer position, or one mosaic (see `mosaic`)
+  std::optional<std::vector<double>> angles_deg;  ///< as read off the filter scale; nothing = "auto"
+  AngleDirection angle_direction = AngleDirection::counter_clockwise;
+  double angle_zero_deg = 0;  ///< what the scale reads when the axis is along image +x
+  std::optional<std::array<double, 4>>
+      mosaic;  ///< angles of the 2 × 2 cell: top left, top right, bottom left, bottom right
+  std::optional<std::string> mosaic_colors;  ///< of a colour camera's mosaic: Bayer pattern of the cells, "RGGB"
+  /// Exposure times [s] of the images, deliberately different: images of one angle are merged. Nothing = all alike.
+  std::optional<std::vector<double>> exposure_s;
+  ColorChannel channel = ColorChannel::luminance;
+  std::optional<std::array<double, 3>> channel_weights;  ///< weighted sum of R, G, B instead of `channel`
+  std::string response = "linear";                       ///< "linear" | "srgb" | "gamma:2.2" | path of a lookup table
+  std::optional<double> white_level;                     ///< DN; nothing = from the file's bit depth
+  double black_level = 0;                                ///< DN
+  int frames_averaged = 1;
+  std::optional<double> full_well_e;  ///< electrons at white level
+  std::optional<double> read_noise_e;
+  std::optional<std::filesystem::path> mask;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("images", self.images, own_form);
+    visit("angles_deg", self.angles_deg, own_form);
+    visit("angle_direction", self.angle_direction, any_value);
+    visit("angle_zero_deg", self.angle_zero_deg, Range{-360, 360});
+    visit("mosaic", self.mosaic, own_form);
+    visit("mosaic_colors", self.mosaic_colors, own_form);
+    visit("exposure_s", self.exposure_s, own_form);
+    visit("channel", self.channel, any_value);
+    visit("channel_weights", self.channel_weights, own_form);
+    visit("response", self.response, own_form);
+    visit("white_level", self.white_level, positive_range);
+    visit("black_level", self.black_level, not_negative);
+    visit("frames_averaged", self.frames_averaged, Range{1, 1e6});
+    visit("full_well_e", self.full_well_e, positive_range);
+    visit("read_noise_e", self.read_noise_e, not_negative);
+    visit("mask", self.mask, any_value);
+  }
+};
+
+/// [optics]
+struct OpticsSpec {
+  std::optional<double> refractive_index = 1.5;  ///< nothing = "auto"
+  ReflectionChoice reflection = ReflectionChoice::automatic;
+  std::optional<std::filesystem::path> label_image;  ///< with `labels`: 1 = diffuse, 2 = specular, 0 = decide
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("refractive_index", self.refractive_index, own_form);
+    visit("reflection", self.reflection, own_form);
+    visit("label_image", self.label_image, own_form);
+  }
+};
+
+/// [camera], resolved: from a COLMAP model or given in the file.
+struct CameraSpec {
+  LensCamera lens;
+  Pose pose;
+};
+
+/// [prior]: exactly one of the three.
+struct CloudFile {
+  std::filesystem::path path;  ///< of a file, or the folder of a COLMAP workspace
+};
+struct MeshFile {
+  std::filesystem::path path;
+};
+struct DepthFile {
+  std::filesystem::path path;
+};
+using PriorFile = std::variant<CloudFile, MeshFile, DepthFile>;
+
+/// [photos]
+struct PhotosSpec {
+  std::filesystem::path folder;
+  std::vector<std::string> exclude;
+  std::optional<LensCamera> camera;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("folder", self.folder, own_form);
+    visit("exclude", self.exclude, own_form);
+    visit("camera", self.camera, own_form);
+  }
+};
+
+/// A mark of one point in one photo, memory pixel convention.
+struct ImageMark {
+  std::string image;
+  double x = 0, y = 0;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("image", self.image, own_form);
+    visit("x", self.x, any_value);
+    visit("y", self.y, any_value);
+  }
+};
+
+/// [[scale]]: a known distance between two marked points or two coded targets.
+struct ScaleBar {
+  double distance = 0;
+  std::vector<ImageMark> a, b;
+  std::optional<std::array<int, 2>> targets;
+  std::string targets_dictionary;
+  bool check = false;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("distance", self.distance, positive_range);
+    visit("a", self.a, own_form);
+    visit("b", self.b, own_form);
+    visit("targets", self.targets, own_form);
+    visit("targets_dictionary", self.targets_dictionary, own_form);
+    visit("check", self.check, any_value);
+  }
+};
+
+/// [[patch]]: flat reference area in the polarized image.
+struct PatchSpec {
+  std::string name;
+  int x0 = 0, y0 = 0, x1 = 0, y1 = 0;  ///< corners, inclusive; in the file they are one list, `box`
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("name", self.name, own_form);
+    visit("x0", self.x0, own_form);
+    visit("y0", self.y0, own_form);
+    visit("x1", self.x1, own_form);
+    visit("y1", self.y1, own_form);
+  }
+};
+
+/// [[profile]]: a section line, pixels of the polarized image.
+struct ProfileSpec {
+  std::string name;
+  std::array<double, 2> from{}, to{};
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("name", self.name, own_form);
+    visit("from", self.from, own_form);
+    visit("to", self.to, own_form);
+  }
+};
+
+/// Everything a station file says.
+struct StationFile {
+  std::filesystem::path path;  ///< of the file itself; empty for a station made in code
+  std::string name;
+  std::string unit = "mm";
+  PolarizedSpec polarized;
+  OpticsSpec optics;
+  std::optional<CameraSpec>
+      camera;                      ///< known lens and pose; with a depth-map prior and no pose, the world is the camera
+  std::optional<LensCamera> lens;  ///< known lens, pose to come from [photos]; never together with `camera`
+  std::vector<std::filesystem::path> camera_files;  ///< of the COLMAP model that `camera` was read from
+  std::optional<std::string> camera_image;          ///< [camera].image: the station's name in the photos' model
+  std::optional<PriorFile> prior;
+  std::optional<PhotosSpec> photos;
+  std::vector<ScaleBar> scale_bars;
+  std::vector<PatchSpec> patches;
+  std::vector<ProfileSpec> profiles;
+
+  /// The lens, whether the pose is known or not.
+  std::optional<LensCamera> known_lens() const { return camera ? std::optional(camera->lens) : lens; }
+};
+
+}  // namespace malus
