@@ -1,26 +1,30 @@
-#include "malus/io/workspace.h"
-
 #include <fcntl.h>
 #include <sys/file.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <chrono>
 #include <ctime>
-#include <nlohmann/json.hpp>
 #include <stdexcept>
 
+#include "malus/core/parallel.h"
 #include "malus/io/atomic_file.h"
 #include "malus/io/input_file.h"
 #include "malus/io/sha256.h"
+#include "malus/io/workspace_internal.h"
 
 namespace malus {
 namespace {
 
-using Json = nlohmann::json;
+namespace fs = std::filesystem;
+using Json = Workspace::Json;
+/// Its keys are sorted.
+using SortedJson = nlohmann::json;
 
-constexpr int manifest_format = 1;
+constexpr int manifest_format = 2;
+constexpr std::array<std::string_view, 5> reserved_names{"format", "inputs", "station", "steps", "times"};
 
 /// Held as long as the object lives; the system drops it when the process dies.
 class FolderLock {
@@ -54,109 +58,259 @@ std::string utc_now() {
   return text.data();
 }
 
-/// Whether the manifest has the layout that this code writes; what is read later is not checked again.
-bool is_manifest(const Json& json) {
-  if (!json.is_object() || json.value("format", Json()) != manifest_format) return false;
-  if (!json.value("steps", Json()).is_object() || !json.value("times", Json()).is_object()) return false;
-  for (const Json& step : json.at("steps")) {
-    if (!step.is_object() || !step.value("status", Json()).is_string() || !step.value("key", Json()).is_string() ||
-        !step.value("outputs", Json()).is_object() || !step.contains("notes")) {
-      return false;
-    }
-    for (const Json& output : step.at("outputs")) {
-      if (!output.is_object() || !output.value("size", Json()).is_number_unsigned()) return false;
-    }
-  }
-  return true;
+/// Whether a path of the manifest stays below the folder, so that a damaged one makes nothing else vanish.
+bool stays_below(const fs::path& path) {
+  return path.is_relative() && !path.empty() && *path.lexically_normal().begin() != "..";
 }
 
-Json read_manifest(const std::filesystem::path& path) {
-  if (!std::filesystem::exists(path)) {
-    return {{"format", manifest_format}, {"steps", Json::object()}, {"times", Json::object()}};
+/// A step's record, and the checksum that stands with it.
+struct Entry {
+  Workspace::Record record;
+  std::string checksum;
+
+  SortedJson json() const {
+    SortedJson json = {{"status", "done"},
+                       {"key", record.key},
+                       {"after", record.after},
+                       {"inputs", record.inputs},
+                       {"options", record.options},
+                       {"outputs", SortedJson::object()},
+                       {"warnings", record.warnings},
+                       {"notes", record.notes}};
+    for (const Workspace::Output& output : record.outputs)
+      json["outputs"][output.path] = {{"size", output.size}, {"sha256", output.sha256}};
+    return json;
   }
-  std::string text;
-  if (std::filesystem::is_directory(path) || std::filesystem::file_size(path) > 0) text = read_file(path, "manifest");
-  Json json = Json::parse(text, nullptr, false);
-  if (!is_manifest(json)) {
-    throw input_error("manifest " + path.string() +
-                      " is damaged or of another version; delete it to run all steps again, or choose another folder");
+  bool is_intact() const { return sha256_of_bytes(json().dump()) == checksum; }
+
+  static Entry from_json(const SortedJson& json) {
+    Entry entry{{json.at("key"),
+                 json.at("after"),
+                 json.at("inputs"),
+                 Json(json.at("options")),
+                 {},
+                 json.at("warnings"),
+                 Json(json.at("notes"))},
+                json.at("checksum")};
+    for (const auto& [path, output] : json.at("outputs").items()) {
+      if (!stays_below(path)) throw std::invalid_argument(path);
+      entry.record.outputs.push_back({path, output.at("size").get<std::uint64_t>(), output.at("sha256")});
+    }
+    return entry;
   }
-  return json;
+};
+
+struct Manifest {
+  SortedJson info = SortedJson::object(), station;
+  std::map<std::string, Entry, std::less<>> steps;
+  std::map<std::string, SortedJson> times;
+
+  SortedJson json() const {
+    SortedJson json = info;
+    json["format"] = manifest_format;
+    json["station"] = station;
+    json["times"] = times;
+    json["inputs"] = json["steps"] = SortedJson::object();
+    for (const auto& [name, entry] : steps) {
+      json["steps"][name] = entry.json();
+      json["steps"][name]["checksum"] = entry.checksum;
+      json["inputs"].update(entry.record.inputs);
+      json["options"].update(SortedJson(entry.record.options));
+    }
+    return json;
+  }
+
+  static Manifest from_json(const SortedJson& json) {
+    Manifest manifest;
+    if (json.at("format") != manifest_format) throw std::invalid_argument("format");
+    for (const auto& [name, step] : json.at("steps").items()) manifest.steps[name] = Entry::from_json(step);
+    manifest.station = json.at("station");
+    manifest.times = json.at("times").get<std::map<std::string, SortedJson>>();
+    for (const auto& [name, value] : json.items()) {
+      if (std::ranges::find(reserved_names, name) == reserved_names.end()) manifest.info[name] = value;
+    }
+    return manifest;
+  }
+
+  static Manifest read(const fs::path& path) {
+    const auto damaged = [&] {
+      return input_error("manifest " + path.string() +
+                         " is damaged or of another version; begin anew with --replace, or choose another folder");
+    };
+    if (fs::is_regular_file(path) && fs::is_empty(path)) throw damaged();
+    try {
+      return from_json(SortedJson::parse(read_file(path, "manifest")));
+    } catch (const SortedJson::exception&) {
+      throw damaged();
+    } catch (const std::invalid_argument&) {
+      throw damaged();
+    }
+  }
+};
+
+/// Whether there is anything in the folder but hidden files, such as those that file managers leave.
+bool has_files(const fs::path& folder) {
+  return std::ranges::any_of(fs::directory_iterator(folder), [](const fs::directory_entry& entry) {
+    return !entry.path().filename().string().starts_with(".");
+  });
 }
 
-Json parse_value(const std::string& text) {
-  Json json = Json::parse(text, nullptr, false);
-  if (json.is_discarded()) throw std::invalid_argument("not JSON: " + text);
-  return json;
+SortedJson to_json(const Workspace::Owner& owner, const fs::path& folder) {
+  const bool in_code = owner.file.empty();
+  return {{"name", owner.name},
+          {"says", owner.says},
+          {"file", in_code ? SortedJson() : SortedJson(owner.file.string())},
+          {"file_from_here", in_code ? SortedJson() : SortedJson(owner.file.lexically_proximate(folder).string())}};
+}
+
+bool is_same_station(const SortedJson& one, const SortedJson& other) {
+  const auto agree = [&](const char* field) { return one.value(field, SortedJson()) == other.at(field); };
+  return (agree("file") && !other.at("file").is_null()) || (agree("name") && agree("file_from_here"));
 }
 
 }  // namespace
 
 struct Workspace::State {
-  explicit State(const std::filesystem::path& path)
-      : folder(path), lock((create_folder(path), path)), manifest(read_manifest(manifest_path())) {}
+  explicit State(const fs::path& path) : folder(path), lock((create_folder(path), path)) {}
 
-  std::filesystem::path manifest_path() const { return folder / "manifest.json"; }
-  void save() const { write_file(manifest_path(), manifest.dump(2) + "\n"); }
+  fs::path manifest_path() const { return folder / "manifest.json"; }
+  void save() const { write_file(manifest_path(), manifest.json().dump(2) + "\n"); }
 
-  std::filesystem::path folder;
+  fs::path folder;
   FolderLock lock;
-  Json manifest;
+  Manifest manifest;
 };
 
-Workspace::Workspace(const std::filesystem::path& folder)
-    : state_(std::make_unique<State>(std::filesystem::absolute(folder).lexically_normal())) {}
+Workspace::Workspace(const fs::path& given_folder, const Owner& owner, bool replace) {
+  const fs::path folder = fs::absolute(given_folder).lexically_normal();
+  const bool exists = fs::exists(folder / "manifest.json");
+  if (!exists && fs::is_directory(folder) && has_files(folder)) {
+    throw input_error("folder " + folder.string() +
+                      " is not empty and not a workspace, expected a new or an empty one" + ", such as " +
+                      (folder / "work").string());
+  }
+  state_ = std::make_unique<State>(folder);
+  Manifest& manifest = state_->manifest;
+  if (exists) {
+    try {
+      manifest = Manifest::read(state_->manifest_path());
+    } catch (const Error&) {
+      if (!replace) throw;
+    }
+  }
+  const SortedJson station = to_json(owner, folder);
+  if (!manifest.station.is_null() && !replace && !is_same_station(manifest.station, station)) {
+    const SortedJson& file = manifest.station["file"];
+    throw input_error("workspace " + folder.string() + " belongs to station " + manifest.station["name"].dump() +
+                      (file.is_string() ? " of " + file.get<std::string>() : "") +
+                      "; choose another folder, or take this one over with --replace");
+  }
+  if (manifest.station == station) return;
+  manifest.station = station;
+  state_->save();
+}
+
+Workspace::Workspace(const fs::path& folder) {
+  if (!fs::exists(folder / "manifest.json")) {
+    throw input_error((folder / "manifest.json").string() + ": there is none; this is not a workspace of malus");
+  }
+  state_ = std::make_unique<State>(fs::absolute(folder).lexically_normal());
+  state_->manifest = Manifest::read(state_->manifest_path());
+}
 
 Workspace::~Workspace() = default;
 
-const std::filesystem::path& Workspace::folder() const {
+const fs::path& Workspace::folder() const {
   return state_->folder;
 }
 
-bool Workspace::is_done(const std::string& step, const std::string& key) const {
-  const Json& steps = state_->manifest.at("steps");
-  const auto found = steps.find(step);
-  if (found == steps.end() || found->at("status") != "done" || found->at("key") != key) return false;
-  for (const auto& [path, output] : found->at("outputs").items()) {
+const Workspace::Record* Workspace::record(std::string_view step) const {
+  const auto found = state_->manifest.steps.find(step);
+  return found == state_->manifest.steps.end() ? nullptr : &found->second.record;
+}
+
+std::vector<std::string> Workspace::changed_since(std::string_view step, const Context& context) const {
+  const Entry& entry = state_->manifest.steps.find(step)->second;
+  if (!entry.is_intact()) return {"manifest.json"};
+  const std::vector<Output>& outputs = entry.record.outputs;
+  std::vector<char> changed(outputs.size());
+  parallel_for(context, outputs.size(), 1, [&](std::size_t k, std::size_t) {
     std::error_code error;
-    const std::uintmax_t size = std::filesystem::file_size(state_->folder / path, error);
-    if (error || size != output.at("size").get<std::uintmax_t>()) return false;
+    const fs::path file = state_->folder / outputs[k].path;
+    changed[k] =
+        fs::file_size(file, error) != outputs[k].size || error || sha256_of_file(file, "output") != outputs[k].sha256;
+  });
+  std::vector<std::string> paths;
+  for (std::size_t k = 0; k < outputs.size(); ++k) {
+    if (changed[k] != 0) paths.push_back(outputs[k].path);
   }
-  return true;
+  return paths;
 }
 
-std::string Workspace::notes(const std::string& step) const {
-  const Json& steps = state_->manifest.at("steps");
-  const auto found = steps.find(step);
-  return found == steps.end() ? "{}" : found->at("notes").dump();
+void Workspace::forget(const std::string& step, const std::vector<std::string>& leaves) {
+  std::vector<std::string> steps{step}, files = leaves;
+  for (std::size_t k = 0; k < steps.size(); ++k) {
+    for (const auto& [name, entry] : state_->manifest.steps) {
+      if (entry.record.after.contains(steps[k]) && std::ranges::find(steps, name) == steps.end()) steps.push_back(name);
+    }
+  }
+  for (const std::string& name : steps) {
+    const Record* known = record(name);
+    if (known == nullptr) continue;
+    for (const Output& output : known->outputs) files.push_back(output.path);
+    state_->manifest.steps.erase(name);
+    state_->manifest.times.erase(name);
+  }
+  // First the marks: nothing that is marked as done is ever without its files.
+  state_->save();
+  for (const std::string& file : files) {
+    std::error_code error;
+    fs::remove(state_->folder / file, error);
+    if (error) throw file_error("cannot remove", state_->folder / file, error.value());
+  }
 }
 
-void Workspace::begin(const std::string& step) {
-  const bool marked = state_->manifest["steps"].erase(step) > 0;
-  state_->manifest["times"].erase(step);
-  if (marked || !std::filesystem::exists(state_->manifest_path())) state_->save();
+std::vector<Workspace::Output> Workspace::examine(const std::vector<std::string>& paths, const Context& context) const {
+  std::vector<Output> outputs(paths.size());
+  parallel_for(context, paths.size(), 1, [&](std::size_t k, std::size_t) {
+    const fs::path file = state_->folder / paths[k];
+    outputs[k] = {paths[k], require_file(file, "output"), sha256_of_file(file, "output")};
+  });
+  std::ranges::sort(outputs, {}, &Output::path);
+  return outputs;
 }
 
-Workspace::Output Workspace::examine(const std::string& path) const {
-  const std::filesystem::path file = state_->folder / path;
-  return {path, require_file(file, "output"), sha256_of_file(file, "output", AfterHash::not_read_soon)};
+void Workspace::finish(const std::string& step, Record record, Json times) {
+  Entry entry{std::move(record), {}};
+  entry.checksum = sha256_of_bytes(entry.json().dump());
+  state_->manifest.steps[step] = std::move(entry);
+  times["finished"] = utc_now();
+  set_times(step, times);
 }
 
-void Workspace::finish(const std::string& step, const std::string& key, const std::vector<Output>& outputs,
-                       const Use& use, const std::string& notes_json) {
-  Json record = {{"status", "done"}, {"key", key}, {"outputs", Json::object()}, {"notes", parse_value(notes_json)}};
-  for (const Output& output : outputs)
-    record["outputs"][output.path] = {{"size", output.size}, {"sha256", output.sha256}};
-  state_->manifest["steps"][step] = std::move(record);
-  state_->manifest["times"][step] = {
-      {"seconds", use.seconds}, {"cpu_seconds", use.cpu_seconds}, {"peak_mb", use.peak_mb}, {"finished", utc_now()}};
+void Workspace::set_info(const std::string& name, const Json& value) {
+  if (std::ranges::find(reserved_names, name) != reserved_names.end()) {
+    throw std::invalid_argument("reserved name " + name);
+  }
+  state_->manifest.info[name] = value;
   state_->save();
 }
 
-void Workspace::set_info(const std::string& name, const std::string& json) {
-  if (name == "format" || name == "steps" || name == "times") throw std::invalid_argument("reserved name " + name);
-  state_->manifest[name] = parse_value(json);
+void Workspace::set_times(const std::string& name, const Json& times) {
+  state_->manifest.times[name] = times;
   state_->save();
+}
+
+Workspace::Json Workspace::read_manifest(const fs::path& folder) {
+  const fs::path path = folder / "manifest.json";
+  if (!fs::exists(path)) throw input_error(path.string() + ": there is none; this is not a workspace of malus");
+  const Manifest manifest = Manifest::read(path);
+  for (const auto& [name, entry] : manifest.steps) {
+    if (entry.is_intact()) continue;
+    throw input_error(path.string() + ": what it says of the step " + name +
+                      " was changed after the step; run the station again");
+  }
+  return manifest.json();
 }
 
 }  // namespace malus
