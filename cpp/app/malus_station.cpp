@@ -29,7 +29,7 @@ struct Arguments {
   std::string station, workspace, fusion, options_file, until, reference;
   std::vector<std::string> assignments;
   int threads = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
-  bool json = false, quiet = false;
+  bool json = false, quiet = false, replace = false;
 };
 
 /// Shows progress: JSON lines on standard output, or one line a finished step on standard error.
@@ -87,8 +87,7 @@ void run(const Arguments& arguments) {
     const std::lock_guard lock(mutex);
     reporter.log(level, message);
   };
-  malus::RunOptions where{
-      .workspace = arguments.workspace, .until = std::nullopt, .reference = std::nullopt, .keep_maps = false};
+  malus::RunOptions where{.workspace = arguments.workspace, .replace = arguments.replace, .keep_maps = false};
   if (!arguments.until.empty()) where.until = arguments.until;
   if (!arguments.reference.empty()) where.reference = arguments.reference;
   const malus::Options options = read_options(arguments);
@@ -110,11 +109,12 @@ int main(int argc, char** argv) {
   app.add_option("-o,--output", arguments.workspace, "workspace folder")->required()->type_name("WORK");
   app.add_option("--fusion", arguments.fusion, "the paper's transfer, or the refinement (default)")
       ->check(CLI::IsMember({"grid", "refined"}));
-  app.add_option("--until", arguments.until, "last step to run")->type_name("STEP");
+  app.add_option("--until", arguments.until, "the step to run, after those it needs")->type_name("STEP");
   app.add_option("--reference", arguments.reference, "compare with this cloud or mesh")->type_name("SCAN.ply");
   app.add_option("--set", arguments.assignments, "any option of any step")->type_name("SECTION.KEY=VALUE")->take_all();
   app.add_option("--options", arguments.options_file, "options, one table a step")->type_name("FILE.toml");
   app.add_option("--threads", arguments.threads, "default: all cores")->check(CLI::PositiveNumber);
+  app.add_flag("--replace", arguments.replace, "take the workspace over if it belongs to another station");
   app.add_flag("--json", arguments.json, "one JSON object a progress event on standard output");
   app.add_flag("--quiet", arguments.quiet, "errors only");
   try {

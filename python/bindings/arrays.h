@@ -27,16 +27,23 @@ Image<T> to_image(const Array<T>& array) {
   return image;
 }
 
-/// Hands the image's memory to numpy: H×W for one channel, H×W×C otherwise; None for an empty image.
+/// The image's own memory for numpy, H×W or H×W×C; None for an empty image. The array keeps it alive and may be written
+/// to: only for images that nobody reads any more but who holds such arrays.
+template <class T>
+py::object to_array(std::shared_ptr<const Image<T>> image) {
+  if (image->empty()) return py::none();
+  std::vector<py::ssize_t> shape{image->height(), image->width()};
+  if (image->channels() > 1) shape.push_back(image->channels());
+  T* const data = const_cast<T*>(image->data());
+  using Owner = std::shared_ptr<const Image<T>>;
+  const py::capsule keep(new Owner(std::move(image)), [](void* pointer) { delete static_cast<Owner*>(pointer); });
+  return py::array_t<T>(shape, data, keep);
+}
+
+/// Hands the image's memory to numpy.
 template <class T>
 py::object to_array(Image<T>&& image) {
-  if (image.empty()) return py::none();
-  auto owner = std::make_unique<Image<T>>(std::move(image));
-  std::vector<py::ssize_t> shape{owner->height(), owner->width()};
-  if (owner->channels() > 1) shape.push_back(owner->channels());
-  T* const data = owner->data();
-  const py::capsule keep(owner.release(), [](void* pointer) { delete static_cast<Image<T>*>(pointer); });
-  return py::array_t<T>(shape, data, keep);
+  return to_array<T>(std::make_shared<const Image<T>>(std::move(image)));
 }
 
 /// The image's own memory for numpy, read-only; `owner` is the Python object that holds it and lives as long.

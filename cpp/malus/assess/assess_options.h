@@ -14,6 +14,7 @@ constexpr auto names_of(Alignment) {
 }
 
 struct AssessOptions {
+  bool polarization_height = true;
   double detail_sigma_px = 8;
   int histogram_bins = 50;
   double histogram_range_gsd = 1;
@@ -25,6 +26,8 @@ struct AssessOptions {
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
+    visit("polarization_height", self.polarization_height, any_value,
+          "solve for zenith and height of the polarization alone, to show beside the surface; grid fusion needs them");
     visit("detail_sigma_px", self.detail_sigma_px, Range{0.5, 100},
           "Gaussian that separates detail (what it removes) from low frequencies");
     visit("histogram_bins", self.histogram_bins, Range{2, 10000}, "bins of the distance histograms");

@@ -1,46 +1,128 @@
 #pragma once
 
-// Private to the station room: structs with a `fields` list to JSON and back. Numbers that are not finite become null.
+// Private to the station room: values and structs with a list of fields to JSON and back. Numbers that are not finite
+// become null.
 
-#include <array>
 #include <cmath>
+#include <filesystem>
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <stdexcept>
 #include <string>
 #include <type_traits>
+
+#include "malus/core/camera.h"
+#include "malus/core/fields.h"
+#include "malus/core/pose.h"
+#include "malus/polarization/noise_model.h"
+#include "malus/polarization/polarizer_fit.h"
 
 namespace malus {
 
 using Json = nlohmann::ordered_json;
 
 template <class T>
-concept HasFields = requires(const T& value) {
-  T::fields(value, [](const char*, const auto&) {});
+struct IsOptional : std::false_type {};
+template <class T>
+struct IsOptional<std::optional<T>> : std::true_type {};
+
+/// Lists the fields of a struct that does so itself. Types of other rooms that do not are listed below.
+template <class Self, class Visitor>
+auto visit_fields(Self& value, Visitor&& visit) -> decltype(std::remove_const_t<Self>::fields(value, visit)) {
+  return std::remove_const_t<Self>::fields(value, visit);
+}
+
+template <class Self, class T>
+concept Some = std::same_as<std::remove_const_t<Self>, T>;
+
+template <Some<Pinhole> Self, class Visitor>
+void visit_fields(Self& camera, Visitor&& visit) {
+  visit("width", camera.size.width);
+  visit("height", camera.size.height);
+  visit("fx", camera.fx);
+  visit("fy", camera.fy);
+  visit("cx", camera.cx);
+  visit("cy", camera.cy);
+}
+
+template <Some<LensCamera> Self, class Visitor>
+void visit_fields(Self& lens, Visitor&& visit) {
+  visit("model", lens.model);
+  visit("width", lens.size.width);
+  visit("height", lens.size.height);
+  visit("params", lens.params);
+}
+
+template <Some<Pose> Self, class Visitor>
+void visit_fields(Self& pose, Visitor&& visit) {
+  visit("rotation", pose.rotation);
+  visit("translation", pose.translation);
+}
+
+template <Some<NoiseModel> Self, class Visitor>
+void visit_fields(Self& noise, Visitor&& visit) {
+  visit("full_well_e", noise.full_well_e);
+  visit("read_noise_e", noise.read_noise_e);
+  visit("quantization", noise.quantization);
+  visit("frames_averaged", noise.frames_averaged);
+}
+
+template <Some<PolarizerFit> Self, class Visitor>
+void visit_fields(Self& fit, Visitor&& visit) {
+  visit("angles_rad", fit.angles_rad);
+  visit("gains", fit.gains);
+  visit("image_information", fit.image_information);
+  visit("nominal_weight", fit.nominal_weight);
+  visit("residual_before", fit.residual_before);
+  visit("residual_after", fit.residual_after);
+  visit("pixels", fit.pixels);
+  visit("largest_angle_change_rad", fit.largest_angle_change_rad);
+  visit("largest_gain_change", fit.largest_gain_change);
+}
+
+template <class T>
+concept HasFields = requires(T& value) {
+  visit_fields(value, [](auto&&...) {});
 };
 
 template <class T>
-concept Sequence = requires(const T& value) {
-  value.begin();
-  value.end();
-}
-&&!std::is_same_v<T, std::string>;
+concept EigenMatrix = std::derived_from<T, Eigen::MatrixBase<T>>;
 
 template <class T>
-struct IsStdOptional : std::false_type {};
-template <class T>
-struct IsStdOptional<std::optional<T>> : std::true_type {};
+concept Sequence =
+    !std::same_as<T, std::string> && !std::same_as<T, std::filesystem::path> && requires(const T& value) {
+  value.begin();
+  value.end();
+};
 
 template <class T>
 Json fields_to_json(const T& value) {
   if constexpr (std::is_floating_point_v<T>) {
     return std::isfinite(value) ? Json(value) : Json(nullptr);
-  } else if constexpr (IsStdOptional<T>::value) {
+  } else if constexpr (IsOptional<T>::value) {
     return value ? fields_to_json(*value) : Json(nullptr);
-  } else if constexpr (HasFields<T>) {
+  } else if constexpr (NamedEnum<T>) {
+    return std::string(enum_name(value));
+  } else if constexpr (std::same_as<T, LensModel>) {
+    return std::string(to_string(value));
+  } else if constexpr (std::same_as<T, std::filesystem::path>) {
+    return value.string();
+  } else if constexpr (HasFields<const T>) {
     Json json = Json::object();
-    T::fields(value,
-              [&](std::string_view name, const auto& member) { json[std::string(name)] = fields_to_json(member); });
+    visit_fields(value, [&](std::string_view name, const auto& member, const auto&...) {
+      json[std::string(name)] = fields_to_json(member);
+    });
+    return json;
+  } else if constexpr (EigenMatrix<T>) {  // a vector as a list, a matrix as a list of its rows
+    Json json = Json::array();
+    for (Eigen::Index row = 0; row < value.rows(); ++row) {
+      if constexpr (T::ColsAtCompileTime == 1) {
+        json.push_back(fields_to_json(value[row]));
+      } else {
+        json.push_back(fields_to_json(Eigen::VectorXd(value.row(row))));
+      }
+    }
     return json;
   } else if constexpr (Sequence<T>) {
     Json json = Json::array();
@@ -51,17 +133,31 @@ Json fields_to_json(const T& value) {
   }
 }
 
-/// Reads what fields_to_json wrote; throws nlohmann's exceptions if the JSON is something else.
+/// Reads what fields_to_json wrote; throws exceptions of nlohmann's or std::invalid_argument if the JSON is something
+/// else.
 template <class T>
 void fields_from_json(T& value, const Json& json) {
   if constexpr (std::is_floating_point_v<T>) {
     value = json.is_null() ? std::numeric_limits<T>::quiet_NaN() : json.get<T>();
-  } else if constexpr (IsStdOptional<T>::value) {
+  } else if constexpr (IsOptional<T>::value) {
     value.reset();
     if (!json.is_null()) fields_from_json(value.emplace(), json);
+  } else if constexpr (NamedEnum<T>) {
+    const auto known = enum_value<T>(json.get<std::string>());
+    if (!known) throw std::invalid_argument(json.dump());
+    value = *known;
   } else if constexpr (HasFields<T>) {
-    T::fields(value,
-              [&](std::string_view name, auto& member) { fields_from_json(member, json.at(std::string(name))); });
+    visit_fields(value,
+                 [&](std::string_view name, auto& member) { fields_from_json(member, json.at(std::string(name))); });
+  } else if constexpr (EigenMatrix<T>) {
+    const bool is_matrix = T::ColsAtCompileTime != 1 && !json.empty();
+    value.resize(static_cast<Eigen::Index>(json.size()), is_matrix ? static_cast<Eigen::Index>(json[0].size()) : 1);
+    for (Eigen::Index row = 0; row < value.rows(); ++row) {
+      for (Eigen::Index column = 0; column < value.cols(); ++column) {
+        const Json& element = json.at(static_cast<std::size_t>(row));
+        fields_from_json(value(row, column), is_matrix ? element.at(static_cast<std::size_t>(column)) : element);
+      }
+    }
   } else if constexpr (Sequence<T>) {
     if constexpr (requires { value.resize(json.size()); }) value.resize(json.size());
     for (std::size_t i = 0; i < value.size(); ++i) fields_from_json(value[i], json.at(i));

@@ -3,19 +3,12 @@
 // Private to the station room: text and JSON forms of one option value. Not installed for users (includes nlohmann).
 
 #include <cmath>
-#include <nlohmann/json.hpp>
 #include <string>
 
 #include "malus/core/fields.h"
+#include "malus/station/json_fields_internal.h"
 
 namespace malus {
-
-using Json = nlohmann::ordered_json;
-
-template <class T>
-struct IsOptional : std::false_type {};
-template <class T>
-struct IsOptional<std::optional<T>> : std::true_type {};
 
 template <class T>
 Json option_to_json(const T& value) {

@@ -40,17 +40,16 @@ Json refine_report_json(const RefineReport& report) {
           {"regions_compared", report.regions_compared},
           {"regions_taken", report.regions_taken},
           {"tiles", report.tiles},
-          {"linear_solver_share", fields_to_json(report.linear_solver_share)},
           {"iterations", iterations}};
 }
 
 Json quality_json(const std::string& name, const Quality& quality, const PolarizerCalibration& polarizer,
-                  const Json& refinement, const std::optional<std::string>& photogrammetry) {
+                  const RefinementFindings* refinement, const Photogrammetry* photogrammetry) {
   Json json = {{"name", name}};
-  if (photogrammetry) json.update(Json::parse(*photogrammetry));
+  if (photogrammetry != nullptr) json.update(Json::parse(photogrammetry->figures_json));
   json.update(fields_to_json(quality));
   json["polarizer"] = fields_to_json(polarizer);
-  if (!refinement.is_null()) json["refinement"] = refinement;
+  if (refinement != nullptr) json["refinement"] = Json::parse(refinement->report_json);
   return json;
 }
 

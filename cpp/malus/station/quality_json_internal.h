@@ -2,25 +2,21 @@
 
 // Private to the station room: what stands in quality.json.
 
-#include <nlohmann/json.hpp>
-#include <optional>
 #include <string>
 
-#include "malus/assess/quality.h"
 #include "malus/fusion/refine.h"
-#include "malus/polarization/polarizer_calibration.h"
+#include "malus/station/json_fields_internal.h"
+#include "malus/station/results.h"
+#include "malus/station/station.h"
 
 namespace malus {
 
-using Json = nlohmann::ordered_json;
-
-/// Reflectance, light, convergence and cost of the refinement, with standard deviations.
+/// Reflectance, light and convergence of the refinement, with standard deviations.
 Json refine_report_json(const RefineReport& report);
 
 /// The figures under the names of the Quality structs, with the station's name, the polarizer's angles and exposures,
-/// after a refinement its report, and the members of what the photogrammetry says of itself (JSON of an object), if
-/// there was one.
+/// after a refinement its findings, and what the photogrammetry says of itself; null = there is none.
 Json quality_json(const std::string& name, const Quality& quality, const PolarizerCalibration& polarizer,
-                  const Json& refinement, const std::optional<std::string>& photogrammetry);
+                  const RefinementFindings* refinement, const Photogrammetry* photogrammetry);
 
 }  // namespace malus

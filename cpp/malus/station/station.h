@@ -3,6 +3,7 @@
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <variant>
 #include <vector>
 
 #include "malus/core/geometry.h"
@@ -12,6 +13,17 @@
 
 namespace malus {
 
+/// Where the coarse surface comes from: nothing (yet); a file; a cloud or mesh in the world frame; z in the undistorted
+/// view, NaN = none; the same measured over windows.
+using PriorSource = std::variant<std::monostate, CloudFile, MeshFile, DepthFile, PointCloud, Image<float>, SweptDepth>;
+
+/// What found a station's camera and prior says of itself.
+struct Photogrammetry {
+  std::string figures_json;           ///< an object, whose members are repeated in quality.json
+  std::string times_json = "{}";      ///< seconds of its parts, for the manifest
+  std::vector<std::string> warnings;  ///< "<step>: <sentence>"
+};
+
 /// One camera position with images taken through a linear polarizer, and what is known about the object around it:
 /// what a station file says, or the same given in memory.
 struct Station {
@@ -20,19 +32,17 @@ struct Station {
   // Data given in memory replaces the files that `file` would name.
   std::vector<Image<float>> images;  ///< linear, [0, 1] of the white level, one a polarizer position
   std::optional<Mask> mask;
-  std::optional<PointCloud> cloud;          ///< world frame
-  std::optional<Image<float>> prior_depth;  ///< z in the undistorted view, NaN = none
-  std::optional<SweptDepth> swept;          ///< depth in the undistorted view, measured over windows
-  /// What the photogrammetry says of itself that made camera and prior: JSON of an object, repeated in quality.json.
-  std::optional<std::string> photogrammetry_json;
+  PriorSource prior;
+  std::optional<Photogrammetry> photogrammetry;
 
   bool in_memory() const { return !images.empty(); }
-  bool has_prior() const { return cloud || prior_depth || swept || file.prior; }
+  bool has_prior() const { return !std::holds_alternative<std::monostate>(prior); }
 
   /// Reads and checks a station file (not the images). Throws ErrorCode::input.
   static Station load(const std::filesystem::path& path) {
     Station station;
     station.file = read_station_file(path);
+    if (station.file.prior) std::visit([&](const auto& file) { station.prior = file; }, *station.file.prior);
     return station;
   }
 };

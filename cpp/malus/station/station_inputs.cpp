@@ -1,5 +1,4 @@
-#include <string_view>
-
+#include "malus/core/parallel.h"
 #include "malus/io/colmap_workspace.h"
 #include "malus/io/sha256.h"
 #include "malus/station/station_inputs_internal.h"
@@ -7,109 +6,136 @@
 namespace malus {
 namespace {
 
-template <class T>
-Json optional_value(const std::optional<T>& value) {
-  return value ? Json(*value) : Json(nullptr);
-}
+namespace fs = std::filesystem;
 
-Json lens_to_json(const LensCamera& lens) {
-  return {{"model", to_string(lens.model)},
-          {"width", lens.size.width},
-          {"height", lens.size.height},
-          {"params", lens.params}};
+std::vector<std::string> hashes_of(const std::vector<fs::path>& paths, const Context& context) {
+  std::vector<std::string> hashes(paths.size());
+  parallel_for(context, paths.size(), 1,
+               [&](std::size_t k, std::size_t) { hashes[k] = sha256_of_file(paths[k], "input"); });
+  return hashes;
 }
 
 }  // namespace
 
-Json StationInputs::file(const std::filesystem::path& path) {
-  const std::filesystem::path relative = path.lexically_proximate(station_.file.path.parent_path());
-  const std::string name = relative.string();
-  auto found = hashes_.find(name);
-  if (found == hashes_.end()) {
-    context_.check_cancel();
-    found = hashes_.emplace(name, sha256_of_file(path, "input")).first;
-  }
-  return {{"path", name}, {"sha256", found->second}};
+StationInputs::Values StationInputs::of(const std::vector<Part>& parts) {
+  Values values;
+  taken_ = &values;
+  for (const Part part : parts) values.parts.push_back((this->*part)());
+  taken_ = nullptr;
+  return values;
 }
 
+void StationInputs::require_unchanged(const Values& values) const {
+  const std::vector<std::string> now = hashes_of(values.files, context_);
+  for (std::size_t k = 0; k < now.size(); ++k) {
+    if (now[k] == known_.at(values.files[k])) continue;
+    throw input_error(values.files[k].string() + " was changed while it was read; run again");
+  }
+}
+
+std::string StationInputs::name_of(const fs::path& path) const {
+  return path.lexically_proximate(station_.file.path.parent_path()).string();
+}
+
+Json StationInputs::files(const std::vector<fs::path>& paths) {
+  std::vector<fs::path> fresh;
+  for (const fs::path& path : paths) {
+    if (!known_.contains(path)) fresh.push_back(path);
+  }
+  const std::vector<std::string> hashes = hashes_of(fresh, context_);
+  for (std::size_t k = 0; k < fresh.size(); ++k) known_[fresh[k]] = hashes[k];
+  Json json = Json::array();
+  for (const fs::path& path : paths) {
+    const std::string& hash = taken_->hashes[name_of(path)] = known_.at(path);
+    taken_->files.push_back(path);
+    json.push_back({{"path", name_of(path)}, {"sha256", hash}});
+  }
+  return json;
+}
+
+Json StationInputs::array(const std::string& name, const void* data, std::size_t bytes) {
+  context_.check_cancel();
+  return taken_->hashes[name] = sha256_of_bytes({static_cast<const char*>(data), bytes});
+}
+
+/// Of an image or a vector of numbers, points or the like.
 template <class T>
-Json StationInputs::array(const T* data, std::size_t count) {
-  return sha256_of_bytes(std::string_view(reinterpret_cast<const char*>(data), count * sizeof(T)));
+Json StationInputs::array(const std::string& name, const T& values) {
+  const auto bytes = static_cast<std::size_t>(values.end() - values.begin()) * sizeof(*values.begin());
+  Json json = {{"sha256", array(name, values.data(), bytes)}};
+  if constexpr (requires { values.width(); }) json["shape"] = {values.height(), values.width(), values.channels()};
+  return json;
+}
+
+Json StationInputs::title() {
+  return {{"name", station_.file.name}, {"unit", station_.file.unit}};
 }
 
 Json StationInputs::polarized() {
   const PolarizedSpec& spec = station_.file.polarized;
-  Json json = {{"angles_deg", optional_value(spec.angles_deg)},
-               {"angle_direction", spec.angle_direction},
-               {"angle_zero_deg", spec.angle_zero_deg},
-               {"mosaic", optional_value(spec.mosaic)},
-               {"mosaic_colors", optional_value(spec.mosaic_colors)},
-               {"exposure_s", optional_value(spec.exposure_s)},
-               {"channel", spec.channel},
-               {"channel_weights", optional_value(spec.channel_weights)},
-               {"response", spec.response},
-               {"white_level", optional_value(spec.white_level)},
-               {"black_level", spec.black_level},
-               {"frames_averaged", spec.frames_averaged},
-               {"full_well_e", optional_value(spec.full_well_e)},
-               {"read_noise_e", optional_value(spec.read_noise_e)},
-               {"images", Json::array()}};
-  for (const auto& path : spec.images) json["images"].push_back(file(path));
-  for (const auto& image : station_.images) json["images"].push_back(array(image.data(), image.count()));
-  if (std::filesystem::is_regular_file(spec.response)) json["response_table"] = file(spec.response);
+  Json json = fields_to_json(spec);
+  json["images"] = files(spec.images);
+  for (std::size_t k = 0; k < station_.images.size(); ++k)
+    json["images"].push_back(array("images[" + std::to_string(k) + "]", station_.images[k]));
+  if (fs::is_regular_file(spec.response)) json["response"] = file(spec.response);
   if (spec.mask) json["mask"] = file(*spec.mask);
-  if (station_.mask) json["mask"] = array(station_.mask->data(), station_.mask->count());
+  if (station_.mask) json["mask"] = array("mask", *station_.mask);
+  json["has_photos"] = station_.file.photos.has_value();
   return json;
 }
 
 Json StationInputs::optics() {
-  const OpticsSpec& spec = station_.file.optics;
-  Json json = {{"refractive_index", optional_value(spec.refractive_index)}, {"reflection", spec.reflection}};
-  if (spec.label_image) json["labels"] = file(*spec.label_image);
+  Json json = fields_to_json(station_.file.optics);
+  if (station_.file.optics.label_image) json["label_image"] = file(*station_.file.optics.label_image);
   return json;
 }
 
 Json StationInputs::lens() {
-  if (station_.file.camera) return lens_to_json(station_.file.camera->lens);
-  return station_.file.lens ? lens_to_json(*station_.file.lens) : Json(nullptr);
+  // The model's other cameras do not matter, so its files are recorded, but not in the key.
+  files(station_.file.camera_files);
+  return fields_to_json(station_.file.known_lens());
 }
 
 Json StationInputs::camera() {
   Json json = {{"lens", lens()}};
-  if (const auto& camera = station_.file.camera) {
-    json["pose"] = std::vector<double>(camera->pose.rotation.data(), camera->pose.rotation.data() + 9);
-    json["translation"] = std::vector<double>(camera->pose.translation.data(), camera->pose.translation.data() + 3);
-  }
+  if (station_.file.camera) json["pose"] = fields_to_json(station_.file.camera->pose);
   return json;
 }
 
 Json StationInputs::prior() {
-  Json json = Json::object();
-  if (const auto& spec = station_.file.prior) {
-    if (spec->cloud && std::filesystem::is_directory(*spec->cloud)) {
-      json["cloud"] = Json::array();
-      for (const auto& path : colmap_workspace_files(*spec->cloud)) json["cloud"].push_back(file(path));
-    } else if (spec->cloud) {
-      json["cloud"] = file(*spec->cloud);
+  struct Source {
+    StationInputs& inputs;
+
+    Json operator()(std::monostate) const { return nullptr; }
+    Json operator()(const CloudFile& cloud) const {
+      if (!fs::is_directory(cloud.path)) return {{"cloud", inputs.file(cloud.path)}};
+      return {{"cloud", inputs.files(colmap_workspace_files(cloud.path))}};
     }
-    if (spec->mesh) json["mesh"] = file(*spec->mesh);
-    if (spec->depth) json["depth"] = file(*spec->depth);
-  }
-  if (station_.cloud) json["cloud"] = array(station_.cloud->points.data(), station_.cloud->points.size());
-  if (station_.prior_depth) json["depth"] = array(station_.prior_depth->data(), station_.prior_depth->count());
-  if (const auto& swept = station_.swept) {
-    json["swept"] = array(swept->depth.data(), swept->depth.count());
-    json["sigma"] = array(swept->sigma.data(), swept->sigma.count());
-    json["shape"] = array(swept->shape.data(), swept->shape.count());
-  }
-  return json;
+    Json operator()(const MeshFile& mesh) const { return {{"mesh", inputs.file(mesh.path)}}; }
+    Json operator()(const DepthFile& depth) const { return {{"depth", inputs.file(depth.path)}}; }
+    Json operator()(const PointCloud& cloud) const {
+      return {{"points", inputs.array("prior points", cloud.points)},
+              {"normals", inputs.array("prior normals", cloud.normals)},
+              {"colors", inputs.array("prior colors", cloud.colors)}};
+    }
+    Json operator()(const Image<float>& depth) const { return {{"depth", inputs.array("prior depth", depth)}}; }
+    Json operator()(const SweptDepth& swept) const {
+      return {{"swept", inputs.array("swept depth", swept.depth)},
+              {"sigma", inputs.array("swept sigma", swept.sigma)},
+              {"shape", inputs.array("swept shape", swept.shape)}};
+    }
+  };
+  return std::visit(Source{*this}, station_.prior);
 }
 
 Json StationInputs::regions() {
-  Json json = Json::array();
-  for (const PatchSpec& patch : station_.file.patches)
-    json.push_back({patch.name, patch.x0, patch.y0, patch.x1, patch.y1});
-  for (const ProfileSpec& profile : station_.file.profiles) json.push_back({profile.name, profile.from, profile.to});
+  return {{"patches", fields_to_json(station_.file.patches)}, {"profiles", fields_to_json(station_.file.profiles)}};
+}
+
+Json StationInputs::comparison() {
+  Json json = Json::object();
+  if (reference_) json["reference"] = file(*reference_);
+  if (station_.photogrammetry) json["photogrammetry"] = Json::parse(station_.photogrammetry->figures_json);
   return json;
 }
 

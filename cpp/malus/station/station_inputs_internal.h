@@ -2,23 +2,40 @@
 
 // Private to the station room: what of a station goes into the steps' keys, with a hash of every file or array.
 
+#include <cstddef>
 #include <filesystem>
 #include <map>
-#include <nlohmann/json.hpp>
+#include <optional>
 #include <string>
+#include <string_view>
+#include <vector>
 
 #include "malus/core/context.h"
+#include "malus/station/json_fields_internal.h"
 #include "malus/station/station.h"
 
 namespace malus {
 
-using Json = nlohmann::ordered_json;
-
-/// Values and hashes a station's results depend on. Every file is read once.
+/// Values and hashes that a station's results depend on. Every file is read once.
 class StationInputs {
  public:
-  StationInputs(const Station& station, const Context& context) : station_(station), context_(context) {}
+  StationInputs(const Station& station, const std::optional<std::filesystem::path>& reference, const Context& context)
+      : station_(station), reference_(reference), context_(context) {}
 
+  /// A part of the station; see below.
+  using Part = Json (StationInputs::*)();
+
+  /// Parts of the station, and what they were read from.
+  struct Values {
+    Json parts = Json::array();
+    std::map<std::string, std::string> hashes;  ///< path as the station gives it, or name of an array → SHA-256
+    std::vector<std::filesystem::path> files;   ///< of those
+  };
+  Values of(const std::vector<Part>& parts);
+  /// Throws an input error if one of the files is not what it was when it was hashed.
+  void require_unchanged(const Values& values) const;
+
+  Json title();
   Json polarized();
   Json optics();
   /// The lens alone, which is all that undistortion depends on.
@@ -28,19 +45,22 @@ class StationInputs {
   Json prior();
   /// [[patch]] and [[profile]].
   Json regions();
-  /// Hash of any other file, e.g. a reference scan.
-  Json file(const std::filesystem::path& path);
-
-  /// Path, as the station file gives it, and SHA-256 of every file hashed so far.
-  const std::map<std::string, std::string>& hashes() const { return hashes_; }
+  /// What the reference scan is, and what the photogrammetry says of itself.
+  Json comparison();
 
  private:
+  Json file(const std::filesystem::path& path) { return files({path})[0]; }
+  Json files(const std::vector<std::filesystem::path>& paths);
+  Json array(const std::string& name, const void* data, std::size_t bytes);
   template <class T>
-  Json array(const T* data, std::size_t count);
+  Json array(const std::string& name, const T& values);
+  std::string name_of(const std::filesystem::path& path) const;
 
   const Station& station_;
+  const std::optional<std::filesystem::path>& reference_;
   const Context& context_;
-  std::map<std::string, std::string> hashes_;
+  std::map<std::filesystem::path, std::string> known_;
+  Values* taken_ = nullptr;
 };
 
 }  // namespace malus

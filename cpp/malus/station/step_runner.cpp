@@ -1,40 +1,21 @@
-#include <sys/resource.h>
+#include <algorithm>
+#include <stdexcept>
 #ifdef __GLIBC__
 #include <malloc.h>
 #endif
 
-#include <algorithm>
-
 #include "malus/core/version.h"
 #include "malus/io/sha256.h"
+#include "malus/station/describe.h"
 #include "malus/station/step_runner_internal.h"
+#include "malus/station/step_watch_internal.h"
 
 namespace malus {
 namespace {
 
-rusage use_of_process() {
-  rusage use{};
-  getrusage(RUSAGE_SELF, &use);
-  return use;
-}
-
-/// Processor time of all threads so far.
-double cpu_seconds() {
-  const rusage use = use_of_process();
-  return static_cast<double>(use.ru_utime.tv_sec + use.ru_stime.tv_sec) +
-         1e-6 * static_cast<double>(use.ru_utime.tv_usec + use.ru_stime.tv_usec);
-}
-
-double peak_mb() {
-  return static_cast<double>(use_of_process().ru_maxrss) * 1024 / 1e6;
-}
-
 /// Gives the memory back that a step's many small allocations leave scattered (0.4 GB after the height of 18
-/// megapixels), and large memory beyond what the short steps take: kept, it would add to what the next step gets
-/// elsewhere, as a factor.
+/// megapixels).
 void release_unused_memory() {
-  constexpr std::size_t kept_between_steps = 512'000'000;
-  KeptMemory::limit(kept_between_steps);
 #ifdef __GLIBC__
   malloc_trim(0);
 #endif
@@ -42,64 +23,197 @@ void release_unused_memory() {
 
 }  // namespace
 
-StepRunner::StepRunner(const Options& options, const RunOptions& run, const Context& context)
-    : context_(context), until_(run.until), options_(Json::parse(options_to_json(options))) {
-  if (until_ && std::ranges::find(step_names, *until_) == step_names.end()) {
-    throw input_error("step " + *until_ + " does not exist");
+Workspace::Owner owner_of(const Station& station) {
+  const std::filesystem::path& file = station.file.path;
+  Json says = Json::parse(describe_station_json(station));
+  if (!file.empty()) says["sha256"] = sha256_of_file(file, "station file");
+  return {station.file.name, file, std::move(says)};
+}
+
+StepRunner::StepRunner(const std::vector<Step>& table, std::vector<const Step*> steps, const Station& station,
+                       const Options& options, const RunOptions& run, const Context& context)
+    : table_(table),
+      steps_(std::move(steps)),
+      station_(station),
+      options_(options),
+      run_(run),
+      context_(context),
+      option_values_(Json::parse(options_to_json(options))),
+      inputs_(station, run.reference, context) {
+  if (!run.workspace) return;
+  workspace_ = std::make_unique<Workspace>(*run.workspace, owner_of(station), run.replace);
+  workspace_->set_info("options", option_values_);
+  workspace_->set_info("versions", {{"malus", version}});
+  if (station.photogrammetry) {
+    const Json times = Json::parse(station.photogrammetry->times_json);
+    for (const auto& [name, value] : times.items()) workspace_->set_times(name, value);
   }
-  if (run.workspace) {
-    workspace_ = std::make_unique<Workspace>(*run.workspace);
-    set_info("options", options_);
-    set_info("versions", {{"malus", version}});
+}
+
+Results StepRunner::run() {
+  // All inputs first: what is missing or cannot be read is said before hours of work.
+  std::vector<StationInputs::Values> values;
+  for (const Step* step : steps_) values.push_back(inputs_.of(step->station));
+  if (station_.photogrammetry) warnings_->all = station_.photogrammetry->warnings;
+  for (std::size_t k = 0; k < steps_.size(); ++k) {
+    release(k);
+    const Step& step = *steps_[k];
+    const std::string key = key_of(step, values[k]);
+    if (is_done(step, key)) {
+      context_.progress(step.name, 1.0, "kept from an earlier run");
+    } else if (workspace_ || !step.makes.empty()) {
+      compute(k, key, values[k]);
+    }
   }
+  if (workspace_) workspace_->set_info("warnings", warnings_->all);
+  for (const Step* step : steps_) {
+    for (const Part& part : step->makes) {
+      if (run_.keep_maps || step == steps_.back()) result(part.type);
+    }
+  }
+  if (!run_.keep_maps) {
+    results_.drop_if([this](std::type_index type) { return !steps_.back()->makes_type(type); });
+  }
+  return std::move(results_);
 }
 
-bool StepRunner::wants(std::string_view step) const {
-  return !until_ || std::ranges::find(step_names, step) <= std::ranges::find(step_names, *until_);
+std::string StepRunner::key_of(const Step& step, const StationInputs::Values& values) {
+  Json key = {{"step", step.name}, {"version", version}, {"station", values.parts}, {"options", options_of(step)}};
+  key["after"] = after(step);
+  if (step.reads_type(typeid(Warnings))) key["warnings"] = warnings_->all;
+  return keys_[step.name] = sha256_of_bytes(key.dump());
 }
 
-void StepRunner::set_info(const std::string& name, const Json& value) {
-  if (workspace_) workspace_->set_info(name, value.dump());
+std::map<std::string, std::string> StepRunner::after(const Step& step) const {
+  std::map<std::string, std::string> keys;
+  for (const Step* before : steps_) {
+    if (before->name == step.name) break;
+    if (uses(step, *before)) keys[before->name] = keys_.at(before->name);
+  }
+  return keys;
 }
 
-std::string StepRunner::key_of(const std::string& step, const StepInputs& inputs) {
-  Json key = {{"step", step}, {"version", version}, {"station", inputs.station}};
-  for (const std::string& section : inputs.option_sections) key["options"][section] = options_.at(section);
-  for (const std::string& before : inputs.after) key["after"][before] = keys_.at(before);
-  return keys_[step] = sha256_of_bytes(key.dump());
+Json StepRunner::options_of(const Step& step) const {
+  Json options = Json::object();
+  for (const std::string& section : step.options) options[section] = option_values_.at(section);
+  return options;
 }
 
-Context StepRunner::context_of(const std::string& step) const {
+bool StepRunner::is_done(const Step& step, const std::string& key) {
+  if (!workspace_) {
+    if (run_.known == nullptr || step.makes.empty()) return false;
+    for (const Part& part : step.makes) {
+      const auto known = run_.known->get(part.type, &key);
+      if (!known) return false;
+      results_.set(part.type, key, known);
+    }
+    return true;
+  }
+  const Workspace::Record* record = workspace_->record(step.name);
+  if (record == nullptr || record->key != key) return false;
+  const std::vector<std::string> changed = workspace_->changed_since(step.name, context_);
+  if (!changed.empty()) {
+    context_.log(LogLevel::warning, (workspace_->folder() / changed[0]).string() + " is not as the step " + step.name +
+                                        " left it; the step is repeated");
+    return false;
+  }
+  for (const Part& part : step.makes) kept_[part.type] = &step;
+  for (const std::string& warning : record->warnings) {
+    warnings_->all.push_back(step.name + ": " + warning);
+    context_.log(LogLevel::warning, warning);
+  }
+  return true;
+}
+
+std::shared_ptr<const void> StepRunner::result(std::type_index type) {
+  if (type == typeid(Warnings)) return warnings_;
+  if (auto in_memory = results_.get(type, nullptr)) return in_memory;
+  const auto kept = kept_.find(type);
+  if (kept == kept_.end()) return nullptr;
+  const Step& step = *kept->second;
+  const Part& part = *std::ranges::find(step.makes, type, &Part::type);
+  const std::shared_ptr<void> fresh = part.make();
+  Keeper keeper(workspace_->folder(), *workspace_->record(step.name),
+                [this](std::type_index other) { return result(other); });
+  part.keep(fresh.get(), keeper);
+  results_.set(type, keys_.at(step.name), fresh);
+  return fresh;
+}
+
+StepInputs StepRunner::inputs_of(const Step& step) {
+  StepInputs inputs;
+  for (const Read& read : step.reads) {
+    if (auto value = result(read.type)) inputs[read.type] = std::move(value);
+  }
+  return inputs;
+}
+
+void StepRunner::release(std::size_t next) {
+  if (run_.keep_maps) return;
+  results_.drop_if([&](std::type_index type) {
+    return std::none_of(steps_.begin() + static_cast<std::ptrdiff_t>(next), steps_.end(),
+                        [type](const Step* step) { return step->reads_type(type); });
+  });
+}
+
+Context StepRunner::context_of(const std::string& step, std::vector<std::string>& warnings) {
   Context inner = context_;
+  // The step ends when it is recorded, not when its function does.
   inner.on_progress = [this, step](const Progress& part) {
     if (part.fraction < 1) context_.progress(step, part.fraction, part.message);
+  };
+  inner.on_log = [this, step, &warnings](LogLevel level, const std::string& message) {
+    if (level == LogLevel::warning) {
+      warnings.push_back(message);
+      warnings_->all.push_back(step + ": " + message);
+    }
+    context_.log(level, message);
   };
   return inner;
 }
 
-StepRunner::Start StepRunner::begin(const std::string& step) {
+void StepRunner::compute(std::size_t index, const std::string& key, const StationInputs::Values& values) {
+  const Step& step = *steps_[index];
   context_.check_cancel();
+  if (workspace_) workspace_->forget(step.name, files_of(table_, step.name));
+  context_.progress(step.name, 0.0);
+  StepInputs inputs = inputs_of(step);
+  release(index);  // what came along with them
+  StepWatch watch;
+  Workspace::Record record{key, after(step), values.hashes, options_of(step), {}, {}, Json::object()};
+  StepFiles files;
+  Json times = Json::object();
+  const Context inner = context_of(step.name, record.warnings);
+  const auto made = step.run({station_, options_, run_, inner, files, times}, inputs);
+  inputs_.require_unchanged(values);
   if (workspace_) {
-    workspace_->begin(step);
-    // Both write fused/, so a result of the one takes the other's away.
-    if (step == "fuse") workspace_->begin("refine");
-    if (step == "refine") workspace_->begin("fuse");
+    for (std::size_t k = 0; k < made.size(); ++k) {
+      Keeper keeper(files, record.notes);
+      step.makes[k].keep(made[k].get(), keeper);
+    }
+    record.outputs = workspace_->examine(written(step, files, inner), inner);
+    context_.check_cancel();
+    release_unused_memory();
+    times.update(watch.stop());
+    workspace_->finish(step.name, std::move(record), std::move(times));
   }
-  context_.progress(step, 0.0);
-  return {std::chrono::steady_clock::now(), cpu_seconds()};
+  for (std::size_t k = 0; k < made.size(); ++k) results_.set(step.makes[k].type, key, made[k]);
+  context_.progress(step.name, 1.0);
 }
 
-void StepRunner::record(const std::string& step, const std::string& key, const StepOutputs& outputs, const Start& start,
-                        const Json& notes) {
-  context_.check_cancel();
-  release_unused_memory();
-  const std::chrono::duration<double> time = std::chrono::steady_clock::now() - start.time;
-  const Workspace::Use use{time.count(), cpu_seconds() - start.cpu_seconds, peak_mb()};
-  workspace_->finish(step, key, outputs.written(), use, notes.dump());
-}
-
-void StepRunner::report_kept(const std::string& step) const {
-  context_.progress(step, 1.0, "kept from an earlier run");
+std::vector<std::string> StepRunner::written(const Step& step, const StepFiles& files, const Context& context) const {
+  std::vector<std::string> names = files.write(workspace_->folder(), context);
+  const auto has = [](const std::vector<std::string>& all, const std::string& name) {
+    return std::ranges::find(all, name) != all.end();
+  };
+  for (const std::string& name : names) {
+    if (!has(step.leaves, name) && !has(step.may_leave, name))
+      throw std::logic_error("the table does not say that " + step.name + " leaves " + name);
+  }
+  for (const std::string& name : step.leaves) {
+    if (!has(names, name)) throw std::logic_error("the table says that " + step.name + " leaves " + name);
+  }
+  return names;
 }
 
 }  // namespace malus

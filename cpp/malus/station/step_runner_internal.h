@@ -1,106 +1,64 @@
 #pragma once
 
-// Private to the station room: runs a step, or reads its result back when the workspace already has it.
+// Private to the station room: runs the steps of a table, or reads their results back when the workspace has them.
 
-#include <chrono>
-#include <map>
 #include <memory>
 #include <optional>
 #include <string>
-#include <string_view>
+#include <typeindex>
 #include <vector>
 
-#include "malus/core/context.h"
-#include "malus/core/kept_memory.h"
-#include "malus/io/workspace.h"
-#include "malus/station/options.h"
-#include "malus/station/reconstruct.h"
-#include "malus/station/step_files_internal.h"
+#include "malus/io/workspace_internal.h"
+#include "malus/station/step_internal.h"
 
 namespace malus {
 
-/// What a step's result depends on beside the steps before it.
-struct StepInputs {
-  std::vector<std::string> after;            ///< steps whose results it uses
-  std::vector<std::string> option_sections;  ///< "fusion" or a section's name
-  Json station = Json::object();             ///< the parts of the station that matter, with hashes of files or arrays
-};
+/// Who the workspaces of a station belong to.
+Workspace::Owner owner_of(const Station& station);
 
-/// Runs the steps of one reconstruction in order.
+/// One reconstruction. Knows no step by name.
 class StepRunner {
  public:
-  StepRunner(const Options& options, const RunOptions& run, const Context& context);
+  /// `table` has all steps, `steps` those of this run, which must outlive this.
+  StepRunner(const std::vector<Step>& table, std::vector<const Step*> steps, const Station& station,
+             const Options& options, const RunOptions& run, const Context& context);
 
-  /// Whether the run goes as far as this step.
-  bool wants(std::string_view step) const;
-  const Context& context() const { return context_; }
-  /// The workspace's folder, or null when everything stays in memory.
-  const std::filesystem::path* folder() const { return workspace_ ? &workspace_->folder() : nullptr; }
-  /// Records a value in the manifest.
-  void set_info(const std::string& name, const Json& value);
-
-  /// Result of a step: read back when the manifest has it with the same key, else computed, saved and recorded.
-  /// `compute(context)` returns T; T has `save` and `load` in step_files_internal.h.
-  template <class T, class Compute>
-  T run(const std::string& step, const StepInputs& inputs, Compute&& compute) {
-    const std::string key = key_of(step, inputs);
-    if (workspace_ && workspace_->is_done(step, key)) {
-      T result;
-      load(result, workspace_->folder(), Json::parse(workspace_->notes(step)));
-      report_kept(step);
-      return result;
-    }
-    const auto start = begin(step);
-    T result = compute(context_of(step));
-    if (workspace_) {
-      StepFiles files;
-      const Json notes = save(result, files);
-      StepOutputs outputs(*workspace_);
-      files.write(outputs, context_);
-      record(step, key, outputs, start, notes);
-    }
-    context_.progress(step, 1.0);
-    return result;
-  }
-
-  /// A step that only writes files below the workspace: `write(context, outputs)`, not run in memory.
-  template <class Write>
-  void write(const std::string& step, const StepInputs& inputs, Write&& write_files) {
-    if (!workspace_) return;
-    const std::string key = key_of(step, inputs);
-    if (workspace_->is_done(step, key)) {
-      report_kept(step);
-      return;
-    }
-    const auto start = begin(step);
-    StepOutputs outputs(*workspace_);
-    write_files(context_of(step), outputs);
-    record(step, key, outputs, start, Json::object());
-    context_.progress(step, 1.0);
-  }
+  /// Runs the steps that are not done. What results are left is as RunOptions::keep_maps says.
+  Results run();
 
  private:
-  /// Clocks at the start of a step.
-  struct Start {
-    std::chrono::steady_clock::time_point time;
-    double cpu_seconds;
-  };
+  /// Takes a step's results from the workspace or an earlier run if they are there with this key.
+  bool is_done(const Step& step, const std::string& key);
+  void compute(std::size_t index, const std::string& key, const StationInputs::Values& values);
+  /// Writes the files of a step, which must be among those that its row names.
+  std::vector<std::string> written(const Step& step, const StepFiles& files, const Context& context) const;
+  std::string key_of(const Step& step, const StationInputs::Values& values);
+  /// The steps of this run whose results it uses, and their keys.
+  std::map<std::string, std::string> after(const Step& step) const;
+  /// The sections that the step depends on.
+  Json options_of(const Step& step) const;
+  /// A result that an earlier step has made, read back if it is not in memory.
+  std::shared_ptr<const void> result(std::type_index type);
+  /// Those that the step reads, as far as the run has them.
+  StepInputs inputs_of(const Step& step);
+  /// Lets go of results that no step of the run from this one on reads.
+  void release(std::size_t next);
+  /// A context whose progress and warnings are the step's, the latter added to `warnings`.
+  Context context_of(const std::string& step, std::vector<std::string>& warnings);
 
-  std::string key_of(const std::string& step, const StepInputs& inputs);
-  /// The context for a step's computation: its parts' progress counts as the step's, which ends when it is recorded.
-  Context context_of(const std::string& step) const;
-  Start begin(const std::string& step);
-  /// Marks the step as done in the manifest.
-  void record(const std::string& step, const std::string& key, const StepOutputs& outputs, const Start& start,
-              const Json& notes);
-  void report_kept(const std::string& step) const;
-
+  const std::vector<Step>& table_;
+  const std::vector<const Step*> steps_;
+  const Station& station_;
+  const Options& options_;
+  const RunOptions& run_;
   const Context& context_;
-  KeptMemory kept_memory_;
-  std::optional<std::string> until_;
-  Json options_;
+  const Json option_values_;
   std::unique_ptr<Workspace> workspace_;
+  StationInputs inputs_;
+  Results results_;
+  std::map<std::type_index, const Step*> kept_;  ///< results that the workspace has, and the steps that left them
   std::map<std::string, std::string> keys_;
+  std::shared_ptr<Warnings> warnings_ = std::make_shared<Warnings>();
 };
 
 }  // namespace malus

@@ -1,0 +1,38 @@
+#include <optional>
+
+#include "malus/io/point_cloud_file.h"
+#include "malus/station/quality_json_internal.h"
+#include "malus/station/state_views_internal.h"
+#include "malus/station/step_functions_internal.h"
+
+namespace malus {
+
+QualityReport make_quality(const Job& job, const FusedSurface& surface, const CalibratedPolarization& polarization,
+                           const StationView& view, const DepthPrior& prior, const HeightMap* height,
+                           const RefinementFindings* refinement, const Warnings& warnings) {
+  const StationFile& station = job.station.file;
+  std::optional<TriangleMesh> reference;
+  if (job.run.reference) reference = read_cloud_or_mesh(*job.run.reference, job.context, "reference");
+  const Mask object = object_mask(*polarization.state);
+  QualityReport report;
+  report.quality = assess({.surface = &surface,
+                           .prior = &prior,
+                           .height = height,
+                           .polarization = polarization.state.get(),
+                           .object = &object,
+                           .reference = reference ? &*reference : nullptr,
+                           .registration_rms_px = view.registration_rms_px,
+                           .patches = station.patches,
+                           .profiles = station.profiles,
+                           .unit = station.unit},
+                          job.options.assess, job.context);
+  report.quality.warnings = warnings.all;
+  const auto& photogrammetry = job.station.photogrammetry;
+  report.json = quality_json(station.name, report.quality, polarization.polarizer, refinement,
+                             photogrammetry ? &*photogrammetry : nullptr)
+                    .dump(2) +
+                "\n";
+  return report;
+}
+
+}  // namespace malus

@@ -1,0 +1,87 @@
+#include <algorithm>
+
+#include "malus/fusion/tile_solver.h"
+#include "malus/station/cost_model_internal.h"
+
+namespace malus {
+namespace {
+
+/// Measured with default options: processor seconds a megapixel, the share of them that threads divide, and memory a
+/// megapixel and for each thread.
+struct Rates {
+  double seconds_per_mpx;
+  double parallel_share;
+  double megabytes_per_mpx;
+  double megabytes_per_thread;
+};
+
+/// Of the process before anything is read.
+constexpr double megabytes_fixed = 30;
+
+Expected expected(const Rates& rates, double megapixels, int threads) {
+  return {megapixels * rates.seconds_per_mpx * (1 - rates.parallel_share + rates.parallel_share / threads),
+          megabytes_fixed + megapixels * rates.megabytes_per_mpx + threads * rates.megabytes_per_thread};
+}
+
+double image_mpx(const Workload& work) {
+  return static_cast<double>(work.size.area()) / 1e6;
+}
+
+}  // namespace
+
+Expected polarization_cost(const Workload& work) {
+  return expected({0.14, 0.8, 64, 0}, image_mpx(work), work.threads);
+}
+
+Expected prior_cost(const Workload& work) {
+  constexpr Rates cloud{5.3, 0.88, 100, 250}, raster{0.04, 0.5, 35, 0};
+  const bool is_cloud =
+      std::holds_alternative<CloudFile>(work.station.prior) || std::holds_alternative<PointCloud>(work.station.prior);
+  return expected(is_cloud ? cloud : raster, work.object_mpx, work.threads);
+}
+
+Expected polarizer_cost(const Workload& work) {
+  return expected({0.15, 0.85, 57, 20}, work.object_mpx, work.threads);
+}
+
+Expected zenith_cost(const Workload& work) {
+  return expected({0.14, 0.85, 57, 20}, work.object_mpx, work.threads);
+}
+
+Expected height_cost(const Workload& work) {
+  Expected cost = expected({1.65, 0.93, 52, 170}, work.object_mpx, work.threads);
+  // The height of a raster is solved as a whole, many times, at the first of its halved resolutions that is small
+  // enough.
+  constexpr double largest_mpx = 0.5, seconds_per_mpx = 10;
+  double share = 1;
+  while (share * image_mpx(work) > largest_mpx) share /= 4;
+  cost.seconds += seconds_per_mpx * share * work.object_mpx;
+  return cost;
+}
+
+Expected grid_cost(const Workload& work) {
+  return expected({0.12, 0.8, 56, 0}, work.object_mpx, work.threads);
+}
+
+Expected refined_cost(const Workload& work) {
+  Expected cost = expected({45, 0.96, 50, 0}, work.object_mpx, work.threads);
+  // The field of a strip, and a tile's problem for each thread.
+  constexpr double strip_mb_per_mpx = 110, tile_mb_per_mpx = 5000;
+  const RefineOptions& options = work.options.refine;
+  double tile_mpx = 0;
+  for (const Tile& tile : divide_into_tiles(work.size, options.tile_px, options.margin_px))
+    tile_mpx = std::max(tile_mpx, static_cast<double>(tile.outer.size().area()) / 1e6);
+  cost.megabytes += strip_mb_per_mpx * std::min(options.strip_megapixels, image_mpx(work)) +
+                    work.threads * tile_mb_per_mpx * tile_mpx;
+  return cost;
+}
+
+Expected mesh_cost(const Workload& work) {
+  return expected({0.31, 0.85, 57, 20}, work.object_mpx, work.threads);
+}
+
+Expected assess_cost(const Workload& work) {
+  return expected({0.10, 0.85, 57, 20}, work.object_mpx, work.threads);
+}
+
+}  // namespace malus

@@ -1,0 +1,121 @@
+#include "malus/io/colmap_model.h"
+#include "malus/station/kept_results_internal.h"
+
+namespace malus {
+namespace {
+
+/// What differs when the surface corrects the scale; the rest of the state is as measured.
+void keep_maps(PolarizationState& state, const std::string& folder, Keeper& keeper) {
+  keeper.raster(folder + "unpolarized.tif", state.i_un);
+  keeper.raster(folder + "degree.tif", state.rho);
+  keeper.raster(folder + "phase.tif", state.phi);
+  keeper.value("angles_rad", state.angles_rad);
+}
+
+}  // namespace
+
+void keep(MeasuredPolarization& result, Keeper& keeper) {
+  PolarizationState& state = keeper.shared(result.state);
+  keep_maps(state, "polarization/measured/", keeper);
+  keeper.raster("polarization/valid.png", state.valid);
+  keeper.raster("polarization/residual.tif", state.residual);
+  keeper.raster("polarization/variance_factor.tif", state.variance_factor);
+  keeper.value("exposures", state.exposures);
+  keeper.value("noise", state.noise);
+  keeper.value("weighting", state.weighting);
+  keeper.value("polarizer", result.polarizer);
+  keeper.value("polarizer_fitted", result.polarizer_fitted);
+}
+
+void keep(StationView& result, Keeper& keeper) {
+  keeper.value("camera", result.camera);
+  keeper.value("registration_rms_px", result.registration_rms_px);
+}
+
+void keep(ObjectColor& result, Keeper& keeper) {
+  keeper.raster("polarization/color.tif", result.image);
+}
+
+void keep(Scene& result, Keeper& keeper) {
+  keeper.raster("polarization/scene.tif", result.image);
+}
+
+void keep(CalibratedPolarization& result, Keeper& keeper) {
+  keeper.value("calibration", result.polarizer);
+  if (!keeper.is_reading()) return keep_maps(keeper.shared(result.state), "polarization/", keeper);
+  const auto measured = keeper.result<MeasuredPolarization>();
+  result.state = measured->state;
+  if (!result.polarizer.from_surface) return;
+  const PolarizationState& as_measured = *measured->state;
+  PolarizationState& state = keeper.shared(result.state);
+  keep_maps(state, "polarization/", keeper);
+  state.residual = as_measured.residual;
+  state.valid = as_measured.valid;
+  state.exposures = as_measured.exposures;
+  state.noise = as_measured.noise;
+  state.weighting = as_measured.weighting;
+  state.variance_factor = as_measured.variance_factor;
+}
+
+void keep(DepthPrior& result, Keeper& keeper) {
+  keeper.raster("prior/depth.tif", result.depth);
+  keeper.raster("prior/sigma.tif", result.sigma);
+  keeper.value("camera", result.camera);
+  keeper.value("pose", result.pose);
+  keeper.value("points_total", result.points_total);
+  keeper.value("points_used", result.points_used);
+  keeper.value("noise", result.noise);
+  keeper.value("spacing_px", result.spacing_px);
+  keeper.value("smoothing_px", result.smoothing_px);
+  keeper.value("filled_fraction", result.filled_fraction);
+}
+
+void keep(ReflectionMap& result, Keeper& keeper) {
+  keeper.raster("polarization/zenith.tif", result.zenith);
+  keeper.raster("polarization/label.png", result.label);
+  keeper.value("refractive_index", result.refractive_index);
+  keeper.value("specular_share", result.specular_share);
+  keeper.value("clamped_share", result.clamped_share);
+}
+
+void keep(HeightMap& result, Keeper& keeper) {
+  keeper.raster("height/height.tif", result.height);
+  keeper.value("perspective", result.perspective);
+  keeper.value("light", result.light);
+  keeper.value("status", result.status);
+  keeper.value("residual_rms", result.residual_rms);
+  keeper.value("unknowns", result.unknowns);
+  keeper.value("iterations", result.iterations);
+  keeper.value("last_update", result.last_update);
+  keeper.value("solver_iterations", result.solver_iterations);
+  keeper.value("solver_bytes", result.solver_bytes);
+}
+
+void keep(FusedSurface& result, Keeper& keeper) {
+  keeper.raster("fused/depth.tif", result.depth);
+  keeper.raster("fused/normals.tif", result.normals);
+  keeper.raster("fused/sigma.tif", result.sigma);
+  keeper.extra("fused/camera.txt", colmap_text(result.camera));
+  keeper.extra("fused/image.txt", colmap_text(result.pose, "depth.tif"));
+  keeper.value("camera", result.camera);
+  keeper.value("pose", result.pose);
+  keeper.value("method", result.method);
+  keeper.value("status", result.status);
+  keeper.value("warnings", result.warnings);
+}
+
+void keep(RefinementFindings& result, Keeper& keeper) {
+  keeper.raster("fused/label.png", result.label);
+  keeper.raster("fused/confidence.png", result.confidence);
+  keeper.text("fused/refinement.json", result.report_json);
+}
+
+void keep(QualityReport& result, Keeper& keeper) {
+  keeper.text("quality.json", result.json);
+  if (keeper.is_reading()) fields_from_json(result.quality, Json::parse(result.json));
+  if (result.quality.reference) {
+    keeper.raster("fused/reference_distance.tif", result.quality.reference->distance);
+  }
+}
+
+}  // namespace malus

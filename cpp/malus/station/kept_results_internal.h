@@ -1,0 +1,24 @@
+#pragma once
+
+// Private to the station room: the files and notes in which each step's results rest in a workspace.
+
+#include "malus/station/keeper_internal.h"
+#include "malus/station/results.h"
+
+namespace malus {
+
+// Names every part of a result, to write it or to read it back (see Keeper).
+
+void keep(MeasuredPolarization& result, Keeper& keeper);
+void keep(StationView& result, Keeper& keeper);
+void keep(ObjectColor& result, Keeper& keeper);
+void keep(Scene& result, Keeper& keeper);
+void keep(CalibratedPolarization& result, Keeper& keeper);
+void keep(DepthPrior& result, Keeper& keeper);
+void keep(ReflectionMap& result, Keeper& keeper);
+void keep(HeightMap& result, Keeper& keeper);
+void keep(FusedSurface& result, Keeper& keeper);
+void keep(RefinementFindings& result, Keeper& keeper);
+void keep(QualityReport& result, Keeper& keeper);
+
+}  // namespace malus

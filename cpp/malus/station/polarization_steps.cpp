@@ -1,0 +1,186 @@
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "malus/capture/capture.h"
+#include "malus/core/depth_normals.h"
+#include "malus/core/median.h"
+#include "malus/core/parallel.h"
+#include "malus/io/image_file.h"
+#include "malus/polarization/decompose.h"
+#include "malus/polarization/interpolation_error.h"
+#include "malus/polarization/unpolarized.h"
+#include "malus/station/state_views_internal.h"
+#include "malus/station/step_functions_internal.h"
+
+namespace malus {
+namespace {
+
+/// Share of the object's pixels from which misfits are worth a warning.
+constexpr double many_misfits = 0.05;
+/// Median error of (s1, s2) over their length from which a mosaic is worth a warning.
+constexpr double texture_over_polarization = 1;
+
+CaptureInput make_capture_input(const Station& station) {
+  const std::optional<LensCamera> lens = station.file.known_lens();
+  if (!station.in_memory()) return capture_input(station.file.polarized, lens);
+  CaptureInput input;
+  input.polarized = station.file.polarized;
+  input.lens = lens;
+  input.mask = station.mask;
+  for (std::size_t k = 0; k < station.images.size(); ++k) input.names.push_back("images[" + std::to_string(k) + "]");
+  input.load = [&station](std::size_t k) { return RawImage{station.images[k], 32, true, 1.0}; };
+  return input;
+}
+
+/// Angles and exposures that the images themselves ask for, where that is wanted and better than what is given; the
+/// stack's angles and intensities are then those.
+void fit_polarizer_of(PolarizedStack& stack, const PolarizedSpec& spec, const PolarizerOptions& options,
+                      MeasuredPolarization& measured, const Context& context) {
+  const bool free_angles = !spec.angles_deg, fits = stack.images.size() > 3 && !spec.mosaic;
+  if (free_angles && options.calibrate_angles == AngleCalibration::off) {
+    throw input_error(
+        "polarizer.calibrate_angles = \"off\" leaves angles_deg = \"auto\" unknown, expected angles in degrees");
+  }
+  PolarizerFit& fit = measured.polarizer;
+  if (free_angles || (fits && options.calibrate_angles != AngleCalibration::off)) {
+    fit = fit_polarizer(stack.images, stack.angles_rad, stack.noise, stack.mask, stack.saturated, options, context);
+    measured.polarizer_fitted = free_angles || options.calibrate_angles == AngleCalibration::on ||
+                                (fit.improvement() > options.min_improvement && fit.is_plausible(options));
+    if (!free_angles && fit.improvement() > options.min_improvement && !fit.is_plausible(options)) {
+      context.log(LogLevel::warning,
+                  "the images fit other polarizer angles or exposures better than those given, but too far off for an "
+                  "error of reading: are angles_deg in the order of the images?");
+    }
+  } else {
+    fit = polarizer_as_given(stack.angles_rad, options);
+  }
+  if (!measured.polarizer_fitted) {
+    fit.angles_rad = stack.angles_rad;
+    fit.gains.assign(stack.images.size(), 1.0);
+    return;
+  }
+  stack.angles_rad = fit.angles_rad;
+  for (std::size_t k = 0; k < stack.images.size(); ++k) {
+    const auto share = static_cast<float>(1 / fit.gains[k]);
+    Image<float>& image = stack.images[k];
+    parallel_rows(context, image.height(), [&](int v) {
+      std::for_each(image.row(v), image.row(v) + image.width(), [share](float& value) { value *= share; });
+    });
+  }
+}
+
+/// Pixels that do not follow the sinusoid are left out one by one; many of them have one cause.
+void warn_of_misfits(const PolarizationState& state, const Context& context) {
+  std::size_t object_pixels = 0, misfit_pixels = 0;
+  for (const std::uint8_t pixel : state.valid) {
+    object_pixels += pixel != static_cast<std::uint8_t>(PixelState::outside);
+    misfit_pixels += pixel == static_cast<std::uint8_t>(PixelState::misfit);
+  }
+  const auto object = static_cast<double>(object_pixels), misfits = static_cast<double>(misfit_pixels);
+  if (misfits <= many_misfits * object) return;
+  context.log(LogLevel::warning, std::to_string(std::lround(100 * misfits / object)) +
+                                     " % of the object's pixels do not follow the polarizer's sinusoid: is `response` "
+                                     "right, did the light change, did something move?");
+}
+
+/// Of images interpolated from a mosaic: texture finer than its cells passes for polarization.
+void warn_of_texture(const PolarizationState& state, const Context& context) {
+  std::vector<double> errors;
+  for (int v = 0; v < state.size().height; v += 4) {
+    for (int u = 0; u < state.size().width; u += 4) {
+      if (!state.is_valid(u, v)) continue;
+      const Eigen::Matrix3d covariance = state.stokes_covariance(u, v);
+      const double s0 = 2.0 * state.i_un(u, v), linear = s0 * std::max<double>(state.rho(u, v), 1e-6);
+      errors.push_back(std::sqrt(0.5 * (covariance(1, 1) + covariance(2, 2))) / linear);
+    }
+  }
+  if (errors.empty()) return;
+  if (median_in_place(errors) < texture_over_polarization) return;
+  context.log(LogLevel::warning,
+              "texture finer than the mosaic's cells is as strong as the polarization on most of the object: the fused "
+              "detail may be worse than the prior's; come closer, stop the lens down, or turn a filter before an "
+              "ordinary camera");
+}
+
+/// What is known of the reflection, the light and the scale, to compare the polarization with the prior.
+FrameHints frame_hints(const Job& job, const PolarizationState& state, const StationView& view,
+                       const Image<float>& normals) {
+  const OpticsSpec& optics = job.station.file.optics;
+  FrameHints hints;
+  hints.known_scale = job.station.file.polarized.angles_deg.has_value();
+  if (optics.reflection == ReflectionChoice::diffuse) hints.specular = false;
+  if (optics.reflection == ReflectionChoice::specular) hints.specular = true;
+  if (optics.refractive_index) hints.refractive_index = *optics.refractive_index;
+  const LightEstimate light = light_on_surface(state, normals, &view.camera, job.options.light, job.context);
+  if (light.status == LightStatus::estimated) hints.light = light.coefficients.head<3>();
+  return hints;
+}
+
+/// What the surface says of the scale, as far as there is one.
+CalibratedFrame compare_with_surface(const Job& job, const MeasuredPolarization& measured, const StationView& view,
+                                     const DepthPrior* prior) {
+  const PolarizedSpec& polarized = job.station.file.polarized;
+  const bool known_scale = polarized.angles_deg.has_value();
+  if (prior == nullptr)
+    return {calibration_without_surface(measured.polarizer, measured.polarizer_fitted, known_scale)};
+  PolarizerOptions known = job.options.polarizer;
+  // The angles of a polarization camera are made with its sensor.
+  if (polarized.mosaic) known.calibrate_angles = AngleCalibration::off;
+  const Image<float> normals = normals_from_depth(prior->depth, view.camera, job.context);
+  const FrameHints hints = frame_hints(job, *measured.state, view, normals);
+  const FrameEstimate surface = estimate_frame(*measured.state, &view.camera, normals, hints, known, job.context);
+  return calibrate_frame(measured.polarizer, measured.polarizer_fitted, known_scale, surface, known);
+}
+
+}  // namespace
+
+std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene> measure_polarization(const Job& job) {
+  const Options& options = job.options;
+  const Context& context = job.context;
+  PolarizedStack stack = capture_stack(make_capture_input(job.station), options.capture, context);
+  MeasuredPolarization measured;
+  fit_polarizer_of(stack, job.station.file.polarized, options.polarizer, measured, context);
+  auto state = std::make_shared<PolarizationState>(decompose(stack.images, stack.angles_rad, stack.noise, stack.mask,
+                                                             stack.saturated, options.polarization, context));
+  if (!stack.shared.empty()) {
+    add_interpolation_error(*state, stack.shared, context);
+    warn_of_texture(*state, context);
+  }
+  warn_of_misfits(*state, context);
+  measured.state = std::move(state);
+  Scene scene;
+  if (job.station.file.photos) scene.image = unpolarized_intensity(stack.images, stack.angles_rad, context);
+  return {std::move(measured), StationView{stack.camera, std::move(stack.registration_rms_px)},
+          ObjectColor{std::move(stack.color)}, std::move(scene)};
+}
+
+CalibratedPolarization calibrate_polarization(const Job& job, const MeasuredPolarization& measured,
+                                              const StationView& view, const DepthPrior* prior) {
+  CalibratedFrame calibrated = compare_with_surface(job, measured, view, prior);
+  for (const std::string& warning : calibrated.calibration.warnings) job.context.log(LogLevel::warning, warning);
+  if (!calibrated.calibration.from_surface) return {measured.state, std::move(calibrated.calibration)};
+  auto state = std::make_shared<PolarizationState>(*measured.state);
+  apply_frame(*state, calibrated.frame, job.context);
+  return {std::move(state), std::move(calibrated.calibration)};
+}
+
+ReflectionMap find_zenith(const Job& job, const CalibratedPolarization& polarization, const StationView& view,
+                          const DepthPrior* prior) {
+  const StationFile& file = job.station.file;
+  ReflectionOptions known = job.options.reflection;
+  if (file.optics.refractive_index) known.refractive_index = *file.optics.refractive_index;
+  known.reflection = file.optics.reflection;
+  Image<std::uint8_t> labels;
+  if (file.optics.label_image) labels = read_labels(*file.optics.label_image);
+  Image<float> normals;
+  if (prior != nullptr) normals = normals_from_depth(prior->depth, view.camera, job.context);
+  // Without a camera the rays are taken for parallel.
+  const Pinhole* camera = file.known_lens() ? &view.camera : nullptr;
+  return map_reflection(*polarization.state, camera, prior != nullptr ? &normals : nullptr,
+                        file.optics.label_image ? &labels : nullptr, known, job.context);
+}
+
+}  // namespace malus

@@ -1,0 +1,99 @@
+#pragma once
+
+#include <map>
+#include <memory>
+#include <string>
+#include <typeindex>
+#include <vector>
+
+#include "malus/assess/quality.h"
+#include "malus/core/camera.h"
+#include "malus/core/image.h"
+#include "malus/fusion/fused_surface.h"
+#include "malus/height/height_map.h"
+#include "malus/polarization/polarization_state.h"
+#include "malus/polarization/polarizer_calibration.h"
+#include "malus/polarization/polarizer_fit.h"
+#include "malus/polarization/reflection.h"
+#include "malus/prior/depth_prior.h"
+
+namespace malus {
+
+// What the steps make, beside the results of other rooms (DepthPrior, ReflectionMap, HeightMap, FusedSurface). Nothing
+// of it is changed once it is made.
+
+/// What the images say, before any surface is known.
+struct MeasuredPolarization {
+  std::shared_ptr<const PolarizationState> state;
+  PolarizerFit polarizer;         ///< angles and exposures that the Stokes vectors were computed with
+  bool polarizer_fitted = false;  ///< they come from the images, not from the station
+};
+
+/// The camera of all rasters.
+struct StationView {
+  Pinhole camera;
+  std::vector<double> registration_rms_px;  ///< PolarizedStack::registration_rms_px
+};
+
+/// Mean linear colour of the images, empty for monochrome ones.
+struct ObjectColor {
+  Image<float> image;
+};
+
+/// Of a station with photos: unpolarized intensity of all that is in view, object or not, by which it is placed.
+struct Scene {
+  Image<float> image;
+};
+
+/// The polarization with the polarizer's scale as the surface has it.
+struct CalibratedPolarization {
+  std::shared_ptr<const PolarizationState> state;  ///< that of the images if the surface corrects nothing
+  PolarizerCalibration polarizer;
+};
+
+/// What the nonlinear refinement found out beside the surface.
+struct RefinementFindings {
+  std::string report_json;         ///< reflectance, light, convergence and cost, with standard deviations
+  Image<std::uint8_t> label;       ///< as ReflectionMap::label
+  Image<std::uint8_t> confidence;  ///< weight of each pixel's polarization, 0 … 255
+};
+
+/// The figures, and quality.json, which also has the station's name and what refinement and photogrammetry say of
+/// themselves.
+struct QualityReport {
+  Quality quality;
+  std::string json;
+};
+
+/// Results by their type, shared with whoever asks for them.
+class Results {
+ public:
+  /// Null if it was not made, or let go again.
+  template <class T>
+  std::shared_ptr<const T> get() const {
+    return std::static_pointer_cast<const T>(get(typeid(T), nullptr));
+  }
+
+  /// The same of any type; with a key only if it was made under this one.
+  std::shared_ptr<const void> get(std::type_index type, const std::string* key) const {
+    const auto found = entries_.find(type);
+    const bool wanted = found != entries_.end() && (key == nullptr || found->second.key == *key);
+    return wanted ? found->second.value : nullptr;
+  }
+  void set(std::type_index type, std::string key, std::shared_ptr<const void> value) {
+    entries_[type] = {std::move(key), std::move(value)};
+  }
+  template <class Unwanted>
+  void drop_if(Unwanted&& is_unwanted) {
+    std::erase_if(entries_, [&](const auto& entry) { return is_unwanted(entry.first); });
+  }
+
+ private:
+  struct Entry {
+    std::string key;  ///< of the step
+    std::shared_ptr<const void> value;
+  };
+  std::map<std::type_index, Entry> entries_;
+};
+
+}  // namespace malus

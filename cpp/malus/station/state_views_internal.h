@@ -1,0 +1,26 @@
+#pragma once
+
+// Private to the station room: what several steps take from the polarization.
+
+#include "malus/core/camera.h"
+#include "malus/lighting/light.h"
+#include "malus/polarization/polarization_state.h"
+
+namespace malus {
+
+/// The light as the valid pixels of a surface with these normals have it.
+inline LightEstimate light_on_surface(const PolarizationState& state, const Image<float>& normals,
+                                      const Pinhole* camera, const LightOptions& options, const Context& context) {
+  Mask valid = state.valid;
+  for (std::uint8_t& pixel : valid) pixel = pixel == static_cast<std::uint8_t>(PixelState::valid) ? 255 : 0;
+  return estimate_light(state.i_un, normals, valid, camera, options, context);
+}
+
+/// The object in the undistorted view: where the polarization state has pixels at all.
+inline Mask object_mask(const PolarizationState& state) {
+  Mask mask = state.valid;
+  for (std::uint8_t& pixel : mask) pixel = pixel == static_cast<std::uint8_t>(PixelState::outside) ? 0 : 255;
+  return mask;
+}
+
+}  // namespace malus

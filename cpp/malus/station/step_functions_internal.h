@@ -1,0 +1,49 @@
+#pragma once
+
+// Private to the station room: what the steps do. A function takes the results that the step reads, and returns those
+// that it makes.
+
+#include <tuple>
+
+#include "malus/station/step_internal.h"
+
+namespace malus {
+
+// polarization_steps.cpp: what the images say.
+
+/// Angles and exposures that the images themselves ask for are fitted where that is wanted and better than what is
+/// given.
+std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene> measure_polarization(const Job& job);
+/// The polarizer's scale, as the surface has it: what no image can tell.
+CalibratedPolarization calibrate_polarization(const Job& job, const MeasuredPolarization& measured,
+                                              const StationView& view, const DepthPrior* prior);
+/// Diffuse or specular, and the zenith that the degree then means.
+ReflectionMap find_zenith(const Job& job, const CalibratedPolarization& polarization, const StationView& view,
+                          const DepthPrior* prior);
+
+// surface_steps.cpp: what stereo and both together say.
+
+/// What stereo says, seen from the station.
+DepthPrior make_prior(const Job& job, const MeasuredPolarization& measured, const StationView& view);
+/// The paper's height from polarization alone (Eq 9 to 11).
+HeightMap make_height(const Job& job, const CalibratedPolarization& polarization, const StationView& view,
+                      const DepthPrior& prior, const ReflectionMap& reflection);
+/// One surface of both: the paper's grid transfer (Eq 14 to 16).
+FusedSurface fuse_by_grid(const Job& job, const HeightMap& height, const DepthPrior& prior);
+/// The same by nonlinear refinement.
+std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,
+                                                                const CalibratedPolarization& polarization,
+                                                                const DepthPrior& prior);
+/// The files in which people take the surface to other programs. A surface that has no elevation model (its plane is
+/// seen edge-on) goes without dem.tif, with a warning.
+void write_mesh(const Job& job, const FusedSurface& surface, const ObjectColor& color,
+                const CalibratedPolarization& polarization);
+
+// assess_step.cpp
+
+/// Every figure of quality.json.
+QualityReport make_quality(const Job& job, const FusedSurface& surface, const CalibratedPolarization& polarization,
+                           const StationView& view, const DepthPrior& prior, const HeightMap* height,
+                           const RefinementFindings* refinement, const Warnings& warnings);
+
+}  // namespace malus

@@ -1,0 +1,163 @@
+#include <algorithm>
+#include <ranges>
+
+#include "malus/station/step_functions_internal.h"
+
+namespace malus {
+namespace {
+
+using Of = StationInputs;
+
+bool by_grid(const Station&, const Options& options) {
+  return options.fusion == Fusion::grid;
+}
+bool by_refinement(const Station&, const Options& options) {
+  return options.fusion == Fusion::refined;
+}
+bool has_prior(const Station& station, const Options&) {
+  return station.has_prior();
+}
+bool is_assessed(const Options& options) {
+  return options.assess.polarization_height;
+}
+
+std::vector<Step> make_table() {
+  return {
+      step({.name = "polarization",
+            .does = "intensity, degree and phase from the images",
+            .options = {"capture", "polarization", "polarizer"},
+            .station = {&Of::polarized, &Of::lens},
+            .leaves = {"polarization/measured/unpolarized.tif", "polarization/measured/degree.tif",
+                       "polarization/measured/phase.tif", "polarization/residual.tif", "polarization/valid.png"},
+            .may_leave = {"polarization/variance_factor.tif", "polarization/color.tif", "polarization/scene.tif"},
+            .cost = polarization_cost},
+           measure_polarization),
+      step({.name = "prior",
+            .does = "the coarse surface in the polarized view",
+            .options = {"prior"},
+            .station = {&Of::prior, &Of::camera},
+            .leaves = {"prior/depth.tif", "prior/sigma.tif"},
+            .cost = prior_cost,
+            .applies = has_prior},
+           make_prior),
+      step({.name = "polarizer",
+            .does = "the polarizer's scale, as the surface has it",
+            .options = {"polarizer", "light"},
+            .station = {&Of::polarized, &Of::optics},
+            .leaves = {"polarization/unpolarized.tif", "polarization/degree.tif", "polarization/phase.tif"},
+            .cost = polarizer_cost},
+           calibrate_polarization),
+      step({.name = "zenith",
+            .does = "diffuse or specular, and the zenith of the degree",
+            .options = {"reflection"},
+            .station = {&Of::optics, &Of::lens},
+            .leaves = {"polarization/zenith.tif", "polarization/label.png"},
+            .cost = zenith_cost,
+            .on_its_own = is_assessed},
+           find_zenith),
+      step({.name = "height",
+            .does = "height from polarization alone (Eq 9 to 11)",
+            .options = {"light", "height"},
+            .leaves = {"height/height.tif"},
+            .cost = height_cost,
+            .on_its_own = is_assessed},
+           make_height),
+      step(
+          {.name = "fuse",
+           .does = "grid transfer of polarization detail onto the prior (Eq 14 to 16)",
+           .options = {"fusion", "grid"},
+           .leaves = {"fused/depth.tif", "fused/normals.tif", "fused/sigma.tif", "fused/camera.txt", "fused/image.txt"},
+           .cost = grid_cost,
+           .applies = by_grid},
+          fuse_by_grid),
+      step({.name = "fuse",
+            .does = "nonlinear least squares on log depth",
+            .options = {"fusion", "refine"},
+            .station = {&Of::optics},
+            .leaves = {"fused/depth.tif", "fused/normals.tif", "fused/sigma.tif", "fused/camera.txt", "fused/image.txt",
+                       "fused/label.png", "fused/confidence.png", "fused/refinement.json"},
+            .cost = refined_cost,
+            .applies = by_refinement},
+           fuse_by_refinement),
+      step({.name = "mesh",
+            .does = "metric mesh, textured mesh and elevation model",
+            .options = {"surface"},
+            .station = {&Of::title},
+            .leaves = {"fused/surface.ply", "fused/surface.glb"},
+            .may_leave = {"fused/dem.tif"},
+            .cost = mesh_cost},
+           write_mesh),
+      step({.name = "assess",
+            .does = "patches, profiles, comparison with a reference",
+            .options = {"assess"},
+            .station = {&Of::title, &Of::regions, &Of::comparison},
+            .leaves = {"quality.json"},
+            .may_leave = {"fused/reference_distance.tif"},
+            .cost = assess_cost},
+           make_quality),
+      step_by_python<FusedSurface, QualityReport>({.name = "m3c2",
+                                                   .does = "comparison with a reference by M3C2",
+                                                   .leaves = {"m3c2.json", "fused/m3c2_distance.tif"}}),
+      step_by_python<FusedSurface, QualityReport, Warnings>(
+          {.name = "report", .does = "every figure on one page", .leaves = {"report/index.html"}}),
+  };
+}
+
+}  // namespace
+
+bool Step::reads_type(std::type_index type) const {
+  return std::ranges::find(reads, type, &Read::type) != reads.end();
+}
+
+bool Step::makes_type(std::type_index type) const {
+  return std::ranges::find(makes, type, &Part::type) != makes.end();
+}
+
+bool uses(const Step& reader, const Step& maker) {
+  return reader.reads_type(typeid(Warnings)) ||
+         std::ranges::any_of(maker.makes, [&](const Part& part) { return reader.reads_type(part.type); });
+}
+
+const std::vector<Step>& step_table() {
+  static const std::vector<Step> table = make_table();
+  return table;
+}
+
+std::vector<const Step*> steps_of_run(const std::vector<Step>& table, const Station& station, const Options& options,
+                                      const std::optional<std::string>& until) {
+  // Those that the station has all inputs for.
+  std::vector<const Step*> possible;
+  const auto can_be_read = [&](const Read& read) {
+    return !read.is_required || read.type == typeid(Warnings) ||
+           std::ranges::any_of(possible, [&](const Step* maker) { return maker->makes_type(read.type); });
+  };
+  for (const Step& step : table) {
+    if (step.run && step.applies(station, options) && std::ranges::all_of(step.reads, can_be_read))
+      possible.push_back(&step);
+  }
+  // From the last one back, those that are wanted for themselves or by one behind them.
+  std::vector<const Step*> wanted;
+  for (const Step* step : std::views::reverse(possible)) {
+    const bool for_itself = until ? step->name == *until : step->on_its_own(options);
+    const bool for_another = std::ranges::any_of(wanted, [&](const Step* reader) {
+      return std::ranges::any_of(reader->reads, [&](const Read& read) {
+        if (read.type == typeid(Warnings)) return step->on_its_own(options);
+        return step->makes_type(read.type) && (read.is_required || step->on_its_own(options));
+      });
+    });
+    if (for_itself || for_another) wanted.insert(wanted.begin(), step);
+  }
+  return wanted;
+}
+
+std::vector<std::string> files_of(const std::vector<Step>& table, const std::string& name) {
+  std::vector<std::string> files;
+  for (const Step& step : table) {
+    if (step.name != name) continue;
+    files.insert(files.end(), step.leaves.begin(), step.leaves.end());
+    files.insert(files.end(), step.may_leave.begin(), step.may_leave.end());
+  }
+  return files;
+}
+
+}  // namespace malus

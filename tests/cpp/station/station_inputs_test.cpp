@@ -1,0 +1,140 @@
+#include "io/temporary_folder.h"
+#include "malus/io/sha256.h"
+#include "malus/station/station_inputs_internal.h"
+
+namespace malus {
+namespace {
+
+class StationInputsTest : public testing::Test {
+ protected:
+  StationInputsTest() {
+    for (const char* name : {"a.png", "b.png", "mask.png", "table.txt", "labels.png", "cloud.ply"})
+      folder_.write(name, name);
+    station_.file.path = folder_ / "station.toml";
+    station_.file.polarized.images = {folder_ / "a.png"};
+  }
+
+  StationInputs::Values of(StationInputs::Part part) const {
+    return StationInputs(station_, reference_, {}).of({part});
+  }
+  Json json(StationInputs::Part part) const { return of(part).parts; }
+
+  TemporaryFolder folder_;
+  Context context_;
+  Station station_;
+  std::optional<std::filesystem::path> reference_;
+};
+
+/// Another value of a field's type.
+struct Change {
+  const TemporaryFolder& folder;
+
+  void operator()(double& value) const { value += 1; }
+  void operator()(int& value) const { value += 1; }
+  void operator()(std::string& value) const { value += "2"; }
+  void operator()(std::vector<std::filesystem::path>& value) const { value.push_back(folder / "b.png"); }
+  void operator()(std::optional<std::filesystem::path>& value) const { value = folder / "mask.png"; }
+  template <NamedEnum T>
+  void operator()(T& value) const {
+    value = static_cast<T>(static_cast<int>(value) + 1);
+  }
+  template <class T>
+  void operator()(std::optional<T>& value) const {
+    value.emplace();
+  }
+  void operator()(std::vector<double>& value) const { value.push_back(1); }
+};
+
+TEST_F(StationInputsTest, EveryFieldOfASpecCounts) {
+  const Station before = station_;
+  const Json polarized = json(&StationInputs::polarized), optics = json(&StationInputs::optics);
+  PolarizedSpec::fields(before.file.polarized, [&](std::string_view changed, const auto&...) {
+    station_ = before;
+    PolarizedSpec::fields(station_.file.polarized, [&](std::string_view name, auto& value, const auto&) {
+      if (name == changed) Change{folder_}(value);
+    });
+    EXPECT_NE(json(&StationInputs::polarized), polarized) << changed;
+  });
+  OpticsSpec::fields(before.file.optics, [&](std::string_view changed, const auto&...) {
+    station_ = before;
+    OpticsSpec::fields(station_.file.optics, [&](std::string_view name, auto& value, const auto&) {
+      if (name == changed) Change{folder_}(value);
+    });
+    EXPECT_NE(json(&StationInputs::optics), optics) << changed;
+  });
+}
+
+TEST_F(StationInputsTest, FilesCountByContent) {
+  station_.file.polarized.mask = folder_ / "mask.png";
+  station_.file.polarized.response = (folder_ / "table.txt").string();
+  const auto values = of(&StationInputs::polarized);
+  EXPECT_EQ(values.hashes.size(), 3u);
+  EXPECT_EQ(values.hashes.at("table.txt"), sha256_of_bytes("table.txt")) << "named as from the station file";
+  for (const char* name : {"a.png", "mask.png", "table.txt"}) {
+    folder_.write(name, "other");
+    EXPECT_NE(json(&StationInputs::polarized), values.parts) << name;
+    folder_.write(name, name);
+  }
+  EXPECT_EQ(json(&StationInputs::polarized), values.parts) << "times do not count";
+}
+
+TEST_F(StationInputsTest, TheModelsFilesAreRecordedButOnlyTheCameraCounts) {
+  station_.file.camera = CameraSpec{{LensModel::pinhole, {4, 3}, {5, 5, 2, 1}}, {}};
+  station_.file.camera_files = {folder_ / "a.png"};
+  const auto values = of(&StationInputs::camera);
+  EXPECT_EQ(values.hashes.count("a.png"), 1u);
+  folder_.write("a.png", "another image in the model");
+  EXPECT_EQ(json(&StationInputs::camera), values.parts);
+  station_.file.camera->pose.translation.x() = 1e-9;
+  EXPECT_NE(json(&StationInputs::camera), values.parts);
+}
+
+TEST_F(StationInputsTest, EveryPartOfAPriorInMemoryCounts) {
+  PointCloud cloud;
+  cloud.points = {{1, 2, 3}};
+  cloud.normals = {{0, 0, 1}};
+  cloud.colors = {{1, 2, 3}};
+  station_.prior = cloud;
+  const auto values = of(&StationInputs::prior);
+  EXPECT_EQ(values.hashes.count("prior normals"), 1u);
+  cloud.normals[0].x() = 0.5F;
+  station_.prior = cloud;
+  EXPECT_NE(json(&StationInputs::prior), values.parts);
+  cloud.normals = {{0, 0, 1}};
+  cloud.colors[0][1] = 9;
+  station_.prior = cloud;
+  EXPECT_NE(json(&StationInputs::prior), values.parts);
+
+  // The same bytes as another raster.
+  station_.prior = Image<float>({2, 3}, 1, 1.0F);
+  const Json upright = json(&StationInputs::prior);
+  station_.prior = Image<float>({3, 2}, 1, 1.0F);
+  EXPECT_NE(json(&StationInputs::prior), upright);
+  station_.prior = SweptDepth{Image<float>({2, 3}), Image<float>({2, 3}), {}};
+  const Json swept = json(&StationInputs::prior);
+  station_.prior = SweptDepth{Image<float>({2, 3}), Image<float>({2, 3}, 1, 1.0F), {}};
+  EXPECT_NE(json(&StationInputs::prior), swept);
+}
+
+TEST_F(StationInputsTest, ChangedFilesAreFoundAgain) {
+  station_.prior = CloudFile{folder_ / "cloud.ply"};
+  StationInputs inputs(station_, reference_, context_);
+  const auto values = inputs.of({&StationInputs::prior});
+  inputs.require_unchanged(values);
+  folder_.write("cloud.ply", "cloud.plY");
+  expect_error(
+      ErrorCode::input, [&] { inputs.require_unchanged(values); }, "cloud.ply", "was changed while it was read");
+}
+
+TEST_F(StationInputsTest, TheReferenceAndTheFrontEndCountForTheComparison) {
+  const Json before = json(&StationInputs::comparison);
+  reference_ = folder_ / "cloud.ply";
+  const auto with_reference = of(&StationInputs::comparison);
+  EXPECT_NE(with_reference.parts, before);
+  EXPECT_EQ(with_reference.files.size(), 1u);
+  station_.photogrammetry = Photogrammetry{R"({"scale": 2})", "{}", {}};
+  EXPECT_NE(json(&StationInputs::comparison), with_reference.parts);
+}
+
+}  // namespace
+}  // namespace malus

@@ -1,0 +1,324 @@
+// Runs a table of small steps of its own: what the runner does follows from a table's rows alone.
+
+#include <fstream>
+#include <set>
+
+#include "io/temporary_folder.h"
+#include "malus/core/version.h"
+#include "malus/io/input_file.h"
+#include "malus/io/sha256.h"
+#include "malus/station/step_runner_internal.h"
+
+namespace malus {
+
+/// Results of the table's steps. Reading one back is counted.
+struct Seed {
+  Image<float> map;
+  double value = 0;
+};
+struct Twice {
+  double value = 0;
+};
+struct Sum {
+  double value = 0;
+  std::vector<std::string> warnings;
+};
+
+std::multiset<std::string> read_back;
+
+void keep(Seed& result, Keeper& keeper) {
+  if (keeper.is_reading()) read_back.insert("seed");
+  keeper.raster("seed/map.tif", result.map);
+  keeper.value("value", result.value);
+}
+void keep(Twice& result, Keeper& keeper) {
+  if (keeper.is_reading()) read_back.insert("twice");
+  keeper.value("twice", result.value);
+  keeper.extra("twice.txt", std::to_string(result.value));
+}
+void keep(Sum& result, Keeper& keeper) {
+  keeper.value("value", result.value);
+  keeper.value("all", result.warnings);
+  keeper.extra("sum.txt", std::to_string(result.value));
+}
+
+namespace {
+
+std::function<void()> while_reading;
+
+Seed make_seed(const Job& job) {
+  const std::filesystem::path& file = job.station.file.polarized.images[0];
+  Seed seed{Image<float>({2, 1}), std::stod(read_file(file, "seed"))};
+  seed.map(1, 0) = static_cast<float>(seed.value);
+  if (while_reading) while_reading();
+  if (seed.value < 0) job.context.log(LogLevel::warning, "the seed is below zero");
+  return seed;
+}
+
+Twice double_seed(const Job& job, const Seed& seed) {
+  if (job.options.grid.grid_px == 7) job.context.log(LogLevel::warning, "seven");
+  job.context.log(LogLevel::info, "nothing to worry about");
+  return {2 * seed.value};
+}
+
+void write_side(const Job& job, const Seed& seed) {
+  job.files.add("side.txt", 1, [&seed](const std::filesystem::path& file) {
+    std::ofstream(file) << seed.map(1, 0);
+    return true;
+  });
+  job.files.add("never.txt", 1, [](const std::filesystem::path&) { return false; });
+}
+
+Sum add_up(const Job&, const Seed& seed, const Twice* twice, const Warnings& warnings) {
+  return {seed.value + (twice != nullptr ? twice->value : 0), warnings.all};
+}
+
+const std::vector<Step>& table() {
+  static const std::vector<Step> steps{
+      step({.name = "seed", .station = {&StationInputs::polarized}, .leaves = {"seed/map.tif"}}, make_seed),
+      step({.name = "twice",
+            .options = {"grid"},
+            .leaves = {"twice.txt"},
+            .on_its_own = [](const Options& options) { return options.assess.polarization_height; }},
+           double_seed),
+      step({.name = "side", .leaves = {"side.txt"}, .may_leave = {"never.txt"}}, write_side),
+      step({.name = "sum", .options = {"assess"}, .leaves = {"sum.txt"}}, add_up),
+      step_by_python<Sum>({.name = "page", .leaves = {"page.html"}}),
+  };
+  return steps;
+}
+
+class StepRunnerTest : public testing::Test {
+ protected:
+  StepRunnerTest() {
+    station_.file.name = "toy";
+    station_.file.path = folder_.write("station.toml", "x");
+    station_.file.polarized.images = {folder_.write("seed.txt", "3")};
+    run_.workspace = work_;
+    context_.threads = 2;
+    context_.on_progress = [this](const Progress& event) {
+      if (event.fraction < 1) return;
+      (event.message.empty() ? ran_ : kept_).push_back(event.step);
+    };
+    context_.on_log = [this](LogLevel level, const std::string& text) {
+      if (level == LogLevel::warning) logged_.push_back(text);
+    };
+    while_reading = nullptr;
+  }
+
+  Results run(const std::optional<std::string>& until = std::nullopt) {
+    ran_.clear();
+    kept_.clear();
+    logged_.clear();
+    read_back.clear();
+    return StepRunner(table(), steps_of_run(table(), station_, options_, until), station_, options_, run_, context_)
+        .run();
+  }
+  Workspace::Json manifest() const { return Workspace::read_manifest(work_); }
+  bool exists(const char* name) const { return std::filesystem::exists(work_ / name); }
+
+  using Names = std::vector<std::string>;
+  TemporaryFolder folder_;
+  const std::filesystem::path work_ = folder_ / "work";
+  Station station_;
+  Options options_;
+  RunOptions run_;
+  Context context_;
+  Names ran_, kept_, logged_;
+};
+
+TEST_F(StepRunnerTest, RunsOnceAndReadsBackWhatIsAskedFor) {
+  const Results first = run();
+  EXPECT_EQ(ran_, (Names{"seed", "twice", "side", "sum"}));
+  EXPECT_EQ(first.get<Sum>()->value, 9);
+  EXPECT_TRUE(exists("side.txt"));
+  EXPECT_FALSE(exists("never.txt"));
+
+  const Results second = run();
+  EXPECT_EQ(kept_, (Names{"seed", "twice", "side", "sum"}));
+  EXPECT_TRUE(ran_.empty());
+  EXPECT_EQ(second.get<Seed>()->map, first.get<Seed>()->map);
+  EXPECT_EQ(second.get<Sum>()->value, 9);
+
+  run_.keep_maps = false;
+  const Results lean = run();
+  EXPECT_TRUE(read_back.empty()) << "nothing but the last step's result is needed";
+  EXPECT_EQ(lean.get<Sum>()->value, 9);
+  EXPECT_EQ(lean.get<Seed>(), nullptr);
+
+  options_.assess.histogram_bins = 7;
+  run();
+  EXPECT_EQ(ran_, Names{"sum"});
+  EXPECT_EQ(read_back, (std::multiset<std::string>{"seed", "twice"})) << "each once, for the step that reads it";
+}
+
+TEST_F(StepRunnerTest, RepeatsWhatDependsOnAChange) {
+  run();
+  options_.grid.grid_px = 11;
+  run();
+  EXPECT_EQ(kept_, (Names{"seed", "side"}));
+  EXPECT_EQ(ran_, (Names{"twice", "sum"}));
+  folder_.write("seed.txt", "4");
+  EXPECT_EQ(run().get<Sum>()->value, 12);
+  EXPECT_EQ(ran_.size(), 4u);
+}
+
+TEST_F(StepRunnerTest, StepsThatFollowAreForgottenWithTheirFiles) {
+  run();
+  folder_.write("work/page.html", "page");
+  {
+    Workspace workspace(work_);
+    Workspace::Record record;
+    record.after = {{"sum", "key"}};
+    record.outputs = workspace.examine({"page.html"}, {});
+    workspace.finish("page", record, {});
+  }
+  folder_.write("seed.txt", "4");
+  run("twice");
+  EXPECT_EQ(ran_, (Names{"seed", "twice"}));
+  EXPECT_EQ(manifest()["steps"].size(), 2u);
+  for (const char* stale : {"side.txt", "sum.txt", "page.html"}) EXPECT_FALSE(exists(stale)) << stale;
+  EXPECT_TRUE(exists("twice.txt"));
+}
+
+TEST_F(StepRunnerTest, ARunThatDiedLeavesNothingThatLooksDone) {
+  run();
+  folder_.write("seed.txt", "not a number");
+  EXPECT_ANY_THROW(run());
+  EXPECT_TRUE(manifest()["steps"].empty());
+  EXPECT_FALSE(exists("sum.txt"));
+  EXPECT_FALSE(exists("seed/map.tif"));
+}
+
+TEST_F(StepRunnerTest, WarningsAreRecordedRepeatedAndReadByTheLast) {
+  folder_.write("seed.txt", "-1");
+  options_.grid.grid_px = 7;
+  station_.photogrammetry = Photogrammetry{"{}", R"({"photos": {"seconds": 5}})", {"photos: blurred"}};
+  const Names expected{"photos: blurred", "seed: the seed is below zero", "twice: seven"};
+  EXPECT_EQ(run().get<Sum>()->warnings, expected);
+  EXPECT_EQ(logged_, (Names{"the seed is below zero", "seven"}));
+  EXPECT_EQ(manifest()["steps"]["seed"]["warnings"], Workspace::Json({"the seed is below zero"}));
+  EXPECT_EQ(manifest()["warnings"], Workspace::Json(expected));
+  EXPECT_EQ(manifest()["times"]["photos"]["seconds"], 5);
+
+  EXPECT_EQ(run().get<Sum>()->warnings, expected);
+  EXPECT_TRUE(ran_.empty());
+  EXPECT_EQ(logged_, (Names{"the seed is below zero", "seven"})) << "repeated when kept";
+  station_.photogrammetry->warnings.clear();
+  run();
+  EXPECT_EQ(ran_, Names{"sum"}) << "it says what warnings there were";
+}
+
+TEST_F(StepRunnerTest, AFileThatWasChangedIsSaidAndMadeAgain) {
+  run();
+  const std::string before = read_file(work_ / "seed/map.tif", "map");
+  std::string flipped = before;
+  flipped[flipped.size() / 2] ^= 1;
+  folder_.write("work/seed/map.tif", flipped);
+  run();
+  EXPECT_EQ(ran_.size(), 4u);
+  ASSERT_EQ(logged_.size(), 1u);
+  EXPECT_NE(logged_[0].find("map.tif is not as the step seed left it"), std::string::npos) << logged_[0];
+  EXPECT_EQ(read_file(work_ / "seed/map.tif", "map"), before);
+  EXPECT_TRUE(manifest()["warnings"].empty()) << "it says nothing of the result";
+
+  nlohmann::json edited = nlohmann::json::parse(read_file(work_ / "manifest.json", "manifest"));
+  edited["steps"]["twice"]["notes"]["twice"] = 1000;
+  folder_.write("work/manifest.json", edited.dump());
+  EXPECT_EQ(run().get<Sum>()->value, 9);
+  EXPECT_EQ(ran_, (Names{"twice", "sum"}));
+}
+
+TEST_F(StepRunnerTest, AnInputThatChangesWhileItIsReadLeavesNothing) {
+  while_reading = [this] { folder_.write("seed.txt", "5"); };
+  expect_error(
+      ErrorCode::input, [this] { run(); }, "seed.txt", "was changed while it was read");
+  EXPECT_TRUE(manifest()["steps"].empty());
+  while_reading = nullptr;
+  EXPECT_EQ(run().get<Seed>()->value, 5);
+}
+
+TEST_F(StepRunnerTest, FilesOfAnEarlierRunAreNotRead) {
+  run();
+  folder_.write("work/never.txt", "left by another version");
+  folder_.write("seed.txt", "4");
+  run();
+  EXPECT_FALSE(exists("never.txt")) << "what a step may leave is removed before it is run";
+}
+
+TEST_F(StepRunnerTest, OptionalResultsAreReadIfTheRunHasThem) {
+  options_.assess.polarization_height = false;
+  EXPECT_EQ(run().get<Sum>()->value, 3);
+  EXPECT_EQ(ran_, (Names{"seed", "side", "sum"}));
+  EXPECT_FALSE(exists("twice.txt"));
+  run("twice");
+  EXPECT_EQ(ran_, Names{"twice"});
+}
+
+TEST_F(StepRunnerTest, InMemoryNothingIsWrittenAndKnownResultsAreTaken) {
+  run_.workspace.reset();
+  const Results first = run("twice");
+  EXPECT_EQ(ran_, (Names{"seed", "twice"}));
+  EXPECT_FALSE(std::filesystem::exists(work_));
+  run_.known = &first;
+  options_.grid.grid_px = 11;
+  const Results second = run();
+  EXPECT_EQ(kept_, Names{"seed"});
+  EXPECT_EQ(ran_, (Names{"twice", "sum"}));
+  EXPECT_EQ(second.get<Seed>(), first.get<Seed>()) << "shared, not copied";
+}
+
+TEST_F(StepRunnerTest, ResultsAreLetGoOnceNoLaterStepReadsThem) {
+  struct Steps {
+    static Seed first(const Job&) { return {Image<float>({1, 1}), 1}; }
+    static Twice second(const Job&, const Seed&) { return {2}; }
+    static Sum third(const Job&, const Twice&) { return {3, {}}; }
+  };
+  const std::vector<Step> steps{step({.name = "first", .leaves = {"seed/map.tif"}}, Steps::first),
+                                step({.name = "second", .leaves = {"twice.txt"}}, Steps::second),
+                                step({.name = "third", .leaves = {"sum.txt"}}, Steps::third)};
+  std::vector<Step> watched = steps;
+  std::weak_ptr<const void> seed;
+  bool alive = true;
+  watched[1].run = [&](const Job& job, const StepInputs& inputs) {
+    seed = inputs.at(typeid(Seed));
+    return steps[1].run(job, inputs);
+  };
+  watched[2].run = [&](const Job& job, const StepInputs& inputs) {
+    alive = !seed.expired();
+    return steps[2].run(job, inputs);
+  };
+  for (const bool keep_maps : {true, false}) {
+    run_.workspace.reset();
+    run_.keep_maps = keep_maps;
+    const Results results =
+        StepRunner(watched, steps_of_run(watched, station_, options_, {}), station_, options_, run_, context_).run();
+    EXPECT_EQ(alive, keep_maps);
+    EXPECT_EQ(results.get<Twice>() != nullptr, keep_maps);
+    EXPECT_NE(results.get<Sum>(), nullptr);
+  }
+}
+
+TEST_F(StepRunnerTest, TheManifestSaysWhatEveryStepTook) {
+  run();
+  for (const char* name : {"seed", "twice", "side", "sum"}) {
+    const Workspace::Json times = manifest()["times"][name];
+    EXPECT_GE(times["seconds"].get<double>(), 0) << name;
+    EXPECT_GE(times["cpu_seconds"].get<double>(), 0) << name;
+    EXPECT_GT(times["peak_mb"].get<double>(), 1) << name;
+  }
+  EXPECT_EQ(manifest()["inputs"]["seed.txt"], sha256_of_bytes("3"));
+  EXPECT_EQ(manifest()["station"]["says"]["sha256"], sha256_of_bytes("x"));
+  EXPECT_EQ(manifest()["versions"]["malus"], version);
+}
+
+TEST_F(StepRunnerTest, ATableThatDoesNotNameAFileIsFound) {
+  std::vector<Step> wrong = table();
+  wrong[0].leaves = {"other.tif"};
+  EXPECT_THROW(
+      StepRunner(wrong, steps_of_run(wrong, station_, options_, "seed"), station_, options_, run_, context_).run(),
+      std::logic_error);
+}
+
+}  // namespace
+}  // namespace malus
