@@ -9,8 +9,11 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +26,7 @@ from malus.photogrammetry import database, photo_cameras
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.photos import list_photos, to_bytes
+from malus.reconstruction import STEPS
 
 #: A program that behaves like `colmap` as far as the environment variable FAKE says, and notes what it was asked.
 FAKE = """#!{python}
@@ -204,6 +208,50 @@ def test_folder_belongs_to_one_process(tmp_path: Path) -> None:
         raise OSError(28, "No space left on device")
 
 
+def test_what_did_not_change_is_made_once(small_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A station without [camera], whose photos say what its camera file and its cloud said: the surface for the second sweep
+    is made from the images as registered, and a second run keeps every step.
+    """
+    _, width, height, params, rotation, translation = (
+        _core.ColmapModel.read(str(small_station.parent / "sparse")).images()["station.jpg"][0]
+    )  # fmt: skip
+    prior = package.reconstruct(package.Station.load(small_station), until="prior")
+    edit(small_station, '[camera]\ncolmap_model = "sparse"\nimage = "station.jpg"\n', "")
+    edit(small_station, '[prior]\ncloud = "dense/cloud.ply"', '[photos]\nfolder = "pol"')
+    lens = package.Camera("PINHOLE", width, height, params, rotation, translation)
+    surfaces = []
+
+    def find(*_: object, log: Callable[[str, str], None], **__: object) -> SimpleNamespace:
+        log("warning", "few photos")
+        return SimpleNamespace(station=lens, figures={}, times={"seconds": 1.0})
+
+    def sweep(*_: object, fuse: Callable[[Any], Any], **__: object) -> package.photogrammetry.Swept:
+        assert prior.prior_depth is not None and prior.prior_sigma is not None
+        swept = package.photogrammetry.Swept(prior.prior_depth, prior.prior_sigma, None, {}, {"seconds": 2.0})
+        if not surfaces:
+            surfaces.append(fuse(swept).depth)
+        return swept
+
+    monkeypatch.setattr(package.photogrammetry, "find_cameras", find)
+    monkeypatch.setattr(package.photogrammetry, "sweep_station", sweep)
+    station, options = package.Station.load(small_station), package.Options()
+    options.set("refine.iterations=1")
+    events: list[package.Progress] = []
+    result = package.reconstruct(station, options, workspace=tmp_path / "work", progress=events.append)
+    begun = {event.message.split(": ")[1] for event in events if event.step == "sweep" and event.fraction == 0}
+    assert begun == {"prior", "polarizer", "fuse"}
+    np.testing.assert_array_equal(surfaces[0], result.depth)
+    record = package.Workspace(tmp_path / "work")
+    assert record.manifest["times"]["photos"] == {"seconds": 1.0}
+    assert "photos: few photos" in record.quality["warnings"]
+
+    events.clear()
+    package.reconstruct(station, options, workspace=tmp_path / "work", progress=events.append)
+    steps = [step for step in STEPS if step not in ("m3c2", "report")]
+    kept = {event.step for event in events if event.message == "kept from an earlier run"}
+    assert kept == set(steps)
+
+
 def test_journal_repeats_only_what_changed(tmp_path: Path) -> None:
     runs: list[str] = []
 
@@ -217,16 +265,41 @@ def test_journal_repeats_only_what_changed(tmp_path: Path) -> None:
 
     for first, second, expected in ((1, 1, ["a", "b"]), (1, 1, []), (1, 2, ["b"]), (2, 2, ["a", "b"])):
         runs.clear()
-        journal = Journal(tmp_path)
+        journal = Journal(tmp_path, print)
         stage(journal, "a", first)
         stage(journal, "b", second)
         assert runs == expected
     (tmp_path / "b").unlink()
     runs.clear()
-    journal = Journal(tmp_path)
+    journal = Journal(tmp_path, print)
     stage(journal, "a", 2)
     stage(journal, "b", 2)
     assert runs == ["b"]
+
+
+def test_journal_repeats_warnings_and_sees_flipped_bytes(tmp_path: Path) -> None:
+    runs: list[str] = []
+
+    def run_once() -> list[str]:
+        warned: list[str] = []
+        journal = Journal(tmp_path, lambda level, message: warned.append(f"{level} {message}"))
+
+        def run() -> dict[str, object]:
+            runs.append("a")
+            journal.log("info", "nothing")
+            journal.log("warning", "blurred")
+            (tmp_path / "a.tif").write_bytes(b"1234")
+            return {"kept": 1}
+
+        assert journal.stage("a", {}, ["a.tif"], run) == {"kept": 1}
+        assert journal.seconds["a"] >= 0
+        return warned
+
+    assert run_once() == ["info nothing", "warning blurred"]
+    assert run_once() == ["warning blurred"] and runs == ["a"]
+    (tmp_path / "a.tif").write_bytes(b"1294")
+    run_once()
+    assert runs == ["a", "a"]
 
 
 def test_photos_are_listed_naturally_and_excluded_by_pattern(tmp_path: Path) -> None:

@@ -210,5 +210,5 @@ def test_copy_of_a_database_has_nothing_of_the_one_before(tmp_path: Path) -> Non
     assert copied.execute("SELECT name FROM images").fetchall() == [("new",)]
     copied.close()
     (tmp_path / "b.db-wal").write_bytes(b"old")
-    Journal(tmp_path).stage("copy", {}, ["b.db"], dict)
+    Journal(tmp_path, print).stage("copy", {}, ["b.db"], dict)
     assert not list(tmp_path.glob("b.db*"))

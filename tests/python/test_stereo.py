@@ -112,7 +112,9 @@ def placed(scene: dict[str, object], tmp_path: Path) -> StationCameras:
         path = tmp_path / f"photo_{k}.tif"
         _core.write_tiff16(str(path), np.uint16(65535 * image))
         photos.append((Photo(path.name, path, WIDTH, HEIGHT), camera))
-    return StationCameras(scene["camera"], photos, SparseModel({}, scene["points"], np.zeros(0), np.zeros(0, int)), {})
+    return StationCameras(
+        scene["camera"], photos, SparseModel({}, scene["points"], np.zeros(0), np.zeros(0, int)), {}, {}
+    )
 
 
 def sweep_station(

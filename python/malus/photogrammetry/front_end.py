@@ -48,6 +48,8 @@ class StationCameras:
     model: SparseModel
     figures: dict[str, Any]
     """For quality.json: `photogrammetry` and `scale`."""
+    times: dict[str, Any]
+    """Seconds, all and by stage."""
 
 
 def _camera(description: Mapping[str, Any]) -> Camera:
@@ -78,8 +80,9 @@ def find_cameras(
     said = station["photos"]
     photos = list_photos(Path(said["folder"]), said["exclude"])
     folder.mkdir(parents=True, exist_ok=True)
-    bench = Bench(Colmap(threads, options.photos.backend), folder, Journal(folder), options, progress, log)
-    known = known_lens(said.get("camera"), log)
+    journal = Journal(folder, log)
+    bench = Bench(Colmap(threads, options.photos.backend), folder, journal, options, progress, journal.log)
+    known = known_lens(said["camera"], log)
     solved = solve_photos(bench, photos, known)
     relief = solved.model.relief()
     if not solved.calibrated and relief < diagnosis.FLAT_RELIEF:
@@ -116,7 +119,6 @@ def find_cameras(
                 "lens": "given" if lens is not None else "of the photos" if shared is not None else "self-calibrated",
             },
             "windows": matched.figures,
-            "seconds": {**solved.seconds, "station": placed.seconds},
         },
         "scale": scale,
     }
@@ -126,7 +128,12 @@ def find_cameras(
         photos=[(by_name[name], cameras[name]) for name in sorted(registered)],
         model=model,
         figures=figures,
+        times=_times(journal),
     )
+
+
+def _times(journal: Journal) -> dict[str, Any]:
+    return {"seconds": round(sum(journal.seconds.values()), 2), "stages": journal.seconds}
 
 
 def known_lens(said: Mapping[str, Any] | None, log: Log) -> Camera | None:
@@ -143,7 +150,7 @@ def _photo_of_same_camera(
     station: Mapping[str, Any], photos: list[Photo], model: SparseModel, shape: tuple[int, ...], log: Log
 ) -> str | None:
     """A registered photo of the station's camera, lens and focal length, as far as the files say."""
-    first = describe_photo(Path(station["polarized_files"][0]), "station") if station.get("polarized_files") else None
+    first = describe_photo(Path(station["images"][0]), "station") if station["images"] else None
     if first is not None and (first.height, first.width) == shape:
         for photo in photos:
             if photo.name in model.images and photo.camera_key == first.camera_key:
@@ -171,6 +178,8 @@ class Swept:
     shape: NDArray[np.float32] | None
     """Surface that it was measured about; None = without one."""
     figures: dict[str, Any]
+    times: dict[str, Any]
+    """Seconds, all and by stage."""
 
 
 @dataclass(frozen=True)
@@ -233,7 +242,7 @@ def sweep_station(
     raster = lens_of_raster(cameras.station)
     assert raster is not None
     view = replace(raster, rotation=cameras.station.rotation, translation=cameras.station.translation)
-    journal = Journal(folder)
+    journal = Journal(folder, log)
     settings = json.loads(options.to_json())["sweep"]
     again = settings.pop("again")
 
@@ -247,7 +256,7 @@ def sweep_station(
             options,
             threads,
             lambda _, fraction, message: progress(fraction, message),
-            log,
+            journal.log,
             surface,
         )
         for name, raster_values in zip(outputs, (found.depth, found.sigma, found.confidence), strict=True):
@@ -274,7 +283,7 @@ def sweep_station(
     outputs = ["sweep_depth.tif", "sweep_sigma.tif", "sweep_confidence.tif"]
     figures = journal.stage("sweep", inputs, outputs, lambda: swept(outputs, None))
     depth, sigma, _ = read(outputs)
-    first = Swept(depth, sigma, None, figures)
+    first = Swept(depth, sigma, None, figures, _times(journal))
     if fuse is None or not again:
         progress(1.0, "")
         return first
@@ -307,4 +316,4 @@ def sweep_station(
         figures_again = journal.stage("sweep_again", fused_of or {}, outputs, swept_again)
         depth, sigma, _, shape = read(outputs)
     progress(1.0, "")
-    return Swept(depth, sigma, shape, {**figures_again, "first": figures})
+    return Swept(depth, sigma, shape, {**figures_again, "first": figures}, _times(journal))

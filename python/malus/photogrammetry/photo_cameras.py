@@ -84,7 +84,6 @@ class PhotoCameras:
     calibrated: bool
     unregistered: list[str]
     pairs: int
-    seconds: dict[str, float]
 
 
 def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) -> PhotoCameras:
@@ -95,13 +94,7 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
     if len(photos) < MIN_PHOTOS:
         raise DataError(diagnosis.too_few_photos(len(photos), MIN_PHOTOS))
     groups = group_by_camera(photos, known)
-    seconds: dict[str, float] = {}
-
-    def stage(name: str, inputs: dict[str, Any], outputs: list[str], run: Any) -> dict[str, Any]:
-        notes = bench.journal.stage(name, inputs, outputs, run)
-        seconds[name] = notes["seconds"]
-        return notes
-
+    stage = bench.journal.stage
     hashes = {photo.name: sha256_of(photo.path) for photo in photos}
     stage("copies", {"photos": hashes, "colmap": bench.colmap.title}, ["images"], lambda: _copy(bench, photos))
     options = bench.options.photos
@@ -145,7 +138,6 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
         calibrated=known is not None,
         unregistered=[photo.name for photo in photos if photo.name not in model.images],
         pairs=len(pairs),
-        seconds=seconds,
     )
 
 

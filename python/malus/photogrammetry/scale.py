@@ -46,7 +46,7 @@ def find_targets(photos: Sequence[Photo], dictionary: str) -> Targets:
 
 
 def _ends(bar: Mapping[str, Any], found: Mapping[str, Targets], options: Options) -> _Ends:
-    if "targets" in bar:
+    if bar["targets"]:
         targets = found[bar["targets_dictionary"]]
         a, b = (targets.get(number, []) for number in bar["targets"])
         return _Ends(a, b, options.photos.target_sigma_px)
@@ -69,7 +69,7 @@ def adjust_scale(
     if not bars:
         log("warning", "there is no [[scale]]: the result is in an arbitrary unit, shape without size")
         return None
-    dictionaries = {str(bar["targets_dictionary"]) for bar in bars if "targets" in bar}
+    dictionaries = {str(bar["targets_dictionary"]) for bar in bars if bar["targets"]}
     found = {name: find_targets(photos, name) for name in sorted(dictionaries)}
     names = sorted(cameras)
     index = {name: number for number, name in enumerate(names)}
@@ -93,7 +93,7 @@ def adjust_scale(
 
 
 def _reason(number: int, bar: Mapping[str, Any], ends: _Ends, registered: Mapping[str, int]) -> str:
-    if "targets" in bar:
+    if bar["targets"]:
         seen = {
             target: [name for name, _, _ in end if name in registered]
             for target, end in zip(bar["targets"], (ends.a, ends.b), strict=True)

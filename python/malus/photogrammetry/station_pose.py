@@ -47,7 +47,6 @@ class PlacedStation:
     """Lens and pose of the station's image."""
     matches: dict[str, int]
     """Verified matches with each photo."""
-    seconds: float
 
 
 def place_station(bench: Bench, photos: PhotoCameras, station: StationView) -> PlacedStation:
@@ -69,7 +68,7 @@ def place_station(bench: Bench, photos: PhotoCameras, station: StationView) -> P
     )
     folder = bench.folder / "placed"
     model = SparseModel.read(folder)
-    return PlacedStation(folder, model, model.images[STATION_IMAGE].camera, notes["matches"], notes["seconds"])
+    return PlacedStation(folder, model, model.images[STATION_IMAGE].camera, notes["matches"])
 
 
 def _place(bench: Bench, photos: PhotoCameras, station: StationView, pixels: NDArray[np.uint8]) -> dict[str, Any]:

@@ -77,7 +77,7 @@ def match_windows(
     model = SparseModel.read(folder)
     return MatchedStation(
         replace(placed, folder=folder, model=model, camera=model.images[STATION_IMAGE].camera),
-        {**figures, "seconds": notes["seconds"]},
+        figures,
     )
 
 
