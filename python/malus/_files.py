@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,8 +29,11 @@ def writing(path: Path) -> Iterator[None]:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary name in the same folder, with the same ending, to write to; at the end it becomes `path`."""
-    temporary = path.with_name(f".{path.stem}.part{path.suffix}")
+    """Give a temporary name in the same folder, with the same ending, to write to; at the end it becomes `path`.
+
+    No two writers share one, on this machine or another that sees the same folder.
+    """
+    temporary = path.with_name(f".{path.stem}.partial-{secrets.token_hex(8)}{path.suffix}")
     with writing(path):
         try:
             yield temporary

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import json
 import multiprocessing
@@ -54,12 +55,14 @@ def run_station(task: Task) -> Outcome:
             Station.load(task.station),
             Options(**json.loads(task.options)),
             workspace=task.workspace,
+            replace=True,  # names of stations can move on to others as the campaign changes
             keep_maps=False,
             threads=task.threads,
         )
         if task.report:
             write_report(task.workspace)
         outcome["figures"] = _figures(result.quality) if result.quality else {}
+        outcome["manifest"] = _manifest(task)  # a result that is not there any more, or another one, is not done
     except MalusError as error:
         outcome |= {"status": "failed", "reason": str(error), "exit_code": error.exit_code}
     except MemoryError:
@@ -196,11 +199,19 @@ def _marker(task: Task) -> Outcome:
     """How a station ended, if that still holds; otherwise pending."""
     pending = {"station": task.identifier, "file": task.station, "status": "pending", "reason": "", "exit_code": 0}
     try:
-        outcome = json.loads(task.marker.read_text())
+        outcome: Outcome = json.loads(task.marker.read_text())
     except (OSError, ValueError):
         return pending
     same = isinstance(outcome, dict) and outcome.get("key") == task.key()
-    return outcome if same else pending
+    if not same or (outcome["status"] == "done" and outcome.get("manifest") != _manifest(task)):
+        return pending
+    return outcome
+
+
+def _manifest(task: Task) -> str | None:
+    """SHA-256 of the record of a station's results; None without one."""
+    path = task.workspace / "manifest.json"
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None
 
 
 def _figures(quality: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from malus import _core
-from malus.errors import InputError
+from malus.errors import InputError, MalusError
 from malus.options import Options
+from malus.station import Station
 
 _KEYS = {"": ("campaign", "options"), "campaign": ("name", "stations", "report")}
 
@@ -42,19 +43,30 @@ class Task:
         return Path(self.output) / "done" / f"{self.identifier}.json"
 
     def key(self) -> str:
-        """SHA-256 over version, options, and name, size and time of every file beside the station file.
+        """SHA-256 over version, options, and name, size and time of every file that the station names, wherever it lies.
 
         A marker with another key does not count. (The workspace checks the content of inputs by itself, step by step.)
         """
-        digest = hashlib.sha256()
-        digest.update(json.dumps([_core.version, self.station, self.options, self.report]).encode())
-        folder, output = Path(self.station).parent, Path(self.output).resolve()
-        for path in sorted(folder.rglob("*")):
-            if not path.is_file() or output in path.resolve().parents:
-                continue
-            state = path.stat()
-            digest.update(f"{path.relative_to(folder)}\0{state.st_size}\0{state.st_mtime_ns}\0".encode())
-        return digest.hexdigest()
+        states = []
+        for path in self._files():
+            try:
+                state = path.stat()
+                states.append([str(path), state.st_size, state.st_mtime_ns])
+            except OSError:
+                states.append([str(path)])
+        return hashlib.sha256(
+            json.dumps([_core.version, self.station, self.options, self.report, states]).encode()
+        ).hexdigest()
+
+    def _files(self) -> list[Path]:
+        try:
+            station = Station.load(self.station).describe()
+        except MalusError:
+            return [Path(self.station)]
+        files = [Path(path) for path in station["files"]]
+        if "photos" in station:
+            files += sorted(path for path in Path(station["photos"]["folder"]).rglob("*") if path.is_file())
+        return files
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,8 @@ import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -13,7 +15,7 @@ from pathlib import Path
 import pytest
 
 import malus.batch
-from conftest import edit, needs_distributed
+from conftest import edit, half_written, needs_distributed
 from conftest import malus as run_malus
 from malus.campaign import Campaign
 
@@ -98,6 +100,49 @@ def test_shards_make_together_what_one_run_makes(small_station_source: Path, tmp
         assert [row["status"] for row in rows].count("done") == (2 if index == "1/2" else 3)
     assert run_malus("batch", file, "-o", tmp_path / "serial", "--quiet").code == 0
     assert results(tmp_path / "shards") == results(tmp_path / "serial")
+
+
+def test_done_holds_as_long_as_inputs_and_results_do(small_station_source: Path, tmp_path: Path) -> None:
+    """Whatever the station reads counts, in its folder or not; and its results must be there."""
+    file = campaign_of(tmp_path, small_station_source, 2)
+    shutil.move(tmp_path / "objects/o00/pol", tmp_path / "shared")
+    edit(tmp_path / "objects/o00/station.toml", '"pol/', '"../../shared/')
+    output = tmp_path / "out"
+
+    def run() -> list[str]:
+        ran: list[str] = []
+        malus.batch.run_campaign(
+            Campaign.load(file), output, progress=lambda done, total, outcome: ran.append(outcome["station"])
+        )
+        return ran
+
+    assert run() == ["o00", "o01"]
+    assert run() == []
+    image = tmp_path / "shared/pol_000.tif"
+    image.write_bytes(image.read_bytes())
+    assert run() == ["o00"], "written anew"
+    shutil.rmtree(output / "stations/o01")
+    assert run() == ["o01"]
+    (tmp_path / "objects/o01/station.toml").unlink()
+    edit(file, "objects/*/station.toml", 'objects/o00/station.toml", "objects/o01/station.toml')
+    assert [malus.batch._marker(task)["status"] for task in Campaign.load(file).tasks(output, 1)] == ["done", "pending"]
+
+
+def test_merges_at_the_same_time_leave_whole_tables(three: tuple[Path, Path]) -> None:
+    file, output = three
+    merge = (
+        "import sys, malus.batch; from malus.campaign import Campaign\n"
+        "tasks = (campaign := Campaign.load(sys.argv[1])).tasks(sys.argv[2], 1)\n"
+        "for _ in range(40): malus.batch._merge(campaign, tasks, malus.batch.Path(sys.argv[2]))"
+    )
+    command = [sys.executable, "-c", merge, str(file), str(output)]
+    whole = (output / "campaign.json").read_text()
+    shards = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(3)]
+    for shard in shards:
+        _, err = shard.communicate(timeout=300)
+        assert shard.returncode == 0, err
+    assert (output / "campaign.json").read_text() == whole
+    assert not half_written(output)
 
 
 def test_array_job_takes_its_shard_from_slurm(monkeypatch: pytest.MonkeyPatch) -> None:
