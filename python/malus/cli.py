@@ -8,27 +8,28 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import malus
-from malus import batch, m3c2
+from malus import _core, batch, m3c2
 from malus.campaign import Campaign
 from malus.demo import example_station
 from malus.errors import InputError, MalusError
 from malus.exports import FORMATS, MESHES
 from malus.progress import BarProgress, JsonProgress, ProgressView
-from malus.reconstruction import STEPS
 
 INTERRUPTED = 130
 
-# What each single-step command runs up to; the steps before it are done first if they are not yet.
+#: What each single-step command runs, and with which fusion (None = as the options say); the steps that it needs are done first if they
+#: are not yet.
 STEP_COMMANDS = {
-    "decompose": ("zenith", "intensity, degree, phase and zenith maps (Fig. 5)"),
-    "prior": ("prior", "the photogrammetric surface in the polarized view"),
-    "height": ("height", "height from polarization alone (Fig. 6)"),
-    "fuse": ("fuse", "grid fusion of height and prior (Eq 14 to 16)"),
-    "refine": ("refine", "nonlinear refinement"),
-    "mesh": ("mesh", "metric mesh in object space"),
-    "assess": ("assess", "patches, profiles, comparison with a reference"),
+    "decompose": ("zenith", None, "intensity, degree, phase and zenith maps (Fig. 5)"),
+    "prior": ("prior", None, "the photogrammetric surface in the polarized view"),
+    "height": ("height", None, "height from polarization alone (Fig. 6)"),
+    "fuse": ("fuse", None, "the fused surface, by --fusion: refined (default) or grid (Eq 14 to 16)"),
+    "refine": ("fuse", "refined", "the fused surface by nonlinear refinement: fuse --fusion refined"),
+    "mesh": ("mesh", None, "metric mesh in object space"),
+    "assess": ("assess", None, "patches, profiles, comparison with a reference"),
 }
 
 
@@ -38,6 +39,14 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> None:  # type: ignore[override]
         self.print_usage(sys.stderr)
         raise InputError(message)
+
+
+def _leaves(until: str, fusion: str | None) -> str:
+    options = malus.Options() if fusion is None else malus.Options(fusion=fusion)
+    lines = ["leaves in WORK:"]
+    for step, _, files in _core.describe_run(options.to_json(), until):
+        lines += [f"  {file}  ({step})" for file in files]
+    return "\n".join(lines)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -62,14 +71,23 @@ def _parser() -> argparse.ArgumentParser:
         if station:
             command.add_argument("station", type=Path, metavar="STATION.toml")
         if work:
-            command.add_argument("-o", "--output", type=Path, required=True, metavar="WORK", help="workspace folder")
+            work_of(command, required=True, help="workspace folder")
         return command
+
+    def work_of(command: argparse.ArgumentParser, **how: Any) -> None:
+        command.add_argument("-o", "--output", type=Path, metavar="WORK", **how)
+        command.add_argument(
+            "--replace", action="store_true", help="take the workspace over if it belongs to another station"
+        )
 
     run = add("run", "the whole job: station file in, workspace with mesh, figures and report out")
     demo = add("demo", "the same on the example that ships with malus", station=False, work=False)
-    demo.add_argument("-o", "--output", type=Path, default=Path("malus-demo"), metavar="WORK")
+    work_of(demo, default=Path("malus-demo"), help="workspace folder, default: malus-demo")
     add("check", "read everything, say what would be done, what it would take and what is wrong", work=False)
-    steps = {name: add(name, text) for name, (_, text) in STEP_COMMANDS.items()}
+    steps = {name: add(name, text) for name, (_, _, text) in STEP_COMMANDS.items()}
+    for name, (until, fusion, _) in STEP_COMMANDS.items():
+        steps[name].formatter_class = argparse.RawDescriptionHelpFormatter
+        steps[name].epilog = _leaves(until, fusion)
     for command in (run, steps["assess"]):
         command.add_argument("--reference", type=Path, metavar="SCAN.ply", help="compare with this cloud or mesh")
         command.add_argument("--m3c2", action="store_true", help="compare with the reference by M3C2 too (py4dgeo)")
@@ -139,8 +157,12 @@ def _options(args: argparse.Namespace, start: malus.Options | None = None) -> ma
     return options
 
 
-def _reconstruct(args: argparse.Namespace, station_path: Path, until: str | None) -> None:
+def _reconstruct(
+    args: argparse.Namespace, station_path: Path, until: str | None = None, fusion: str | None = None
+) -> None:
     options = _options(args)
+    if fusion is not None and options.fusion != fusion:
+        raise InputError(f"fusion = {options.fusion}, but `malus {args.command}` is {fusion}; use `malus fuse`")
     if getattr(args, "m3c2", False) and args.reference is None:
         raise InputError("--m3c2 compares with a reference, expected --reference SCAN.ply")
     station = malus.Station.load(station_path)
@@ -149,6 +171,7 @@ def _reconstruct(args: argparse.Namespace, station_path: Path, until: str | None
             station,
             options,
             workspace=args.output,
+            replace=args.replace,
             until=until,
             reference=getattr(args, "reference", None),
             keep_maps=False,
@@ -253,11 +276,9 @@ def _run(arguments: Sequence[str] | None) -> None:
     elif args.command == "batch":
         _batch(args)
     elif args.command == "demo":
-        _reconstruct(args, example_station(), None)
+        _reconstruct(args, example_station())
     else:
-        until = STEP_COMMANDS[args.command][0] if args.command in STEP_COMMANDS else None
-        assert until is None or until in STEPS
-        _reconstruct(args, args.station, until)
+        _reconstruct(args, args.station, *STEP_COMMANDS.get(args.command, (None, None))[:2])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

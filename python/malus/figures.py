@@ -301,10 +301,11 @@ class Plates:
                 "twilight", "°", (0, 180),
             ),
         )  # fmt: skip
-        yield self._map(
-            np.degrees(self.raster(folder + "zenith.tif")),
-            _Map("zenith", "Zenith from the degree", "Angle of normal and viewing ray by Eq 7 or 8.", "magma", "°"),
-        )
+        if self.workspace.has(folder + "zenith.tif"):
+            yield self._map(
+                np.degrees(self.raster(folder + "zenith.tif")),
+                _Map("zenith", "Zenith from the degree", "Angle of normal and viewing ray by Eq 7 or 8.", "magma", "°"),
+            )
         yield self._map(
             self.raster(folder + "residual.tif"),
             _Map(
@@ -323,6 +324,8 @@ class Plates:
 
     def height(self) -> Iterator[Figure]:
         """Height from polarization alone as a map and as relief (Fig. 6 and 7)."""
+        if self.quality["polarization_height"] is None:
+            return
         raster = self.raster("height/height.tif")
         yield self._map(
             raster,

@@ -144,9 +144,6 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
     small = np.full(core.shape, np.nan, np.float32)
     small[core] = distances
     full = np.kron(small, np.ones((step, step), np.float32))[: known.shape[0], : known.shape[1]]
-    _core.write_float_tiff(
-        str(workspace.folder / "fused/m3c2_distance.tif"), np.where(known, full, np.nan).astype(np.float32)
-    )
     figures = {
         "reference": str(reference),
         "reference_points": len(near),
@@ -155,5 +152,9 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
         "pixels_per_core_point": step * step,
         **_summary(np.asarray(distances, float), np.asarray(uncertainty["lodetection"], float), gsd),
     }
-    write_text(workspace.folder / "m3c2.json", json.dumps(figures, indent=2) + "\n")
+    with workspace.recording("m3c2") as files:
+        files += ["fused/m3c2_distance.tif", "m3c2.json"]
+        distance = np.where(known, full, np.nan).astype(np.float32)
+        _core.write_float_tiff(str(workspace.folder / files[0]), distance)
+        write_text(workspace.folder / files[1], json.dumps(figures, indent=2) + "\n")
     return figures

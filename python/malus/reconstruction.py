@@ -60,6 +60,7 @@ def reconstruct(
     options: Options | None = None,
     *,
     workspace: str | Path | None = None,
+    replace: bool = False,
     until: str | None = None,
     reference: str | Path | None = None,
     keep_maps: bool = True,
@@ -70,10 +71,11 @@ def reconstruct(
     """Run the pipeline on a station.
 
     With a workspace folder every step is written there, and steps already done with the same inputs and options are not
-    repeated; without one everything stays in memory. `until` names the last step to run (see STEPS). `reference` is a PLY
-    cloud or mesh in the world frame to compare the surface with. keep_maps=False lets go of maps that no later step needs:
-    less memory, and the result has figures only; the maps are in the workspace. `progress` and `log` are called from this
-    thread. Ctrl-C stops within a second; what a finished step wrote stays.
+    repeated; without one everything stays in memory. A workspace belongs to one station: one of another is refused unless
+    `replace` is true. `until` names the step to run, after those it needs (see STEPS). `reference` is a PLY cloud or mesh
+    in the world frame to compare the surface with. keep_maps=False lets go of maps that no later step needs: less memory,
+    and the result has what the last step made only; the maps are in the workspace. `progress` and `log` are called from
+    this thread. Ctrl-C stops within a second; what a finished step wrote stays.
 
     A station with [photos] and no [prior] gets its pose and its prior from the photos (malus.photogrammetry, needs the
     program COLMAP or the package pycolmap); progress then has the steps "photos" and "sweep" too.
@@ -86,19 +88,23 @@ def reconstruct(
         if progress is not None:
             progress(Progress(step, fraction, message))
 
-    def run(core: _core.Station, last: str | None, scan: str | Path | None, *, keep: bool = True) -> dict[str, Any]:
+    def run(core: _core.Station, last: str | None, *, keep: bool = True) -> dict[str, Any]:
         return _core.reconstruct(
             core,
             settings.to_json(),
             None if workspace is None else str(workspace),
+            replace,
             last,
-            None if scan is None else str(scan),
+            None if reference is None else str(reference),
             keep,
+            None,
             threads,
             None if progress is None else report,
             log,
         )
 
+    if workspace is not None:
+        _core.claim_workspace(str(workspace), station._core, replace)
     with _folder(workspace, "raw") as developed:
         core = _readable(station, developed, lambda fraction, message: report("polarization", fraction, message))
         if _needs_photos(station, until):
@@ -106,8 +112,8 @@ def reconstruct(
                 core = _with_photos(
                     station.describe(), core, settings, folder, run, threads, report, log or (lambda _, __: None)
                 )
-        outcome = run(core, until, reference, keep=keep_maps)
-    for intermediate in ("scene", "valid"):
+        outcome = run(core, until, keep=keep_maps)
+    for intermediate in ("scene", "valid", "results"):
         del outcome[intermediate]
     quality = outcome.pop("quality")
     return Result(
@@ -119,7 +125,7 @@ def reconstruct(
 
 def _needs_photos(station: Station, until: str | None) -> bool:
     """Whether camera pose and prior are to be made from photos for what is asked."""
-    return station.describe()["prior"] == "photos" and until not in ("polarization", "zenith")
+    return station.describe()["prior"] == "photos" and until not in ("polarization", "polarizer", "zenith")
 
 
 def _readable(station: Station, folder: Path, progress: Callable[[float, str], None]) -> _core.Station:
@@ -154,7 +160,7 @@ def _with_photos(
     station: _core.Station,
     options: Options,
     folder: Path,
-    run: Callable[[_core.Station, str | None, str | Path | None], dict[str, Any]],
+    run: Callable[[_core.Station, str | None], dict[str, Any]],
     threads: int,
     report: Callable[[str, float, str], None],
     log: Callable[[str, str], None],
@@ -162,18 +168,31 @@ def _with_photos(
     """The station with the camera and the prior that its photos give: polarization first, whose unpolarized image is
     placed among the photos, then the sweep in its view, and again about the surface that is fused with it.
     """
+    warnings: list[str] = []
+
+    def log_of(step: str) -> Callable[[str, str], None]:
+        def note(level: str, message: str) -> None:
+            if level == "warning":
+                warnings.append(f"{step}: {message}")
+            log(level, message)
+
+        return note
 
     def fuse(first: photogrammetry.Swept) -> photogrammetry.FusedOnce:
         """Not in the workspace, whose steps are those of the fusion with the last sweep; what it warns of, they do."""
-        core = station.with_photogrammetry(lens.values(), first.depth, first.sigma, None, "{}")
-        last = "refine" if options.fusion == "refined" else "fuse"
+        core = station.with_photogrammetry(lens.values(), first.depth, first.sigma, None, "{}", "{}", [])
         outcome = _core.reconstruct(
-            core, options.to_json(), None, last, None, True, threads,
+            core, options.to_json(), None, False, "fuse", None, True, images["results"], threads,
             lambda step, fraction, _: report("sweep", fraction, f"fusing for a better sweep: {step}"), None,
         )  # fmt: skip
         return photogrammetry.FusedOnce(outcome["depth"], outcome["prior_depth"], outcome["prior_sigma"])
 
-    images = run(station, "polarization", None)
+    if "camera" in description:
+        images = run(station, "polarization")
+    else:  # Not in the workspace either: what counts there is the images once they are undistorted.
+        images = _core.reconstruct(
+            station, options.to_json(), None, False, "polarization", None, True, None, threads, report, None
+        )
     with photogrammetry.exclusive(folder):
         cameras = photogrammetry.find_cameras(
             description,
@@ -182,7 +201,7 @@ def _with_photos(
             options=options,
             threads=threads,
             progress=lambda fraction, message: report("photos", fraction, message),
-            log=log,
+            log=log_of("photos"),
         )
         lens = cameras.station
         if "camera" in description:
@@ -192,7 +211,8 @@ def _with_photos(
             )
         else:
             # Now that the lens is known, the images can be undistorted.
-            images = run(station.with_photogrammetry(lens.values(), None, None, None, "{}"), "polarization", None)
+            placed = station.with_photogrammetry(lens.values(), None, None, None, "{}", "{}", [])
+            images = run(placed, "polarization")
         swept = photogrammetry.sweep_station(
             cameras,
             images["scene"],
@@ -203,10 +223,13 @@ def _with_photos(
             options=options,
             threads=threads,
             progress=lambda fraction, message: report("sweep", fraction, message),
-            log=log,
+            log=log_of("sweep"),
         )
     figures = {**cameras.figures, "sweep": swept.figures}
-    return station.with_photogrammetry(lens.values(), swept.depth, swept.sigma, swept.shape, json.dumps(figures))
+    times = {"photos": cameras.times, "sweep": swept.times}
+    return station.with_photogrammetry(
+        lens.values(), swept.depth, swept.sigma, swept.shape, json.dumps(figures), json.dumps(times), warnings
+    )
 
 
 def _fused_of(description: dict[str, Any], images: dict[str, Any], options: Options) -> dict[str, Any]:

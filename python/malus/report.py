@@ -131,15 +131,19 @@ def _sections(quality: Mapping[str, Any], figures: Mapping[str, list[Figure]]) -
     ]  # fmt: skip
     optional = ("profiles", "patches", "reference", "scale", *(name for name, _ in _OTHERS))
     absent = {name for name in optional if not quality.get(name)}
-    absent |= {"m3c2"} - {name for name, group in figures.items() if group}
+    absent |= {"height", "m3c2"} - {name for name, group in figures.items() if group}
     return [(name, title) for name, title in every if name not in absent]
 
 
 def write_report(work: str | Path) -> Path:
-    """Write WORK/report/index.html, and its figures as PNG and CSV beside it, from the workspace; returns the page's path."""
+    """Write WORK/report/index.html, and its figures as PNG and CSV beside it, from the workspace; returns the page's path.
+
+    Raises InputError unless all that it shows is as the steps left it, from images to figures.
+    """
     workspace = Workspace(work)
     quality, manifest = workspace.quality, workspace.manifest
     plates = Plates(workspace)
+    steps = [step for step in STEPS if step in manifest["steps"] and step != "report"]
     figures = _figures(plates)
     m3c2 = workspace.m3c2
     numbers = _Quality({**quality, "m3c2": m3c2})
@@ -165,7 +169,8 @@ def write_report(work: str | Path) -> Path:
         others=[(name, title) for name, title in _OTHERS if quality.get(name)],
         worst_registration=registration.index(max(registration)) if registration else None,
         changed=_changed_options(manifest["options"]),
-        steps=[step for step in STEPS if step in manifest["steps"]],
+        steps=steps,
+        times=[(step, manifest["times"][step]) for step in ("photos", "sweep", *steps) if step in manifest["times"]],
         versions=[
             *manifest["versions"].items(),
             ("python", platform.python_version()),
@@ -174,12 +179,15 @@ def write_report(work: str | Path) -> Path:
         ],
         version=_core.version,
     )
-    folder = workspace.folder / "report"
-    for figure in (figure for group in figures.values() for figure in group):
-        write_bytes(folder / "figures" / f"{figure.name}.png", figure.png())
-        write_text(folder / "figures" / f"{figure.name}.csv", figure.csv())
-    write_text(folder / "index.html", page)
-    return folder / "index.html"
+    with workspace.recording("report") as files:
+        for figure in (figure for group in figures.values() for figure in group):
+            name = f"report/figures/{figure.name}"
+            write_bytes(workspace.folder / f"{name}.png", figure.png())
+            write_text(workspace.folder / f"{name}.csv", figure.csv())
+            files += [f"{name}.png", f"{name}.csv"]
+        files.append("report/index.html")
+        write_text(workspace.folder / "report/index.html", page)
+    return workspace.folder / "report/index.html"
 
 
 def open_report(work: str | Path) -> Path:

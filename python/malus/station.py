@@ -62,16 +62,10 @@ class Station:
             depth = np.ascontiguousarray(prior_depth, dtype=np.float32)
             if depth.shape != stack[0].shape:
                 raise ValueError(f"prior_depth has shape {depth.shape}, expected {stack[0].shape}")
-        rotation, translation = camera.pose()
         self._core = _core.Station.from_arrays(
             images=stack,
             angles_deg=angles.tolist(),
-            model=camera.model,
-            width=camera.width,
-            height=camera.height,
-            params=[float(p) for p in camera.params],
-            rotation=rotation,
-            translation=translation,
+            camera=camera.values(),
             prior_points=points,
             prior_depth=depth,
             mask=None if mask is None else as_mask(mask, stack[0].shape),

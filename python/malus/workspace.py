@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -18,49 +21,67 @@ from malus.options import Options
 Raster = NDArray[np.float32]
 
 
-def _read_json(path: Path, missing: str) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text())
-    except FileNotFoundError:
-        raise InputError(f"{path}: {missing}") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from None
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: is not a JSON object")
-    return content
-
-
 class Workspace:
-    """The folder that `malus run` or `malus-station` left behind; nothing is read before it is asked for."""
+    """The folder that `malus run` or `malus-station` left behind; nothing is read before it is asked for.
+
+    Only what its manifest lists is read, and only as the steps left it: files that are of another run, or that were changed,
+    are an InputError.
+    """
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
+        self._checked: set[str] = set()
 
     @cached_property
     def quality(self) -> dict[str, Any]:
         """Every figure, quality.json."""
-        return _read_json(self.folder / "quality.json", "there is none; run `malus assess` or `malus run` first")
+        return self._json("quality.json")
 
     @cached_property
     def manifest(self) -> dict[str, Any]:
         """Inputs, options, versions and steps, manifest.json."""
-        return _read_json(self.folder / "manifest.json", "there is none; this is not a workspace of malus")
+        manifest: dict[str, Any] = json.loads(_core.read_manifest(str(self.folder)))
+        return manifest
+
+    @cached_property
+    def outputs(self) -> dict[str, dict[str, Any]]:
+        """Size and SHA-256 of every file that a step has left, by its path below the folder."""
+        return {path: output for step in self.manifest["steps"].values() for path, output in step["outputs"].items()}
 
     @cached_property
     def m3c2(self) -> dict[str, Any] | None:
         """Figures of `malus assess --m3c2`, m3c2.json; None if it was not run."""
-        return _read_json(self.folder / "m3c2.json", "") if self.has("m3c2.json") else None
+        return self._json("m3c2.json") if self.has("m3c2.json") else None
 
     def path(self, name: str) -> Path:
-        """Path of a file of the workspace; InputError if it is not there."""
+        """Path of a file of the workspace; InputError unless it is there as its step left it."""
         path = self.folder / name
-        if not path.is_file():
-            raise InputError(f"{path}: there is none; run `malus run` to make it")
+        if not self.has(name):
+            raise InputError(f"{path}: no step that is done has made it; run `malus run` first")
+        if name not in self._checked:
+            if _core.sha256_of_file(str(path)) != self.outputs[name]["sha256"]:
+                raise InputError(f"{path}: is not as its step left it; run `malus run` again")
+            self._checked.add(name)
         return path
 
     def has(self, name: str) -> bool:
-        """Whether the workspace has this file."""
-        return (self.folder / name).is_file()
+        """Whether a step that is done has left this file."""
+        return name in self.outputs
+
+    def _json(self, name: str) -> dict[str, Any]:
+        content: dict[str, Any] = json.loads(self.path(name).read_text())
+        return content
+
+    @contextmanager
+    def recording(self, step: str) -> Iterator[list[str]]:
+        """Record a step that Python does: what an earlier run of it left is removed, and the files that are named in the list
+        are recorded at the end.
+        """
+        start = monotonic()
+        _core.forget_step(str(self.folder), step)
+        files: list[str] = []
+        yield files
+        _core.record_step(str(self.folder), step, files, monotonic() - start)
 
     def raster(self, name: str) -> Raster:
         """Float TIFF or PNG of the workspace, H×W or H×W×3, float32."""
@@ -75,12 +96,10 @@ class Workspace:
 
     @cached_property
     def _fused_notes(self) -> dict[str, Any]:
-        steps = self.manifest.get("steps", {})
-        for step in ("refine", "fuse"):
-            if steps.get(step, {}).get("status") == "done":
-                notes: dict[str, Any] = steps[step]["notes"]
-                return notes
-        raise InputError(f"{self.folder}: has no fused surface; run `malus run` first")
+        if "fuse" not in self.manifest["steps"]:
+            raise InputError(f"{self.folder}: has no fused surface; run `malus run` first")
+        notes: dict[str, Any] = self.manifest["steps"]["fuse"]["notes"]
+        return notes
 
     @cached_property
     def camera(self) -> Pinhole:

@@ -131,6 +131,11 @@ def small_station(small_station_source: Path, tmp_path: Path) -> Path:
     return folder / "station.toml"
 
 
+def half_written(folder: Path) -> list[Path]:
+    """Files below a folder that have the name of those not finished, which both programs give them."""
+    return list(folder.rglob(".*.partial-*"))
+
+
 def edit(path: Path, old: str, new: str) -> Path:
     """Replace one piece of a text file; it must be there."""
     text = path.read_text()

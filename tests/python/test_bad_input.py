@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from conftest import edit, malus, malus_station
+from conftest import edit, half_written, malus, malus_station
 
 IMAGES = "images = ["
 ANGLES = "angles_deg = [0, 30, 60, 90, 120, 150]"
@@ -29,7 +29,7 @@ def expect(station: Path, work: Path, code: int, *words: str, arguments: tuple[s
         assert len(outcome.err.strip().splitlines()) == 1, outcome.err
         assert not (work / "fused" / "depth.tif").exists()
         assert not (work / "quality.json").exists()
-        assert not list(work.rglob("*.part"))
+        assert not half_written(work)
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -11,12 +12,14 @@ import sys
 import time
 from pathlib import Path
 
+import markupsafe
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image
 
 import malus
-from conftest import edit, malus_station, run_program
+from conftest import edit, half_written, malus_station, run_program
 from conftest import malus as run_malus
 
 RASTERS = [
@@ -60,7 +63,7 @@ def test_workspace_is_complete(finished: Path) -> None:
         assert raster.shape[:2] == (160, 200), name
     for name in [*OTHERS, "report/index.html"]:
         assert (finished / name).stat().st_size > 0, name
-    assert not list(finished.rglob("*.part"))
+    assert not half_written(finished)
 
 
 def test_normals_are_unit_and_face_the_camera(finished: Path) -> None:
@@ -129,7 +132,7 @@ def test_executable_makes_the_same_files(finished: Path, small_station_source: P
     work = tmp_path / "work"
     outcome = malus_station(
         small_station_source / "station.toml", "-o", work, "--fusion", "grid", "--threads", "2", "--quiet",
-        env={"PATH": "/nonexistent"},
+        env={**os.environ, "PATH": "/nonexistent"},
     )  # fmt: skip
     assert outcome.code == 0, outcome.err
     # The same code on the same machine, but vector code in the libraries may round differently with the arrays' alignment.
@@ -222,14 +225,152 @@ def test_python_arrays_give_the_same_surface(finished: Path, small_station_sourc
     assert result.normals is not None and result.normals.shape == (160, 200, 3)
 
 
-def test_single_steps_share_the_workspace(small_station: Path, tmp_path: Path) -> None:
+def leaves(command: str) -> set[str]:
+    """Files that the help of a command says it leaves."""
+    text = run_malus(command, "--help").out
+    return {line.split()[0] for line in text[text.index("leaves in WORK:") :].splitlines()[1:]}
+
+
+def files_of(work: Path) -> set[str]:
+    return {str(path.relative_to(work)) for path in work.rglob("*") if path.is_file() and path.name[0] != "."}
+
+
+def test_every_command_leaves_what_its_help_says(small_station: Path, tmp_path: Path) -> None:
+    """In one workspace, each with what the ones before it have left."""
     work = tmp_path / "work"
-    assert run_malus("decompose", small_station, "-o", work, "--quiet").code == 0
-    assert (work / "polarization/zenith.tif").exists()
-    assert not (work / "height/height.tif").exists()
-    assert run_malus("height", small_station, "-o", work, "--quiet").code == 0
-    assert (work / "height/height.tif").exists()
-    assert not (work / "fused").exists()
+    expected = {"manifest.json"}
+    for command in ("decompose", "prior", "fuse", "refine", "height", "mesh", "assess"):
+        before = files_of(work) if work.exists() else set()
+        outcome = run_malus(command, small_station, "-o", work, "--threads", "2", "--set", "refine.iterations=1")
+        assert outcome.code == 0, outcome.err
+        assert leaves(command) <= files_of(work), command
+        expected |= leaves(command) | ({"fused/dem.tif"} if command == "mesh" else set())
+        assert files_of(work) == expected | before, command
+        if command == "fuse":
+            assert "fused/depth.tif" in leaves(command) and "height/height.tif" not in files_of(work)
+    assert leaves("refine") == leaves("fuse")
+    assert run_malus("report", work).code == 0
+    assert (work / "report/index.html").stat().st_size > 0
+
+
+def test_grid_fusion_is_no_refinement(small_station: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    for wrong in (["--fusion", "grid"], ["--set", "fusion=grid"]):
+        outcome = run_malus("refine", small_station, "-o", work, *wrong)
+        assert outcome.code == 2 and "malus fuse" in outcome.err
+    assert not work.exists()
+    assert run_malus("fuse", small_station, "-o", work, "--fusion", "grid", "--quiet").code == 0
+    assert "height/height.tif" in files_of(work) and "fused/refinement.json" not in files_of(work)
+    outcome = malus_station(small_station, "-o", work, "--until", "refine")
+    assert outcome.code == 2 and "step refine does not exist, expected one of polarization, " in outcome.err
+
+
+def test_zenith_and_height_can_be_left_out(small_station: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    options = ["--threads", "2", "--set", "refine.iterations=1", "--set", "assess.polarization_height=false"]
+    outcome = run_malus("run", small_station, "-o", work, *options)
+    assert outcome.code == 0, outcome.err
+    quality = json.loads((work / "quality.json").read_text())
+    assert quality["polarization_height"] is None and quality["patches"][0]["polarization"] is None
+    assert not (work / "height").exists() and not (work / "polarization/zenith.tif").exists()
+    assert 'id="height"' not in (work / "report/index.html").read_text()
+
+
+def test_results_of_two_runs_are_not_mixed(finished: Path, small_station_source: Path, tmp_path: Path) -> None:
+    """A finished grid run, then another surface in the same place: what was made of the first is gone."""
+    station = small_station_source / "station.toml"
+    work = shutil.copytree(finished, tmp_path / "work")
+    (work / "polarization/color.tif").write_bytes(b"of another program")
+    outcome = malus_station(station, "-o", work, "--until", "fuse", "--set", "refine.iterations=1", "--quiet")
+    assert outcome.code == 0, outcome.err
+    for stale in ("quality.json", "fused/surface.ply", "report/index.html"):
+        assert not (work / stale).exists(), stale
+    outcome = run_malus("report", work)
+    assert outcome.code == 2 and "quality.json" in outcome.err and "malus run" in outcome.err
+    assert not malus.Workspace(work).has("polarization/color.tif"), "no step has left it"
+
+    assert malus_station(station, "-o", work, "--set", "refine.iterations=1", "--quiet").code == 0
+    depth = (work / "fused/depth.tif").read_bytes()
+    (work / "fused/depth.tif").write_bytes((finished / "fused/depth.tif").read_bytes())
+    outcome = run_malus("report", work)
+    assert outcome.code == 2 and "depth.tif: is not as its step left it" in outcome.err
+    (work / "fused/depth.tif").write_bytes(depth)
+    assert run_malus("report", work).code == 0
+
+
+def test_options_in_the_record_are_those_of_the_results(finished: Path, small_station: Path, tmp_path: Path) -> None:
+    work = shutil.copytree(finished, tmp_path / "work")
+    station = finished_station(small_station, work)
+    assert run_malus("prior", station, "-o", work, "--set", "grid.grid_px=99", "--quiet").code == 0
+    assert malus.Workspace(work).options().grid.grid_px != 99
+
+
+def finished_station(station: Path, work: Path) -> Path:
+    """The same station in another place, which takes the workspace over."""
+    outcome = run_malus("prior", station, "-o", work, "--fusion", "grid", "--quiet")
+    assert outcome.code == 2 and 'belongs to station "small"' in outcome.err and "--replace" in outcome.err
+    outcome = run_malus("prior", station, "-o", work, "--fusion", "grid", "--replace", "--json")
+    assert outcome.code == 0, outcome.err
+    kept = [json.loads(line)["message"] for line in outcome.out.splitlines()]
+    assert kept == ["kept from an earlier run"] * 2, "the inputs are the same"
+    return station
+
+
+def test_folders_with_other_files_are_no_workspace(small_station: Path) -> None:
+    for program in (run_malus, malus_station):
+        words = ("run",) if program is run_malus else ()
+        outcome = program(*words, small_station, "-o", ".", cwd=small_station.parent)
+        assert outcome.code == 2
+        assert "not empty and not a workspace" in outcome.err and str(small_station.parent / "work") in outcome.err
+    assert not (small_station.parent / "manifest.json").exists()
+
+
+def test_every_warning_is_in_the_figures_and_on_the_page(small_station: Path, tmp_path: Path) -> None:
+    """Of a step that warns, quietly: in its record, in quality.json, in the report, and again when it is kept."""
+    for k, path in enumerate(sorted((small_station.parent / "pol").glob("*.tif"))):
+        pixels = tifffile.imread(path)
+        if k == 2:  # a window of one image changes: many pixels do not follow the sinusoid
+            pixels[20:140, 20:180] //= 2
+        tifffile.imwrite(path, pixels)
+    work = tmp_path / "work"
+    command = ("run", small_station, "-o", work, "--fusion", "grid", "--threads", "2")
+    assert run_malus(*command, "--quiet").code == 0
+    quality = json.loads((work / "quality.json").read_text())
+    manifest = malus.Workspace(work).manifest
+    text = "object's pixels do not follow the polarizer's sinusoid"
+    assert any(text in warning for warning in manifest["steps"]["polarization"]["warnings"])
+    assert any(warning.startswith("polarization: ") and text in warning for warning in quality["warnings"])
+    assert manifest["warnings"] == quality["warnings"]
+    page = (work / "report/index.html").read_text()
+    assert all(markupsafe.escape(warning) in page for warning in quality["warnings"])
+    outcome = run_malus(*command)
+    assert "kept from an earlier run" in outcome.err
+    assert text in outcome.err.replace("\n", " "), "repeated"
+    assert all(f"warning: {warning}" in outcome.out for warning in quality["warnings"])
+
+
+def test_provenance_names_everything_that_was_read(small_station: Path, tmp_path: Path) -> None:
+    folder = small_station.parent
+    Image.fromarray(np.full((160, 200), 255, np.uint8)).save(folder / "mask.png")
+    Image.fromarray(np.ones((160, 200), np.uint8)).save(folder / "labels.png")
+    (folder / "response.csv").write_text("0 0\n16383 1\n")
+    edit(small_station, "white_level = 16383", 'response = "response.csv"\nwhite_level = 16383\nmask = "mask.png"')
+    edit(small_station, "[prior]", '[optics]\nreflection = "labels.png"\n\n[prior]')
+    shutil.copy(folder / "dense/cloud.ply", folder / "scan.ply")
+    work = tmp_path / "work"
+    outcome = run_malus(
+        "run", small_station, "-o", work, "--fusion", "grid", "--reference", folder / "scan.ply", "--quiet"
+    )
+    assert outcome.code == 0, outcome.err
+    manifest = malus.Workspace(work).manifest
+    images = {f"pol/pol_{angle:03}.tif" for angle in range(0, 180, 30)}
+    files = {"mask.png", "labels.png", "response.csv", "scan.ply", "dense/cloud.ply"}
+    assert set(manifest["inputs"]) == images | files | {"sparse/cameras.txt", "sparse/images.txt"}
+    for name, recorded in manifest["inputs"].items():
+        assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == recorded, name
+    says = manifest["station"]["says"]
+    assert says["angle_direction"] == "ccw" and says["white_level"] == 16383
+    assert says["camera"]["model"] == "PINHOLE" and says["sha256"]
 
 
 def test_decompose_needs_no_prior(small_station: Path, tmp_path: Path) -> None:
@@ -286,7 +427,7 @@ def test_ctrl_c_stops_within_a_second_and_leaves_nothing_half_done(small_station
     assert "Traceback" not in error
     manifest = json.loads((work / "manifest.json").read_text())
     assert set(manifest["steps"]) == {"polarization", "prior", "polarizer", "zenith"}
-    assert not list(work.rglob("*.part"))
+    assert not half_written(work)
     outcome = run_malus("run", small_station, "-o", work, "--fusion", "grid", "--json")
     assert outcome.code == 0, outcome.err
     kept = {
