@@ -189,7 +189,7 @@ def whole_stations(arguments: argparse.Namespace, folder: Path) -> str:
         several, *alone = whole_station.step_medians(station, "refined", counts, 1)
         sums.append(sum_line(megapixels, "refined", several, alone[0] if alone else None))
         if alone:
-            steps += step_lines(f"{megapixels:g} Mpx", {"refine": several["refine"]}, {"refine": alone[0]["refine"]})
+            steps += step_lines(f"{megapixels:g} Mpx, refined", {"fuse": several["fuse"]}, {"fuse": alone[0]["fuse"]})
     return f"""## Whole stations
 
 Synthetic reliefs (`malus.synthetic`), all object, prior from a depth map, from the images to the assessed surface: sums of the steps' medians of
