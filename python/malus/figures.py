@@ -342,6 +342,15 @@ class Plates:
             _Map("polarization_relief", "Its relief shading", "Light from the upper left.", "gray", limits=(0, 1)),
         )
 
+    def trust_picture(self) -> NDArray[np.uint8]:
+        """The relief shading tinted by where the surface is refined and where it is the prior's, H × W × 3."""
+        refined, prior = np.array([53, 167, 160]), np.array([230, 159, 60])
+        share = (self.raster("fused/trust.png") / np.float32(255))[..., None]
+        tint = share * refined + (1 - share) * prior
+        shade = np.nan_to_num(self.shade("fused"))[..., None]
+        known = np.isfinite(self.relief["fused"])[..., None]
+        return np.where(known, np.clip((0.25 + shade) * tint, 0, 255), 255).astype(np.uint8)
+
     def uncertainty(self) -> Iterator[Figure]:
         """One standard deviation of the fused depth, and what fusion changed."""
         yield self._map(
@@ -359,6 +368,16 @@ class Plates:
                 "RdBu", self.unit, (-spread, spread),
             ),
         )  # fmt: skip
+        if self.workspace.has("fused/trust.png"):
+            known = np.isfinite(self.relief["fused"])
+            yield self._map(
+                np.where(known, self.raster("fused/trust.png") / np.float32(255), np.float32(np.nan)),
+                _Map(
+                    "trust", "Share of the refined surface",
+                    "Where the reflection model explains the polarization at the prior's slopes; elsewhere the prior stays.",
+                    "cividis", "", (0, 1), {0.0: "prior", 0.5: "half", 1.0: "refined"},
+                ),
+            )  # fmt: skip
         if self.workspace.has("fused/confidence.png"):
             known = np.isfinite(self.relief["fused"])
             yield self._map(

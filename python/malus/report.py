@@ -41,6 +41,8 @@ def summary_lines(quality: Mapping[str, Any]) -> list[str]:
     lines = [
         f"{quality['name']}: {quality['method']} fusion, {quality['status']}",
         f"  GSD {_number(quality['gsd'], 4)} {unit}, coverage {100 * quality['coverage']['fraction']:.1f} %",
+        f"  confidence: {quality['confidence']['level']}",
+        *(f"    {reason}" for reason in quality["confidence"]["reasons"]),
     ]
     for patch in quality["patches"]:
         fits = {name: patch[name] for name in SURFACES if patch[name] is not None}
@@ -123,6 +125,13 @@ def _compare(plates: Plates) -> dict[str, bytes]:
     return {name: encode(grey(plates.shade(name))[box], "WEBP", quality=90) for name in ("prior", "fused")}
 
 
+def _trust(plates: Plates) -> bytes | None:
+    """Where the surface is refined and where it is the prior's, over its relief shading."""
+    if not plates.workspace.has("fused/trust.png"):
+        return None
+    return encode(plates.trust_picture()[plates.object_box()], "WEBP", quality=85)
+
+
 def _sections(quality: Mapping[str, Any], figures: Mapping[str, list[Figure]]) -> list[tuple[str, str]]:
     every = [
         ("overview", "Overview"), ("compare", "Before and after"), ("explore", "Relight and turn"), ("relief", "Relief"),
@@ -162,6 +171,7 @@ def write_report(work: str | Path) -> Path:
         manifest=manifest,
         figures=figures,
         compare=_compare(plates),
+        trust=_trust(plates),
         relight=viewer.relighting(workspace),
         mesh=viewer.mesh_view(workspace),
         surfaces=SURFACES,

@@ -226,6 +226,31 @@ double ground_sampling_distance(const Image<float>& depth, const Pinhole& camera
   return percentiles(all, 1, {0.5})[0] / camera.focal();
 }
 
+namespace {
+
+/// What the figures add to what the fusion says of its own result.
+Confidence confidence_of(const Quality& quality, Confidence confidence) {
+  // A surface that is unsure by more than this has no detail that could be trusted.
+  constexpr double unknown_gsd = 10;
+  // 0.95 are expected. Stations whose surface is right have 0.8 at least, those that went astray less than 0.45.
+  constexpr double least_within = 0.6;
+  const auto percent = [](double share) { return std::to_string(std::lround(100 * share)) + " %"; };
+  if (quality.sigma && quality.sigma->median_gsd > unknown_gsd) {
+    confidence.limit(ConfidenceLevel::low, "The surface is unsure by " +
+                                               std::to_string(std::lround(quality.sigma->median_gsd)) +
+                                               " times the ground sampling distance in the median.");
+  }
+  if (quality.prior_vs_fused && quality.prior_vs_fused->within_2_prior_sigma_fraction < least_within) {
+    confidence.limit(ConfidenceLevel::low,
+                     "Only " + percent(quality.prior_vs_fused->within_2_prior_sigma_fraction) +
+                         " of the surface lie within two standard deviations of the prior, 95 % are expected: prior "
+                         "and polarization contradict each other.");
+  }
+  return confidence;
+}
+
+}  // namespace
+
 Quality assess(const AssessInput& input, const AssessOptions& options, const Context& context) {
   validate_fields(options, "assess");
   require_sizes(input);
@@ -272,6 +297,7 @@ Quality assess(const AssessInput& input, const AssessOptions& options, const Con
     quality.profiles.push_back(
         section(profile, prior, polarization, surface.depth, surface.camera, quality.gsd, options, context));
   }
+  quality.confidence = confidence_of(quality, surface.confidence);
   if (input.reference != nullptr) {
     context.progress("assess", 0.6, "comparing with the reference");
     quality.reference = compare_with_reference(surface, *input.reference, quality.gsd, options, context);

@@ -8,6 +8,7 @@
 #include "malus/assess/comparison.h"
 #include "malus/assess/patches.h"
 #include "malus/assess/profiles.h"
+#include "malus/core/confidence.h"
 #include "malus/height/height_map.h"
 #include "malus/io/station_spec.h"
 #include "malus/polarization/polarization_state.h"
@@ -138,6 +139,7 @@ struct PriorFigures {
 /// empty = that step was not run or its input is missing.
 struct Quality {
   std::string status = "not run";  ///< of the fused surface
+  Confidence confidence;           ///< from evidence, whatever the solver says
   std::string method;
   std::vector<std::string> warnings;
   std::string unit;
@@ -157,6 +159,7 @@ struct Quality {
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
     visit("status", self.status);
+    visit("confidence", self.confidence);
     visit("method", self.method);
     visit("warnings", self.warnings);
     visit("unit", self.unit);

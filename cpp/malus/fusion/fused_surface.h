@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "malus/core/camera.h"
+#include "malus/core/confidence.h"
 #include "malus/core/image.h"
 #include "malus/core/pose.h"
 
@@ -15,10 +16,11 @@ struct FusedSurface {
   Image<float> normals;  ///< 3 channels, unit, camera frame, towards the camera; NaN = none
   Image<float> sigma;    ///< one standard deviation of depth, station unit
   Pinhole camera;
-  Pose pose;             ///< cam_from_world
-  std::string method;    ///< "grid" | "refined"
+  Pose pose;                          ///< cam_from_world
+  std::string method;                 ///< "grid" | "refined"
   std::string status = "not run";     ///< "converged", "low confidence", …
   std::vector<std::string> warnings;  ///< one sentence each, for people
+  Confidence confidence;              ///< from what the surface was held against
 };
 
 }  // namespace malus

@@ -205,6 +205,9 @@ FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const G
   surface.pose = prior.pose;
   surface.method = "grid";
   surface.status = "done";
+  surface.confidence.limit(ConfidenceLevel::partial,
+                           "The paper's grid transfer takes all detail from the polarization height; nothing holds it "
+                           "against the prior.");
   if (height.status != "converged") surface.warnings.push_back("polarization height: " + height.status);
   surface.depth = Image<float>::uninitialized(coarse.size());
   surface.sigma = Image<float>::uninitialized(coarse.size());

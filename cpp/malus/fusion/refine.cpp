@@ -15,6 +15,7 @@
 #include "malus/fusion/reflection_fit.h"
 #include "malus/fusion/reflection_labels.h"
 #include "malus/fusion/region_choice.h"
+#include "malus/fusion/surface_evidence.h"
 #include "malus/fusion/surface_sigma.h"
 #include "malus/fusion/tile_solver.h"
 
@@ -127,7 +128,7 @@ void judge(const RefinementImage& image, const RefineReport& report, FusedSurfac
   } else if (last.change_gsd > 1) {
     surface.status = "not converged";
     surface.warnings.push_back("The surface still moved by " + std::to_string(last.change_gsd) +
-                               " GSD in the last round; more iterations may help.");
+                               " GSD in the last round.");
   }
   // In front of a mirror image as weakly polarized as this a dielectric body would have to be nearly white.
   constexpr double largest_body_share = 0.7;
@@ -146,6 +147,41 @@ void judge(const RefinementImage& image, const RefineReport& report, FusedSurfac
         "The reflection model does not explain the measured polarization: the median residual is " +
         std::to_string(report.median_residual) + " standard deviations.");
   }
+}
+
+/// Distance beyond which the prior is better known than the integral of slopes, which are wrong in the mean by about
+/// 0.25 degrees at best: noise over the square root of the points inside a Gaussian = slope × distance. 0 = not known.
+double anchor_length_px(const DepthPrior& prior, const RefinementImage& image, double anchor) {
+  const double gsd = image.depth_of(0) / image.focal;
+  return anchor * std::sqrt(std::max(prior.noise / gsd * prior.spacing_px, 0.0));
+}
+
+std::string percent(double share) {
+  return std::to_string(std::lround(100 * share)) + " %";
+}
+
+/// What is said of the evidence.
+Confidence confidence_of(const RefineReport& report, const FusedSurface& surface) {
+  constexpr double everywhere = 0.9, nowhere = 0.05;
+  Confidence confidence;
+  if (report.trusted_share < nowhere) {
+    confidence.limit(ConfidenceLevel::partial,
+                     "The surface is the prior's: at its slopes the reflection model does not explain the measured "
+                     "polarization, so that nothing finer can be known from it.");
+  } else if (report.trusted_share < everywhere) {
+    confidence.limit(ConfidenceLevel::partial,
+                     "In " + percent(1 - report.trusted_share) +
+                         " of the object the surface is the prior's, because the reflection model does not explain "
+                         "the polarization there.");
+  }
+  // A wrong model does no harm where the prior's surface stayed.
+  if (surface.status == "low confidence") {
+    confidence.limit(report.trusted_share < nowhere ? ConfidenceLevel::partial : ConfidenceLevel::low,
+                     surface.warnings.back());
+  }
+  if (surface.status == "not converged" && report.trusted_share >= nowhere)
+    confidence.limit(ConfidenceLevel::partial, "The refinement did not converge.");
+  return confidence;
 }
 
 /// Part of the progress, 0 … 1.
@@ -201,6 +237,47 @@ class Refiner {
     return total_;
   }
 
+  /// Goes back to the prior where nothing speaks for the refined surface, and in the lowest frequencies.
+  void weigh_evidence(const DepthPrior& prior) {
+    const Size size = image_.size();
+    report_.trust = Image<std::uint8_t>(size);
+    for (std::size_t i = 0; i < report_.trust.count(); ++i) report_.trust[i] = image_.object[i] ? 255 : 0;
+    if (!options_.evidence) return;
+    ExplainedPolarization explained(size);
+    Image<double> x_prior(size);
+    for (const TileStrip& tiles : strips_) {
+      StripField strip = strip_field(image_, tiles.rows, whole_blocks(weights_reach_px), context_);
+      std::swap(strip.field.x, strip.field.x_prior);
+      update_weights(strip.field, weights(1, false), context_);
+      explained.add(strip.field, strip.rows, strip.first_row, context_);
+      for (int v = strip.rows.begin; v < strip.rows.end; ++v)
+        std::copy_n(strip.field.x.row(v), size.width, x_prior.row(strip.first_row + v));
+    }
+    const Image<float> shares = explained.shares(context_);
+    const double least = options_.explained_least, ramp = std::max(options_.explained_enough - least, 1e-6);
+    parallel_rows(context_, size.height, [&](int v) {
+      for (int u = 0; u < size.width; ++u) {
+        if (!image_.object(u, v)) continue;
+        const double share = between_cells(shares, ExplainedPolarization::cell_px, u, v);
+        const double trust = std::clamp((share - least) / ramp, 0.0, 1.0);
+        report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(255 * trust));
+        image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
+      }
+    });
+    anchor_to_prior(image_, x_prior, anchor_length_px(prior, image_, options_.anchor), context_);
+    double trust = 0, share = 0, count = 0;
+    for (int v = 0; v < size.height; ++v) {
+      for (int u = 0; u < size.width; ++u) {
+        if (!image_.object(u, v)) continue;
+        trust += report_.trust(u, v) / 255.0;
+        share += between_cells(shares, ExplainedPolarization::cell_px, u, v);
+        ++count;
+      }
+    }
+    report_.trusted_share = trust / count;
+    report_.explained_share = share / count;
+  }
+
   /// The surface that was found, and what is reported of its pixels.
   FusedSurface finish(const DepthPrior& prior) {
     constexpr int margin = surface_sigma_reach_px + weights_reach_px;
@@ -221,7 +298,11 @@ class Refiner {
         for (int u = 0; u < size.width; ++u) {
           if (!image_.object(u, v)) continue;
           surface.depth(u, v) = static_cast<float>(image_.depth_of(image_.x(u, v)));
-          surface.sigma(u, v) = sigma(u, strip_v);
+          // Where the prior's surface stays, so does its uncertainty.
+          const double trust = report_.trust(u, v) / 255.0;
+          const double prior_sigma = strip.field.prior_sigma(u, strip_v) * surface.depth(u, v) / image_.focal;
+          surface.sigma(u, v) = static_cast<float>(
+              std::sqrt(trust * std::pow(sigma(u, strip_v), 2) + (1 - trust) * std::pow(prior_sigma, 2)));
           report_.label(u, v) = image_.kind(u, v);
           report_.confidence(u, v) =
               static_cast<std::uint8_t>(std::lround(255 * stokes_weight(strip.field, u, strip_v)));
@@ -403,8 +484,10 @@ RefineResult refine(const PolarizationState& state, const DepthPrior& prior, con
   Refiner refiner(image, options, result.report, context);
   refiner.label(input);
   refiner.run(!input.refractive_index);
+  refiner.weigh_evidence(prior);
   result.surface = refiner.finish(prior);
   judge(image, result.report, result.surface);
+  result.surface.confidence = confidence_of(result.report, result.surface);
   result.report.seconds = seconds_since(start);
   return result;
 }

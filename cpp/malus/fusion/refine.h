@@ -47,6 +47,10 @@ struct RefineOptions {
   bool environment = true;
   bool lobe = true;
   bool regional_weights = true;
+  bool evidence = true;
+  double explained_least = 0.35;
+  double explained_enough = 0.55;
+  double anchor = 8;
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
@@ -83,6 +87,15 @@ struct RefineOptions {
     visit("environment", self.environment, any_value, "fit what diffuse regions mirror of the surroundings");
     visit("lobe", self.lobe, any_value, "fit a highlight of a small source in diffuse regions");
     visit("regional_weights", self.regional_weights, any_value, "down-weigh regions that fit badly");
+    visit(
+        "evidence", self.evidence, any_value,
+        "keep the prior's surface where the reflection model does not explain the polarization at the prior's slopes");
+    visit("explained_least", self.explained_least, Range{-1, 1},
+          "share of the polarization, explained at the prior's slopes, up to which the prior's surface is kept …");
+    visit("explained_enough", self.explained_enough, Range{-1, 1}, "… and from which on the refined one is");
+    visit("anchor", self.anchor, not_negative,
+          "the prior's low frequencies are kept beyond this times the square root of its points' noise (GSD) times "
+          "their distance (px), in px; 0 = not");
   }
 };
 
@@ -106,11 +119,14 @@ struct RefineReport {
   std::array<double, EnvironmentProfile::node_count> environment_sigma{};
   double lobe_strength_sigma = 0, lobe_roughness_sigma = 0, light_sigma_rad = 0;
   double mirror_body_sigma = 0, mirror_environment_sigma = 0;
-  double specular_share = 0;                    ///< of the object's pixels
-  Image<std::uint8_t> label;                    ///< 0 = outside, 1 = diffuse, 2 = specular
-  Image<std::uint8_t> confidence;               ///< weight of the polarization of each pixel, 0 … 255
-  double stokes_cost = 0;                       ///< mean of ln(1 + r² / 4) over usable pixels, of the result
-  double median_residual = 0;                   ///< of the result's Stokes vectors, in standard deviations
+  double specular_share = 0;       ///< of the object's pixels
+  Image<std::uint8_t> label;       ///< 0 = outside, 1 = diffuse, 2 = specular
+  Image<std::uint8_t> confidence;  ///< weight of the polarization of each pixel, 0 … 255
+  Image<std::uint8_t> trust;       ///< share of the refined surface in the result, 0 (prior) … 255
+  double trusted_share = 1;        ///< mean of that over the object, 0 … 1
+  double explained_share = 1;      ///< of the polarization at the prior's slopes, mean over the object, −1 … 1
+  double stokes_cost = 0;          ///< mean of ln(1 + r² / 4) over usable pixels, of the result
+  double median_residual = 0;      ///< of the result's Stokes vectors, in standard deviations
   int regions_compared = 0, regions_taken = 0;  ///< of the search for a better minimum
   int tiles = 0;
   double seconds = 0;
@@ -128,7 +144,9 @@ struct RefineResult {
 /// against the forward model on the four one-sided difference pairs, neighbouring albedos in diffuse regions, block
 /// means of the prior, small second differences. Reflection parameters, light and robust weights are fitted between
 /// solves. Throws an input error for sizes and options that do not fit, a data error when nothing is left to refine.
-/// What the data cannot support otherwise is in surface.status ("converged", "not converged", "low confidence") and
+/// Where the model does not explain the polarization at the prior's slopes, the prior's surface stays (see
+/// surface_evidence.h), which surface.confidence and report.trust tell. What the data cannot support otherwise is in
+/// surface.status ("converged", "not converged", "low confidence") and
 /// warnings.
 RefineResult refine(const PolarizationState& state, const DepthPrior& prior, const RefineInput& input,
                     const RefineOptions& options, const Context& context);

@@ -102,11 +102,13 @@ void keep(FusedSurface& result, Keeper& keeper) {
   keeper.value("method", result.method);
   keeper.value("status", result.status);
   keeper.value("warnings", result.warnings);
+  keeper.value("confidence", result.confidence);
 }
 
 void keep(RefinementFindings& result, Keeper& keeper) {
   keeper.raster("fused/label.png", result.label);
   keeper.raster("fused/confidence.png", result.confidence);
+  keeper.raster("fused/trust.png", result.trust);
   keeper.text("fused/refinement.json", result.report_json);
 }
 

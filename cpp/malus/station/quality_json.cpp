@@ -37,6 +37,8 @@ Json refine_report_json(const RefineReport& report) {
             {"environment", model.mirror.environment},
             {"environment_sigma", fields_to_json(report.mirror_environment_sigma)}}},
           {"specular_share", report.specular_share},
+          {"explained_share", report.explained_share},
+          {"trusted_share", report.trusted_share},
           {"regions_compared", report.regions_compared},
           {"regions_taken", report.regions_taken},
           {"tiles", report.tiles},

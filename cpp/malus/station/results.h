@@ -56,6 +56,7 @@ struct RefinementFindings {
   std::string report_json;         ///< reflectance, light, convergence and cost, with standard deviations
   Image<std::uint8_t> label;       ///< as ReflectionMap::label
   Image<std::uint8_t> confidence;  ///< weight of each pixel's polarization, 0 … 255
+  Image<std::uint8_t> trust;       ///< share of the refined surface in the result, 0 (prior) … 255
 };
 
 /// The figures, and quality.json, which also has the station's name and what refinement and photogrammetry say of

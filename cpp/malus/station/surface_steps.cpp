@@ -92,7 +92,7 @@ std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,
   RefineResult refined = refine(*polarization.state, prior, input, job.options.refine, job.context);
   job.times["linear_solver_share"] = refined.report.linear_solver_share;
   RefinementFindings findings{refine_report_json(refined.report).dump(2) + "\n", std::move(refined.report.label),
-                              std::move(refined.report.confidence)};
+                              std::move(refined.report.confidence), std::move(refined.report.trust)};
   return {with_warnings_logged(std::move(refined.surface), job.context), std::move(findings)};
 }
 

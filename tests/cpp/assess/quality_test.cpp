@@ -86,6 +86,21 @@ TEST(Quality, FiguresOfAKnownCase) {
   EXPECT_FALSE(q.reference);
 }
 
+TEST(Quality, ConfidenceIsTheSurfacesOwnLessWhatTheFiguresSay) {
+  Case c;
+  c.prior.sigma.fill(2.0f);
+  EXPECT_EQ(assess(c.input, {}, {}).confidence.level, ConfidenceLevel::high);
+  c.surface.confidence.limit(ConfidenceLevel::partial, "half of it");
+  EXPECT_EQ(assess(c.input, {}, {}).confidence.level, ConfidenceLevel::partial);
+  c.surface.sigma.fill(20.0f);
+  const Quality unsure = assess(c.input, {}, {});
+  EXPECT_EQ(unsure.confidence.level, ConfidenceLevel::low);
+  EXPECT_EQ(unsure.confidence.reasons.size(), 2u);
+  c.surface.sigma.fill(0.25f);
+  c.prior.sigma.fill(0.1f);
+  EXPECT_EQ(assess(c.input, {}, {}).confidence.level, ConfidenceLevel::low) << "the surface left its prior";
+}
+
 TEST(Quality, OnlyASurfaceIsNeeded) {
   const Case c;
   AssessInput input;
@@ -130,7 +145,7 @@ TEST(Quality, FieldNamesAreUnique) {
   std::multiset<std::string_view> names;
   const Quality quality;
   Quality::fields(quality, [&](std::string_view name, const auto&) { names.insert(name); });
-  EXPECT_EQ(names.size(), 17u);
+  EXPECT_EQ(names.size(), 18u);
   for (const std::string_view name : names) EXPECT_EQ(names.count(name), 1u) << name;
 }
 

@@ -154,11 +154,20 @@ TEST(KeptResults, Surfaces) {
   height.solver_bytes = 1e9;
   EXPECT_EQ(expect_kept(height).light.head<3>(), height.light.head<3>());
   EXPECT_EQ(expect_kept(height).solver_bytes, 1e9);
-  const FusedSurface surface =
-      expect_kept(FusedSurface{raster(500), raster(0, 3), raster(1), camera, pose, "grid", "converged", {"one"}});
+  const FusedSurface surface = expect_kept(FusedSurface{raster(500),
+                                                        raster(0, 3),
+                                                        raster(1),
+                                                        camera,
+                                                        pose,
+                                                        "grid",
+                                                        "converged",
+                                                        {"one"},
+                                                        {ConfidenceLevel::partial, {"half of it"}}});
   EXPECT_EQ(surface.normals.channels(), 3);
+  EXPECT_EQ(surface.confidence.level, ConfidenceLevel::partial);
+  EXPECT_EQ(surface.confidence.reasons.size(), 1u);
   EXPECT_EQ(surface.warnings.size(), 1u);
-  EXPECT_EQ(expect_kept(RefinementFindings{"{\"b\": 1, \"a\": 2}\n", labels(1), labels(200)}).report_json,
+  EXPECT_EQ(expect_kept(RefinementFindings{"{\"b\": 1, \"a\": 2}\n", labels(1), labels(200), labels(7)}).report_json,
             "{\"b\": 1, \"a\": 2}\n");
 }
 

@@ -1,0 +1,114 @@
+#include "malus/fusion/surface_evidence.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "malus/core/parallel.h"
+#include "malus/fusion/masked_blur.h"
+
+namespace malus {
+namespace {
+
+Size cells_over(Size image, int cell_px) {
+  return {(image.width + cell_px - 1) / cell_px, (image.height + cell_px - 1) / cell_px};
+}
+
+/// Gaussian mean of cells that count by their weights; 0 where none is near.
+Image<float> pooled(const Image<float>& values, const Image<float>& weights, double sigma_cells,
+                    const Context& context) {
+  Mask all(values.size());
+  all.fill(255);
+  Image<float> products(values.size());
+  for (std::size_t i = 0; i < values.count(); ++i) products[i] = weights[i] * values[i];
+  Image<float> means = masked_blur(products, all, sigma_cells, context);
+  const Image<float> counts = masked_blur(weights, all, sigma_cells, context);
+  for (std::size_t i = 0; i < means.count(); ++i) means[i] = counts[i] > 0 ? means[i] / counts[i] : 0;
+  return means;
+}
+
+}  // namespace
+
+ExplainedPolarization::ExplainedPolarization(Size image) : cells_(cells_over(image, cell_px)) {}
+
+void ExplainedPolarization::add(const RefinementField& part, RowRange rows, int first_row, const Context& context) {
+  const int first_cell = (first_row + rows.begin) / cell_px, last_cell = (first_row + rows.end - 1) / cell_px;
+  parallel_rows(context, last_cell - first_cell + 1, [&](int i) {
+    const int row = first_cell + i;
+    const int begin = std::max(row * cell_px - first_row, rows.begin);
+    const int end = std::min((row + 1) * cell_px - first_row, rows.end);
+    for (int v = begin; v < end; ++v) {
+      for (int u = 0; u < part.size().width; ++u) {
+        if (!part.object(u, v) || !part.usable(u, v)) continue;
+        const Eigen::Vector2d slopes = central_slopes(part, u, v);
+        const PredictedStokes model = part.reflection_at(u, v).predict(slopes[0], slopes[1]);
+        Cell& cell = cells_(u / cell_px, row);
+        cell.s1 += part.s1(u, v);
+        cell.s2 += part.s2(u, v);
+        cell.model_s1 += model.s1;
+        cell.model_s2 += model.s2;
+        ++cell.pixels;
+      }
+    }
+  });
+}
+
+Image<float> ExplainedPolarization::shares(const Context& context) const {
+  constexpr int full = cell_px * cell_px, fewest = full / 4;
+  constexpr double pool_cells = 2;
+  Image<float> shares(cells_.size()), weights(cells_.size());
+  for (std::size_t i = 0; i < cells_.count(); ++i) {
+    const Cell& cell = cells_[i];
+    const double measured = cell.s1 * cell.s1 + cell.s2 * cell.s2;
+    const double rest = std::pow(cell.s1 - cell.model_s1, 2) + std::pow(cell.s2 - cell.model_s2, 2);
+    if (cell.pixels < fewest || measured + rest <= 0) continue;
+    shares[i] = static_cast<float>(1 - 2 * rest / (rest + measured));
+    weights[i] = static_cast<float>(cell.pixels) / full;
+  }
+  return pooled(shares, weights, pool_cells, context);
+}
+
+double between_cells(const Image<float>& cells, int cell_px, int u, int v) {
+  const auto place = [&](int pixel, int count) {
+    return std::clamp((pixel + 0.5) / cell_px - 0.5, 0.0, static_cast<double>(count - 1));
+  };
+  const double x = place(u, cells.width()), y = place(v, cells.height());
+  const int column = std::min(static_cast<int>(x), std::max(cells.width() - 2, 0));
+  const int row = std::min(static_cast<int>(y), std::max(cells.height() - 2, 0));
+  const int right = std::min(column + 1, cells.width() - 1), below = std::min(row + 1, cells.height() - 1);
+  const double a = x - column, b = y - row;
+  return (1 - b) * ((1 - a) * cells(column, row) + a * cells(right, row)) +
+         b * ((1 - a) * cells(column, below) + a * cells(right, below));
+}
+
+void anchor_to_prior(RefinementImage& image, const Image<double>& x_prior, double length_px, const Context& context) {
+  // The means over cells and the interpolation between them smooth by a quarter of a squared cell themselves.
+  constexpr int cell_px = prior_block_px;
+  const double rest2 = length_px * length_px - 0.25 * cell_px * cell_px;
+  if (rest2 <= 0) return;
+  const Size size = image.size(), count = cells_over(size, cell_px);
+  Image<float> lack(count), weights(count);
+  parallel_rows(context, count.height, [&](int row) {
+    for (int column = 0; column < count.width; ++column) {
+      double sum = 0;
+      int pixels = 0;
+      for (int v = row * cell_px; v < std::min((row + 1) * cell_px, size.height); ++v) {
+        for (int u = column * cell_px; u < std::min((column + 1) * cell_px, size.width); ++u) {
+          if (!image.object(u, v)) continue;
+          sum += x_prior(u, v) - image.x(u, v);
+          ++pixels;
+        }
+      }
+      if (pixels == 0) continue;
+      lack(column, row) = static_cast<float>(sum / pixels);
+      weights(column, row) = static_cast<float>(pixels) / (cell_px * cell_px);
+    }
+  });
+  const Image<float> low = pooled(lack, weights, std::sqrt(rest2) / cell_px, context);
+  parallel_rows(context, size.height, [&](int v) {
+    for (int u = 0; u < size.width; ++u) {
+      if (image.object(u, v)) image.x(u, v) += between_cells(low, cell_px, u, v);
+    }
+  });
+}
+
+}  // namespace malus

@@ -1,0 +1,44 @@
+#pragma once
+
+#include "malus/core/context.h"
+#include "malus/fusion/refinement_image.h"
+
+namespace malus {
+
+/// How much of the measured polarization the reflection model explains at the *prior's* slopes, region by region.
+///
+/// The residual after the refinement says nothing about whether its surface is true: two slopes a pixel fit two Stokes
+/// components of any model. The prior's slopes were not made to fit. They lack detail, but over cells of 16 px they are
+/// known well enough that a model that holds explains most of the mean (s1, s2), and a wrong one does not. Each cell
+/// counts by 1 − 2 r² / (r² + s²), with s its mean Stokes vector and r what the model leaves of it: 1 = all is
+/// explained, 0 = nothing, −1 = far less than nothing. Cells are pooled by a Gaussian of two cells.
+class ExplainedPolarization {
+ public:
+  explicit ExplainedPolarization(Size image);
+
+  /// Adds some of a part's rows. The part is at the prior's surface, and its weights are of it.
+  void add(const RefinementField& part, RowRange rows, int first_row, const Context& context);
+
+  /// Pooled shares from −1 to 1, a cell each; 0 far from usable pixels.
+  Image<float> shares(const Context& context) const;
+
+  static constexpr int cell_px = 16;
+
+ private:
+  struct Cell {
+    double s1 = 0, s2 = 0;              ///< measured, summed
+    double model_s1 = 0, model_s2 = 0;  ///< predicted
+    int pixels = 0;
+  };
+  Image<Cell> cells_;
+};
+
+/// Value of a raster of square cells at a pixel, bilinear between the centres of the cells.
+double between_cells(const Image<float>& cells, int cell_px, int u, int v);
+
+/// Adds to the surface the low frequencies (Gaussian of `length_px`) of what it lacks of the prior. Errors of a
+/// reflection model add up over a distance, the noise of a prior's points averages out over it: beyond the distance
+/// where both are equal the prior is the better one.
+void anchor_to_prior(RefinementImage& image, const Image<double>& x_prior, double length_px, const Context& context);
+
+}  // namespace malus

@@ -1,0 +1,152 @@
+#include "malus/fusion/surface_evidence.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "malus/fusion/refine.h"
+#include "malus/fusion/refinement_weights.h"
+#include "synthetic_station.h"
+
+namespace malus {
+namespace {
+
+SyntheticOptions scene_under_a_sky() {
+  SyntheticOptions scene;
+  scene.size = {160, 128};
+  scene.model.environment.radiance.fill(0.1);
+  return scene;
+}
+
+RefineOptions quick() {
+  RefineOptions options;
+  options.search = false;
+  options.lobe = false;
+  return options;
+}
+
+/// Turns the direction of polarization of all columns from `first` on, as no light does.
+void turn_phase(PolarizationState& state, int first, double angle_rad) {
+  for (int v = 0; v < state.size().height; ++v) {
+    for (int u = first; u < state.size().width; ++u) state.phi(u, v) += static_cast<float>(angle_rad);
+  }
+}
+
+double rms_of_columns(const Image<float>& depth, const Image<float>& truth, int begin, int end, double gsd) {
+  double sum = 0, squares = 0, count = 0;
+  for (int v = 4; v < truth.height() - 4; ++v) {
+    for (int u = begin; u < end; ++u) {
+      const double error = (static_cast<double>(depth(u, v)) - truth(u, v)) / gsd;
+      sum += error;
+      squares += error * error;
+      ++count;
+    }
+  }
+  return std::sqrt(squares / count - sum * sum / (count * count));
+}
+
+constexpr double gsd = 500.0 / 900;
+constexpr double misleading = 0.45;  // rad
+const RefineInput diffuse{1.5, ReflectionChoice::diffuse, {}};
+
+TEST(Evidence, AModelThatHoldsIsTrustedEverywhere) {
+  const SyntheticStation station = make_station(scene_under_a_sky());
+  const RefineResult result = refine(station.state, station.prior, {}, quick(), Context{});
+  EXPECT_GT(result.report.explained_share, 0.6);
+  EXPECT_GT(result.report.trusted_share, 0.9);
+  EXPECT_EQ(result.surface.confidence.level, ConfidenceLevel::high);
+  EXPECT_TRUE(result.surface.confidence.reasons.empty());
+}
+
+TEST(Evidence, WhatTheModelCannotExplainLeavesThePrior) {
+  SyntheticStation station = make_station(scene_under_a_sky());
+  turn_phase(station.state, 0, misleading);
+  RefineOptions options = quick();
+  const RefineResult held = refine(station.state, station.prior, diffuse, options, Context{});
+  options.evidence = false;
+  const RefineResult free = refine(station.state, station.prior, diffuse, options, Context{});
+  const double prior = rms_error_gsd(station.prior.depth, station.truth, station.prior.camera);
+  EXPECT_GT(rms_of_columns(free.surface.depth, station.prior.depth, 4, 156, gsd), 0.3) << "it would have moved";
+  EXPECT_LT(rms_error_gsd(held.surface.depth, station.truth, station.prior.camera), 1.02 * prior);
+  EXPECT_LT(held.report.trusted_share, 0.05);
+  EXPECT_EQ(held.surface.confidence.level, ConfidenceLevel::partial);
+  ASSERT_FALSE(held.surface.confidence.reasons.empty());
+  // The surface is as uncertain as the prior's.
+  EXPECT_NEAR(held.surface.sigma(80, 64) / station.prior.sigma(80, 64), 1, 0.05);
+}
+
+TEST(Evidence, IsWeighedRegionByRegion) {
+  SyntheticOptions scene = scene_under_a_sky();
+  scene.size = {320, 128};
+  SyntheticStation station = make_station(scene);
+  constexpr int half = 160, far = 80;  // from the border: more than the pooling reaches
+  turn_phase(station.state, half, misleading);
+  const RefineResult result = refine(station.state, station.prior, diffuse, quick(), Context{});
+  EXPECT_EQ(result.report.trust(half - far, 64), 255);
+  EXPECT_EQ(result.report.trust(half + far, 64), 0);
+  EXPECT_NE(result.surface.confidence.level, ConfidenceLevel::high);
+  EXPECT_LT(rms_of_columns(result.surface.depth, station.truth, 8, half - far, gsd),
+            0.7 * rms_of_columns(station.prior.depth, station.truth, 8, half - far, gsd));
+  EXPECT_LT(rms_of_columns(result.surface.depth, station.truth, half + far, 312, gsd),
+            1.05 * rms_of_columns(station.prior.depth, station.truth, half + far, 312, gsd));
+}
+
+TEST(Evidence, SharesAreOneForWhatIsPredictedAndBelowZeroForTheOpposite) {
+  const SyntheticStation station = make_station(scene_under_a_sky());
+  RefinementImage image = make_image(station.state, station.prior, Context{});
+  image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+  image.reflection = scene_under_a_sky().model;
+  RefinementField field = image.part(image.everything(), Context{});
+  for (int v = 0; v < field.size().height; ++v) {
+    for (int u = 0; u < field.size().width; ++u) {
+      const Eigen::Vector2d slopes = central_slopes(field, u, v);
+      const PredictedStokes model = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
+      const float sign = u < 80 ? 1 : -1;
+      field.s1(u, v) = sign * static_cast<float>(model.s1);
+      field.s2(u, v) = sign * static_cast<float>(model.s2);
+    }
+  }
+  ExplainedPolarization explained(field.size());
+  explained.add(field, {0, 48}, 0, Context{});  // in two parts that share a row of cells
+  explained.add(field, {48, 128}, 0, Context{});
+  const Image<float> shares = explained.shares(Context{});
+  ASSERT_EQ(shares.width(), 10);
+  ASSERT_EQ(shares.height(), 8);
+  EXPECT_GT(shares(0, 4), 0.95);
+  EXPECT_LT(shares(9, 4), -0.55);  // of r = 2 s: 1 - 2 · 4 / 5 = -0.6
+}
+
+TEST(Evidence, CellsAreInterpolatedBetweenTheirCentres) {
+  Image<float> cells({3, 1});
+  cells(0, 0) = 1;
+  cells(1, 0) = 3;
+  cells(2, 0) = 7;
+  EXPECT_DOUBLE_EQ(between_cells(cells, 4, 0, 0), 1);  // before the first centre
+  EXPECT_NEAR(between_cells(cells, 4, 3, 1), 1 + 2 * (3.5 / 4 - 0.5), 1e-9);
+  EXPECT_NEAR(between_cells(cells, 4, 9, 2), 3 + 4 * (9.5 / 4 - 1.5), 1e-9);
+  EXPECT_DOUBLE_EQ(between_cells(cells, 4, 11, 3), 7);  // behind the last one
+}
+
+TEST(Evidence, TheAnchorTakesLowFrequenciesFromThePriorAndLeavesDetail) {
+  const SyntheticStation station = make_station(scene_under_a_sky());
+  RefinementImage image = make_image(station.state, station.prior, Context{});
+  const Image<double> prior = image.x;
+  const Size size = image.size();
+  constexpr double length = 12;
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = 0; u < size.width; ++u) image.x(u, v) += 2 + std::sin(1.2 * u);
+  }
+  anchor_to_prior(image, prior, length, Context{});
+  double largest_offset = 0, detail = 0;
+  for (int u = 40; u < 120; ++u) {
+    const double change = image.x(u, 64) - prior(u, 64);
+    largest_offset = std::max(largest_offset, std::abs(change - std::sin(1.2 * u)));
+    detail = std::max(detail, std::abs(change));
+  }
+  EXPECT_LT(largest_offset, 0.1);
+  EXPECT_GT(detail, 0.9);
+}
+
+}  // namespace
+}  // namespace malus
