@@ -4,6 +4,8 @@
 #include <chrono>
 #include <cmath>
 #include <limits>
+#include <memory>
+#include <span>
 
 #include "malus/core/depth_normals.h"
 #include "malus/core/even_choice.h"
@@ -17,6 +19,7 @@
 #include "malus/fusion/region_choice.h"
 #include "malus/fusion/surface_evidence.h"
 #include "malus/fusion/surface_sigma.h"
+#include "malus/fusion/surroundings_fit.h"
 #include "malus/fusion/tile_solver.h"
 
 namespace malus {
@@ -65,12 +68,31 @@ MirroredTerms mirrored_terms(const RefineOptions& options) {
   return {options.environment, options.lobe};
 }
 
+/// Fits the surroundings at the current surface, near the roughness that is known, if it is.
+void fit_mirrored(RefinementImage& image, RefineReport& report, const Context& context) {
+  constexpr std::size_t enough = 4000;
+  static constexpr std::array any{0.04, 0.08, 0.12, 0.2, 0.3, 0.42};
+  constexpr double near = 1.25;
+  const double known = report.surroundings.roughness;
+  const std::array close{known / near, known, known * near};
+  const bool is_known = !report.surroundings.radiance.empty();
+  const auto tried = is_known ? std::span<const double>(close) : std::span<const double>(any);
+  report.surroundings =
+      fit_surroundings(collect_samples(image, Reflection::diffuse, enough), image.reflection.eta, tried, context)
+          .surroundings;
+  image.reflection.mirrored =
+      std::make_shared<MirroredLightTable>(report.surroundings, image.reflection.eta, image.camera, context);
+}
+
 /// Fits what all pixels share at the current surface. Returns by how much the lobe lowered the robust cost.
 double fit_reflection(RefinementImage& image, const RefineOptions& options, RefineReport& report,
                       const Context& context) {
   double lobe_gain = 0;
   const auto diffuse = collect_samples(image, Reflection::diffuse, sample_count);
-  if (!diffuse.empty()) {
+  if (image.reflection.mirrored) {
+    image.shading = fit_shading(diffuse).harmonics;
+    fit_mirrored(image, report, context);
+  } else if (!diffuse.empty()) {
     const Shading shading = fit_shading(diffuse);
     image.shading = shading.harmonics;
     HighlightLobe start = image.reflection.lobe;
@@ -116,8 +138,15 @@ double median_specular_s0(const RefinementImage& image) {
   return median_in_place(values);
 }
 
+/// Whether most of the object has the polarization of a mirror image that is too weak for a dielectric: a body in front
+/// of which it would be as weak would have to be nearly white.
+bool looks_like_metal(const RefinementImage& image) {
+  constexpr double largest_body_share = 0.7;
+  return specular_share(image) > 0.5 && image.reflection.mirror.body > largest_body_share * median_specular_s0(image);
+}
+
 /// What the numbers say about whether to trust the surface.
-void judge(const RefinementImage& image, const RefineReport& report, FusedSurface& surface) {
+void judge(const RefineReport& report, FusedSurface& surface) {
   surface.status = "converged";
   const RefineIteration& last = *std::find_if(report.iterations.rbegin(), report.iterations.rend(),
                                               [](const auto& round) { return !round.search; });
@@ -130,10 +159,7 @@ void judge(const RefinementImage& image, const RefineReport& report, FusedSurfac
     surface.warnings.push_back("The surface still moved by " + std::to_string(last.change_gsd) +
                                " GSD in the last round.");
   }
-  // In front of a mirror image as weakly polarized as this a dielectric body would have to be nearly white.
-  constexpr double largest_body_share = 0.7;
-  const double s0 = median_specular_s0(image);
-  if (report.specular_share > 0.5 && report.reflection.mirror.body > largest_body_share * s0) {
+  if (report.metal) {
     surface.status = "low confidence";
     surface.warnings.push_back(
         "The polarization has the direction of a mirror reflection but is much weaker than a dielectric's: the surface "
@@ -160,26 +186,49 @@ std::string percent(double share) {
   return std::to_string(std::lround(100 * share)) + " %";
 }
 
-/// What is said of the evidence.
-Confidence confidence_of(const RefineReport& report, const FusedSurface& surface) {
+/// Mean normal of an even choice of the object's pixels, camera frame, facing the camera.
+Eigen::Vector3d mean_normal(const RefinementImage& image) {
+  const double share = 4e4 / static_cast<double>(image.size().area());
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  for (int v = 0; v < image.size().height; ++v) {
+    for (int u = 0; u < image.size().width; ++u) {
+      const auto pixel =
+          static_cast<std::size_t>(v) * static_cast<std::size_t>(image.size().width) + static_cast<std::size_t>(u);
+      if (!image.object(u, v) || !is_chosen(pixel, share)) continue;
+      const Eigen::Vector2d slopes = central_slopes(image, u, v);
+      sum += normal_of(image.frame_at(u, v), slopes[0], slopes[1]);
+    }
+  }
+  return sum.norm() > 0 ? Eigen::Vector3d(sum.normalized()) : Eigen::Vector3d(0, 0, -1);
+}
+
+/// What is said of the evidence. That nothing was gained is a warning, too.
+Confidence confidence_of(const RefineReport& report, FusedSurface& surface) {
   constexpr double everywhere = 0.9, nowhere = 0.05;
+  const bool is_prior = report.trusted_share < nowhere;
   Confidence confidence;
-  if (report.trusted_share < nowhere) {
-    confidence.limit(ConfidenceLevel::partial,
-                     "The surface is the prior's: at its slopes the reflection model does not explain the measured "
-                     "polarization, so that nothing finer can be known from it.");
+  if (is_prior) {
+    surface.warnings.push_back(
+        "The surface is the prior's: at its slopes the reflection model does not explain the measured polarization, so "
+        "that nothing finer can be known from it. Metal, lamps very close to the object or a prior that is out of "
+        "place "
+        "do that.");
+    confidence.limit(ConfidenceLevel::partial, surface.warnings.back());
   } else if (report.trusted_share < everywhere) {
     confidence.limit(ConfidenceLevel::partial,
                      "In " + percent(1 - report.trusted_share) +
                          " of the object the surface is the prior's, because the reflection model does not explain "
                          "the polarization there.");
   }
-  // A wrong model does no harm where the prior's surface stayed.
-  if (surface.status == "low confidence") {
-    confidence.limit(report.trusted_share < nowhere ? ConfidenceLevel::partial : ConfidenceLevel::low,
-                     surface.warnings.back());
+  if (!is_prior && report.reflection.mirrored) {
+    confidence.limit(ConfidenceLevel::partial,
+                     "The light is told by a map of the surroundings that was fitted on this object: its detail is "
+                     "less sure than under a plain sky or on a black mirror.");
   }
-  if (surface.status == "not converged" && report.trusted_share >= nowhere)
+  // A wrong model does no harm where the prior's surface stayed.
+  if (surface.status == "low confidence")
+    confidence.limit(is_prior ? ConfidenceLevel::partial : ConfidenceLevel::low, surface.warnings.front());
+  if (surface.status == "not converged" && !is_prior)
     confidence.limit(ConfidenceLevel::partial, "The refinement did not converge.");
   return confidence;
 }
@@ -201,10 +250,32 @@ class Refiner {
         range_(range),
         binning_(binning),
         tiles_(divide_into_tiles(image.size(), options.tile_px, options.margin_px)),
-        strips_(divide_into_strips(tiles_, image.size(), 1e6 * options.strip_megapixels)) {}
+        strips_(divide_into_strips(tiles_, image.size(), 1e6 * options.strip_megapixels)),
+        mean_normal_(mean_normal(image)) {}
 
   /// Decides how each region reflects.
   void label(const RefineInput& input) { label_regions(image_, input, rows_of(strips_), context_); }
+
+  /// Takes the model that explains more at the prior's slopes: regions that are diffuse or specular, or an object that
+  /// is matt all over and mirrors its surroundings.
+  void choose_model() {
+    // The second has hundreds of parameters more, which explain some of anything.
+    constexpr double clearly = 0.1;
+    fit_reflection(image_, options_, report_, context_);
+    const double by_labels = mean_over_object(explained_shares(false, nullptr));
+    // A black mirror's polarization follows from the slopes whatever it mirrors: no surroundings do better.
+    constexpr double well = 0.75;
+    const bool is_mirror = specular_share(image_) > 0.5 && by_labels > options_.explained_least;
+    if (is_mirror || by_labels > well) return;
+    const Image<std::uint8_t> labels = image_.kind;
+    const ReflectionModel model = image_.reflection;
+    image_.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+    fit_mirrored(image_, report_, context_);
+    if (mean_over_object(explained_shares(false, nullptr)) > by_labels + clearly) return;
+    image_.kind = labels;
+    image_.reflection = model;
+    report_.surroundings = {};
+  }
 
   /// estimate_index: the refractive index is not known. Returns what the solver took.
   SolveStatistics run(bool estimate_index) {
@@ -243,17 +314,8 @@ class Refiner {
     report_.trust = Image<std::uint8_t>(size);
     for (std::size_t i = 0; i < report_.trust.count(); ++i) report_.trust[i] = image_.object[i] ? 255 : 0;
     if (!options_.evidence) return;
-    ExplainedPolarization explained(size);
     Image<double> x_prior(size);
-    for (const TileStrip& tiles : strips_) {
-      StripField strip = strip_field(image_, tiles.rows, whole_blocks(weights_reach_px), context_);
-      std::swap(strip.field.x, strip.field.x_prior);
-      update_weights(strip.field, weights(1, false), context_);
-      explained.add(strip.field, strip.rows, strip.first_row, context_);
-      for (int v = strip.rows.begin; v < strip.rows.end; ++v)
-        std::copy_n(strip.field.x.row(v), size.width, x_prior.row(strip.first_row + v));
-    }
-    const Image<float> shares = explained.shares(context_);
+    const Image<float> shares = explained_shares(image_.reflection.mirrored != nullptr, &x_prior);
     const double least = options_.explained_least, ramp = std::max(options_.explained_enough - least, 1e-6);
     parallel_rows(context_, size.height, [&](int v) {
       for (int u = 0; u < size.width; ++u) {
@@ -265,17 +327,13 @@ class Refiner {
       }
     });
     anchor_to_prior(image_, x_prior, anchor_length_px(prior, image_, options_.anchor), context_);
-    double trust = 0, share = 0, count = 0;
-    for (int v = 0; v < size.height; ++v) {
-      for (int u = 0; u < size.width; ++u) {
-        if (!image_.object(u, v)) continue;
-        trust += report_.trust(u, v) / 255.0;
-        share += between_cells(shares, ExplainedPolarization::cell_px, u, v);
-        ++count;
-      }
+    double trust = 0, count = 0;
+    for (std::size_t i = 0; i < report_.trust.count(); ++i) {
+      trust += report_.trust[i] / 255.0;
+      count += image_.object[i] != 0;
     }
     report_.trusted_share = trust / count;
-    report_.explained_share = share / count;
+    report_.explained_share = mean_over_object(shares);
   }
 
   /// The surface that was found, and what is reported of its pixels.
@@ -288,6 +346,7 @@ class Refiner {
     surface.method = "refined";
     surface.depth = surface.sigma = Image<float>(size, 1, std::numeric_limits<float>::quiet_NaN());
     report_.specular_share = specular_share(image_);
+    report_.metal = looks_like_metal(image_);
     report_.label = report_.confidence = Image<std::uint8_t>(size);
     ResidualSummary summary(size);
     for (const TileStrip& tiles : strips_) {
@@ -351,6 +410,32 @@ class Refiner {
                                                         mirrored_terms(options_), context_);
     image_.reflection.eta = fit.eta;
     report_.eta_sigma = fit.sigma;
+  }
+
+  /// Share of the polarization that the reflection explains at the prior's slopes, in cells; copies the prior if asked.
+  Image<float> explained_shares(bool beyond_a_plane, Image<double>* x_prior) const {
+    ExplainedPolarization explained(image_.size(), mean_normal_);
+    for (const TileStrip& tiles : strips_) {
+      StripField strip = strip_field(image_, tiles.rows, whole_blocks(weights_reach_px), context_);
+      std::swap(strip.field.x, strip.field.x_prior);
+      update_weights(strip.field, weights(1, false), context_);
+      explained.add(strip.field, strip.rows, strip.first_row, context_);
+      for (int v = strip.rows.begin; v < strip.rows.end && x_prior != nullptr; ++v)
+        std::copy_n(strip.field.x.row(v), image_.size().width, x_prior->row(strip.first_row + v));
+    }
+    return explained.shares(beyond_a_plane, context_);
+  }
+
+  double mean_over_object(const Image<float>& cells) const {
+    double sum = 0, count = 0;
+    for (int v = 0; v < image_.size().height; ++v) {
+      for (int u = 0; u < image_.size().width; ++u) {
+        if (!image_.object(u, v)) continue;
+        sum += between_cells(cells, ExplainedPolarization::cell_px, u, v);
+        ++count;
+      }
+    }
+    return sum / count;
   }
 
   /// Field of a strip with its weights. Residuals are added to the summary if there is one.
@@ -463,6 +548,7 @@ class Refiner {
   int binning_;  ///< pixels of the station's image along a side of one of this
   std::vector<Tile> tiles_;
   std::vector<TileStrip> strips_;
+  Eigen::Vector3d mean_normal_;  ///< of the surface that the refinement starts from
   bool mirrors_ = false;
   bool searches_ = false;  ///< only mirrors gain: what a diffuse body's slopes could flip to, its shading contradicts
   int rounds_ = 1, done_ = 0;
@@ -483,10 +569,11 @@ RefineResult refine(const PolarizationState& state, const DepthPrior& prior, con
   RefineResult result;
   Refiner refiner(image, options, result.report, context);
   refiner.label(input);
+  if (options.surroundings && input.reflection == ReflectionChoice::automatic) refiner.choose_model();
   refiner.run(!input.refractive_index);
   refiner.weigh_evidence(prior);
   result.surface = refiner.finish(prior);
-  judge(image, result.report, result.surface);
+  judge(result.report, result.surface);
   result.surface.confidence = confidence_of(result.report, result.surface);
   result.report.seconds = seconds_since(start);
   return result;

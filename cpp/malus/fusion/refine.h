@@ -10,6 +10,7 @@
 #include "malus/core/image.h"
 #include "malus/fusion/fused_surface.h"
 #include "malus/fusion/reflection_model.h"
+#include "malus/fusion/surroundings.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/polarization/reflection.h"
 #include "malus/prior/depth_prior.h"
@@ -47,6 +48,7 @@ struct RefineOptions {
   bool environment = true;
   bool lobe = true;
   bool regional_weights = true;
+  bool surroundings = true;
   bool evidence = true;
   double explained_least = 0.35;
   double explained_enough = 0.55;
@@ -87,6 +89,8 @@ struct RefineOptions {
     visit("environment", self.environment, any_value, "fit what diffuse regions mirror of the surroundings");
     visit("lobe", self.lobe, any_value, "fit a highlight of a small source in diffuse regions");
     visit("regional_weights", self.regional_weights, any_value, "down-weigh regions that fit badly");
+    visit("surroundings", self.surroundings, any_value,
+          "where that explains more of the polarization, take the object as matt and mirroring its surroundings");
     visit(
         "evidence", self.evidence, any_value,
         "keep the prior's surface where the reflection model does not explain the polarization at the prior's slopes");
@@ -115,10 +119,12 @@ struct RefineIteration {
 struct RefineReport {
   std::vector<RefineIteration> iterations;
   ReflectionModel reflection;  ///< with eta
+  Surroundings surroundings;   ///< without radiance if they are not the model
   double eta_sigma = 0;
   std::array<double, EnvironmentProfile::node_count> environment_sigma{};
   double lobe_strength_sigma = 0, lobe_roughness_sigma = 0, light_sigma_rad = 0;
   double mirror_body_sigma = 0, mirror_environment_sigma = 0;
+  bool metal = false;              ///< mirrors like a metal, for which the formulas do not hold
   double specular_share = 0;       ///< of the object's pixels
   Image<std::uint8_t> label;       ///< 0 = outside, 1 = diffuse, 2 = specular
   Image<std::uint8_t> confidence;  ///< weight of the polarization of each pixel, 0 … 255
@@ -144,10 +150,11 @@ struct RefineResult {
 /// against the forward model on the four one-sided difference pairs, neighbouring albedos in diffuse regions, block
 /// means of the prior, small second differences. Reflection parameters, light and robust weights are fitted between
 /// solves. Throws an input error for sizes and options that do not fit, a data error when nothing is left to refine.
-/// Where the model does not explain the polarization at the prior's slopes, the prior's surface stays (see
-/// surface_evidence.h), which surface.confidence and report.trust tell. What the data cannot support otherwise is in
-/// surface.status ("converged", "not converged", "low confidence") and
-/// warnings.
+/// The reflection model is either of two, whichever explains more at the prior's slopes: regions that are diffuse or
+/// specular, with an environment by zenith, or an object that is matt all over and mirrors its surroundings
+/// (surroundings.h). Where the model does not explain the polarization at the prior's slopes, the prior's surface stays
+/// (see surface_evidence.h), which surface.confidence and report.trust tell. What the data cannot support otherwise is
+/// in surface.status ("converged", "not converged", "low confidence") and warnings.
 RefineResult refine(const PolarizationState& state, const DepthPrior& prior, const RefineInput& input,
                     const RefineOptions& options, const Context& context);
 

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "malus/fusion/fresnel_factors.h"
+#include "malus/fusion/surroundings.h"
 
 namespace malus {
 namespace {
@@ -68,12 +69,31 @@ LobeAtPixel::Density LobeAtPixel::density(double p, double q, double roughness) 
 
 PixelReflection::PixelReflection(const ReflectionModel& model, Reflection kind, double s0, double mirror_body,
                                  const RayFrame& frame)
-    : model_(model), kind_(kind), s0_(s0), mirror_body_(mirror_body) {
-  if (kind == Reflection::diffuse && model.lobe.strength > 0) lobe_ = LobeAtPixel(model.lobe.light, frame, model.eta);
+    : model_(model), kind_(kind), s0_(s0), mirror_body_(mirror_body), frame_(frame) {
+  if (kind == Reflection::diffuse && !model.mirrored && model.lobe.strength > 0)
+    lobe_ = LobeAtPixel(model.lobe.light, frame, model.eta);
 }
 
 PredictedStokes PixelReflection::predict(double p, double q) const {
-  return kind_ == Reflection::diffuse ? predict_diffuse(p, q) : predict_specular(p, q);
+  if (kind_ == Reflection::specular) return predict_specular(p, q);
+  return model_.mirrored ? predict_mirroring(p, q) : predict_diffuse(p, q);
+}
+
+PredictedStokes PixelReflection::predict_mirroring(double p, double q) const {
+  const FresnelFactors f = fresnel_factors(p * p + q * q, model_.eta);
+  const MirroredLight mirrored = model_.mirrored->at(p, q, frame_);
+  PredictedStokes out;
+  out.body = std::max(s0_ - mirrored.stokes[0], 0.0);
+  const double body_by_p = out.body > 0 ? -mirrored.by_p[0] : 0, body_by_q = out.body > 0 ? -mirrored.by_q[0] : 0;
+  add_slope_term(out.body * f.diffuse, body_by_p * f.diffuse + out.body * f.diffuse_slope * 2 * p,
+                 body_by_q * f.diffuse + out.body * f.diffuse_slope * 2 * q, p, q, out);
+  out.s1 += mirrored.stokes[1];
+  out.s1_by_p += mirrored.by_p[1];
+  out.s1_by_q += mirrored.by_q[1];
+  out.s2 += mirrored.stokes[2];
+  out.s2_by_p += mirrored.by_p[2];
+  out.s2_by_q += mirrored.by_q[2];
+  return out;
 }
 
 PredictedStokes PixelReflection::predict_diffuse(double p, double q) const {

@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <array>
 #include <cstdint>
+#include <memory>
 #include <numbers>
 #include <string_view>
 
@@ -47,9 +48,13 @@ struct MirrorReflection {
   double body_spread = 0.2;  ///< robust relative standard deviation of the body light over the object
 };
 
+class MirroredLightTable;
+
 /// Everything about reflection that all pixels share.
 struct ReflectionModel {
   double eta = 1.5;
+  /// What pixels that are not specular mirror; null = by environment and lobe.
+  std::shared_ptr<const MirroredLightTable> mirrored;
   EnvironmentProfile environment;
   HighlightLobe lobe;
   MirrorReflection mirror;
@@ -81,7 +86,8 @@ struct PredictedStokes {
 /// Forward model of one pixel:
 ///   (s1, s2) = (d ρ_d/g − E (Rs−Rp)/2/g) (p² − q², 2 p q) − T (cos 2φ_H, sin 2φ_H),  g = p² + q² = tan²θ.
 /// Diffuse: d = max(s0 − E(θ) F − T_unpolarized, 0). Specular: d is given, E = (s0 − d) / F, T = 0. The measured s0
-/// removes albedo as an unknown.
+/// removes albedo as an unknown. With a table of mirrored light m: d = max(s0 − m0, 0), (s1, s2) = d ρ_d/g (p² − q²,
+/// 2 p q) + (m1, m2).
 class PixelReflection {
  public:
   /// mirror_body: s0 of the light from inside a specular body, from 0 to s0; not used for a diffuse one.
@@ -91,11 +97,13 @@ class PixelReflection {
 
  private:
   PredictedStokes predict_diffuse(double p, double q) const;
+  PredictedStokes predict_mirroring(double p, double q) const;
   PredictedStokes predict_specular(double p, double q) const;
 
   const ReflectionModel& model_;
   Reflection kind_;
   double s0_, mirror_body_;
+  RayFrame frame_;
   LobeAtPixel lobe_;
 };
 

@@ -28,7 +28,8 @@ Image<float> pooled(const Image<float>& values, const Image<float>& weights, dou
 
 }  // namespace
 
-ExplainedPolarization::ExplainedPolarization(Size image) : cells_(cells_over(image, cell_px)) {}
+ExplainedPolarization::ExplainedPolarization(Size image, const Eigen::Vector3d& mean_normal)
+    : cells_(cells_over(image, cell_px)), mean_normal_(mean_normal) {}
 
 void ExplainedPolarization::add(const RefinementField& part, RowRange rows, int first_row, const Context& context) {
   const int first_cell = (first_row + rows.begin) / cell_px, last_cell = (first_row + rows.end - 1) / cell_px;
@@ -40,28 +41,35 @@ void ExplainedPolarization::add(const RefinementField& part, RowRange rows, int 
       for (int u = 0; u < part.size().width; ++u) {
         if (!part.object(u, v) || !part.usable(u, v)) continue;
         const Eigen::Vector2d slopes = central_slopes(part, u, v);
-        const PredictedStokes model = part.reflection_at(u, v).predict(slopes[0], slopes[1]);
+        const RayFrame frame = part.frame_at(u, v);
+        const PixelReflection reflection = part.reflection_at(u, v, frame);
+        const PredictedStokes model = reflection.predict(slopes[0], slopes[1]);
+        const Slopes flat = frame.slopes(mean_normal_);
+        const PredictedStokes plane = reflection.predict(flat.p, flat.q);
         Cell& cell = cells_(u / cell_px, row);
         cell.s1 += part.s1(u, v);
         cell.s2 += part.s2(u, v);
         cell.model_s1 += model.s1;
         cell.model_s2 += model.s2;
+        cell.plane_s1 += plane.s1;
+        cell.plane_s2 += plane.s2;
         ++cell.pixels;
       }
     }
   });
 }
 
-Image<float> ExplainedPolarization::shares(const Context& context) const {
+Image<float> ExplainedPolarization::shares(bool beyond_a_plane, const Context& context) const {
   constexpr int full = cell_px * cell_px, fewest = full / 4;
   constexpr double pool_cells = 2;
   Image<float> shares(cells_.size()), weights(cells_.size());
   for (std::size_t i = 0; i < cells_.count(); ++i) {
     const Cell& cell = cells_[i];
-    const double measured = cell.s1 * cell.s1 + cell.s2 * cell.s2;
     const double rest = std::pow(cell.s1 - cell.model_s1, 2) + std::pow(cell.s2 - cell.model_s2, 2);
-    if (cell.pixels < fewest || measured + rest <= 0) continue;
-    shares[i] = static_cast<float>(1 - 2 * rest / (rest + measured));
+    const double known = beyond_a_plane ? 1 : 0;
+    const double all = std::pow(cell.s1 - known * cell.plane_s1, 2) + std::pow(cell.s2 - known * cell.plane_s2, 2);
+    if (cell.pixels < fewest || rest + all <= 0) continue;
+    shares[i] = static_cast<float>(1 - 2 * rest / (rest + all));
     weights[i] = static_cast<float>(cell.pixels) / full;
   }
   return pooled(shares, weights, pool_cells, context);

@@ -10,27 +10,32 @@ namespace malus {
 /// The residual after the refinement says nothing about whether its surface is true: two slopes a pixel fit two Stokes
 /// components of any model. The prior's slopes were not made to fit. They lack detail, but over cells of 16 px they are
 /// known well enough that a model that holds explains most of the mean (s1, s2), and a wrong one does not. Each cell
-/// counts by 1 − 2 r² / (r² + s²), with s its mean Stokes vector and r what the model leaves of it: 1 = all is
-/// explained, 0 = nothing, −1 = far less than nothing. Cells are pooled by a Gaussian of two cells.
+/// counts by 1 − 2 r² / (r² + t²), with r what the model leaves of its mean Stokes vector at the prior's slopes and t
+/// all of it: 1 = all is explained, 0 = nothing, −1 = far less than nothing. A model with many parameters has one for
+/// every direction: on a nearly flat object it explains any polarization. Then t is what it leaves at the slopes of a
+/// plane with the object's mean normal. Cells are pooled by a Gaussian of two cells.
 class ExplainedPolarization {
  public:
-  explicit ExplainedPolarization(Size image);
+  /// The mean normal is the object's, camera frame.
+  ExplainedPolarization(Size image, const Eigen::Vector3d& mean_normal);
 
   /// Adds some of a part's rows. The part is at the prior's surface, and its weights are of it.
   void add(const RefinementField& part, RowRange rows, int first_row, const Context& context);
 
   /// Pooled shares from −1 to 1, a cell each; 0 far from usable pixels.
-  Image<float> shares(const Context& context) const;
+  Image<float> shares(bool beyond_a_plane, const Context& context) const;
 
   static constexpr int cell_px = 16;
 
  private:
   struct Cell {
     double s1 = 0, s2 = 0;              ///< measured, summed
-    double model_s1 = 0, model_s2 = 0;  ///< predicted
+    double model_s1 = 0, model_s2 = 0;  ///< predicted at the prior's slopes
+    double plane_s1 = 0, plane_s2 = 0;  ///< predicted at the plane's
     int pixels = 0;
   };
   Image<Cell> cells_;
+  Eigen::Vector3d mean_normal_;
 };
 
 /// Value of a raster of square cells at a pixel, bilinear between the centres of the cells.

@@ -21,6 +21,14 @@ Json refine_report_json(const RefineReport& report) {
                            {"radiance", model.environment.radiance[k]},
                            {"sigma", fields_to_json(report.environment_sigma[k])}});
   }
+  Json surroundings = nullptr;
+  if (!report.surroundings.radiance.empty()) {
+    const Image<float>& radiance = report.surroundings.radiance;
+    Json rows = Json::array();
+    for (int row = 0; row < radiance.height(); ++row)
+      rows.push_back(std::vector<float>(radiance.row(row), radiance.row(row) + radiance.width()));
+    surroundings = {{"roughness", report.surroundings.roughness}, {"radiance", rows}};
+  }
   return {{"refractive_index", {{"value", model.eta}, {"sigma", fields_to_json(report.eta_sigma)}}},
           {"light",
            {{"direction", {model.lobe.light.x(), model.lobe.light.y(), model.lobe.light.z()}},
@@ -31,6 +39,7 @@ Json refine_report_json(const RefineReport& report) {
             {"roughness", model.lobe.roughness},
             {"roughness_sigma", fields_to_json(report.lobe_roughness_sigma)}}},
           {"environment", environment},
+          {"surroundings", surroundings},
           {"mirror",
            {{"body", model.mirror.body},
             {"body_sigma", fields_to_json(report.mirror_body_sigma)},

@@ -107,10 +107,10 @@ TEST(Evidence, SharesAreOneForWhatIsPredictedAndBelowZeroForTheOpposite) {
       field.s2(u, v) = sign * static_cast<float>(model.s2);
     }
   }
-  ExplainedPolarization explained(field.size());
+  ExplainedPolarization explained(field.size(), {0, 0, -1});
   explained.add(field, {0, 48}, 0, Context{});  // in two parts that share a row of cells
   explained.add(field, {48, 128}, 0, Context{});
-  const Image<float> shares = explained.shares(Context{});
+  const Image<float> shares = explained.shares(false, Context{});
   ASSERT_EQ(shares.width(), 10);
   ASSERT_EQ(shares.height(), 8);
   EXPECT_GT(shares(0, 4), 0.95);

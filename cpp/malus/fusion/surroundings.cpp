@@ -1,0 +1,173 @@
+#include "malus/fusion/surroundings.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "malus/core/parallel.h"
+#include "malus/fusion/fresnel_factors.h"
+
+namespace malus {
+namespace {
+
+constexpr double disc_radius = 0.985;  // farther out the light comes from behind the surface's horizon
+constexpr double cell_side = 2.0 / Surroundings::cells;
+constexpr double solid_angle = 4 * cell_side * cell_side;
+
+constexpr int table_side = 65;        // slopes along an axis of the stereographic disc
+constexpr double table_edge = 0.985;  // 89° from the ray
+
+/// Stereographic coordinate of table line i.
+double table_coordinate(int i) {
+  return table_edge * (2.0 * i / (table_side - 1) - 1);
+}
+
+/// Value and derivative weights of Catmull and Rom's spline through four values.
+void catmull_rom(double t, double (&value)[4], double (&slope)[4]) {
+  const double t2 = t * t, t3 = t2 * t;
+  value[0] = 0.5 * (-t3 + 2 * t2 - t);
+  value[1] = 0.5 * (3 * t3 - 5 * t2 + 2);
+  value[2] = 0.5 * (-3 * t3 + 4 * t2 + t);
+  value[3] = 0.5 * (t3 - t2);
+  slope[0] = 0.5 * (-3 * t2 + 4 * t - 1);
+  slope[1] = 0.5 * (9 * t2 - 10 * t);
+  slope[2] = 0.5 * (-9 * t2 + 8 * t + 1);
+  slope[3] = 0.5 * (3 * t2 - 2 * t);
+}
+
+}  // namespace
+
+std::vector<Surroundings::Cell> Surroundings::all_cells() {
+  std::vector<Cell> all;
+  for (int row = 0; row < cells; ++row) {
+    for (int column = 0; column < cells; ++column) {
+      const double hx = (column + 0.5) * cell_side - 1, hy = (row + 0.5) * cell_side - 1;
+      if (std::hypot(hx, hy) < disc_radius) all.push_back({hx, hy, column, row});
+    }
+  }
+  return all;
+}
+
+void mirrored_by_cell(double p, double q, const RayFrame& frame, const std::vector<Surroundings::Cell>& cells,
+                      double roughness, double eta, Eigen::Ref<Eigen::Matrix3Xf> out) {
+  constexpr double smallest_cosine = 0.02, farthest = 30;  // exp(-30) is nothing
+  const double cos_normal = 1 / std::sqrt(1 + p * p + q * q);
+  const Eigen::Vector3d normal = (p * frame.right + q * frame.up + frame.view) * cos_normal;
+  for (std::size_t i = 0; i < cells.size(); ++i) {
+    const Surroundings::Cell& cell = cells[i];
+    const auto column = static_cast<Eigen::Index>(i);
+    out.col(column).setZero();
+    const double hz = std::sqrt(std::max(1 - cell.hx * cell.hx - cell.hy * cell.hy, 1e-6));
+    // A cell is not a point: its extent widens the lobe. A Gaussian of slopes has variance alpha² / 2.
+    constexpr double spread = 0.45;
+    const double alpha2 = roughness * roughness + 2 * std::pow(spread * cell_side, 2) / std::sqrt(std::max(hz, 0.2));
+    const Eigen::Vector3d axis(0, 0, -1), about(cell.hx, -cell.hy, -hz);
+    const Eigen::Vector3d light = 2 * about.dot(axis) * about - axis;
+    Eigen::Vector3d half = light + frame.view;
+    const double length = half.norm();
+    if (length < 1e-3) continue;
+    half /= length;
+    const double cos_facet = normal.dot(half), cos_light = normal.dot(light), cos_half = half.dot(frame.view);
+    if (cos_facet < smallest_cosine || cos_light <= 0 || cos_half < 0.5 * smallest_cosine) continue;
+    const double cos2 = cos_facet * cos_facet, exponent = (1 - cos2) / cos2 / alpha2;
+    if (exponent > farthest) continue;
+    const double facets = std::exp(-exponent) / (std::numbers::pi * alpha2 * cos2 * cos2);
+    const double masking = std::min(1.0, 2 * cos_facet * std::min(cos_normal, cos_light) / cos_half);
+    const double weight = solid_angle * facets * masking / (4 * cos_normal);
+    const double hp = half.dot(frame.right) / cos_half, hq = half.dot(frame.up) / cos_half;
+    const FresnelFactors fresnel = fresnel_factors(hp * hp + hq * hq, eta);
+    out.col(column) = (weight * Eigen::Vector3d(fresnel.reflectance, -fresnel.specular * (hp * hp - hq * hq),
+                                                -fresnel.specular * 2 * hp * hq))
+                          .cast<float>();
+  }
+}
+
+MirroredLightTable::MirroredLightTable(const Surroundings& surroundings, double eta, const Pinhole& camera,
+                                       const Context& context) {
+  const std::vector<Surroundings::Cell> all = Surroundings::all_cells();
+  std::vector<Surroundings::Cell> cells;
+  std::vector<float> radiances;
+  for (const Surroundings::Cell& cell : all) {
+    const float radiance = surroundings.radiance(cell.column, cell.row);
+    if (radiance <= 0) continue;
+    cells.push_back(cell);
+    radiances.push_back(radiance);
+  }
+  const Eigen::Map<const Eigen::VectorXf> radiance(radiances.data(), static_cast<Eigen::Index>(radiances.size()));
+  const auto ray_u = [&](int i) { return camera.size.width * (i + 0.5) / rays_u; };
+  const auto ray_v = [&](int j) { return camera.size.height * (j + 0.5) / rays_v; };
+  first_x_ = (ray_u(0) - camera.cx) / camera.fx;
+  step_x_ = (ray_u(1) - ray_u(0)) / camera.fx;
+  first_y_ = (ray_v(0) - camera.cy) / camera.fy;
+  step_y_ = (ray_v(1) - ray_v(0)) / camera.fy;
+  tables_.assign(rays_u * rays_v, Image<Value>({table_side, table_side}));
+  parallel_rows(context, rays_u * rays_v * table_side, [&](int line) {
+    const int ray = line / table_side, row = line % table_side;
+    const RayFrame frame = ray_frame(&camera, ray_u(ray % rays_u), ray_v(ray / rays_u));
+    Eigen::Matrix3Xf response(3, radiance.size());
+    for (int column = 0; column < table_side; ++column) {
+      const double a = table_coordinate(column), b = table_coordinate(row);
+      // Outside the disc the values only keep the spline smooth inside.
+      constexpr double horizon = 0.97;
+      const double to_slope = 2 / (1 - std::min(a * a + b * b, horizon));
+      mirrored_by_cell(to_slope * a, to_slope * b, frame, cells, surroundings.roughness, eta, response);
+      const Eigen::Vector3f sum = response * radiance;
+      tables_[static_cast<std::size_t>(ray)](column, row) = {{sum[0], sum[1], sum[2]}};
+    }
+  });
+}
+
+MirroredLight MirroredLightTable::of_ray(const Image<Value>& table, double a, double b) const {
+  constexpr double per_line = (table_side - 1) / (2 * table_edge);
+  const auto place = [](double coordinate) {
+    return std::clamp((coordinate + table_edge) * per_line, 1.0, static_cast<double>(table_side - 2) - 1e-9);
+  };
+  const double x = place(a), y = place(b);
+  const int column = static_cast<int>(x), row = static_cast<int>(y);
+  double value_x[4], slope_x[4], value_y[4], slope_y[4];
+  catmull_rom(x - column, value_x, slope_x);
+  catmull_rom(y - row, value_y, slope_y);
+  MirroredLight light;
+  for (int j = 0; j < 4; ++j) {
+    const Value* line = table.row(row - 1 + j) + (column - 1);
+    for (int k = 0; k < 3; ++k) {
+      double value = 0, slope = 0;
+      for (int i = 0; i < 4; ++i) {
+        value += value_x[i] * line[i].stokes[k];
+        slope += slope_x[i] * line[i].stokes[k];
+      }
+      light.stokes[k] += value_y[j] * value;
+      light.by_p[k] += value_y[j] * slope * per_line;
+      light.by_q[k] += slope_y[j] * value * per_line;
+    }
+  }
+  return light;
+}
+
+MirroredLight MirroredLightTable::at(double p, double q, const RayFrame& frame) const {
+  const double root = std::sqrt(1 + p * p + q * q), scale = 1 / (1 + root);
+  const double a = p * scale, b = q * scale;
+  const Eigen::Vector3d ray = -frame.view;
+  const double x = std::clamp((ray.x() / ray.z() - first_x_) / step_x_, 0.0, rays_u - 1.0);
+  const double y = std::clamp((ray.y() / ray.z() - first_y_) / step_y_, 0.0, rays_v - 1.0);
+  const int column = std::min(static_cast<int>(x), rays_u - 2), row = std::min(static_cast<int>(y), rays_v - 2);
+  MirroredLight light;
+  for (int k = 0; k < 4; ++k) {
+    const int i = column + k % 2, j = row + k / 2;
+    const double weight = (1 - std::abs(x - i)) * (1 - std::abs(y - j));
+    if (weight <= 0) continue;
+    const MirroredLight part = of_ray(tables_[static_cast<std::size_t>(j * rays_u + i)], a, b);
+    light.stokes += weight * part.stokes;
+    light.by_p += weight * part.by_p;
+    light.by_q += weight * part.by_q;
+  }
+  // From derivatives by the stereographic coordinates to those by the slopes.
+  const double by_g = -scale * scale / root;
+  const double a_by_p = scale + p * p * by_g, b_by_q = scale + q * q * by_g, cross = p * q * by_g;
+  const Eigen::Vector3d by_a = light.by_p, by_b = light.by_q;
+  light.by_p = by_a * a_by_p + by_b * cross;
+  light.by_q = by_a * cross + by_b * b_by_q;
+  return light;
+}
+
+}  // namespace malus

@@ -1,0 +1,61 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "malus/core/camera.h"
+#include "malus/core/context.h"
+#include "malus/core/image.h"
+#include "malus/polarization/ray_frame.h"
+
+namespace malus {
+
+/// What the surface mirrors: radiance of the surroundings by direction, seen through microfacets.
+///
+/// The directions are those of the half vectors of light and optical axis, on square cells of the unit disc: equal
+/// areas of it are equal solid angles of light, dω = 4 dh_x dh_y, and all light that a surface facing the camera can
+/// mirror is on it. Facets follow the Beckmann distribution (Cook and Torrance 1982); their light is polarized like
+/// Fresnel's about the half vector.
+struct Surroundings {
+  static constexpr int cells = 20;  ///< along the disc's diameter
+  double roughness = 0.1;           ///< alpha of the facets' slopes
+  Image<float> radiance;            ///< cells × cells, not negative, in units of s0; 0 outside the disc
+
+  /// Half vectors of the cells inside the disc, (x to the right, y upwards), and where they are in `radiance`.
+  struct Cell {
+    double hx = 0, hy = 0;
+    int column = 0, row = 0;
+  };
+  static std::vector<Cell> all_cells();
+};
+
+/// Mirrored Stokes components of a pixel of unknown slopes.
+struct MirroredLight {
+  Eigen::Vector3d stokes = Eigen::Vector3d::Zero();  ///< s0, s1, s2 in the frame of the pixel's ray
+  Eigen::Vector3d by_p = Eigen::Vector3d::Zero(), by_q = Eigen::Vector3d::Zero();
+};
+
+/// (s0, s1, s2) that a surface with slopes (p, q) mirrors of each cell at radiance 1.
+void mirrored_by_cell(double p, double q, const RayFrame& frame, const std::vector<Surroundings::Cell>& cells,
+                      double roughness, double eta, Eigen::Ref<Eigen::Matrix3Xf> out);
+
+/// The mirrored light over the slopes, tabulated for some rays of a camera and interpolated between: bicubic over the
+/// slopes (stereographic, so that all zeniths are on a disc), bilinear over the rays.
+class MirroredLightTable {
+ public:
+  MirroredLightTable(const Surroundings& surroundings, double eta, const Pinhole& camera, const Context& context);
+
+  MirroredLight at(double p, double q, const RayFrame& frame) const;
+
+ private:
+  static constexpr int rays_u = 3, rays_v = 2;
+  struct Value {
+    float stokes[3];
+  };
+  MirroredLight of_ray(const Image<Value>& table, double a, double b) const;
+
+  double first_x_ = 0, step_x_ = 1, first_y_ = 0, step_y_ = 1;  ///< of the rays' directions (x / z, y / z)
+  std::vector<Image<Value>> tables_;                            ///< rays_u × rays_v, row by row
+};
+
+}  // namespace malus

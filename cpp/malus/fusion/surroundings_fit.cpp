@@ -1,0 +1,110 @@
+#include "malus/fusion/surroundings_fit.h"
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+
+#include "malus/core/median.h"
+#include "malus/core/parallel.h"
+#include "malus/fusion/fresnel_factors.h"
+
+namespace malus {
+namespace {
+
+using Cells = std::vector<Surroundings::Cell>;
+
+constexpr double slope_error = 0.03;  // of the slopes that are taken as known
+constexpr int irls_rounds = 4;
+
+/// min ½ xᵀ G x − bᵀ x for x ≥ 0 by coordinate descent, from x.
+void solve_nonnegative(const Eigen::MatrixXf& normal, const Eigen::VectorXf& right, Eigen::VectorXf& x) {
+  constexpr int most_sweeps = 500;
+  constexpr float settled = 1e-4F;
+  Eigen::VectorXf rest = right - normal * x;
+  const float scale = right.cwiseAbs2().cwiseQuotient(normal.diagonal()).maxCoeff();
+  for (int sweep = 0; sweep < most_sweeps; ++sweep) {
+    float largest = 0;
+    for (Eigen::Index i = 0; i < x.size(); ++i) {
+      const float change = std::max(x[i] + rest[i] / normal(i, i), 0.0F) - x[i];
+      if (change == 0) continue;
+      x[i] += change;
+      rest -= change * normal.col(i);
+      largest = std::max(largest, change * change * normal(i, i));
+    }
+    if (largest < settled * settled * scale) return;
+  }
+}
+
+/// Residuals of all samples in their standard deviations: values − rows · radiances; s1 above s2.
+struct LinearSystem {
+  Eigen::MatrixXf rows;
+  Eigen::VectorXf values;
+};
+
+LinearSystem linearize(const std::vector<ReflectionSample>& samples, const Cells& cells, double roughness, double eta) {
+  const auto count = static_cast<Eigen::Index>(samples.size()), columns = static_cast<Eigen::Index>(cells.size());
+  LinearSystem system{Eigen::MatrixXf(2 * count, columns), Eigen::VectorXf(2 * count)};
+  Eigen::Matrix3Xf response(3, columns);
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const ReflectionSample& s = samples[static_cast<std::size_t>(i)];
+    const FresnelFactors f = fresnel_factors(s.tan2(), eta);
+    const Eigen::Vector2d diffuse = f.diffuse * Eigen::Vector2d(s.p * s.p - s.q * s.q, 2 * s.p * s.q);
+    // d ρ_d by the slopes, about: 2 tan θ · factor.
+    const double steepness = s.s0 * f.diffuse * 2 * std::sqrt(s.tan2());
+    const double sigma = std::hypot(s.sigma, slope_error * steepness);
+    mirrored_by_cell(s.p, s.q, s.frame, cells, roughness, eta, response);
+    system.rows.row(i) = (response.row(1) - static_cast<float>(diffuse[0]) * response.row(0)) / sigma;
+    system.rows.row(count + i) = (response.row(2) - static_cast<float>(diffuse[1]) * response.row(0)) / sigma;
+    system.values[i] = static_cast<float>((s.s1 - s.s0 * diffuse[0]) / sigma);
+    system.values[count + i] = static_cast<float>((s.s2 - s.s0 * diffuse[1]) / sigma);
+  }
+  return system;
+}
+
+SurroundingsFit fit(const std::vector<ReflectionSample>& samples, const Cells& cells, double roughness, double eta) {
+  constexpr float ridge = 1e-4F;
+  constexpr double robust_sigmas2 = 6.25;
+  const LinearSystem system = linearize(samples, cells, roughness, eta);
+  const auto count = static_cast<Eigen::Index>(samples.size());
+  Eigen::VectorXf weights = Eigen::VectorXf::Ones(count), radiances = Eigen::VectorXf::Zero(system.rows.cols());
+  std::vector<double> squares(samples.size());
+  double cost = 0;
+  for (int round = 0; round < irls_rounds; ++round) {
+    const Eigen::MatrixXf weighted = weights.replicate(2, 1).asDiagonal() * system.rows;
+    Eigen::MatrixXf normal = weighted.transpose() * system.rows;
+    normal.diagonal().array() += ridge * normal.trace() / static_cast<float>(normal.rows()) + 1e-12F;
+    solve_nonnegative(normal, weighted.transpose() * system.values, radiances);
+    const Eigen::VectorXf rest = system.values - system.rows * radiances;
+    cost = 0;
+    for (Eigen::Index i = 0; i < count; ++i) {
+      const double squared = static_cast<double>(rest[i] * rest[i] + rest[count + i] * rest[count + i]);
+      squares[static_cast<std::size_t>(i)] = squared;
+      cost += std::log1p(squared / 4);
+    }
+    const double scale = std::max(median(squares) / 1.4, 1.0);
+    for (Eigen::Index i = 0; i < count; ++i) {
+      weights[i] = static_cast<float>(1 / (1 + squares[static_cast<std::size_t>(i)] / (robust_sigmas2 * scale)));
+    }
+  }
+  SurroundingsFit result;
+  result.cost = cost / static_cast<double>(std::max<Eigen::Index>(count, 1));
+  result.surroundings.roughness = roughness;
+  result.surroundings.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
+  for (std::size_t i = 0; i < cells.size(); ++i)
+    result.surroundings.radiance(cells[i].column, cells[i].row) = radiances[static_cast<Eigen::Index>(i)];
+  return result;
+}
+
+}  // namespace
+
+SurroundingsFit fit_surroundings(const std::vector<ReflectionSample>& samples, double eta,
+                                 std::span<const double> roughnesses, const Context& context) {
+  const Cells cells = Surroundings::all_cells();
+  std::vector<SurroundingsFit> fits(roughnesses.size());
+  parallel_for(context, fits.size(), 1, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) fits[i] = fit(samples, cells, roughnesses[i], eta);
+  });
+  return *std::min_element(fits.begin(), fits.end(), [](const auto& a, const auto& b) { return a.cost < b.cost; });
+}
+
+}  // namespace malus

@@ -1,0 +1,118 @@
+#include "malus/fusion/surroundings.h"
+
+#include <gtest/gtest.h>
+
+#include <array>
+#include <cmath>
+#include <memory>
+#include <random>
+
+#include "malus/fusion/fresnel_factors.h"
+#include "malus/fusion/reflection_model.h"
+#include "malus/fusion/surroundings_fit.h"
+
+namespace malus {
+namespace {
+
+const Pinhole camera{{600, 400}, 1500, 1500, 299.5, 199.5};
+
+Surroundings uniform(double radiance, double roughness) {
+  Surroundings surroundings;
+  surroundings.roughness = roughness;
+  surroundings.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
+  for (const Surroundings::Cell& cell : Surroundings::all_cells())
+    surroundings.radiance(cell.column, cell.row) = static_cast<float>(radiance);
+  return surroundings;
+}
+
+/// A window to the upper right and a weak rest.
+Surroundings window(double roughness) {
+  Surroundings surroundings = uniform(0.2, roughness);
+  for (const Surroundings::Cell& cell : Surroundings::all_cells()) {
+    if (std::hypot(cell.hx - 0.35, cell.hy - 0.25) < 0.15) surroundings.radiance(cell.column, cell.row) = 5;
+  }
+  return surroundings;
+}
+
+TEST(Surroundings, OfOneRadianceMirrorItTimesFresnel) {
+  // A smooth mirror under a uniform sky: s0 = F, and the polarization is Fresnel's about the normal.
+  const MirroredLightTable table(uniform(1, 0.08), 1.5, camera, Context{});
+  const RayFrame frame = ray_frame(&camera, 250, 180);
+  for (const double slope : {0.1, 0.4, 0.8}) {
+    const FresnelFactors f = fresnel_factors(slope * slope, 1.5);
+    const MirroredLight light = table.at(slope, 0, frame);
+    EXPECT_NEAR(light.stokes[0] / f.reflectance, 1, 0.1) << slope;
+    EXPECT_NEAR(light.stokes[1], -f.specular * slope * slope, 0.1 * f.reflectance) << slope;
+    EXPECT_NEAR(light.stokes[2], 0, 0.02 * f.reflectance) << slope;
+  }
+}
+
+TEST(Surroundings, TableHasTheDerivativesOfItsValues) {
+  const MirroredLightTable table(window(0.2), 1.5, camera, Context{});
+  std::mt19937 random(3);
+  std::uniform_real_distribution<double> slope(-1.2, 1.2), column(0, 599), row(0, 399);
+  for (int i = 0; i < 200; ++i) {
+    const double p = slope(random), q = slope(random), h = 1e-6;
+    const RayFrame frame = ray_frame(&camera, column(random), row(random));
+    const MirroredLight light = table.at(p, q, frame);
+    const Eigen::Vector3d by_p = (table.at(p + h, q, frame).stokes - table.at(p - h, q, frame).stokes) / (2 * h);
+    const Eigen::Vector3d by_q = (table.at(p, q + h, frame).stokes - table.at(p, q - h, frame).stokes) / (2 * h);
+    EXPECT_LT((light.by_p - by_p).norm(), 1e-5 + 1e-4 * by_p.norm());
+    EXPECT_LT((light.by_q - by_q).norm(), 1e-5 + 1e-4 * by_q.norm());
+  }
+}
+
+TEST(Surroundings, PixelsPredictionHasTheDerivativesOfItsValues) {
+  ReflectionModel model;
+  model.mirrored = std::make_shared<MirroredLightTable>(window(0.2), 1.5, camera, Context{});
+  const RayFrame frame = ray_frame(&camera, 400, 100);
+  const PixelReflection pixel(model, Reflection::diffuse, 0.9, 0, frame);
+  const double h = 1e-6;
+  for (const double p : {-0.7, -0.1, 0.3, 0.9}) {
+    const PredictedStokes m = pixel.predict(p, 0.2);
+    const PredictedStokes after = pixel.predict(p + h, 0.2), before = pixel.predict(p - h, 0.2);
+    EXPECT_NEAR(m.s1_by_p, (after.s1 - before.s1) / (2 * h), 1e-4);
+    EXPECT_NEAR(m.s2_by_p, (after.s2 - before.s2) / (2 * h), 1e-4);
+    EXPECT_GE(m.body, 0);
+  }
+}
+
+TEST(Surroundings, AreFoundFromWhatTheyMirror) {
+  // Pixels of many slopes under a window, of a body that varies; noise and some pixels that are wrong.
+  const Surroundings truth = window(0.2);
+  const MirroredLightTable table(truth, 1.5, camera, Context{});
+  std::mt19937 random(5);
+  std::normal_distribution<double> slope(0, 0.4), noise(0, 0.001);
+  std::uniform_real_distribution<double> body(0.2, 0.6), column(0, 599), row(0, 399);
+  std::vector<ReflectionSample> samples;
+  for (int i = 0; i < 3000; ++i) {
+    ReflectionSample s;
+    s.p = slope(random);
+    s.q = slope(random);
+    s.frame = ray_frame(&camera, column(random), row(random));
+    const MirroredLight light = table.at(s.p, s.q, s.frame);
+    const double d = body(random), diffuse = fresnel_factors(s.tan2(), 1.5).diffuse;
+    s.s0 = d + light.stokes[0];
+    s.s1 = d * diffuse * (s.p * s.p - s.q * s.q) + light.stokes[1] + noise(random);
+    s.s2 = d * diffuse * 2 * s.p * s.q + light.stokes[2] + noise(random);
+    if (i % 20 == 0) s.s1 += 0.2;
+    s.sigma = 0.002;
+    samples.push_back(s);
+  }
+  const std::array tried{0.05, 0.1, 0.2, 0.4};
+  const SurroundingsFit fit = fit_surroundings(samples, 1.5, tried, Context{});
+  EXPECT_EQ(fit.surroundings.roughness, 0.2);
+  const MirroredLightTable found(fit.surroundings, 1.5, camera, Context{});
+  double error = 0, size = 0;
+  for (const ReflectionSample& s : samples) {
+    if (s.tan2() > 0.5) continue;
+    const Eigen::Vector3d wanted = table.at(s.p, s.q, s.frame).stokes;
+    error += (found.at(s.p, s.q, s.frame).stokes - wanted).tail<2>().squaredNorm();
+    size += wanted.tail<2>().squaredNorm();
+  }
+  EXPECT_LT(std::sqrt(error / size), 0.1);
+  EXPECT_GE(*std::min_element(fit.surroundings.radiance.begin(), fit.surroundings.radiance.end()), 0);
+}
+
+}  // namespace
+}  // namespace malus
