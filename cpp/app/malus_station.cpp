@@ -45,6 +45,18 @@ class Reporter {
     }
   }
 
+  /// How far the result may be trusted, and with --quiet the warnings that were not shown: nobody shall miss them.
+  void close(const malus::Quality& quality) const {
+    if (json_) return;
+    const bool is_high = quality.confidence.level == malus::ConfidenceLevel::high;
+    if (quiet_) {
+      for (const std::string& warning : quality.warnings) std::fprintf(stderr, "warning: %s\n", warning.c_str());
+      if (is_high) return;
+    }
+    std::fprintf(stderr, "%-13s %s\n", "confidence", std::string(enum_name(quality.confidence.level)).c_str());
+    for (const std::string& reason : quality.confidence.reasons) std::fprintf(stderr, "  %s\n", reason.c_str());
+  }
+
   void log(malus::LogLevel level, const std::string& message) {
     const bool warning = level == malus::LogLevel::warning;
     if (json_) {
@@ -91,7 +103,8 @@ void run(const Arguments& arguments) {
   if (!arguments.until.empty()) where.until = arguments.until;
   if (!arguments.reference.empty()) where.reference = arguments.reference;
   const malus::Options options = read_options(arguments);
-  malus::reconstruct(malus::Station::load(arguments.station), options, where, context);
+  const malus::Results results = malus::reconstruct(malus::Station::load(arguments.station), options, where, context);
+  if (const auto report = results.get<malus::QualityReport>()) reporter.close(report->quality);
 }
 
 int fail(int code, const std::string& message) {
@@ -116,7 +129,7 @@ int main(int argc, char** argv) {
   app.add_option("--threads", arguments.threads, "default: all cores")->check(CLI::PositiveNumber);
   app.add_flag("--replace", arguments.replace, "take the workspace over if it belongs to another station");
   app.add_flag("--json", arguments.json, "one JSON object a progress event on standard output");
-  app.add_flag("--quiet", arguments.quiet, "errors only");
+  app.add_flag("--quiet", arguments.quiet, "errors, warnings and a confidence that is not high only");
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& success) {

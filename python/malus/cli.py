@@ -62,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
         "--fusion", choices=["grid", "refined"], help="the paper's transfer, or the refinement (default)"
     )
     common.add_argument("--json", action="store_true", help="one JSON object a progress event on standard output")
-    common.add_argument("--quiet", action="store_true", help="errors only")
+    common.add_argument("--quiet", action="store_true", help="errors, warnings and a confidence that is not high only")
 
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
 
@@ -187,15 +187,19 @@ def _reconstruct(
             view.progress("report", 0.0, "")
             page = malus.write_report(args.output)
             view.progress("report", 1.0, str(page))
-    if not args.quiet and not args.json:
-        _print_summary(args.output)
+    if not args.json:
+        _print_summary(args.output, args.quiet)
 
 
-def _print_summary(work: Path) -> None:
+def _print_summary(work: Path, quiet: bool) -> None:
     path = work / "quality.json"
     if not path.exists():
         return
     quality = json.loads(path.read_text())
+    if quiet:  # nobody shall miss them
+        for line in malus.report.caution_lines(quality):
+            print(line, file=sys.stderr)
+        return
     for line in malus.report.summary_lines(quality):
         print(line)
 

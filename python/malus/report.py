@@ -35,6 +35,15 @@ def _number(value: Any, digits: int = 3) -> str:
     return f"{value:.{digits}g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
+def caution_lines(quality: Mapping[str, Any]) -> list[str]:
+    """Every warning, and the confidence with its reasons unless it is high."""
+    confidence = quality["confidence"]
+    lines = [f"warning: {warning}" for warning in quality["warnings"]]
+    if confidence["level"] != "high":
+        lines += [f"confidence: {confidence['level']}", *(f"  {reason}" for reason in confidence["reasons"])]
+    return lines
+
+
 def summary_lines(quality: Mapping[str, Any]) -> list[str]:
     """The figures that matter first, a line each, for the terminal."""
     unit = quality["unit"]

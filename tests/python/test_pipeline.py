@@ -334,8 +334,13 @@ def test_every_warning_is_in_the_figures_and_on_the_page(small_station: Path, tm
         tifffile.imwrite(path, pixels)
     work = tmp_path / "work"
     command = ("run", small_station, "-o", work, "--fusion", "grid", "--threads", "2")
-    assert run_malus(*command, "--quiet").code == 0
+    quiet = run_malus(*command, "--quiet")
+    assert quiet.code == 0
     quality = json.loads((work / "quality.json").read_text())
+    assert all(f"warning: {warning}" in quiet.err for warning in quality["warnings"])
+    assert quality["confidence"]["level"] == "partial"
+    assert "confidence: partial" in quiet.err
+    assert all(reason in quiet.err for reason in quality["confidence"]["reasons"])
     manifest = malus.Workspace(work).manifest
     text = "object's pixels do not follow the polarizer's sinusoid"
     assert any(text in warning for warning in manifest["steps"]["polarization"]["warnings"])
@@ -343,6 +348,7 @@ def test_every_warning_is_in_the_figures_and_on_the_page(small_station: Path, tm
     assert manifest["warnings"] == quality["warnings"]
     page = (work / "report/index.html").read_text()
     assert all(markupsafe.escape(warning) in page for warning in quality["warnings"])
+    assert all(markupsafe.escape(reason) in page for reason in quality["confidence"]["reasons"])
     outcome = run_malus(*command)
     assert "kept from an earlier run" in outcome.err
     assert text in outcome.err.replace("\n", " "), "repeated"
