@@ -205,6 +205,8 @@ Eigen::Vector3d mean_normal(const RefinementImage& image) {
 /// What is said of the evidence. That nothing was gained is a warning, too.
 Confidence confidence_of(const RefineReport& report, FusedSurface& surface) {
   constexpr double everywhere = 0.9, nowhere = 0.05;
+  // Of stations between 0.5 and 0.75 some were made worse, under light and of materials that were drawn at random.
+  constexpr double well_explained = 0.75;
   const bool is_prior = report.trusted_share < nowhere;
   Confidence confidence;
   if (is_prior) {
@@ -219,6 +221,10 @@ Confidence confidence_of(const RefineReport& report, FusedSurface& surface) {
                      "In " + percent(1 - report.trusted_share) +
                          " of the object the surface is the prior's, because the reflection model does not explain "
                          "the polarization there.");
+  } else if (report.explained_share < well_explained) {
+    confidence.limit(ConfidenceLevel::partial,
+                     "At the prior's slopes the reflection model explains the polarization only in part (" +
+                         percent(std::max(report.explained_share, 0.0)) + "): fine detail is likely, not certain.");
   }
   if (!is_prior && report.reflection.mirrored) {
     confidence.limit(ConfidenceLevel::partial,
