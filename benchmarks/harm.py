@@ -1,0 +1,313 @@
+"""How often a fused surface is worse than its prior without saying so.
+
+    python benchmarks/harm.py STATION… --executable malus-station -o OUT [--jobs 2] [--draws 1] [--seed 1]
+
+STATION: folders of rendered stations (`random_stations.py`, or shared/data/rendered). Of each one variant is drawn
+(`station_variants.py`): half are right as they are, a quarter have a wrong prior, a quarter a wrong setting. Each is run, and prior
+and fused surface are compared with the truth, on the pixels where both have a depth and with the definitions of shared/tools/score.py:
+
+    harm           RMSE, detail's MAD or median normal error of the fused surface is more than 10 % above the prior's
+    unmarked harm  … and quality.json says confidence "high", or nothing
+    gain           one of the three is more than 10 % below the prior's, and no harm
+    kept           none of the three differs from the prior's by 0.5 %
+    refused        exit code 2 or 3, with a message: counts as marked
+
+Bars: unmarked harm at most 1 % of the stations whose prior lies where the object is; "low" or refused at most 5 % of what is right as it is
+and not metal. Where the prior itself is shifted, turned, scaled or mirrored, "worse than the prior" says little: these are listed
+apart. Prints tables and every unmarked harm, writes OUT/harm.json; the exit code is 1 if a bar is missed. A variant that OUT has already,
+from the same executable, is not run again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import math
+import shutil
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import station_variants
+import tifffile
+from numpy.typing import NDArray
+from scipy import ndimage
+from station_variants import WRONG_PRIOR
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Result = dict[str, Any]
+
+BORDER_PX, DETAIL_SIGMA_PX = 6, 8.0
+WORSE, BETTER, SAME = 1.1, 0.9, 0.005
+UNMARKED_BAR, LOW_BAR = 0.01, 0.05
+FIGURES = ("rmse", "detail_mad", "normal_median")
+REFUSED = (2, 3)
+TIME_LIMIT_S = 900
+
+
+# --- scoring: definitions of shared/tools/score.py
+
+
+def lowpass(values: Array, mask: Mask) -> Array:
+    weight = ndimage.gaussian_filter(mask.astype(float), DETAIL_SIGMA_PX)
+    smooth = ndimage.gaussian_filter(np.where(mask, values, 0.0), DETAIL_SIGMA_PX)
+    return np.asarray(smooth / np.maximum(weight, 1e-6))
+
+
+def normals_of(depth: Array, K: Array) -> Array:
+    """Unit normals towards the camera, from central differences of the points."""
+    v, u = np.indices(depth.shape)
+    points = np.stack([(u - K[0, 2]) / K[0, 0] * depth, (v - K[1, 2]) / K[1, 1] * depth, depth], -1)
+    normal = np.cross(np.gradient(points, axis=0), np.gradient(points, axis=1))
+    with np.errstate(invalid="ignore"):  # where truth has no depth there is no normal
+        return np.asarray(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
+
+
+def figures(depth: Array, truth: Array, mask: Mask, K: Array, gsd: float) -> dict[str, float]:
+    """RMSE and detail's MAD [GSD], median normal error [degrees] on the pixels of the mask."""
+    error = np.where(mask, (depth - truth) / gsd, 0.0)
+    error = np.where(mask, error - np.median(error[mask]), 0.0)
+    detail = (error - lowpass(error, mask))[mask]
+    cosine = (normals_of(np.where(mask, depth, truth), K) * normals_of(truth, K)).sum(-1)
+    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))[ndimage.binary_erosion(mask)]
+    return dict(
+        rmse=float(np.sqrt((error[mask] ** 2).mean())),
+        detail_mad=float(1.4826 * np.median(np.abs(detail))),
+        normal_median=float(np.nanmedian(angle)),
+    )
+
+
+def scored_pixels(label: NDArray[np.uint8]) -> Mask:
+    """Object pixels away from its border and the image's."""
+    inner = np.zeros(label.shape, bool)
+    inner[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = True
+    eroded = ndimage.binary_erosion(label == 1, np.ones((3, 3)), iterations=BORDER_PX, border_value=1)
+    return np.asarray(eroded & inner)
+
+
+def score(station: Path, work: Path) -> dict[str, Any]:
+    """Figures of prior and fused surface, and their ratios; {} where the two share too little to say."""
+    meta = json.loads((station / "meta.json").read_text())
+    truth = np.load(station / "gt/depth_normal_mask.npz")
+    prior, fused = (tifffile.imread(work / name / "depth.tif").astype(float) for name in ("prior", "fused"))
+    mask = scored_pixels(truth["label"]) & (prior > 0) & (fused > 0)
+    if mask.sum() < 100:
+        return {}
+    depth, K = truth["depth"].astype(float), np.array(meta["station"]["K"])
+    before, after = (figures(surface, depth, mask, K, meta["gsd_mm"]) for surface in (prior, fused))
+    ratios = {name: after[name] / max(before[name], 1e-12) for name in FIGURES}
+    return dict(prior=before, fused=after, ratios=ratios)
+
+
+# --- running
+
+
+def quality_figures(work: Path) -> dict[str, Any]:
+    """What the program says of its result."""
+    quality = json.loads((work / "quality.json").read_text())
+    confidence, refinement = quality.get("confidence", {}), quality.get("refinement", {})
+    return dict(
+        status=quality["status"], level=confidence.get("level"), reasons=confidence.get("reasons", []), warnings=quality["warnings"],
+        explained_share=refinement.get("explained_share"), trusted_share=refinement.get("trusted_share"),
+    )  # fmt: skip
+
+
+def description(station: Path) -> dict[str, Any]:
+    """Scene, light and material of a rendered station."""
+    meta = json.loads((station / "meta.json").read_text())
+    drawn = station / "random.json"
+    out = dict(scene=meta["scene"], light="own", metal=meta["material"]["bsdf"] == "roughconductor")
+    return out | (json.loads(drawn.read_text()) if drawn.exists() else {})
+
+
+def run(station: Path, name: str, draw: int, args: argparse.Namespace) -> Result:
+    """Draw, write, run and score a variant of a station."""
+    random = np.random.default_rng([args.seed, zlib.crc32(name.encode()), draw])
+    variant = station_variants.draw(random)
+    folder = args.output / f"{name}_{draw}"
+    identity = dict(name=name, draw=draw, variant=asdict(variant), executable=args.hash)
+    result_file = folder / "result.json"
+    if result_file.exists():
+        old: Result = json.loads(result_file.read_text())
+        if {key: old.get(key) for key in identity} == identity:
+            return old
+    shutil.rmtree(folder, ignore_errors=True)
+    toml, work = station_variants.write(station, variant, folder), folder / "work"
+    command = [str(args.executable), str(toml), "-o", str(work), "--until", "assess", "--threads", "1", "--quiet"]
+    try:
+        process = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT_S)
+        code, message = process.returncode, process.stderr.strip()
+    except subprocess.TimeoutExpired:
+        code, message = -1, f"stopped after {TIME_LIMIT_S} s"
+    result: Result = identity | dict(station=str(station), exit_code=code, message=message, **description(station))
+    if code == 0:
+        result |= quality_figures(work) | score(station, work)
+    result_file.write_text(json.dumps(result, indent=1) + "\n")
+    return result
+
+
+# --- judging
+
+
+def is_harm(result: Result) -> bool:
+    return any(not ratio <= WORSE for ratio in result.get("ratios", {}).values())
+
+
+def is_unmarked(result: Result) -> bool:
+    return is_harm(result) and result["level"] not in ("partial", "low")
+
+
+def is_gain(result: Result) -> bool:
+    ratios = result.get("ratios", {}).values()
+    return any(ratio < BETTER for ratio in ratios) and not is_harm(result)
+
+
+def is_kept(result: Result) -> bool:
+    """The fused surface is the prior's."""
+    return "ratios" in result and all(abs(ratio - 1) < SAME for ratio in result["ratios"].values())
+
+
+def is_refused(result: Result) -> bool:
+    return result["exit_code"] in REFUSED and bool(result["message"])
+
+
+def is_failure(result: Result) -> bool:
+    return result["exit_code"] != 0 and not is_refused(result)
+
+
+def row_name(result: Result) -> str:
+    """Row of the table: what is wrong; of what is right, whether the file knows the refractive index."""
+    variant = result["variant"]
+    if variant["kind"] != "correct":
+        return f"{variant['kind']}: {variant['name']}"
+    if result["metal"]:
+        return "correct: metal"
+    true = result.get("refractive_index")
+    known = true is None or abs(true - result["index_said"]) < 0.001
+    return "correct: index known" if known else "correct: index taken as 1.5"
+
+
+TESTS: dict[str, Callable[[Result], bool]] = {
+    "gain": is_gain,
+    "kept": is_kept,
+    "harm": is_harm,
+    "unmarked": is_unmarked,
+    "high": lambda r: r.get("level") == "high",
+    "partial": lambda r: r.get("level") == "partial",
+    "low": lambda r: r.get("level") == "low",
+    "refused": is_refused,
+    "failed": is_failure,
+}
+
+
+def counts(results: Iterable[Result]) -> dict[str, int]:
+    listed = list(results)
+    return dict(stations=len(listed)) | {name: sum(map(test, listed)) for name, test in TESTS.items()}
+
+
+def table(results: list[Result], key: Callable[[Result], str]) -> dict[str, dict[str, int]]:
+    rows = sorted({key(result) for result in results})
+    return {row: counts(r for r in results if key(r) == row) for row in rows} | {"all": counts(results)}
+
+
+def share(part: int, whole: int) -> float:
+    return part / whole if whole else math.nan
+
+
+def bars(results: list[Result]) -> dict[str, dict[str, Any]]:
+    """The two bars, and the shares beside them."""
+    placed = counts(r for r in results if r["variant"]["name"] not in WRONG_PRIOR)
+    misplaced = counts(r for r in results if r["variant"]["name"] in WRONG_PRIOR)
+    right = counts(r for r in results if r["variant"]["kind"] == "correct" and not r["metal"])
+    figures = {
+        "unmarked harm": (placed["unmarked"], placed["stations"], UNMARKED_BAR),
+        "unmarked harm, prior itself wrong": (misplaced["unmarked"], misplaced["stations"], None),
+        "low or refused of correct": (right["low"] + right["refused"], right["stations"], LOW_BAR),
+        "gain of correct": (right["gain"], right["stations"], None),
+        "failed": (placed["failed"] + misplaced["failed"], len(results), 0.0),
+    }
+    return {
+        name: dict(count=part, of=whole, share=share(part, whole), bar=bar, held=bar is None or part <= bar * whole)
+        for name, (part, whole, bar) in figures.items()
+    }
+
+
+def print_table(title: str, rows: dict[str, dict[str, int]]) -> None:
+    print(f"\n{title:30s} stations " + " ".join(f"{name:>8s}" for name in TESTS))
+    for row, found in rows.items():
+        print(f"{row:30s} {found['stations']:8d} " + " ".join(f"{found[name]:8d}" for name in TESTS))
+
+
+def print_case(result: Result) -> None:
+    """One line for a station that did harm or failed."""
+    variant, ratios = result["variant"], result.get("ratios", {})
+    shown = ", ".join(f"{name} × {value:.2f}" for name, value in ratios.items())
+    says = ", ".join(
+        f"{key} {result[key]:.2f}" for key in ("explained_share", "trusted_share") if result.get(key) is not None
+    )
+    what = f"{variant['name']} {json.dumps(variant['amount']) if variant['amount'] else ''}".strip()
+    images = ("noisy" if variant["noisy"] else "low noise") + (", good cloud" if variant["good_cloud"] else "")
+    print(f"  {result['name']} ({result['draw']}): {what}, {images}; {shown or result['message']}; {says}")
+
+
+def report(results: list[Result], output: Path) -> bool:
+    """Print and write everything; whether the bars are held."""
+    tables = {
+        "variant": table(results, row_name),
+        "scene": table(results, lambda r: str(r["scene"])),
+        "light": table(results, lambda r: str(r["light"])),
+    }
+    for title, rows in tables.items():
+        print_table(title, rows)
+    for title, test in (("unmarked harm", is_unmarked), ("failed", is_failure)):
+        print(f"\n{title}:")
+        for result in filter(test, results):
+            print_case(result)
+    judged = bars(results)
+    print()
+    for name, bar in judged.items():
+        limit = "" if bar["bar"] is None else f", at most {bar['bar']:.0%}: {'held' if bar['held'] else 'MISSED'}"
+        print(f"{name}: {bar['count']} of {bar['of']} ({bar['share']:.1%}){limit}")
+    (output / "harm.json").write_text(json.dumps(dict(bars=judged, tables=tables, stations=results), indent=1) + "\n")
+    return all(bar["held"] for bar in judged.values())
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("stations", nargs="+", type=Path)
+    parser.add_argument("--executable", type=Path, required=True)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--draws", type=int, default=1, help="variants of each station")
+    parser.add_argument("--seed", type=int, default=1)
+    args = parser.parse_args()
+    args.executable, args.output = args.executable.resolve(), args.output.resolve()
+    args.hash = hashlib.sha256(args.executable.read_bytes()).hexdigest()
+    for station in args.stations:
+        if not (station / "station_noisy.toml").exists():
+            parser.error(f"{station}: expected a rendered station with station.toml and station_noisy.toml")
+    # A station of several that share photographs is a folder in that of the object: both names tell it from others.
+    names = [
+        f"{s.resolve().parent.name}_{s.name}" if (s / "../object.toml").exists() else s.resolve().name
+        for s in args.stations
+    ]
+    tasks = [(s, name, draw) for s, name in zip(args.stations, names, strict=True) for draw in range(args.draws)]
+    args.output.mkdir(parents=True, exist_ok=True)
+    with ThreadPoolExecutor(args.jobs) as pool:
+        results = []
+        for number, result in enumerate(pool.map(lambda t: run(t[0], t[1], t[2], args), tasks), 1):
+            results.append(result)
+            print(f"{number} of {len(tasks)}", end="\r", file=sys.stderr, flush=True)
+    return 0 if report(results, args.output) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,212 @@
+"""Variants of a rendered station for `harm.py`: right as it is, with a coarse surface that is wrong, or with a setting that is.
+
+A variant is drawn (`draw`) and then written as a folder of its own (`write`): a station file that names the images of the rendered
+station, and a cloud. The rendered station is only read.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.lib import recfunctions
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Cloud = NDArray[Any]  # structured: a field for each property of the file
+
+#: The coarse surface is distorted or incomplete, as stereo without control or with little texture gives it.
+PRIOR_ERRORS = ("bias", "tilt", "scale", "holes")
+#: What a user gets wrong about the images, and what about the cloud.
+IMAGE_SETTINGS = ("direction", "zero", "response", "order")
+CLOUD_SETTINGS = ("unit", "shifted", "turned", "mirrored")
+#: Variants in which the given coarse surface is itself off the truth everywhere. That the result is no worse than the prior says
+#: little about them, as nothing but the prior knows where the object is.
+WRONG_PRIOR = ("bias", "tilt", "scale", *CLOUD_SETTINGS)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What differs from the station as it was rendered."""
+
+    kind: str  # "correct", "prior" or "setting"
+    name: str  # what is wrong; "correct"
+    noisy: bool = False  # single frames, each moved, instead of the registered means of 16
+    good_cloud: bool = False  # the cloud as if stereo had worked everywhere, if the scene has it
+    amount: dict[str, Any] = field(default_factory=dict)
+
+
+def signed(random: np.random.Generator, low: float, high: float) -> float:
+    return float(random.uniform(low, high) * random.choice([-1, 1]))
+
+
+def draw_amount(name: str, random: np.random.Generator) -> dict[str, Any]:
+    """How wrong it is."""
+    match name:
+        case "bias":
+            return dict(gsd=signed(random, 3, 30))
+        case "tilt":
+            return dict(deg=float(random.uniform(0.5, 4)), axis_deg=float(random.uniform(0, 360)))
+        case "scale":
+            return dict(factor=1 + signed(random, 0.01, 0.05))
+        case "holes":
+            return dict(share=float(random.uniform(0.3, 0.7)), seed=int(random.integers(2**31)))
+        case "direction":
+            return dict(angle_direction="cw")
+        case "zero":
+            return dict(angle_zero_deg=signed(random, 10, 90))
+        case "response":
+            return dict(response=str(random.choice(["srgb", "gamma:2.2", "gamma:0.45"])))
+        case "order":
+            order = np.arange(6)
+            while (order == np.arange(6)).all():
+                order = random.permutation(6)
+            return dict(order=order.tolist())
+        case "unit":
+            return dict(factor=float(random.choice([0.001, 0.1, 1 / 25.4])))
+        case "shifted":
+            return dict(share=float(random.uniform(0.03, 0.2)), axis_deg=float(random.uniform(0, 360)))
+        case "turned":
+            return dict(deg=signed(random, 5, 180))
+        case "mirrored":
+            return {}
+    raise ValueError(f"no variant {name}")
+
+
+def draw(random: np.random.Generator) -> Variant:
+    """Half of the stations as they are, a quarter with a wrong prior, a quarter with a wrong setting."""
+    kind = str(random.choice(["correct", "prior", "setting"], p=[0.5, 0.25, 0.25]))
+    noisy, good_cloud = (bool(random.random() < 0.5) for _ in range(2))
+    if kind == "correct":
+        return Variant(kind, "correct", noisy, good_cloud)
+    name = str(random.choice(PRIOR_ERRORS if kind == "prior" else IMAGE_SETTINGS + CLOUD_SETTINGS))
+    return Variant(kind, name, noisy, good_cloud, draw_amount(name, random))
+
+
+# --- the cloud
+
+
+def read_cloud(path: Path) -> Cloud:
+    """Vertices of a binary little-endian PLY file of scalar properties, as the renderer writes it."""
+    types = {"float": "<f4", "double": "<f8", "uchar": "u1"}
+    content = path.read_bytes()
+    end = content.index(b"end_header\n") + len(b"end_header\n")
+    header = [line.split() for line in content[:end].decode("ascii").splitlines()]
+    names = [(words[2], types[words[1]]) for words in header if words[0] == "property"]
+    count = next(int(words[2]) for words in header if words[:2] == ["element", "vertex"])
+    return np.frombuffer(content, names, count, end).copy()
+
+
+def write_cloud(path: Path, cloud: Cloud) -> None:
+    types = {"f4": "float", "f8": "double", "u1": "uchar"}
+    properties = [f"property {types[cloud.dtype[name].str[1:]]} {name}" for name in cloud.dtype.names or ()]
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(cloud)}", *properties, "end_header", ""]
+    path.write_bytes("\n".join(lines).encode("ascii") + cloud.tobytes())
+
+
+def turn(axis: Array, angle_rad: float) -> Array:
+    """Matrix of a turn about a unit axis (Rodrigues)."""
+    cross = np.cross(np.eye(3), axis)
+    matrix = np.eye(3) - np.sin(angle_rad) * cross + (1 - np.cos(angle_rad)) * cross @ cross
+    return np.asarray(matrix)
+
+
+def rest_with_holes(points: Array, focal_px: float, amount: dict[str, Any]) -> NDArray[np.bool_]:
+    """Points that are left when round holes in the image have taken a share of them. Points: camera frame."""
+    random = np.random.default_rng(amount["seed"])
+    pixels = points[:, :2] / points[:, 2:] * focal_px
+    radii = 0.1 * np.ptp(pixels, axis=0).min() * np.array([0.5, 1.5])
+    rest = np.ones(len(points), bool)
+    while rest.mean() > 1 - amount["share"]:
+        center = pixels[random.choice(np.flatnonzero(rest))]
+        rest &= np.linalg.norm(pixels - center, axis=1) > random.uniform(*radii)
+    return rest
+
+
+def change_points(points: Array, variant: Variant, gsd: float, extent: float) -> tuple[Array, Array]:
+    """Points of the camera frame as the variant has them, and the matrix for their normals."""
+    amount, center, same = variant.amount, np.median(points, axis=0), np.eye(3)
+    angle = np.radians(amount.get("axis_deg", 0.0))
+    across = np.array([np.cos(angle), np.sin(angle), 0.0])
+    view = np.array([0.0, 0.0, 1.0])
+    match variant.name:
+        case "bias":
+            return points + view * amount["gsd"] * gsd, same
+        case "shifted":
+            return points + across * amount["share"] * extent, same
+        case "scale":
+            return center + (points - center) * amount["factor"], same
+        case "tilt" | "turned":
+            matrix = turn(across if variant.name == "tilt" else view, np.radians(amount["deg"]))
+            return center + (points - center) @ matrix.T, matrix
+        case "mirrored":
+            matrix = np.diag([-1.0, 1.0, 1.0])
+            return center + (points - center) @ matrix, matrix
+    return points, same
+
+
+def change_cloud(cloud: Cloud, variant: Variant, camera: dict[str, Any], gsd: float) -> Cloud:
+    """The cloud as the variant has it; camera: the station in meta.json."""
+    rotation, shift = np.array(camera["R_world_to_cam"]), np.array(camera["t_world_to_cam"])
+    world = recfunctions.structured_to_unstructured(cloud[["x", "y", "z"]]).astype(float)
+    points = world @ rotation.T + shift
+    if variant.name == "holes":
+        return np.asarray(cloud[rest_with_holes(points, camera["K"][0][0], variant.amount)])
+    if variant.name == "unit":  # the whole file is in another unit than the camera
+        world, normal_matrix = world * variant.amount["factor"], np.eye(3)
+    else:
+        points, normal_matrix = change_points(points, variant, gsd, gsd * camera["width"])
+        world = (points - shift) @ rotation
+    normals = recfunctions.structured_to_unstructured(cloud[["nx", "ny", "nz"]]).astype(float)
+    normals = normals @ rotation.T @ normal_matrix.T @ rotation
+    out = cloud.copy()
+    for k, axis in enumerate("xyz"):
+        out[axis], out["n" + axis] = world[:, k], normals[:, k]
+    return np.asarray(out)
+
+
+# --- the station file
+
+
+def toml_text(tables: dict[str, dict[str, Any]]) -> str:
+    """TOML of tables of numbers, texts and lists of them, which are written as in JSON."""
+    lines = []
+    for table, values in tables.items():
+        lines += [f"[{table}]", *(f"{key} = {json.dumps(value)}" for key, value in values.items()), ""]
+    return "\n".join(lines)
+
+
+def change_settings(tables: dict[str, dict[str, Any]], variant: Variant) -> None:
+    """The tables of a station file with the variant's wrong setting."""
+    polarized = tables["polarized"]
+    if variant.name == "order":
+        polarized["images"] = [polarized["images"][k] for k in variant.amount["order"]]
+    elif variant.name in IMAGE_SETTINGS:
+        polarized.update(variant.amount)
+
+
+def write(station: Path, variant: Variant, folder: Path) -> Path:
+    """Write the variant of a rendered station into a folder; returns its station file."""
+    meta = json.loads((station / "meta.json").read_text())
+    tables = tomllib.loads((station / ("station_noisy.toml" if variant.noisy else "station.toml")).read_text())
+    tables.pop("patch", None)
+    change_settings(tables, variant)
+    tables["polarized"]["images"] = [str((station / name).resolve()) for name in tables["polarized"]["images"]]
+    for table, key in (("polarized", "mask"), ("camera", "colmap_model")):
+        if key in tables[table]:
+            tables[table][key] = str((station / tables[table][key]).resolve())
+    cloud = station / tables["prior"]["cloud"]
+    good = cloud.with_name("mvs_cloud_good.ply")
+    if variant.good_cloud and good.exists():
+        cloud = good
+    tables["prior"]["cloud"] = "cloud.ply"
+    folder.mkdir(parents=True, exist_ok=True)
+    write_cloud(folder / "cloud.ply", change_cloud(read_cloud(cloud), variant, meta["station"], meta["gsd_mm"]))
+    path = folder / "station.toml"
+    path.write_text(toml_text(tables))
+    (folder / "variant.json").write_text(json.dumps(asdict(variant), indent=1) + "\n")
+    return path

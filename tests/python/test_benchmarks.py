@@ -1,0 +1,325 @@
+"""The harm benchmark without its renderer: what is drawn, what a variant changes, scoring and judging."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+import tomllib
+from collections import Counter
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+from numpy.typing import NDArray
+
+from conftest import ROOT
+
+sys.path.insert(0, str(ROOT / "benchmarks"))
+harm: Any = importlib.import_module("harm")
+random_stations: Any = importlib.import_module("random_stations")
+station_variants: Any = importlib.import_module("station_variants")
+Variant = station_variants.Variant
+
+WIDTH, HEIGHT, FOCAL, GSD = 60, 50, 300.0, 2.0
+K = np.array([[FOCAL, 0, 29.5], [0, FOCAL, 24.5], [0, 0, 1.0]])
+# A camera that is neither at the origin nor turned with the world's axes: x_cam = R x + t.
+R = station_variants.turn(np.array([0.6, 0.0, 0.8]), 0.7)
+T = np.array([5.0, -3.0, 600.0])
+
+
+def in_camera(cloud: NDArray[Any]) -> NDArray[np.float64]:
+    return np.asarray(np.stack([cloud[axis] for axis in "xyz"], -1).astype(float) @ R.T + T)
+
+
+def normals_in_camera(cloud: NDArray[Any]) -> NDArray[np.float64]:
+    return np.asarray(np.stack([cloud["n" + axis] for axis in "xyz"], -1).astype(float) @ R.T)
+
+
+@pytest.fixture
+def station(tmp_path: Path) -> Path:
+    """A folder as the renderer writes it: a bulge in front of the camera, with its cloud."""
+    folder = tmp_path / "rendered"
+    (folder / "dense").mkdir(parents=True)
+    (folder / "gt").mkdir()
+    v, u = np.indices((HEIGHT, WIDTH))
+    depth = 600 - 8 * np.exp(-((u - 30) ** 2 + (v - 25) ** 2) / 300)
+    points = np.stack([(u - K[0, 2]) / FOCAL * depth, (v - K[1, 2]) / FOCAL * depth, depth], -1).reshape(-1, 3)
+    kinds = [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")] + [("red", "u1")]
+    cloud = np.zeros(len(points), kinds)
+    world, normal = (points - T) @ R, np.array([0, 0, -1.0]) @ R
+    for k, axis in enumerate("xyz"):
+        cloud[axis], cloud["n" + axis] = world[:, k], normal[k]
+    station_variants.write_cloud(folder / "dense/mvs_cloud.ply", cloud)
+    names = json.dumps([f"pol/pol_{angle:03d}.png" for angle in range(0, 180, 30)])
+    text = f'[polarized]\nimages = {names}\nangle_direction = "ccw"\nresponse = "linear"\nmask = "mask.png"\n'
+    text += '[camera]\ncolmap_model = "gt_sparse"\n[prior]\ncloud = "dense/mvs_cloud.ply"\n[[patch]]\nname = "flat"\n'
+    for name in ("station.toml", "station_noisy.toml"):
+        (folder / name).write_text(text.replace("pol/", "noisy/") if "noisy" in name else text)
+    camera = dict(K=K.tolist(), R_world_to_cam=R.tolist(), t_world_to_cam=T.tolist(), width=WIDTH)
+    meta = dict(scene="bulge", gsd_mm=GSD, station=camera, material=dict(bsdf="pplastic"))
+    (folder / "meta.json").write_text(json.dumps(meta))
+    np.savez(folder / "gt/depth_normal_mask.npz", depth=depth, label=np.ones((HEIGHT, WIDTH), np.uint8))
+    return folder
+
+
+def variant(name: str, **amount: Any) -> Any:
+    return Variant("prior" if name in station_variants.PRIOR_ERRORS else "setting", name, amount=amount)
+
+
+def changed_cloud(station: Path, what: Any, folder: Path) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The station's cloud and the variant's."""
+    station_variants.write(station, what, folder)
+    return station_variants.read_cloud(station / "dense/mvs_cloud.ply"), station_variants.read_cloud(
+        folder / "cloud.ply"
+    )
+
+
+def test_half_of_the_variants_are_correct_and_every_error_is_drawn() -> None:
+    drawn = [station_variants.draw(np.random.default_rng([1, k])) for k in range(2000)]
+    kinds = Counter(v.kind for v in drawn)
+    assert kinds["correct"] == pytest.approx(1000, abs=100)
+    assert kinds["prior"] == pytest.approx(500, abs=80)
+    settings = station_variants.IMAGE_SETTINGS + station_variants.CLOUD_SETTINGS
+    assert {v.name for v in drawn} == {"correct", *station_variants.PRIOR_ERRORS, *settings}
+    assert station_variants.draw(np.random.default_rng([1, 7])) == drawn[7]
+    assert all(v.amount["order"] != list(range(6)) for v in drawn if v.name == "order")
+
+
+def test_a_correct_variant_gives_the_files_as_they_are(station: Path, tmp_path: Path) -> None:
+    path = station_variants.write(station, Variant("correct", "correct", noisy=True), tmp_path / "out")
+    tables = tomllib.loads(path.read_text())
+    assert tables["polarized"]["images"][1] == str(station / "noisy/pol_030.png")
+    assert tables["polarized"]["mask"] == str(station / "mask.png")
+    assert tables["camera"]["colmap_model"] == str(station / "gt_sparse")
+    assert tables["prior"]["cloud"] == "cloud.ply"
+    before = station_variants.read_cloud(station / "dense/mvs_cloud.ply")
+    after = station_variants.read_cloud(tmp_path / "out/cloud.ply")
+    np.testing.assert_allclose(in_camera(after), in_camera(before), atol=1e-4)
+    assert (after["red"] == before["red"]).all()
+
+
+def test_wrong_settings_change_the_station_file_only_there(station: Path, tmp_path: Path) -> None:
+    amounts: dict[str, dict[str, Any]] = {
+        "direction": dict(angle_direction="cw"),
+        "zero": dict(angle_zero_deg=-35.0),
+        "response": dict(response="srgb"),
+    }
+    right = tomllib.loads(
+        station_variants.write(station, Variant("correct", "correct"), tmp_path / "right").read_text()
+    )
+    for name, amount in amounts.items():
+        wrong = tomllib.loads(station_variants.write(station, variant(name, **amount), tmp_path / name).read_text())
+        assert wrong["polarized"] == right["polarized"] | amount
+    path = station_variants.write(station, variant("order", order=[1, 0, 2, 3, 4, 5]), tmp_path / "order")
+    images = tomllib.loads(path.read_text())["polarized"]["images"]
+    assert [Path(name).name for name in images[:2]] == ["pol_030.png", "pol_000.png"]
+
+
+def test_bias_and_shift_move_the_cloud_along_and_across_the_view(station: Path, tmp_path: Path) -> None:
+    before, after = changed_cloud(station, variant("bias", gsd=-5.0), tmp_path / "bias")
+    np.testing.assert_allclose(in_camera(after) - in_camera(before), [[0, 0, -5 * GSD]] * len(before), atol=1e-3)
+    before, after = changed_cloud(station, variant("shifted", share=0.1, axis_deg=90.0), tmp_path / "shifted")
+    np.testing.assert_allclose(
+        in_camera(after) - in_camera(before), [[0, 0.1 * GSD * WIDTH, 0]] * len(before), atol=1e-3
+    )
+
+
+def test_scale_and_unit(station: Path, tmp_path: Path) -> None:
+    before, after = changed_cloud(station, variant("scale", factor=1.04), tmp_path / "scale")
+    np.testing.assert_allclose(np.ptp(in_camera(after), axis=0), 1.04 * np.ptp(in_camera(before), axis=0), rtol=1e-4)
+    np.testing.assert_allclose(np.median(in_camera(after), 0), np.median(in_camera(before), 0), atol=1e-3)
+    before, after = changed_cloud(station, variant("unit", factor=0.1), tmp_path / "unit")
+    np.testing.assert_allclose(after["z"], 0.1 * before["z"], atol=1e-5)
+
+
+@pytest.mark.parametrize(("name", "axis"), [("tilt", [0.0, 1.0, 0.0]), ("turned", [0.0, 0.0, 1.0])])
+def test_turns_are_about_their_axis_and_turn_the_normals_too(
+    station: Path, tmp_path: Path, name: str, axis: list[float]
+) -> None:
+    before, after = changed_cloud(station, variant(name, deg=3.0, axis_deg=90.0), tmp_path / name)
+    a, b = (in_camera(c) - np.median(in_camera(before), 0) for c in (before, after))
+    np.testing.assert_allclose(b @ axis, a @ axis, atol=1e-3)
+    far = np.linalg.norm(np.cross(a, axis), axis=1) > 10
+    turned = np.cross(a, axis), np.cross(b, axis)
+    cosine = (turned[0] * turned[1]).sum(1) / np.linalg.norm(turned[0], axis=1) / np.linalg.norm(turned[1], axis=1)
+    np.testing.assert_allclose(np.degrees(np.arccos(cosine[far])), 3, atol=0.02)
+    angle = np.degrees(np.arccos((normals_in_camera(after) * normals_in_camera(before)).sum(1)))
+    np.testing.assert_allclose(angle, 3 if name == "tilt" else 0, atol=0.05)
+
+
+def test_a_mirrored_cloud_has_left_and_right_exchanged(station: Path, tmp_path: Path) -> None:
+    before, after = changed_cloud(station, variant("mirrored"), tmp_path / "mirrored")
+    a, b = in_camera(before), in_camera(after)
+    np.testing.assert_allclose(b[:, 0], 2 * np.median(a[:, 0]) - a[:, 0], atol=1e-3)
+    np.testing.assert_allclose(b[:, 1:], a[:, 1:], atol=1e-3)
+
+
+def test_holes_take_the_share_they_should(station: Path, tmp_path: Path) -> None:
+    before, after = changed_cloud(station, variant("holes", share=0.5, seed=3), tmp_path / "holes")
+    assert 0.3 < len(after) / len(before) < 0.5
+    assert set(map(tuple, after.tolist())) < set(map(tuple, before.tolist()))
+
+
+def truth_and_mask(station: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    truth = np.load(station / "gt/depth_normal_mask.npz")
+    return truth["depth"], harm.scored_pixels(truth["label"])
+
+
+def test_the_score_of_known_errors(station: Path) -> None:
+    truth, mask = truth_and_mask(station)
+    assert mask.sum() == (HEIGHT - 12) * (WIDTH - 12)
+    assert harm.figures(truth + 7, truth, mask, K, GSD)["rmse"] < 1e-9  # a constant is taken out
+    noise = np.random.default_rng(0).standard_normal(truth.shape)
+    noisy = harm.figures(truth + GSD * noise, truth, mask, K, GSD)
+    assert noisy["rmse"] == pytest.approx(1, rel=0.1)
+    assert noisy["detail_mad"] == pytest.approx(1, rel=0.1)
+    u = np.arange(WIDTH)[None, :] - K[0, 2]
+    tilted = harm.figures(truth + np.tan(np.radians(5)) * GSD * u, truth, mask, K, GSD)
+    assert tilted["normal_median"] == pytest.approx(5, abs=0.6)
+    assert tilted["detail_mad"] < 0.2 * tilted["rmse"]  # the mask's border bends the lowpass a little
+
+
+def result(level: str | None = "high", ratio: float = 1.0, name: str = "correct", code: int = 0, **more: Any) -> Any:
+    kind = "correct" if name == "correct" else "prior" if name in station_variants.PRIOR_ERRORS else "setting"
+    ran = dict(level=level, ratios=dict.fromkeys(harm.FIGURES, 1.0) | {"detail_mad": ratio}) if code == 0 else {}
+    what = dict(kind=kind, name=name, noisy=False, good_cloud=False, amount={})
+    base = dict(name="s", draw=0, scene="x", light="sun", metal=False, exit_code=code, message="why", variant=what)
+    return base | ran | more
+
+
+def test_what_counts_as_harm_and_what_marks_it() -> None:
+    assert harm.is_unmarked(result("high", 1.2))
+    assert harm.is_unmarked(result(None, 1.2))  # a result that says nothing is not marked
+    assert harm.is_harm(result("partial", 1.2)) and not harm.is_unmarked(result("partial", 1.2))
+    assert harm.is_harm(result(ratio=float("nan")))
+    assert not harm.is_harm(result(ratio=1.05))
+    assert harm.is_gain(result(ratio=0.5)) and not harm.is_gain(result(ratio=1.0))
+    assert harm.is_kept(result(ratio=1.001)) and not harm.is_kept(result(ratio=0.9))
+    assert harm.is_refused(result(code=2)) and not harm.is_failure(result(code=2))
+    assert harm.is_failure(result(code=2, message=""))
+    assert harm.is_failure(result(code=-11))
+
+
+def test_the_bars_leave_out_wrong_priors_and_metals() -> None:
+    good = [result(ratio=0.5) for _ in range(20)]
+    held = harm.bars([*good, result("high", 3.0, "shifted"), result("low", metal=True)])
+    assert all(bar["held"] for bar in held.values())
+    assert held["unmarked harm, prior itself wrong"]["count"] == 1
+    missed = harm.bars([*good, result("high", 3.0, "response"), result("low"), result(code=3)])
+    assert not missed["unmarked harm"]["held"] and not missed["low or refused of correct"]["held"]
+    assert missed["low or refused of correct"]["count"] == 2
+    assert not harm.bars([*good, result(code=-11)])["failed"]["held"]
+
+
+FAKE = """#!{python}
+# Stands in for malus-station: a prior with an error and a fused surface without, or an error message.
+import json, sys, tomllib
+from pathlib import Path
+import numpy as np, tifffile
+station, work = Path(sys.argv[1]), Path(sys.argv[3])
+if tomllib.loads(station.read_text())["polarized"].get("response") != "linear":
+    sys.stderr.write("response is wrong")
+    sys.exit(2)
+truth = np.load({truth!r})["depth"]
+rough = truth + np.random.default_rng(0).standard_normal(truth.shape)
+for name, depth in (("prior", rough), ("fused", truth)):
+    (work / name).mkdir(parents=True)
+    tifffile.imwrite(work / name / "depth.tif", depth.astype(np.float32))
+quality = dict(status="converged", warnings=[], confidence=dict(level="high", reasons=[]))
+(work / "quality.json").write_text(json.dumps(quality))
+"""
+
+
+def test_a_run_from_the_variant_to_the_tables(
+    station: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "fake"
+    program.write_text(FAKE.format(python=sys.executable, truth=str(station / "gt/depth_normal_mask.npz")))
+    program.chmod(0o755)
+    out = tmp_path / "out"
+    arguments = ["harm.py", str(station), "--executable", str(program), "-o", str(out), "--draws", "6", "--jobs", "2"]
+    monkeypatch.setattr(sys, "argv", arguments)
+    assert harm.main() == 0
+    written = json.loads((out / "harm.json").read_text())
+    assert written["tables"]["scene"]["bulge"]["stations"] == 6
+    assert written["bars"]["unmarked harm"]["count"] == 0
+    ran = [r for r in written["stations"] if r["exit_code"] == 0]
+    assert ran and all(r["ratios"]["detail_mad"] < 0.01 for r in ran)
+    assert "unmarked harm: 0 of" in capsys.readouterr().out
+    # The second time nothing is run again: what a station had is still there.
+    marker = out / f"{station.name}_0" / "marker"
+    marker.touch()
+    assert harm.main() == 0
+    assert marker.exists()
+
+
+def test_scoring_reads_the_workspace(station: Path, tmp_path: Path) -> None:
+    truth, _ = truth_and_mask(station)
+    noise = np.random.default_rng(0).standard_normal(truth.shape)
+    for name, factor in (("prior", 1.0), ("fused", 2.0)):
+        (tmp_path / name).mkdir()
+        tifffile.imwrite(tmp_path / name / "depth.tif", (truth + factor * noise).astype(np.float32))
+    assert harm.score(station, tmp_path)["ratios"]["rmse"] == pytest.approx(2, rel=0.01)
+    tifffile.imwrite(tmp_path / "fused/depth.tif", np.full(truth.shape, np.nan, np.float32))
+    assert harm.score(station, tmp_path) == {}
+
+
+# --- random stations
+
+
+def description(**station: Any) -> dict[str, Any]:
+    """What the renderer's scenes return, as far as it is read."""
+    corners = np.array([[-30, -20, 0], [30, 20, 12.0]])
+    mesh = dict(label=1, V=corners, bsdf=dict(type="pplastic", int_ior=1.5, alpha=0.2))
+    board = dict(label=2, V=corners * 9, bsdf=dict(type="pplastic", int_ior=1.5, alpha=0.35))
+    return dict(meshes=[mesh, board], stations=[dict(dist=500, **station)], views=dict(dist=540), material={})
+
+
+@pytest.mark.parametrize("station", [dict(tilt=(4.0, -5.0)), dict(direction=[0.3, 0.4, 0.9])])
+def test_lamps_stand_above_the_support_and_out_of_the_photographs(station: dict[str, Any]) -> None:
+    lights = SimpleNamespace(softbox=lambda center, size, radiance, target, up: (center, size), constant=lambda r: r)
+    sc = description(**station)
+    up = 1 if "direction" in station else 2
+    for seed in range(200):
+        light = random_stations.RandomLight(lights, sc, np.random.default_rng(seed))
+        assert light.radius == pytest.approx(np.linalg.norm([60, 40, 12]) / 2)  # of the object, not of the board
+        _, drawn = light.softbox((15, 82))
+        assert drawn["to_light"][up] > 0.05
+        half_angle = np.degrees(np.arctan(drawn["side"] / drawn["distance"] / 2))
+        assert drawn["zenith_deg"] - half_angle > 30 or drawn["distance"] > 540
+
+
+def test_every_light_is_drawn_the_same_again() -> None:
+    lights = SimpleNamespace(
+        softbox=lambda *a, **k: ("softbox", a, k), constant=lambda r: ("constant", r),
+        directional=lambda *a: ("sun", a), room=lambda f: ("room", f(np.eye(3))), rectangle_in_room=lambda d, *a: d[..., 0] > 0.9,
+    )  # fmt: skip
+    for kind in random_stations.LIGHTS:
+        first, second = (
+            random_stations.RandomLight(lights, description(tilt=(4, -5)), np.random.default_rng(5)).draw(kind)
+            for _ in range(2)
+        )
+        assert repr(first) == repr(second) and first[0]
+    raking = random_stations.RandomLight(lights, description(tilt=(0, 0)), np.random.default_rng(1)).draw("raking")[1]
+    assert 69 < raking["boxes"][0]["zenith_deg"] < 85
+
+
+def test_material_is_drawn_for_dielectrics_and_metals_keep_theirs() -> None:
+    said = []
+    for seed in range(40):
+        sc = description()
+        drawn = random_stations.draw_material(sc, np.random.default_rng(seed))
+        assert sc["meshes"][0]["bsdf"]["int_ior"] == drawn["refractive_index"]
+        assert sc["meshes"][1]["bsdf"]["int_ior"] == 1.5
+        assert 1.3 <= drawn["refractive_index"] <= 2 and 0.03 <= drawn["roughness"][0] <= 0.5
+        assert sc["material"]["refractive_index"] == drawn["index_said"]
+        said.append(drawn["index_said"] == 1.5)
+    assert 10 < sum(said) < 30
+    metal = description()
+    metal["meshes"][0]["bsdf"] = dict(type="roughconductor", alpha=0.1)
+    assert random_stations.draw_material(metal, np.random.default_rng(0)) == dict(metal=True)
+    assert metal["meshes"][0]["bsdf"] == dict(type="roughconductor", alpha=0.1)
