@@ -208,12 +208,16 @@ TESTS: dict[str, Callable[[Result], bool]] = {
 }
 
 
-def counts(results: Iterable[Result]) -> dict[str, int]:
+def counts(results: Iterable[Result]) -> dict[str, Any]:
+    """How many stations pass each test; medians of the fused surface's figures over the prior's."""
     listed = list(results)
-    return dict(stations=len(listed)) | {name: sum(map(test, listed)) for name, test in TESTS.items()}
+    ratios = [result["ratios"] for result in listed if "ratios" in result]
+    medians = {name: float(np.median([r[name] for r in ratios])) if ratios else None for name in FIGURES}
+    tested = {name: sum(map(test, listed)) for name, test in TESTS.items()}
+    return dict(stations=len(listed)) | tested | dict(median_ratios=medians)
 
 
-def table(results: list[Result], key: Callable[[Result], str]) -> dict[str, dict[str, int]]:
+def table(results: list[Result], key: Callable[[Result], str]) -> dict[str, dict[str, Any]]:
     rows = sorted({key(result) for result in results})
     return {row: counts(r for r in results if key(r) == row) for row in rows} | {"all": counts(results)}
 
@@ -240,10 +244,12 @@ def bars(results: list[Result]) -> dict[str, dict[str, Any]]:
     }
 
 
-def print_table(title: str, rows: dict[str, dict[str, int]]) -> None:
-    print(f"\n{title:30s} stations " + " ".join(f"{name:>8s}" for name in TESTS))
+def print_table(title: str, rows: dict[str, dict[str, Any]]) -> None:
+    print(f"\n{title:30s} stations " + " ".join(f"{name:>8s}" for name in TESTS) + "   median × rmse, detail, normals")
     for row, found in rows.items():
-        print(f"{row:30s} {found['stations']:8d} " + " ".join(f"{found[name]:8d}" for name in TESTS))
+        cells = " ".join(f"{found[name]:8d}" for name in TESTS)
+        ratios = ", ".join("–" if value is None else f"{value:.2f}" for value in found["median_ratios"].values())
+        print(f"{row:30s} {found['stations']:8d} {cells}   {ratios}")
 
 
 def print_case(result: Result) -> None:

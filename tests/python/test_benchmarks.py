@@ -204,6 +204,13 @@ def test_what_counts_as_harm_and_what_marks_it() -> None:
     assert harm.is_failure(result(code=-11))
 
 
+def test_the_counts_of_a_table_row() -> None:
+    row = harm.counts([result(ratio=0.5), result("low", 0.7), result("partial", 1.5), result(code=2)])
+    assert (row["stations"], row["gain"], row["harm"], row["low"], row["refused"]) == (4, 2, 1, 1, 1)
+    assert row["median_ratios"]["detail_mad"] == pytest.approx(0.7)
+    assert harm.counts([result(code=2)])["median_ratios"]["rmse"] is None
+
+
 def test_the_bars_leave_out_wrong_priors_and_metals() -> None:
     good = [result(ratio=0.5) for _ in range(20)]
     held = harm.bars([*good, result("high", 3.0, "shifted"), result("low", metal=True)])
