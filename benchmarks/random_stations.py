@@ -97,7 +97,8 @@ class RandomLight:
         return [box], dict(to_light=d.tolist(), zenith_deg=zenith, distance=distance, side=side)
 
     def constant(self) -> tuple[list[Any], dict[str, Any]]:
-        return [self.lights.constant(1.0)], {}
+        # The renderer's constant light is not sampled by itself, and Mitsuba wants one that is: a sun too faint to be seen.
+        return [self.lights.constant(1.0), self.lights.directional(self.facing, 1e-9)], {}
 
     def sun(self) -> tuple[list[Any], dict[str, Any]]:
         d, zenith = self.direction((15, 70))
