@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import whole_station
-from measuring import ROOT, Row, comparison, medians, peer, program, table, touch_memory
+from measuring import ROOT, Row, comparison, medians, peer, program, table
 
 
 def height_system(arguments: argparse.Namespace, folder: Path) -> str:
@@ -26,47 +26,22 @@ def height_system(arguments: argparse.Namespace, folder: Path) -> str:
 
     rows = medians(
         {
-            "Malus multigrid": solver("multigrid", threads),
-            "Malus multigrid, 1 thread": solver("multigrid", 1),
-            "Malus, CHOLMOD by position": solver("cholmod-by-position", threads),
-            "Malus, CHOLMOD by position, 1 thread": solver("cholmod-by-position", 1),
+            "Malus, CHOLMOD by position": solver("direct", threads),
+            "Malus, conjugate gradients, to 1e-6": solver("iterative", threads),
             "CHOLMOD (METIS)": solver("cholmod", 1),
             "PyAMG, smoothed aggregation": lambda: peer("pyamg", system),
         },
         arguments.runs,
     )
-    sides = [round(side * factor) for factor in (2, 4, 4.243)]
-
-    def large_system(n: int) -> Row:
-        touch_memory(6.5)
-        return program("height_system", n, threads, "multigrid")
-
-    large = medians({str(n): lambda n=n: large_system(n) for n in sides}, 1)
-    a_pixel = rows["Malus multigrid"]["seconds"] / side**2
-    growth = table(
-        ["side", "seconds", "peak GB", "iterations", "a pixel, × the first"],
-        [
-            [
-                name,
-                f"{row['seconds']:.1f}",
-                f"{row['gb']:.2f}",
-                f"{row['iterations']:.0f}",
-                f"{row['seconds'] / int(name) ** 2 / a_pixel:.2f}",
-            ]
-            for name, row in ({str(side): rows["Malus multigrid"]} | large).items()
-        ],
-    )
-    return f"""## Height system, {side} × {side} pixels, to 1e-8
+    return f"""## Height system, {side} × {side} pixels
 
 Central differences, anisotropic in every direction somewhere (`tests/cpp/linalg/height_like_system.h`); seconds from the assembled system
-to the solution, factorizations and hierarchies included; peak memory with the system. CHOLMOD is its own supernodal code in its default ordering
-(METIS) on one thread; `by position` is CHOLMOD's analysis of our ordering and our factorization (decision 26).
+to the solution, factorizations included; peak memory with the system. `CHOLMOD (METIS)` is the same code in its default ordering, `by position` in ours
+(decision 20), both on one thread.
 
-{comparison(rows, "Malus multigrid", "iterations")}
+{comparison(rows, "Malus, CHOLMOD by position", "iterations")}
 
-PyAMG reaches {rows["PyAMG, smoothed aggregation"]["residual"]:.1e} of the first residual in at most 200 iterations. Larger systems by multigrid, one run each:
-
-{growth}
+PyAMG reaches {rows["PyAMG, smoothed aggregation"]["residual"]:.1e} of the first residual in at most 200 iterations.
 """
 
 
@@ -229,7 +204,7 @@ def main() -> None:
 
 Written by `benchmarks/run` on {platform.processor() or platform.machine()}, {arguments.threads} threads; medians of {arguments.runs}, each in a process of its own, in turn.
 Memory is written to and freed just before each, since a virtual machine's host may have taken back what was free (0.45 GB/s to get it
-again were seen, 6 GB/s after that). Only ratios within a table can be compared with other machines. Instructions of the kernels are held fast by `scripts/test` (decision 35), the surface
+again were seen, 6 GB/s after that). Only ratios within a table can be compared with other machines. Instructions of the kernels are counted by `tests/performance/run` (decision 35), the surface
 sweep is measured by `benchmarks/sweep.py` (docs/method.md).
 
 {text}"""

@@ -18,7 +18,6 @@ using namespace malus;
 namespace {
 
 constexpr double relative_ridge = 1e-11;
-constexpr double tolerance = 1e-8;
 
 void export_system(const GridSystem& system, double ridge, const std::string& path) {
   const SymmetricSolver::Matrix lower = system.lower(ridge);
@@ -38,7 +37,7 @@ void export_system(const GridSystem& system, double ridge, const std::string& pa
 
 int main(int count, char** arguments) {
   if (count < 4) {
-    std::cerr << "usage: height_system SIDE THREADS multigrid|cholmod|cholmod-by-position|export [FILE]\n";
+    std::cerr << "usage: height_system SIDE THREADS iterative|cholmod|direct|export [FILE]\n";
     return 2;
   }
   const int side = std::stoi(arguments[1]);
@@ -60,7 +59,7 @@ int main(int count, char** arguments) {
   const auto start = std::chrono::steady_clock::now();
   if (solver == "cholmod") {
     const SymmetricSolver::Matrix lower = system.lower(ridge);
-    // As a user of the library would have it, factorization and all; ours takes its analysis only.
+    // As a user of the library would have it, in its own order.
     Eigen::CholmodSupernodalLLT<SymmetricSolver::Matrix, Eigen::Lower> direct;
     // What it would choose in the end, without trying others first.
     direct.cholmod().nmethods = 1;
@@ -69,8 +68,7 @@ int main(int count, char** arguments) {
     x = direct.solve(system.right());
     residual = (lower.selfadjointView<Eigen::Lower>() * x - system.right()).norm() / system.right().norm();
   } else {
-    const GridMethod method = solver == "multigrid" ? GridMethod::multigrid : GridMethod::direct;
-    GridSolver grid(pixels, {.method = method, .tolerance = tolerance}, context);
+    GridSolver grid(pixels, context, solver == "direct" ? pixels.count() : 0);
     grid.solve(system, ridge, x);
     iterations = grid.summary().iterations;
     residual = grid.summary().relative_residual;

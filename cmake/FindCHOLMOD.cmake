@@ -1,17 +1,17 @@
-# Debian's SuiteSparse 5 ships no CMake package for CHOLMOD. Defines the target CHOLMOD::CHOLMOD, with the BLAS and LAPACK
-# that CHOLMOD itself is linked with: another implementation beside them would start threads of its own.
+# Debian's SuiteSparse 5 ships no CMake package for CHOLMOD. Defines the target CHOLMOD::CHOLMOD, with OpenBLAS and the
+# OpenMP runtime beside it: CHOLMOD calls both, and linalg/sequential_blas holds their threads back.
 find_path(CHOLMOD_INCLUDE_DIR cholmod.h PATH_SUFFIXES suitesparse)
 find_library(CHOLMOD_LIBRARY cholmod)
-find_library(CHOLMOD_LAPACK_LIBRARY lapack)
-find_library(CHOLMOD_BLAS_LIBRARY blas)
+find_library(CHOLMOD_OPENBLAS_LIBRARY openblas)
+find_package(OpenMP QUIET COMPONENTS CXX)
 include(FindPackageHandleStandardArgs)
-find_package_handle_standard_args(CHOLMOD REQUIRED_VARS CHOLMOD_LIBRARY CHOLMOD_LAPACK_LIBRARY
-                                  CHOLMOD_BLAS_LIBRARY CHOLMOD_INCLUDE_DIR)
+find_package_handle_standard_args(CHOLMOD REQUIRED_VARS CHOLMOD_LIBRARY CHOLMOD_OPENBLAS_LIBRARY OpenMP_gomp_LIBRARY
+                                  CHOLMOD_INCLUDE_DIR)
 if(CHOLMOD_FOUND AND NOT TARGET CHOLMOD::CHOLMOD)
-  add_library(CHOLMOD::CHOLMOD UNKNOWN IMPORTED)
-  set_target_properties(CHOLMOD::CHOLMOD PROPERTIES IMPORTED_LOCATION ${CHOLMOD_LIBRARY}
-                                                    INTERFACE_INCLUDE_DIRECTORIES ${CHOLMOD_INCLUDE_DIR}
+  add_library(CHOLMOD::CHOLMOD INTERFACE IMPORTED)
+  # OpenBLAS first: Ceres brings ATLAS, and which of the two is searched first serves all.
+  set_target_properties(CHOLMOD::CHOLMOD PROPERTIES INTERFACE_INCLUDE_DIRECTORIES ${CHOLMOD_INCLUDE_DIR}
                                                     INTERFACE_LINK_LIBRARIES
-                                                    "${CHOLMOD_LAPACK_LIBRARY};${CHOLMOD_BLAS_LIBRARY}")
+                                                    "${CHOLMOD_OPENBLAS_LIBRARY};${CHOLMOD_LIBRARY};${OpenMP_gomp_LIBRARY}")
 endif()
-mark_as_advanced(CHOLMOD_INCLUDE_DIR CHOLMOD_LIBRARY CHOLMOD_LAPACK_LIBRARY CHOLMOD_BLAS_LIBRARY)
+mark_as_advanced(CHOLMOD_INCLUDE_DIR CHOLMOD_LIBRARY CHOLMOD_OPENBLAS_LIBRARY)

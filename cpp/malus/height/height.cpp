@@ -18,12 +18,10 @@ constexpr float none = std::numeric_limits<float>::quiet_NaN();
 /// Gauss–Newton steps that raise the cost by more than this are halved, at most so often.
 constexpr double allowed_rise = 1.05;
 constexpr int most_halvings = 5;
-/// Rasters of at most so many pixels are solved as a whole; larger ones start from half the resolution and are finished
-/// in tiles, which overlap by twice a margin.
-constexpr std::size_t whole_pixels = 500'000;
-constexpr int tile_px = 512, margin_px = 24;
-/// |A x − b| / |b| of linear systems that are only a start.
-constexpr double start_accuracy = 1e-3, final_accuracy = 1e-6;
+/// Rasters of at most so many pixels are solved as a whole, the likelihood by some ten systems and the linear methods
+/// by one; larger ones start from half the resolution and are finished in tiles, which overlap by twice a margin.
+constexpr std::size_t whole_pixels = 200'000, whole_linear_pixels = 500'000;
+constexpr int tile_px = 256, margin_px = 24;
 
 void validate(const HeightInput& input, const HeightOptions& options) {
   validate_fields(options, "height");
@@ -103,7 +101,7 @@ bool step(HeightProblem& problem, Eigen::VectorXd& height, double& cost, HeightM
 std::string maximize_likelihood(HeightProblem& problem, const HeightData& data, const HeightOptions& options,
                                 const Context& context, Eigen::VectorXd& height, HeightMap& map) {
   Eigen::VectorXd next;
-  if (problem.solve_linear(true, start_accuracy, next) != SolveStatus::solved) return "singular";
+  if (problem.solve_linear(true, next) != SolveStatus::solved) return "singular";
   ++map.iterations;
   if (problem.linearize(next) < problem.linearize(height)) height = next;
   if (const auto start = prior_start(data, problem); start && problem.linearize(*start) < problem.linearize(height)) {
@@ -124,18 +122,17 @@ void solve_whole(const HeightData& data, const HeightOptions& options, const Hei
   HeightProblem problem(data, options, light, context);
   Eigen::VectorXd height;
   const bool literal = options.method == HeightMethod::literal, likelihood = options.method == HeightMethod::likelihood;
-  const SolveStatus linear = problem.solve_linear(literal, likelihood ? start_accuracy : final_accuracy, height);
+  const SolveStatus linear = problem.solve_linear(literal, height);
   map.iterations = 1;
   map.solver_bytes = problem.solver_bytes();
   map.solver_iterations = problem.solver_iterations();
-  if (linear != SolveStatus::solved) {
-    map.status = "singular";
-    return;
+  map.status = linear == SolveStatus::solved ? "converged" : "singular";
+  if (likelihood && map.status == "converged") {
+    map.status = maximize_likelihood(problem, data, options, context, height, map);
   }
-  map.status = likelihood ? maximize_likelihood(problem, data, options, context, height, map) : "converged";
-  map.solver_iterations = problem.solver_iterations();
   if (map.status == "singular") return;
   map.residual_rms = problem.residual_rms(height, literal, likelihood);
+  map.height = Image<float>(data.size(), 1, none);
   for (int i = 0; i < problem.unknowns(); ++i)
     map.height(problem.pixels().u(i), problem.pixels().v(i)) = static_cast<float>(height[i]);
 }
@@ -159,7 +156,7 @@ void hold_ring(HeightData& tile, const Image<float>& start, PixelRect box, Size 
   }
 }
 
-/// What a Gauss–Newton step made of the start in a tile.
+/// What a step made of the start in a tile.
 struct TileResult {
   Image<float> height;
   HeightMap map;
@@ -171,25 +168,33 @@ TileResult solve_tile(const HeightData& tile, const Image<float>& start, PixelRe
                       const HeightLight& light, const Context& context) {
   TileResult result;
   result.height = Image<float>(tile.size(), 1, none);
-  HeightProblem problem(tile, options, light, context);
+  const bool literal = options.method == HeightMethod::literal, likelihood = options.method == HeightMethod::likelihood;
+  // One step from a start that is good: a factorization would take four times as long.
+  HeightProblem problem(tile, options, light, context, likelihood ? 0 : GridSolver::most_direct_unknowns);
   result.pixels = static_cast<std::size_t>(problem.unknowns());
   if (problem.unknowns() == 0) return result;
   Eigen::VectorXd height(problem.unknowns());
   for (int i = 0; i < problem.unknowns(); ++i)
     height[i] = start(box.u0 + problem.pixels().u(i), box.v0 + problem.pixels().v(i));
-  double cost = problem.linearize(height);
-  // One is enough: the start has all but the finest detail. Where a tile cannot be solved the start remains.
-  step(problem, height, cost, result.map);
+  // Where a tile cannot be solved the start remains.
+  if (likelihood) {
+    // One step is enough: the start has all but the finest detail.
+    double cost = problem.linearize(height);
+    step(problem, height, cost, result.map);
+  } else if (Eigen::VectorXd solution = height; problem.solve_linear(literal, solution) == SolveStatus::solved) {
+    result.map.iterations = 1;
+    height = solution;
+  }
   result.map.solver_bytes = problem.solver_bytes();
   result.map.solver_iterations = problem.solver_iterations();
   for (int i = 0; i < problem.unknowns(); ++i) {
     result.height(problem.pixels().u(i), problem.pixels().v(i)) = static_cast<float>(height[i]);
-    result.squares += problem.likelihood_square(i, height);
+    result.squares += likelihood ? problem.likelihood_square(i, height) : problem.linear_square(i, height, literal);
   }
   return result;
 }
 
-/// A Gauss–Newton step in tiles from a start at the raster's resolution; tile(box) gives their data. map.height becomes
+/// A step in tiles from a start at the raster's resolution; tile(box) gives their data. map.height becomes
 /// the result.
 void solve_in_tiles(const std::function<HeightData(PixelRect)>& tile, const Image<float>& start,
                     const HeightOptions& options, const HeightLight& light, const Context& context, HeightMap& map) {
@@ -236,11 +241,15 @@ void solve_in_tiles(const std::function<HeightData(PixelRect)>& tile, const Imag
   map.last_update = std::sqrt(changes / std::max(pixels, 1.0));
 }
 
-/// The height of a raster of any size by the likelihood: of half the resolution first, then in tiles.
+/// Whether a raster is solved as a whole.
+bool is_whole(Size size, const HeightOptions& options) {
+  return size.area() <= (options.method == HeightMethod::likelihood ? whole_pixels : whole_linear_pixels);
+}
+
+/// The height of a raster of any size: of half the resolution first, then in tiles.
 void solve_by_levels(const HeightData& data, const HeightOptions& options, const HeightLight& light,
                      const Context& context, HeightMap& map) {
-  if (data.size().area() <= whole_pixels) {
-    map.height = Image<float>(data.size(), 1, none);
+  if (is_whole(data.size(), options)) {
     solve_whole(data, options, light, context, map);
     return;
   }
@@ -296,7 +305,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
   map.unknowns =
       static_cast<std::size_t>(std::count_if(object.begin(), object.end(), [](std::uint8_t m) { return m != 0; }));
   const PixelRect all{0, 0, state.size().width, state.size().height};
-  if (options.method == HeightMethod::likelihood && state.size().area() > whole_pixels) {
+  if (!is_whole(state.size(), options)) {
     solve_by_levels(coarsened(input, options, context), options, model, context, map);
     if (map.status == "singular") {
       map.height = Image<float>(state.size(), 1, none);

@@ -9,7 +9,6 @@
 #include "malus/core/image.h"
 #include "malus/height/height_map.h"
 #include "malus/lighting/light.h"
-#include "malus/linalg/grid_solver.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/polarization/reflection.h"
 
@@ -47,7 +46,6 @@ struct HeightOptions {
   double stokes_error = 0.002;
   double outlier_scale = 5;
   double damping = 30;
-  GridMethod solver = GridMethod::automatic;
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
@@ -67,8 +65,6 @@ struct HeightOptions {
           "weight of the change of the slope in one Gauss-Newton step; holds slopes that nothing determines");
     visit("outlier_scale", self.outlier_scale, Range{0.1, 1e6},
           "residual of a pixel, in standard deviations, at which it has half its weight");
-    visit("solver", self.solver, any_value,
-          "linear systems by factorization or by multigrid; automatic = by their size");
   }
 };
 

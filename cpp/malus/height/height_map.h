@@ -20,7 +20,7 @@ struct HeightMap {
   int iterations = 0;         ///< linear systems solved
   double last_update = 0;     ///< RMS change of the slope in the last of them
   int solver_iterations = 0;  ///< of conjugate gradients, all systems together; 0 if they were factorized
-  double solver_bytes = 0;    ///< memory of the factor or of the multigrid
+  double solver_bytes = 0;    ///< memory of the factor, complete or incomplete
 };
 
 }  // namespace malus

@@ -15,17 +15,14 @@ constexpr double smallest_cosine = 0.05;
 constexpr double relative_ridge = 1e-11, relative_hold = 1e-8;
 /// Weight of a pixel that is held because the surface goes on beyond.
 constexpr double ring_weight = 1e4;
-/// |A x − b| / |b| at which an iterative solver ends at the latest: far below what a Gauss–Newton step leaves.
-constexpr double solver_tolerance = 1e-6;
-/// |A x − b| / |A start − b| at which a Gauss–Newton step ends: the next one corrects what is left, with better
-/// weights.
-constexpr double step_accuracy = 0.1;
+/// |A x − b| / |A start − b| at which conjugate gradients end a Gauss–Newton step.
+constexpr double step_reduction = 0.1;
 constexpr std::size_t grain = 4096;
 
 }  // namespace
 
 HeightProblem::HeightProblem(const HeightData& data, const HeightOptions& options, const HeightLight& light,
-                             const Context& context)
+                             const Context& context, int direct_unknowns)
     : data_(data),
       options_(options),
       light_(light),
@@ -33,7 +30,7 @@ HeightProblem::HeightProblem(const HeightData& data, const HeightOptions& option
       context_(context),
       pixels_(data.object),
       system_(pixels_),
-      solver_(pixels_, {.method = options.solver, .tolerance = solver_tolerance}, context),
+      solver_(pixels_, context, direct_unknowns),
       frames_(static_cast<std::size_t>(pixels_.count())),
       terms_(frames_.size()) {
   for_each_pixel([&](int i) { frames_[static_cast<std::size_t>(i)] = frame_at(pixels_.u(i), pixels_.v(i)); });
@@ -45,13 +42,9 @@ Eigen::VectorXd HeightProblem::values_of(const Image<float>& raster) const {
   return values;
 }
 
-SolveStatus HeightProblem::solve_linear(bool literal, double accuracy, Eigen::VectorXd& height) {
+SolveStatus HeightProblem::solve_linear(bool literal, Eigen::VectorXd& height) {
   for_each_pixel([&](int i) { terms_[static_cast<std::size_t>(i)] = linear_term(i, literal); });
-  assemble();
-  height.resize(0);
-  const SolveStatus status = solver_.solve(system_, relative_ridge * system_.largest_diagonal(), height, accuracy);
-  solver_iterations_ += solver_.summary().iterations;
-  return status;
+  return solve_assembled(0, height);
 }
 
 double HeightProblem::linearize(const Eigen::VectorXd& height) {
@@ -64,13 +57,15 @@ double HeightProblem::linearize(const Eigen::VectorXd& height) {
 }
 
 SolveStatus HeightProblem::solve_linearized(Eigen::VectorXd& height) {
+  return solve_assembled(step_reduction, height);
+}
+
+SolveStatus HeightProblem::solve_assembled(double reduction, Eigen::VectorXd& height) {
   assemble();
   const bool goes_on = !data_.ring_height.empty();
   const double ridge = (goes_on ? relative_hold : relative_ridge) * system_.largest_diagonal();
   for (int i = 0; goes_on && i < pixels_.count(); ++i) system_.add_right(i, ridge * height[i]);
-  const SolveStatus status = solver_.solve(system_, ridge, height, step_accuracy);
-  solver_iterations_ += solver_.summary().iterations;
-  return status;
+  return solver_.solve(system_, ridge, height, reduction);
 }
 
 double HeightProblem::slope_rms(const Eigen::VectorXd& height) const {

@@ -20,22 +20,25 @@ struct HeightLight {
 /// The height's least-squares problem: one unknown a pixel of the object.
 class HeightProblem {
  public:
-  /// Data and options must outlive this.
-  HeightProblem(const HeightData& data, const HeightOptions& options, const HeightLight& light, const Context& context);
+  /// Data and options must outlive this. Systems with more than `direct_unknowns` are solved by conjugate gradients.
+  HeightProblem(const HeightData& data, const HeightOptions& options, const HeightLight& light, const Context& context,
+                int direct_unknowns = GridSolver::most_direct_unknowns);
 
   int unknowns() const { return pixels_.count(); }
   const PixelIndex& pixels() const { return pixels_; }
   double solver_bytes() const { return solver_.summary().bytes; }
-  int solver_iterations() const { return solver_iterations_; }
+  /// Of the last solution, by conjugate gradients; 0 where systems are factorized.
+  int solver_iterations() const { return solver_.summary().iterations; }
 
   /// A raster's values at the unknowns.
   Eigen::VectorXd values_of(const Image<float>& raster) const;
 
-  /// Solves the linear system of Eq 9 and 11 until the residual is this share of the right side.
-  SolveStatus solve_linear(bool literal, double accuracy, Eigen::VectorXd& height);
+  /// Solves the linear system of Eq 9 and 11. Where the surface goes on beyond the raster, `height` must have a start.
+  SolveStatus solve_linear(bool literal, Eigen::VectorXd& height);
   /// Linearizes the likelihood at a height; returns its robust cost per pixel.
   double linearize(const Eigen::VectorXd& height);
-  /// Minimizes the linearized likelihood; multigrid starts from `height`.
+  /// Minimizes the likelihood as linearized at `height`, which becomes where it is least; conjugate gradients end where
+  /// the residual is a tenth of what it was, as the next step corrects the rest with better weights.
   SolveStatus solve_linearized(Eigen::VectorXd& height);
 
   /// RMS of the derivatives of a height.
@@ -105,6 +108,7 @@ class HeightProblem {
   double robust_weight(double square) const { return 1 / (1 + square / square_limit()); }
   double likelihood_term(int i, const Eigen::VectorXd& height, Term& term) const;
   void assemble();
+  SolveStatus solve_assembled(double reduction, Eigen::VectorXd& height);
   void add_term(const Term& term, const Difference& by_u, const Difference& by_v);
   void add_smoothness(int here, int before, int after);
   void add_held(int i, const Image<float>& heights, double weight);
@@ -119,7 +123,6 @@ class HeightProblem {
   GridSolver solver_;
   std::vector<Frame> frames_;
   std::vector<Term> terms_;
-  int solver_iterations_ = 0;
 };
 
 }  // namespace malus

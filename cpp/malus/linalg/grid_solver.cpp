@@ -1,32 +1,37 @@
 #include "malus/linalg/grid_solver.h"
 
+#include <Eigen/IterativeLinearSolvers>
 #include <cmath>
 #include <new>
 #include <string>
+#include <utility>
 
-#include "malus/linalg/conjugate_gradients_internal.h"
 #include "malus/linalg/nested_dissection.h"
 
 namespace malus {
+namespace {
 
-GridSolver::GridSolver(const PixelIndex& pixels, const GridSolverOptions& options, const Context& context)
-    : pixels_(&pixels), options_(options), context_(context) {
-  if (options_.method == GridMethod::automatic) {
-    options_.method = pixels.count() <= options.direct_unknowns ? GridMethod::direct : GridMethod::multigrid;
-  }
-}
+/// Far more than the largest rasters take from a start at half the resolution.
+constexpr int most_iterations = 20'000;
 
-GridSolver::~GridSolver() = default;
+using IncompleteCholesky = Eigen::IncompleteCholesky<double, Eigen::Lower, Eigen::NaturalOrdering<int>>;
 
-SolveStatus GridSolver::solve(const GridSystem& system, double ridge, Eigen::VectorXd& x, double reduction) {
+}  // namespace
+
+GridSolver::GridSolver(const PixelIndex& pixels, const Context& context, int direct_unknowns)
+    : pixels_(&pixels), context_(context), direct_unknowns_(direct_unknowns) {}
+
+SolveStatus GridSolver::solve(const GridSystem& system, double ridge, Eigen::VectorXd& x, double reduction) try {
   summary_ = {};
-  summary_.method = options_.method;
-  return options_.method == GridMethod::direct ? solve_direct(system, ridge, x)
-                                               : solve_multigrid(system, ridge, reduction, x);
+  const SymmetricSolver::Matrix matrix = system.lower(ridge);
+  return is_direct() ? solve_direct(matrix, system.right(), x)
+                     : solve_iteratively(matrix, system.right(), reduction, x);
+} catch (const std::bad_alloc&) {
+  throw resource_error("linear system of " + std::to_string(pixels_->count()) + " unknowns: out of memory");
 }
 
-SolveStatus GridSolver::solve_direct(const GridSystem& system, double ridge, Eigen::VectorXd& x) {
-  const SymmetricSolver::Matrix matrix = system.lower(ridge);
+SolveStatus GridSolver::solve_direct(const SymmetricSolver::Matrix& matrix, const Eigen::VectorXd& right,
+                                     Eigen::VectorXd& x) {
   if (!direct_) {
     direct_.emplace(context_);
     direct_->analyze(matrix, nested_dissection(*pixels_, GridSystem::reach));
@@ -34,22 +39,42 @@ SolveStatus GridSolver::solve_direct(const GridSystem& system, double ridge, Eig
   summary_.bytes = direct_->estimate().factor_bytes;
   const SolveStatus factorized = direct_->factorize(matrix);
   if (factorized != SolveStatus::solved) return factorized;
-  const SolveStatus status = direct_->solve(matrix, system.right(), x);
+  const SolveStatus status = direct_->solve(matrix, right, x);
   summary_.relative_residual = direct_->relative_residual();
   return status;
 }
 
-SolveStatus GridSolver::solve_multigrid(const GridSystem& system, double ridge, double reduction,
-                                        Eigen::VectorXd& x) try {
-  ConjugateGradients solver(system, ridge, context_);
-  const SolveStatus status = solver.solve(options_.tolerance, reduction, options_.max_iterations, x);
-  summary_.iterations = solver.iterations();
-  summary_.relative_residual = solver.relative_residual();
-  summary_.bytes = solver.bytes();
-  return status;
-} catch (const std::bad_alloc&) {
-  throw resource_error("linear system of " + std::to_string(pixels_->count()) +
-                       " unknowns: out of memory in multigrid");
+/// Eigen's own loop cannot be interrupted.
+SolveStatus GridSolver::solve_iteratively(const SymmetricSolver::Matrix& matrix, const Eigen::VectorXd& right,
+                                          double reduction, Eigen::VectorXd& x) {
+  const auto lower = matrix.selfadjointView<Eigen::Lower>();
+  const IncompleteCholesky preconditioner(matrix);
+  if (preconditioner.info() != Eigen::Success) return SolveStatus::not_positive_definite;
+  summary_.bytes = 12.0 * static_cast<double>(matrix.nonZeros());
+  if (x.size() != right.size()) x = Eigen::VectorXd::Zero(right.size());
+  const double scale = right.norm() > 0 ? right.norm() : 1;
+  Eigen::VectorXd residual = right - lower * x, direction, product(right.size());
+  const double enough = std::max(tolerance * scale, reduction * residual.norm());
+  double along = 0;
+  for (; residual.norm() > enough; ++summary_.iterations) {
+    context_.check_cancel();
+    summary_.relative_residual = residual.norm() / scale;
+    if (summary_.iterations == most_iterations) return SolveStatus::inaccurate;
+    product = preconditioner.solve(residual);
+    const double along_before = std::exchange(along, residual.dot(product));
+    if (summary_.iterations == 0) {
+      direction = product;
+    } else {
+      direction = product + along / along_before * direction;
+    }
+    product.noalias() = lower * direction;
+    const double curvature = direction.dot(product);
+    if (!(along > 0) || !(curvature > 0)) return SolveStatus::not_positive_definite;
+    x += along / curvature * direction;
+    residual -= along / curvature * product;
+  }
+  summary_.relative_residual = residual.norm() / scale;
+  return SolveStatus::solved;
 }
 
 }  // namespace malus

@@ -1,8 +1,6 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <cstddef>
-#include <memory>
 #include <optional>
 
 #include "malus/core/context.h"
@@ -11,53 +9,45 @@
 
 namespace malus {
 
-/// How a grid system is solved.
-enum class GridMethod {
-  automatic,  ///< direct for small systems, multigrid for large ones
-  direct,     ///< CHOLMOD, nested dissection by pixel position
-  multigrid,  ///< conjugate gradients preconditioned by a geometric multigrid V-cycle
-};
-constexpr auto names_of(GridMethod) {
-  return std::to_array<std::string_view>({"automatic", "direct", "multigrid"});
-}
-
-struct GridSolverOptions {
-  GridMethod method = GridMethod::automatic;
-  int direct_unknowns = 200'000;  ///< automatic: largest system that is factorized
-  double tolerance = 1e-8;        ///< multigrid: |A x − b| / |b| at which it ends
-  int max_iterations = 500;       ///< multigrid
-};
-
 /// What a solve took; nothing here depends on the machine.
 struct GridSolveSummary {
-  GridMethod method = GridMethod::automatic;  ///< automatic = not run
-  int iterations = 0;                         ///< of conjugate gradients; 0 for a direct solve
-  double relative_residual = 0;               ///< |A x − b| / |b|
-  double bytes = 0;                           ///< of the factor, or of the multigrid's matrices and vectors
+  int iterations = 0;            ///< of conjugate gradients; 0 for a direct solve
+  double relative_residual = 0;  ///< |A x − b| / |b|
+  double bytes = 0;              ///< of the factor, complete or incomplete
 };
 
-/// Solver of the symmetric positive definite systems of one pixel grid.
+/// Solver of the symmetric positive definite systems of one pixel grid: by CHOLMOD, in an elimination order that the
+/// pixels' positions give (nested dissection); systems above a size, or all, by conjugate gradients preconditioned by
+/// Eigen's incomplete Cholesky factorization.
 class GridSolver {
  public:
-  GridSolver(const PixelIndex& pixels, const GridSolverOptions& options, const Context& context);
-  ~GridSolver();
+  /// The largest systems that are factorized: their factor takes 1.1 GB and some seconds.
+  static constexpr int most_direct_unknowns = 500'000;
+  /// |A x − b| / |b| at which conjugate gradients end.
+  static constexpr double tolerance = 1e-6;
 
-  /// x = (A + ridge I)⁻¹ b. If x has the system's size it is where multigrid starts from. Disconnected parts of the
-  /// mask need nothing but the ridge to hold them: their constants are solved for exactly. The pattern of the system
-  /// must stay the same from call to call. Multigrid also ends when |A x − b| has come down to `reduction` times what
-  /// it was at the start. Running out of memory throws ErrorCode::resource; what cannot be solved is a
-  /// status.
+  /// `direct_unknowns`: systems with more are solved by conjugate gradients.
+  GridSolver(const PixelIndex& pixels, const Context& context, int direct_unknowns = most_direct_unknowns);
+
+  /// Whether the systems are factorized.
+  bool is_direct() const { return pixels_->count() <= direct_unknowns_; }
+
+  /// x = (A + ridge I)⁻¹ b. Conjugate gradients start from x if it has the system's size, and take fewer iterations the
+  /// better it is; they also end where |A x − b| is this share (`reduction`) of what it was at the start. The pattern
+  /// of the system must stay the same from call to call. Running out of memory throws ErrorCode::resource; what cannot
+  /// be solved is a status.
   SolveStatus solve(const GridSystem& system, double ridge, Eigen::VectorXd& x, double reduction = 0);
 
   const GridSolveSummary& summary() const { return summary_; }
 
  private:
-  SolveStatus solve_direct(const GridSystem& system, double ridge, Eigen::VectorXd& x);
-  SolveStatus solve_multigrid(const GridSystem& system, double ridge, double reduction, Eigen::VectorXd& x);
+  SolveStatus solve_direct(const SymmetricSolver::Matrix& matrix, const Eigen::VectorXd& right, Eigen::VectorXd& x);
+  SolveStatus solve_iteratively(const SymmetricSolver::Matrix& matrix, const Eigen::VectorXd& right, double reduction,
+                                Eigen::VectorXd& x);
 
   const PixelIndex* pixels_;
-  GridSolverOptions options_;
   Context context_;
+  int direct_unknowns_;
   std::optional<SymmetricSolver> direct_;
   GridSolveSummary summary_;
 };

@@ -2,9 +2,9 @@
 
 namespace malus {
 
-/// While one lives, the BLAS (if it is OpenBLAS) and the OpenMP loops that CHOLMOD starts from the calling thread run
-/// on that thread alone. Their own threads would fight with ours for the cores and spin while they wait (measured: as
-/// much system time again as work, for no gain), and their number would show in the last digits of the results.
+/// While one lives, OpenBLAS and the OpenMP loops that CHOLMOD starts from the calling thread run on that thread alone.
+/// Their own threads would fight with ours for the cores and spin while they wait (measured: twice the processor time,
+/// for no gain), and their number would show in the last digits of the results.
 class SequentialBlas {
  public:
   SequentialBlas();
@@ -13,7 +13,7 @@ class SequentialBlas {
   SequentialBlas& operator=(const SequentialBlas&) = delete;
 
  private:
-  int openmp_levels_before_ = 0;
+  int openmp_levels_before_;
 };
 
 }  // namespace malus

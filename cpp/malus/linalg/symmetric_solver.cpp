@@ -3,12 +3,10 @@
 #include <cholmod.h>
 
 #include <cmath>
-#include <new>
-#include <optional>
 #include <sstream>
 #include <string>
 
-#include "malus/linalg/supernodal_cholesky_internal.h"
+#include "malus/linalg/sequential_blas.h"
 
 namespace malus {
 namespace {
@@ -28,6 +26,19 @@ cholmod_sparse view(const SymmetricSolver::Matrix& lower) {
   view.dtype = CHOLMOD_DOUBLE;
   view.sorted = 1;
   view.packed = 1;
+  return view;
+}
+
+/// The same of right-hand sides.
+cholmod_dense view_of(Eigen::Ref<Eigen::MatrixXd> columns) {
+  cholmod_dense view{};
+  view.nrow = static_cast<std::size_t>(columns.rows());
+  view.ncol = static_cast<std::size_t>(columns.cols());
+  view.d = static_cast<std::size_t>(columns.outerStride());
+  view.nzmax = view.d * view.ncol;
+  view.x = columns.data();
+  view.xtype = CHOLMOD_REAL;
+  view.dtype = CHOLMOD_DOUBLE;
   return view;
 }
 
@@ -80,19 +91,20 @@ struct SymmetricSolver::Impl {
     return resource_error(message.str());
   }
 
-  /// Replaces `count` right-hand sides, one after the other, by their solutions.
-  void apply_inverse(double* columns, Eigen::Index count) const {
-    try {
-      cholesky->solve(static_cast<const double*>(factor->x), columns, static_cast<int>(count), context);
-    } catch (const std::bad_alloc&) {
-      throw out_of_memory("solving");
-    }
+  /// Replaces right-hand sides by their solutions.
+  void apply_inverse(Eigen::Ref<Eigen::MatrixXd> columns) {
+    const SequentialBlas sequential;
+    cholmod_dense right = view_of(columns);
+    cholmod_dense* solution = cholmod_solve(CHOLMOD_A, factor, &right, &common);
+    check("solving");
+    columns =
+        Eigen::Map<const Eigen::MatrixXd>(static_cast<const double*>(solution->x), columns.rows(), columns.cols());
+    cholmod_free_dense(&solution, &common);
   }
 
   const Context context;
   cholmod_common common{};
   cholmod_factor* factor = nullptr;
-  std::optional<SupernodalCholesky> cholesky;  ///< of the factor's analysis
   Eigen::Index unknowns = 0;
   Eigen::Index entries = 0;
   FactorEstimate estimate;
@@ -118,7 +130,6 @@ FactorEstimate SymmetricSolver::analyze(const Matrix& lower, std::span<const int
   impl_->factor = cholmod_analyze_p(&matrix, const_cast<int*>(order.data()), nullptr, 0, &impl_->common);
   impl_->check("ordering");
   impl_->estimate = {8 * impl_->common.lnz, impl_->common.fl};
-  impl_->cholesky.emplace(*impl_->factor, lower, impl_->context);
   impl_->context.check_cancel();
   return impl_->estimate;
 }
@@ -129,17 +140,14 @@ SolveStatus SymmetricSolver::factorize(const Matrix& lower) {
   if (lower.rows() != impl_->unknowns || lower.nonZeros() != impl_->entries) {
     throw input_error("linear system: the matrix has another pattern than the analyzed one");
   }
-  if (impl_->factor->xtype == CHOLMOD_PATTERN) {
-    // Memory for the numbers of a supernodal L·Lᵀ.
-    cholmod_change_factor(CHOLMOD_REAL, 1, 1, 1, 1, impl_->factor, &impl_->common);
-    impl_->check("factorizing");
-  }
-  try {
-    const bool definite = impl_->cholesky->factorize(lower, static_cast<double*>(impl_->factor->x), impl_->context);
-    return definite ? SolveStatus::solved : SolveStatus::not_positive_definite;
-  } catch (const std::bad_alloc&) {
-    throw impl_->out_of_memory("factorizing");
-  }
+  impl_->context.check_cancel();
+  const SequentialBlas sequential;
+  cholmod_sparse matrix = view(lower);
+  cholmod_factorize(&matrix, impl_->factor, &impl_->common);
+  impl_->check("factorizing");
+  impl_->context.check_cancel();
+  // Failing at a column is a warning of CHOLMOD's, not an error.
+  return impl_->factor->minor == impl_->factor->n ? SolveStatus::solved : SolveStatus::not_positive_definite;
 }
 
 SolveStatus SymmetricSolver::solve(const Matrix& lower, const Eigen::VectorXd& b, Eigen::VectorXd& x,
@@ -147,16 +155,14 @@ SolveStatus SymmetricSolver::solve(const Matrix& lower, const Eigen::VectorXd& b
   if (!impl_->factorized() || b.size() != impl_->unknowns || lower.rows() != impl_->unknowns) {
     throw input_error("linear system: factorize a matrix of the right-hand side's size first");
   }
-  const auto apply_inverse = [&](Eigen::VectorXd right) {
-    impl_->apply_inverse(right.data(), 1);
-    return right;
-  };
   const auto residual = [&] { return Eigen::VectorXd(b - lower.selfadjointView<Eigen::Lower>() * x); };
-  x = apply_inverse(b);
+  x = b;
+  impl_->apply_inverse(x);
   Eigen::VectorXd rest = residual();
   const double scale = b.norm() > 0 ? b.norm() : 1;
   if (rest.norm() > 1e-12 * scale) {
-    x += apply_inverse(rest);
+    impl_->apply_inverse(rest);
+    x += rest;
     rest = residual();
   }
   impl_->relative_residual = rest.norm() / scale;
@@ -167,7 +173,7 @@ void SymmetricSolver::solve_columns(Eigen::MatrixXd& columns) const {
   if (!impl_->factorized() || columns.rows() != impl_->unknowns) {
     throw input_error("linear system: factorize a matrix of the right-hand sides' size first");
   }
-  impl_->apply_inverse(columns.data(), columns.cols());
+  impl_->apply_inverse(columns);
 }
 
 double SymmetricSolver::log_determinant() const {

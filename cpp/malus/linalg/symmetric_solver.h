@@ -28,7 +28,9 @@ struct FactorEstimate {
   double flops = 0;
 };
 
-/// Direct solver of sparse symmetric positive definite systems A x = b.
+/// Direct solver of sparse symmetric positive definite systems A x = b: CHOLMOD's supernodal Cholesky factorization
+/// (cholmod_analyze_p, cholmod_factorize, cholmod_solve) on the calling thread, and so the same result whatever the
+/// context's threads.
 ///
 /// Only the lower triangle of A is read (column-major, sorted). analyze() finds the elimination order for a pattern;
 /// factorize() may then be called for any number of matrices of that pattern, and solve() for any number of right-hand
@@ -51,7 +53,7 @@ class SymmetricSolver {
   /// of iterative refinement). Returns `inaccurate` if |A x − b| > residual_limit · |b|.
   SolveStatus solve(const Matrix& lower, const Eigen::VectorXd& b, Eigen::VectorXd& x, double residual_limit = 1e-6);
 
-  /// Puts A⁻¹ b in the place of each column b, on the context's threads, without a check of the residual or refinement.
+  /// Puts A⁻¹ b in the place of each column b, without a check of the residual or refinement.
   void solve_columns(Eigen::MatrixXd& columns) const;
 
   /// ln det A of the matrix last factorized.

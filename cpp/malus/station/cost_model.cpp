@@ -49,10 +49,10 @@ Expected zenith_cost(const Workload& work) {
 }
 
 Expected height_cost(const Workload& work) {
-  Expected cost = expected({1.65, 0.93, 52, 170}, work.object_mpx, work.threads);
+  Expected cost = expected({2.3, 0.93, 49, 75}, work.object_mpx, work.threads);
   // The height of a raster is solved as a whole, many times, at the first of its halved resolutions that is small
   // enough.
-  constexpr double largest_mpx = 0.5, seconds_per_mpx = 10;
+  constexpr double largest_mpx = 0.2, seconds_per_mpx = 35;
   double share = 1;
   while (share * image_mpx(work) > largest_mpx) share /= 4;
   cost.seconds += seconds_per_mpx * share * work.object_mpx;

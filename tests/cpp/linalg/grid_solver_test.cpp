@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <atomic>
+#include <cmath>
 
 #include "height_like_system.h"
 #include "thrown_error.h"
@@ -12,19 +13,31 @@ namespace {
 
 constexpr double relative_ridge = 1e-11;
 
-Eigen::VectorXd solve(const GridSystem& system, GridMethod method, int threads = 1, GridSolveSummary* summary = nullptr,
-                      double tolerance = 1e-10) {
-  Context context;
-  context.threads = threads;
-  GridSolver solver(system.pixels(), {.method = method, .tolerance = tolerance}, context);
-  Eigen::VectorXd x;
-  EXPECT_EQ(solver.solve(system, relative_ridge * system.largest_diagonal(), x), SolveStatus::solved);
-  if (summary != nullptr) *summary = solver.summary();
-  return x;
-}
-
-double relative_difference(const Eigen::VectorXd& a, const Eigen::VectorXd& b) {
-  return (a - b).norm() / b.norm();
+/// Solves by conjugate gradients, and compares with the direct solution: the RMS difference between neighbours' steps
+/// over the RMS step. The constant, which the ridge alone holds, is left out.
+void expect_direct_solution(const GridSystem& system, double difference, int most_iterations) {
+  const PixelIndex& pixels = system.pixels();
+  const double ridge = relative_ridge * system.largest_diagonal();
+  GridSolver direct(pixels, {}), iterative(pixels, {}, 0);
+  Eigen::VectorXd expected, found;
+  ASSERT_EQ(direct.solve(system, ridge, expected), SolveStatus::solved);
+  EXPECT_TRUE(direct.is_direct());
+  EXPECT_EQ(direct.summary().iterations, 0);
+  EXPECT_LT(direct.summary().relative_residual, 1e-9);
+  ASSERT_EQ(iterative.solve(system, ridge, found), SolveStatus::solved);
+  EXPECT_FALSE(iterative.is_direct());
+  EXPECT_LE(iterative.summary().relative_residual, GridSolver::tolerance);
+  EXPECT_GT(iterative.summary().iterations, 0);
+  EXPECT_LT(iterative.summary().iterations, most_iterations);
+  double squares = 0, of_difference = 0;
+  for (int i = 0; i < pixels.count(); ++i) {
+    const int next = pixels.at(pixels.u(i) + 1, pixels.v(i));
+    if (next < 0) continue;
+    const double step = expected[next] - expected[i];
+    squares += step * step;
+    of_difference += std::pow(found[next] - found[i] - step, 2);
+  }
+  EXPECT_LT(std::sqrt(of_difference / squares), difference);
 }
 
 /// A disc with holes, lines one and two pixels wide that lead to it, single pixels and a second part.
@@ -44,14 +57,12 @@ Mask difficult_mask(int size) {
   return mask;
 }
 
-TEST(GridSolver, MultigridGivesTheDirectSolution) {
+TEST(GridSolver, ConjugateGradientsGiveTheDirectSolution) {
   for (const Size size : {Size{301, 200}, Size{64, 350}, Size{150, 151}}) {
     const PixelIndex pixels(Mask(size, 1, 1));
     GridSystem system(pixels);
     add_height_like_rows(system);
-    const Eigen::VectorXd direct = solve(system, GridMethod::direct);
-    EXPECT_LT(relative_difference(solve(system, GridMethod::multigrid), direct), 1e-7) << to_string(size);
-    EXPECT_LT(relative_difference(solve(system, GridMethod::multigrid, 1, nullptr, 1e-8), direct), 1e-6);
+    expect_direct_solution(system, 1e-3, 1000);
   }
 }
 
@@ -59,10 +70,7 @@ TEST(GridSolver, HolesThinLinesAndSeparatePartsAreSolvedLikeDirectly) {
   const PixelIndex pixels(difficult_mask(300));
   GridSystem system(pixels);
   add_height_like_rows(system);
-  GridSolveSummary summary;
-  const Eigen::VectorXd multigrid = solve(system, GridMethod::multigrid, 1, &summary);
-  EXPECT_LT(relative_difference(multigrid, solve(system, GridMethod::direct)), 1e-6);
-  EXPECT_LT(summary.iterations, 150);
+  expect_direct_solution(system, 1e-3, 1000);
 }
 
 TEST(GridSolver, HeldPixelsAndCompactStencilsAreSolvedLikeDirectly) {
@@ -82,79 +90,46 @@ TEST(GridSolver, HeldPixelsAndCompactStencilsAreSolvedLikeDirectly) {
     const double one = 1;
     system.add_row(&held, &one, 1, 3, 1e4);
   }
-  GridSolveSummary summary;
-  const Eigen::VectorXd multigrid = solve(system, GridMethod::multigrid, 1, &summary);
-  EXPECT_LT(relative_difference(multigrid, solve(system, GridMethod::direct)), 1e-6);
-  EXPECT_LT(summary.iterations, 150);
+  // The weights of 1e4 are in the right side's length too, of which the tolerance is a part.
+  expect_direct_solution(system, 0.02, 1000);
 }
 
-TEST(GridSolver, IterationsDoNotGrowWithTheSize) {
-  // The work counter that guards speed without a clock: iterations × unknowns.
-  int iterations[2];
-  for (const int k : {0, 1}) {
-    const PixelIndex pixels(Mask({250 << 2 * k, 250 << 2 * k}, 1, 1));
-    GridSystem system(pixels);
-    add_height_like_rows(system);
-    GridSolveSummary summary;
-    solve(system, GridMethod::multigrid, 2, &summary, 1e-8);
-    iterations[k] = summary.iterations;
-    EXPECT_LT(summary.bytes, 230.0 * pixels.count());
-  }
-  EXPECT_LE(iterations[0], 40);
-  EXPECT_LE(iterations[1], iterations[0] + 8);
-}
-
-TEST(GridSolver, ANearStartSavesIterations) {
+TEST(GridSolver, ANearStartOrALesserReductionSavesIterations) {
   const PixelIndex pixels(Mask({200, 200}, 1, 1));
   GridSystem system(pixels);
   add_height_like_rows(system);
-  GridSolver solver(pixels, {.method = GridMethod::multigrid}, {});
-  Eigen::VectorXd x;
+  GridSolver solver(pixels, {}, 0);
+  Eigen::VectorXd x, rough;
   const double ridge = relative_ridge * system.largest_diagonal();
   ASSERT_EQ(solver.solve(system, ridge, x), SolveStatus::solved);
   const int cold = solver.summary().iterations;
   ASSERT_EQ(solver.solve(system, ridge, x), SolveStatus::solved);
-  EXPECT_EQ(solver.summary().iterations, 0);
+  EXPECT_LE(solver.summary().iterations, 1);
+  ASSERT_EQ(solver.solve(system, ridge, rough, 0.1), SolveStatus::solved);
+  EXPECT_LT(solver.summary().iterations, 0.5 * cold);
+  EXPECT_LE(solver.summary().relative_residual, 0.1);
   x.array() *= 1.001;
   ASSERT_EQ(solver.solve(system, ridge, x), SolveStatus::solved);
   EXPECT_LT(solver.summary().iterations, 0.8 * cold);
 }
 
-TEST(GridSolver, SameResultWithOneAndThreeThreads) {
-  const PixelIndex pixels(Mask({401, 377}, 1, 1));
-  GridSystem system(pixels);
-  add_height_like_rows(system);
-  const Eigen::VectorXd one = solve(system, GridMethod::multigrid, 1), three = solve(system, GridMethod::multigrid, 3);
-  EXPECT_EQ((one - three).norm(), 0);
-}
-
-TEST(GridSolver, ChoosesBySizeUnlessTold) {
+TEST(GridSolver, ChoosesBySize) {
   const PixelIndex pixels(Mask({40, 40}, 1, 1));
-  GridSystem system(pixels);
-  add_height_like_rows(system);
-  GridSolveSummary summary;
-  solve(system, GridMethod::automatic, 1, &summary);
-  EXPECT_EQ(summary.method, GridMethod::direct);
-  EXPECT_EQ(summary.iterations, 0);
-  GridSolver large(pixels, {.direct_unknowns = 100}, {});
-  Eigen::VectorXd x;
-  ASSERT_EQ(large.solve(system, 1e-9, x), SolveStatus::solved);
-  EXPECT_EQ(large.summary().method, GridMethod::multigrid);
-  EXPECT_GT(large.summary().iterations, 0);
+  EXPECT_TRUE(GridSolver(pixels, {}).is_direct());
+  EXPECT_TRUE(GridSolver(pixels, {}, 1600).is_direct());
+  EXPECT_FALSE(GridSolver(pixels, {}, 1599).is_direct());
 }
 
-TEST(GridSolver, TooFewIterationsAndIndefiniteMatricesAreAStatus) {
+TEST(GridSolver, IndefiniteMatricesAreAStatus) {
   const PixelIndex pixels(Mask({100, 100}, 1, 1));
   GridSystem system(pixels);
   add_height_like_rows(system);
-  Eigen::VectorXd x;
-  GridSolver hasty(pixels, {.method = GridMethod::multigrid, .max_iterations = 2}, {});
-  EXPECT_EQ(hasty.solve(system, 1e-9, x), SolveStatus::inaccurate);
-  EXPECT_GT(hasty.summary().relative_residual, 1e-8);
   for (int i = 0; i < pixels.count(); ++i) system.add(i, i, -1);
-  x.resize(0);
-  GridSolver solver(pixels, {.method = GridMethod::multigrid}, {});
-  EXPECT_EQ(solver.solve(system, 0, x), SolveStatus::not_positive_definite);
+  for (const int direct_unknowns : {0, pixels.count()}) {
+    Eigen::VectorXd x;
+    GridSolver solver(pixels, {}, direct_unknowns);
+    EXPECT_EQ(solver.solve(system, 0, x), SolveStatus::not_positive_definite) << direct_unknowns;
+  }
 }
 
 TEST(GridSolver, StopsWhenCancelled) {
@@ -164,13 +139,15 @@ TEST(GridSolver, StopsWhenCancelled) {
   const PixelIndex pixels(Mask({100, 100}, 1, 1));
   GridSystem system(pixels);
   add_height_like_rows(system);
-  Eigen::VectorXd x;
-  GridSolver solver(pixels, {.method = GridMethod::multigrid}, context);
-  try {
-    solver.solve(system, 1e-9, x);
-    FAIL();
-  } catch (const Error& error) {
-    EXPECT_EQ(error.code(), ErrorCode::interrupted);
+  for (const int direct_unknowns : {0, pixels.count()}) {
+    Eigen::VectorXd x;
+    GridSolver solver(pixels, context, direct_unknowns);
+    try {
+      solver.solve(system, 1e-9, x);
+      FAIL();
+    } catch (const Error& error) {
+      EXPECT_EQ(error.code(), ErrorCode::interrupted);
+    }
   }
 }
 

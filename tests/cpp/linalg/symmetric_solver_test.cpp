@@ -114,48 +114,6 @@ TEST(SymmetricSolver, StopsWhenCancelled) {
   }
 }
 
-TEST(SymmetricSolver, SameResultWithOneAndTwoThreads) {
-  const PixelIndex pixels(disc(150));
-  const GridSystem system = plate(pixels, 3);
-  const auto lower = system.lower(0);
-  Eigen::VectorXd results[2];
-  for (int threads : {1, 2}) {
-    Context context;
-    context.threads = threads;
-    SymmetricSolver solver{context};
-    solver.factorize(lower);
-    solver.solve(lower, system.right(), results[threads - 1]);
-  }
-  EXPECT_TRUE(results[0] == results[1]);
-}
-
-TEST(SymmetricSolver, LargeFrontsAreSharedWithoutChangingTheResult) {
-  // A chain of unknowns that are all joined to the next 900: fronts of 900 rows and more, which threads share.
-  constexpr int count = 2000, reach = 900;
-  SymmetricSolver::Matrix lower(count, count);
-  for (int j = 0; j < count; ++j) {
-    lower.startVec(j);
-    lower.insertBack(j, j) = 2.0 * reach;
-    for (int i = j + 1; i < std::min(j + reach, count); ++i) lower.insertBack(i, j) = std::cos(0.37 * i * j);
-  }
-  lower.finalize();
-  const Eigen::VectorXd right = Eigen::VectorXd::LinSpaced(count, -1, 2);
-  Eigen::VectorXd results[2];
-  Eigen::MatrixXd columns[2];
-  for (int threads : {1, 2}) {
-    Context context;
-    context.threads = threads;
-    SymmetricSolver solver{context};
-    ASSERT_EQ(solver.factorize(lower), SolveStatus::solved);
-    ASSERT_EQ(solver.solve(lower, right, results[threads - 1]), SolveStatus::solved);
-    EXPECT_LT(solver.relative_residual(), 1e-13);
-    columns[threads - 1] = right * Eigen::RowVectorXd::LinSpaced(3, 1, 3);
-    solver.solve_columns(columns[threads - 1]);
-  }
-  EXPECT_TRUE(results[0] == results[1]);
-  EXPECT_TRUE(columns[0] == columns[1]);
-}
-
 TEST(SymmetricSolver, ColumnsAreSolvedLikeOneAfterTheOther) {
   const PixelIndex pixels(disc(90));
   const GridSystem system = plate(pixels, 3);
