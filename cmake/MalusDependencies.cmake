@@ -1,6 +1,7 @@
 # Everything comes from Debian 12; the minimum versions are the ones that were tested.
 find_package(Threads REQUIRED)
 find_package(Eigen3 3.4 REQUIRED NO_MODULE)
+find_package(TBB 2021 REQUIRED COMPONENTS tbb)
 find_package(TIFF 4.5 REQUIRED)
 find_package(PNG REQUIRED)
 find_package(JPEG REQUIRED)

@@ -35,13 +35,13 @@ function(malus_add_module name)
   set_property(GLOBAL APPEND PROPERTY MALUS_MODULES malus_${name})
 endfunction()
 
-# Adds the objects of the given rooms to a target, with the libraries behind them.
+# Adds the objects of the given rooms to a target, with the libraries behind them. CHOLMOD and its BLAS come before Ceres,
+# which brings another one.
 function(malus_link_rooms target)
   foreach(room IN LISTS ARGN)
     target_sources(${target} PRIVATE $<TARGET_OBJECTS:${room}>)
   endforeach()
   target_link_libraries(${target} PUBLIC Eigen3::Eigen Threads::Threads
-                                  PRIVATE ${OpenCV_LIBS} TIFF::TIFF PNG::PNG JPEG::JPEG OpenSSL::Crypto
-                                          tomlplusplus::tomlplusplus Ceres::ceres CHOLMOD::CHOLMOD
-                                          ${CMAKE_DL_LIBS})
+                                  PRIVATE CHOLMOD::CHOLMOD Ceres::ceres ${OpenCV_LIBS} TBB::tbb TIFF::TIFF PNG::PNG
+                                          JPEG::JPEG OpenSSL::Crypto tomlplusplus::tomlplusplus)
 endfunction()

@@ -1,16 +1,92 @@
 #include "malus/core/parallel.h"
 
+#include <pthread.h>
+#include <tbb/global_control.h>
+#include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
+
 #include <atomic>
 #include <exception>
+#include <memory>
 #include <mutex>
-
-#include "malus/core/worker_pool_internal.h"
+#include <thread>
+#include <utility>
 
 namespace malus {
+namespace {
+
+using Work = std::function<void()>;
+
+/// Whether this thread is within a loop's body.
+thread_local bool within_a_loop = false;
+
+void work_on(const Work& work) {
+  const bool before = std::exchange(within_a_loop, true);
+  work();
+  within_a_loop = before;
+}
+
+#if defined(__SANITIZE_THREAD__)
+/// ThreadSanitizer does not see how oneTBB's library synchronizes its threads.
+std::atomic<bool> tbb_is_unusable{true};
+#else
+std::atomic<bool> tbb_is_unusable{false};
+#endif
+
+/// Left behind in the child of a fork, where letting go of it would wait for threads that are not there.
+struct Release {
+  void operator()(tbb::task_arena* arena) const {
+    if (!tbb_is_unusable) delete arena;
+  }
+};
+
+/// Calls work() so many times, as many at once as there are threads, by oneTBB's threads.
+void run_by_tbb(int threads, int calls, const Work& work) {
+  const auto call = [&] {
+    tbb::parallel_for(
+        0, calls, [&](int) { work_on(work); }, tbb::simple_partitioner());
+  };
+  if (within_a_loop) {
+    // Otherwise a thread that waits for an inner loop could begin another block of the outer one.
+    tbb::this_task_arena::isolate(call);
+    return;
+  }
+  // The arena says how many threads a loop has, also if there are fewer processors.
+  constexpr std::size_t most_threads = 256;
+  static const auto* const limit = new tbb::global_control(tbb::global_control::max_allowed_parallelism, most_threads);
+  static_cast<void>(limit);
+  // Kept, since the loops of a thread mostly have the same number of threads: these stay together.
+  thread_local std::unique_ptr<tbb::task_arena, Release> arena;
+  if (!arena || arena->max_concurrency() != threads) arena.reset(new tbb::task_arena(threads));
+  arena->execute(call);
+}
+
+/// The same by threads of this loop's own, for where oneTBB's cannot be used; loops within others have none.
+void run_by_own_threads(int calls, const Work& work) {
+  std::vector<std::jthread> others;
+  if (!within_a_loop) {
+    for (int k = 1; k < calls; ++k) others.emplace_back([&] { work_on(work); });
+  }
+  work_on(work);
+}
+
+void run(int threads, int calls, const Work& work) {
+  if (calls == 1) {
+    work();
+    return;
+  }
+  // The child of a fork has none of the threads that oneTBB counts on, and what these had locked stays locked.
+  static const int registered = pthread_atfork(nullptr, nullptr, [] { tbb_is_unusable = true; });
+  static_cast<void>(registered);
+  tbb_is_unusable ? run_by_own_threads(calls, work) : run_by_tbb(threads, calls, work);
+}
+
+}  // namespace
 
 void parallel_for(const Context& context, std::size_t count, std::size_t grain,
                   const std::function<void(std::size_t, std::size_t)>& body) {
   const std::size_t blocks = (count + grain - 1) / grain;
+  if (blocks == 0) return;
   std::atomic<std::size_t> next{0};
   // Of the blocks that threw. Those before it have begun or will: which exception is rethrown is not left to chance.
   std::atomic<std::size_t> first_failed{blocks};
@@ -31,48 +107,8 @@ void parallel_for(const Context& context, std::size_t count, std::size_t grain,
       }
     }
   };
-  const std::size_t threads = std::min(static_cast<std::size_t>(std::max(context.threads, 1)), blocks);
-  if (threads > 0) run_on_workers(threads - 1, work);
-  if (error) std::rethrow_exception(error);
-}
-
-void parallel_tree(const Context& context, std::span<const int> parents, const std::function<void(std::size_t)>& body) {
-  std::vector<int> waiting_for(parents.size(), 0);
-  for (const int parent : parents) {
-    if (parent >= 0) ++waiting_for[static_cast<std::size_t>(parent)];
-  }
-  // The last is taken first: branches are finished before others are begun, as long as there is one a thread.
-  std::vector<std::size_t> ready;
-  for (std::size_t i = parents.size(); i-- > 0;) {
-    if (waiting_for[i] == 0) ready.push_back(i);
-  }
-  std::exception_ptr error;
-  std::mutex mutex;
-  // Who finds nothing ready leaves, and may help with loops within: a node becomes ready by the call that ends last
-  // among its children, and whoever made that call goes on with it.
-  const auto work = [&] {
-    std::unique_lock lock(mutex);
-    while (!ready.empty() && !error) {
-      const std::size_t node = ready.back();
-      ready.pop_back();
-      lock.unlock();
-      std::exception_ptr own_error;
-      try {
-        context.check_cancel();
-        body(node);
-      } catch (...) {
-        own_error = std::current_exception();
-      }
-      lock.lock();
-      if (own_error && !error) error = own_error;
-      const int parent = parents[node];
-      if (parent >= 0 && --waiting_for[static_cast<std::size_t>(parent)] == 0) {
-        ready.push_back(static_cast<std::size_t>(parent));
-      }
-    }
-  };
-  const std::size_t threads = std::min(static_cast<std::size_t>(std::max(context.threads, 1)), parents.size());
-  if (threads > 0) run_on_workers(threads - 1, work);
+  const int threads = std::max(context.threads, 1);
+  run(threads, static_cast<int>(std::min(static_cast<std::size_t>(threads), blocks)), work);
   if (error) std::rethrow_exception(error);
 }
 

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cstddef>
 #include <functional>
-#include <span>
 #include <vector>
 
 #include "malus/core/context.h"
@@ -11,14 +10,14 @@
 namespace malus {
 
 /// Calls body(begin, end) for consecutive blocks of at most `grain` indices that cover [0, count), on context.threads
-/// threads. Blocks do not depend on the number of threads. The exception of the first block that throws one is rethrown
-/// here, the same with any number of threads; cancellation is checked before each block.
+/// threads. Blocks are begun in their order and do not depend on the number of threads. The exception of the first
+/// block that throws one is rethrown here, the same with any number of threads; cancellation is checked before each
+/// block.
+///
+/// Loops may be nested and may come from any thread. A loop within another's body shares its threads: whoever is done
+/// with the outer loop helps with the inner one, and both together take no more threads than the outer one may have.
 void parallel_for(const Context& context, std::size_t count, std::size_t grain,
                   const std::function<void(std::size_t, std::size_t)>& body);
-
-/// Calls body(i) for every node of a forest on context.threads threads, each after the calls for its children;
-/// parents[i] is −1 for a root. The first exception is rethrown here; cancellation is checked before each node.
-void parallel_tree(const Context& context, std::span<const int> parents, const std::function<void(std::size_t)>& body);
 
 /// Rows of a raster: parallel_for over rows, body(v) for each.
 template <class Body>

@@ -38,60 +38,6 @@ TEST(Parallel, SumIsTheSameToTheBitWithAnyNumberOfThreads) {
   EXPECT_EQ(sum(1), sum(5));
 }
 
-TEST(Parallel, TreeCallsChildrenBeforeTheirParents) {
-  // Two trees: node i belongs to that of 98 or 99, and most have several children.
-  constexpr int count = 100;
-  std::vector<int> parents(count, -1);
-  for (int i = 0; i + 2 < count; ++i) parents[static_cast<std::size_t>(i)] = std::min(i + 2 * (1 + i % 7), 98 + i % 2);
-  for (const int threads : {1, 2, 5}) {
-    Context context;
-    context.threads = threads;
-    std::vector<std::atomic<int>> calls(count), children(count), expected(count);
-    for (const int parent : parents) {
-      if (parent >= 0) ++expected[static_cast<std::size_t>(parent)];
-    }
-    parallel_tree(context, parents, [&](std::size_t node) {
-      EXPECT_EQ(children[node].load(), expected[node].load());
-      ++calls[node];
-      if (parents[node] >= 0) ++children[static_cast<std::size_t>(parents[node])];
-    });
-    for (const auto& number : calls) EXPECT_EQ(number.load(), 1);
-  }
-}
-
-TEST(Parallel, TreeTakesBranchesSideBySide) {
-  // Both leaves wait for each other: only two threads can reach the root.
-  Context context;
-  context.threads = 2;
-  std::atomic<int> here{0};
-  bool root = false;
-  const std::vector<int> parents{2, 2, -1};
-  parallel_tree(context, parents, [&](std::size_t node) {
-    if (node == 2) {
-      root = true;
-      return;
-    }
-    here.fetch_add(1);
-    while (here.load() < 2) std::this_thread::yield();
-  });
-  EXPECT_TRUE(root);
-}
-
-TEST(Parallel, TreeRethrowsAndStopsWhenCancelled) {
-  Context context;
-  context.threads = 3;
-  const std::vector<int> parents{3, 3, 3, 4, -1};
-  EXPECT_THROW(parallel_tree(context, parents,
-                             [](std::size_t node) {
-                               EXPECT_LT(node, 3U);
-                               if (node == 1) throw data_error("x");
-                             }),
-               Error);
-  std::atomic<bool> cancel{true};
-  context.cancel = &cancel;
-  EXPECT_THROW(parallel_tree(context, parents, [](std::size_t) { FAIL(); }), Error);
-}
-
 TEST(Parallel, RethrowsTheErrorOfTheFirstBlockThatFails) {
   Context context;
   context.threads = 3;
