@@ -5,7 +5,6 @@
 
 #include <atomic>
 #include <cerrno>
-#include <cstdint>
 #include <system_error>
 #include <utility>
 
@@ -20,21 +19,17 @@ std::filesystem::path temporary_name(const std::filesystem::path& path) {
   return path.parent_path() / name;
 }
 
-/// A file as large pushes others out of the system's cache, which copies it on one thread at a time; in a virtual
-/// machine fresh pages of the cache may cost more than what is written to them.
-constexpr std::size_t large_file = std::size_t{64} << 20;
-
-void write_whole(int descriptor, std::size_t offset, const char* bytes, std::size_t size,
-                 const std::filesystem::path& path) {
-  while (size > 0) {
-    const ssize_t written = ::pwrite(descriptor, bytes, size, static_cast<off_t>(offset));
-    if (written < 0) {
-      if (errno == EINTR) continue;
+/// Writes all bytes by some(bytes, rest, done), which writes as many of the rest as the system takes.
+template <class Some>
+void write_whole(const void* data, std::size_t size, const std::filesystem::path& path, Some&& some) {
+  const char* const bytes = static_cast<const char*>(data);
+  for (std::size_t done = 0; done < size;) {
+    const ssize_t written = some(bytes + done, size - done, done);
+    if (written >= 0) {
+      done += static_cast<std::size_t>(written);
+    } else if (errno != EINTR) {
       throw file_error("cannot write", path, errno);
     }
-    bytes += written;
-    offset += static_cast<std::size_t>(written);
-    size -= static_cast<std::size_t>(written);
   }
 }
 
@@ -71,59 +66,30 @@ AtomicFile::AtomicFile(std::filesystem::path path) : path_(std::move(path)), tem
 }
 
 AtomicFile::~AtomicFile() {
-  if (direct_ >= 0) ::close(direct_);
   if (descriptor_ >= 0) ::close(descriptor_);
   if (!temporary_.empty()) ::unlink(temporary_.c_str());
 }
 
 void AtomicFile::write(const void* data, std::size_t size) {
-  const char* bytes = static_cast<const char*>(data);
-  while (size > 0) {
-    const ssize_t written = ::write(descriptor_, bytes, size);
-    if (written < 0) {
-      if (errno == EINTR) continue;
-      throw file_error("cannot write", path_, errno);
-    }
-    bytes += written;
-    size -= static_cast<std::size_t>(written);
-  }
-}
-
-/// Returns how many of the bytes, which begin at a page, were written: whole pages, none if the system cannot do it.
-std::size_t AtomicFile::write_directly(std::size_t offset, const char* data, std::size_t size) {
-  std::size_t done = 0;
-  for (size -= size % page_size; done < size;) {
-    const ssize_t written = ::pwrite(direct_, data + done, size - done, static_cast<off_t>(offset + done));
-    if (written < 0 && errno == EINTR) continue;
-    if (written < 0 && errno == EINVAL) break;  // other alignments than ours are wanted
-    if (written < 0) throw file_error("cannot write", path_, errno);
-    done += static_cast<std::size_t>(written);
-    if (done % page_size != 0) break;
-  }
-  return done - done % page_size;
+  write_whole(data, size, path_,
+              [&](const char* bytes, std::size_t rest, std::size_t) { return ::write(descriptor_, bytes, rest); });
 }
 
 void AtomicFile::write_at(std::size_t offset, const void* data, std::size_t size) {
-  const char* const bytes = static_cast<const char*>(data);
-  const std::size_t head = (page_size - offset % page_size) % page_size;
-  const bool in_step = (reinterpret_cast<std::uintptr_t>(bytes) + head) % page_size == 0;
-  if (direct_ < 0 || !in_step || size < head + page_size) return write_whole(descriptor_, offset, bytes, size, path_);
-  const std::size_t rest = head + write_directly(offset + head, bytes + head, size - head);
-  write_whole(descriptor_, offset, bytes, head, path_);
-  write_whole(descriptor_, offset + rest, bytes + rest, size - rest, path_);
+  write_whole(data, size, path_, [&](const char* bytes, std::size_t rest, std::size_t done) {
+    return ::pwrite(descriptor_, bytes, rest, static_cast<off_t>(offset + done));
+  });
 }
 
 void AtomicFile::expect(std::size_t size) {
-  // File systems that cannot do these do without.
+  // File systems that cannot do this do without.
 #ifdef __linux__
   if (::fallocate(descriptor_, 0, 0, static_cast<off_t>(size)) != 0 && errno == ENOSPC)
     throw file_error("cannot write", path_, errno);
-  if (size >= large_file && direct_ < 0) direct_ = ::open(temporary_.c_str(), O_RDWR | O_DIRECT | O_CLOEXEC);
 #endif
 }
 
 void AtomicFile::commit() {
-  if (direct_ >= 0) ::close(std::exchange(direct_, -1));
   if (::fsync(descriptor_) != 0) throw file_error("cannot write", path_, errno);
   if (::close(std::exchange(descriptor_, -1)) != 0) throw file_error("cannot write", path_, errno);
   if (::rename(temporary_.c_str(), path_.c_str()) != 0) throw file_error("cannot write", path_, errno);

@@ -24,27 +24,19 @@ class AtomicFile {
 
   void write(const void* data, std::size_t size);
   void write(std::string_view bytes) { write(bytes.data(), bytes.size()); }
-  /// Has the system reserve room for a file of `size` bytes: cheaper than page by page while it is written, and a full
-  /// disk is noticed before the work.
+  /// Has the system reserve room for a file of `size` bytes: a full disk is noticed before the work.
   void expect(std::size_t size);
-  /// Writes at a place of the file, where nothing needs to be yet; from several threads at once. Of a large file that
-  /// was expected, whole pages go to the disk without the system's copy of them if `data` is as far from a page's
-  /// beginning as `offset` is.
+  /// Writes at a place of the file, where nothing needs to be yet; from several threads at once.
   void write_at(std::size_t offset, const void* data, std::size_t size);
   void commit();
-
-  static constexpr std::size_t page_size = 4096;
 
   /// Open for reading and writing until `commit`, for libraries that seek in their output.
   int descriptor() const { return descriptor_; }
   const std::filesystem::path& path() const { return path_; }
 
  private:
-  std::size_t write_directly(std::size_t offset, const char* data, std::size_t size);
-
   std::filesystem::path path_, temporary_;
   int descriptor_ = -1;
-  int direct_ = -1;  ///< the same file past the system's cache, or −1
 };
 
 /// Writes a whole file atomically.

@@ -1,7 +1,6 @@
 #include "malus/io/input_file.h"
 
 #include <fcntl.h>
-#include <sys/uio.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -46,30 +45,13 @@ Error InputFile::error(const std::string& message) const {
   return input_error(what_ + " " + path_.string() + ": " + message);
 }
 
-void InputFile::pass_by_cache() {
-#ifdef __linux__
-  char byte = 0;
-  const iovec part{&byte, 1};
-  const bool cached = ::preadv2(descriptor_, &part, 1, static_cast<off_t>(size_ / 2), RWF_NOWAIT) >= 0;
-  if (!cached && errno == EAGAIN) direct_ = ::fcntl(descriptor_, F_SETFL, O_DIRECT) == 0;
-#endif
-}
-
 std::size_t InputFile::read_part(char* target, std::size_t size) {
-  ssize_t got = 0;
   for (;;) {
-    got = ::read(descriptor_, target, size);
-    if (got >= 0 || (errno != EINTR && errno != EINVAL)) break;
-    if (errno == EINVAL) {
-      // Not with this memory or at this place.
-      if (!direct_ || ::fcntl(descriptor_, F_SETFL, 0) != 0) break;
-      direct_ = false;
-    }
-  }
-  if (got < 0) {
+    const ssize_t got = ::read(descriptor_, target, size);
+    if (got >= 0) return static_cast<std::size_t>(got);
+    if (errno == EINTR) continue;
     throw resource_error("cannot read " + what_ + " " + path_.string() + ": " + std::generic_category().message(errno));
   }
-  return static_cast<std::size_t>(got);
 }
 
 bool InputFile::fill() {

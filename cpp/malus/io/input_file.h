@@ -40,9 +40,6 @@ class InputFile {
   void skip(std::uint64_t size);
   /// Up to `size` bytes; the number copied is less only at the end of the file.
   std::size_t read_some(void* target, std::size_t size);
-  /// From now on large parts, read into memory that begins at a page, are not put into the system's cache: for files
-  /// that nobody will read again soon. Without effect on those that are there, and where the system cannot do it.
-  void pass_by_cache();
   /// Next line without its line break ("\n" or "\r\n"); false at the end. The view is valid until the next call.
   bool read_line(std::string_view& line);
   /// Number of the line that was read last, from 1.
@@ -60,7 +57,6 @@ class InputFile {
   std::string what_;
   std::uint64_t size_ = 0, position_ = 0, line_number_ = 0;
   int descriptor_ = -1;
-  bool direct_ = false;  ///< past the system's cache
   std::vector<char> buffer_;
   std::size_t begin_ = 0, end_ = 0;
   std::string line_;

@@ -2,7 +2,6 @@
 
 #include <cstddef>
 #include <cstring>
-#include <memory>
 
 #include "malus/core/large_allocator.h"
 #include "malus/core/parallel.h"
@@ -25,24 +24,17 @@ class RecordEncoder {
   char* at_;
 };
 
-/// Bytes for a place of a file, in memory that begins as far from a page's beginning as the place does.
+/// Bytes for a place of a file.
 class FileBlock {
  public:
-  FileBlock(std::size_t offset, std::size_t size)
-      : offset_(offset), size_(size), memory_(size + 2 * AtomicFile::page_size) {
-    void* at = memory_.data();
-    std::size_t space = memory_.size();
-    std::align(AtomicFile::page_size, 0, at, space);
-    bytes_ = static_cast<char*>(at) + offset % AtomicFile::page_size;
-  }
+  FileBlock(std::size_t offset, std::size_t size) : offset_(offset), bytes_(size) {}
 
-  RecordEncoder encoder() { return RecordEncoder(bytes_); }
-  void write_to(AtomicFile& file) const { file.write_at(offset_, bytes_, size_); }
+  RecordEncoder encoder() { return RecordEncoder(bytes_.data()); }
+  void write_to(AtomicFile& file) const { file.write_at(offset_, bytes_.data(), bytes_.size()); }
 
  private:
-  std::size_t offset_, size_;
-  LargeVector<char> memory_;
-  char* bytes_;
+  std::size_t offset_;
+  LargeVector<char> bytes_;
 };
 
 /// Writes `count` records of `size` bytes each at a place of the file, on all threads: encode(i, encoder) puts record

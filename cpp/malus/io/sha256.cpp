@@ -5,12 +5,10 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
-#include <future>
 #include <memory>
 #include <stdexcept>
-#include <utility>
+#include <vector>
 
-#include "malus/core/large_allocator.h"
 #include "malus/io/input_file.h"
 
 namespace malus {
@@ -54,27 +52,12 @@ std::string sha256_of_bytes(std::string_view bytes) {
   return hash.hex();
 }
 
-std::string sha256_of_file(const std::filesystem::path& path, const std::string& what, AfterHash after) {
-  constexpr std::size_t largest_part = 4 << 20, page = 4096;
+std::string sha256_of_file(const std::filesystem::path& path, const std::string& what) {
+  constexpr std::size_t largest_part = 1 << 20;
   InputFile file(path, what);
-  if (after == AfterHash::not_read_soon && file.size() > 4 * largest_part) file.pass_by_cache();
-  const auto part = static_cast<std::size_t>(std::min<std::uint64_t>(largest_part, (file.size() / page + 1) * page));
+  std::vector<char> part(std::min<std::uint64_t>(largest_part, file.size()));
   Sha256 hash;
-  LargeVector<char> memory(2 * part + page);
-  void* pages = memory.data();
-  std::size_t space = memory.size();
-  std::align(page, 2 * part, pages, space);
-  std::array<char*, 2> parts{static_cast<char*>(pages), static_cast<char*>(pages) + part};
-  const auto read = [&file, part](char* to) { return file.read_some(to, part); };
-  std::size_t length = read(parts[0]);
-  while (length > 0) {
-    // The next part is read while this one is hashed.
-    std::future<std::size_t> next;
-    if (file.remaining() > 0) next = std::async(std::launch::async, read, parts[1]);
-    hash.add({parts[0], length});
-    length = next.valid() ? next.get() : 0;
-    std::swap(parts[0], parts[1]);
-  }
+  while (const std::size_t length = file.read_some(part.data(), part.size())) hash.add({part.data(), length});
   return hash.hex();
 }
 

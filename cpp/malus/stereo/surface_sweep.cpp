@@ -11,7 +11,6 @@
 
 #include "malus/core/error.h"
 #include "malus/core/even_choice.h"
-#include "malus/core/kept_memory.h"
 #include "malus/core/median.h"
 #include "malus/core/parallel.h"
 #include "malus/stereo/agreement_internal.h"
@@ -390,7 +389,6 @@ SweepResult sweep_surface(const SweepInput& input, std::span<const SweepView> vi
                           const Context& context) {
   validate(input, views, options, context);
   // Every pass allocates what the one before it has freed.
-  const KeptMemory kept;
   return SurfaceSweep(input, views, options, context).run();
 }
 
