@@ -87,12 +87,16 @@ class StokesVariances {
   std::vector<Angle> angles_;
 };
 
-/// Phase [rad] of a Stokes vector, in [0, π).
-inline float phase_of(const Eigen::Vector3d& stokes) {
-  double phi = 0.5 * std::atan2(stokes[2], stokes[1]);
-  if (phi < 0) phi += std::numbers::pi;
+/// Phase [rad] of the Stokes components s1 and s2, or of half of each, in [0, π).
+template <class Real>
+float phase_of(Real s1, Real s2) {
+  Real phi = std::atan2(s2, s1) / 2;
+  if (phi < 0) phi += std::numbers::pi_v<Real>;
   const float rounded = static_cast<float>(phi);
   return rounded < std::numbers::pi_v<float> ? rounded : 0.0f;
+}
+inline float phase_of(const Eigen::Vector3d& stokes) {
+  return phase_of(stokes[1], stokes[2]);
 }
 
 /// Degree of polarization without the bias that noise gives to a length: sqrt(max(ρ² − variance, 0)), with the variance

@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numbers>
 
 #include "malus/core/simd.h"
 #include "malus/polarization/polarization_state.h"
@@ -12,36 +11,6 @@ namespace {
 
 /// Below every intensity that means anything; its square is still a normal number.
 constexpr float least = 1e-15F;
-
-/// atan2(y, x) by way of atan(top / bottom) between -tan(π/8) and tan(π/8), as π/4 − atan((1 − t) / (1 + t)) = atan(t).
-struct Angle {
-  float top, bottom;  ///< bottom > 0
-  bool eighth, steep, left, below;
-};
-
-[[gnu::always_inline]] inline Angle reduced_angle(float y, float x) {
-  constexpr float tan_eighth = 0.41421356F;
-  const float ax = std::abs(x), ay = std::abs(y);
-  const float small = std::min(ax, ay), large = std::max(ax, ay);
-  const bool eighth = small > tan_eighth * large;
-  const float top = eighth ? small - large : small, bottom = eighth ? small + large : large;
-  return {top, std::max(bottom, least), eighth, ay > ax, x < 0, y < 0};
-}
-
-/// Half of the angle, in [0, π), to 2e-7; t = top / bottom. The coefficients are the Chebyshev interpolation of
-/// atan(t) / t in t².
-[[gnu::always_inline]] inline float half_angle(const Angle& reduced, float t) {
-  constexpr float pi = std::numbers::pi_v<float>;
-  const float z = t * t;
-  float angle = 0.99999999F +
-                z * (-0.333333075F + z * (0.199982108F + z * (-0.142399829F + z * (0.105728145F - z * 0.0603324171F))));
-  angle = t * angle + (reduced.eighth ? 0.25F * pi : 0.0F);
-  angle = reduced.steep ? 0.5F * pi - angle : angle;
-  angle = reduced.left ? pi - angle : angle;
-  angle = reduced.below ? 2 * pi - angle : angle;
-  const float half = 0.5F * angle;
-  return half < pi ? half : 0.0F;
-}
 
 // Loops become vector code because their length is constant, the rasters are said not to overlap, and what is passed
 // from one to the next lies in arrays of their own. A group of images is one pass over those arrays, and one division:
@@ -103,21 +72,14 @@ template <class Sample>
     misfits |= misfit[i];
   }
   // Roots and quotients that nobody takes for some pixels would not be vector code.
-  alignas(64) float linear[length], deviation[length], degree[length], tangent[length], half[length];
+  alignas(64) float linear[length], deviation[length], degree[length];
   for (std::size_t i = 0; i < length; ++i) linear[i] = std::sqrt(half_s1[i] * half_s1[i] + half_s2[i] * half_s2[i]);
   for (std::size_t i = 0; i < length; ++i) deviation[i] = std::sqrt(normalized[i]);
-  for (std::size_t i = 0; i < length; ++i) {
-    const Angle angle = reduced_angle(half_s2[i], half_s1[i]);
-    // One division for both quotients.
-    const float bright = std::max(half_s0[i], least), inverse = 1 / (bright * angle.bottom);
-    degree[i] = std::min(linear[i] * (inverse * angle.bottom), 1.0F);
-    tangent[i] = angle.top * (inverse * bright);
-  }
-  for (std::size_t i = 0; i < length; ++i) half[i] = half_angle(reduced_angle(half_s2[i], half_s1[i]), tangent[i]);
+  for (std::size_t i = 0; i < length; ++i) degree[i] = std::min(linear[i] / std::max(half_s0[i], least), 1.0F);
   float* __restrict const i_un = run.i_un, * __restrict const rho = run.rho, * __restrict const phi = run.phi, * __restrict const residual = run.residual;
   for (std::size_t i = 0; i < length; ++i) i_un[i] = inside[i] ? half_s0[i] : none;
   for (std::size_t i = 0; i < length; ++i) rho[i] = inside[i] ? (half_s0[i] > 0 ? degree[i] : 0.0F) : none;
-  for (std::size_t i = 0; i < length; ++i) phi[i] = inside[i] ? half[i] : none;
+  for (std::size_t i = 0; i < length; ++i) phi[i] = inside[i] ? phase_of(half_s1[i], half_s2[i]) : none;
   for (std::size_t i = 0; i < length; ++i) residual[i] = inside[i] ? deviation[i] : none;
   const std::uint8_t* const saturated = run.saturated;
   std::uint8_t* __restrict const valid = run.valid;
