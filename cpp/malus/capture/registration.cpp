@@ -6,12 +6,12 @@
 #include <cmath>
 #include <numbers>
 #include <opencv2/core.hpp>
-#include <opencv2/core/utility.hpp>
 #include <opencv2/imgproc.hpp>
 #include <sstream>
 
 #include "malus/capture/contrast_band_internal.h"
 #include "malus/capture/registration_rows_internal.h"
+#include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel.h"
 
 namespace malus {
@@ -33,18 +33,6 @@ constexpr int interpolation_margin = 4;
 constexpr double least_texture = 0.1;
 /// Least regression of an image's band on the others' that still counts as the same scene.
 constexpr double least_similarity = 0.25;
-
-/// OpenCV's thread count is global; one for the time of a registration, which calls it from threads of its own.
-class OneOpenCvThread {
- public:
-  OneOpenCvThread() : before_(cv::getNumThreads()) { cv::setNumThreads(1); }
-  ~OneOpenCvThread() { cv::setNumThreads(before_); }
-  OneOpenCvThread(const OneOpenCvThread&) = delete;
-  OneOpenCvThread& operator=(const OneOpenCvThread&) = delete;
-
- private:
-  int before_;
-};
 
 cv::Mat as_mat(const Image<float>& image) {
   return {image.height(), image.width(), CV_32F, const_cast<float*>(image.data())};
@@ -492,7 +480,7 @@ std::vector<ImageRegistration> register_images(const std::vector<Image<float>>& 
     return results;
   }
 
-  const OneOpenCvThread one_opencv_thread;
+  const OpenCvThreads one_thread(1);  // OpenCV is called from threads of our own
   Pyramid pyramid = coarser_levels(images, context);
   std::vector<Affine> maps(images.size(), identity_affine());
   Level::Assessment assessment;

@@ -8,8 +8,8 @@
 #include <numeric>
 #include <vector>
 
-#include "malus/core/median.h"
 #include "malus/core/parallel.h"
+#include "malus/core/robust_spread.h"
 #include "malus/polarization/ray_frame.h"
 
 namespace malus {
@@ -133,7 +133,7 @@ LightEstimate estimate_light(const Image<float>& intensity, const Image<float>& 
 
     light.rms = find_residuals(samples, weights, light.coefficients, residuals, context);
     std::vector<double> sorted = residuals;
-    light.robust_sigma = 1.4826 * median_in_place(sorted);
+    light.robust_sigma = robust_spread(sorted);
     const double scale = std::max(options.outlier_scale * light.robust_sigma, 1e-12);
     for (std::size_t i = 0; i < samples.size(); ++i) {
       weights[i] = 1 / (1 + residuals[i] * residuals[i] / (scale * scale));

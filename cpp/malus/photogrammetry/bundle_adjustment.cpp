@@ -10,7 +10,7 @@
 #include <utility>
 
 #include "malus/core/error.h"
-#include "malus/core/median.h"
+#include "malus/core/robust_spread.h"
 
 namespace malus {
 namespace {
@@ -171,7 +171,7 @@ double unit_weight(const Bundle& bundle) {
   }
   const auto observed = static_cast<double>(ratios.size());
   const auto unknown = static_cast<double>(6 * bundle.views.size() + 3 * bundle.points.size());
-  return 1.4826 * median_in_place(ratios) * std::sqrt(observed / std::max(observed - unknown, 1.0));
+  return robust_spread(ratios) * std::sqrt(observed / std::max(observed - unknown, 1.0));
 }
 
 /// The view that lies farthest from the first, and the axis along which it does most.

@@ -9,6 +9,7 @@
 
 #include "malus/core/error.h"
 #include "malus/core/median.h"
+#include "malus/core/robust_spread.h"
 #include "malus/photogrammetry/tie_points.h"
 
 namespace malus {
@@ -72,7 +73,7 @@ double keypoint_sigma(const Arrays& arrays, const std::vector<Eigen::Vector3d>& 
       sizes.push_back(std::abs(residual.y()));
     }
   }
-  return std::max(1.4826 * median(std::move(sizes)), least_keypoint_px);
+  return std::max(robust_spread(sizes), least_keypoint_px);
 }
 
 /// Normal of the plane through a point's neighbors, those off it weighed down.

@@ -5,8 +5,8 @@
 #include <cstddef>
 #include <optional>
 
-#include "malus/core/median.h"
 #include "malus/core/parallel.h"
+#include "malus/core/robust_spread.h"
 
 namespace malus {
 namespace {
@@ -118,17 +118,13 @@ double minimize(Function&& function, double start, double step, double low, doub
 
 }  // namespace
 
-double robust_spread(std::vector<double>& absolute_residuals) {
-  return 1.4826 * median_in_place(absolute_residuals);
-}
-
 ResidualSpread robust_spread(Residuals& residuals, const Context& context) {
   double spread[2];
   parallel_for(context, 2, 1, [&](std::size_t k, std::size_t) {
     spread[k] = robust_spread(k == 0 ? residuals.heights : residuals.slopes);
   });
   // The median length of a plane vector is 1.1774 standard deviations of its coordinates.
-  return {std::max(min_spread_gsd, spread[0]), std::max(min_spread_rad, spread[1] / (1.4826 * 1.1774))};
+  return {std::max(min_spread_gsd, spread[0]), std::max(min_spread_rad, spread[1] / (deviation_per_median * 1.1774))};
 }
 
 SmoothingStrength choose_smoothing(const Mask& mask, PixelRect box, std::span<const ViewPoint> points,

@@ -13,9 +13,6 @@ namespace malus {
 inline constexpr double min_spread_gsd = 0.01;
 inline constexpr double min_spread_rad = 1e-3;
 
-/// 1.4826 × median of absolute residuals, which it reorders.
-double robust_spread(std::vector<double>& absolute_residuals);
-
 /// Spread of heights and slopes, at least what is no longer noise.
 ResidualSpread robust_spread(Residuals& residuals, const Context& context);
 

@@ -4,6 +4,7 @@
 
 #include "malus/core/median.h"
 #include "malus/core/parallel.h"
+#include "malus/core/robust_spread.h"
 #include "malus/prior/neighbor_search_internal.h"
 #include "malus/prior/point_judgement_internal.h"
 
@@ -58,7 +59,7 @@ class Judge {
     for (const std::uint32_t neighbor : neighbors) scratch.push_back(points_[neighbor].height);
     const double centre = median_in_place(scratch);
     for (double& value : scratch) value = std::abs(value - centre);
-    const double spread = 1.4826 * median_in_place(scratch);
+    const double spread = robust_spread(scratch);
     return std::abs(p.height - centre) > std::max(options_.outlier_tolerance * spread, options_.outlier_floor_gsd);
   }
 

@@ -17,7 +17,9 @@
 
 #include "malus/core/error.h"
 #include "malus/core/median.h"
+#include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel.h"
+#include "malus/core/robust_spread.h"
 #include "malus/core/tiled_axis.h"
 #include "malus/prior/choose_smoothing.h"
 #include "malus/prior/rasterize_mesh.h"
@@ -336,6 +338,7 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
 /// Prior of a depth raster in the station view; `source` names it in messages.
 DepthPrior prior_of_raster(const Image<float>& depth, const std::string& source, const Pinhole& camera,
                            const Pose& pose, const Mask& mask, const PriorOptions& options, const Context& context) {
+  const OpenCvThreads opencv_threads(context.threads);
   DepthPrior prior = empty_prior(camera, pose);
   std::size_t known = 0, elsewhere = 0;
   for (std::size_t i = 0; i < depth.count(); ++i) {
@@ -384,6 +387,7 @@ Image<float> relative_shape(const Image<float>& shape, const Mask& mask) {
 
 DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context) {
+  const OpenCvThreads opencv_threads(context.threads);
   validate(camera, pose, mask, options);
   context.progress("prior", 0, "projecting the cloud");
   VisiblePoints visible = visible_points(
@@ -435,6 +439,7 @@ DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const
 
 DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context) {
+  const OpenCvThreads opencv_threads(context.threads);
   validate(camera, pose, mask, options);
   const Image<float>&depth = swept.depth, &sigma = swept.sigma;
   require_size(depth, camera.size, "prior depth map");

@@ -5,7 +5,9 @@
 #include <vector>
 
 #include "malus/core/median.h"
+#include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel.h"
+#include "malus/core/robust_spread.h"
 #include "malus/stereo/highlights_internal.h"
 #include "malus/stereo/intensity_pyramid_internal.h"
 #include "malus/stereo/surface_raster_internal.h"
@@ -64,6 +66,7 @@ Image<float> log_ratio(const SweepInput& input, const Image<float>& station, con
 Mask find_highlights(const SweepInput& input, const Image<float>& reference, std::span<const SweepView> views,
                      const Image<float>& log_depth, int reach_px, const Context& context) {
   if (views.size() < least_views) return Mask(input.mask.size(), 1, 0);
+  const OpenCvThreads opencv_threads(context.threads);
   // Half the resolution: less noise, and a pixel's error of the surface does not matter.
   const Image<float> station = halved(reference, context);
   const Mask mask = halved(input.mask, context);
@@ -88,8 +91,8 @@ Mask find_highlights(const SweepInput& input, const Image<float>& reference, std
   Image<float> deviation = excess;
   const float usual = median_on(excess, mask);
   for (float& value : deviation) value = std::abs(value - usual);
-  const float threshold =
-      std::max(least_excess * median_on(station, mask), least_deviations * 1.4826F * median_on(deviation, mask));
+  const float spread = static_cast<float>(deviation_per_median) * median_on(deviation, mask);
+  const float threshold = std::max(least_excess * median_on(station, mask), least_deviations * spread);
 
   Mask shines(mask.size(), 1, 0);
   for (std::size_t i = 0; i < shines.count(); ++i) {

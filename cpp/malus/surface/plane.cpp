@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "malus/core/parallel.h"
+#include "malus/core/robust_spread.h"
 
 namespace malus {
 namespace {
@@ -45,15 +46,15 @@ Plane weighted_plane(std::span<const Eigen::Vector3d> points, const Eigen::Vecto
   return {origin + mean, Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvectors().col(0)};
 }
 
-/// 1.4826 × median of |distance|.
+/// The same of |distance|, with the mean of the two middle ones of an even number.
 double robust_spread(std::span<const Eigen::Vector3d> points, const Plane& plane) {
   std::vector<double> distances(points.size());
   std::transform(points.begin(), points.end(), distances.begin(),
                  [&](const Eigen::Vector3d& x) { return std::abs(plane.signed_distance(x)); });
   const auto middle = distances.begin() + static_cast<std::ptrdiff_t>(distances.size() / 2);
   std::nth_element(distances.begin(), middle, distances.end());
-  if (distances.size() % 2 == 1) return 1.4826 * *middle;
-  return 1.4826 * 0.5 * (*middle + *std::max_element(distances.begin(), middle));
+  if (distances.size() % 2 == 1) return deviation_per_median * *middle;
+  return deviation_per_median * 0.5 * (*middle + *std::max_element(distances.begin(), middle));
 }
 
 Plane robust_plane(std::span<const Eigen::Vector3d> points, Plane plane, const Context& context) {
