@@ -1,14 +1,16 @@
 # Sourced by scripts/demo and scripts/test: everything that a bare Debian 12 needs, nothing twice.
-#   apt packages → .venv (Python package malus and its tests' tools) → build/ (malus-station, C++ tests)
+#   apt packages → .venv (Python package malus) → build/ (malus-station)
+# Whoever sets with_tests=ON also gets the C++ tests and the tools of the Python tests.
 
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 cd "$root"
 
+with_tests=OFF
 packages=(
   g++ cmake ninja-build ccache pkg-config git
-  libeigen3-dev libsuitesparse-dev libopenblas-dev libceres-dev libopencv-dev libtiff-dev libpng-dev libjpeg-dev libssl-dev
+  libeigen3-dev libtbb-dev libsuitesparse-dev libopenblas-dev libceres-dev libopencv-dev libtiff-dev libpng-dev libjpeg-dev libssl-dev
   colmap
-  libtomlplusplus-dev nlohmann-json3-dev libcli11-dev libgtest-dev libbenchmark-dev
+  libtomlplusplus-dev nlohmann-json3-dev libcli11-dev
   python3 python3-dev python3-venv
 )
 
@@ -39,18 +41,21 @@ source_state() {
     LC_ALL=C sort -z | xargs -0 sha256sum | sha256sum | cut -d' ' -f1
 }
 
-# One CMake tree, build/, serves both: scikit-build-core builds the extension in it, together with malus-station and the
-# C++ tests, and installs the Python part into .venv.
+# One CMake tree, build/, serves all: scikit-build-core builds the extension in it, together with malus-station and the
+# C++ tests, and installs the Python part into .venv. What was built with tests is kept with tests.
 build() {
-  local state
-  state=$(source_state)
-  [ "$(cat .venv/malus-source-state 2>/dev/null)" = "$state" ] && [ -x build/malus-station ] && return
-  say "building (C++ library, malus-station, tests, Python package)"
+  local built state what="malus-station, Python package" extra=""
+  built=$(cat .venv/malus-source-state 2>/dev/null || true)
+  [[ $built == "tests "* ]] && with_tests=ON
+  [ "$with_tests" = ON ] && what+=", tests" extra="[test]"
+  state="${extra:+tests }$(source_state)"
+  [ "$built" = "$state" ] && [ -x build/malus-station ] && return
+  say "building ($what)"
   .venv/bin/python -m pip install -q --disable-pip-version-check "scikit-build-core>=0.10" "pybind11>=2.12"
-  local settings=(build-dir=build cmake.define.MALUS_BUILD_APP=ON cmake.define.MALUS_BUILD_TESTS=ON
+  local settings=(build-dir=build cmake.define.MALUS_BUILD_APP=ON cmake.define.MALUS_BUILD_TESTS=$with_tests
                   cmake.define.MALUS_WERROR=ON cmake.define.CMAKE_CXX_COMPILER_LAUNCHER=ccache)
   CMAKE_GENERATOR=Ninja .venv/bin/python -m pip install -q --disable-pip-version-check --no-build-isolation \
-    "${settings[@]/#/--config-settings=}" ".[test]"
+    "${settings[@]/#/--config-settings=}" ".$extra"
   echo "$state" > .venv/malus-source-state
 }
 

@@ -96,7 +96,7 @@ def main() -> int:
     counts = count(build)
     recorded = json.loads(RECORDED.read_text()) if RECORDED.exists() else {}
     wrong, faster = compare(counts, recorded)
-    update = f"python3 {Path(__file__).relative_to(HERE.parents[1])} {arguments.build} --update"
+    update = "tests/performance/run --update"
     if arguments.update:
         RECORDED.write_text(json.dumps(counts, indent=2) + "\n")
         print(f"recorded in {RECORDED.name}")

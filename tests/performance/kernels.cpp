@@ -99,8 +99,8 @@ void grid_systems() {
     const PixelIndex pixels(Mask({side, side}, 1, 1));
     GridSystem system(pixels);
     add_height_like_rows(system);
-    count(direct ? "CHOLMOD, nested dissection" : "multigrid", [&] {
-      GridSolver solver(pixels, {.method = direct ? GridMethod::direct : GridMethod::multigrid}, one_thread);
+    count(direct ? "CHOLMOD, nested dissection" : "conjugate gradients", [&] {
+      GridSolver solver(pixels, one_thread, direct ? pixels.count() : 0);
       Eigen::VectorXd x;
       return solver.solve(system, 1e-11 * system.largest_diagonal(), x) == SolveStatus::solved;
     });
@@ -110,10 +110,8 @@ void grid_systems() {
 void height() {
   using namespace height_scenes;
   const Scene scene = render(bumps(64), {64, 64}, nullptr, {0.3, -0.2, -0.8, 0}, 0.002);
-  HeightOptions options;
-  options.solver = GridMethod::multigrid;
   const HeightInput input{scene.state, scene.reflection, nullptr, {}, &scene.normals, nullptr};
-  count("height, multigrid", [&] { return solve_height(input, options, {}, one_thread).status == "converged"; });
+  count("height", [&] { return solve_height(input, {}, {}, one_thread).status == "converged"; });
 }
 
 void prior() {
