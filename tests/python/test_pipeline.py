@@ -56,6 +56,13 @@ def finished(finished_grid: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     return work
 
 
+def pinhole(work: Path) -> list[float]:
+    """fx, fy, cx and cy of the station's camera."""
+    lines = (work / "fused/camera.txt").read_text().splitlines()
+    words = next(line for line in lines if "PINHOLE" in line and line[0] != "#").split()
+    return [float(word) for word in words[4:8]]
+
+
 def test_workspace_is_complete(finished: Path) -> None:
     for name in RASTERS:
         raster = tifffile.imread(finished / name)
@@ -78,12 +85,7 @@ def test_quality_matches_the_rasters(finished: Path) -> None:
     assert quality["method"] == "grid"
     assert quality["coverage"]["fraction"] == 1.0
     depth = tifffile.imread(finished / "fused/depth.tif").astype(float)
-    words = next(
-        line
-        for line in (finished / "fused/camera.txt").read_text().splitlines()
-        if "PINHOLE" in line and line[0] != "#"
-    ).split()
-    fx, fy, cx, cy = (float(word) for word in words[4:8])
+    fx, fy, cx, cy = pinhole(finished)
     v, u = np.mgrid[45:116, 38:158]
     z = depth[45:116, 38:158]
     points = np.stack([(u - cx + 0.5) / fx * z, (v - cy + 0.5) / fy * z, z], -1).reshape(-1, 3)
@@ -136,9 +138,11 @@ def test_executable_makes_the_same_files(finished: Path, small_station_source: P
     )  # fmt: skip
     assert outcome.code == 0, outcome.err
     # The same code on the same machine, but vector code in the libraries may round differently with the arrays' alignment.
+    # A depth's last place, over the width of a pixel, turns the normal made of it by as much as the focal length in pixels.
     for name in RASTERS:
         ours, theirs = (tifffile.imread(w / name) for w in (work, finished))
-        np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-6, err_msg=name)
+        tolerance = 2 * np.finfo(np.float32).eps * pinhole(finished)[0] if name == "fused/normals.tif" else 1e-6
+        np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=tolerance, err_msg=name)
     for name in OTHERS[2:]:
         assert (work / name).stat().st_size == (finished / name).stat().st_size, name
         assert name.endswith(".ply") or (work / name).read_bytes() == (finished / name).read_bytes(), name
@@ -180,12 +184,7 @@ def test_letting_maps_go_changes_no_file(fusion: str, small_station_source: Path
 
 def test_python_arrays_give_the_same_surface(finished: Path, small_station_source: Path) -> None:
     images = [tifffile.imread(p) / np.float32(16383) for p in sorted((small_station_source / "pol").glob("*.tif"))]
-    words = next(
-        line
-        for line in (finished / "fused/camera.txt").read_text().splitlines()
-        if "PINHOLE" in line and line[0] != "#"
-    ).split()
-    fx, fy, cx, cy = (float(word) for word in words[4:8])
+    fx, fy, cx, cy = pinhole(finished)
     image_line = next(
         line for line in (finished / "fused/image.txt").read_text().splitlines() if line and line[0] != "#"
     ).split()
