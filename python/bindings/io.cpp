@@ -1,5 +1,9 @@
+#include <pybind11/stl.h>
+#include <pybind11/stl/filesystem.h>
+
 #include "arrays.h"
 #include "bindings.h"
+#include "malus/io/angles_of_names.h"
 #include "malus/io/image_file.h"
 #include "malus/io/point_cloud_file.h"
 
@@ -35,6 +39,7 @@ void bind_io(py::module_& module) {
     const Size size = read_image_size(path, "photo");
     return py::make_tuple(size.width, size.height);
   });
+  module.def("angles_of_names", &angles_of_names);
   module.def("write_png",
              [](const std::string& path, const Array<std::uint8_t>& image) { write_png(path, to_image(image)); });
 }

@@ -107,6 +107,7 @@ def _parser() -> argparse.ArgumentParser:
         "--table", type=Path, metavar="FILE.csv", help="images and angles; default: the folder's CSV file"
     )
     start.add_argument("--pattern", metavar="REGEX", help="its one group captures the angle in a file's name")
+    start.add_argument("--angles", metavar="A,B,…", help="degrees, one for each image in natural order of the names")
     start.add_argument(
         "--mosaic", metavar="A,B,C,D", help="one image of a polarization camera: angles of its cell by rows"
     )
@@ -133,11 +134,11 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _angles(text: str) -> list[float]:
+def _angles(option: str, text: str | None, expected: str) -> list[float] | None:
     try:
-        return [float(word) for word in text.split(",")]
+        return None if text is None else [float(word) for word in text.split(",")]
     except ValueError:
-        raise InputError(f"--mosaic {text}, expected four angles in degrees: 90,45,135,0") from None
+        raise InputError(f"{option} {text}, expected {expected}") from None
 
 
 def _view(args: argparse.Namespace) -> ProgressView:
@@ -249,14 +250,14 @@ def _run(arguments: Sequence[str] | None) -> None:
             print(f"{name} = {json.dumps(default)}  ({kind})\n    {meaning}")
         return
     if args.command == "import":
-        mosaic = None if args.mosaic is None else _angles(args.mosaic)
         print(
             malus.import_station(
                 args.folder,
                 args.output,
                 table=args.table,
                 pattern=args.pattern,
-                mosaic=mosaic,
+                angles=_angles("--angles", args.angles, "angles in degrees: 0,45,90,135"),
+                mosaic=_angles("--mosaic", args.mosaic, "four angles in degrees: 90,45,135,0"),
                 colors=args.colors,
                 metashape=args.metashape,
                 label=args.label,

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from malus import _core
 from malus._files import write_text
 from malus.errors import InputError
 from malus.photogrammetry.metashape import read_metashape
@@ -43,6 +44,7 @@ def import_station(
     *,
     table: str | Path | None = None,
     pattern: str | None = None,
+    angles: Sequence[float] | None = None,
     mosaic: Sequence[float] | None = None,
     colors: str | None = None,
     metashape: str | Path | None = None,
@@ -52,10 +54,13 @@ def import_station(
 ) -> Path:
     """Write a station file for the images of a folder, and return its path.
 
-    Angles [deg] come from `table`, a CSV file with a column for the file and one for the angle (image, angle_deg,
-    exposure_s; other usual names too), or from the folder's only CSV file; else from JSON files beside the images as
-    polanalyser writes them (its `mueller_psa`, or a number under `polarizer_angle`, `angle_deg` or `angle`, degrees);
-    else from the file names: the last number, or what `pattern`, a regular expression with one group, captures.
+    Angles [deg] come from `angles`, one for each image in natural order of their names; else from `table`, a CSV file
+    with a column for the file and one for the angle (image, angle_deg, exposure_s; other usual names too; separated by
+    commas, semicolons or tabs, decimal commas allowed with the latter two; every image of the folder once), or from the
+    folder's only CSV file; else from JSON files beside the images as polanalyser writes them (its `mueller_psa`, or a
+    number under `polarizer_angle`, `angle_deg` or `angle`, degrees); else from the file names: what `pattern`, a regular
+    expression with one group, captures, or the numbers beside a word such as pol or deg, if they are a polarizer's series
+    beyond doubt: a file's number is no angle.
     `mosaic` and `colors` are those of a polarization camera whose one image is in the folder. A file mask.png becomes
     the mask. `metashape` is the cameras.xml of an Agisoft Metashape project in which the polarized view was aligned too,
     `label` its camera there, whose lens and pose become [camera]; `cloud` is the project's cloud in the same frame and
@@ -81,7 +86,7 @@ def import_station(
     if mosaic is not None:
         lines = _mosaic_lines(_images(folder, mask), output, mosaic, colors)
     else:
-        lines = _shot_lines(_shots(folder, mask, table, pattern), output)
+        lines = _shot_lines(_shots(folder, mask, table, pattern, angles), output)
     if mask is not None:
         lines.append(f"mask = {_text(_relative(mask, output))}")
     camera = [] if metashape is None or label is None else _camera_lines(Path(metashape), label)
@@ -154,30 +159,64 @@ def _images(folder: Path, mask: Path | None) -> list[Path]:
     return sorted(images, key=_natural)
 
 
-def _shots(folder: Path, mask: Path | None, table: str | Path | None, pattern: str | None) -> list[_Shot]:
+def _shots(
+    folder: Path, mask: Path | None, table: str | Path | None, pattern: str | None, angles: Sequence[float] | None
+) -> list[_Shot]:
+    given = [
+        name for name, value in (("--angles", angles), ("--pattern", pattern), ("--table", table)) if value is not None
+    ]
+    if len(given) > 1:
+        raise InputError(f"{' and '.join(given)} are both given, expected one source of angles")
+    images = _images(folder, mask)
+    if angles is not None:
+        if len(angles) != len(images):
+            names = ", ".join(path.name for path in images)
+            raise InputError(
+                f"--angles has {len(angles)} angles for {len(images)} images ({names}), expected one for each"
+            )
+        return [_Shot(path, angle) for path, angle in zip(images, angles, strict=True)]
     if pattern is not None:
-        return [_Shot(path, _angle_by_pattern(path, pattern)) for path in _images(folder, mask)]
+        return [_Shot(path, _angle_by_pattern(path, pattern)) for path in images]
     tables = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".csv")
     if table is None and len(tables) == 1:
         table = tables[0]
     if table is not None:
-        return _shots_of_table(folder, Path(table))
+        return _all_once(_shots_of_table(folder, Path(table)), images, Path(table))
     shots = _shots_of_sidecars(folder)
     if shots:
         return shots
-    return [_Shot(path, _angle_by_pattern(path, None)) for path in _images(folder, mask)]
+    instead = "expected --angles A,B,…, one for each in this order, --pattern REGEX or a table (--table FILE.csv)"
+    return [
+        _Shot(path, angle)
+        for path, angle in zip(images, _core.angles_of_names(images, str(folder), instead), strict=True)
+    ]
 
 
-def _angle_by_pattern(path: Path, pattern: str | None) -> float:
+def _all_once(shots: list[_Shot], images: list[Path], table: Path) -> list[_Shot]:
+    """The table's shots, which must be the folder's images, each of them once."""
+    listed = [shot.image.resolve() for shot in shots]
+    twice = sorted({path.name for path in listed if listed.count(path) > 1})
+    if twice:
+        raise InputError(f"{table}: {', '.join(twice)} stands there more than once, expected every image once")
+    missing = [path.name for path in images if path.resolve() not in listed]
+    if missing:
+        raise InputError(
+            f"{table}: {', '.join(missing)} of {images[0].parent} {'is' if len(missing) == 1 else 'are'} not in it, "
+            "expected every image of the folder (move other images elsewhere)"
+        )
+    return shots
+
+
+def _angle_by_pattern(path: Path, pattern: str) -> float:
     try:
-        expression = re.compile(pattern or r"(\d+(?:\.\d+)?)\D*$")
+        expression = re.compile(pattern)
     except re.error as error:
         raise InputError(f"--pattern {pattern!r} is not a regular expression ({error})") from None
     if expression.groups != 1:
         raise InputError(f"--pattern {pattern!r}, expected a regular expression with one group that captures the angle")
-    found = expression.search(path.name if pattern else path.stem)
+    found = expression.search(path.name)
     if found is None:
-        raise InputError(f"{path}: no angle in its name" + (f" by the pattern {pattern!r}" if pattern else ""))
+        raise InputError(f"{path}: no angle in its name by the pattern {pattern!r}")
     return _number(found[1], f"{path}: the angle in its name")
 
 
@@ -191,40 +230,78 @@ def _number(value: object, where: str) -> float:
     return number
 
 
-def _shots_of_table(folder: Path, table: Path) -> list[_Shot]:
+def _rows_of(table: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
+    """Column names, and (line, values by column) of every row of a CSV file; InputError for a row that does not fit.
+
+    Files of spreadsheet programs are not always UTF-8, separate columns by what the country writes, and put commas into
+    numbers where columns are not separated by them.
+    """
     try:
-        with table.open(newline="", encoding="utf-8-sig") as file:
-            sample = file.read(4096)
-            file.seek(0)
-            delimiter = ";" if sample.count(";") > sample.count(",") else "\t" if "," not in sample else ","
-            reader = csv.DictReader(file, delimiter=delimiter, skipinitialspace=True)
-            rows = [(reader.line_num, row) for row in reader]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        content = table.read_bytes()
+    except OSError as error:
+        raise InputError(f"{table}: cannot be read ({error.strerror or error})") from None
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        text = content.decode("utf-16", errors="replace")
+    else:
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = content.decode("latin-1")
+    lines = text.splitlines()
+    first = next((index for index, line in enumerate(lines) if line.strip()), None)
+    if first is None:
+        raise InputError(f"{table}: empty, expected column names in the first line")
+    stated = re.fullmatch(r"sep=(.)", lines[first].strip())
+    if stated:  # what a spreadsheet program writes for its like
+        first += 1
+    header = lines[first] if first < len(lines) else ""
+    delimiter = stated[1] if stated else max(";\t,", key=header.count)
+    try:
+        rows = list(csv.reader(lines[first:], delimiter=delimiter, skipinitialspace=True, strict=True))
+    except csv.Error as error:
         raise InputError(f"{table}: cannot be read as a table ({error})") from None
-    names = {(name or "").strip().lower(): name for name in reader.fieldnames or []}
-
-    def column(choices: tuple[str, ...], required: bool) -> str | None:
-        for choice in choices:
-            if choice in names:
-                return names[choice]
-        if required:
+    names = [name.strip() for name in rows[0]]
+    result = []
+    for line, row in enumerate(rows[1:], start=first + 2):
+        cells = [cell.strip() for cell in row]
+        if not any(cells):
+            continue
+        while len(cells) > len(names) and not cells[-1]:
+            cells.pop()
+        if len(cells) != len(names):
             raise InputError(
-                f"{table}: no column {choices[0]!r}, expected one of {', '.join(choices)} in the first line"
+                f"{table}, line {line}: {len(cells)} columns separated by {delimiter!r}, expected {len(names)} as in the "
+                "first line (numbers with decimal commas need columns separated by semicolons)"
             )
-        return None
+        if delimiter != ",":
+            cells = [re.sub(r"^([+-]?\d+),(\d+)$", r"\1.\2", cell) for cell in cells]
+        result.append((line, dict(zip(names, cells, strict=True))))
+    return names, result
 
-    file_column, angle_column = column(_FILE_COLUMNS, True), column(_ANGLE_COLUMNS, True)
-    exposure_column = column(_EXPOSURE_COLUMNS, False)
+
+def _shots_of_table(folder: Path, table: Path) -> list[_Shot]:
+    columns, rows = _rows_of(table)
+    names = {name.lower(): name for name in columns}
+
+    def column(choices: tuple[str, ...]) -> str | None:
+        return next((names[choice] for choice in choices if choice in names), None)
+
+    file_column, angle_column, exposure_column = (
+        column(choices) for choices in (_FILE_COLUMNS, _ANGLE_COLUMNS, _EXPOSURE_COLUMNS)
+    )
+    if file_column is None or angle_column is None:
+        choices = _FILE_COLUMNS if file_column is None else _ANGLE_COLUMNS
+        raise InputError(f"{table}: no column {choices[0]!r}, expected one of {', '.join(choices)} in the first line")
     shots = []
     for line, row in rows:
-        name = (row.get(file_column) or "").strip()
+        name = row[file_column]
         image = folder / name
         if not name or not image.is_file():
             raise InputError(f"{table}, line {line}: no file {name!r} in {folder}")
-        angle = _number(row.get(angle_column), f"{table}, line {line}: {angle_column}")
+        angle = _number(row[angle_column], f"{table}, line {line}: {angle_column}")
         exposure = None
         if exposure_column is not None:
-            exposure = _number(row.get(exposure_column), f"{table}, line {line}: {exposure_column}")
+            exposure = _number(row[exposure_column], f"{table}, line {line}: {exposure_column}")
         shots.append(_Shot(image, angle, exposure))
     if not shots:
         raise InputError(f"{table}: no rows below the first line")

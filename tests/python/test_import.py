@@ -33,13 +33,13 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_angles_in_names_in_natural_order(folder: Path, tmp_path: Path) -> None:
-    for name in ("vase_a5.5.png", "vase_a60.png", "vase_a120.png", "mask.png"):
+    for name in ("vase_pol0.png", "vase_pol60.png", "vase_pol120.png", "mask.png"):
         image(folder / name)
     outcome = run_malus("import", folder, "-o", tmp_path / "station.toml")
     assert outcome.code == 0, outcome.err
     content = polarized(tmp_path / "station.toml")
-    assert content["images"] == ["shots/vase_a5.5.png", "shots/vase_a60.png", "shots/vase_a120.png"]
-    assert content["angles_deg"] == [5.5, 60, 120]
+    assert content["images"] == ["shots/vase_pol0.png", "shots/vase_pol60.png", "shots/vase_pol120.png"]
+    assert content["angles_deg"] == [0, 60, 120]
     assert content["mask"] == "shots/mask.png"
 
 
@@ -61,6 +61,45 @@ def test_table_with_exposures(folder: Path) -> None:
     content = polarized(folder / "station.toml")
     assert content["angles_deg"] == [0, 0, 45, 45, 90, 90]
     assert content["exposure_s"] == [0.01, 0.04] * 3
+
+
+def test_file_numbers_are_no_angles(folder: Path) -> None:
+    for number in (123, 124, 125, 9, 10):
+        image(folder / f"IMG_{number:04d}.png")
+    outcome = run_malus("import", folder, "-o", folder / "station.toml")
+    assert outcome.code == 2
+    assert "IMG_0009.png, IMG_0010.png, IMG_0123.png" in outcome.err
+    assert "--angles" in outcome.err
+    assert not (folder / "station.toml").exists()
+    outcome = run_malus("import", folder, "-o", folder / "station.toml", "--angles", "0,36,72,108,144")
+    assert outcome.code == 0, outcome.err
+    content = polarized(folder / "station.toml")
+    assert dict(zip(content["images"], content["angles_deg"], strict=True)) == {
+        "IMG_0009.png": 0, "IMG_0010.png": 36, "IMG_0123.png": 72, "IMG_0124.png": 108, "IMG_0125.png": 144,
+    }  # fmt: skip
+
+
+SEMICOLONS = "Bild;Datei;Angle;Größe\n1;a.png;0;5\n2;b.png;22,5;5\n\n3;c.png;67,5;6\n".replace("Datei", "File")
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        SEMICOLONS.encode("latin-1"),
+        SEMICOLONS.encode("utf-8-sig"),
+        SEMICOLONS.encode("utf-16"),
+        SEMICOLONS.replace("\n", "\r\n").encode(),
+        SEMICOLONS.replace(";", "\t").encode(),
+        b"sep=;\n" + SEMICOLONS.encode(),
+        b'file,angle,note\na.png,0,x\nb.png,22.5,\n c.png , 67.5,"y, z",\n',
+    ],
+)
+def test_tables_of_spreadsheet_programs(folder: Path, table: bytes) -> None:
+    for name in "abc":
+        image(folder / f"{name}.png")
+    (folder / "angles.csv").write_bytes(table)
+    malus.import_station(folder, folder / "station.toml")
+    assert polarized(folder / "station.toml")["angles_deg"] == [0, 22.5, 67.5]
 
 
 def test_polanalyser_sidecars(folder: Path) -> None:
@@ -113,7 +152,7 @@ def test_camera_and_cloud_of_a_metashape_project(folder: Path, tmp_path: Path) -
     station = folder / "station.toml"
     outcome = run_malus(
         "import", folder, "-o", station, "--metashape", project, "--label", "shot_0", "--cloud", folder / "cloud.ply",
-        "--unit", "m",
+        "--unit", "m", "--angles", "0,60,120",
     )  # fmt: skip
     assert outcome.code == 0, outcome.err
     description = malus.Station.load(station).describe()
@@ -128,7 +167,9 @@ def test_camera_and_cloud_of_a_metashape_project(folder: Path, tmp_path: Path) -
     assert "To come" not in station.read_text()
     for label, expected in (("c", "0 aligned cameras 'c', expected one; there are shot_0.png"), (None, "go together")):
         name = [] if label is None else ["--label", label]
-        outcome = run_malus("import", folder, "-o", folder / "other.toml", "--metashape", project, *name)
+        outcome = run_malus(
+            "import", folder, "-o", folder / "other.toml", "--angles", "0,60,120", "--metashape", project, *name
+        )  # fmt: skip
         assert outcome.code == 2
         assert expected in outcome.err
         assert not (folder / "other.toml").exists()
@@ -138,7 +179,20 @@ def test_camera_and_cloud_of_a_metashape_project(folder: Path, tmp_path: Path) -
     ("files", "arguments", "message"),
     [
         ({}, [], "no images, expected PNG, TIFF, JPEG or RAW"),
-        ({"a.png": None}, [], "no angle in its name"),
+        ({"a.png": None}, [], "do not say the polarizer's angles beyond doubt: a.png"),
+        ({"a.png": None}, ["--pattern", "b(\\d)"], "no angle in its name"),
+        ({"a.png": None, "b.png": None}, ["--angles", "0"], "1 angles for 2 images (a.png, b.png)"),
+        ({"a.png": None}, ["--angles", "0,x"], "--angles 0,x, expected angles in degrees"),
+        ({"a.png": None}, ["--angles", "0", "--pattern", "(a)"], "--angles and --pattern are both given"),
+        ({"a.png": None, "t.csv": "file;angle\na.png;1;2\n"}, [], "t.csv, line 2: 3 columns"),
+        (
+            {"a.png": None, "t.csv": "file,angle\na.png,22,5\n"},
+            [],
+            "decimal commas need columns separated by semicolons",
+        ),
+        ({"a.png": None, "b.png": None, "t.csv": "file;angle\na.png;1\n"}, [], "b.png of"),
+        ({"a.png": None, "t.csv": "file;angle\na.png;1\na.png;2\n"}, [], "a.png stands there more than once"),
+        ({"a.png": None, "t.csv": "\n\n"}, [], "t.csv: empty"),
         ({"a_1.png": None}, ["--pattern", "a_\\d"], "one group"),
         ({"a_1.png": None}, ["--pattern", "a_(\\d"], "not a regular expression"),
         ({"a_1.png": None, "t.csv": "file,angle\nb.png,3\n"}, [], "t.csv, line 2: no file 'b.png'"),

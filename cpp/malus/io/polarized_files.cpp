@@ -4,15 +4,21 @@
 #include <array>
 #include <cctype>
 #include <charconv>
+#include <cmath>
+#include <optional>
 #include <regex>
+#include <set>
 #include <span>
 
 #include "malus/core/error.h"
+#include "malus/io/angles_of_names.h"
 #include "malus/io/image_file.h"
 #include "malus/io/polarized_files_internal.h"
 
 namespace malus {
 namespace {
+
+constexpr std::size_t most_names_shown = 6;
 
 bool is_digit(char c) {
   return c >= '0' && c <= '9';
@@ -59,6 +65,61 @@ std::vector<std::filesystem::path> match(const std::string& pattern) {
   }
   ::globfree(&matches);
   return files;
+}
+
+std::optional<double> number_of(const std::string& text) {
+  double number = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
+  if (text.empty() || error != std::errc() || end != text.data() + text.size()) return std::nullopt;
+  return number;
+}
+
+/// Where a file's name may say an angle: behind a word, before one, or, if the folder's name has a word, last of all.
+enum class AnglePlace { behind_word, before_word, last_in_folder };
+
+std::optional<double> angle_at(AnglePlace place, const std::filesystem::path& file) {
+  static const std::string number = R"((\d+(?:\.\d+)?))";
+  static const std::regex behind_word(
+      "(?:^|[^a-z])(?:pol|polari[sz]er|polari[sz]ation|angle|ang|deg|rot)[ _.=-]*" + number, std::regex::icase);
+  static const std::regex before_word(number + "[ _-]*(?:deg|°)", std::regex::icase);
+  static const std::regex last_number(number + R"(\D*$)");
+  static const std::regex folder_word("(?:^|[^a-z])(?:pol|polari[sz]e[rd]|polari[sz]ation|angles?)", std::regex::icase);
+  const std::string name = file.stem().string();
+  if (place == AnglePlace::last_in_folder) {
+    const std::string folder = file.parent_path().filename().string();
+    std::smatch match;
+    if (!std::regex_search(folder, folder_word) || !std::regex_search(name, match, last_number)) return std::nullopt;
+    return number_of(match[1].str());
+  }
+  std::optional<double> angle;
+  const std::regex& marked = place == AnglePlace::behind_word ? behind_word : before_word;
+  for (std::sregex_iterator match(name.begin(), name.end(), marked), none; match != none; ++match)
+    angle = number_of((*match)[1].str());
+  return angle;
+}
+
+/// Whether these can be the positions of a polarizer: round angles from 0 to 360°, 0 or 180° among them, three or more
+/// modulo 180°, and either a wide step between neighbors or evenly spread over the half turn. Counted file numbers are
+/// not.
+bool is_polarizer_series(std::span<const double> angles) {
+  const auto is_multiple = [](double angle, double step) {
+    return std::abs(angle - step * std::round(angle / step)) < 1e-9;
+  };
+  std::set<double> places;
+  for (const double angle : angles) {
+    if (angle > 360 || !(is_multiple(angle, 5) || is_multiple(angle, 22.5))) return false;
+    places.insert(std::fmod(angle, 180));
+  }
+  if (places.size() < 3 || !places.contains(0)) return false;
+  constexpr double wide_step = 15;
+  double smallest = 180, largest = 0;
+  for (auto place = places.begin(); place != places.end(); ++place) {
+    const auto next = std::next(place);
+    const double step = (next == places.end() ? 180 : *next) - *place;
+    smallest = std::min(smallest, step);
+    largest = std::max(largest, step);
+  }
+  return smallest >= wide_step || largest - smallest < 1e-9;
 }
 
 }  // namespace
@@ -108,11 +169,10 @@ std::vector<std::filesystem::path> list_images(const std::filesystem::path& base
 }
 
 double angle_of_name(const std::filesystem::path& file, const std::string& pattern, const std::string& where) {
-  static const std::string last_number = R"((\d+(?:\.\d+)?)\D*$)";
-  const std::string name = pattern.empty() ? file.stem().string() : file.filename().string();
+  const std::string name = file.filename().string();
   std::smatch match;
   try {
-    const std::regex expression(pattern.empty() ? last_number : pattern);
+    const std::regex expression(pattern);
     if (expression.mark_count() != 1) {
       throw input_error(where + " = \"" + pattern +
                         "\", expected a regular expression with one group that captures the angle");
@@ -121,14 +181,31 @@ double angle_of_name(const std::filesystem::path& file, const std::string& patte
   } catch (const std::regex_error& error) {
     throw input_error(where + " = \"" + pattern + "\" is not a regular expression (" + error.what() + ")");
   }
-  const std::string number = match.empty() ? std::string() : match[1].str();
-  double angle = 0;
-  const auto [end, error] = std::from_chars(number.data(), number.data() + number.size(), angle);
-  if (number.empty() || error != std::errc() || end != number.data() + number.size()) {
-    throw input_error(where + ": no angle in the name of " + file.string() +
-                      (pattern.empty() ? ", expected a number in it" : " by the pattern \"" + pattern + "\""));
+  const std::optional<double> angle = number_of(match.empty() ? std::string() : match[1].str());
+  if (!angle) {
+    throw input_error(where + ": no angle in the name of " + file.string() + " by the pattern \"" + pattern + "\"");
   }
-  return angle;
+  return *angle;
+}
+
+std::vector<double> angles_of_names(const std::vector<std::filesystem::path>& files, const std::string& where,
+                                    const std::string& instead) {
+  for (const AnglePlace place : {AnglePlace::behind_word, AnglePlace::before_word, AnglePlace::last_in_folder}) {
+    std::vector<double> angles;
+    for (const auto& file : files) {
+      if (const std::optional<double> angle = angle_at(place, file)) angles.push_back(*angle);
+    }
+    if (angles.size() == files.size() && is_polarizer_series(angles)) return angles;
+  }
+  std::string list;
+  for (std::size_t i = 0; i < std::min(files.size(), most_names_shown); ++i) {
+    list += (i > 0 ? ", " : "") + files[i].filename().string();
+  }
+  if (files.size() > most_names_shown) list += ", … (" + std::to_string(files.size()) + " files)";
+  throw input_error(where + ": the names do not say the polarizer's angles beyond doubt: " + list +
+                    "; numbers count as angles only beside a word such as pol, angle or deg (or in a folder of such a "
+                    "name), and if they are a polarizer's series such as 0, 45, 90, 135; " +
+                    instead);
 }
 
 }  // namespace malus

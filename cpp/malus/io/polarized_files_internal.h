@@ -1,6 +1,6 @@
 #pragma once
 
-// Private to the io room: which files a folder or glob in [polarized].images stands for, and the angles in their names.
+// Private to the io room: which files a folder or glob in [polarized].images stands for, and patterns for their names.
 
 #include <filesystem>
 #include <string>
@@ -16,9 +16,8 @@ bool natural_less(std::string_view a, std::string_view b);
 /// matches, in natural order. `folder_or_glob` starts at `base`.
 std::vector<std::filesystem::path> list_images(const std::filesystem::path& base, const std::string& folder_or_glob);
 
-/// Angle in degrees in a file's name. `pattern` is a regular expression (ECMAScript) searched in the file name, with
-/// one group that captures the number; an empty one takes the last number of the name without its extension. Throws
-/// ErrorCode::input, naming `where`, when the pattern is not usable or does not match.
+/// Angle in degrees in a file's name: what the one group of `pattern`, a regular expression (ECMAScript) searched in
+/// the file name, captures. Throws ErrorCode::input, naming `where`, when the pattern is not usable or does not match.
 double angle_of_name(const std::filesystem::path& file, const std::string& pattern, const std::string& where);
 
 }  // namespace malus

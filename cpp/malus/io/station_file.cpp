@@ -10,6 +10,7 @@
 #include <sstream>
 
 #include "malus/core/length_unit.h"
+#include "malus/io/angles_of_names.h"
 #include "malus/io/colmap_model.h"
 #include "malus/io/colmap_workspace.h"
 #include "malus/io/image_file.h"
@@ -155,7 +156,12 @@ std::optional<std::vector<double>> read_angles(const TomlTable& table,
     throw table.error("angles_deg", "is missing, expected a list of angles in degrees, or \"auto\"");
   } else {
     key = pattern ? "angle_pattern" : "images";
-    for (const auto& image : images) angles.push_back(angle_of_name(image, pattern.value_or(""), table.where(key)));
+    if (pattern) {
+      for (const auto& image : images) angles.push_back(angle_of_name(image, *pattern, table.where(key)));
+    } else {
+      angles = angles_of_names(images, table.where(key),
+                               "expected angles_deg = [ … ], one for each image in this order, or an angle_pattern");
+    }
   }
   require_three_angles(table, key, angles);
   return angles;

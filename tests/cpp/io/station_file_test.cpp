@@ -3,6 +3,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "malus/io/angles_of_names.h"
 #include "malus/io/colmap_model.h"
 #include "malus/io/image_file.h"
 #include "malus/io/polarized_files_internal.h"
@@ -238,11 +239,35 @@ TEST(PolarizedFiles, NaturalOrderAndLastNumber) {
   EXPECT_TRUE(natural_less("a2b10", "a02b11"));
   EXPECT_FALSE(natural_less("a", "a"));
   EXPECT_TRUE(natural_less("a", "ab"));
-  EXPECT_EQ(angle_of_name("/x/IMG_1234_pol_22.5deg.tif", "", "test"), 22.5);
-  EXPECT_EQ(angle_of_name("/x/120/pol-030.png", "", "test"), 30);
   EXPECT_EQ(angle_of_name("/x/p060_e3.png", "p(\\d+)_", "test"), 60);
   expect_error(
-      ErrorCode::input, [] { angle_of_name("/x/none.png", "", "images"); }, "images", "none.png");
+      ErrorCode::input, [] { angle_of_name("/x/none.png", "(\\d+)", "images"); }, "images", "none.png");
+}
+
+TEST(AnglesOfNames, OnlyWhereTheNamesSayThemBeyondDoubt) {
+  using Names = std::vector<std::filesystem::path>;
+  const auto angles = [](const Names& names) { return angles_of_names(names, "images", "expected angles_deg"); };
+  const std::vector<double> expected{0, 45, 90};
+  for (const Names& names :
+       {Names{"/x/IMG_1234_pol_0.tif", "/x/IMG_1235_pol_45.tif", "/x/IMG_1236_pol_90.tif"},
+        Names{"/x/IMG_7_deg0.tif", "/x/IMG_8_deg45.tif", "/x/IMG_9_deg90.tif"},
+        Names{"/x/000deg.png", "/x/045deg.png", "/x/090deg.png"}, Names{"/x/a 0°.png", "/x/a 45°.png", "/x/a 90°.png"},
+        Names{"/x/pol/000.png", "/x/pol/045.png", "/x/pol/090.png"},
+        Names{"/x/Polarized/a_0.png", "/x/Polarized/a_45.png", "/x/Polarized/a_90.png"}}) {
+    EXPECT_EQ(angles(names), expected) << names[0];
+  }
+  EXPECT_EQ(angles({"/x/angle22.5.png", "/x/angle0.png", "/x/angle67.5.png"}), (std::vector<double>{22.5, 0, 67.5}));
+  EXPECT_EQ(angles({"/x/rot-0.png", "/x/rot-120.png", "/x/rot-240.png"}), (std::vector<double>{0, 120, 240}));
+  for (const Names& names : {Names{"/x/IMG_0123.JPG", "/x/IMG_0124.JPG", "/x/IMG_0125.JPG"},
+                             Names{"/x/pol/IMG_0120.JPG", "/x/pol/IMG_0125.JPG", "/x/pol/IMG_0130.JPG"},
+                             Names{"/x/pol_1.png", "/x/pol_2.png", "/x/pol_3.png"},        // counted, not turned
+                             Names{"/x/pol_0.png", "/x/pol_5.png", "/x/pol_10.png"},       // counted by fives
+                             Names{"/x/a_000.png", "/x/a_045.png", "/x/a_090.png"},        // no word
+                             Names{"/x/pol_000.png", "/x/pol_045.png", "/x/pol_180.png"},  // two angles modulo 180
+                             Names{"/x/pol_000.png", "/x/pol_045.png", "/x/other.png"}}) {
+    expect_error(
+        ErrorCode::input, [&] { angles(names); }, "images", names[0].filename().string(), "expected angles_deg");
+  }
 }
 
 TEST_F(StationFileTest, Exposures) {
