@@ -1,7 +1,9 @@
 #include "malus/io/image_file.h"
 
 #include <algorithm>
+#include <cmath>
 #include <optional>
+#include <set>
 #include <sstream>
 #include <stdexcept>
 #include <string_view>
@@ -106,10 +108,27 @@ Size read_image_size(const std::filesystem::path& path, const std::string& what)
 Mask read_mask(const std::filesystem::path& path, const std::string& what) {
   const RawImage image = read_image(path, what);
   const auto channels = static_cast<std::size_t>(image.pixels.channels());
+  // The soft edges of a drawn mask do not reach this share, and images of labels have few values; photographs have
+  // both. What JPEG leaves of black and white is within a tenth of either.
+  constexpr double largest_grey_share = 0.05, black_below = 0.1, white_above = 0.9;
+  constexpr std::size_t few_values = 16;
+  const float largest = *std::ranges::max_element(image.pixels);
   Mask mask(image.pixels.size());
+  std::size_t grey = 0;
+  std::set<float> values;
   for (std::size_t i = 0; i < mask.count(); ++i) {
     const float* pixel = image.pixels.data() + i * channels;
     mask[i] = std::any_of(pixel, pixel + channels, [](float value) { return value != 0; }) ? 255 : 0;
+    if (values.size() <= few_values) values.insert(pixel[0]);
+    grey += pixel[0] > black_below * largest && pixel[0] < white_above * largest;
+  }
+  if (!(largest > 0))
+    throw input_error(name_of(what, path) + " is black everywhere, expected white where the object is");
+  const double grey_share = static_cast<double>(grey) / static_cast<double>(mask.count());
+  if (grey_share > largest_grey_share && values.size() > few_values) {
+    throw input_error(name_of(what, path) +
+                      " looks like a photograph: " + std::to_string(std::lround(100 * grey_share)) +
+                      " % of its pixels are neither black nor white, expected black, and white where the object is");
   }
   return mask;
 }

@@ -32,7 +32,8 @@ Size read_image_size(const std::filesystem::path& path, const std::string& what 
 /// read_image_size refuse it, as its bytes may look like a TIFF of a preview.
 bool is_raw_name(const std::filesystem::path& path);
 
-/// Mask from an image: 255 where any channel is not zero, else 0.
+/// Mask from an image: 255 where any channel is not zero, else 0. Throws an input error if all of it is zero, and for
+/// photographs: more than 16 values, and more than 5 % of the pixels between black and white.
 Mask read_mask(const std::filesystem::path& path, const std::string& what = "mask");
 
 /// Values of an 8-bit one-channel image, unchanged (label images).

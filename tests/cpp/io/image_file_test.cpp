@@ -206,6 +206,26 @@ TEST(ImageFile, MaskAndLabels) {
       ErrorCode::input, [&] { read_float_raster(folder / "label.png"); }, "8-bit integer");
 }
 
+TEST(ImageFile, TellsMasksFromPhotographs) {
+  const TemporaryFolder folder;
+  const auto mask_of = [&](auto value_of) {
+    Image<std::uint8_t> image({60, 40});
+    for (int v = 0; v < 40; ++v)
+      for (int u = 0; u < 60; ++u) image(u, v) = static_cast<std::uint8_t>(value_of(u, v));
+    write_png(folder / "mask.png", image);
+    return read_mask(folder / "mask.png");
+  };
+  EXPECT_EQ(mask_of([](int u, int) { return u > 20 ? 255 : 0; })(30, 10), 255);
+  // Soft along an edge of two pixels, and as JPEG leaves black and white.
+  EXPECT_EQ(mask_of([](int u, int v) { return u > 20 ? 240 + v % 15 : u > 18 ? 60 + 4 * v : v % 12; })(30, 10), 255);
+  EXPECT_EQ(mask_of([](int, int) { return 1; })(0, 0), 255);
+  expect_error(
+      ErrorCode::input, [&] { mask_of([](int, int) { return 0; }); }, "mask.png", "black everywhere");
+  expect_error(
+      ErrorCode::input, [&] { mask_of([](int u, int v) { return (7 * u + 5 * v) % 256; }); }, "mask.png",
+      "looks like a photograph");
+}
+
 TEST(ImageFile, RejectsWhatIsNotAnImage) {
   const TemporaryFolder folder;
   expect_error(
