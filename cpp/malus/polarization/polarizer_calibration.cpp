@@ -14,12 +14,6 @@ namespace {
 constexpr double degrees = 180 / std::numbers::pi;
 /// An error of the zero below this is not worth a change [deg].
 constexpr double small_zero_error_deg = 0.5;
-/// An error of the zero that a person should look at [deg].
-constexpr double large_zero_error_deg = 5;
-/// Agreement of the other direction over that of the given one from which the given one is doubted.
-constexpr double doubtful_direction = 1.5;
-/// The same below which the polarization follows the surface well enough to correct the zero.
-constexpr double clear_direction = 0.8;
 
 /// Angles, then ln gains of geometric mean 1, of the images after a change of frame.
 Eigen::VectorXd in_frame(const std::vector<double>& angles_rad, const std::vector<double>& gains,
@@ -96,6 +90,34 @@ std::string in_degrees(double value, double sigma) {
   return text.str();
 }
 
+/// What contradicts the scale beyond doubt, and how to mend it; empty if nothing does.
+std::string contradiction(const FrameEstimate& surface) {
+  std::ostringstream text;
+  text.precision(2);
+  if (surface.mirrored) {
+    text
+        << "[polarized] angle_direction is the wrong way round: the polarization turns against the slopes of the prior "
+           "(correlation "
+        << surface.coherence.direct << " as the file has it, " << surface.coherence.opposite << " the other way, "
+        << -surface.coherence.ahead()
+        << " standard deviations apart); expected angle_direction = \"cw\" where the file says \"ccw\" or nothing, "
+           "\"ccw\" where it says \"cw\" (in a mosaic, 45 and 135 exchanged), unless the prior itself is mirrored";
+  } else if (surface.limits.is_off_by_quarter()) {
+    text << "[polarized] angle_zero_deg is off by 90°: " << 100 * surface.limits.beyond
+         << " % of the steep places are polarized along the slope more than any reflection can, "
+         << 100 * surface.limits.beyond_turned << " % if the scale is turned by 90°; expected angle_zero_deg 90 larger";
+  }
+  return text.str();
+}
+
+/// Of a scale that is known: what a person should look at, though nothing contradicts it beyond doubt.
+std::vector<std::string> doubts(const FrameEstimate& surface) {
+  if (!surface.limits.looks_off_by_quarter()) return {};
+  return {
+      "the polarization lies across the slopes of the prior everywhere, yet is as weak as that of diffuse reflection, "
+      "which lies along them: is angle_zero_deg off by 90°?"};
+}
+
 }  // namespace
 
 PolarizerCalibration calibration_without_surface(const PolarizerFit& fit, bool from_images, bool known_scale) {
@@ -120,6 +142,9 @@ CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool 
   PolarizerCalibration& calibration = result.calibration;
   calibration = calibration_without_surface(fit, from_images, true);
   calibration.surface_check = enum_name(surface.status);
+  calibration.coherence = surface.coherence.direct;
+  calibration.coherence_opposite = surface.coherence.opposite;
+  calibration.direction_sigmas = surface.coherence.ahead();
   if (surface.status != FrameStatus::ok) {
     if (!known_scale) {
       throw data_error("angles_deg = \"auto\": zero and direction of the polarizer's scale cannot be found: " +
@@ -132,13 +157,12 @@ CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool 
   calibration.zero_error_sigma_deg = sigma[2] * degrees;
   calibration.scene_polarization = {-surface.values[0], -surface.values[1]};
   calibration.scene_polarization_sigma = {sigma[0], sigma[1]};
-  calibration.opposite_direction_ratio = surface.mirror_ratio;
 
-  const bool doubtful = known_scale && surface.mirror_ratio > doubtful_direction;
-  if (doubtful) {
-    calibration.warnings.emplace_back(
-        "the polarization turns against the surface's azimuths: is angle_direction the right way round?");
-    return result;
+  if (known_scale) {
+    const std::string wrong = contradiction(surface);
+    if (!wrong.empty() && options.calibrate_angles != AngleCalibration::off) throw input_error(wrong);
+    calibration.warnings = wrong.empty() ? doubts(surface) : std::vector{wrong};
+    if (!wrong.empty()) return result;
   }
 
   // The frame as a linear Gaussian estimate: nominal values (b = 0, turn = 0) against the surface's.
@@ -156,22 +180,22 @@ CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool 
   Eigen::Vector3d values = covariance * surface_information * surface.values;
 
   const double zero_error_deg = std::abs(calibration.zero_error_deg);
-  const bool clear = surface.mirror_ratio < clear_direction;
-  const bool significant = clear && zero_error_deg > options.min_significance * calibration.zero_error_sigma_deg &&
+  const bool significant = knows_zero(surface.coherence) &&
+                           zero_error_deg > options.min_significance * calibration.zero_error_sigma_deg &&
                            zero_error_deg > small_zero_error_deg;
-  const bool automatic = options.calibrate_angles == AngleCalibration::automatic;
-  if (known_scale && significant &&
-      (zero_error_deg > large_zero_error_deg || options.calibrate_angles == AngleCalibration::off)) {
-    calibration.warnings.push_back("the zero of the polarizer's scale contradicts the surface: angles are " +
+  const bool only_check = options.calibrate_angles == AngleCalibration::off;
+  if (known_scale && significant) {
+    calibration.warnings.push_back(std::string("the zero of the polarizer's scale contradicts the surface") +
+                                   (only_check ? "" : " and is corrected") + ": angles as read are " +
                                    in_degrees(calibration.zero_error_deg, calibration.zero_error_sigma_deg) +
                                    " too small");
   }
-  if (options.calibrate_angles == AngleCalibration::off) return result;
+  if (only_check) return result;
   // Angles that fit as they are: only a zero that is clearly off is worth a change.
-  if (automatic && !from_images) {
-    if (!significant) return result;
-    values = {0, 0, surface.values[2]};
-  }
+  const bool only_zero = options.calibrate_angles == AngleCalibration::automatic && !from_images;
+  if (only_zero && !significant) return result;
+  if (only_zero) values = {0, 0, surface.values[2]};
+  if (known_scale && !significant) values[2] = 0;
 
   calibration.from_surface = true;
   result.frame = frame_of(values) * mirror;

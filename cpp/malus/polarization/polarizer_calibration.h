@@ -3,8 +3,8 @@
 #include <string>
 #include <vector>
 
+#include "malus/polarization/frame_estimate.h"
 #include "malus/polarization/polarizer_fit.h"
-#include "malus/polarization/stokes_frame.h"
 
 namespace malus {
 
@@ -20,7 +20,9 @@ struct PolarizerCalibration {
   double zero_error_deg = 0, zero_error_sigma_deg = 0;  ///< to be added to the angles as read, by the surface
   std::vector<double> scene_polarization;               ///< (b1, b2) that the surface finds too much, over s0
   std::vector<double> scene_polarization_sigma;
-  double opposite_direction_ratio = 0;  ///< agreement of the other direction of the scale; above 1 contradicts
+  /// Coherence of phases and azimuths (PhaseCoherence) as given, and for the scale's other direction, and by how many
+  /// standard deviations the one is ahead of the other; negative contradicts angle_direction.
+  double coherence = 0, coherence_opposite = 0, direction_sigmas = 0;
   std::vector<std::string> warnings;
 
   template <class Self, class Visitor>
@@ -38,7 +40,9 @@ struct PolarizerCalibration {
     visit("zero_error_sigma_deg", self.zero_error_sigma_deg);
     visit("scene_polarization", self.scene_polarization);
     visit("scene_polarization_sigma", self.scene_polarization_sigma);
-    visit("opposite_direction_ratio", self.opposite_direction_ratio);
+    visit("coherence", self.coherence);
+    visit("coherence_opposite", self.coherence_opposite);
+    visit("direction_sigmas", self.direction_sigmas);
     visit("warnings", self.warnings);
   }
 };
@@ -54,8 +58,13 @@ struct CalibratedFrame {
 /// surface, weighed by their covariances (linear Gaussian; the frame estimate's covariance is taken as it is).
 ///
 /// fit.angles_rad and gains are those that the Stokes vectors were computed with; `from_images` says that they are the
-/// fit's and not the nominal ones. With AngleCalibration::automatic and nominal angles, only an error of the zero that
-/// is significant (options.min_significance standard deviations and half a degree) is corrected; with `off` nothing is.
+/// fit's and not the nominal ones. A known scale is turned only if its zero is off by options.min_significance standard
+/// deviations and half a degree, whatever else is calibrated. With AngleCalibration::automatic and nominal angles
+/// nothing but that zero is corrected; with `off` nothing is.
+///
+/// Throws an input error that says how to mend the station file if the scale certainly counts the other way, or
+/// certainly has its zero off by 90°; with `off` these are warnings. A data error if the scale is unknown and the
+/// surface cannot tell it.
 CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool known_scale,
                                 const FrameEstimate& surface, const PolarizerOptions& options);
 

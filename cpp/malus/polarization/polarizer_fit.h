@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <algorithm>
 #include <span>
 #include <vector>
 
@@ -31,9 +32,11 @@ struct PolarizerFit {
   /// Whether the changes are such as errors of a scale and of exposures make: within five standard deviations.
   bool is_plausible(const PolarizerOptions& options) const;
 
-  /// Share of the squared residuals that the calibration removes.
+  /// Share of what the squared residuals have beyond the noise, and of a fifth of them at least, that the calibration
+  /// removes. Errors of angles or exposures leave nothing beyond noise behind; images that moved leave most.
   double improvement() const {
-    return residual_before > 0 ? 1 - (residual_after * residual_after) / (residual_before * residual_before) : 0;
+    const double before = residual_before * residual_before;
+    return before > 0 ? (before - residual_after * residual_after) / std::max(before - 1, 0.2 * before) : 0;
   }
 };
 

@@ -19,7 +19,7 @@ struct PolarizerOptions {
   double angle_sigma_deg = 2;
   double zero_sigma_deg = 3;
   double gain_sigma = 0.02;
-  double min_improvement = 0.1;
+  double min_improvement = 0.5;
   double min_significance = 5;
   double highlight_deg = 40;
 
@@ -32,7 +32,7 @@ struct PolarizerOptions {
     visit("zero_sigma_deg", self.zero_sigma_deg, Range{0.01, 90}, "and of the zero that they share");
     visit("gain_sigma", self.gain_sigma, Range{1e-4, 0.5}, "standard deviation of the exposure from image to image");
     visit("min_improvement", self.min_improvement, fraction_range,
-          "auto: share of the sinusoid's squared residuals that calibrated angles must remove");
+          "auto: share of what the sinusoid's squared residuals have beyond noise that calibrated angles must remove");
     visit("min_significance", self.min_significance, Range{1, 100},
           "auto: standard deviations from which an error of the scale's zero is corrected");
     visit("highlight_deg", self.highlight_deg, Range{0, 80},

@@ -65,6 +65,7 @@ struct PolarizerScene {
     state.i_un = state.rho = state.phi = Image<float>(size);
     state.valid = Mask(size, 1, static_cast<std::uint8_t>(PixelState::valid));
     state.angles_rad = {0, 1, 2};
+    state.exposures = {16, 16, 16};
     for (int v = 0; v < size.height; ++v) {
       for (int u = 0; u < size.width; ++u) {
         const Eigen::Vector3d s = frame * stokes_at(u, v);

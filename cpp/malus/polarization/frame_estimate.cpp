@@ -1,0 +1,152 @@
+#include "malus/polarization/frame_estimate.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <vector>
+
+#include "malus/core/median.h"
+#include "malus/polarization/frame_fit_internal.h"
+#include "malus/polarization/fresnel.h"
+
+namespace malus {
+namespace {
+
+constexpr double pi = std::numbers::pi;
+constexpr std::size_t min_cells = 200;
+/// Share of the cells that must be left beside the highlight.
+constexpr double min_share_beside_highlight = 0.05;
+/// Error of the scale's zero from which the search does not start at the scale as given.
+constexpr double gross_turn_rad = 10 * pi / 180;
+/// Standard deviation of a polarization of the whole scene that a mirroring object facing the camera may have, all of
+/// it reflecting the same lamp, and the slope (tan θ) at which it varies enough over an object to be told apart.
+constexpr double mirrored_lamp = 0.02, mirrored_lamp_slope = 0.4;
+
+/// Whether the degrees are too large for diffuse reflection: the median ratio to it, where zeniths are known well.
+bool degrees_are_specular(const std::vector<PhaseCell>& cells, double eta) {
+  std::vector<double> ratios;
+  for (const PhaseCell& cell : cells) {
+    if (cell.slopes.tan2() < 0.13) continue;  // 20°
+    const double zenith = std::atan(std::sqrt(cell.slopes.tan2()));
+    ratios.push_back(std::abs(cell.polarization()) / diffuse_degree(zenith, eta));
+  }
+  return !ratios.empty() && median_in_place(ratios) > 2.5;
+}
+
+/// Mean of sin²θ-weighed signs of R with the phases turned back: above one half, the polarization is specular.
+bool mostly_across(const std::vector<PhaseCell>& cells, double turn_rad, bool mirrored) {
+  const std::complex<double> turn = std::polar(1.0, -2 * turn_rad);
+  double across = 0, all = 0;
+  for (const PhaseCell& cell : cells) {
+    const double weight = cell.slopes.tan2() / (1 + cell.slopes.tan2());
+    const std::complex<double> polarization = mirrored ? std::conj(cell.polarization()) : cell.polarization();
+    all += weight;
+    if ((polarization * turn * std::conj(cell.azimuth())).real() < 0) across += weight;
+  }
+  return across > 0.5 * all;
+}
+
+/// Angle between the normal and the half vector of light and view; without a light, between normal and view.
+std::vector<double> angles_from_highlight(const std::vector<PhaseCell>& cells, const FrameHints& hints) {
+  std::vector<double> angles;
+  for (const PhaseCell& cell : cells) {
+    const Eigen::Vector3d half = hints.light ? (hints.light->normalized() + cell.view).normalized() : cell.view;
+    angles.push_back(std::acos(std::clamp(cell.normal.dot(half), -1.0, 1.0)));
+  }
+  return angles;
+}
+
+/// Leaves the cells beside the highlight, or all if that would leave too few.
+void keep_beside_highlight(std::vector<PhaseCell>& cells, std::vector<double>& from_highlight_rad, double limit_rad) {
+  std::vector<PhaseCell> kept;
+  std::vector<double> kept_rad;
+  for (std::size_t i = 0; i < cells.size(); ++i) {
+    if (from_highlight_rad[i] <= limit_rad) continue;
+    kept.push_back(cells[i]);
+    kept_rad.push_back(from_highlight_rad[i]);
+  }
+  if (kept.size() < min_cells ||
+      static_cast<double>(kept.size()) <= min_share_beside_highlight * static_cast<double>(cells.size()))
+    return;
+  cells = std::move(kept);
+  from_highlight_rad = std::move(kept_rad);
+}
+
+/// (b1, b2, turn) of a frame without mirror: a turn, and then a boost.
+Eigen::Vector3d values_of(const StokesFrame& frame) {
+  const Eigen::Vector2d added = frame.col(0).tail<2>() / frame(0, 0);  // What the boost makes of no polarization.
+  const StokesFrame turn = boost(-added[0], -added[1]) * frame;
+  return {added[0], added[1], 0.5 * std::atan2(turn(2, 1), turn(1, 1))};
+}
+
+/// The frame to start from, and with it the reflection that most of the polarization is of.
+StokesFrame start_of(const std::vector<PhaseCell>& cells, const FrameHints& hints, FrameEstimate& estimate) {
+  const PhaseCoherence& coherence = estimate.coherence;
+  if (hints.known_scale) {
+    const double turn = std::abs(coherence.turn_rad) > gross_turn_rad ? coherence.turn_rad : 0;
+    estimate.specular = hints.specular.value_or(mostly_across(cells, turn, false));
+    return turned_scale(-turn);
+  }
+  estimate.specular = hints.specular.value_or(degrees_are_specular(cells, hints.refractive_index));
+  double turn = estimate.mirrored ? coherence.opposite_turn_rad : coherence.turn_rad;
+  if (mostly_across(cells, turn, estimate.mirrored) != estimate.specular) turn += pi / 2;
+  return turned_scale(-turn) * (estimate.mirrored ? mirrored_scale() : StokesFrame(StokesFrame::Identity()));
+}
+
+/// The cells with their Stokes vectors in another frame.
+std::vector<PhaseCell> in_frame(std::vector<PhaseCell> cells, const StokesFrame& frame) {
+  for (PhaseCell& cell : cells) cell.stokes = frame * cell.stokes;
+  return cells;
+}
+
+/// A covariance whose turn is as uncertain as the coherence of all cells has it in the frame found, and as the turn
+/// that the coherence still asks for there.
+Eigen::Matrix3d honest_covariance(const Eigen::Matrix3d& scatter, const PhaseCoherence& in_found_frame) {
+  const double sigma = in_found_frame.turn_sigma_rad, left = in_found_frame.turn_rad;
+  const double variance = std::max(scatter(2, 2), sigma * sigma) + left * left;
+  return scatter * (variance / std::max(scatter(2, 2), 1e-18));
+}
+
+}  // namespace
+
+FrameEstimate estimate_frame(const PolarizationState& state, const Pinhole* camera, const Image<float>& normals,
+                             const FrameHints& hints, const PolarizerOptions& options, const Context& context) {
+  validate_fields(options, "polarizer");
+  FrameEstimate estimate;
+  std::vector<PhaseCell> cells = phase_cells(state, camera, normals, context);
+  estimate.pixels = static_cast<double>(cells.size());
+  if (cells.size() < min_cells) {
+    estimate.status = FrameStatus::no_slopes;
+    return estimate;
+  }
+  estimate.coherence = phase_coherence(cells);
+  if (!knows_direction(estimate.coherence)) {
+    estimate.status = FrameStatus::no_polarization;
+    return estimate;
+  }
+  estimate.mirrored = estimate.coherence.ahead() < 0;
+  if (!estimate.mirrored) estimate.limits = radial_limits(cells, estimate.coherence.turn_rad, hints.refractive_index);
+  const StokesFrame start = start_of(cells, hints, estimate);
+
+  std::vector<double> tan2;
+  for (const PhaseCell& cell : cells) tan2.push_back(cell.slopes.tan2());
+  const double typical_tan2 = median_in_place(tan2);
+  std::vector<double> from_highlight_rad = angles_from_highlight(cells, hints);
+  std::vector<PhaseCell> beside = cells;
+  if (!estimate.specular) keep_beside_highlight(beside, from_highlight_rad, options.highlight_deg * pi / 180);
+  estimate.pixels = static_cast<double>(beside.size());
+  FrameFit fit(std::move(beside), std::move(from_highlight_rad), estimate.specular);
+  estimate.frame = fit.solve(start, context);
+  const Eigen::Matrix3d scatter = fit.covariance(estimate.frame);
+  const bool mirror_taken = estimate.mirrored && !hints.known_scale;
+  estimate.values = values_of(mirror_taken ? StokesFrame(estimate.frame * mirrored_scale()) : estimate.frame);
+  estimate.covariance = honest_covariance(scatter, phase_coherence(in_frame(std::move(cells), estimate.frame)));
+  if (estimate.specular) {
+    const double lamp = mirrored_lamp * std::exp(-typical_tan2 / (mirrored_lamp_slope * mirrored_lamp_slope));
+    estimate.covariance.topLeftCorner<2, 2>() += lamp * lamp * Eigen::Matrix2d::Identity();
+  }
+  estimate.status = FrameStatus::ok;
+  return estimate;
+}
+
+}  // namespace malus

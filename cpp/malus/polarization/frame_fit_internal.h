@@ -1,0 +1,54 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <vector>
+
+#include "malus/core/context.h"
+#include "malus/polarization/phase_cells.h"
+#include "malus/polarization/stokes_frame.h"
+
+namespace malus {
+
+/// The least squares of estimate_frame: turn and boosts for which polarization has no component across the azimuths.
+class FrameFit {
+ public:
+  /// from_highlight_rad: of each cell, the angle between its normal and the half vector of light and view.
+  /// use_radial: the component along the azimuth depends on the zenith alone, as on mirroring objects.
+  FrameFit(std::vector<PhaseCell> cells, std::vector<double> from_highlight_rad, bool use_radial);
+
+  /// Iterates to the frame in which the equations are balanced, from `start`.
+  StokesFrame solve(const StokesFrame& start, const Context& context);
+
+  /// Covariance of (b1, b2, δ) at the frame found: H⁻¹ Σ g gᵀ H⁻¹ over parts of the image and over zones around the
+  /// highlight, whichever has the larger trace.
+  Eigen::Matrix3d covariance(const StokesFrame& frame);
+
+ private:
+  /// Zeniths at which the radial profile of a mirroring object is free, linear between.
+  static constexpr int profile_nodes = 10;
+  /// One step's unknowns: b1, b2, δ, then the radial profile.
+  using Vector = Eigen::Matrix<double, 3 + profile_nodes, 1>;
+  using Matrix = Eigen::Matrix<double, 3 + profile_nodes, 3 + profile_nodes>;
+
+  struct Equation {
+    Vector row = Vector::Zero();
+    double value = 0, weight = 1;
+  };
+
+  static std::array<Equation, 2> equations_of(const PhaseCell& cell, const Eigen::Vector3d& stokes);
+  double squared_residual(const Equation& equation) const;
+  void update_scales(const StokesFrame& frame, bool first);
+  void accumulate(const StokesFrame& frame);
+
+  std::vector<PhaseCell> cells_;
+  std::vector<double> from_highlight_rad_;
+  std::vector<int> parts_;
+  bool use_radial_;
+  std::array<double, 2> scales_{1, 1};  ///< robust scale (squared) of each of the two kinds of residual
+  Vector solution_ = Vector::Zero(), right_ = Vector::Zero();
+  Matrix normal_ = Matrix::Zero();
+  std::vector<Vector> by_part_, by_zone_;
+};
+
+}  // namespace malus

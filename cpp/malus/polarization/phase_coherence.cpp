@@ -1,0 +1,126 @@
+#include "malus/polarization/phase_coherence.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <complex>
+
+namespace malus {
+namespace {
+
+using Complex = std::complex<double>;
+
+constexpr int parts_per_side = 8;
+/// Standard deviation of a prior's slopes, and of s1 / s0 and s2 / s0 beside the noise.
+constexpr double slope_sigma = 0.15, degree_floor = 0.003;
+/// E exp(4i x) = exp(−8 variance of x) for a normal x.
+constexpr double decay = 8;
+constexpr double min_ahead = 3, min_ahead_for_zero = 4, min_coherence = 0.3;
+
+double weight_of_variance(double variance) {
+  const double root = 1 / (1 + decay * variance);
+  return root * root;
+}
+
+/// Weighted sums over cells; phases, azimuths and their products are of unit modulus.
+struct Sums {
+  double weight = 0;
+  Complex phase, azimuth, direct, opposite;
+
+  Sums& operator+=(const Sums& other) {
+    weight += other.weight;
+    phase += other.phase;
+    azimuth += other.azimuth;
+    direct += other.direct;
+    opposite += other.opposite;
+    return *this;
+  }
+  Sums without(const Sums& part) const {
+    return {weight - part.weight, phase - part.phase, azimuth - part.azimuth, direct - part.direct,
+            opposite - part.opposite};
+  }
+};
+
+struct Correlations {
+  Complex direct, opposite;
+  double disagreement = 0;
+};
+
+Correlations correlations(const Sums& sums) {
+  const Complex phase = sums.phase / sums.weight, azimuth = sums.azimuth / sums.weight;
+  const double scale = 1 / std::sqrt(std::max((1 - std::norm(phase)) * (1 - std::norm(azimuth)), 1e-12));
+  const double cosine = sums.direct.real() / sums.weight;  // of 4 (phase − azimuth)
+  return {scale * (sums.direct / sums.weight - phase * std::conj(azimuth)),
+          scale * (sums.opposite / sums.weight - std::conj(phase * azimuth)),
+          std::sqrt(std::max(0.5 * (1 - cosine), 0.0))};
+}
+
+/// Standard deviation by the jackknife: `values` are what is found without each of the parts.
+double jackknife_sigma(const std::vector<double>& values) {
+  const auto count = static_cast<double>(values.size());
+  double mean = 0, squares = 0;
+  for (const double value : values) mean += value / count;
+  for (const double value : values) squares += (value - mean) * (value - mean);
+  return std::sqrt((count - 1) / count * squares);
+}
+
+}  // namespace
+
+PhaseCoherence phase_coherence(const std::vector<PhaseCell>& cells) {
+  PhaseCoherence result;
+  result.cells = cells.size();
+  const std::vector<int> parts = parts_of(cells, parts_per_side);
+  std::array<Sums, parts_per_side * parts_per_side> by_part;
+  for (std::size_t i = 0; i < cells.size(); ++i) {
+    const PhaseCell& cell = cells[i];
+    const Complex polarization = cell.polarization();
+    const double degree2 = std::max(std::norm(polarization), 1e-12);
+    const double phase_variance = (cell.variance + degree_floor * degree_floor) / (4 * degree2);
+    const double azimuth_variance = slope_sigma * slope_sigma / cell.slopes.tan2();
+    result.phases_known += weight_of_variance(phase_variance);
+    result.azimuths_known += weight_of_variance(azimuth_variance);
+    const double weight = weight_of_variance(phase_variance + azimuth_variance);
+    const Complex phase = polarization * polarization / degree2, azimuth = cell.azimuth() * cell.azimuth();
+    by_part[static_cast<std::size_t>(parts[i])] +=
+        Sums{weight, weight * phase, weight * azimuth, weight * phase * std::conj(azimuth),
+             weight * std::conj(phase * azimuth)};
+  }
+  Sums total;
+  for (const Sums& part : by_part) total += part;
+  if (!(total.weight > 0)) return result;
+  result.phases_known /= static_cast<double>(cells.size());
+  result.azimuths_known /= static_cast<double>(cells.size());
+
+  const Correlations all = correlations(total);
+  std::vector<double> disagreements, directs, aheads, turns;
+  for (const Sums& part : by_part) {
+    const Sums rest = total.without(part);
+    if (!(part.weight > 0) || !(rest.weight > 1e-9 * total.weight)) continue;
+    const Correlations without = correlations(rest);
+    disagreements.push_back(without.disagreement);
+    directs.push_back(std::abs(without.direct));
+    aheads.push_back(std::abs(without.direct) - std::abs(without.opposite));
+    turns.push_back(std::arg(without.direct * std::conj(all.direct)) / 4);
+  }
+  result.disagreement = all.disagreement;
+  result.direct = std::abs(all.direct);
+  result.opposite = std::abs(all.opposite);
+  result.turn_rad = std::arg(all.direct) / 4;
+  result.opposite_turn_rad = std::arg(all.opposite) / 4;
+  if (directs.size() < 2) return result;
+  result.disagreement_sigma = jackknife_sigma(disagreements);
+  result.direct_sigma = jackknife_sigma(directs);
+  result.ahead_sigma = jackknife_sigma(aheads);
+  result.turn_sigma_rad = jackknife_sigma(turns);
+  return result;
+}
+
+bool knows_direction(const PhaseCoherence& coherence) {
+  return std::abs(coherence.ahead()) > min_ahead && std::max(coherence.direct, coherence.opposite) > min_coherence;
+}
+
+bool knows_zero(const PhaseCoherence& coherence) {
+  return knows_direction(coherence) && std::abs(coherence.ahead()) > min_ahead_for_zero;
+}
+
+}  // namespace malus
