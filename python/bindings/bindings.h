@@ -8,6 +8,7 @@ namespace malus::python {
 void bind_io(pybind11::module_& module);
 void bind_capture(pybind11::module_& module);
 void bind_polarization(pybind11::module_& module);
+void bind_evidence(pybind11::module_& module);
 void bind_photogrammetry(pybind11::module_& module);
 void bind_prior(pybind11::module_& module);
 void bind_stereo(pybind11::module_& module);

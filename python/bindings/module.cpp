@@ -52,6 +52,7 @@ PYBIND11_MODULE(_core, module) {
   malus::python::bind_io(module);
   malus::python::bind_capture(module);
   malus::python::bind_polarization(module);
+  malus::python::bind_evidence(module);
   malus::python::bind_photogrammetry(module);
   malus::python::bind_prior(module);
   malus::python::bind_stereo(module);

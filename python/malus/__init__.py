@@ -6,10 +6,10 @@
     result.depth, result.normals, result.sigma
 
 Frames, angles and units: docs/conventions.md. Each step alone, on arrays: `malus.polarization`, `malus.capture`,
-`malus.stereo`, `malus.prior`, `malus.height`, `malus.fusion`, `malus.surface`, `malus.assess`.
+`malus.stereo`, `malus.prior`, `malus.evidence`, `malus.height`, `malus.fusion`, `malus.surface`, `malus.assess`.
 """
 
-from malus import assess, capture, fusion, height, photogrammetry, polarization, prior, stereo, surface
+from malus import assess, capture, evidence, fusion, height, photogrammetry, polarization, prior, stereo, surface
 from malus._core import version as __version__
 from malus.camera import Camera
 from malus.errors import DataError, ExternalError, InputError, MalusError, ResourceError
@@ -37,6 +37,7 @@ __all__ = [
     "assess",
     "capture",
     "check",
+    "evidence",
     "export",
     "fusion",
     "height",

@@ -235,6 +235,35 @@ def map_reflection(
     options: str,
     threads: int,
 ) -> ReflectionMap: ...
+def check_phase(state: PolarizationState, camera: Pinhole | None, normals: Float32, threads: int) -> dict[str, Any]: ...
+def check_cloud(
+    points: Float64,
+    normals: Float32 | None,
+    colors: Bytes | None,
+    rotation: Float64,
+    translation: Float64,
+    state: PolarizationState,
+    scene: Float32 | None,
+    mask: Bytes | None,
+    camera: Pinhole,
+    unit: str,
+    threads: int,
+) -> dict[str, Any]: ...
+def check_depth(
+    depth: Float32,
+    state: PolarizationState,
+    scene: Float32 | None,
+    mask: Bytes | None,
+    camera: Pinhole,
+    unit: str,
+    threads: int,
+) -> dict[str, Any]: ...
+def check_order(images: Sequence[Float32], angles_rad: Sequence[float], mask: Bytes | None) -> dict[str, Any]: ...
+def check_response(
+    images: Sequence[Float32], angles_rad: Sequence[float], mask: Bytes | None, response: str
+) -> dict[str, Any]: ...
+def check_size(points_in_cam: Float64, camera: Pinhole, unit: str) -> dict[str, Any]: ...
+def angles_of_names(files: Sequence[Any], where: str, instead: str) -> list[float]: ...
 def project_points(
     points: Float64,
     camera: Pinhole,

@@ -1,0 +1,300 @@
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <utility>
+
+#include "malus/evidence/alignment_cue_internal.h"
+#include "malus/evidence/smoothing_internal.h"
+#include "malus/polarization/ray_frame.h"
+
+namespace malus {
+namespace {
+
+/// Scales that are compared: below, pixels are noise; above, light changes from place to place.
+constexpr double fine_px = 0.8, coarse_px = 6;
+/// As in PhaseCoherence.
+constexpr double slope_sigma = 0.15, degree_floor = 0.003, decay = 8;
+constexpr float gradient_floor = 0.005F, bend_floor = 0.01F;
+
+float weight_of_variance(double variance) {
+  const double root = 1 / (1 + decay * variance);
+  return static_cast<float>(root * root);
+}
+
+template <class T>
+std::vector<T> inside(const Image<T>& image, const Mask& pixels) {
+  std::vector<T> values;
+  for (std::size_t i = 0; i < pixels.count(); ++i)
+    if (pixels[i] != 0) values.push_back(image[i]);
+  return values;
+}
+
+std::vector<AlignmentCue::Value> real_values(const Image<float>& image, const Mask& pixels) {
+  const std::vector<float> values = inside(image, pixels);
+  return {values.begin(), values.end()};
+}
+
+/// A mask as weights of 0 and 1.
+Image<float> ones(const Mask& mask) {
+  Image<float> weights(mask.size());
+  for (std::size_t i = 0; i < mask.count(); ++i) weights[i] = mask[i] != 0 ? 1.0F : 0.0F;
+  return weights;
+}
+
+/// ln (|gradient| + floor) of channels, summed over them; pixels beside others that are not in the mask leave it.
+Image<float> log_gradient(const Image<float>& image, Mask& mask, float floor) {
+  Image<float> result(image.size());
+  Mask inner(mask.size());
+  for (int v = 1; v + 1 < image.height(); ++v) {
+    for (int u = 1; u + 1 < image.width(); ++u) {
+      if (!(mask(u, v) && mask(u - 1, v) && mask(u + 1, v) && mask(u, v - 1) && mask(u, v + 1))) continue;
+      float squares = 0;
+      for (int c = 0; c < image.channels(); ++c) {
+        const float x = image(u + 1, v, c) - image(u - 1, v, c), y = image(u, v + 1, c) - image(u, v - 1, c);
+        squares += 0.25F * (x * x + y * y);
+      }
+      if (!std::isfinite(squares)) continue;
+      inner(u, v) = 255;
+      result(u, v) = std::log(std::sqrt(squares) + floor);
+    }
+  }
+  mask = std::move(inner);
+  return result;
+}
+
+}  // namespace
+
+TemplatePixels template_pixels(const Mask& pixels) {
+  TemplatePixels result;
+  for (int v = 0; v < pixels.height(); ++v) {
+    for (int u = 0; u < pixels.width(); ++u) {
+      if (pixels(u, v) == 0) continue;
+      result.u.push_back(static_cast<float>(u));
+      result.v.push_back(static_cast<float>(v));
+    }
+  }
+  if (result.count() == 0) return result;
+  std::vector<float> sorted_u = result.u, sorted_v = result.v;
+  std::ranges::sort(sorted_u);
+  std::ranges::sort(sorted_v);
+  const auto extent = [n = result.count()](const std::vector<float>& x) {
+    return x[n * 98 / 100] - x[n * 2 / 100] + 1;
+  };
+  result.extent = std::max(extent(sorted_u), extent(sorted_v));
+  const auto n = static_cast<double>(result.count());
+  for (std::size_t i = 0; i < result.count(); ++i) {
+    result.center_u += result.u[i] / n;
+    result.center_v += result.v[i] / n;
+  }
+  double squares = 0;
+  constexpr int side = 10;
+  const float width = sorted_u.back() - sorted_u.front() + 1, height = sorted_v.back() - sorted_v.front() + 1;
+  for (std::size_t i = 0; i < result.count(); ++i) {
+    squares += std::pow(result.u[i] - result.center_u, 2) + std::pow(result.v[i] - result.center_v, 2);
+    const auto column = static_cast<int>(side * (result.u[i] - sorted_u.front()) / width);
+    const auto row = static_cast<int>(side * (result.v[i] - sorted_v.front()) / height);
+    result.block.push_back(static_cast<std::uint16_t>(row * side + column));
+  }
+  result.radius = std::sqrt(squares / n);
+  return result;
+}
+
+/// The image's values where the template's pixels lie, and the common weights.
+struct AlignmentCue::Samples {
+  std::vector<Value> image;
+  std::vector<float> weights;
+  Value turn;  ///< that the template's values are multiplied by
+};
+
+/// Sums over the template's pixels, means taken out.
+struct AlignmentCue::Moments {
+  Value mean_template, mean_image;
+  double var_template = 0, var_image = 0;
+  std::complex<double> covariance;
+};
+
+AlignmentCue::AlignmentCue(std::vector<Value> values, std::vector<float> weights, const Image<float>& image_real,
+                           const Image<float>& image_imaginary, const Image<float>& image_weights, int turns)
+    : values_(std::move(values)), weights_(std::move(weights)), image_(image_real.size(), 3), turns_(turns) {
+  for (std::size_t i = 0; i < image_real.count(); ++i) {
+    image_[3 * i] = image_real[i];
+    image_[3 * i + 1] = image_imaginary.empty() ? 0.0F : image_imaginary[i];
+    image_[3 * i + 2] = image_weights[i];
+  }
+}
+
+bool AlignmentCue::has_template() const {
+  return std::ranges::any_of(values_, [this](const Value& value) { return std::abs(value - values_.front()) > 1e-6F; });
+}
+
+AlignmentCue::Samples AlignmentCue::sample(const TemplatePixels& pixels, const Similarity& moved) const {
+  Samples samples{std::vector<Value>(pixels.count()), std::vector<float>(pixels.count()),
+                  std::polar(1.0F, static_cast<float>(-turns_ * moved.turn_rad))};
+  const double scale = std::exp(moved.log_scale);
+  const auto cosine = static_cast<float>(scale * std::cos(moved.turn_rad)),
+             sine = static_cast<float>(scale * std::sin(moved.turn_rad));
+  const auto center_u = static_cast<float>(pixels.center_u), center_v = static_cast<float>(pixels.center_v);
+  const float to_u = center_u + static_cast<float>(moved.du), to_v = center_v + static_cast<float>(moved.dv);
+  const int width = image_.width(), height = image_.height();
+  for (std::size_t i = 0; i < pixels.count(); ++i) {
+    const float x = pixels.u[i] - center_u, y = pixels.v[i] - center_v;
+    const float u = cosine * x - sine * y + to_u, v = sine * x + cosine * y + to_v;
+    if (!(u >= 0 && v >= 0 && u < static_cast<float>(width - 1) && v < static_cast<float>(height - 1))) continue;
+    const int u0 = static_cast<int>(u), v0 = static_cast<int>(v);
+    const float fu = u - static_cast<float>(u0), fv = v - static_cast<float>(v0);
+    const float* const above = image_.row(v0) + 3 * u0;
+    const float* const below = image_.row(v0 + 1) + 3 * u0;
+    std::array<float, 3> value;
+    for (std::size_t c = 0; c < 3; ++c) {
+      value[c] = (1 - fv) * ((1 - fu) * above[c] + fu * above[c + 3]) + fv * ((1 - fu) * below[c] + fu * below[c + 3]);
+    }
+    if (!(value[2] > 1e-4F)) continue;
+    samples.image[i] = Value(value[0], value[1]) / value[2];
+    samples.weights[i] = weights_[i] * value[2];
+  }
+  return samples;
+}
+
+AlignmentCue::Moments AlignmentCue::moments(const Samples& samples) const {
+  double weight = 0, squares_template = 0, squares_image = 0;
+  std::complex<double> sum_template, sum_image, product;
+  for (std::size_t i = 0; i < values_.size(); ++i) {
+    const double w = samples.weights[i];
+    if (w == 0) continue;
+    const std::complex<double> t(values_[i] * samples.turn), f(samples.image[i]);
+    weight += w;
+    sum_template += w * t;
+    sum_image += w * f;
+    squares_template += w * std::norm(t);
+    squares_image += w * std::norm(f);
+    product += w * f * std::conj(t);
+  }
+  if (!(weight > 0)) return {};
+  const std::complex<double> mean_template = sum_template / weight, mean_image = sum_image / weight;
+  Moments moments{Value(mean_template), Value(mean_image), squares_template - weight * std::norm(mean_template),
+                  squares_image - weight * std::norm(mean_image),
+                  product - weight * mean_image * std::conj(mean_template)};
+  // Real values that agree with the wrong sign do not agree.
+  if (turns_ == 0 && moments.covariance.real() < 0) moments.covariance = 0;
+  return moments;
+}
+
+double AlignmentCue::correlation2(const TemplatePixels& pixels, const Similarity& moved) const {
+  const Moments m = moments(sample(pixels, moved));
+  const double product = m.var_template * m.var_image;
+  return product > 0 ? std::norm(m.covariance) / product : 0;
+}
+
+/// Σ w (|f|² − |f − a t|²) of each block over Σ w |f|² of all; their sum is the squared correlation.
+std::vector<double> AlignmentCue::explained_by_block(const TemplatePixels& pixels, const Similarity& at) const {
+  const Samples samples = sample(pixels, at);
+  const Moments m = moments(samples);
+  std::vector<double> blocks(TemplatePixels::blocks, 0.0);
+  if (!(m.var_template > 0 && m.var_image > 0)) return blocks;
+  const Value amplitude(m.covariance / m.var_template);
+  for (std::size_t i = 0; i < values_.size(); ++i) {
+    const Value f = samples.image[i] - m.mean_image, t = values_[i] * samples.turn - m.mean_template;
+    blocks[pixels.block[i]] += samples.weights[i] * (std::norm(f) - std::norm(f - amplitude * t)) / m.var_image;
+  }
+  return blocks;
+}
+
+namespace {
+
+/// Sum over its standard deviation, if the parts are independent and of mean zero.
+double sum_in_sigmas(const std::vector<double>& parts) {
+  double sum = 0, squares = 0;
+  for (const double part : parts) {
+    sum += part;
+    squares += part * part;
+  }
+  return squares > 0 ? sum / std::sqrt(squares) : 0;
+}
+
+}  // namespace
+
+double AlignmentCue::gain_sigmas(const TemplatePixels& pixels, const Similarity& from, const Similarity& to) const {
+  std::vector<double> gained = explained_by_block(pixels, to);
+  const std::vector<double> before = explained_by_block(pixels, from);
+  for (std::size_t b = 0; b < gained.size(); ++b) gained[b] -= before[b];
+  return sum_in_sigmas(gained);
+}
+
+double AlignmentCue::signal_sigmas(const TemplatePixels& pixels, const Similarity& at) const {
+  return sum_in_sigmas(explained_by_block(pixels, at));
+}
+
+double AlignmentCue::independent_pixels(const TemplatePixels& pixels, const Similarity& at) const {
+  const Samples samples = sample(pixels, at);
+  const Moments m = moments(samples);
+  if (!(m.var_template > 0)) return 1;
+  const Value amplitude(m.covariance / m.var_template);
+  std::array<std::complex<double>, TemplatePixels::blocks> products{};
+  double left = 0;
+  for (std::size_t i = 0; i < values_.size(); ++i) {
+    const Value f = samples.image[i] - m.mean_image, t = values_[i] * samples.turn - m.mean_template;
+    const Value rest = f - amplitude * t;
+    left += samples.weights[i] * std::norm(rest);
+    products[pixels.block[i]] += std::complex<double>(samples.weights[i] * rest * std::conj(t));
+  }
+  double scatter = 0;
+  for (const std::complex<double>& product : products)
+    scatter += turns_ == 0 ? product.real() * product.real() : 0.5 * std::norm(product);
+  return scatter > 0 ? std::clamp(m.var_template * left / scatter, 1.0, static_cast<double>(pixels.count())) : 1;
+}
+
+AlignmentCue color_cue(const PriorView& prior, const SceneView& scene, const Mask& pixels) {
+  const Image<float> colors = band_inside(prior.brightness, pixels, fine_px, coarse_px);
+  return {real_values(colors, pixels),
+          inside(ones(pixels), pixels),
+          band_inside(scene.brightness, scene.seen, fine_px, coarse_px),
+          {},
+          ones(scene.seen),
+          0};
+}
+
+AlignmentCue phase_cue(const PriorView& prior, const SceneView& scene, const Mask& pixels, const Pinhole& camera) {
+  std::vector<AlignmentCue::Value> azimuths;
+  std::vector<float> weights;
+  for (int v = 0; v < pixels.height(); ++v) {
+    for (int u = 0; u < pixels.width(); ++u) {
+      if (pixels(u, v) == 0) continue;
+      const Eigen::Vector3d normal(prior.normals(u, v, 0), prior.normals(u, v, 1), prior.normals(u, v, 2));
+      const RayFrame frame = ray_frame(camera.ray(u, v));
+      const Slopes slopes = frame.slopes(normal);
+      const bool known = normal.dot(frame.view) > 0.1 && slopes.tan2() > 1e-6;
+      azimuths.push_back(known ? std::polar(1.0F, static_cast<float>(4 * slopes.azimuth_rad())) : 0.0F);
+      weights.push_back(known ? weight_of_variance(slope_sigma * slope_sigma / slopes.tan2()) : 0.0F);
+    }
+  }
+  Image<float> real(scene.size()), imaginary(scene.size()), phase_weights(scene.size());
+  for (std::size_t i = 0; i < real.count(); ++i) {
+    const std::complex<double> polarization(scene.s1[i], scene.s2[i]);
+    const double degree2 = std::norm(polarization);
+    if (!(degree2 > 0)) continue;
+    phase_weights[i] = weight_of_variance((scene.variance[i] + degree_floor * degree_floor) / (4 * degree2));
+    const std::complex<double> twice = polarization * polarization / degree2;
+    real[i] = phase_weights[i] * static_cast<float>(twice.real());
+    imaginary[i] = phase_weights[i] * static_cast<float>(twice.imag());
+  }
+  for (Image<float>* image : {&real, &imaginary, &phase_weights}) smooth(*image, fine_px);
+  return {std::move(azimuths), std::move(weights), real, imaginary, phase_weights, 4};
+}
+
+AlignmentCue edge_cue(const PriorView& prior, const SceneView& scene, const Mask& pixels) {
+  Mask bent = pixels;
+  const Image<float> bends = log_gradient(prior.normals, bent, bend_floor);
+  Image<float> brightness = scene.brightness;
+  for (float& value : brightness) value = std::isfinite(value) ? value : 0.0F;
+  smooth(brightness, fine_px);
+  Mask seen = scene.seen;
+  const Image<float> changes = log_gradient(brightness, seen, gradient_floor);
+  return {real_values(band_inside(bends, bent, fine_px, coarse_px), pixels),
+          inside(ones(bent), pixels),
+          band_inside(changes, seen, fine_px, coarse_px),
+          {},
+          ones(seen),
+          0};
+}
+
+}  // namespace malus

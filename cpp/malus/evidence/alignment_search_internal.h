@@ -1,0 +1,57 @@
+#pragma once
+
+#include <array>
+#include <optional>
+#include <vector>
+
+#include "malus/core/context.h"
+#include "malus/evidence/alignment_cue_internal.h"
+
+namespace malus {
+
+/// A prior's pixels that are compared with the image, and the cues that both have.
+struct AlignmentProblem {
+  enum Kind : std::size_t { color, phase, edges };
+  static constexpr std::size_t kinds = 3;
+
+  TemplatePixels pixels;
+  std::array<std::optional<AlignmentCue>, kinds> cues;
+
+  /// pixels: those of the prior on the object, or all if these are few.
+  AlignmentProblem(const PriorView& prior, const SceneView& scene, const Pinhole& camera);
+  bool is_usable() const;
+};
+
+/// ln of the likelihood ratio of a place against an unrelated one: −½ Σ N ln(1 − R²), N the independent pixels of a
+/// cue.
+class AlignmentScore {
+ public:
+  /// Of these kinds of cues, those that the problem has; N of each as it is with the prior at `at`.
+  AlignmentScore(const AlignmentProblem& problem, const std::vector<AlignmentProblem::Kind>& kinds,
+                 const Similarity& at);
+
+  double operator()(const Similarity& place) const;
+
+ private:
+  struct Part {
+    const AlignmentCue* cue;
+    double independent;
+  };
+  const AlignmentProblem& problem_;
+  std::vector<Part> parts_;
+};
+
+struct PlacedScore {
+  Similarity place;
+  double score = 0;
+};
+
+/// Best places of a coarse problem on a grid of shifts, turns and sizes (shifts only: turn and size as they are).
+std::vector<PlacedScore> search_grid(const AlignmentScore& score, double extent_px, bool shifts_only,
+                                     const Context& context);
+
+/// Walks uphill from a place, to steps of 1/16 px, no farther than the grid reaches and half as much again.
+PlacedScore refine_place(const AlignmentScore& score, const TemplatePixels& pixels, const Similarity& start,
+                         const Context& context);
+
+}  // namespace malus

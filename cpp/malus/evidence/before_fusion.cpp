@@ -1,0 +1,50 @@
+#include "malus/evidence/before_fusion.h"
+
+#include <cmath>
+#include <utility>
+
+#include "malus/core/depth_normals.h"
+#include "malus/evidence/object_size.h"
+
+namespace malus {
+namespace {
+
+constexpr std::size_t most_points = 100000;
+
+/// Points of the prior on the object, evenly taken.
+std::vector<Eigen::Vector3d> points_of(const Image<float>& depth, const Mask& object, const Pinhole& camera) {
+  std::vector<Eigen::Vector3d> points;
+  const int stride = static_cast<int>(std::sqrt(static_cast<double>(depth.count() / most_points))) + 1;
+  for (int v = 0; v < depth.height(); v += stride) {
+    for (int u = 0; u < depth.width(); u += stride) {
+      if (object(u, v) != 0 && std::isfinite(depth(u, v))) points.push_back(depth(u, v) * camera.ray(u, v));
+    }
+  }
+  return points;
+}
+
+}  // namespace
+
+std::vector<Finding> findings_before_fusion(const BeforeFusion& input, const Context& context) {
+  const AlignmentScene& images = input.images;
+  require_size(input.prior_depth, images.state.size(), "depth map of the prior");
+  std::vector<Finding> findings;
+  const std::vector<Eigen::Vector3d> points = points_of(input.prior_depth, images.object, images.camera);
+  if (!points.empty()) findings.push_back(object_size(points, images.camera, images.unit).finding);
+  const Image<float> normals = normals_from_depth(input.prior_depth, images.camera, context);
+  const Pinhole* const camera = input.is_perspective ? &images.camera : nullptr;
+  PhaseAgreement phase = phase_agreement(images.state, camera, normals, context);
+  const PriorAlignment place = input.cloud != nullptr ? check_alignment(*input.cloud, input.pose, images, context)
+                                                      : check_alignment(input.prior_depth, images, context);
+  if (place.object_covered < PriorAlignment::poorly_covered && phase.finding.severity != Severity::note) {
+    phase.finding.severity = Severity::note;
+    phase.finding.message =
+        "whether the polarization fits the prior could not be checked: the prior is interpolated on most of the object";
+    phase.finding.suggestion.clear();
+  }
+  findings.push_back(std::move(phase.finding));
+  findings.push_back(place.finding);
+  return findings;
+}
+
+}  // namespace malus

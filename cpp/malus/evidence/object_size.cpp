@@ -1,0 +1,100 @@
+#include "malus/evidence/object_size.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numbers>
+#include <optional>
+#include <sstream>
+
+#include "malus/core/error.h"
+#include "malus/core/length_unit.h"
+
+namespace malus {
+namespace {
+
+constexpr double smallest_m = 1e-3, largest_m = 100, nearest_m = 5e-3, farthest_m = 1000;
+/// Of objects and distances that are usual before a camera.
+constexpr double usual_smallest_m = 5e-3, usual_largest_m = 20;
+constexpr double narrowest_deg = 0.3, widest_deg = 140;
+
+/// A length with three digits in a unit that suits it.
+std::string in_words(double metres) {
+  const double size = std::abs(metres);
+  const auto [scale, name] = size < 1e-3   ? std::pair(1e6, "µm")
+                             : size < 0.5  ? std::pair(1e3, "mm")
+                             : size < 2000 ? std::pair(1.0, "m")
+                                           : std::pair(1e-3, "km");
+  std::ostringstream text;
+  text.precision(3);
+  const double value = metres * scale;
+  // Without an exponent, which three digits of a thousand would have.
+  text << (std::abs(value) >= 1000 ? std::round(value / 10) * 10 : value);
+  std::string digits = text.str();
+  if (digits.find('e') != std::string::npos) digits = std::to_string(std::lround(value));
+  return digits + " " + name;
+}
+
+double range_of(std::vector<double> values) {
+  const std::size_t last = values.size() - 1;
+  std::ranges::sort(values);
+  return values[last - last / 100] - values[last / 100];
+}
+
+bool is_likely(double width_m, double distance_m) {
+  return width_m >= smallest_m && width_m <= largest_m && distance_m >= nearest_m && distance_m <= farthest_m;
+}
+
+/// A unit in which size and distance would be usual, millimetres and metres first.
+std::optional<std::string> likelier_unit(double width, double distance, const std::string& unit) {
+  for (const char* const name : {"mm", "m", "cm", "um"}) {
+    const double metres = length_unit(name).metres;
+    if (name != unit && width * metres >= usual_smallest_m && width * metres <= usual_largest_m &&
+        distance * metres >= usual_smallest_m && distance * metres <= usual_largest_m)
+      return name;
+  }
+  return std::nullopt;
+}
+
+}  // namespace
+
+ObjectSize object_size(const std::vector<Eigen::Vector3d>& points_in_cam, const Pinhole& camera,
+                       const std::string& unit) {
+  if (points_in_cam.empty()) throw input_error("no point of the prior lies on the object, expected at least one");
+  std::array<std::vector<double>, 3> coordinates;
+  for (const Eigen::Vector3d& point : points_in_cam)
+    for (int axis = 0; axis < 3; ++axis) coordinates[static_cast<std::size_t>(axis)].push_back(point[axis]);
+  ObjectSize size;
+  size.width = range_of(coordinates[0]);
+  size.height = range_of(coordinates[1]);
+  const auto middle = coordinates[2].begin() + static_cast<std::ptrdiff_t>(coordinates[2].size() / 2);
+  std::ranges::nth_element(coordinates[2], middle);
+  size.distance = *middle;
+  size.gsd = size.distance / camera.focal();
+
+  const double metres = length_unit(unit).metres, larger = std::max(size.width, size.height);
+  Finding& finding = size.finding;
+  finding.check = "size";
+  finding.message = "the object is " + in_words(size.width * metres) + " wide and " + in_words(size.height * metres) +
+                    " high, " + in_words(size.distance * metres) + " from the camera; one pixel is " +
+                    in_words(size.gsd * metres);
+  finding.figures = {{"width", size.width}, {"height", size.height}, {"distance", size.distance}, {"gsd", size.gsd}};
+  const double view_deg = 2 * std::atan(0.5 * camera.size.width / camera.fx) * 180 / std::numbers::pi;
+  if (!is_likely(larger * metres, size.distance * metres)) {
+    finding.severity = Severity::warning;
+    const auto other = likelier_unit(larger, size.distance, unit);
+    finding.message += ": that is unlikely";
+    finding.suggestion = other ? "is unit = \"" + *other + "\" meant instead of \"" + unit + "\"?"
+                               : "are the units of cloud and camera right?";
+  } else if (view_deg < narrowest_deg || view_deg > widest_deg) {
+    finding.severity = Severity::warning;
+    std::ostringstream text;
+    text.precision(3);
+    text << ": that is seen at an angle of view of " << view_deg << "°, which no usual lens has";
+    finding.message += text.str();
+    finding.suggestion = "is the focal length of [camera] in pixels of these images?";
+  }
+  return size;
+}
+
+}  // namespace malus

@@ -1,0 +1,26 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "malus/core/image.h"
+
+namespace malus {
+
+/// Rows (1, cos 2a, sin 2a) / 2 of the sinusoid.
+Eigen::MatrixX3d sinusoid_rows(const std::vector<double>& angles_rad);
+
+/// What is left of values at these angles after the least-squares sinusoid: a projection.
+Eigen::MatrixXd residual_projection(const std::vector<double>& angles_rad);
+
+/// Values of some pixels in all images, those that are neither dark nor nearly saturated anywhere.
+struct PixelSamples {
+  std::vector<Eigen::VectorXd> values;
+  std::vector<int> parts;  ///< of 8 × 8 parts of the image
+  static constexpr int part_count = 64;
+};
+
+/// At most some hundred thousand, evenly taken. mask: non-zero = object, empty = everything.
+PixelSamples pixel_samples(const std::vector<Image<float>>& images, const Mask& mask);
+
+}  // namespace malus

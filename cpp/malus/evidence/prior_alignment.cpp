@@ -1,0 +1,363 @@
+#include "malus/evidence/prior_alignment.h"
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <map>
+#include <numbers>
+#include <optional>
+#include <sstream>
+#include <utility>
+
+#include "malus/evidence/alignment_place_internal.h"
+#include "malus/evidence/other_inputs_internal.h"
+#include "malus/evidence/reduced_view.h"
+
+namespace malus {
+namespace {
+
+using Kind = AlignmentProblem::Kind;
+
+constexpr double degrees = 180 / std::numbers::pi;
+/// A cue gains by a place, or loses.
+constexpr double gain_sigmas = 3, loss_sigmas = -2;
+
+/// Offsets that view-dependent reflections make of right priors: of the object's size, degrees, share.
+struct Tolerance {
+  double shift, turn_deg, scale;
+};
+constexpr Tolerance by_texture{0.012, 0.6, 0.035}, by_edges{0.04, 3, 0.08};
+
+/// Shares of the object that a prior covers: below the first, nothing can be made of it; below the second, a person
+/// should look.
+constexpr double hardly_covered = 0.02, inverted_covers = 0.2;
+/// Below this, what little of the object the prior has says nothing about the rest.
+constexpr double too_little_covered = 0.1;
+/// Coverage by a cloud that was moved, or beside an inverted mask, from which that is taken for the cause.
+constexpr double moved_covers = 0.3, well_covered = 0.5;
+constexpr std::size_t ideas_tried = 6;
+/// What an other idea of the input must explain, and how many times what the input as given does.
+constexpr double least_explained = 0.1, explains_times = 3;
+
+std::string with_digits(double value, int digits) {
+  std::ostringstream text;
+  text.precision(digits);
+  text << value;
+  return text.str();
+}
+
+std::string rounded(double value, int decimals) {
+  std::ostringstream text;
+  text.setf(std::ios::fixed);
+  text.precision(decimals);
+  text << value;
+  return text.str();
+}
+
+void take(const AlignmentPlace& place, PriorAlignment& alignment) {
+  alignment.color = place.evidence[Kind::color];
+  alignment.phase = place.evidence[Kind::phase];
+  alignment.edges = place.evidence[Kind::edges];
+  alignment.object_px = place.extent_px;
+  alignment.right_px = place.place.du;
+  alignment.down_px = place.place.dv;
+  alignment.clockwise_deg = place.place.turn_rad * degrees;
+  alignment.scale = std::exp(place.place.log_scale);
+  alignment.shift_sigma_px = std::hypot(place.sigma.du, place.sigma.dv);
+  alignment.turn_sigma_deg = place.sigma.turn_rad * degrees;
+  alignment.scale_sigma = place.sigma.log_scale;
+}
+
+bool is_beyond(const PriorAlignment& found, const Tolerance& tolerance) {
+  return std::hypot(found.right_px, found.down_px) > tolerance.shift * found.object_px ||
+         std::abs(found.clockwise_deg) > tolerance.turn_deg || std::abs(found.scale - 1) > tolerance.scale;
+}
+
+bool is_offset(const AlignmentPlace& place, const PriorAlignment& found) {
+  bool gains = false;
+  for (const AlignmentEvidence& cue : place.evidence) {
+    if (!cue.informative) continue;
+    gains = gains || cue.gain_sigmas > gain_sigmas;
+    if (cue.gain_sigmas < loss_sigmas) return false;
+  }
+  return gains && is_beyond(found, place.by_edges ? by_edges : by_texture);
+}
+
+/// "5.1 mm (17 px) to the left of", "turned by 1.2° clockwise against", "5 % too large for".
+std::string offset_in_words(const PriorAlignment& found, const Tolerance& tolerance, const std::string& unit) {
+  std::vector<std::string> parts;
+  const double shift = std::hypot(found.right_px, found.down_px);
+  const auto along = [&](double px, const char* forwards, const char* backwards) {
+    if (std::abs(px) < 0.3 * shift) return;
+    parts.push_back(with_digits(std::abs(px) * found.gsd, 2) + " " + unit + " (" + rounded(std::abs(px), 0) + " px) " +
+                    (px > 0 ? backwards : forwards));
+  };
+  if (shift > tolerance.shift * found.object_px) {
+    along(found.right_px, "too far right", "too far left");
+    along(found.down_px, "too low", "too high");
+  }
+  if (std::abs(found.clockwise_deg) > tolerance.turn_deg) {
+    parts.push_back("turned by " + rounded(std::abs(found.clockwise_deg), 1) + "° " +
+                    (found.clockwise_deg > 0 ? "counter-clockwise" : "clockwise"));
+  }
+  if (std::abs(found.scale - 1) > tolerance.scale) {
+    parts.push_back(rounded(100 * std::abs(1 / found.scale - 1), 0) + " % too " +
+                    (found.scale > 1 ? "small" : "large"));
+  }
+  std::string text;
+  for (std::size_t i = 0; i < parts.size(); ++i) {
+    const char* const joint = i == 0 ? "" : i + 1 == parts.size() ? " and " : ", ";
+    text += joint + parts[i];
+  }
+  return text;
+}
+
+void say(PriorAlignment& found, Severity severity, std::string message, std::string suggestion) {
+  found.finding.check = "prior";
+  found.finding.severity = severity;
+  found.finding.message = std::move(message);
+  found.finding.suggestion = std::move(suggestion);
+}
+
+void add_figures(PriorAlignment& found) {
+  auto& figures = found.finding.figures;
+  figures = {{"points_in_view", found.points_in_view},
+             {"points_on_object", found.points_on_object},
+             {"object_covered", found.object_covered},
+             {"right_px", found.right_px},
+             {"down_px", found.down_px},
+             {"clockwise_deg", found.clockwise_deg},
+             {"scale", found.scale},
+             {"shift_sigma_px", found.shift_sigma_px},
+             {"turn_sigma_deg", found.turn_sigma_deg},
+             {"scale_sigma", found.scale_sigma}};
+  const auto add = [&](const std::string& name, const AlignmentEvidence& cue) {
+    if (!cue.available) return;
+    figures.emplace_back(name + "_as_given", cue.as_given);
+    figures.emplace_back(name + "_at_best", cue.at_best);
+    figures.emplace_back(name + "_unrelated", cue.unrelated);
+    figures.emplace_back(name + "_signal_sigmas", cue.signal_sigmas);
+    figures.emplace_back(name + "_gain_sigmas", cue.gain_sigmas);
+  };
+  add("color", found.color);
+  add("phase", found.phase);
+  add("edges", found.edges);
+}
+
+void judge_place(const AlignmentPlace& place, const std::string& unit, PriorAlignment& found) {
+  if (!place.is_informative()) {
+    say(found, Severity::note,
+        "whether the prior lies where the images show the object could not be checked: it has neither colors nor "
+        "relief "
+        "that the images show, too",
+        "");
+    return;
+  }
+  if (is_offset(place, found)) {
+    say(found, Severity::warning,
+        "the prior does not lie where the images show the object: it seems " +
+            offset_in_words(found, place.by_edges ? by_edges : by_texture, unit),
+        "were the images taken from where [camera] says, with this lens, and is the prior of the same object in the "
+        "same "
+        "frame?");
+    return;
+  }
+  std::ostringstream text;
+  text.precision(2);
+  text << "the prior lies where the images show the object: best fit " << std::hypot(found.right_px, found.down_px)
+       << " px beside";
+  say(found, Severity::note, text.str(), "");
+}
+
+/// What the images would be, if one of the ideas explains much more than what was given.
+std::optional<std::pair<std::string, std::string>> better_idea(
+    const AlignmentPlace& given, const std::vector<TurnedScene>& ideas,
+    const std::function<AlignmentPlace(std::size_t)>& place) {
+  std::optional<std::size_t> best;
+  double most = std::max(least_explained, explains_times * given.explained());
+  for (std::size_t i = 0; i < ideas.size(); ++i) {
+    const AlignmentPlace found = place(i);
+    if (!found.is_informative() || !(found.explained() > most)) continue;
+    most = found.explained();
+    best = i;
+  }
+  if (!best) return std::nullopt;
+  return std::pair(ideas[*best].what, ideas[*best].remedy);
+}
+
+/// Views at the few sizes that are asked for, each made once.
+template <class View>
+class Views {
+ public:
+  explicit Views(std::function<View(int factor)> make) : make_(std::move(make)) {}
+
+  const View& at(int factor) {
+    const auto found = views_.find(factor);
+    return found != views_.end() ? found->second : views_.emplace(factor, make_(factor)).first->second;
+  }
+
+ private:
+  std::function<View(int factor)> make_;
+  std::map<int, View> views_;
+};
+
+Views<SceneView> views_of(const AlignmentScene& scene) {
+  return Views<SceneView>([&scene](int factor) { return scene_view(scene.state, scene.scene, scene.object, factor); });
+}
+
+/// Shares of the object, and of what is beside it, that a prior covers; and of the image's border that is object.
+struct Covered {
+  double object = 0, beside = 0, border = 0;
+
+  /// A mask leaves the surroundings out, which are what an image has at its border.
+  bool is_mask_inverted() const { return object < inverted_covers && beside > well_covered && border > 0.5; }
+  /// Stereo sees the surroundings where they are, but not an object of black glass.
+  bool has_surroundings() const { return beside > well_covered; }
+};
+
+Covered covered_by(const PriorView& prior, const SceneView& scene) {
+  double object = 0, beside = 0;
+  Covered covered;
+  for (std::size_t i = 0; i < prior.seen.count(); ++i) {
+    const bool is_object = scene.object[i] != 0, is_seen = prior.seen[i] != 0;
+    (is_object ? object : beside) += 1;
+    (is_object ? covered.object : covered.beside) += is_seen ? 1 : 0;
+  }
+  const Size size = scene.object.size();
+  for (int u = 0; u < size.width; ++u)
+    covered.border += (scene.object(u, 0) != 0) + (scene.object(u, size.height - 1) != 0);
+  for (int v = 0; v < size.height; ++v)
+    covered.border += (scene.object(0, v) != 0) + (scene.object(size.width - 1, v) != 0);
+  covered.border /= 2.0 * (size.width + size.height);
+  covered.object /= std::max(object, 1.0);
+  covered.beside /= std::max(beside, 1.0);
+  return covered;
+}
+
+/// A prior against the images as they are and as they would be if they had been turned.
+AlignmentPlace compare(Views<PriorView>& priors, const AlignmentScene& scene, Views<SceneView>& scenes,
+                       PriorAlignment& found, const Context& context) {
+  const auto problem_with = [&](const std::function<SceneView(int)>& scene_at) {
+    return [&scene, &priors, scene_at](int factor) {
+      return AlignmentProblem(priors.at(factor), scene_at(factor), reduced_camera(scene.camera, factor));
+    };
+  };
+  const Size size = scene.state.size();
+  const AlignmentPlace place =
+      find_place(problem_with([&](int factor) { return scenes.at(factor); }), size, false, context);
+  take(place, found);
+  if (!place.usable) return place;
+  const std::vector<TurnedScene> ideas = turned_scenes(scenes.at(coarse_factor(size)));
+  const auto idea = better_idea(place, ideas, [&](std::size_t i) {
+    return find_place(problem_with([&, i](int factor) { return turned_scenes(scenes.at(factor))[i].scene; }), size,
+                      true, context);
+  });
+  if (idea) {
+    found.instead = idea->first;
+    say(found, Severity::warning, idea->first + ": only then does the prior fit them", idea->second);
+  } else {
+    judge_place(place, scene.unit, found);
+  }
+  return place;
+}
+
+/// Tries other units, axes and poses of a cloud that does not fit as it is.
+void try_other_clouds(const PointCloud& cloud, const Pose& pose, const AlignmentScene& scene, Views<SceneView>& scenes,
+                      const AlignmentPlace& place, PriorAlignment& found, const Context& context) {
+  const auto ideas = moved_clouds(cloud, pose, scene.camera, scene.object, scene.unit, ideas_tried);
+  const MovedCloud* best = nullptr;
+  double most = std::max(least_explained, explains_times * place.explained());
+  for (const MovedCloud& idea : ideas) {
+    if (idea.coverage.covered < moved_covers) continue;
+    const auto problem_at = [&](int factor) {
+      const Pinhole camera = reduced_camera(scene.camera, factor);
+      return AlignmentProblem(prior_view(cloud, camera, idea.cam_from_cloud), scenes.at(factor), camera);
+    };
+    const AlignmentPlace other = find_place(problem_at, scene.state.size(), true, context);
+    if (!other.is_informative() || !(other.explained() > most)) continue;
+    most = other.explained();
+    best = &idea;
+  }
+  // Without anything to compare, a cloud that misses the object where another one would cover it says enough.
+  if (best == nullptr && found.object_covered < hardly_covered && !ideas.empty() &&
+      ideas.front().coverage.covered > moved_covers)
+    best = &ideas.front();
+  if (best == nullptr) return;
+  found.instead = best->what;
+  say(found, found.object_covered < hardly_covered ? Severity::error : Severity::warning,
+      best->what + ": only then does it fit the images", best->remedy);
+}
+
+void judge_coverage(const Covered& covered, const std::string& what, PriorAlignment& found) {
+  if (!found.instead.empty()) return;
+  const std::string share = rounded(100 * covered.object, covered.object < 0.01 ? 1 : 0);
+  if (covered.is_mask_inverted()) {
+    found.instead = "the mask is inverted";
+    say(found, covered.object < hardly_covered ? Severity::error : Severity::warning,
+        "the " + what + " covers " + share + " % of what is white in the mask, and " +
+            rounded(100 * covered.beside, 0) + " % of what is black",
+        "is the mask inverted? White is expected where the object is");
+  } else if (covered.object < hardly_covered && !covered.has_surroundings()) {
+    say(found, Severity::error,
+        "the " + what + " does not lie on the object: " + rounded(100 * found.points_in_view, 1) +
+            " % of it is in the camera's view, and it covers " + share + " % of the object",
+        "expected prior and camera in one frame and one unit, and the mask of these images (white = object)");
+  } else if (covered.object < too_little_covered && covered.has_surroundings()) {
+    say(found, Severity::note,
+        "whether the prior lies where the images show the object could not be checked: the " + what + " covers only " +
+            share + " % of the object, though what is around it",
+        "");
+  } else if (covered.object < PriorAlignment::poorly_covered && !covered.has_surroundings() &&
+             found.finding.severity == Severity::note) {
+    say(found, Severity::warning, "the " + what + " covers only " + share + " % of the object",
+        "is the mask right (white = object), and are prior and camera in one frame and one unit?");
+  }
+}
+
+}  // namespace
+
+std::string why_cloud_misses(const PointCloud& cloud, const Pose& pose, const Pinhole& camera, const Mask& object,
+                             const std::string& unit) {
+  const auto ideas = moved_clouds(cloud, pose, camera, object, unit, 1);
+  if (ideas.empty() || ideas.front().coverage.covered < moved_covers) return "";
+  return "it would if " + ideas.front().what + "; " + ideas.front().remedy;
+}
+
+PriorAlignment check_alignment(const PointCloud& cloud, const Pose& pose, const AlignmentScene& scene,
+                               const Context& context) {
+  PriorAlignment found;
+  const Eigen::Affine3d given = affine_of(pose);
+  const CloudCoverage coverage = cloud_coverage(cloud, scene.camera, given, scene.object);
+  found.points_in_view = coverage.in_view;
+  found.points_on_object = coverage.on_object;
+  Views<SceneView> scenes = views_of(scene);
+  Views<PriorView> priors([&](int factor) { return prior_view(cloud, reduced_camera(scene.camera, factor), given); });
+  const int factor = coarse_factor(scene.state.size());
+  const Covered covered = covered_by(priors.at(factor), scenes.at(factor));
+  found.object_covered = covered.object;
+  found.gsd = priors.at(factor).median_depth / scene.camera.focal();
+  AlignmentPlace place;
+  if (covered.object >= too_little_covered) place = compare(priors, scene, scenes, found, context);
+  if (found.instead.empty() && (covered.object < PriorAlignment::poorly_covered || !place.is_informative()))
+    try_other_clouds(cloud, pose, scene, scenes, place, found, context);
+  judge_coverage(covered, "cloud", found);
+  add_figures(found);
+  return found;
+}
+
+PriorAlignment check_alignment(const Image<float>& depth, const AlignmentScene& scene, const Context& context) {
+  require_size(depth, scene.state.size(), "depth map of the prior");
+  PriorAlignment found;
+  Views<SceneView> scenes = views_of(scene);
+  Views<PriorView> priors([&](int factor) { return prior_view(depth, scene.camera, factor, context); });
+  const int factor = coarse_factor(scene.state.size());
+  const Covered covered = covered_by(priors.at(factor), scenes.at(factor));
+  found.object_covered = covered.object;
+  found.gsd = priors.at(factor).median_depth / scene.camera.focal();
+  if (covered.object >= too_little_covered) compare(priors, scene, scenes, found, context);
+  judge_coverage(covered, "prior", found);
+  add_figures(found);
+  return found;
+}
+
+}  // namespace malus

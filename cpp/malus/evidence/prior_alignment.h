@@ -1,0 +1,77 @@
+#pragma once
+
+#include <string>
+
+#include "malus/core/camera.h"
+#include "malus/core/context.h"
+#include "malus/core/finding.h"
+#include "malus/core/geometry.h"
+#include "malus/core/image.h"
+#include "malus/core/pose.h"
+#include "malus/polarization/polarization_state.h"
+
+namespace malus {
+
+/// What one cue says: squared correlations with the image, and standard deviations by their scatter over the image.
+struct AlignmentEvidence {
+  bool available = false;            ///< prior and image both have it
+  double as_given = 0, at_best = 0;  ///< squared correlation of the prior where it is, and where it fits best
+  double unrelated = 0;              ///< the largest of 24 displacements far away: a permutation null
+  double signal_sigmas = 0;          ///< how much it explains where it fits best
+  double gain_sigmas = 0;            ///< how much more than where it is
+  bool informative = false;          ///< says clearly more where it fits best than anywhere far away
+};
+
+/// Where the image shows the object, as seen from where the prior has it.
+struct PriorAlignment {
+  /// Share of the object below which most of it is not known by the prior.
+  static constexpr double poorly_covered = 0.3;
+
+  AlignmentEvidence color, phase, edges;
+  double points_in_view = 1;    ///< share of the cloud's points that project into the image
+  double points_on_object = 1;  ///< share of them that project onto the mask
+  double object_covered = 0;    ///< share of the mask that the prior covers
+  double object_px = 0;         ///< larger side of the prior's pixels on the object, in the image
+  double gsd = 0;               ///< station unit a pixel, at the prior's median depth
+  /// The best place: move the prior right and down [px], turn it clockwise as displayed, scale it about its middle.
+  double right_px = 0, down_px = 0, clockwise_deg = 0, scale = 1;
+  /// Standard deviations of the best place as independent pixels would have it; what view-dependent reflections make of
+  /// right priors is more (see check_alignment).
+  double shift_sigma_px = 0, turn_sigma_deg = 0, scale_sigma = 0;
+  /// What fits better than the input as it is: "the images are turned by 180°", …; empty = nothing.
+  std::string instead;
+  Finding finding;
+};
+
+/// The images, as polarization_step has them, and the station's camera.
+struct AlignmentScene {
+  const PolarizationState& state;
+  const Image<float>& scene;  ///< unpolarized intensity of everything in view; empty = only the state's valid pixels
+  const Mask& object;         ///< as the user gave it, non-zero = object
+  const Pinhole& camera;      ///< of the rasters
+  std::string unit = "mm";
+};
+
+/// Compares a cloud (world frame) with the images: its colors with their brightness, and the azimuths of its normals
+/// with the phases of the polarization (exp(4i ·) of both, the same for diffuse and specular reflection); if neither
+/// says anything, where it bends with where they change. Searched are shifts up to 8 % of the object, turns in the
+/// image up to 5° and changes of size up to 8 %, then the same for images that were turned by 180° or mirrored; where
+/// the cloud hardly meets the object, also for clouds in other units, with exchanged or negated axes, and poses that
+/// go the other way.
+///
+/// An offset is doubtful if one of the cues gains 3 standard deviations by it, none that has a signal loses by it, and
+/// it is beyond what view-dependent reflections make of right priors: 1.2 % of the object, 0.6°, 3.5 % in size. Edges
+/// follow the light: 4 %, 3° and 8 %. All of it at reduced sizes: the time does not depend on that of the images,
+/// but for one pass.
+PriorAlignment check_alignment(const PointCloud& cloud, const Pose& pose, const AlignmentScene& scene,
+                               const Context& context);
+
+/// The same for a depth map in the station's view, which has no colors and only lies where it lies: no other frames.
+PriorAlignment check_alignment(const Image<float>& depth, const AlignmentScene& scene, const Context& context);
+
+/// Why a cloud that does not fall on the object might not: other units, exchanged or negated axes, or a pose that goes
+/// the other way, with which it would cover 30 % of the object or more; empty = no such reason.
+std::string why_cloud_misses(const PointCloud& cloud, const Pose& pose, const Pinhole& camera, const Mask& object,
+                             const std::string& unit);
+
+}  // namespace malus

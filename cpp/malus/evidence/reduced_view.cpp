@@ -1,0 +1,191 @@
+#include "malus/evidence/reduced_view.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <opencv2/imgproc.hpp>
+#include <vector>
+
+#include "malus/core/depth_normals.h"
+#include "malus/core/median.h"
+#include "malus/evidence/smoothing_internal.h"
+
+namespace malus {
+namespace {
+
+constexpr float none = std::numeric_limits<float>::quiet_NaN();
+constexpr double darkest = 0.01;  ///< of the white level; below it a logarithm shows noise
+constexpr std::size_t most_points = 2000000;
+/// Points farther than this behind the nearest around them are hidden.
+constexpr double hidden_gsd = 6;
+/// Smoothing of what points leave in pixels, and how many (smoothed) points make a pixel.
+constexpr double splat_sigma_px = 0.8, least_density = 0.15;
+constexpr double depth_sigma_px = 1.5;  ///< of depths whose derivatives are normals
+
+struct SplatPoint {
+  int pixel;
+  Eigen::Vector3f normal;
+  float depth, brightness;
+};
+
+/// Points of the cloud in the view, of those that face the camera.
+std::vector<SplatPoint> project(const PointCloud& cloud, const Pinhole& camera, const Eigen::Affine3d& cam_from_cloud) {
+  std::vector<SplatPoint> points;
+  const std::size_t stride = cloud.points.size() / most_points + 1;
+  for (std::size_t i = 0; i < cloud.points.size(); i += stride) {
+    const Eigen::Vector3d x = cam_from_cloud * cloud.points[i];
+    if (!(x.z() > 0) || !x.allFinite()) continue;
+    const Eigen::Vector2d pixel = camera.project(x);
+    const int u = static_cast<int>(std::lround(std::clamp(pixel.x(), -1e6, 1e6)));
+    const int v = static_cast<int>(std::lround(std::clamp(pixel.y(), -1e6, 1e6)));
+    if (u < 0 || v < 0 || u >= camera.size.width || v >= camera.size.height) continue;
+    SplatPoint point{v * camera.size.width + u, Eigen::Vector3f::Zero(), static_cast<float>(x.z()), 0};
+    if (!cloud.normals.empty()) {
+      const Eigen::Vector3d normal = (cam_from_cloud.linear() * cloud.normals[i].cast<double>()).normalized();
+      if (!(normal.dot(x) < 0)) continue;
+      point.normal = normal.cast<float>();
+    }
+    if (!cloud.colors.empty()) {
+      const Rgb& color = cloud.colors[i];
+      point.brightness = static_cast<float>(std::log((color[0] + color[1] + color[2]) / 765.0 + darkest));
+    }
+    points.push_back(point);
+  }
+  return points;
+}
+
+/// Drops the points that lie behind the nearest ones around them.
+void drop_hidden(std::vector<SplatPoint>& points, const Pinhole& camera) {
+  Image<float> nearest(camera.size, 1, std::numeric_limits<float>::max());
+  for (const SplatPoint& point : points) {
+    float& z = nearest[static_cast<std::size_t>(point.pixel)];
+    z = std::min(z, point.depth);
+  }
+  Image<float> around(camera.size);
+  cv::erode(as_mat(nearest), as_mat(around), cv::Mat());
+  std::erase_if(points, [&](const SplatPoint& point) {
+    return point.depth > around[static_cast<std::size_t>(point.pixel)] + hidden_gsd * point.depth / camera.focal();
+  });
+}
+
+}  // namespace
+
+SceneView scene_view(const PolarizationState& state, const Image<float>& scene, const Mask& object, int factor) {
+  require_size(object, state.size(), "mask");
+  if (!scene.empty()) require_size(scene, state.size(), "unpolarized intensity of the scene");
+  const Size size{state.size().width / factor, state.size().height / factor};
+  SceneView view{
+      factor,    Image<float>(size, 1, none), Mask(size), Image<float>(size), Image<float>(size), Image<float>(size),
+      Mask(size)};
+  const StokesVariances variances(state);
+  for (int row = 0; row < size.height; ++row) {
+    for (int column = 0; column < size.width; ++column) {
+      double light = 0, variance = 0;
+      Eigen::Vector3d stokes = Eigen::Vector3d::Zero();
+      int lit = 0, valid = 0, objects = 0;
+      for (int v = row * factor; v < (row + 1) * factor; ++v) {
+        for (int u = column * factor; u < (column + 1) * factor; ++u) {
+          objects += object(u, v) != 0;
+          const bool is_valid = state.is_valid(u, v);
+          const float intensity = !scene.empty() ? scene(u, v) : is_valid ? state.i_un(u, v) : none;
+          if (std::isfinite(intensity)) {
+            light += intensity;
+            ++lit;
+          }
+          if (!is_valid) continue;
+          const Eigen::Vector3d s = state.stokes(u, v);
+          stokes += s;
+          variance += variances(u, v, s).linear;
+          ++valid;
+        }
+      }
+      const int half = factor * factor / 2;
+      if (lit > half) {
+        view.seen(column, row) = 255;
+        view.brightness(column, row) = static_cast<float>(std::log(std::max(light / lit, 0.0) + darkest));
+      }
+      if (valid > half && stokes[0] > 0) {
+        view.s1(column, row) = static_cast<float>(stokes[1] / stokes[0]);
+        view.s2(column, row) = static_cast<float>(stokes[2] / stokes[0]);
+        view.variance(column, row) = static_cast<float>(variance / (stokes[0] * stokes[0]));
+      }
+      view.object(column, row) = objects > half ? 255 : 0;
+    }
+  }
+  return view;
+}
+
+Pinhole reduced_camera(const Pinhole& camera, int factor) {
+  const auto centre = [factor](double c) { return (c + 0.5) / factor - 0.5; };
+  return {{camera.size.width / factor, camera.size.height / factor},
+          camera.fx / factor,
+          camera.fy / factor,
+          centre(camera.cx),
+          centre(camera.cy)};
+}
+
+PriorView prior_view(const PointCloud& cloud, const Pinhole& camera, const Eigen::Affine3d& cam_from_cloud) {
+  PriorView view;
+  view.seen = Mask(camera.size);
+  view.normals = Image<float>(camera.size, 3, none);
+  std::vector<SplatPoint> points = project(cloud, camera, cam_from_cloud);
+  drop_hidden(points, camera);
+  // Density, depth, brightness and normal, summed up in pixels and smoothed alike.
+  Image<float> sums(camera.size, 6);
+  std::vector<float> depths;
+  for (const SplatPoint& point : points) {
+    float* const sum = sums.data() + 6 * static_cast<std::size_t>(point.pixel);
+    sum[0] += 1;
+    sum[1] += point.depth;
+    sum[2] += point.brightness;
+    for (int c = 0; c < 3; ++c) sum[3 + c] += point.normal[c];
+    depths.push_back(point.depth);
+  }
+  view.median_depth = median_in_place(depths);
+  if (!cloud.colors.empty()) view.brightness = Image<float>(camera.size, 1, none);
+  const double sigma = cloud.normals.empty() ? depth_sigma_px : splat_sigma_px;
+  smooth(sums, sigma);
+  Image<float> depth(camera.size, 1, none);
+  for (std::size_t i = 0; i < view.seen.count(); ++i) {
+    const float* const sum = sums.data() + 6 * i;
+    if (!(sum[0] > least_density)) continue;
+    view.seen[i] = 255;
+    depth[i] = sum[1] / sum[0];
+    if (!cloud.colors.empty()) view.brightness[i] = sum[2] / sum[0];
+    const Eigen::Vector3f normal = Eigen::Vector3f(sum[3], sum[4], sum[5]).normalized();
+    for (int c = 0; c < 3; ++c) view.normals[3 * i + static_cast<std::size_t>(c)] = normal[c];
+  }
+  if (cloud.normals.empty()) view.normals = normals_from_depth(depth, camera, {});
+  return view;
+}
+
+PriorView prior_view(const Image<float>& depth, const Pinhole& camera, int factor, const Context& context) {
+  require_size(depth, camera.size, "depth map of the prior");
+  const Pinhole reduced = reduced_camera(camera, factor);
+  PriorView view;
+  view.seen = Mask(reduced.size);
+  Image<float> means(reduced.size, 1, none);
+  std::vector<float> depths;
+  for (int row = 0; row < reduced.size.height; ++row) {
+    for (int column = 0; column < reduced.size.width; ++column) {
+      double sum = 0;
+      int count = 0;
+      for (int v = row * factor; v < (row + 1) * factor; ++v) {
+        for (int u = column * factor; u < (column + 1) * factor; ++u) {
+          if (!(std::isfinite(depth(u, v)) && depth(u, v) > 0)) continue;
+          sum += depth(u, v);
+          ++count;
+        }
+      }
+      if (2 * count <= factor * factor) continue;
+      view.seen(column, row) = 255;
+      means(column, row) = static_cast<float>(sum / count);
+      depths.push_back(means(column, row));
+    }
+  }
+  view.median_depth = median_in_place(depths);
+  view.normals = normals_from_depth(means, reduced, context);
+  return view;
+}
+
+}  // namespace malus

@@ -1,0 +1,96 @@
+#include "malus/evidence/response_check.h"
+
+#include <Eigen/QR>
+#include <array>
+#include <cmath>
+
+#include "malus/core/error.h"
+#include "malus/evidence/pixel_samples_internal.h"
+
+namespace malus {
+namespace {
+
+constexpr double bend_of_encoded = -0.30, bend_of_decoded = 0.136;
+/// Above the first, noise of the phases bends, too: of 325 rendered stations, none that is linear is beyond with 0.02.
+constexpr double largest_sigma = 0.02, certain_sigmas = 4;
+constexpr double least_degree = 0.02;
+/// A residual beyond this share of the intensity is no response curve's.
+constexpr double largest_residual = 0.1;
+
+struct Sums {
+  double product = 0, square = 0;
+};
+
+/// Σ r · h and Σ h · h by parts of the image, each pixel over its intensity.
+std::array<Sums, PixelSamples::part_count> sums_of(const PixelSamples& samples, const std::vector<double>& angles_rad) {
+  const Eigen::MatrixXd projection = residual_projection(angles_rad);
+  const Eigen::MatrixXd inverse =
+      Eigen::MatrixXd(sinusoid_rows(angles_rad)).completeOrthogonalDecomposition().pseudoInverse();
+  std::array<Sums, PixelSamples::part_count> sums;
+  Eigen::VectorXd bent(static_cast<Eigen::Index>(angles_rad.size()));
+  for (std::size_t i = 0; i < samples.values.size(); ++i) {
+    const Eigen::Vector3d stokes = inverse * samples.values[i];
+    const double intensity = stokes[0] / 2, degree = std::hypot(stokes[1], stokes[2]) / stokes[0];
+    if (!(degree > least_degree)) continue;
+    const Eigen::VectorXd residual = projection * samples.values[i];
+    if (residual.cwiseAbs().maxCoeff() > largest_residual * intensity) continue;
+    const double twice_phase = std::atan2(stokes[2], stokes[1]);
+    for (Eigen::Index k = 0; k < bent.size(); ++k) {
+      bent[k] = intensity * degree * degree * std::cos(2 * (2 * angles_rad[static_cast<std::size_t>(k)] - twice_phase));
+    }
+    bent = projection * bent;
+    Sums& part = sums[static_cast<std::size_t>(samples.parts[i])];
+    part.product += residual.dot(bent) / intensity;
+    part.square += bent.squaredNorm() / intensity;
+  }
+  return sums;
+}
+
+}  // namespace
+
+ResponseCheck check_response(const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
+                             const Mask& mask, const std::string& response, const Context& context) {
+  if (images.empty() || images.size() != angles_rad.size()) {
+    throw input_error(std::to_string(images.size()) + " images and " + std::to_string(angles_rad.size()) +
+                      " angles, expected one angle an image");
+  }
+  context.check_cancel();
+  const auto parts = sums_of(pixel_samples(images, mask), angles_rad);
+  Sums all;
+  for (const Sums& part : parts) {
+    all.product += part.product;
+    all.square += part.square;
+  }
+  ResponseCheck result;
+  Finding& finding = result.finding;
+  finding.check = "response";
+  finding.message = "whether the images are linear could not be checked: there is too little polarization for it";
+  if (!(all.square > 0)) return result;
+  result.bend = all.product / all.square;
+  double count = 0, squares = 0;
+  for (const Sums& part : parts) {
+    const double rest = all.square - part.square;
+    if (!(part.square > 0 && rest > 1e-9 * all.square)) continue;
+    squares += std::pow((all.product - part.product) / rest - result.bend, 2);
+    ++count;
+  }
+  if (count < 4) return result;
+  result.bend_sigma = std::sqrt((count - 1) / count * squares);
+  finding.figures = {{"bend", result.bend}, {"bend_sigma", result.bend_sigma}};
+  if (result.bend_sigma > largest_sigma) return result;
+  const bool certain = std::abs(result.bend) > certain_sigmas * result.bend_sigma;
+  if (certain && result.bend < bend_of_encoded / 2) {
+    finding.severity = Severity::warning;
+    finding.message = "the images look encoded for a display, and response = \"" + response + "\" leaves them so";
+    finding.suggestion = "is response = \"srgb\" right, or can the camera's raw files be developed linearly?";
+  } else if (certain && result.bend > bend_of_decoded / 2) {
+    finding.severity = Severity::warning;
+    finding.message = "the images look linear in the file, and response = \"" + response + "\" bends them";
+    finding.suggestion = "is response = \"linear\" right?";
+  } else {
+    finding.message = "the images are linear in the light, as far as the sinusoid tells";
+  }
+  return result;
+}
+
+}  // namespace malus

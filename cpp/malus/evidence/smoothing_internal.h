@@ -1,0 +1,22 @@
+#pragma once
+
+#include <opencv2/core.hpp>
+
+#include "malus/core/image.h"
+
+namespace malus {
+
+/// The image's own memory for OpenCV.
+template <class T>
+cv::Mat as_mat(Image<T>& image) {
+  return cv::Mat(image.height(), image.width(), CV_MAKETYPE(cv::DataType<T>::depth, image.channels()), image.data());
+}
+
+/// Convolution with a Gaussian, in place; nothing lies beyond the border.
+void smooth(Image<float>& image, double sigma_px);
+
+/// Band of scales of what lies inside a mask: means with the finer Gaussian minus those with the coarser one, each over
+/// the mask's pixels only; beyond 4 robust standard deviations cut off, 0 outside the mask.
+Image<float> band_inside(const Image<float>& image, const Mask& mask, double fine_px, double coarse_px);
+
+}  // namespace malus

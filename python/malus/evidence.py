@@ -1,0 +1,200 @@
+"""What the data say about themselves, before anything is fused: is the input what a person meant it to be?
+
+Every check returns a Finding. Its severity is "error" (certain: the input is wrong), "warning" (a person should look) or
+"note" (all is well, or the data cannot tell; the message says which).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from malus import _core
+from malus._arrays import as_image, as_images, as_mask
+from malus._core import Pinhole, PolarizationState
+
+__all__ = [
+    "Finding",
+    "OrderFinding",
+    "PhaseFinding",
+    "PriorFinding",
+    "check_cloud",
+    "check_depth",
+    "check_order",
+    "check_phase",
+    "check_response",
+    "check_size",
+]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a check concluded.
+
+    check: what was looked at ("phase", "prior", "size", "order", "response"); severity: "note", "warning" or "error"; message and
+    suggestion: for people; figures: what the message rests on, by name.
+    """
+
+    check: str
+    severity: str
+    message: str
+    suggestion: str
+    figures: dict[str, float]
+
+
+@dataclass(frozen=True)
+class PhaseFinding(Finding):
+    """parts: 6×6×4, parts of the image row by row: mean u, v [px] of the pixels compared, disagreement (root mean square of
+    sin 2(phase − azimuth): 0 = as the prior has it, 0.71 = unrelated; NaN = too few), and its standard deviation."""
+
+    parts: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PriorFinding(Finding):
+    """instead: what would fit better than the input as it is ("the images are turned by 180°"); "" = nothing."""
+
+    instead: str
+
+
+@dataclass(frozen=True)
+class OrderFinding(Finding):
+    """angles_rad: one an image, of the order that fits best; those given, if none is clearly better."""
+
+    angles_rad: list[float]
+
+
+def check_phase(
+    state: PolarizationState, normals: ArrayLike, *, camera: Pinhole | None = None, threads: int = 1
+) -> PhaseFinding:
+    """Whether the phases of polarization go with the azimuths of a surface, whatever each place reflects.
+
+    normals: H×W×3, unit, camera frame, towards the camera, NaN = none. camera None = orthographic. Compared is
+    exp(4i phase) with exp(4i azimuth), which diffuse and specular reflection have alike; each place counts by how well its
+    phase (noise over degree) and its azimuth (0.15 over slope) are known.
+    """
+    return PhaseFinding(**_core.check_phase(state, camera, as_image(normals, "normals", 3), threads))
+
+
+def _scene_and_mask(
+    state: PolarizationState, scene: ArrayLike | None, mask: ArrayLike | None
+) -> tuple[NDArray[Any] | None, NDArray[np.uint8] | None]:
+    shape = state.unpolarized.shape
+    image = None if scene is None else as_image(scene, "scene")
+    if image is not None and image.shape != shape:
+        raise ValueError(f"scene has shape {image.shape}, expected {shape}")
+    return image, None if mask is None else as_mask(mask, shape)
+
+
+def _rows(values: ArrayLike | None, name: str, count: int, dtype: type) -> NDArray[Any] | None:
+    if values is None:
+        return None
+    array: NDArray[Any] = np.ascontiguousarray(values, dtype=dtype)
+    if array.shape != (count, 3):
+        raise ValueError(f"{name} has shape {array.shape}, expected ({count}, 3)")
+    return array
+
+
+def check_cloud(
+    points: ArrayLike,
+    state: PolarizationState,
+    camera: Pinhole,
+    *,
+    normals: ArrayLike | None = None,
+    colors: ArrayLike | None = None,
+    rotation: ArrayLike | None = None,
+    translation: ArrayLike | None = None,
+    scene: ArrayLike | None = None,
+    mask: ArrayLike | None = None,
+    unit: str = "mm",
+    threads: int = 1,
+) -> PriorFinding:
+    """Whether a cloud lies where the images show the object.
+
+    points, normals: N×3, world frame; colors: N×3, 0 to 255. rotation (3×3), translation (3): x_in_cam = R x + t. scene: H×W
+    unpolarized intensity of everything in view (left out: the state's valid pixels). mask: H×W, non-zero = object.
+
+    Compared are colors with brightness, and azimuths of the normals with phases; if neither says anything, where the cloud
+    bends with where the image changes. Searched are shifts up to 8 % of the object, turns in the image up to 5° and changes
+    of size up to 8 %, images that were turned or mirrored, inverted masks, and where the cloud misses the object or shows
+    nothing in common with the images other units, exchanged or negated axes, and inverted poses.
+    """
+    cloud = np.ascontiguousarray(points, dtype=np.float64)
+    if cloud.ndim != 2 or cloud.shape[1] != 3:
+        raise ValueError(f"points has shape {cloud.shape}, expected (N, 3)")
+    image, object_mask = _scene_and_mask(state, scene, mask)
+    return PriorFinding(
+        **_core.check_cloud(
+            cloud,
+            _rows(normals, "normals", len(cloud), np.float32),
+            _rows(colors, "colors", len(cloud), np.uint8),
+            np.asarray(np.eye(3) if rotation is None else rotation, dtype=np.float64),
+            np.asarray(np.zeros(3) if translation is None else translation, dtype=np.float64),
+            state,
+            image,
+            object_mask,
+            camera,
+            unit,
+            threads,
+        )
+    )
+
+
+def check_depth(
+    depth: ArrayLike,
+    state: PolarizationState,
+    camera: Pinhole,
+    *,
+    scene: ArrayLike | None = None,
+    mask: ArrayLike | None = None,
+    unit: str = "mm",
+    threads: int = 1,
+) -> PriorFinding:
+    """As check_cloud, for a depth map in the station's view (H×W, z, NaN = none), which has no colors."""
+    image, object_mask = _scene_and_mask(state, scene, mask)
+    return PriorFinding(**_core.check_depth(as_image(depth, "depth"), state, image, object_mask, camera, unit, threads))
+
+
+def check_size(points_in_cam: ArrayLike, camera: Pinhole, *, unit: str = "mm") -> Finding:
+    """Size and distance of the object in words; a warning with the likelier unit if they are implausible.
+
+    points_in_cam: N×3, of the object, camera frame, N > 0.
+    """
+    points = np.ascontiguousarray(points_in_cam, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"points_in_cam has shape {points.shape}, expected (N, 3)")
+    return Finding(**_core.check_size(points, camera, unit))
+
+
+def check_order(
+    images: Sequence[ArrayLike], angles_rad: Sequence[float], *, mask: ArrayLike | None = None
+) -> OrderFinding:
+    """Whether the images are in the order of their angles, by how well each pixel follows the sinusoid.
+
+    images: K arrays H×W, linear, in [0, 1]. A warning if another order leaves a quarter of the squared residuals or less. What
+    no order changes cannot be told: three angles, and equally spaced ones that are all shifted or counted the other way.
+    """
+    stack = as_images(images, "images")
+    object_mask = None if mask is None else as_mask(mask, stack[0].shape)
+    return OrderFinding(**_core.check_order(stack, [float(a) for a in angles_rad], object_mask))
+
+
+def check_response(
+    images: Sequence[ArrayLike],
+    angles_rad: Sequence[float],
+    *,
+    mask: ArrayLike | None = None,
+    response: str = "linear",
+) -> Finding:
+    """Whether images that `response` made linear (K arrays H×W, in [0, 1], K > 3) are linear in the light.
+
+    A curve bends the sinusoid: figures["bend"] is the factor of I ρ² cos 4(a − φ), 0 for linear images, −0.30 for encoded
+    ones taken as linear, 0.14 for linear ones decoded as sRGB.
+    """
+    stack = as_images(images, "images")
+    object_mask = None if mask is None else as_mask(mask, stack[0].shape)
+    return Finding(**_core.check_response(stack, [float(a) for a in angles_rad], object_mask, response))

@@ -1,0 +1,106 @@
+#include "malus/evidence/before_fusion.h"
+
+#include <gtest/gtest.h>
+
+#include "evidence_scene.h"
+#include "malus/evidence/object_size.h"
+
+namespace malus {
+namespace {
+
+TEST(PhaseAgreement, ExactDataAgreeEverywhere) {
+  const EvidenceScene scene;
+  const PhaseAgreement found = phase_agreement(scene.state, &scene.camera, scene.normals, {});
+  EXPECT_EQ(found.finding.severity, Severity::note);
+  EXPECT_NE(found.finding.message.find("fits the slopes"), std::string::npos) << found.finding.text();
+  EXPECT_LT(found.overall.disagreement, 0.05);
+  EXPECT_EQ(found.unrelated_share, 0);
+  EXPECT_EQ(found.parts.size(), 36u);
+}
+
+TEST(PhaseAgreement, WarnsOfAnotherSurface) {
+  const EvidenceScene scene;
+  const Waves other(5, 25, 80);
+  Image<float> depth = scene.depth;
+  for (int v = 0; v < depth.height(); ++v)
+    for (int u = 0; u < depth.width(); ++u) depth(u, v) = static_cast<float>(100 + 0.8 * other(u, v));
+  const PhaseAgreement found =
+      phase_agreement(scene.state, &scene.camera, normals_from_depth(depth, scene.camera, {}), {});
+  EXPECT_EQ(found.finding.severity, Severity::warning) << found.finding.text();
+  EXPECT_NEAR(found.overall.disagreement, 0.707, 0.06);
+  EXPECT_GT(found.unrelated_share, 0.1);
+}
+
+TEST(PhaseAgreement, SeesWrongScales) {
+  EvidenceScene scene;
+  for (float& phi : scene.state.phi) phi = std::fmod(phi + 0.4F, std::numbers::pi_v<float>);
+  const PhaseAgreement turned = phase_agreement(scene.state, &scene.camera, scene.normals, {});
+  EXPECT_EQ(turned.finding.severity, Severity::warning) << turned.finding.text();
+  EXPECT_NEAR(turned.overall.turn_rad, 0.4, 0.02);
+  EvidenceScene other_way;
+  for (float& phi : other_way.state.phi) phi = std::numbers::pi_v<float> - phi;
+  const PhaseAgreement against = phase_agreement(other_way.state, &scene.camera, scene.normals, {});
+  EXPECT_EQ(against.finding.severity, Severity::error) << against.finding.text();
+}
+
+TEST(PhaseAgreement, SaysWhereItCannotTell) {
+  const EvidenceScene scene;
+  const Image<float> level(scene.camera.size, 1, 100);
+  const PhaseAgreement flat =
+      phase_agreement(scene.state, &scene.camera, normals_from_depth(level, scene.camera, {}), {});
+  EXPECT_NE(flat.finding.message.find("the prior is too flat"), std::string::npos) << flat.finding.text();
+  EvidenceScene unpolarized;
+  std::mt19937 random(1);
+  std::uniform_real_distribution<float> any_phase(0, std::numbers::pi_v<float>);
+  for (float& degree : unpolarized.state.rho) degree = 1e-5F;
+  for (float& phase : unpolarized.state.phi) phase = any_phase(random);
+  const PhaseAgreement weak = phase_agreement(unpolarized.state, &scene.camera, scene.normals, {});
+  EXPECT_EQ(weak.finding.severity, Severity::note);
+  EXPECT_NE(weak.finding.message.find("too little polarization"), std::string::npos) << weak.finding.text();
+}
+
+TEST(ObjectSize, SaysItInWords) {
+  const Pinhole camera{{1000, 800}, 2000, 2000, 500, 400};
+  const auto size_of = [&](double width, double distance, const std::string& unit) {
+    std::vector<Eigen::Vector3d> points;
+    for (int i = 0; i <= 1000; ++i)
+      points.emplace_back(width * (i / 1000.0 - 0.5), width * 0.5 * (i % 101) / 100.0, distance);
+    return object_size(points, camera, unit);
+  };
+  const ObjectSize vase = size_of(220, 590, "mm");
+  EXPECT_NEAR(vase.width, 220 * 0.98, 0.5);
+  EXPECT_NEAR(vase.gsd, 0.295, 1e-9);
+  EXPECT_EQ(vase.finding.severity, Severity::note);
+  EXPECT_EQ(vase.finding.message.substr(0, 26), "the object is 216 mm wide ") << vase.finding.message;
+  EXPECT_NE(vase.finding.message.find("0.59 m from the camera; one pixel is 295 µm"), std::string::npos)
+      << vase.finding.message;
+
+  const ObjectSize metres = size_of(0.22, 0.59, "mm");
+  EXPECT_EQ(metres.finding.severity, Severity::warning);
+  EXPECT_NE(metres.finding.suggestion.find("unit = \"m\""), std::string::npos) << metres.finding.text();
+  const ObjectSize millimetres = size_of(220, 590, "m");
+  EXPECT_EQ(millimetres.finding.severity, Severity::warning);
+  EXPECT_NE(millimetres.finding.suggestion.find("unit = \"mm\""), std::string::npos) << millimetres.finding.text();
+
+  const Pinhole wrong_lens{{1000, 800}, 500000, 500000, 500, 400};
+  const ObjectSize narrow = object_size({{0, 0, 590}, {1, 1, 590}, {200, 3, 591}}, wrong_lens, "mm");
+  EXPECT_NE(narrow.finding.suggestion.find("focal length"), std::string::npos) << narrow.finding.text();
+  EXPECT_THROW(object_size({}, camera, "mm"), Error);
+}
+
+TEST(BeforeFusion, ListsAllFindings) {
+  const EvidenceScene scene;
+  const auto findings = findings_before_fusion(
+      {.images = scene.images(), .pose = scene.pose, .prior_depth = scene.depth, .cloud = &scene.cloud}, {});
+  ASSERT_EQ(findings.size(), 3u);
+  EXPECT_EQ(findings[0].check, "size");
+  EXPECT_EQ(findings[1].check, "phase");
+  EXPECT_EQ(findings[2].check, "prior");
+  for (const Finding& finding : findings) {
+    EXPECT_EQ(finding.severity, Severity::note) << finding.text();
+    EXPECT_FALSE(finding.figures.empty());
+  }
+}
+
+}  // namespace
+}  // namespace malus

@@ -1,0 +1,95 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <functional>
+#include <numbers>
+#include <random>
+
+#include "malus/core/error.h"
+#include "malus/evidence/image_order.h"
+#include "malus/evidence/response_check.h"
+
+namespace malus {
+namespace {
+
+constexpr double degree = std::numbers::pi / 180;
+
+/// Images of varied intensity, degree (up to 0.5) and phase, with noise of 0.3 % and after a response curve.
+std::vector<Image<float>> images_at(
+    const std::vector<double>& angles_rad, const std::function<double(double)>& curve = [](double x) { return x; }) {
+  std::mt19937 random(3);
+  std::normal_distribution<double> noise(0, 0.003);
+  std::vector<Image<float>> images(angles_rad.size(), Image<float>({120, 90}));
+  for (int v = 0; v < 90; ++v) {
+    for (int u = 0; u < 120; ++u) {
+      const double intensity = 0.3 + 0.2 * std::sin(0.1 * u) * std::cos(0.13 * v);
+      const double rho = 0.25 + 0.25 * std::sin(0.05 * u + 0.04 * v), phase = 0.03 * u + 0.05 * v;
+      for (std::size_t k = 0; k < angles_rad.size(); ++k) {
+        const double light = intensity * (1 + rho * std::cos(2 * (angles_rad[k] - phase)));
+        images[k](u, v) = static_cast<float>(curve(light + noise(random)));
+      }
+    }
+  }
+  return images;
+}
+
+std::vector<double> every(double step_deg, int count) {
+  std::vector<double> angles;
+  for (int k = 0; k < count; ++k) angles.push_back(k * step_deg * degree);
+  return angles;
+}
+
+TEST(ImageOrder, SuggestsTheOrderThatFits) {
+  const std::vector<double> angles = every(30, 6);
+  const ImageOrder right = check_image_order(images_at(angles), angles, {}, {});
+  EXPECT_EQ(right.finding.severity, Severity::note);
+  EXPECT_EQ(right.angles_rad, angles);
+  std::vector<double> shuffled = angles;
+  std::swap(shuffled[1], shuffled[4]);
+  const ImageOrder wrong = check_image_order(images_at(angles), shuffled, {}, {});
+  EXPECT_EQ(wrong.finding.severity, Severity::warning);
+  EXPECT_EQ(wrong.angles_rad, angles);
+  EXPECT_NE(wrong.finding.suggestion.find("[0, 30, 60, 90, 120, 150]"), std::string::npos) << wrong.finding.text();
+}
+
+TEST(ImageOrder, TriesExchangesOfManyImages) {
+  const std::vector<double> angles = every(15, 12);
+  std::vector<double> shuffled = angles;
+  std::swap(shuffled[2], shuffled[7]);
+  EXPECT_EQ(check_image_order(images_at(angles), shuffled, {}, {}).angles_rad, angles);
+}
+
+TEST(ImageOrder, CannotTellFromThreeImages) {
+  const std::vector<double> angles = every(60, 3);
+  const ImageOrder found = check_image_order(images_at(angles), angles, {}, {});
+  EXPECT_NE(found.finding.message.find("could not be checked"), std::string::npos);
+  EXPECT_THROW(check_image_order(images_at(angles), every(45, 4), {}, {}), Error);
+}
+
+TEST(ResponseCheck, TellsLinearFromEncodedAndDecoded) {
+  for (const int count : {4, 6}) {
+    const std::vector<double> angles = every(180.0 / count, count);
+    const ResponseCheck linear = check_response(images_at(angles), angles, {}, "linear", {});
+    EXPECT_EQ(linear.finding.severity, Severity::note) << linear.finding.text();
+    EXPECT_NEAR(linear.bend, 0, 0.02);
+    const auto encoded = images_at(angles, [](double x) { return std::pow(std::max(x, 0.0), 1 / 2.2); });
+    const ResponseCheck bent = check_response(encoded, angles, {}, "linear", {});
+    EXPECT_EQ(bent.finding.severity, Severity::warning) << bent.bend << " ± " << bent.bend_sigma;
+    EXPECT_NE(bent.finding.suggestion.find("srgb"), std::string::npos);
+    EXPECT_NEAR(bent.bend, -0.30, 0.06);
+    const auto decoded = images_at(angles, [](double x) { return std::pow(std::max(x, 0.0), 2.2); });
+    const ResponseCheck twice = check_response(decoded, angles, {}, "srgb", {});
+    EXPECT_EQ(twice.finding.severity, Severity::warning) << twice.bend << " ± " << twice.bend_sigma;
+    EXPECT_NEAR(twice.bend, 0.136, 0.04);
+  }
+}
+
+TEST(ResponseCheck, SaysThatThreeAnglesCannotTell) {
+  const std::vector<double> angles = every(60, 3);
+  const ResponseCheck found = check_response(images_at(angles), angles, {}, "linear", {});
+  EXPECT_EQ(found.finding.severity, Severity::note);
+  EXPECT_NE(found.finding.message.find("could not be checked"), std::string::npos) << found.finding.text();
+}
+
+}  // namespace
+}  // namespace malus

@@ -1,0 +1,176 @@
+#include "malus/evidence/prior_alignment.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+
+#include "evidence_scene.h"
+
+namespace malus {
+namespace {
+
+constexpr double mm_per_px = 100.0 / 600, degree = std::numbers::pi / 180;
+
+PriorAlignment check(const EvidenceScene& scene, const PointCloud& cloud) {
+  return check_alignment(cloud, scene.pose, scene.images(), {});
+}
+
+/// A turn about the object's middle (clockwise as displayed), a change of its size, and a shift in pixels.
+Eigen::Affine3d motion(double right_px, double down_px, double clockwise_deg = 0, double scale = 1) {
+  const Eigen::Vector3d middle(0, 0, 100);
+  Eigen::Affine3d result = Eigen::Affine3d::Identity();
+  result.linear() = scale * Eigen::AngleAxisd(clockwise_deg * degree, Eigen::Vector3d::UnitZ()).toRotationMatrix();
+  // The size changes across the view only, so that the distance stays.
+  result.linear()(2, 2) = 1;
+  result.translation() = middle - result.linear() * middle + mm_per_px * Eigen::Vector3d(right_px, down_px, 0);
+  return result;
+}
+
+TEST(PriorAlignment, NothingIsSaidOfACloudInItsPlace) {
+  const EvidenceScene scene;
+  const PriorAlignment found = check(scene, scene.cloud);
+  EXPECT_EQ(found.finding.severity, Severity::note) << found.finding.text();
+  EXPECT_TRUE(found.color.informative);
+  EXPECT_TRUE(found.phase.informative);
+  EXPECT_LT(std::hypot(found.right_px, found.down_px), 0.7);
+  EXPECT_NEAR(found.scale, 1, 0.01);
+  EXPECT_NEAR(found.gsd, mm_per_px, 0.005);
+  EXPECT_GT(found.object_covered, 0.95);
+}
+
+TEST(PriorAlignment, FindsShiftTurnAndSizeByColors) {
+  const EvidenceScene scene;
+  const PriorAlignment shifted = check(scene, scene.moved(motion(-8, 3)));
+  EXPECT_EQ(shifted.finding.severity, Severity::warning) << shifted.finding.text();
+  EXPECT_NEAR(shifted.right_px, 8, 0.7);
+  EXPECT_NEAR(shifted.down_px, -3, 0.7);
+  EXPECT_NE(shifted.finding.message.find("1.3 mm (8 px) too far left"), std::string::npos) << shifted.finding.message;
+
+  const PriorAlignment turned = check(scene, scene.moved(motion(0, 0, 2)));
+  EXPECT_EQ(turned.finding.severity, Severity::warning) << turned.finding.text();
+  EXPECT_NEAR(turned.clockwise_deg, -2, 0.2);
+  EXPECT_NE(turned.finding.message.find("turned by 2.0° clockwise"), std::string::npos) << turned.finding.message;
+
+  const PriorAlignment larger = check(scene, scene.moved(motion(0, 0, 0, 1.06)));
+  EXPECT_EQ(larger.finding.severity, Severity::warning) << larger.finding.text();
+  EXPECT_NEAR(larger.scale, 1 / 1.06, 0.01);
+  EXPECT_NE(larger.finding.message.find("6 % too large"), std::string::npos) << larger.finding.message;
+}
+
+TEST(PriorAlignment, FindsShiftByPhasesWithoutColors) {
+  const EvidenceScene scene(false);
+  EXPECT_EQ(check(scene, scene.cloud).finding.severity, Severity::note);
+  const PriorAlignment shifted = check(scene, scene.moved(motion(9, -6)));
+  EXPECT_EQ(shifted.finding.severity, Severity::warning) << shifted.finding.text();
+  EXPECT_NEAR(shifted.right_px, -9, 1);
+  EXPECT_NEAR(shifted.down_px, 6, 1);
+}
+
+TEST(PriorAlignment, FindsShiftOfADepthMap) {
+  const EvidenceScene scene;
+  Image<float> depth = scene.depth;
+  for (int v = 0; v < depth.height(); ++v)
+    for (int u = 0; u < depth.width(); ++u) depth(u, v) = scene.depth(std::max(u - 10, 0), v);
+  EXPECT_EQ(check_alignment(scene.depth, scene.images(), {}).finding.severity, Severity::note);
+  const PriorAlignment shifted = check_alignment(depth, scene.images(), {});
+  EXPECT_EQ(shifted.finding.severity, Severity::warning) << shifted.finding.text();
+  EXPECT_NEAR(shifted.right_px, -10, 1.5);
+}
+
+TEST(PriorAlignment, FindsTurnedImages) {
+  EvidenceScene scene;
+  const auto turn = [](auto& image) { std::reverse(image.begin(), image.end()); };
+  turn(scene.state.i_un);
+  turn(scene.state.rho);
+  turn(scene.state.phi);
+  turn(scene.state.valid);
+  turn(scene.everything);
+  turn(scene.object);
+  const PriorAlignment found = check(scene, scene.cloud);
+  EXPECT_EQ(found.finding.severity, Severity::warning);
+  EXPECT_EQ(found.instead, "the images are turned by 180°") << found.finding.text();
+}
+
+TEST(PriorAlignment, FindsMirroredClouds) {
+  const EvidenceScene scene;
+  Eigen::Affine3d mirror = Eigen::Affine3d::Identity();
+  mirror.linear()(0, 0) = -1;
+  const PriorAlignment found = check(scene, scene.moved(mirror));
+  EXPECT_EQ(found.finding.severity, Severity::warning);
+  EXPECT_NE(found.instead.find("mirrored"), std::string::npos) << found.finding.text();
+}
+
+TEST(PriorAlignment, FindsOtherUnitsAndPoses) {
+  const EvidenceScene scene;
+  PointCloud metres = scene.cloud;
+  for (Eigen::Vector3d& point : metres.points) point *= 1e-3;
+  const PriorAlignment small = check(scene, metres);
+  EXPECT_EQ(small.finding.severity, Severity::error);
+  EXPECT_NE(why_cloud_misses(metres, scene.pose, scene.camera, scene.object, "mm").find("a factor of 1000"),
+            std::string::npos);
+  EXPECT_EQ(why_cloud_misses(scene.moved(motion(9000, 0)), scene.pose, scene.camera, scene.object, "mm"), "");
+  EXPECT_NE(small.instead.find("the cloud is in m and the camera in mm"), std::string::npos) << small.finding.text();
+
+  const Pose inverse{scene.pose.rotation.transpose(), scene.pose.centre()};
+  const PriorAlignment other_way = check_alignment(scene.cloud, inverse, scene.images(), {});
+  EXPECT_EQ(other_way.finding.severity, Severity::error);
+  EXPECT_NE(other_way.instead.find("pose goes the other way"), std::string::npos) << other_way.finding.text();
+
+  PointCloud elsewhere = scene.cloud;
+  for (Eigen::Vector3d& point : elsewhere.points) point += Eigen::Vector3d(5000, 9000, 100);
+  const PriorAlignment missing = check(scene, elsewhere);
+  EXPECT_EQ(missing.finding.severity, Severity::error);
+  EXPECT_NE(missing.finding.message.find("0.0 % of it is in the camera's view"), std::string::npos)
+      << missing.finding.text();
+}
+
+TEST(PriorAlignment, FindsInvertedMasks) {
+  EvidenceScene scene;
+  for (std::uint8_t& pixel : scene.object) pixel = pixel != 0 ? 0 : 255;
+  const PriorAlignment found = check(scene, scene.cloud);
+  EXPECT_NE(found.finding.severity, Severity::note);
+  EXPECT_EQ(found.instead, "the mask is inverted") << found.finding.text();
+}
+
+TEST(PriorAlignment, AnObjectThatOnlyStereoMissesIsNoMistake) {
+  const EvidenceScene scene;
+  PointCloud around;
+  for (int v = 0; v < scene.object.height(); ++v)
+    for (int u = 0; u < scene.object.width(); ++u)
+      // Some way off the object, which in a reduced view its surroundings grow into.
+      if (std::hypot((u - 150) / 110.0, (v - 110) / 80.0) > 1.12)
+        around.points.push_back(scene.pose.world_from_cam(scene.depth(u, v) * scene.camera.ray(u, v)));
+  const PriorAlignment found = check(scene, around);
+  EXPECT_LT(found.object_covered, 0.1);
+  EXPECT_EQ(found.finding.severity, Severity::note) << found.finding.text();
+  EXPECT_NE(found.finding.message.find("could not be checked: the cloud covers only"), std::string::npos)
+      << found.finding.text();
+}
+
+TEST(PriorAlignment, SaysThatNothingCanBeChecked) {
+  const EvidenceScene textured, flat(false);
+  PointCloud plane = flat.cloud;
+  for (Eigen::Vector3d& point : plane.points) {
+    const Eigen::Vector3d x = flat.pose.cam_from_world(point);
+    point = flat.pose.world_from_cam(x * (100 / x.z()));
+  }
+  for (Eigen::Vector3f& normal : plane.normals)
+    normal = (flat.pose.rotation.transpose() * Eigen::Vector3d(0, 0, -1)).cast<float>();
+  const PriorAlignment found = check(textured, plane);
+  EXPECT_EQ(found.finding.severity, Severity::note);
+  EXPECT_NE(found.finding.message.find("could not be checked"), std::string::npos) << found.finding.text();
+}
+
+TEST(PriorAlignment, ThreadsMakeNoDifference) {
+  const EvidenceScene scene;
+  Context two;
+  two.threads = 2;
+  const PointCloud cloud = scene.moved(motion(5, 2, 1));
+  const PriorAlignment a = check_alignment(cloud, scene.pose, scene.images(), {});
+  const PriorAlignment b = check_alignment(cloud, scene.pose, scene.images(), two);
+  EXPECT_EQ(a.right_px, b.right_px);
+  EXPECT_EQ(a.finding.message, b.finding.message);
+}
+
+}  // namespace
+}  // namespace malus
