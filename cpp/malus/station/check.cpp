@@ -10,6 +10,8 @@
 #include <sstream>
 
 #include "malus/capture/capture.h"
+#include "malus/evidence/object_size.h"
+#include "malus/evidence/prior_alignment.h"
 #include "malus/io/colmap_workspace.h"
 #include "malus/io/point_cloud_file.h"
 #include "malus/station/step_internal.h"
@@ -23,32 +25,40 @@ std::string with_count(double count, const std::string& noun) {
   return text.str();
 }
 
-/// Reads every image and returns their size; warns of clipped ones.
-Size read_images(const Station& station, Plan& plan, const Context& context) {
-  if (station.in_memory()) return station.images.front().size();
+Size size_of_images(const Station& station) {
+  return station.in_memory() ? station.images.front().size() : read_image_size(station.file.polarized.images.front());
+}
+
+/// Reads every image; warns of those that are clipped or dark on the object.
+void read_images(const Station& station, const Mask& object, Plan& plan, const Context& context) {
+  if (station.in_memory()) return;
   const StationFile& file = station.file;
   const CaptureInput input = capture_input(file.polarized, file.known_lens());
-  Size size;
   for (std::size_t k = 0; k < input.names.size(); ++k) {
     context.check_cancel();
     context.progress("check", static_cast<double>(k) / static_cast<double>(input.names.size()), input.names[k]);
     const RawImage image = input.load(k);
-    if (k == 0) size = image.pixels.size();
-    require_size(image.pixels, size, input.names[k]);
+    require_size(image.pixels, plan.size, input.names[k]);
     const double white = file.polarized.white_level.value_or(image.full_scale_dn);
-    const auto clipped = std::ranges::count_if(image.pixels, [&](float value) { return value >= 0.995 * white; });
-    const double share = static_cast<double>(clipped) / static_cast<double>(image.pixels.count());
+    const int channels = image.pixels.channels();
+    double clipped = 0, brightest = 0;
+    for (std::size_t i = 0; i < object.count(); ++i) {
+      if (object[i] == 0) continue;
+      const float* const pixel = image.pixels.data() + i * static_cast<std::size_t>(channels);
+      const double value = *std::max_element(pixel, pixel + channels);
+      clipped += value >= 0.995 * white;
+      brightest = std::max(brightest, value);
+    }
+    const double share = clipped / plan.object_pixels;
     if (share > 0.01) {
       plan.warnings.push_back(input.names[k] + ": " +
-                              with_count(std::round(100 * share), "% of the pixels are saturated"));
+                              with_count(std::round(100 * share), "% of the object's pixels are saturated"));
     }
-    const float brightest = *std::ranges::max_element(image.pixels);
     if (brightest < 0.2 * white) {
       plan.warnings.push_back(input.names[k] +
-                              ": the brightest pixel is below 20 % of the white level; is white_level right?");
+                              ": the object's brightest pixel is below 20 % of the white level; is white_level right?");
     }
   }
-  return size;
 }
 
 Mask read_object(const Station& station, Size size) {
@@ -59,9 +69,9 @@ Mask read_object(const Station& station, Size size) {
   return mask;
 }
 
-/// How many of the cloud's points fall on the object.
-double points_on_object(const PointCloud& cloud, const CameraSpec& camera, const Mask& object) {
-  double count = 0;
+/// Those of the cloud's points that fall on the object, in the camera frame.
+std::vector<Eigen::Vector3d> points_on_object(const PointCloud& cloud, const CameraSpec& camera, const Mask& object) {
+  std::vector<Eigen::Vector3d> found;
   for (const Eigen::Vector3d& point : cloud.points) {
     const Eigen::Vector3d x = camera.pose.cam_from_world(point);
     if (!(x.z() > 0)) continue;
@@ -69,29 +79,43 @@ double points_on_object(const PointCloud& cloud, const CameraSpec& camera, const
     const double u = std::round(pixel.x()), v = std::round(pixel.y());
     if (u >= 0 && v >= 0 && u < object.width() && v < object.height() &&
         object(static_cast<int>(u), static_cast<int>(v)) != 0)
-      ++count;
+      found.push_back(x);
   }
-  return count;
+  return found;
 }
 
-/// One line about the prior, once it is read. Throws what the run would throw for one that cannot be used.
+/// What only this station's files say of a step, by its name.
+using Details = std::map<std::string, std::string>;
+
+/// Reads the prior and says what it is. Throws what the run would throw for one that cannot be used.
 struct PriorCheck {
-  const CameraSpec& camera;
+  const Station& station;
   const Mask& object;
   const PriorOptions& options;
   const Context& context;
+  Plan& plan;
+  Details& details;
 
   std::string operator()(std::monostate) const { return "from the photos"; }
   std::string operator()(const CloudFile& file) const { return (*this)(read_cloud(file.path, context)); }
   std::string operator()(const PointCloud& cloud) const {
-    const double count = points_on_object(cloud, camera, object);
-    const std::string all = with_count(static_cast<double>(cloud.points.size()), "points");
-    if (count < options.min_points) {
-      throw data_error("the cloud has " + all + ", of which " +
-                       with_count(count, "fall on the object, expected at least ") +
-                       std::to_string(options.min_points));
+    const CameraSpec& camera = *station.file.camera;
+    const std::string& unit = station.file.unit;
+    const std::vector<Eigen::Vector3d> found = points_on_object(cloud, camera, object);
+    const std::string share = with_count(static_cast<double>(found.size()), "of the cloud's ") +
+                              with_count(static_cast<double>(cloud.points.size()), "points fall on the object");
+    if (static_cast<double>(found.size()) < options.min_points) {
+      const std::string why = why_cloud_misses(cloud, camera.pose, camera.lens.pinhole(), object, unit);
+      throw data_error(share + ", expected at least " + std::to_string(options.min_points) +
+                       (why.empty() ? "" : "; " + why));
     }
-    return with_count(count, "of ") + all + " fall on the object";
+    const Finding size = object_size(found, camera.lens.pinhole(), unit).finding;
+    if (size.severity == Severity::note) {
+      details["evidence"] = size.text();
+    } else {
+      plan.warnings.push_back(size.text());
+    }
+    return share;
   }
   std::string operator()(const MeshFile& file) const {
     return "mesh of " + with_count(static_cast<double>(read_mesh(file.path, context).triangles.size()), "triangles");
@@ -126,19 +150,19 @@ void warn_of_memory(Plan& plan) {
 Plan check_station(const Station& station, const Options& options, const Context& context) {
   Plan plan;
   plan.name = station.file.name;
-  plan.size = read_images(station, plan, context);
+  plan.size = size_of_images(station);
   const Mask object = read_object(station, plan.size);
   plan.object_pixels =
       static_cast<double>(std::ranges::count_if(object, [](std::uint8_t value) { return value != 0; }));
-  // What only this station's files say of a step.
-  std::map<std::string, std::string> details{{"polarization", describe_images(station)}};
+  read_images(station, object, plan, context);
+  Details details{{"polarization", describe_images(station)}};
   std::optional<Station> with_photos;
   if (station.has_prior()) {
     if (!station.file.camera) {
       throw input_error(station.file.path.string() +
                         ": [camera] has no pose, expected a camera whose position is known");
     }
-    details["prior"] = std::visit(PriorCheck{*station.file.camera, object, options.prior, context}, station.prior);
+    details["prior"] = std::visit(PriorCheck{station, object, options.prior, context, plan, details}, station.prior);
   } else if (station.file.photos) {
     with_photos = station;
     with_photos->prior = SweptDepth{};  // The Python package makes it, and says so.
