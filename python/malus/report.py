@@ -23,6 +23,14 @@ from malus.workspace import Workspace
 
 #: The surfaces that figures compare, in their order.
 SURFACES = ("prior", "polarization", "fused")
+#: What the checks of the inputs look at, by the names in evidence/findings.json.
+CHECKS = {
+    "order": "Order of the images",
+    "response": "Response of the camera",
+    "size": "Size and distance",
+    "phase": "Polarization against the prior's slopes",
+    "prior": "Place of the prior in the images",
+}
 #: Parts of quality.json that only some runs have, with their headings; shown number by number.
 _OTHERS = (("photogrammetry", "Photographs"), ("sweep", "Stereo sweep"))
 
@@ -143,7 +151,7 @@ def _trust(plates: Plates) -> bytes | None:
 
 def _sections(quality: Mapping[str, Any], figures: Mapping[str, list[Figure]]) -> list[tuple[str, str]]:
     every = [
-        ("overview", "Overview"), ("compare", "Before and after"), ("explore", "Relight and turn"), ("relief", "Relief"),
+        ("overview", "Overview"), ("checks", "Checks"), ("compare", "Before and after"), ("explore", "Relight and turn"), ("relief", "Relief"),
         ("polarization", "Polarization"), ("height", "Height"), ("profiles", "Profiles"), ("patches", "Patches"),
         ("uncertainty", "Uncertainty"), ("reference", "Reference"), ("m3c2", "M3C2"), ("scale", "Scale"), *_OTHERS, ("provenance", "Provenance"),
     ]  # fmt: skip
@@ -176,6 +184,8 @@ def write_report(work: str | Path) -> Path:
     page = template.render(
         quality=quality,
         m3c2=m3c2,
+        findings=workspace.findings,
+        checks=CHECKS,
         scale=quality.get("scale"),
         manifest=manifest,
         figures=figures,

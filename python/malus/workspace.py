@@ -53,6 +53,12 @@ class Workspace:
         """Figures of `malus assess --m3c2`, m3c2.json; None if it was not run."""
         return self._json("m3c2.json") if self.has("m3c2.json") else None
 
+    @cached_property
+    def findings(self) -> list[dict[str, Any]]:
+        """What the checks of the inputs concluded, evidence/findings.json."""
+        findings: list[dict[str, Any]] = json.loads(self.path("evidence/findings.json").read_text())
+        return findings
+
     def path(self, name: str) -> Path:
         """Path of a file of the workspace; InputError unless it is there as its step left it."""
         path = self.folder / name

@@ -239,7 +239,7 @@ def test_what_did_not_change_is_made_once(small_station: Path, tmp_path: Path, m
     events: list[package.Progress] = []
     result = package.reconstruct(station, options, workspace=tmp_path / "work", progress=events.append)
     begun = {event.message.split(": ")[1] for event in events if event.step == "sweep" and event.fraction == 0}
-    assert begun == {"prior", "polarizer", "fuse"}
+    assert begun == {"prior", "polarizer", "evidence", "fuse"}
     np.testing.assert_array_equal(surfaces[0], result.depth)
     record = package.Workspace(tmp_path / "work")
     assert record.manifest["times"]["photos"] == {"seconds": 1.0}

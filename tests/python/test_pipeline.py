@@ -100,7 +100,7 @@ def test_second_run_repeats_nothing(finished: Path, small_station_source: Path) 
     assert outcome.code == 0, outcome.err
     events = [json.loads(line) for line in outcome.out.splitlines()]
     kept = {event["step"] for event in events if event.get("message") == "kept from an earlier run"}
-    assert kept == {"polarization", "prior", "polarizer", "zenith", "height", "fuse", "mesh", "assess"}
+    assert kept == {"polarization", "prior", "polarizer", "evidence", "zenith", "height", "fuse", "mesh", "assess"}
     assert before == {name: (finished / name).stat().st_mtime_ns for name in before}
 
 
@@ -111,7 +111,7 @@ def test_changed_option_repeats_only_what_depends_on_it(small_station: Path, tmp
     assert outcome.code == 0, outcome.err
     events = [json.loads(line) for line in outcome.out.splitlines()]
     kept = {event["step"] for event in events if event.get("message") == "kept from an earlier run"}
-    assert kept == {"polarization", "prior", "polarizer", "zenith", "height"}
+    assert kept == {"polarization", "prior", "polarizer", "evidence", "zenith", "height"}
 
 
 def assert_close(one: object, other: object) -> None:
@@ -431,14 +431,14 @@ def test_ctrl_c_stops_within_a_second_and_leaves_nothing_half_done(small_station
     assert process.returncode == 130
     assert "Traceback" not in error
     manifest = json.loads((work / "manifest.json").read_text())
-    assert set(manifest["steps"]) == {"polarization", "prior", "polarizer", "zenith"}
+    assert set(manifest["steps"]) == {"polarization", "prior", "polarizer", "evidence", "zenith"}
     assert not half_written(work)
     outcome = run_malus("run", small_station, "-o", work, "--fusion", "grid", "--json")
     assert outcome.code == 0, outcome.err
     kept = {
         e["step"] for e in map(json.loads, outcome.out.splitlines()) if e.get("message") == "kept from an earlier run"
     }
-    assert kept == {"polarization", "prior", "polarizer", "zenith"}
+    assert kept == {"polarization", "prior", "polarizer", "evidence", "zenith"}
 
 
 def test_help_and_version() -> None:

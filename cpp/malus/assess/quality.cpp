@@ -298,6 +298,7 @@ Quality assess(const AssessInput& input, const AssessOptions& options, const Con
         section(profile, prior, polarization, surface.depth, surface.camera, quality.gsd, options, context));
   }
   quality.confidence = confidence_of(quality, surface.confidence);
+  for (const std::string& doubt : input.doubts) quality.confidence.limit(ConfidenceLevel::low, doubt);
   if (input.reference != nullptr) {
     context.progress("assess", 0.6, "comparing with the reference");
     quality.reference = compare_with_reference(surface, *input.reference, quality.gsd, options, context);

@@ -44,6 +44,14 @@ Expected polarizer_cost(const Workload& work) {
   return expected({0.15, 0.85, 57, 20}, work.object_mpx, work.threads);
 }
 
+Expected evidence_cost(const Workload& work) {
+  // The search for a better place of the prior is in views of one size, however large the images are.
+  constexpr double search_seconds = 1.3;
+  Expected cost = expected({0.5, 0.3, 70, 20}, image_mpx(work), work.threads);
+  cost.seconds += search_seconds;
+  return cost;
+}
+
 Expected zenith_cost(const Workload& work) {
   return expected({0.14, 0.85, 57, 20}, work.object_mpx, work.threads);
 }

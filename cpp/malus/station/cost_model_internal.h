@@ -24,6 +24,7 @@ struct Expected {
 Expected polarization_cost(const Workload& work);
 Expected prior_cost(const Workload& work);
 Expected polarizer_cost(const Workload& work);
+Expected evidence_cost(const Workload& work);
 Expected zenith_cost(const Workload& work);
 Expected height_cost(const Workload& work);
 Expected grid_cost(const Workload& work);

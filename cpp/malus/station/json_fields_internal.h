@@ -11,6 +11,8 @@
 #include <stdexcept>
 #include <string>
 #include <type_traits>
+#include <utility>
+#include <vector>
 
 #include "malus/core/camera.h"
 #include "malus/core/fields.h"
@@ -96,9 +98,16 @@ concept Sequence =
   value.end();
 };
 
+/// Values by their names, in their order: an object.
+using NamedValues = std::vector<std::pair<std::string, double>>;
+
 template <class T>
 Json fields_to_json(const T& value) {
-  if constexpr (std::is_floating_point_v<T>) {
+  if constexpr (std::same_as<T, NamedValues>) {
+    Json json = Json::object();
+    for (const auto& [name, number] : value) json[name] = fields_to_json(number);
+    return json;
+  } else if constexpr (std::is_floating_point_v<T>) {
     return std::isfinite(value) ? Json(value) : Json(nullptr);
   } else if constexpr (IsOptional<T>::value) {
     return value ? fields_to_json(*value) : Json(nullptr);
@@ -137,7 +146,10 @@ Json fields_to_json(const T& value) {
 /// else.
 template <class T>
 void fields_from_json(T& value, const Json& json) {
-  if constexpr (std::is_floating_point_v<T>) {
+  if constexpr (std::same_as<T, NamedValues>) {
+    value.clear();
+    for (const auto& [name, number] : json.items()) fields_from_json(value.emplace_back(name, 0.0).second, number);
+  } else if constexpr (std::is_floating_point_v<T>) {
     value = json.is_null() ? std::numeric_limits<T>::quiet_NaN() : json.get<T>();
   } else if constexpr (IsOptional<T>::value) {
     value.reset();

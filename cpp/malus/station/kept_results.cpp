@@ -32,6 +32,10 @@ void keep(StationView& result, Keeper& keeper) {
   keeper.value("registration_rms_px", result.registration_rms_px);
 }
 
+void keep(ImageFindings& result, Keeper& keeper) {
+  keeper.value("findings", result.findings);
+}
+
 void keep(ObjectColor& result, Keeper& keeper) {
   keeper.raster("polarization/color.tif", result.image);
 }
@@ -68,6 +72,11 @@ void keep(DepthPrior& result, Keeper& keeper) {
   keeper.value("spacing_px", result.spacing_px);
   keeper.value("smoothing_px", result.smoothing_px);
   keeper.value("filled_fraction", result.filled_fraction);
+}
+
+void keep(InputEvidence& result, Keeper& keeper) {
+  keeper.text("evidence/findings.json", result.json);
+  if (keeper.is_reading()) fields_from_json(result.findings, Json::parse(result.json));
 }
 
 void keep(ReflectionMap& result, Keeper& keeper) {

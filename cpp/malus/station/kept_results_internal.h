@@ -11,9 +11,11 @@ namespace malus {
 
 void keep(MeasuredPolarization& result, Keeper& keeper);
 void keep(StationView& result, Keeper& keeper);
+void keep(ImageFindings& result, Keeper& keeper);
 void keep(ObjectColor& result, Keeper& keeper);
 void keep(Scene& result, Keeper& keeper);
 void keep(CalibratedPolarization& result, Keeper& keeper);
+void keep(InputEvidence& result, Keeper& keeper);
 void keep(DepthPrior& result, Keeper& keeper);
 void keep(ReflectionMap& result, Keeper& keeper);
 void keep(HeightMap& result, Keeper& keeper);

@@ -8,6 +8,7 @@
 #include "malus/assess/assess_options.h"
 #include "malus/capture/capture.h"
 #include "malus/core/fields.h"
+#include "malus/evidence/evidence_options.h"
 #include "malus/fusion/grid_fusion.h"
 #include "malus/fusion/refine.h"
 #include "malus/height/height.h"
@@ -40,6 +41,7 @@ struct Options {
   PhotosOptions photos;
   SweepOptions sweep;
   PriorOptions prior;
+  EvidenceOptions evidence;
   ReflectionOptions reflection;
   LightOptions light;
   HeightOptions height;
@@ -56,6 +58,7 @@ struct Options {
     visit("photos", self.photos);
     visit("sweep", self.sweep);
     visit("prior", self.prior);
+    visit("evidence", self.evidence);
     visit("reflection", self.reflection);
     visit("light", self.light);
     visit("height", self.height);

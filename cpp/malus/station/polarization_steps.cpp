@@ -8,6 +8,8 @@
 #include "malus/core/depth_normals.h"
 #include "malus/core/median.h"
 #include "malus/core/parallel.h"
+#include "malus/evidence/image_order.h"
+#include "malus/evidence/response_check.h"
 #include "malus/io/image_file.h"
 #include "malus/polarization/decompose.h"
 #include "malus/polarization/interpolation_error.h"
@@ -137,12 +139,19 @@ CalibratedFrame compare_with_surface(const Job& job, const MeasuredPolarization&
 
 }  // namespace
 
-std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene> measure_polarization(const Job& job) {
+std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings> measure_polarization(const Job& job) {
   const Options& options = job.options;
   const Context& context = job.context;
   PolarizedStack stack = capture_stack(make_capture_input(job.station), options.capture, context);
+  const PolarizedSpec& polarized = job.station.file.polarized;
+  ImageFindings of_images;
+  // Angles that are found from the images have the images' order.
+  if (polarized.angles_deg)
+    of_images.findings.push_back(check_image_order(stack.images, stack.angles_rad, stack.mask, context).finding);
   MeasuredPolarization measured;
-  fit_polarizer_of(stack, job.station.file.polarized, options.polarizer, measured, context);
+  fit_polarizer_of(stack, polarized, options.polarizer, measured, context);
+  of_images.findings.push_back(
+      check_response(stack.images, stack.angles_rad, stack.mask, polarized.response, context).finding);
   auto state = std::make_shared<PolarizationState>(decompose(stack.images, stack.angles_rad, stack.noise, stack.mask,
                                                              stack.saturated, options.polarization, context));
   if (!stack.shared.empty()) {
@@ -152,9 +161,11 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene> measure_polari
   warn_of_misfits(*state, context);
   measured.state = std::move(state);
   Scene scene;
-  if (job.station.file.photos) scene.image = unpolarized_intensity(stack.images, stack.angles_rad, context);
+  const bool has_surroundings = std::ranges::find(stack.mask, std::uint8_t{0}) != stack.mask.end();
+  if (job.station.file.photos || has_surroundings)
+    scene.image = unpolarized_intensity(stack.images, stack.angles_rad, context);
   return {std::move(measured), StationView{stack.camera, std::move(stack.registration_rms_px)},
-          ObjectColor{std::move(stack.color)}, std::move(scene)};
+          ObjectColor{std::move(stack.color)}, std::move(scene), std::move(of_images)};
 }
 
 CalibratedPolarization calibrate_polarization(const Job& job, const MeasuredPolarization& measured,

@@ -8,6 +8,7 @@
 
 #include "malus/assess/quality.h"
 #include "malus/core/camera.h"
+#include "malus/core/finding.h"
 #include "malus/core/image.h"
 #include "malus/fusion/fused_surface.h"
 #include "malus/height/height_map.h"
@@ -35,12 +36,17 @@ struct StationView {
   std::vector<double> registration_rms_px;  ///< PolarizedStack::registration_rms_px
 };
 
+/// What the images say of themselves: "order" and "response".
+struct ImageFindings {
+  std::vector<Finding> findings;
+};
+
 /// Mean linear colour of the images, empty for monochrome ones.
 struct ObjectColor {
   Image<float> image;
 };
 
-/// Of a station with photos: unpolarized intensity of all that is in view, object or not, by which it is placed.
+/// Unpolarized intensity of all that is in view, object or not; empty if there is nothing but the object.
 struct Scene {
   Image<float> image;
 };
@@ -49,6 +55,15 @@ struct Scene {
 struct CalibratedPolarization {
   std::shared_ptr<const PolarizationState> state;  ///< that of the images if the surface corrects nothing
   PolarizerCalibration polarizer;
+};
+
+/// What all inputs together say of themselves before they are fused, most severe first, and evidence/findings.json.
+struct InputEvidence {
+  std::vector<Finding> findings;
+  std::string json;
+
+  /// Of those that are more than notes: why the result may not be trusted.
+  std::vector<std::string> doubts() const;
 };
 
 /// What the nonlinear refinement found out beside the surface.

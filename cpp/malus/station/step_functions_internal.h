@@ -13,13 +13,19 @@ namespace malus {
 
 /// Angles and exposures that the images themselves ask for are fitted where that is wanted and better than what is
 /// given.
-std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene> measure_polarization(const Job& job);
+std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings> measure_polarization(const Job& job);
 /// The polarizer's scale, as the surface has it: what no image can tell.
 CalibratedPolarization calibrate_polarization(const Job& job, const MeasuredPolarization& measured,
                                               const StationView& view, const DepthPrior* prior);
 /// Diffuse or specular, and the zenith that the degree then means.
 ReflectionMap find_zenith(const Job& job, const CalibratedPolarization& polarization, const StationView& view,
                           const DepthPrior* prior);
+
+// evidence_step.cpp
+
+/// What is wrong with the inputs, as far as they tell. Throws what is certain, unless `evidence.refuse` is off.
+InputEvidence check_inputs(const Job& job, const ImageFindings& of_images, const CalibratedPolarization& polarization,
+                           const StationView& view, const Scene& scene, const DepthPrior* prior);
 
 // surface_steps.cpp: what stereo and both together say.
 
@@ -28,12 +34,13 @@ DepthPrior make_prior(const Job& job, const MeasuredPolarization& measured, cons
 /// The paper's height from polarization alone (Eq 9 to 11).
 HeightMap make_height(const Job& job, const CalibratedPolarization& polarization, const StationView& view,
                       const DepthPrior& prior, const ReflectionMap& reflection);
-/// One surface of both: the paper's grid transfer (Eq 14 to 16).
-FusedSurface fuse_by_grid(const Job& job, const HeightMap& height, const DepthPrior& prior);
+/// One surface of both: the paper's grid transfer (Eq 14 to 16). Nothing is fused before its inputs are checked.
+FusedSurface fuse_by_grid(const Job& job, const HeightMap& height, const DepthPrior& prior,
+                          const InputEvidence& evidence);
 /// The same by nonlinear refinement.
 std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,
                                                                 const CalibratedPolarization& polarization,
-                                                                const DepthPrior& prior);
+                                                                const DepthPrior& prior, const InputEvidence& evidence);
 /// The files in which people take the surface to other programs. A surface that has no elevation model (its plane is
 /// seen edge-on) goes without dem.tif, with a warning.
 void write_mesh(const Job& job, const FusedSurface& surface, const ObjectColor& color,
@@ -44,6 +51,7 @@ void write_mesh(const Job& job, const FusedSurface& surface, const ObjectColor& 
 /// Every figure of quality.json.
 QualityReport make_quality(const Job& job, const FusedSurface& surface, const CalibratedPolarization& polarization,
                            const StationView& view, const DepthPrior& prior, const HeightMap* height,
-                           const RefinementFindings* refinement, const Warnings& warnings);
+                           const InputEvidence& evidence, const RefinementFindings* refinement,
+                           const Warnings& warnings);
 
 }  // namespace malus

@@ -77,13 +77,15 @@ HeightMap make_height(const Job& job, const CalibratedPolarization& polarization
                       options.height, options.light, job.context);
 }
 
-FusedSurface fuse_by_grid(const Job& job, const HeightMap& height, const DepthPrior& prior) {
+FusedSurface fuse_by_grid(const Job& job, const HeightMap& height, const DepthPrior& prior,
+                          const InputEvidence& /*evidence*/) {
   return with_warnings_logged(fuse_grid(height, prior, job.options.grid, job.context), job.context);
 }
 
 std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,
                                                                 const CalibratedPolarization& polarization,
-                                                                const DepthPrior& prior) {
+                                                                const DepthPrior& prior,
+                                                                const InputEvidence& /*evidence*/) {
   const OpticsSpec& optics = job.station.file.optics;
   RefineInput input;
   input.refractive_index = optics.refractive_index;

@@ -101,6 +101,15 @@ TEST(Quality, ConfidenceIsTheSurfacesOwnLessWhatTheFiguresSay) {
   EXPECT_EQ(assess(c.input, {}, {}).confidence.level, ConfidenceLevel::low) << "the surface left its prior";
 }
 
+TEST(Quality, DoubtsOfTheInputsLowerTheConfidence) {
+  Case c;
+  c.prior.sigma.fill(2.0f);
+  c.input.doubts = {"the images do not seem to be in order"};
+  const Confidence confidence = assess(c.input, {}, {}).confidence;
+  EXPECT_EQ(confidence.level, ConfidenceLevel::low);
+  EXPECT_EQ(confidence.reasons, c.input.doubts);
+}
+
 TEST(Quality, OnlyASurfaceIsNeeded) {
   const Case c;
   AssessInput input;

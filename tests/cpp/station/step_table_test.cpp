@@ -53,11 +53,12 @@ TEST(StepTable, NoTwoStepsLeaveOneFile) {
 TEST(StepTable, ARunHasWhatItNeeds) {
   const Options refined;
   EXPECT_EQ(names_of_run(with_prior(), refined),
-            (Names{"polarization", "prior", "polarizer", "zenith", "height", "fuse", "mesh", "assess"}));
+            (Names{"polarization", "prior", "polarizer", "evidence", "zenith", "height", "fuse", "mesh", "assess"}));
   EXPECT_EQ(names_of_run(with_prior(), by_grid()), names_of_run(with_prior(), refined));
-  EXPECT_EQ(names_of_run(with_prior(), refined, "fuse"), (Names{"polarization", "prior", "polarizer", "fuse"}));
+  EXPECT_EQ(names_of_run(with_prior(), refined, "fuse"),
+            (Names{"polarization", "prior", "polarizer", "evidence", "fuse"}));
   EXPECT_EQ(names_of_run(with_prior(), by_grid(), "fuse"),
-            (Names{"polarization", "prior", "polarizer", "zenith", "height", "fuse"}));
+            (Names{"polarization", "prior", "polarizer", "evidence", "zenith", "height", "fuse"}));
   EXPECT_EQ(names_of_run(with_prior(), refined, "polarization"), Names{"polarization"});
   EXPECT_EQ(names_of_run(with_prior(), refined, "prior"), (Names{"polarization", "prior"}));
   EXPECT_EQ(names_of_run(with_prior(), refined, "assess"), names_of_run(with_prior(), refined))
@@ -68,16 +69,16 @@ TEST(StepTable, ZenithAndHeightCanBeLeftOut) {
   Options options;
   options.assess.polarization_height = false;
   EXPECT_EQ(names_of_run(with_prior(), options),
-            (Names{"polarization", "prior", "polarizer", "fuse", "mesh", "assess"}));
+            (Names{"polarization", "prior", "polarizer", "evidence", "fuse", "mesh", "assess"}));
   EXPECT_EQ(names_of_run(with_prior(), options, "height"),
             (Names{"polarization", "prior", "polarizer", "zenith", "height"}));
   options.fusion = Fusion::grid;
   EXPECT_EQ(names_of_run(with_prior(), options),
-            (Names{"polarization", "prior", "polarizer", "zenith", "height", "fuse", "mesh", "assess"}));
+            (Names{"polarization", "prior", "polarizer", "evidence", "zenith", "height", "fuse", "mesh", "assess"}));
 }
 
 TEST(StepTable, WithoutAPriorThereArePolarizationMapsOnly) {
-  EXPECT_EQ(names_of_run({}, {}), (Names{"polarization", "polarizer", "zenith"}));
+  EXPECT_EQ(names_of_run({}, {}), (Names{"polarization", "polarizer", "evidence", "zenith"}));
   EXPECT_EQ(names_of_run({}, {}, "zenith"), (Names{"polarization", "polarizer", "zenith"}));
   EXPECT_TRUE(names_of_run({}, {}, "fuse").empty());
   for (const bool all : {true, false}) {

@@ -1,0 +1,55 @@
+#include <algorithm>
+#include <optional>
+#include <utility>
+#include <variant>
+
+#include "malus/evidence/before_fusion.h"
+#include "malus/io/colmap_workspace.h"
+#include "malus/station/json_fields_internal.h"
+#include "malus/station/state_views_internal.h"
+#include "malus/station/step_functions_internal.h"
+
+namespace malus {
+namespace {
+
+std::vector<Finding> compare_with_prior(const Job& job, const PolarizationState& state, const StationView& view,
+                                        const Scene& scene, const DepthPrior& prior) {
+  std::optional<PointCloud> read;
+  if (const auto* file = std::get_if<CloudFile>(&job.station.prior)) read = read_cloud(file->path, job.context);
+  const PointCloud* cloud = read ? &*read : std::get_if<PointCloud>(&job.station.prior);
+  const Mask object = object_mask(state);
+  return findings_before_fusion({.images = {state, scene.image, object, view.camera, job.station.file.unit},
+                                 .pose = prior.pose,
+                                 .prior_depth = prior.depth,
+                                 .cloud = cloud},
+                                job.context);
+}
+
+}  // namespace
+
+std::vector<std::string> InputEvidence::doubts() const {
+  std::vector<std::string> texts;
+  for (const Finding& finding : findings) {
+    if (finding.severity != Severity::note) texts.push_back(finding.text());
+  }
+  return texts;
+}
+
+InputEvidence check_inputs(const Job& job, const ImageFindings& of_images, const CalibratedPolarization& polarization,
+                           const StationView& view, const Scene& scene, const DepthPrior* prior) {
+  InputEvidence evidence{of_images.findings, ""};
+  if (prior != nullptr)
+    std::ranges::move(compare_with_prior(job, *polarization.state, view, scene, *prior),
+                      std::back_inserter(evidence.findings));
+  std::ranges::stable_sort(evidence.findings, std::ranges::greater(), &Finding::severity);
+  for (const Finding& finding : evidence.findings) {
+    if (finding.severity == Severity::note) continue;
+    if (finding.severity == Severity::error && job.options.evidence.refuse)
+      throw input_error(finding.text() + " (evidence.refuse = false goes on all the same)");
+    job.context.log(LogLevel::warning, finding.text());
+  }
+  evidence.json = fields_to_json(evidence.findings).dump(2) + "\n";
+  return evidence;
+}
+
+}  // namespace malus

@@ -1,0 +1,88 @@
+"""What a run says of inputs that do not belong together: warnings, low confidence, or no run at all."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tifffile
+
+from conftest import edit, malus_station
+from malus.workspace import Workspace
+
+ANGLES = "angles_deg = [0, 30, 60, 90, 120, 150]"
+
+
+def findings(work: Path) -> dict[str, dict[str, Any]]:
+    return {finding["check"]: finding for finding in json.loads((work / "evidence/findings.json").read_text())}
+
+
+def test_right_inputs_leave_notes_only(finished_grid: Path) -> None:
+    found = findings(finished_grid)
+    assert set(found) == {"order", "response", "size", "phase", "prior"}
+    assert {finding["severity"] for finding in found.values()} == {"note"}
+    assert found["order"]["figures"]["misfit_ratio"] < 2
+    assert "mm wide" in found["size"]["message"]
+
+
+def test_report_has_every_finding(finished_grid: Path) -> None:
+    page = (finished_grid / "report/index.html").read_text()
+    assert '<section id="checks">' in page
+    for finding in Workspace(finished_grid).findings:
+        assert finding["message"][1:] in page
+
+
+def test_a_warning_is_said_and_lowers_confidence(small_station: Path, tmp_path: Path) -> None:
+    edit(small_station, ANGLES, "angles_deg = [0, 90, 60, 30, 120, 150]")
+    work = tmp_path / "work"
+    outcome = malus_station(small_station, "-o", work, "--fusion", "grid")
+    assert outcome.code == 0, outcome.err
+    assert "do not seem to be in the order of their angles" in outcome.err
+    quality = json.loads((work / "quality.json").read_text())
+    assert quality["confidence"]["level"] == "low"
+    text = findings(work)["order"]["message"]
+    assert any(text in reason for reason in quality["confidence"]["reasons"])
+    assert any(text in warning for warning in quality["warnings"])
+
+
+def direction_exchanged(station: Path) -> Path:
+    return edit(station, ANGLES, ANGLES + '\nangle_direction = "cw"')
+
+
+@pytest.mark.parametrize("until", ["fuse", "evidence", "assess"])
+def test_what_is_certainly_wrong_is_not_fused(small_station: Path, tmp_path: Path, until: str) -> None:
+    direction_exchanged(small_station)
+    work = tmp_path / "work"
+    options = ("--set", "polarizer.calibrate_angles=off", "--fusion", "grid", "--until", until)
+    outcome = malus_station(small_station, "-o", work, *options)
+    assert outcome.code == 2
+    assert "turns against the slopes of the prior" in outcome.err
+    assert "expected the other angle_direction" in outcome.err
+    assert not (work / "fused").exists()
+    assert not (work / "evidence/findings.json").exists()
+
+
+def test_errors_can_be_overruled_but_not_hidden(small_station: Path, tmp_path: Path) -> None:
+    direction_exchanged(small_station)
+    work = tmp_path / "work"
+    options = ("--set", "polarizer.calibrate_angles=off", "--set", "evidence.refuse=false", "--fusion", "grid")
+    outcome = malus_station(small_station, "-o", work, *options)
+    assert outcome.code == 0, outcome.err
+    assert findings(work)["phase"]["severity"] == "error"
+    quality = json.loads((work / "quality.json").read_text())
+    assert quality["confidence"]["level"] == "low"
+    assert any("turns against the slopes" in reason for reason in quality["confidence"]["reasons"])
+
+
+def test_the_surroundings_are_kept_where_a_mask_leaves_them_out(small_station: Path, tmp_path: Path) -> None:
+    mask = tifffile.imread(small_station.parent / "pol/pol_000.tif").astype("uint8")
+    mask[:] = 0
+    mask[20:140, 20:180] = 255
+    tifffile.imwrite(small_station.parent / "mask.tif", mask)
+    edit(small_station, ANGLES, ANGLES + '\nmask = "mask.tif"')
+    work = tmp_path / "work"
+    assert malus_station(small_station, "-o", work, "--until", "evidence").code == 0
+    scene = tifffile.imread(work / "polarization/scene.tif")
+    assert (scene[mask == 0] > 0).mean() > 0.99
