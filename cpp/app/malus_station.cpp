@@ -5,6 +5,8 @@
 #include <chrono>
 #include <csignal>
 #include <cstdio>
+#include <exception>
+#include <filesystem>
 #include <iostream>
 #include <mutex>
 #include <new>
@@ -138,6 +140,9 @@ int main(int argc, char** argv) {
     return fail(static_cast<int>(ErrorCode::input), error.what());
   }
 
+  if (arguments.workspace.empty())
+    return fail(static_cast<int>(ErrorCode::input), "--output is empty, expected a folder");
+
   std::signal(SIGINT, [](int) { interrupted.store(true); });
   std::signal(SIGTERM, [](int) { interrupted.store(true); });
   try {
@@ -146,6 +151,11 @@ int main(int argc, char** argv) {
     return fail(static_cast<int>(error.code()), error.what());
   } catch (const std::bad_alloc&) {
     return fail(static_cast<int>(ErrorCode::resource), "out of memory");
+  } catch (const std::filesystem::filesystem_error& error) {
+    return fail(static_cast<int>(ErrorCode::input), error.path1().string() + ": " + error.code().message());
+  } catch (const std::exception& error) {
+    return fail(static_cast<int>(ErrorCode::resource),
+                std::string("stopped by an error of its own, please report it: ") + error.what());
   }
   return 0;
 }

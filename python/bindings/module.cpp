@@ -1,5 +1,6 @@
 #include <pybind11/pybind11.h>
 
+#include <filesystem>
 #include <new>
 
 #include "bindings.h"
@@ -38,6 +39,9 @@ void translate(std::exception_ptr error) {
       const py::object type = py::module_::import("malus.errors").attr(name);
       PyErr_SetString(type.ptr(), e.what());
     }
+  } catch (const std::filesystem::filesystem_error& e) {
+    const py::object type = py::module_::import("malus.errors").attr("InputError");
+    PyErr_SetString(type.ptr(), (e.path1().string() + ": " + e.code().message()).c_str());
   } catch (const std::bad_alloc&) {
     PyErr_SetString(PyExc_MemoryError, "out of memory");
   }

@@ -199,7 +199,7 @@ def _marker(task: Task) -> Outcome:
     """How a station ended, if that still holds; otherwise pending."""
     pending = {"station": task.identifier, "file": task.station, "status": "pending", "reason": "", "exit_code": 0}
     try:
-        outcome: Outcome = json.loads(task.marker.read_text())
+        outcome: Outcome = json.loads(task.marker.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return pending
     same = isinstance(outcome, dict) and outcome.get("key") == task.key()

@@ -196,7 +196,7 @@ def _print_summary(work: Path, quiet: bool) -> None:
     path = work / "quality.json"
     if not path.exists():
         return
-    quality = json.loads(path.read_text())
+    quality = json.loads(path.read_text(encoding="utf-8"))
     if quiet:  # nobody shall miss them
         for line in malus.report.caution_lines(quality):
             print(line, file=sys.stderr)
@@ -303,6 +303,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # The reader of our output is gone (`malus … | head`); nothing is left to say.
         sys.stderr.close()
         return 0
+    except OSError as error:
+        print(f"malus: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
+        return 5
+    except Exception as error:  # the last net: nobody shall be shown a traceback
+        if "MALUS_TRACEBACK" in os.environ:
+            raise
+        print(
+            f"malus: stopped by an error of its own, please report it: {type(error).__name__}: {error}\n"
+            "  (set MALUS_TRACEBACK=1 to see where)",
+            file=sys.stderr,
+        )
+        return 5
     return 0
 
 

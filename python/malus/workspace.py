@@ -75,7 +75,7 @@ class Workspace:
         return name in self.outputs
 
     def _json(self, name: str) -> dict[str, Any]:
-        content: dict[str, Any] = json.loads(self.path(name).read_text())
+        content: dict[str, Any] = json.loads(self.path(name).read_text(encoding="utf-8"))
         return content
 
     @contextmanager

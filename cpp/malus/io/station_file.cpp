@@ -16,6 +16,7 @@
 #include "malus/io/image_file.h"
 #include "malus/io/input_file.h"
 #include "malus/io/polarized_files_internal.h"
+#include "malus/io/toml_document_internal.h"
 #include "malus/io/toml_table_internal.h"
 
 namespace malus {
@@ -507,16 +508,6 @@ void check_camera_size(const TomlTable& document, const LensCamera& lens, Size i
                     " pixels, but the polarized image " + file.string() + " has " + to_string(image));
 }
 
-toml::table parse(const std::filesystem::path& path) {
-  const std::string text = read_file(path, "station file");
-  try {
-    return toml::parse(text, path.string());
-  } catch (const toml::parse_error& error) {
-    throw input_error(path.string() + ", line " + std::to_string(error.source().begin.line) + ": not TOML (" +
-                      std::string(error.description()) + ")");
-  }
-}
-
 /// Size of the polarized images. A RAW file says it when it is developed; until then it is the camera's.
 Size polarized_size(const StationFile& station, const std::string& where) {
   const std::filesystem::path& first = station.polarized.images.front();
@@ -530,7 +521,7 @@ Size polarized_size(const StationFile& station, const std::string& where) {
 StationFile read_station_file(const std::filesystem::path& given_path) {
   StationFile station;
   station.path = std::filesystem::absolute(given_path).lexically_normal();
-  const toml::table root = parse(station.path);
+  const toml::table root = read_toml(station.path, "station file");
   const TomlTable document(
       root, station.path, "",
       {"station", "polarized", "optics", "camera", "prior", "photos", "scale", "patch", "profile"});

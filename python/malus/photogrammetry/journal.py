@@ -100,7 +100,7 @@ class Journal:
     @staticmethod
     def _read(mark: Path) -> dict[str, Any]:
         try:
-            content = json.loads(mark.read_text())
+            content = json.loads(mark.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return {}
         return content if isinstance(content, dict) else {}

@@ -93,7 +93,7 @@ def extract_features(colmap: Any, arguments: Arguments) -> None:
     extraction = arguments.fill(colmap.FeatureExtractionOptions(), _EXTRACTION)
     extraction.type = colmap.FeatureExtractorType.SIFT
     database, images = arguments.take("database_path"), arguments.take("image_path")
-    names = [line for line in Path(arguments.take("image_list_path")).read_text().splitlines() if line]
+    names = [line for line in Path(arguments.take("image_list_path")).read_text(encoding="utf-8").splitlines() if line]
     single = bool(int(arguments.take("ImageReader.single_camera", "0")))
     arguments.finish()
     mode = colmap.CameraMode.SINGLE if single else colmap.CameraMode.AUTO

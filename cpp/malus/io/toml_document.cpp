@@ -1,0 +1,49 @@
+#include <algorithm>
+#include <cctype>
+#include <string_view>
+
+#include "malus/core/error.h"
+#include "malus/io/input_file.h"
+#include "malus/io/toml_document_internal.h"
+
+namespace malus {
+namespace {
+
+/// Parts of the dotted key that a line begins with.
+std::ptrdiff_t key_parts(std::string_view line) {
+  const auto begin =
+      std::find_if_not(line.begin(), line.end(), [](char c) { return c == ' ' || c == '\t' || c == '['; });
+  const auto end = std::find_if_not(begin, line.end(), [](char c) {
+    return std::isalnum(static_cast<unsigned char>(c)) != 0 ||
+           std::string_view("._-\"' \t").find(c) != std::string_view::npos;
+  });
+  return std::count(begin, end, '.') + 1;
+}
+
+void require_short_keys(const std::string& text, const std::filesystem::path& path) {
+  constexpr std::ptrdiff_t most_parts = 100;
+  std::size_t begin = 0;
+  for (int line = 1; begin < text.size(); ++line) {
+    const std::size_t end = std::min(text.find('\n', begin), text.size());
+    if (key_parts(std::string_view(text).substr(begin, end - begin)) > most_parts) {
+      throw input_error(path.string() + ", line " + std::to_string(line) + ": not TOML (a key of more than " +
+                        std::to_string(most_parts) + " parts)");
+    }
+    begin = end + 1;
+  }
+}
+
+}  // namespace
+
+toml::table read_toml(const std::filesystem::path& path, const std::string& what) {
+  const std::string text = read_file(path, what);
+  require_short_keys(text, path);
+  try {
+    return toml::parse(text, path.string());
+  } catch (const toml::parse_error& error) {
+    throw input_error(path.string() + ", line " + std::to_string(error.source().begin.line) + ": not TOML (" +
+                      std::string(error.description()) + ")");
+  }
+}
+
+}  // namespace malus
