@@ -46,6 +46,24 @@ def test_station_file_is_not_toml(small_station: Path, work: Path) -> None:
     expect(small_station, work, 2, "station.toml")
 
 
+def test_keys_of_thousands_of_parts_are_refused_before_the_parser_sees_them(small_station: Path, work: Path) -> None:
+    small_station.write_text(f"[station]\n{'.'.join(['a'] * 50_000)} = 1\n")
+    expect(small_station, work, 2, "station.toml, line 2", "parts")
+
+
+def test_folders_that_no_system_can_make(small_station: Path, tmp_path: Path) -> None:
+    """Neither an abort nor a traceback: a name that is too long, links in a circle."""
+    (tmp_path / "a").symlink_to(tmp_path / "b")
+    (tmp_path / "b").symlink_to(tmp_path / "a")
+    for folder in (tmp_path / ("x" * 300), tmp_path / "a" / "work"):
+        for program, run_words in ((malus, ("run",)), (malus_station, ())):
+            outcome = program(*run_words, small_station, "-o", folder, "--quiet")
+            assert outcome.code == 2, outcome
+            assert str(folder) in outcome.err
+            assert "Traceback" not in outcome.err
+    assert malus_station(small_station, "-o", "", "--quiet").code == 2
+
+
 def test_unknown_key_names_the_nearest(small_station: Path, work: Path) -> None:
     edit(small_station, "white_level", "whitelevel")
     expect(small_station, work, 2, "whitelevel", "white_level")
