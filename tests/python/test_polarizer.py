@@ -99,10 +99,14 @@ def test_wrong_zero_is_only_said_when_off(relief: Path) -> None:
     assert any("zero of the polarizer's scale" in warning for warning in found["warnings"])
 
 
-def test_scale_read_from_behind_is_said(relief: Path) -> None:
+def test_scale_read_from_behind_is_an_error(relief: Path) -> None:
     edit(relief, 'angle_direction = "ccw"', 'angle_direction = "cw"')
-    found, _ = calibration(relief)
-    assert any("angle_direction" in warning for warning in found["warnings"])
+    work = relief.parent / "work"
+    outcome = malus_station(relief, "-o", work)
+    assert outcome.code == 2
+    assert "angle_direction is the wrong way round" in outcome.err
+    assert not (work / "fused/depth.tif").exists()
+    assert not (work / "quality.json").exists()
 
 
 def test_unknown_angles_need_five_images(relief: Path) -> None:
