@@ -186,6 +186,10 @@ std::string percent(double share) {
   return std::to_string(std::lround(100 * share)) + " %";
 }
 
+bool has_usable(const RefinementImage& image) {
+  return std::any_of(image.usable.begin(), image.usable.end(), [](auto m) { return m != 0; });
+}
+
 /// Mean normal of an even choice of the object's pixels, camera frame, facing the camera.
 Eigen::Vector3d mean_normal(const RefinementImage& image) {
   const double share = 4e4 / static_cast<double>(image.size().area());
@@ -203,18 +207,19 @@ Eigen::Vector3d mean_normal(const RefinementImage& image) {
 }
 
 /// What is said of the evidence. That nothing was gained is a warning, too.
-Confidence confidence_of(const RefineReport& report, FusedSurface& surface) {
+Confidence confidence_of(const RefineReport& report, bool weighed, FusedSurface& surface) {
   constexpr double everywhere = 0.9, nowhere = 0.05;
   // Of stations between 0.5 and 0.75 some were made worse, under light and of materials that were drawn at random.
   constexpr double well_explained = 0.75;
   const bool is_prior = report.trusted_share < nowhere;
   Confidence confidence;
-  if (is_prior) {
+  if (!weighed) {
+    confidence.limit(ConfidenceLevel::partial,
+                     "refine.evidence is off: nothing holds the refined surface against its prior.");
+  } else if (is_prior) {
     surface.warnings.push_back(
         "The surface is the prior's: at its slopes the reflection model does not explain the measured polarization, so "
-        "that nothing finer can be known from it. Metal, lamps very close to the object or a prior that is out of "
-        "place "
-        "do that.");
+        "that nothing finer can be known from it. Metal, lamps close to the object or a misplaced prior do that.");
     confidence.limit(ConfidenceLevel::partial, surface.warnings.back());
   } else if (report.trusted_share < everywhere) {
     confidence.limit(ConfidenceLevel::partial,
@@ -272,7 +277,7 @@ class Refiner {
     // A black mirror's polarization follows from the slopes whatever it mirrors: no surroundings do better.
     constexpr double well = 0.75;
     const bool is_mirror = specular_share(image_) > 0.5 && by_labels > options_.explained_least;
-    if (is_mirror || by_labels > well) return;
+    if (is_mirror || by_labels > well || !has_usable(image_)) return;
     const Image<std::uint8_t> labels = image_.kind;
     const ReflectionModel model = image_.reflection;
     image_.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
@@ -580,7 +585,7 @@ RefineResult refine(const PolarizationState& state, const DepthPrior& prior, con
   refiner.weigh_evidence(prior);
   result.surface = refiner.finish(prior);
   judge(result.report, result.surface);
-  result.surface.confidence = confidence_of(result.report, result.surface);
+  result.surface.confidence = confidence_of(result.report, options.evidence, result.surface);
   result.report.seconds = seconds_since(start);
   return result;
 }

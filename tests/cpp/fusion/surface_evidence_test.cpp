@@ -69,11 +69,21 @@ TEST(Evidence, WhatTheModelCannotExplainLeavesThePrior) {
   const double prior = rms_error_gsd(station.prior.depth, station.truth, station.prior.camera);
   EXPECT_GT(rms_of_columns(free.surface.depth, station.prior.depth, 4, 156, gsd), 0.3) << "it would have moved";
   EXPECT_LT(rms_error_gsd(held.surface.depth, station.truth, station.prior.camera), 1.02 * prior);
+  EXPECT_NE(free.surface.confidence.level, ConfidenceLevel::high) << "nothing was held against the prior";
   EXPECT_LT(held.report.trusted_share, 0.05);
   EXPECT_EQ(held.surface.confidence.level, ConfidenceLevel::partial);
   ASSERT_FALSE(held.surface.confidence.reasons.empty());
   // The surface is as uncertain as the prior's.
   EXPECT_NEAR(held.surface.sigma(80, 64) / station.prior.sigma(80, 64), 1, 0.05);
+}
+
+TEST(Evidence, WithoutAnyUsablePixelThePriorStays) {
+  SyntheticStation station = make_station(scene_under_a_sky());
+  station.state.valid.fill(static_cast<std::uint8_t>(PixelState::saturated));
+  const RefineResult result = refine(station.state, station.prior, {}, quick(), Context{});
+  EXPECT_LT(result.report.trusted_share, 0.05);
+  EXPECT_NE(result.surface.confidence.level, ConfidenceLevel::high);
+  EXPECT_NEAR(result.surface.depth(80, 64), station.prior.depth(80, 64), 1e-3);
 }
 
 TEST(Evidence, IsWeighedRegionByRegion) {
