@@ -86,6 +86,14 @@ def small_station_source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 name = "small"
 unit = "mm"
 
+[object]
+identifier = "X 1907.4"
+title = "Relief & label"
+maker = "unknown mason"
+collection = "Museum of Tests"
+recorded_by = "A. Recorder"
+license = "CC-BY-4.0"
+
 [polarized]
 images = ["pol/pol_000.tif", "pol/pol_030.tif", "pol/pol_060.tif", "pol/pol_090.tif", "pol/pol_120.tif", "pol/pol_150.tif"]
 angles_deg = [0, 30, 60, 90, 120, 150]

@@ -524,7 +524,7 @@ StationFile read_station_file(const std::filesystem::path& given_path) {
   const toml::table root = read_toml(station.path, "station file");
   const TomlTable document(
       root, station.path, "",
-      {"station", "polarized", "optics", "camera", "prior", "photos", "scale", "patch", "profile"});
+      {"station", "object", "polarized", "optics", "camera", "prior", "photos", "scale", "patch", "profile"});
   const auto optional_section = [&](std::string_view key, const std::vector<std::string_view>& known) {
     const toml::table* table = section(document, key);
     return table ? std::optional(TomlTable(*table, station.path, "[" + std::string(key) + "]", known)) : std::nullopt;
@@ -535,6 +535,8 @@ StationFile read_station_file(const std::filesystem::path& given_path) {
     station.name = table->text("name").value_or(station.name);
     station.unit = read_unit(*table, station.unit);
   }
+
+  if (const auto table = optional_section("object", keys_of(ObjectSpec{}))) read_fields(*table, station.object);
 
   const auto polarized =
       document.required(optional_section("polarized", keys_of(PolarizedSpec{}, {"angle_pattern"})), "polarized",

@@ -79,6 +79,29 @@ struct PolarizedSpec {
   }
 };
 
+/// [object]: what a catalogue says of the object and who recorded it; words for reports and archives, never computed with.
+struct ObjectSpec {
+  std::optional<std::string> identifier, title, maker, date, place, material, description, collection;
+  std::optional<std::string> recorded_by, recorded_on;
+  std::optional<std::string> rights, license;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("identifier", self.identifier, any_value);
+    visit("title", self.title, any_value);
+    visit("maker", self.maker, any_value);
+    visit("date", self.date, any_value);
+    visit("place", self.place, any_value);
+    visit("material", self.material, any_value);
+    visit("description", self.description, any_value);
+    visit("collection", self.collection, any_value);
+    visit("recorded_by", self.recorded_by, any_value);
+    visit("recorded_on", self.recorded_on, any_value);
+    visit("rights", self.rights, any_value);
+    visit("license", self.license, any_value);
+  }
+};
+
 /// [optics]
 struct OpticsSpec {
   std::optional<double> refractive_index = 1.5;  ///< nothing = "auto"
@@ -190,6 +213,7 @@ struct StationFile {
   std::filesystem::path path;  ///< of the file itself; empty for a station made in code
   std::string name;
   std::string unit = "mm";
+  ObjectSpec object;
   PolarizedSpec polarized;
   OpticsSpec optics;
   std::optional<CameraSpec>

@@ -100,6 +100,8 @@ void TomlTable::read(std::string_view key, T& value, Range range) const {
     value = number(key, range).value_or(value);
   } else if constexpr (std::same_as<T, std::optional<double>>) {
     value = number(key, range);
+  } else if constexpr (std::same_as<T, std::optional<std::string>>) {
+    value = text(key);
   } else {
     static_assert(std::same_as<T, std::optional<std::filesystem::path>>, "fields of other types have an own form");
     value = existing_file(key);

@@ -30,7 +30,7 @@ QualityReport make_quality(const Job& job, const FusedSurface& surface, const Ca
                           job.options.assess, job.context);
   report.quality.warnings = warnings.all;
   const auto& photogrammetry = job.station.photogrammetry;
-  report.json = quality_json(station.name, report.quality, polarization.polarizer, refinement,
+  report.json = quality_json(station, report.quality, polarization.polarizer, refinement,
                              photogrammetry ? &*photogrammetry : nullptr)
                     .dump(2) +
                 "\n";

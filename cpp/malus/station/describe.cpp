@@ -47,6 +47,7 @@ std::string describe_station_json(const Station& station) {
   const StationFile& file = station.file;
   Json json = {{"name", file.name},
                {"unit", file.unit},
+               {"object", fields_to_json(file.object)},
                {"image_count", station.in_memory() ? station.images.size() : file.polarized.images.size()}};
   json.update(fields_to_json(file.polarized));
   json.update(fields_to_json(file.optics));

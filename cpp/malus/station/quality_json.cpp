@@ -54,9 +54,9 @@ Json refine_report_json(const RefineReport& report) {
           {"iterations", iterations}};
 }
 
-Json quality_json(const std::string& name, const Quality& quality, const PolarizerCalibration& polarizer,
+Json quality_json(const StationFile& station, const Quality& quality, const PolarizerCalibration& polarizer,
                   const RefinementFindings* refinement, const Photogrammetry* photogrammetry) {
-  Json json = {{"name", name}};
+  Json json = {{"name", station.name}, {"object", fields_to_json(station.object)}};
   if (photogrammetry != nullptr) json.update(Json::parse(photogrammetry->figures_json));
   json.update(fields_to_json(quality));
   json["polarizer"] = fields_to_json(polarizer);

@@ -14,9 +14,9 @@ namespace malus {
 /// Reflectance, light and convergence of the refinement, with standard deviations.
 Json refine_report_json(const RefineReport& report);
 
-/// The figures under the names of the Quality structs, with the station's name, the polarizer's angles and exposures,
+/// The figures under the names of the Quality structs, with the station's name and [object], the polarizer's angles and exposures,
 /// after a refinement its findings, and what the photogrammetry says of itself; null = there is none.
-Json quality_json(const std::string& name, const Quality& quality, const PolarizerCalibration& polarizer,
+Json quality_json(const StationFile& station, const Quality& quality, const PolarizerCalibration& polarizer,
                   const RefinementFindings* refinement, const Photogrammetry* photogrammetry);
 
 }  // namespace malus

@@ -71,6 +71,10 @@ Json StationInputs::title() {
   return {{"name", station_.file.name}, {"unit", station_.file.unit}};
 }
 
+Json StationInputs::object() {
+  return fields_to_json(station_.file.object);
+}
+
 Json StationInputs::polarized() {
   const PolarizedSpec& spec = station_.file.polarized;
   Json json = fields_to_json(spec);

@@ -36,6 +36,8 @@ class StationInputs {
   void require_unchanged(const Values& values) const;
 
   Json title();
+  /// [object].
+  Json object();
   Json polarized();
   Json optics();
   /// The lens alone, which is all that undistortion depends on.

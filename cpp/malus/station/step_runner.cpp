@@ -43,7 +43,9 @@ StepRunner::StepRunner(const std::vector<Step>& table, std::vector<const Step*> 
   if (!run.workspace) return;
   workspace_ = std::make_unique<Workspace>(*run.workspace, owner_of(station), run.replace);
   workspace_->set_info("options", option_values_);
-  workspace_->set_info("versions", {{"malus", version}});
+  Json versions = {{"malus", version}};
+  for (const auto& [library, number] : library_versions) versions[library] = number;
+  workspace_->set_info("versions", versions);
   if (station.photogrammetry) {
     const Json times = Json::parse(station.photogrammetry->times_json);
     for (const auto& [name, value] : times.items()) workspace_->set_times(name, value);

@@ -97,7 +97,7 @@ std::vector<Step> make_table() {
       step({.name = "assess",
             .does = "patches, profiles, comparison with a reference",
             .options = {"assess"},
-            .station = {&Of::title, &Of::regions, &Of::comparison},
+            .station = {&Of::title, &Of::object, &Of::regions, &Of::comparison},
             .leaves = {"quality.json"},
             .may_leave = {"fused/reference_distance.tif"},
             .cost = assess_cost},
