@@ -99,6 +99,8 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("work", type=Path, metavar="WORK")
     export.add_argument("--format", choices=list(FORMATS), required=True, help="what to write")
     export.add_argument("--faces", type=int, metavar="N", help=f"at most N triangles ({', '.join(MESHES)})")
+    export.add_argument("--interval", type=float, metavar="LENGTH", help="between contour lines; default: a round one")
+    export.add_argument("--y-up", action="store_true", help="glb: turned from z up to glTF's y up")
     export.add_argument("-o", "--output", type=Path, metavar="PATH", help="default: in WORK/export/")
     start = commands.add_parser("import", help="station file for a folder of polarized images")
     start.add_argument("folder", type=Path, metavar="FOLDER")
@@ -277,7 +279,17 @@ def _run(arguments: Sequence[str] | None) -> None:
     elif args.command == "view":
         print(malus.open_report(args.work))
     elif args.command == "export":
-        print(malus.export(args.work, args.format, args.output, faces=args.faces, threads=args.threads))
+        print(
+            malus.export(
+                args.work,
+                args.format,
+                args.output,
+                faces=args.faces,
+                interval=args.interval,
+                y_up=args.y_up,
+                threads=args.threads,
+            )
+        )
     elif args.command == "batch":
         _batch(args)
     elif args.command == "demo":

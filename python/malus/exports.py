@@ -6,23 +6,24 @@ Maps (displacement, normal map) lie on the grid of the elevation model: the plan
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from malus import _core
+from malus import _core, archive, drawings
 from malus._extra import extra
-from malus._files import replacing, writing
+from malus._files import replacing, write_bytes, write_text, writing
+from malus.colmap_export import write_colmap_workspace
 from malus.errors import InputError
 from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
 from malus.units import METRES
 from malus.workspace import Workspace
-
-#: Metres in each unit that a station may have.
 
 
 def sample(raster: NDArray[Any], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -109,23 +110,128 @@ class Exporter:
         return mesh, sigma
 
 
-def _write_ply(exporter: Exporter, path: Path, faces: int | None) -> None:
-    mesh = exporter.simplified(faces)
+@dataclass(frozen=True)
+class Wishes:
+    """What may be asked of a format."""
+
+    faces: int | None = None
+    interval: float | None = None
+    y_up: bool = False
+
+
+def _write_ply(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+    mesh = exporter.simplified(wishes.faces)
     _core.write_ply(str(path), mesh.vertices, mesh.normals, mesh.colors, mesh.triangles, exporter.threads)
 
 
-def _write_glb(exporter: Exporter, path: Path, faces: int | None) -> None:
-    mesh = exporter.simplified(faces)
+def _write_glb(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+    mesh = exporter.simplified(wishes.faces)
     _core.write_glb(
         str(path), mesh.vertices, mesh.normals, mesh.triangles, exporter.picture(), exporter.workspace.camera,
         exporter.rotation, exporter.translation, exporter.unit, exporter.name, exporter.threads,
     )  # fmt: skip
+    _say_what_it_is(path, exporter, wishes.y_up)
 
 
-def _write_obj(exporter: Exporter, path: Path, faces: int | None) -> None:
+def _say_what_it_is(path: Path, exporter: Exporter, y_up: bool) -> None:
+    """Put the catalogue's words and the origin into a GLB file (asset.extras), and turn it to y up if asked."""
+    content = path.read_bytes()
+    length = int.from_bytes(content[12:16], "little")
+    document = json.loads(content[20 : 20 + length])
+    quality = exporter.workspace.quality
+    document["asset"]["extras"] = {
+        "object": {key: value for key, value in quality.get("object", {}).items() if value},
+        "station": exporter.name,
+        "unit_of_the_station": exporter.unit,
+        "gsd": quality["gsd"],
+        "confidence": quality["confidence"],
+        "versions": exporter.workspace.manifest["versions"],
+    }
+    if y_up:
+        # glTF's "y up" for a world whose z is up: a quarter turn about x over everything.
+        half = float(np.sqrt(0.5))
+        for scene in document["scenes"]:
+            document["nodes"].append({"name": "y up", "rotation": [-half, 0, 0, half], "children": scene["nodes"]})
+            scene["nodes"] = [len(document["nodes"]) - 1]
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    rest = content[20 + length :]
+    total = 20 + len(text) + len(rest)
+    head = content[:8] + total.to_bytes(4, "little") + len(text).to_bytes(4, "little") + content[16:20]
+    write_bytes(path, head + text + rest)
+
+
+def _write_stl(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+    mesh = exporter.simplified(wishes.faces)
+    corners = mesh.vertices[mesh.triangles]
+    facets = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    facets["normal"] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    facets["corners"] = corners
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write(f"{exporter.name}, {exporter.unit}, world frame".encode("ascii", "replace")[:80].ljust(80))
+        file.write(np.uint32(len(facets)).tobytes())
+        file.write(facets.tobytes())
+
+
+def _write_orthophoto(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
+    dem = exporter.dem()
+    known = np.isfinite(dem.elevation)
+    picture = np.zeros((*dem.elevation.shape, 4), np.uint8)
+    colors = sample(exporter.picture(), exporter.pixels(dem.points()[known]))
+    picture[known, :3] = np.rint(colors)
+    picture[known, 3] = 255
+    told = PngInfo()
+    for key, value in {"Title": exporter.name, **(exporter.workspace.quality.get("object") or {})}.items():
+        if value:
+            told.add_itxt(key.replace("_", " ").capitalize(), str(value))
+    per_metre = 1 / (dem.pixel * METRES[exporter.unit])
+    with replacing(path) as temporary:
+        Image.fromarray(picture).save(temporary, dpi=(per_metre * 0.0254,) * 2, pnginfo=told)
+    # World file: size of a pixel and the centre of the first, in the elevation model's own coordinates.
+    write_text(path.with_suffix(".pgw"), f"{dem.pixel:.12g}\n0\n0\n{-dem.pixel:.12g}\n0\n0\n")
+
+
+def _write_drawing(path: Path, layers: list[drawings.Layer], exporter: Exporter, title: str) -> None:
+    if path.suffix.lower() == ".dxf":
+        drawings.write_dxf(path, layers, exporter.unit)
+    else:
+        drawings.write_svg(path, layers, exporter.unit, f"{exporter.name}: {title}")
+
+
+def _write_contours(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+    _write_drawing(path, drawings.contours(exporter.dem(), wishes.interval), exporter, "contour lines")
+
+
+def _write_sections(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+    profiles = exporter.workspace.quality["profiles"]
+    if not profiles:
+        raise InputError(f"{path}: the station file has no [[profile]], along which to cut")
+    layers = [
+        drawings.Layer(f"{profile['name']} {surface}", drawings.section(profile["position"], profile[surface]))
+        for profile in profiles
+        for surface in ("prior", "fused")
+        if profile[surface]
+    ]
+    drawings.set_apart(layers, by=len(layers) // len(profiles))
+    _write_drawing(path, layers, exporter, "sections")
+
+
+def _write_colmap(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+    write_colmap_workspace(exporter.workspace, exporter.picture(), path)
+
+
+def _write_archive(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+    archive.write_archive(exporter.workspace.folder, path)
+
+
+def _write_obj(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     from PIL import Image
 
-    mesh = exporter.simplified(faces)
+    mesh = exporter.simplified(wishes.faces)
     texture, material = path.with_suffix(".png"), path.with_suffix(".mtl")
     with replacing(texture) as temporary:
         Image.fromarray(exporter.picture()).save(temporary)
@@ -142,7 +248,7 @@ def _write_obj(exporter: Exporter, path: Path, faces: int | None) -> None:
         np.savetxt(file, corners, "f %d/%d/%d %d/%d/%d %d/%d/%d")
 
 
-def _write_dem(exporter: Exporter, path: Path, faces: int | None) -> None:
+def _write_dem(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     with replacing(path) as temporary:
         shutil.copyfile(exporter.workspace.path("fused/dem.tif"), temporary)
 
@@ -154,7 +260,7 @@ def _write_exr(path: Path, channels: dict[str, NDArray[np.float32]]) -> None:
         file.write(str(temporary))
 
 
-def _write_normal_map(exporter: Exporter, path: Path, faces: int | None) -> None:
+def _write_normal_map(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     dem = exporter.dem()
     points = dem.points()
     known = np.isfinite(dem.elevation)
@@ -170,7 +276,7 @@ def _write_normal_map(exporter: Exporter, path: Path, faces: int | None) -> None
     write(str(path), levels)
 
 
-def _write_displacement(exporter: Exporter, path: Path, faces: int | None) -> None:
+def _write_displacement(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     # Renderers know no missing values: there the surface stays on its plane.
     elevation = np.nan_to_num(exporter.dem().elevation)
     if path.suffix.lower() == ".exr":
@@ -179,7 +285,7 @@ def _write_displacement(exporter: Exporter, path: Path, faces: int | None) -> No
         _core.write_float_tiff(str(path), elevation)
 
 
-def _write_las(exporter: Exporter, path: Path, faces: int | None) -> None:
+def _write_las(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     library = extra("laspy", "laspy", f"{path}: LAS")
     if path.suffix.lower() == ".laz":
         extra("lazrs", "lazrs", f"{path}: LAZ")
@@ -199,7 +305,7 @@ def _write_las(exporter: Exporter, path: Path, faces: int | None) -> None:
         points.write(str(temporary))
 
 
-def _write_e57(exporter: Exporter, path: Path, faces: int | None) -> None:
+def _write_e57(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     library = extra("pye57", "pye57", f"{path}: E57")
     cloud, _ = exporter.cloud()
     x, y, z = (cloud.vertices * METRES[exporter.unit]).T
@@ -218,7 +324,7 @@ def _write_e57(exporter: Exporter, path: Path, faces: int | None) -> None:
         file.close()
 
 
-Writer = Callable[[Exporter, Path, "int | None"], None]
+Writer = Callable[[Exporter, Path, Wishes], None]
 
 #: Of each format: its writer, its file in WORK/export/ and the endings that a path may have.
 FORMATS: dict[str, tuple[Writer, str, tuple[str, ...]]] = {
@@ -230,35 +336,58 @@ FORMATS: dict[str, tuple[Writer, str, tuple[str, ...]]] = {
     "dem": (_write_dem, "dem.tif", (".tif", ".tiff")),
     "las": (_write_las, "surface.las", (".las", ".laz")),
     "e57": (_write_e57, "surface.e57", (".e57",)),
+    "stl": (_write_stl, "surface.stl", (".stl",)),
+    "orthophoto": (_write_orthophoto, "orthophoto.png", (".png",)),
+    "contours": (_write_contours, "contours.svg", (".svg", ".dxf")),
+    "sections": (_write_sections, "sections.svg", (".svg", ".dxf")),
+    "colmap": (_write_colmap, "colmap", ("",)),
+    "archive": (_write_archive, "archive.zip", (".zip",)),
 }
 #: The formats that have triangles.
-MESHES = ("obj", "ply", "glb")
+MESHES = ("obj", "ply", "glb", "stl")
 
 
 def export(
-    work: str | Path, format: str, output: str | Path | None = None, *, faces: int | None = None, threads: int = 1
+    work: str | Path,
+    format: str,
+    output: str | Path | None = None,
+    *,
+    faces: int | None = None,
+    interval: float | None = None,
+    y_up: bool = False,
+    threads: int = 1,
 ) -> Path:
     """Write the surface of a workspace in one of FORMATS; returns the file's path, WORK/export/… without `output`.
 
-    - obj, ply, glb: mesh with texture (obj, glb) or vertex colours (ply); at most `faces` triangles if given.
+    - obj, ply, glb, stl: mesh with texture (obj, glb), vertex colours (ply) or neither (stl); at most `faces` triangles if given.
+      glb: the catalogue's words and the origin in asset.extras; `y_up` turns a world whose z is up to glTF's convention.
     - normal-map: PNG or TIFF of 3 × 16 bits, OpenGL and Blender convention (red = right, green = up, blue = towards the
       viewer; 0 … 65535 for −1 … 1), or EXR of 3 floats in −1 … 1. displacement: float TIFF or EXR, elevation above the plane in the
-      station's unit, 0 where there is none. Both on the grid of the elevation model, that is of `dem`, GeoTIFF.
+      station's unit, 0 where there is none. Both on the grid of the elevation model, that is of `dem`, GeoTIFF. orthophoto: the object's
+      picture on that grid, PNG with a world file, transparent where there is no surface.
     - las: points with colour, normal and standard deviation, station unit. e57: points with colour, metres.
+    - contours (every `interval`, station unit; default: a round one) and sections (along every [[profile]]): SVG or DXF.
+    - colmap: a dense workspace (folder) with depth and normal map of the station, for stereo_fusion and poisson_mesher.
+    - archive: everything with its inputs and paradata, RO-Crate in a BagIt bag, ZIP (see malus.archive).
 
     Raises malus.InputError, or ExternalError if the format needs a package that is not installed.
     """
     if format not in FORMATS:
         raise InputError(f"format {format!r}, expected one of {', '.join(FORMATS)}")
-    if faces is not None and format not in MESHES:
-        raise InputError(f"--faces is for {', '.join(MESHES)}, not for {format}")
+    for given, name, allowed in (
+        (faces, "faces", MESHES),
+        (interval, "interval", ("contours",)),
+        (y_up, "y-up", ("glb",)),
+    ):
+        if given and format not in allowed:
+            raise InputError(f"--{name} is for {', '.join(allowed)}, not for {format}")
     if faces is not None and faces < 4:
         raise InputError(f"--faces {faces}, expected at least 4")
     write, name, endings = FORMATS[format]
     path = Path(work) / "export" / name if output is None else Path(output)
     if path.suffix.lower() not in endings:
-        raise InputError(f"{path}: ends in {path.suffix!r}, expected {' or '.join(endings)} for {format}")
+        raise InputError(f"{path}: ends in {path.suffix!r}, expected {' or '.join(endings) or 'a folder'} for {format}")
     exporter = Exporter(Workspace(work), threads)
     with writing(path):
-        write(exporter, path, faces)
+        write(exporter, path, Wishes(faces, interval, y_up))
     return path

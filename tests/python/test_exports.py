@@ -229,6 +229,103 @@ def test_e57_reads_back_in_metres(workspace: malus.Workspace, points: np.ndarray
     np.testing.assert_allclose(xyz, points.reshape(-1, 3), atol=1e-6)
 
 
+def test_stl_has_every_triangle_with_outward_normals(
+    workspace: malus.Workspace, points: np.ndarray, tmp_path: Path
+) -> None:
+    mesh, _ = load_scene(malus.export(workspace.folder, "stl", tmp_path / "a.stl"))
+    np.testing.assert_allclose(mesh.bounds, [points.min((0, 1)), points.max((0, 1))], atol=1e-3)
+    assert len(mesh.faces) == len(exports.Exporter(workspace).mesh().triangles)
+    assert (mesh.face_normals @ workspace.pose[0][2] < 0).mean() > 0.999
+
+
+def test_glb_says_what_it_is_and_turns_to_y_up(workspace: malus.Workspace, tmp_path: Path) -> None:
+    plain, scene = load_scene(malus.export(workspace.folder, "glb", tmp_path / "plain.glb"))
+    _, turned = load_scene(malus.export(workspace.folder, "glb", tmp_path / "up.glb", y_up=True))
+    x, y, z = np.asarray(scene.bounds).T
+    np.testing.assert_allclose(turned.bounds, np.array([x, z, -y[::-1]]).T, atol=1e-6)
+    content = (tmp_path / "plain.glb").read_bytes()
+    document = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
+    assert document["asset"]["extras"]["object"]["title"] == "Relief & label"
+    assert document["asset"]["extras"]["gsd"] == workspace.quality["gsd"]
+    assert len(plain.faces) > 10000
+
+
+def test_orthophoto_lies_on_the_elevation_model(workspace: malus.Workspace, tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    path = malus.export(workspace.folder, "orthophoto", tmp_path / "a.png")
+    dem = exports.Exporter(workspace).dem()
+    with rasterio.open(path) as file:
+        picture, transform = file.read(), file.transform
+    with rasterio.open(workspace.path("fused/dem.tif")) as file:
+        assert transform.almost_equals(file.transform, precision=1e-6)
+    known = np.isfinite(dem.elevation)
+    np.testing.assert_array_equal(picture[3] > 0, known)
+    seen = exports.Exporter(workspace).pixels(dem.points()[known])
+    expected = exports.sample(exports.Exporter(workspace).picture(), seen)
+    assert np.abs(picture[:3, known].T - expected).max() <= 0.5 + 1e-9
+
+
+@pytest.mark.parametrize("ending", ["svg", "dxf"])
+def test_contours_run_at_their_height(workspace: malus.Workspace, tmp_path: Path, ending: str) -> None:
+    dem = exports.Exporter(workspace).dem()
+    path = malus.export(workspace.folder, "contours", tmp_path / f"a.{ending}", interval=0.5)
+    if ending == "dxf":
+        ezdxf = pytest.importorskip("ezdxf")
+        document = ezdxf.readfile(path)
+        assert document.header["$INSUNITS"] == 4  # mm
+        lines = [np.array(list(p.points())) for p in document.modelspace().query("POLYLINE")]
+        every = np.concatenate(lines)
+        assert np.allclose(every[:, 2] % 0.5, 0, atol=1e-9) or np.allclose(every[:, 2] % 0.5, 0.5, atol=1e-9)
+        rows, columns = -every[:, 1] / dem.pixel, every[:, 0] / dem.pixel
+        assert rows.min() >= 0 and columns.max() <= dem.elevation.shape[1] - 1
+        height = exports.sample(dem.elevation[..., None].astype(float), np.stack([columns, rows], -1))[:, 0]
+        known = np.isfinite(height)
+        assert known.mean() > 0.8
+        np.testing.assert_allclose(height[known], every[known, 2], atol=0.05)
+    else:
+        from xml.etree import ElementTree
+
+        root = ElementTree.parse(path).getroot()
+        assert root.attrib["width"].endswith("mm")
+        width = float(root.attrib["width"][:-2])
+        assert width == pytest.approx(dem.elevation.shape[1] * dem.pixel * 1.1, rel=0.1)
+        assert len(root.findall(".//{http://www.w3.org/2000/svg}path")) > 5
+
+
+def test_sections_are_the_profiles(workspace: malus.Workspace, tmp_path: Path) -> None:
+    ezdxf = pytest.importorskip("ezdxf")
+    document = ezdxf.readfile(malus.export(workspace.folder, "sections", tmp_path / "a.dxf"))
+    lines = {line.dxf.layer: np.array(list(line.get_points("xy"))) for line in document.modelspace()}
+    assert set(lines) == {"1 prior", "1 fused"}
+    profile = workspace.quality["profiles"][0]
+    fused = lines["1 fused"]
+    np.testing.assert_allclose(fused[:, 0], profile["position"], atol=1e-6)
+    np.testing.assert_allclose(np.diff(fused[:, 1]), np.diff(np.array(profile["fused"], float)), atol=1e-6)
+
+
+def test_colmap_goes_on_with_the_surface(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
+    program = shutil.which("colmap")
+    if program is None:
+        pytest.skip("COLMAP is not installed (apt install colmap)")
+    folder = malus.export(workspace.folder, "colmap", tmp_path / "dense")
+    outcome = run_program(
+        program, "stereo_fusion", "--workspace_path", folder, "--input_type", "geometric",
+        "--output_path", tmp_path / "fused.ply", "--StereoFusion.min_num_pixels", "1",
+    )  # fmt: skip
+    assert outcome.code == 0, outcome.err
+    mesh, _ = load_scene(tmp_path / "fused.ply")
+    assert len(mesh.vertices) > 0.99 * points.shape[0] * points.shape[1]
+    # COLMAP's fusion takes the rays of a pixel's corner instead of its centre: half a pixel aside.
+    camera, (rotation, translation) = workspace.camera, workspace.pose
+    x, y, z = (np.asarray(mesh.vertices) @ rotation.T + translation).T
+    pixels = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1) + 0.5
+    np.testing.assert_allclose(pixels, np.rint(pixels), atol=1e-2)
+    depth = exports.sample(workspace.raster("fused/depth.tif")[..., None], np.rint(pixels))[:, 0]
+    np.testing.assert_allclose(z, depth, atol=1e-3)
+    with pytest.raises(malus.InputError, match="is there already"):
+        malus.export(workspace.folder, "colmap", folder)
+
+
 def test_dem_export_is_that_of_the_run(finished_grid: Path, tmp_path: Path) -> None:
     path = malus.export(finished_grid, "dem", tmp_path / "a.tif")
     assert path.read_bytes() == (finished_grid / "fused/dem.tif").read_bytes()
@@ -237,9 +334,13 @@ def test_dem_export_is_that_of_the_run(finished_grid: Path, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--format", "stl"], "invalid choice"),
+        (["--format", "dwg"], "invalid choice"),
         (["--format", "las", "--faces", "10"], "--faces is for"),
         (["--format", "obj", "--faces", "2"], "at least 4"),
+        (["--format", "stl", "--interval", "1"], "--interval is for contours"),
+        (["--format", "obj", "--y-up"], "--y-up is for glb"),
+        (["--format", "contours", "--interval", "-1"], "expected a positive length"),
+        (["--format", "contours", "--interval", "0.0001"], "expected at most 1000"),
         (["--format", "displacement", "-o", "d.png"], "expected .tif"),
         ([], "--format"),
     ],

@@ -1,0 +1,285 @@
+"""A finished workspace as a package for archives: RO-Crate 1.1 (Process Run Crate) in a BagIt 1.0 bag, one ZIP file.
+
+It has everything that the result was made from and all that was made: station file, images, prior, every result, the report; and the
+paradata that the London Charter asks for: which step made which file from which, when, in how long, with which settings and
+versions. The catalogue's words come from [object] in the station file, those of the capture from the images' EXIF.
+"""
+
+from __future__ import annotations
+
+import json
+import mimetypes
+import os
+import shutil
+import tempfile
+import zipfile
+from datetime import UTC, datetime, timedelta
+from pathlib import Path, PurePosixPath
+from typing import Any
+from xml.sax.saxutils import escape
+
+from malus import _core, exif
+from malus._extra import extra
+from malus._files import replacing
+from malus.errors import InputError
+from malus.workspace import Workspace
+
+#: [object] key → term of schema.org, as RO-Crate has it, and element of Dublin Core.
+TERMS: dict[str, tuple[str, str]] = {
+    "identifier": ("identifier", "identifier"),
+    "title": ("name", "title"),
+    "maker": ("creator", "creator"),
+    "date": ("dateCreated", "date"),
+    "place": ("locationCreated", "coverage"),
+    "material": ("material", "format"),
+    "description": ("description", "description"),
+    "collection": ("isPartOf", "relation"),
+    "recorded_by": ("author", "contributor"),
+    "rights": ("copyrightNotice", "rights"),
+    "license": ("license", "rights"),
+}
+_PROFILE = "https://w3id.org/ro/wfrun/process/0.5"
+#: EXIF tag → name, of what matters for a record of the capture.
+_CAPTURE = {
+    271: "camera maker",
+    272: "camera",
+    36867: "taken at",
+    33434: "exposure time (s)",
+    33437: "aperture (f/)",
+    34855: "ISO sensitivity",
+    37386: "focal length (mm)",
+    42036: "lens",
+}
+
+
+def _inputs(workspace: Workspace) -> dict[str, Path | None]:
+    """Inputs by their names in the manifest → file; None for an array that was given in memory.
+
+    InputError if one is gone or is not what the run read.
+    """
+    station = workspace.manifest["station"]
+    if not station.get("file"):
+        return dict.fromkeys(workspace.manifest["inputs"])
+    here = workspace.folder / station.get("file_from_here", "")
+    file = here if here.is_file() else Path(station["file"])
+    files: dict[str, Path | None] = {}
+    for name, sha256 in workspace.manifest["inputs"].items():
+        path = file.parent / name
+        if not path.is_file():
+            raise InputError(f"{path}: is not there any more, expected every file that the surface was made from")
+        if _core.sha256_of_file(str(path)) != sha256:
+            raise InputError(f"{path}: was changed since the surface was made from it; run `malus run` again")
+        files[name] = path
+    if file.is_file():
+        files[file.name] = file
+    return files
+
+
+def _place(name: str, sha256: str) -> str:
+    """Where an input lies in the crate; files from outside the station's folder get a folder of their own."""
+    path = PurePosixPath(name)
+    if path.is_absolute() or ".." in path.parts:
+        return f"inputs/elsewhere/{sha256[:8]}/{path.name}"
+    return f"inputs/{path}"
+
+
+def _capture_of(path: Path) -> list[dict[str, str]]:
+    """What a photograph says of its capture, as schema.org's exifData."""
+    tags = exif.tags_of(path)
+    return [
+        {"@type": "PropertyValue", "name": name, "value": str(tags[tag]).strip("\0 ")}
+        for tag, name in _CAPTURE.items()
+        if tag in tags
+    ]
+
+
+class _Crate:
+    """The RO-Crate's description, and what lies in it."""
+
+    def __init__(self, workspace: Workspace) -> None:
+        rocrate, entities = (
+            extra(module, "rocrate", "an archive (--format archive)", "archive")
+            for module in ("rocrate.rocrate", "rocrate.model.contextentity")
+        )
+        self.workspace = workspace
+        self.quality = workspace.quality
+        self.object = {key: value for key, value in self.quality.get("object", {}).items() if value}
+        self.crate: Any = rocrate.ROCrate(version="1.1")
+        self._entity = entities.ContextEntity
+        self.placed: dict[str, Any] = {}
+        #: crate path → source.
+        self.sources: dict[str, Path] = {}
+
+    def entity(self, place: str, kind: str, properties: dict[str, Any]) -> Any:
+        return self.crate.add(self._entity(self.crate, place, properties={"@type": kind, **properties}))
+
+    def file(self, place: str, source: Path, sha256: str | None, **properties: Any) -> Any:
+        kind = mimetypes.guess_type(place)[0] or "application/octet-stream"
+        known = {"name": place, "encodingFormat": kind, "contentSize": str(source.stat().st_size), **properties}
+        if sha256:
+            known["sha256"] = sha256
+        entity = self.crate.add_file(source, place, properties=known)
+        self.placed[place] = entity
+        self.sources[place] = source
+        return entity
+
+    def values(self, owner: str, facts: list[dict[str, str]]) -> list[Any]:
+        return [
+            self.entity(f"#{owner}-{k}", "PropertyValue", {"name": fact["name"], "value": fact["value"]})
+            for k, fact in enumerate(facts)
+        ]
+
+
+def _describe_root(crate: _Crate, made: datetime) -> None:
+    quality, known = crate.quality, crate.object
+    title = known.get("title", quality["name"])
+    confidence = quality["confidence"]
+    crate.crate.name = f"{title}: surface from polarization and stereo"
+    crate.crate.description = known.get(
+        "description",
+        f"Surface of {title}, ground sampling distance {quality['gsd']:.4g} {quality['unit']}, "
+        f"confidence {confidence['level']}; with everything that it was made from.",
+    )
+    root = crate.crate.root_dataset
+    root["datePublished"] = made.date().isoformat()
+    # RO-Crate wants a license; that nothing was said is said.
+    root["license"] = known.get("license", "No license was stated in [object] of the station file.")
+    profile = crate.entity(_PROFILE, "CreativeWork", {"name": "Process Run Crate", "version": "0.5"})
+    root["conformsTo"] = profile
+    subject = {TERMS[key][0]: value for key, value in known.items() if key in TERMS and key != "recorded_by"}
+    root["about"] = crate.entity("#object", "CreativeWork", {"name": title, **subject})
+    if "recorded_by" in known:
+        root["author"] = crate.entity("#recorded-by", "Person", {"name": known["recorded_by"]})
+    if "recorded_on" in known:
+        root["temporalCoverage"] = known["recorded_on"]
+
+
+def _add_files(crate: _Crate, inputs: dict[str, Path | None]) -> dict[str, Any]:
+    """All inputs and results; returns the entities of inputs by their names in the manifest."""
+    workspace = crate.workspace
+    hashes = workspace.manifest["inputs"]
+    entities: dict[str, Any] = {}
+    for name, path in inputs.items():
+        if path is None:
+            entities[name] = crate.entity(
+                f"#{name}", "Thing", {"name": name, "description": "an array given in memory"}
+            )
+            continue
+        place = _place(name, hashes.get(name, _core.sha256_of_file(str(path))))
+        facts = crate.values(place, _capture_of(path))
+        entities[name] = crate.file(place, path, hashes.get(name), **({"exifData": facts} if facts else {}))
+    for name, output in workspace.outputs.items():
+        crate.file(f"results/{name}", workspace.path(name), output["sha256"])
+    crate.file("results/manifest.json", workspace.folder / "manifest.json", None, name="settings, versions and hashes")
+    return entities
+
+
+def _add_steps(crate: _Crate, inputs: dict[str, Any]) -> None:
+    """One CreateAction a step: what it took, what it made, when, with what."""
+    manifest = crate.workspace.manifest
+    tools = [
+        crate.entity(f"#{name.replace(' ', '-')}", "SoftwareApplication", {"name": name, "softwareVersion": version})
+        for name, version in manifest["versions"].items()
+    ]
+    tool = next(entity for entity in tools if entity["name"] == "malus")
+    tool["softwareRequirements"] = [entity for entity in tools if entity is not tool]
+    agent = crate.crate.root_dataset.get("author")
+    purpose = {name: does for name, does, _ in _core.describe_run(json.dumps(manifest["options"]), "assess")}
+    actions = []
+    for name, step in manifest["steps"].items():
+        times = manifest["times"].get(name, {})
+        settings = [
+            {"name": f"{section}.{key}", "value": json.dumps(value)}
+            for section, values in step.get("options", {}).items()
+            for key, value in (values.items() if isinstance(values, dict) else [("", values)])
+        ]
+        made = [crate.placed[f"results/{output}"] for output in step["outputs"]]
+        # What a step leaves is told by the step that follows in no file: the results that it read are those of the steps before it.
+        taken = [inputs[file] for file in step["inputs"] if file in inputs]
+        for before in step.get("after", {}):
+            taken += [crate.placed[f"results/{file}"] for file in manifest["steps"][before]["outputs"]]
+        action = {
+            "name": f"{name}: {purpose.get(name, name)}",
+            "instrument": tool,
+            "object": taken,
+            "result": made,
+            "additionalProperty": crate.values(f"setting-{name}", settings),
+            "actionStatus": "http://schema.org/CompletedActionStatus",
+        }
+        if "finished" in times:
+            end = datetime.fromisoformat(times["finished"])
+            action |= {
+                "endTime": end.isoformat(),
+                "startTime": (end - timedelta(seconds=float(times.get("seconds", 0)))).isoformat(),
+            }
+        if agent is not None:
+            action["agent"] = agent
+        actions.append(crate.entity(f"#step-{name}", "CreateAction", action))
+    crate.crate.root_dataset["mentions"] = actions
+
+
+def dublin_core(title: str, known: dict[str, str]) -> str:
+    """[object] as simple Dublin Core, an oai_dc record."""
+    elements = [("title", known.get("title", title)), ("type", "Dataset")]
+    elements += [(TERMS[key][1], value) for key, value in known.items() if key in TERMS and key != "title"]
+    body = "\n".join(f"  <dc:{name}>{escape(value)}</dc:{name}>" for name, value in elements)
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        '<oai_dc:dc xmlns:oai_dc="http://www.openarchives.org/OAI/2.0/oai_dc/"\n'
+        '           xmlns:dc="http://purl.org/dc/elements/1.1/">\n'
+        f"{body}\n</oai_dc:dc>\n"
+    )
+
+
+def _zip(folder: Path, path: Path) -> None:
+    """The folder as a ZIP file with it at the top."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=3) as file:
+        for source in sorted(folder.rglob("*")):
+            if source.is_file():
+                file.write(source, PurePosixPath(folder.name) / source.relative_to(folder).as_posix())
+
+
+def write_archive(work: str | Path, path: str | Path) -> Path:
+    """Write a workspace and all that it was made from as a BagIt bag with an RO-Crate in it, one ZIP file; returns its path.
+
+    Every file's SHA-256 is checked against the run's record first. InputError if an input was changed or is gone.
+    """
+    bagit = extra("bagit", "bagit", "an archive (--format archive)", "archive")
+    workspace, path = Workspace(work), Path(path)
+    made = datetime.now(UTC)
+    crate = _Crate(workspace)
+    _describe_root(crate, made)
+    _add_steps(crate, _add_files(crate, _inputs(workspace)))
+    name = str(workspace.quality["name"])
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # Beside the archive: there is room for it there, if anywhere.
+    with tempfile.TemporaryDirectory(prefix=".archive-", dir=path.parent) as scratch:
+        bag = Path(scratch) / "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
+        bag.mkdir()
+        record = bag / "metadata" / "dublin_core.xml"
+        record.parent.mkdir()
+        record.write_text(dublin_core(name, crate.object), encoding="utf-8")
+        crate.file("metadata/dublin_core.xml", record, None, name="catalogue record, Dublin Core")
+        crate.crate.metadata.write(bag)
+        for place, source in crate.sources.items():
+            target = bag / place
+            if target == source:
+                continue
+            target.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                os.link(source, target)
+            except OSError:
+                shutil.copyfile(source, target)
+        known = crate.object
+        facts = {
+            "External-Description": crate.crate.description,
+            "External-Identifier": known.get("identifier", name),
+            "Contact-Name": known.get("recorded_by", ""),
+            "Source-Organization": known.get("collection", ""),
+            "Bagging-Date": made.date().isoformat(),
+            "Bag-Software-Agent": f"malus {workspace.manifest['versions']['malus']}, bagit {bagit.VERSION}",
+        }
+        bagit.make_bag(str(bag), {key: value for key, value in facts.items() if value}, checksums=["sha256", "sha512"])
+        with replacing(path) as temporary:
+            _zip(bag, temporary)
+    return path

@@ -1,0 +1,60 @@
+"""The surface as one image of a COLMAP dense workspace, so that photogrammetry programs go on with it.
+
+`colmap stereo_fusion` and `colmap poisson_mesher`, OpenMVS's and Meshroom's importers read it: an undistorted image, its camera and pose, and
+depth and normal maps as COLMAP's patch match would have left them.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from malus._files import writing
+from malus.errors import InputError
+from malus.workspace import Workspace
+
+
+def write_map(path: Path, values: NDArray[np.float32]) -> None:
+    """A depth or normal map (H×W or H×W×C) in COLMAP's binary form; 0 = none."""
+    channels = np.nan_to_num(values.astype("<f4")).reshape(*values.shape[:2], -1)
+    height, width, count = channels.shape
+    with path.open("wb") as file:
+        file.write(f"{width}&{height}&{count}&".encode())
+        file.write(np.ascontiguousarray(channels.transpose(2, 0, 1)).tobytes())
+
+
+def write_colmap_workspace(workspace: Workspace, picture: NDArray[np.uint8], folder: Path) -> Path:
+    """Write a COLMAP dense workspace with the station as its only image; returns the folder, which must not be there yet."""
+    if folder.exists():
+        raise InputError(f"{folder}: is there already, expected a new folder")
+    surface, camera = workspace.surface(), workspace.camera
+    name = "station.png"
+    with (
+        writing(folder),
+        tempfile.TemporaryDirectory(prefix=".colmap-", dir=folder.parent) as scratch,
+    ):
+        new = Path(scratch) / "dense"
+        for part in ("images", "sparse", "stereo/depth_maps", "stereo/normal_maps", "stereo/consistency_graphs"):
+            (new / part).mkdir(parents=True)
+        Image.fromarray(picture).save(new / "images" / name)
+        for model in ("camera", "image"):
+            text = workspace.path(f"fused/{model}.txt").read_text(encoding="utf-8")
+            if model == "image":
+                # One line for the image, one for its points, of which there are none.
+                words = next(line for line in text.splitlines() if line and not line.startswith("#")).split()
+                text = " ".join([*words[:9], name]) + "\n\n"
+            (new / f"sparse/{model}s.txt").write_text(text, encoding="utf-8")
+        (new / "sparse/points3D.txt").write_text("", encoding="utf-8")
+        (new / "stereo/fusion.cfg").write_text(f"{name}\n", encoding="utf-8")
+        (new / "stereo/patch-match.cfg").write_text(f"{name}\n__auto__, 20\n", encoding="utf-8")
+        assert surface.depth.shape == (camera.height, camera.width)
+        for kind in ("geometric", "photometric"):
+            write_map(new / f"stereo/depth_maps/{name}.{kind}.bin", surface.depth)
+            write_map(new / f"stereo/normal_maps/{name}.{kind}.bin", surface.normals)
+        shutil.move(str(new), folder)
+    return folder

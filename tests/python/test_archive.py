@@ -1,0 +1,107 @@
+"""The archive of a workspace, checked by bagit and read back by rocrate."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import malus
+from conftest import edit
+from conftest import malus as run_malus
+
+bagit = pytest.importorskip("bagit")
+rocrate = pytest.importorskip("rocrate.rocrate")
+
+
+@pytest.fixture(scope="module")
+def bag(finished_grid: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The unpacked bag."""
+    folder = tmp_path_factory.mktemp("archive")
+    outcome = run_malus("export", finished_grid, "--format", "archive", "-o", folder / "a.zip")
+    assert outcome.code == 0, outcome.err
+    with zipfile.ZipFile(folder / "a.zip") as file:
+        file.extractall(folder)
+    assert {path.name for path in folder.iterdir()} == {"a.zip", "small"}
+    return folder / "small"
+
+
+def entities(bag: Path) -> dict[str, dict[str, Any]]:
+    graph = json.loads((bag / "data/ro-crate-metadata.json").read_text(encoding="utf-8"))["@graph"]
+    return {entity["@id"]: entity for entity in graph}
+
+
+def test_bag_is_valid_and_a_changed_byte_is_found(bag: Path, tmp_path: Path) -> None:
+    bagit.Bag(str(bag)).validate()
+    copy = tmp_path / "copy"
+    shutil.copytree(bag, copy)
+    depth = copy / "data/results/fused/depth.tif"
+    depth.write_bytes(depth.read_bytes()[:-1] + b"x")
+    with pytest.raises(bagit.BagValidationError):
+        bagit.Bag(str(copy)).validate()
+
+
+def test_everything_is_in_it_and_described(bag: Path, finished_grid: Path) -> None:
+    crate = rocrate.ROCrate(str(bag / "data"))
+    described = {entity.id for entity in crate.data_entities}
+    present = {str(path.relative_to(bag / "data")) for path in (bag / "data").rglob("*") if path.is_file()}
+    assert described == present - {"ro-crate-metadata.json"}
+    workspace = malus.Workspace(finished_grid)
+    assert {f"results/{name}" for name in workspace.outputs} <= present
+    assert {f"inputs/{name}" for name in workspace.manifest["inputs"]} <= present
+    assert "inputs/station.toml" in present
+    known = entities(bag)
+    for place in ("results/fused/surface.ply", "inputs/pol/pol_030.tif"):
+        content = (bag / "data" / place).read_bytes()
+        assert known[place]["sha256"] == hashlib.sha256(content).hexdigest()
+
+
+def test_catalogue_words_and_paradata(bag: Path, finished_grid: Path) -> None:
+    known = entities(bag)
+    assert known["./"]["license"] == "CC-BY-4.0"
+    assert known["#object"]["name"] == "Relief & label" and known["#object"]["identifier"] == "X 1907.4"
+    assert "<dc:title>Relief &amp; label</dc:title>" in (bag / "data/metadata/dublin_core.xml").read_text()
+    assert "External-Identifier: X 1907.4" in (bag / "bag-info.txt").read_text()
+    workspace = malus.Workspace(finished_grid)
+    for name, step in workspace.manifest["steps"].items():
+        action = known[f"#step-{name}"]
+        assert action["@type"] == "CreateAction" and action["agent"] == {"@id": "#recorded-by"}
+        results = action["result"] if isinstance(action["result"], list) else [action["result"]]
+        assert {entry["@id"] for entry in results} == {f"results/{output}" for output in step["outputs"]}
+        assert action["startTime"] <= action["endTime"]
+    settings = {entity["name"]: entity["value"] for key, entity in known.items() if key.startswith("#setting-")}
+    assert json.loads(settings["height.smoothness"]) == workspace.options().height.smoothness
+    assert known["#OpenCV"]["softwareVersion"].startswith("4.")
+
+
+def test_changed_or_missing_inputs_are_refused(small_station: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    malus.reconstruct(malus.Station.load(small_station), malus.Options(fusion="grid"), workspace=work)
+    cloud = small_station.parent / "dense/cloud.ply"
+    content = cloud.read_bytes()
+    cloud.write_bytes(content + b" ")
+    with pytest.raises(malus.InputError, match=r"cloud\.ply: was changed since"):
+        malus.export(work, "archive")
+    cloud.unlink()
+    with pytest.raises(malus.InputError, match=r"cloud\.ply: is not there any more"):
+        malus.export(work, "archive")
+    assert not list(work.glob("export/**/*"))
+
+
+def test_words_of_the_object_change_nothing_but_the_record(small_station: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    assert run_malus("run", small_station, "-o", work, "--fusion", "grid").code == 0
+    before = malus.Workspace(work).manifest["times"]
+    edit(small_station, 'maker = "unknown mason"', 'maker = "Phidias"')
+    assert run_malus("run", small_station, "-o", work, "--fusion", "grid").code == 0
+    after = malus.Workspace(work)
+    assert after.quality["object"]["maker"] == "Phidias"
+    assert after.manifest["times"]["fuse"] == before["fuse"]
+    edit(small_station, "maker =", "makr =")
+    outcome = run_malus("check", small_station)
+    assert outcome.code == 2 and "[object].makr" in outcome.err and "maker" in outcome.err
