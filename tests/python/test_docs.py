@@ -1,0 +1,108 @@
+"""What the documentation says can be done is done: every command and program on its pages runs, every link leads somewhere."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+from conftest import EXAMPLE, run_program
+from conftest import malus as run_malus
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted((ROOT / "docs").rglob("*.md")) + [ROOT / "README.md", ROOT / "ARCHITECTURE.md"]
+TUTORIALS = sorted((ROOT / "docs/tutorials").glob("*.md"))
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def prepare(kind: str, target: Path) -> None:
+    """The folder that a page begins with, from the example station."""
+    if kind.startswith("examples/relief"):
+        shutil.copytree(EXAMPLE, target, dirs_exist_ok=True, ignore=shutil.ignore_patterns("views"))
+        if "without station.toml" in kind:
+            (target / "station.toml").unlink()
+        return
+    assert kind.startswith("one mosaic image")
+    angles = np.array([[90, 45], [135, 0]])
+    target.mkdir(parents=True)
+    images = {angle: tifffile_or_png(EXAMPLE / f"pol/pol_{angle:03d}.png") for angle in (0, 30, 60, 90, 120, 150)}
+    # Of four images at 0 to 135 degrees each pixel is one sample of the sinusoid through six.
+    mosaic = np.zeros(images[0].shape, np.uint16)
+    stack = np.stack(list(images.values())).astype(float)
+    phases = 2 * np.radians(list(images))
+    mean, c, s = stack.mean(0), (stack.T @ np.cos(phases)).T / 3, (stack.T @ np.sin(phases)).T / 3
+    for (row, column), angle in np.ndenumerate(angles):
+        a = 2 * np.radians(angle)
+        value = mean + c * np.cos(a) + s * np.sin(a)
+        mosaic[row::2, column::2] = np.clip(np.rint(value), 0, 65535)[row::2, column::2]
+    tifffile.imwrite(target / "mosaic.tif", mosaic)
+    for name in ("dense", "sparse"):
+        shutil.copytree(EXAMPLE / name, target / name)
+
+
+def tifffile_or_png(path: Path) -> np.ndarray:
+    import matplotlib.image
+
+    return np.rint(matplotlib.image.imread(path) * 65535).astype(np.uint16)
+
+
+@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+def test_commands_and_programs_of_a_tutorial_run(page: Path, tmp_path: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for name, kind in re.findall(r"<!-- folder: (\S+) = (.*?) -->", text):
+        prepare(kind, tmp_path / name)
+    program = ""
+    for language, block in BLOCK.findall(text):
+        if language == "toml":
+            tomllib.loads(block)
+            if name := re.match(r"# append: (\S+)\n", block):
+                with (tmp_path / name[1]).open("a", encoding="utf-8") as file:
+                    file.write("\n" + block)
+        elif language == "console":
+            for line in block.splitlines():
+                assert line.startswith("$ malus "), line
+                outcome = run_malus(*shlex.split(line)[2:], cwd=tmp_path)
+                assert outcome.code == 0, f"{line}\n{outcome.err}"
+        elif language == "python":
+            program += block
+    if program:
+        outcome = run_program(sys.executable, "-c", program, cwd=tmp_path)
+        assert outcome.code == 0, outcome.err
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if target.startswith(("http:", "https:", "mailto:")):
+            continue
+        path, _, anchor = target.partition("#")
+        file = page.parent / path if path else page
+        assert file.exists(), f"{page.name} links to {target}"
+        if anchor:
+            headings = re.findall(r"^#+ (.*)$", file.read_text(encoding="utf-8"), re.MULTILINE)
+            anchors = {re.sub(r"[^\w\- ]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
+            assert anchor in anchors, f"{page.name} links to {target}; there are {sorted(anchors)}"
+
+
+def test_troubleshooting_quotes_messages_that_exist() -> None:
+    sources = "\n".join(
+        path.read_text(encoding="utf-8")
+        for folder in ("cpp", "python/malus")
+        for path in (ROOT / folder).rglob("*")
+        if path.suffix in (".cpp", ".h", ".py")
+    )
+    # Messages are written in pieces that the compiler joins.
+    sources = re.sub(r'"\s*\n\s*(?:<<\s*|\+\s*|f)?"', "", sources)
+    rows = re.findall(r"^\| (.*?) \|", (ROOT / "docs/troubleshooting.md").read_text(encoding="utf-8"), re.MULTILINE)
+    quotes = [quote for row in rows for quote in re.findall(r"`([^`]+)`", row) if " " in quote]
+    assert len(quotes) > 8
+    missing = [quote for quote in quotes if any(part.strip() not in sources for part in re.split(r"…", quote))]
+    assert not missing
