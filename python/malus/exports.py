@@ -21,6 +21,7 @@ from malus._extra import extra
 from malus._files import replacing, write_bytes, write_text, writing
 from malus.colmap_export import write_colmap_workspace
 from malus.errors import InputError
+from malus.rti import write_rti
 from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
 from malus.units import METRES
 from malus.workspace import Workspace
@@ -224,6 +225,10 @@ def _write_colmap(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     write_colmap_workspace(exporter.workspace, exporter.picture(), path)
 
 
+def _write_rti(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+    write_rti(exporter.workspace, path)
+
+
 def _write_archive(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     archive.write_archive(exporter.workspace.folder, path)
 
@@ -341,6 +346,7 @@ FORMATS: dict[str, tuple[Writer, str, tuple[str, ...]]] = {
     "contours": (_write_contours, "contours.svg", (".svg", ".dxf")),
     "sections": (_write_sections, "sections.svg", (".svg", ".dxf")),
     "colmap": (_write_colmap, "colmap", ("",)),
+    "rti": (_write_rti, "surface.ptm", (".ptm",)),
     "archive": (_write_archive, "archive.zip", (".zip",)),
 }
 #: The formats that have triangles.
@@ -368,6 +374,7 @@ def export(
     - las: points with colour, normal and standard deviation, station unit. e57: points with colour, metres.
     - contours (every `interval`, station unit; default: a round one) and sections (along every [[profile]]): SVG or DXF.
     - colmap: a dense workspace (folder) with depth and normal map of the station, for stereo_fusion and poisson_mesher.
+    - rti: the object under any light, a polynomial texture map for RTI viewers.
     - archive: everything with its inputs and paradata, RO-Crate in a BagIt bag, ZIP (see malus.archive).
 
     Raises malus.InputError, or ExternalError if the format needs a package that is not installed.

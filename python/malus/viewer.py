@@ -62,14 +62,15 @@ class _Window:
         return reduced(raster[self.rows, self.columns], self.step)
 
 
-def _object_window(depth: Raster) -> _Window:
+def object_window(depth: Raster, side_px: int) -> _Window:
+    """The object's part of the rasters, averaged so that no side has more than `side_px`."""
     known = np.isfinite(depth)
     (top, *_, bottom), (left, *_, right) = (np.nonzero(known.any(axis))[0].tolist() for axis in (1, 0))
-    step = step_for((bottom + 1 - top, right + 1 - left), NORMALS_SIDE_PX)
+    step = step_for((bottom + 1 - top, right + 1 - left), side_px)
     return _Window(slice(top, bottom + 1), slice(left, right + 1), step)
 
 
-def _normals_of(normals: Raster, window: _Window) -> NDArray[np.float64]:
+def viewer_normals(normals: Raster, window: _Window) -> NDArray[np.float64]:
     """Unit normals of the window in the viewer's frame (x right, y up, z to the viewer), NaN where there are none."""
     mean = np.stack([window.of(normals[..., c]) for c in range(3)], -1).astype(float) * (1, -1, -1)
     return np.asarray(mean / np.linalg.norm(mean, axis=-1, keepdims=True), dtype=np.float64)
@@ -105,21 +106,25 @@ def albedo(picture: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArra
     return result
 
 
+def unshaded_color(workspace: Workspace, window: _Window, normals: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """The object's colour in the window without its shading, sRGB; normals as `viewer_normals` gives them."""
+    color = workspace.color()
+    channels = [color[..., c] for c in range(3)] if color.ndim == 3 else [color] * 3
+    picture = np.nan_to_num(np.stack([window.of(channel) for channel in channels], -1).astype(float))
+    flat = np.where(np.isfinite(normals).all(-1), 1.0, np.nan).astype(np.float32)
+    return _core.display_image(albedo(picture, normals).astype(np.float32), flat, 99.0)
+
+
 def relighting(workspace: Workspace) -> dict[str, Any]:
     """Data of the relighting viewer: size, packed normals of both surfaces, colour with the object as alpha, mean slopes."""
     depth = workspace.raster("fused/depth.tif")
-    window = _object_window(depth)
-    fused = _normals_of(workspace.raster("fused/normals.tif"), window)
+    window = object_window(depth, NORMALS_SIDE_PX)
+    fused = viewer_normals(workspace.raster("fused/normals.tif"), window)
     prior_depth = workspace.raster("prior/depth.tif")
-    prior = _normals_of(normals_from_depth(prior_depth, workspace.camera), window)
-    color = workspace.color()
-    channels = [color[..., c] for c in range(3)] if color.ndim == 3 else [color] * 3
-    picture = np.stack([window.of(channel) for channel in channels], -1).astype(float)
-    picture = np.nan_to_num(picture)
+    prior = viewer_normals(normals_from_depth(prior_depth, workspace.camera), window)
     known = np.isfinite(fused).all(-1)
     height, width = known.shape
-    flat = np.where(known, 1.0, np.nan).astype(np.float32)
-    display = _core.display_image(albedo(picture, fused).astype(np.float32), flat, 99.0)
+    display = unshaded_color(workspace, window, fused)
     mask = np.where(known, 255, 0).astype(np.uint8)
     linear = (display[known].mean(-1) / 255) ** 2.2
     slopes = fused[known][:, :2] / np.maximum(fused[known][:, 2:], 0.05)
@@ -156,7 +161,7 @@ def mesh_view(workspace: Workspace) -> dict[str, Any]:
     camera = workspace.camera
     u = camera.fx * in_camera[:, 0] / in_camera[:, 2] + camera.cx
     v = camera.fy * in_camera[:, 1] / in_camera[:, 2] + camera.cy
-    window = _object_window(workspace.raster("fused/depth.tif"))
+    window = object_window(workspace.raster("fused/depth.tif"), NORMALS_SIDE_PX)
     # The texture is the relighting viewer's colour image: its window of the pixel grid.
     width = -(-(window.columns.stop - window.columns.start) // window.step) * window.step
     height = -(-(window.rows.stop - window.rows.start) // window.step) * window.step
