@@ -18,11 +18,11 @@ from malus import _core
 from malus._extra import extra
 from malus._files import replacing, writing
 from malus.errors import InputError
+from malus.result import Result
 from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
+from malus.threads import ALL_CORES
 from malus.units import METRES
 from malus.workspace import Workspace
-
-#: Metres in each unit that a station may have.
 
 
 def sample(raster: NDArray[Any], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -42,7 +42,7 @@ def sample(raster: NDArray[Any], pixels: NDArray[np.float64]) -> NDArray[np.floa
 class Exporter:
     """Makes what the formats need from a workspace, each thing once."""
 
-    def __init__(self, workspace: Workspace, threads: int = 1) -> None:
+    def __init__(self, workspace: Workspace, threads: int = ALL_CORES) -> None:
         self.workspace = workspace
         self.threads = threads
         self.unit = str(workspace.quality["unit"])
@@ -118,7 +118,7 @@ def _write_glb(exporter: Exporter, path: Path, faces: int | None) -> None:
     mesh = exporter.simplified(faces)
     _core.write_glb(
         str(path), mesh.vertices, mesh.normals, mesh.triangles, exporter.picture(), exporter.workspace.camera,
-        exporter.rotation, exporter.translation, exporter.unit, exporter.name, exporter.threads,
+        exporter.unit, exporter.name, exporter.threads,
     )  # fmt: skip
 
 
@@ -236,9 +236,16 @@ MESHES = ("obj", "ply", "glb")
 
 
 def export(
-    work: str | Path, format: str, output: str | Path | None = None, *, faces: int | None = None, threads: int = 1
+    work: str | Path | Result,
+    format: str,
+    output: str | Path | None = None,
+    *,
+    faces: int | None = None,
+    threads: int = ALL_CORES,
 ) -> Path:
-    """Write the surface of a workspace in one of FORMATS; returns the file's path, WORK/export/… without `output`.
+    """Write the surface of a workspace or a result in one of FORMATS; returns the file's path.
+
+    Without `output` it is WORK/export/…; a result in memory has no such folder and needs an output.
 
     - obj, ply, glb: mesh with texture (obj, glb) or vertex colours (ply); at most `faces` triangles if given.
     - normal-map: PNG or TIFF of 3 × 16 bits, OpenGL and Blender convention (red = right, green = up, blue = towards the
@@ -255,6 +262,11 @@ def export(
     if faces is not None and faces < 4:
         raise InputError(f"--faces {faces}, expected at least 4")
     write, name, endings = FORMATS[format]
+    if isinstance(work, Result):
+        if output is None and work.workspace is None:
+            raise InputError(f"output is missing: {work.name} is in memory, expected the path of a file")
+        with work.in_workspace() as folder:
+            return export(folder, format, output, faces=faces, threads=threads)
     path = Path(work) / "export" / name if output is None else Path(output)
     if path.suffix.lower() not in endings:
         raise InputError(f"{path}: ends in {path.suffix!r}, expected {' or '.join(endings)} for {format}")
