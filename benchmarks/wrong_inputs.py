@@ -24,7 +24,6 @@ import trimesh
 from PIL import Image
 
 import malus
-from malus.prior import Pinhole
 
 DISPLAY_GAMMA = 2.2
 
@@ -36,7 +35,7 @@ class Inputs:
     images: np.ndarray
     angles: np.ndarray
     mask: np.ndarray
-    camera: Pinhole
+    camera: malus.Camera
     points: np.ndarray
     normals: np.ndarray
     colors: np.ndarray
@@ -72,7 +71,7 @@ def read(path: Path) -> Inputs:
     focal = params[:2] if len(params) > 3 else [params[0]] * 2
     return Inputs(
         images.astype(np.float32), np.deg2rad(polarized["angles_deg"]), mask,
-        Pinhole(camera["width"], camera["height"], *focal, *params[-2:]),
+        malus.Camera("PINHOLE", camera["width"], camera["height"], [*focal, *params[-2:]]),
         np.asarray(cloud.vertices, float), np.stack([vertex[n] for n in ("nx", "ny", "nz")], -1),
         np.asarray(cloud.colors)[:, :3], np.array(camera["rotation"]), np.array(camera["translation"]),
         polarized.get("frames_averaged", 1), about["unit"],

@@ -27,17 +27,20 @@ Image<T> to_image(const Array<T>& array) {
   return image;
 }
 
-/// The image's own memory for numpy, H×W or H×W×C; None for an empty image. The array keeps it alive and may be written
-/// to: only for images that nobody reads any more but who holds such arrays.
+/// The image's own memory for numpy, H×W or H×W×C; None for an empty image. The array keeps it alive and is read-only
+/// if anything else holds it.
 template <class T>
 py::object to_array(std::shared_ptr<const Image<T>> image) {
   if (image->empty()) return py::none();
   std::vector<py::ssize_t> shape{image->height(), image->width()};
   if (image->channels() > 1) shape.push_back(image->channels());
   T* const data = const_cast<T*>(image->data());
+  const bool is_ours = image.use_count() == 1;
   using Owner = std::shared_ptr<const Image<T>>;
   const py::capsule keep(new Owner(std::move(image)), [](void* pointer) { delete static_cast<Owner*>(pointer); });
-  return py::array_t<T>(shape, data, keep);
+  py::array_t<T> array(shape, data, keep);
+  if (!is_ours) array.attr("setflags")(py::arg("write") = false);
+  return array;
 }
 
 /// Hands the image's memory to numpy.

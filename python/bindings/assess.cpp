@@ -1,14 +1,15 @@
 #include "arrays.h"
 #include "bindings.h"
+#include "cameras.h"
 #include "malus/assess/patches.h"
 
 namespace malus::python {
 
 void bind_assess(py::module_& module) {
   module.def("fit_patch",
-             [](const Array<float>& depth_array, const Pinhole& camera, int x0, int y0, int x1, int y1,
+             [](const Array<float>& depth_array, const RasterView& view, int x0, int y0, int x1, int y1,
                 double gsd) -> py::object {
-               const auto fit = fit_patch(to_image(depth_array), camera, {"patch", x0, y0, x1, y1}, gsd, {}, {});
+               const auto fit = fit_patch(to_image(depth_array), view.camera, {"patch", x0, y0, x1, y1}, gsd, {}, {});
                if (!fit) return py::none();
                py::dict result;
                result["count"] = fit->count;

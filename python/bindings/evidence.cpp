@@ -5,6 +5,7 @@
 
 #include "arrays.h"
 #include "bindings.h"
+#include "cameras.h"
 #include "clouds.h"
 #include "interruptible.h"
 #include "malus/core/fields.h"
@@ -69,12 +70,12 @@ py::dict to_dict(const PriorAlignment& alignment) {
 }  // namespace
 
 void bind_evidence(py::module_& module) {
-  module.def("check_phase", [](const PolarizationState& state, const std::optional<Pinhole>& camera,
+  module.def("check_phase", [](const PolarizationState& state, const std::optional<RasterView>& view,
                                const Array<float>& normals_array, int threads) {
     const Image<float> normals = to_image(normals_array);
     PhaseAgreement agreement;
     run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      agreement = phase_agreement(state, camera ? &*camera : nullptr, normals, context);
+      agreement = phase_agreement(state, view ? &view->camera : nullptr, normals, context);
     });
     py::dict result = to_dict(agreement.finding);
     result["parts"] = parts_array(agreement);
@@ -82,10 +83,9 @@ void bind_evidence(py::module_& module) {
   });
 
   module.def("check_cloud", [](const Array<double>& points, const std::optional<Array<float>>& normals,
-                               const std::optional<Array<std::uint8_t>>& colors, const Eigen::Matrix3d& rotation,
-                               const Eigen::Vector3d& translation, const PolarizationState& state,
+                               const std::optional<Array<std::uint8_t>>& colors, const PolarizationState& state,
                                const std::optional<Array<float>>& scene, const std::optional<Array<std::uint8_t>>& mask,
-                               const Pinhole& camera, const std::string& unit, int threads) {
+                               const RasterView& view, const std::string& unit, int threads) {
     PointCloud cloud = to_cloud(points);
     for (std::size_t i = 0; normals && i < cloud.points.size(); ++i)
       cloud.normals.emplace_back(normals->data()[3 * i], normals->data()[3 * i + 1], normals->data()[3 * i + 2]);
@@ -94,26 +94,25 @@ void bind_evidence(py::module_& module) {
     const SceneArrays arrays(state, scene, mask);
     PriorAlignment alignment;
     run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      alignment =
-          check_alignment(cloud, {rotation, translation}, {state, arrays.scene, arrays.object, camera, unit}, context);
+      alignment = check_alignment(cloud, view.pose, {state, arrays.scene, arrays.object, view.camera, unit}, context);
     });
     return to_dict(alignment);
   });
 
   module.def("check_depth", [](const Array<float>& depth_array, const PolarizationState& state,
                                const std::optional<Array<float>>& scene, const std::optional<Array<std::uint8_t>>& mask,
-                               const Pinhole& camera, const std::string& unit, int threads) {
+                               const RasterView& view, const std::string& unit, int threads) {
     const Image<float> depth = to_image(depth_array);
     const SceneArrays arrays(state, scene, mask);
     PriorAlignment alignment;
     run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      alignment = check_alignment(depth, {state, arrays.scene, arrays.object, camera, unit}, context);
+      alignment = check_alignment(depth, {state, arrays.scene, arrays.object, view.camera, unit}, context);
     });
     return to_dict(alignment);
   });
 
-  module.def("check_size", [](const Array<double>& points_in_cam, const Pinhole& camera, const std::string& unit) {
-    return to_dict(object_size(to_cloud(points_in_cam).points, camera, unit).finding);
+  module.def("check_size", [](const Array<double>& points_in_cam, const RasterView& view, const std::string& unit) {
+    return to_dict(object_size(to_cloud(points_in_cam).points, view.camera, unit).finding);
   });
 
   module.def("check_order", [](const std::vector<Array<float>>& arrays, const std::vector<double>& angles_rad,

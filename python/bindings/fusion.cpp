@@ -3,6 +3,7 @@
 
 #include "arrays.h"
 #include "bindings.h"
+#include "cameras.h"
 #include "interruptible.h"
 #include "malus/fusion/grid_fusion.h"
 #include "malus/fusion/refine.h"
@@ -13,19 +14,22 @@ namespace malus::python {
 void bind_fusion(py::module_& module) {
   py::class_<FusedSurface>(module, "FusedSurface")
       .def(py::init([](const Array<float>& depth, const Array<float>& normals, const Array<float>& sigma,
-                       const Pinhole& camera, const Eigen::Matrix3d& rotation, const Eigen::Vector3d& translation) {
+                       const RasterView& view) {
         FusedSurface surface;
         surface.depth = to_image(depth);
         surface.normals = to_image(normals);
         surface.sigma = to_image(sigma);
-        surface.camera = camera;
-        surface.pose = {rotation, translation};
+        surface.camera = view.camera;
+        surface.pose = view.pose;
         return surface;
       }))
       .def_property_readonly("depth", [](const FusedSurface& s) { return copy_to_array(s.depth); })
       .def_property_readonly("normals", [](const FusedSurface& s) { return copy_to_array(s.normals); })
       .def_property_readonly("sigma", [](const FusedSurface& s) { return copy_to_array(s.sigma); })
-      .def_readonly("camera", &FusedSurface::camera)
+      .def_property_readonly("camera",
+                             [](const FusedSurface& s) {
+                               return RasterView{s.camera, s.pose};
+                             })
       .def_readonly("method", &FusedSurface::method)
       .def_readonly("status", &FusedSurface::status)
       .def_readonly("warnings", &FusedSurface::warnings);

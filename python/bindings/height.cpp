@@ -5,6 +5,7 @@
 
 #include "arrays.h"
 #include "bindings.h"
+#include "cameras.h"
 #include "interruptible.h"
 #include "malus/station/options.h"
 
@@ -18,7 +19,7 @@ void bind_height(py::module_& module) {
       .def_readonly("status", &HeightMap::status)
       .def_readonly("residual_rms", &HeightMap::residual_rms);
   module.def("solve_height",
-             [](const PolarizationState& state, const ReflectionMap& reflection, const std::optional<Pinhole>& camera,
+             [](const PolarizationState& state, const ReflectionMap& reflection, const std::optional<RasterView>& view,
                 const std::optional<Eigen::Vector4d>& light, const std::optional<Array<float>>& normals_array,
                 const std::string& options_json, int threads) {
                const Options options = options_from_json({}, options_json);
@@ -27,7 +28,7 @@ void bind_height(py::module_& module) {
                run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
                  height = solve_height({.polarization = state,
                                         .reflection = reflection,
-                                        .camera = camera ? &*camera : nullptr,
+                                        .camera = view ? &view->camera : nullptr,
                                         .light = light,
                                         .prior_normals = normals_array ? &normals : nullptr,
                                         .prior_height = nullptr},

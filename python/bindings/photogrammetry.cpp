@@ -176,7 +176,10 @@ void bind_photogrammetry(py::module_& module) {
     const LensRefit refit = as_colmap_camera(camera);
     return py::make_tuple(to_values(refit.camera, pose), refit.rms_px);
   });
-  module.def("pinhole_of", [](const CameraValues& values) { return to_camera(values, "camera").first.pinhole(); });
+  module.def("undistorted", [](const CameraValues& values) {
+    const auto [camera, pose] = to_camera(values, "camera");
+    return RasterView{camera.pinhole(), pose};
+  });
   module.def("target_dictionaries", &target_dictionaries);
   module.def("detect_targets", [](const Array<std::uint8_t>& pixels, const std::string& dictionary) {
     std::vector<std::tuple<int, double, double>> found;

@@ -2,6 +2,7 @@
 
 #include "arrays.h"
 #include "bindings.h"
+#include "cameras.h"
 #include "interruptible.h"
 #include "malus/polarization/decompose.h"
 #include "malus/polarization/fresnel.h"
@@ -72,7 +73,7 @@ void bind_polarization(py::module_& module) {
       .def_property_readonly("zenith_rad", [](const ReflectionMap& r) { return copy_to_array(r.zenith); })
       .def_readonly("specular_share", &ReflectionMap::specular_share)
       .def_readonly("clamped_share", &ReflectionMap::clamped_share);
-  module.def("map_reflection", [](const PolarizationState& state, const std::optional<Pinhole>& camera,
+  module.def("map_reflection", [](const PolarizationState& state, const std::optional<RasterView>& view,
                                   const std::optional<Array<float>>& normals_array, double refractive_index,
                                   const std::string& reflection, const std::string& options_json, int threads) {
     ReflectionOptions options = options_from_json({}, options_json).reflection;
@@ -85,7 +86,7 @@ void bind_polarization(py::module_& module) {
     const Image<float> normals = normals_array ? to_image(*normals_array) : Image<float>();
     ReflectionMap map;
     run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      map = map_reflection(state, camera ? &*camera : nullptr, normals_array ? &normals : nullptr, nullptr, options,
+      map = map_reflection(state, view ? &view->camera : nullptr, normals_array ? &normals : nullptr, nullptr, options,
                            context);
     });
     return map;

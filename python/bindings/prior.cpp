@@ -3,40 +3,30 @@
 
 #include "arrays.h"
 #include "bindings.h"
+#include "cameras.h"
 #include "clouds.h"
 #include "interruptible.h"
-#include "malus/core/camera.h"
-#include "malus/core/pose.h"
 #include "malus/prior/project_prior.h"
 #include "malus/station/options.h"
 
 namespace malus::python {
 
 void bind_prior(py::module_& module) {
-  py::class_<Pinhole>(module, "Pinhole")
-      .def(py::init([](int width, int height, double fx, double fy, double cx, double cy) {
-        return Pinhole{{width, height}, fx, fy, cx, cy};
-      }))
-      .def_property_readonly("width", [](const Pinhole& p) { return p.size.width; })
-      .def_property_readonly("height", [](const Pinhole& p) { return p.size.height; })
-      .def_readonly("fx", &Pinhole::fx)
-      .def_readonly("fy", &Pinhole::fy)
-      .def_readonly("cx", &Pinhole::cx)
-      .def_readonly("cy", &Pinhole::cy);
-
   py::class_<DepthPrior>(module, "DepthPrior")
-      .def(py::init([](const Array<float>& depth, const Array<float>& sigma, const Pinhole& camera,
-                       const Eigen::Matrix3d& rotation, const Eigen::Vector3d& translation) {
+      .def(py::init([](const Array<float>& depth, const Array<float>& sigma, const RasterView& view) {
         DepthPrior prior;
         prior.depth = to_image(depth);
         prior.sigma = to_image(sigma);
-        prior.camera = camera;
-        prior.pose = {rotation, translation};
+        prior.camera = view.camera;
+        prior.pose = view.pose;
         return prior;
       }))
       .def_property_readonly("depth", [](const DepthPrior& p) { return copy_to_array(p.depth); })
       .def_property_readonly("sigma", [](const DepthPrior& p) { return copy_to_array(p.sigma); })
-      .def_readonly("camera", &DepthPrior::camera)
+      .def_property_readonly("camera",
+                             [](const DepthPrior& p) {
+                               return RasterView{p.camera, p.pose};
+                             })
       .def_readonly("points_total", &DepthPrior::points_total)
       .def_readonly("points_used", &DepthPrior::points_used)
       .def_readonly("noise", &DepthPrior::noise)
@@ -45,15 +35,14 @@ void bind_prior(py::module_& module) {
       .def_readonly("filled_fraction", &DepthPrior::filled_fraction);
 
   module.def("project_points",
-             [](const Array<double>& points, const Pinhole& camera, const Eigen::Matrix3d& rotation,
-                const Eigen::Vector3d& translation, const std::optional<Array<std::uint8_t>>& mask_array,
-                const std::string& options_json, int threads) {
+             [](const Array<double>& points, const RasterView& view,
+                const std::optional<Array<std::uint8_t>>& mask_array, const std::string& options_json, int threads) {
                const Options options = options_from_json({}, options_json);
                const PointCloud cloud = to_cloud(points);
-               const Mask mask = mask_array ? to_image(*mask_array) : Mask(camera.size, 1, 255);
+               const Mask mask = mask_array ? to_image(*mask_array) : Mask(view.camera.size, 1, 255);
                DepthPrior prior;
                run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-                 prior = project_prior(cloud, camera, {rotation, translation}, mask, options.prior, context);
+                 prior = project_prior(cloud, view.camera, view.pose, mask, options.prior, context);
                });
                return prior;
              });

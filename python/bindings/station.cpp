@@ -10,7 +10,6 @@
 #include "malus/io/sha256.h"
 #include "malus/io/workspace_internal.h"
 #include "malus/station/check.h"
-#include "malus/station/describe.h"
 #include "malus/station/options.h"
 #include "malus/station/reconstruct.h"
 
@@ -88,9 +87,9 @@ Station with_developed(const Station& station, const std::vector<std::string>& i
   return result;
 }
 
-/// The maps of a run by the names of malus.Result, None for what was not made, and `results`, to be given to another
-/// run.
-py::dict to_dict(const std::shared_ptr<Results>& run) {
+/// A run by the names of malus.Result, None for what was not made, and `results`, to be given to another run. `pose`:
+/// what the station says of it.
+py::dict to_dict(const std::shared_ptr<Results>& run, const Pose& pose) {
   py::dict result;
   const auto maps = [&]<class T, class... Maps>(const std::shared_ptr<const T>& of, const Maps&... named) {
     const auto add = [&](const char* name, const auto map) {
@@ -114,6 +113,18 @@ py::dict to_dict(const std::shared_ptr<Results>& run) {
        std::pair("unpolarized", &PolarizationState::i_un), std::pair("degree", &PolarizationState::rho),
        std::pair("phase_rad", &PolarizationState::phi), std::pair("valid", &PolarizationState::valid));
   const auto report = run->get<QualityReport>();
+  const auto view = run->get<StationView>();
+  const auto prior = run->get<DepthPrior>();
+  const auto surface = run->get<FusedSurface>();
+  result["camera"] = surface ? py::cast(RasterView{surface->camera, surface->pose})
+                     : prior ? py::cast(RasterView{prior->camera, prior->pose})
+                     : view  ? py::cast(RasterView{view->camera, pose})
+                             : py::none();
+  result["status"] = surface ? py::cast(surface->status) : report ? py::cast(report->quality.status) : py::none();
+  const Confidence* const confidence = report ? &report->quality.confidence : surface ? &surface->confidence : nullptr;
+  result["confidence"] =
+      confidence ? py::make_tuple(enum_name(confidence->level), confidence->reasons) : py::object(py::none());
+  result["warnings"] = run->warnings;
   result["quality"] = report ? py::object(py::str(report->json)) : py::none();
   result["results"] = run;
   return result;
@@ -167,7 +178,7 @@ void bind_station(py::module_& module) {
         auto results = std::make_shared<Results>();
         run_interruptible(threads, on_progress, on_log,
                           [&](const Context& context) { *results = reconstruct(station, options, run, context); });
-        return to_dict(results);
+        return to_dict(results, station.file.camera ? station.file.camera->pose : Pose{});
       },
       py::arg("station"), py::arg("options"), py::arg("workspace"), py::arg("replace"), py::arg("until"),
       py::arg("reference"), py::arg("keep_maps"), py::arg("known"), py::arg("threads"), py::arg("progress"),

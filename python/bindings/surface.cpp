@@ -3,6 +3,7 @@
 
 #include "arrays.h"
 #include "bindings.h"
+#include "cameras.h"
 #include "clouds.h"
 #include "interruptible.h"
 #include "malus/core/depth_normals.h"
@@ -44,11 +45,11 @@ TriangleMesh to_mesh(const Array<double>& vertices, const std::optional<Array<fl
 }  // namespace
 
 void bind_surface(py::module_& module) {
-  module.def("normals_from_depth", [](const Array<float>& depth_array, const Pinhole& camera, int threads) {
+  module.def("normals_from_depth", [](const Array<float>& depth_array, const RasterView& view, int threads) {
     const Image<float> depth = to_image(depth_array);
     Image<float> normals;
     run_interruptible(threads, py::none(), py::none(),
-                      [&](const Context& context) { normals = normals_from_depth(depth, camera, context); });
+                      [&](const Context& context) { normals = normals_from_depth(depth, view.camera, context); });
     return to_array(std::move(normals));
   });
   module.def("mesh_from_depth", [](const FusedSurface& surface, const std::optional<Array<float>>& color_array,
@@ -101,13 +102,11 @@ void bind_surface(py::module_& module) {
   });
   module.def("write_glb", [](const std::string& path, const Array<double>& vertices, const Array<float>& normals,
                              const Array<std::uint32_t>& triangles, const Array<std::uint8_t>& texture,
-                             const Pinhole& camera, const Eigen::Matrix3d& rotation, const Eigen::Vector3d& translation,
-                             const std::string& unit, const std::string& name, int threads) {
+                             const RasterView& view, const std::string& unit, const std::string& name, int threads) {
     const Image<std::uint8_t> image = to_image(texture);
-    const Pose pose{rotation, translation};
     const TriangleMesh mesh = to_mesh(vertices, normals, triangles);
     run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      write_glb(path, mesh, {image, camera, pose}, length_unit(unit), name, context);
+      write_glb(path, mesh, {image, view.camera, view.pose}, length_unit(unit), name, context);
     });
   });
 }

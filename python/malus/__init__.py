@@ -15,14 +15,16 @@ from malus.camera import Camera
 from malus.errors import DataError, ExternalError, InputError, MalusError, ResourceError
 from malus.exports import export
 from malus.options import Options
-from malus.reconstruction import Progress, Result, check, reconstruct
+from malus.reconstruction import Progress, check, reconstruct
 from malus.report import open_report, write_report
+from malus.result import Confidence, Result
 from malus.station import Station
 from malus.station_import import import_station
 from malus.workspace import Workspace
 
 __all__ = [
     "Camera",
+    "Confidence",
     "DataError",
     "ExternalError",
     "InputError",

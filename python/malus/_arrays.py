@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+#: Intensities beyond this are no share of the white level, however far an exposure was scaled.
+_TOO_BRIGHT = 10
+
 
 def as_image(values: ArrayLike, name: str, channels: int = 1, dtype: type = np.float32) -> NDArray[Any]:
     """H×W (or H×W×channels) dtype, C-contiguous; ValueError names the argument, its shape and the expected one."""
@@ -34,6 +37,27 @@ def as_images(
         if image.shape != images[0].shape:
             raise ValueError(f"{name}[{k}] has shape {image.shape}, expected {images[0].shape} as {name}[0]")
     return images
+
+
+def as_intensities(values: Sequence[ArrayLike] | NDArray[Any], name: str) -> list[NDArray[Any]]:
+    """K images of one size: uint16 with white at 65535, or float32 in [0, 1] of the white level, which is checked roughly."""
+    images = as_images(values, name, keep_16_bit=True)
+    for k, image in enumerate(images):
+        brightest = image.max()
+        if image.dtype == np.float32 and brightest > _TOO_BRIGHT:
+            raise ValueError(
+                f"{name}[{k}] reaches {brightest:g}, expected linear intensities in [0, 1] of the white level, or uint16"
+            )
+    return images
+
+
+def as_angles(values: Sequence[float], name: str) -> list[float]:
+    """Angles in radians; ValueError for degrees."""
+    angles = [float(value) for value in values]
+    for k, angle in enumerate(angles):
+        if abs(angle) > 2 * np.pi:
+            raise ValueError(f"{name}[{k}] = {angle:g} is beyond 2 pi and so looks like degrees, expected radians")
+    return angles
 
 
 def as_mask(values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.uint8]:

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from malus.camera import Camera
+
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -66,15 +68,6 @@ def reconstruct(
 ) -> dict[str, Any]: ...
 def check(station: Station, options: str, threads: int) -> str: ...
 
-class Pinhole:
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    def __init__(self, width: int, height: int, fx: float, fy: float, cx: float, cy: float) -> None: ...
-
 class PolarizationState:
     @property
     def unpolarized(self) -> Float32: ...
@@ -123,7 +116,7 @@ class ColmapModel:
     def points(self) -> tuple[Float64, Float64, NDArray[np.int64]]: ...
 
 def as_colmap_camera(camera: CameraValues) -> tuple[CameraValues, float]: ...
-def pinhole_of(camera: CameraValues) -> Pinhole: ...
+def undistorted(camera: CameraValues) -> Camera: ...
 def match_pairs(
     photos: list[Bytes],
     pairs: list[tuple[int, int]],
@@ -152,16 +145,14 @@ def sweep_surface(
 ) -> dict[str, Any]: ...
 
 class DepthPrior:
-    camera: Pinhole
+    camera: Camera
     points_total: float
     points_used: float
     noise: float
     spacing_px: float
     smoothing_px: float
     filled_fraction: float
-    def __init__(
-        self, depth: Float32, sigma: Float32, camera: Pinhole, rotation: Float64, translation: Float64
-    ) -> None: ...
+    def __init__(self, depth: Float32, sigma: Float32, camera: Camera) -> None: ...
     @property
     def depth(self) -> Float32: ...
     @property
@@ -176,7 +167,7 @@ class HeightMap:
     def height(self) -> Float32: ...
 
 class FusedSurface:
-    camera: Pinhole
+    camera: Camera
     method: str
     status: str
     warnings: list[str]
@@ -185,9 +176,7 @@ class FusedSurface:
         depth: Float32,
         normals: Float32,
         sigma: Float32,
-        camera: Pinhole,
-        rotation: Float64,
-        translation: Float64,
+        camera: Camera,
     ) -> None: ...
     @property
     def depth(self) -> Float32: ...
@@ -228,24 +217,22 @@ def specular_zenith(degree: Float64, eta: float, above_brewster: bool) -> Float6
 def brewster_angle(eta: float) -> float: ...
 def map_reflection(
     state: PolarizationState,
-    camera: Pinhole | None,
+    camera: Camera | None,
     normals: Float32 | None,
     refractive_index: float,
     reflection: str,
     options: str,
     threads: int,
 ) -> ReflectionMap: ...
-def check_phase(state: PolarizationState, camera: Pinhole | None, normals: Float32, threads: int) -> dict[str, Any]: ...
+def check_phase(state: PolarizationState, camera: Camera | None, normals: Float32, threads: int) -> dict[str, Any]: ...
 def check_cloud(
     points: Float64,
     normals: Float32 | None,
     colors: Bytes | None,
-    rotation: Float64,
-    translation: Float64,
     state: PolarizationState,
     scene: Float32 | None,
     mask: Bytes | None,
-    camera: Pinhole,
+    camera: Camera,
     unit: str,
     threads: int,
 ) -> dict[str, Any]: ...
@@ -254,7 +241,7 @@ def check_depth(
     state: PolarizationState,
     scene: Float32 | None,
     mask: Bytes | None,
-    camera: Pinhole,
+    camera: Camera,
     unit: str,
     threads: int,
 ) -> dict[str, Any]: ...
@@ -262,13 +249,11 @@ def check_order(images: Sequence[Float32], angles_rad: Sequence[float], mask: By
 def check_response(
     images: Sequence[Float32], angles_rad: Sequence[float], mask: Bytes | None, response: str
 ) -> dict[str, Any]: ...
-def check_size(points_in_cam: Float64, camera: Pinhole, unit: str) -> dict[str, Any]: ...
+def check_size(points_in_cam: Float64, camera: Camera, unit: str) -> dict[str, Any]: ...
 def angles_of_names(files: Sequence[Any], where: str, instead: str) -> list[float]: ...
 def project_points(
     points: Float64,
-    camera: Pinhole,
-    rotation: Float64,
-    translation: Float64,
+    camera: Camera,
     mask: Bytes | None,
     options: str,
     threads: int,
@@ -276,7 +261,7 @@ def project_points(
 def solve_height(
     state: PolarizationState,
     reflection: ReflectionMap,
-    camera: Pinhole | None,
+    camera: Camera | None,
     light: Float64 | None,
     normals: Float32 | None,
     options: str,
@@ -286,7 +271,7 @@ def fuse_grid(height: HeightMap, prior: DepthPrior, options: str, threads: int) 
 def refine(
     state: PolarizationState, prior: DepthPrior, refractive_index: float | None, options: str, threads: int
 ) -> FusedSurface: ...
-def normals_from_depth(depth: Float32, camera: Pinhole, threads: int) -> Float32: ...
+def normals_from_depth(depth: Float32, camera: Camera, threads: int) -> Float32: ...
 def mesh_from_depth(surface: FusedSurface, color: Float32 | None, options: str, threads: int) -> dict[str, Any]: ...
 def display_image(color: Float32, depth: Float32, white_percentile: float) -> Bytes: ...
 def dem_from_mesh(
@@ -312,13 +297,11 @@ def write_glb(
     normals: Float32,
     triangles: NDArray[np.uint32],
     texture: Bytes,
-    camera: Pinhole,
-    rotation: Float64,
-    translation: Float64,
+    camera: Camera,
     unit: str,
     name: str,
     threads: int,
 ) -> None: ...
 def fit_patch(
-    depth: Float32, camera: Pinhole, x0: int, y0: int, x1: int, y1: int, gsd: float
+    depth: Float32, camera: Camera, x0: int, y0: int, x1: int, y1: int, gsd: float
 ) -> dict[str, float] | None: ...

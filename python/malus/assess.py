@@ -8,10 +8,10 @@ from numpy.typing import ArrayLike
 
 from malus import _core
 from malus._arrays import as_image
-from malus._core import Pinhole
+from malus.camera import Camera
 
 
-def fit_patch(depth: ArrayLike, camera: Pinhole, box: Sequence[int], gsd: float) -> dict[str, float] | None:
+def fit_patch(depth: ArrayLike, camera: Camera, box: Sequence[int], gsd: float) -> dict[str, float] | None:
     """Plane through a flat patch of a depth map (Table 2): count, rmse (unit of depth), rmse_gsd, mad_gsd, max_abs_gsd.
 
     box: x0, y0, x1, y1 in pixels, corners inclusive. None if ten or fewer pixels have a depth.

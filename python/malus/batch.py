@@ -27,6 +27,7 @@ from malus.options import Options
 from malus.reconstruction import reconstruct
 from malus.report import write_report
 from malus.station import Station
+from malus.threads import ALL_CORES
 
 Outcome = dict[str, Any]
 
@@ -92,7 +93,7 @@ def run_campaign(
     """
     if jobs < 1:
         raise InputError(f"--jobs {jobs}, expected at least 1")
-    tasks = campaign.tasks(output, threads or max(1, (os.cpu_count() or 1) // jobs))
+    tasks = campaign.tasks(output, threads or max(1, ALL_CORES // jobs))
     mine = tasks if shard is None else tasks[shard[0] - 1 :: shard[1]]
     open_tasks = [task for task in mine if _marker(task).get("status") != "done"]
     if not open_tasks:

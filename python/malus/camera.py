@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from malus import _core
+
 
 @dataclass
 class Camera:
@@ -16,7 +18,9 @@ class Camera:
     `model` is one of SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV, BROWN; `params` in COLMAP's
     order, but with the principal point in the memory pixel convention (centre of the top-left pixel at (0, 0); COLMAP's
     minus 0.5). `rotation` (3×3) and `translation` (3) take world points into the camera frame (x right, y down, z
-    forward): x_in_cam = rotation @ x_in_world + translation.
+    forward): x_in_cam = rotation @ x_in_world + translation. Left out, the camera frame is the world.
+
+    Steps on arrays take the camera of the undistorted images: a PINHOLE one, as `undistorted()` gives it.
     """
 
     model: str
@@ -37,6 +41,30 @@ class Camera:
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
             raise ValueError("rotation is not a rotation matrix (orthonormal, determinant +1)")
         return rotation, translation
+
+    def undistorted(self) -> Camera:
+        """Camera of the images without distortion: PINHOLE, with the same size, focal length, principal point and pose."""
+        return _core.undistorted(self.values())
+
+    @property
+    def fx(self) -> float:
+        """Focal length along x of the undistorted images, in pixels."""
+        return self.undistorted().params[0]
+
+    @property
+    def fy(self) -> float:
+        """Focal length along y of the undistorted images, in pixels."""
+        return self.undistorted().params[1]
+
+    @property
+    def cx(self) -> float:
+        """Principal point of the undistorted images, x in pixels."""
+        return self.undistorted().params[2]
+
+    @property
+    def cy(self) -> float:
+        """Principal point of the undistorted images, y in pixels."""
+        return self.undistorted().params[3]
 
     def values(self) -> tuple[str, int, int, list[float], NDArray[np.float64], NDArray[np.float64]]:
         """Everything as plain values, checked, as the C++ library takes it."""

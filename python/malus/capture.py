@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from malus import _core
 from malus._arrays import as_image, as_images
 from malus.options import Options
+from malus.threads import ALL_CORES
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Registration:
     rms_px: float
 
 
-def demosaic(mosaic: ArrayLike, *, colors: str | None = None, threads: int = 1) -> list[NDArray[np.float32]]:
+def demosaic(mosaic: ArrayLike, *, colors: str | None = None, threads: int = ALL_CORES) -> list[NDArray[np.float32]]:
     """Split a 2×2 polarizer mosaic (H×W, linear) into four images: cell top left, top right, bottom left, bottom right.
 
     Every image has the mosaic's pixels, so that all four show the same point at the same pixel: H×W, or H×W×3 for a
@@ -49,7 +50,7 @@ def register(
     read_noise_e: float = 8.0,
     frames_averaged: int = 1,
     options: Options | None = None,
-    threads: int = 1,
+    threads: int = ALL_CORES,
 ) -> list[Registration]:
     """Register linear images (K arrays H×W) to the first by affine maps, all together; one `Registration` an image."""
     found = _core.register_images(

@@ -17,6 +17,7 @@ from malus.demo import example_station
 from malus.errors import InputError, MalusError
 from malus.exports import FORMATS, MESHES
 from malus.progress import BarProgress, JsonProgress, ProgressView
+from malus.threads import ALL_CORES
 
 INTERRUPTED = 130
 
@@ -113,7 +114,7 @@ def _parser() -> argparse.ArgumentParser:
     start.add_argument(
         "--mosaic", metavar="A,B,C,D", help="one image of a polarization camera: angles of its cell by rows"
     )
-    start.add_argument("--colors", metavar="RGGB", help="Bayer pattern of a colour polarization camera")
+    start.add_argument("--colors", metavar="RGGB", help="Bayer pattern of a color polarization camera")
     start.add_argument(
         "--metashape",
         type=Path,
@@ -269,7 +270,7 @@ def _run(arguments: Sequence[str] | None) -> None:
         )
         return
     if args.threads is None and args.command != "batch":  # which shares the cores out by its jobs
-        args.threads = os.cpu_count() or 1
+        args.threads = ALL_CORES
     if args.threads is not None and args.threads < 1:
         raise InputError(f"--threads {args.threads}, expected at least 1")
     if args.command == "check":

@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_image, as_images, as_mask
-from malus._core import Pinhole, PolarizationState
+from malus._arrays import as_angles, as_image, as_images, as_mask
+from malus._core import PolarizationState
+from malus.camera import Camera
+from malus.threads import ALL_CORES
 
 __all__ = [
     "Finding",
@@ -69,7 +71,7 @@ class OrderFinding(Finding):
 
 
 def check_phase(
-    state: PolarizationState, normals: ArrayLike, *, camera: Pinhole | None = None, threads: int = 1
+    state: PolarizationState, normals: ArrayLike, *, camera: Camera | None = None, threads: int = ALL_CORES
 ) -> PhaseFinding:
     """Whether the phases of polarization go with the azimuths of a surface, whatever each place reflects.
 
@@ -102,20 +104,18 @@ def _rows(values: ArrayLike | None, name: str, count: int, dtype: type) -> NDArr
 def check_cloud(
     points: ArrayLike,
     state: PolarizationState,
-    camera: Pinhole,
+    camera: Camera,
     *,
     normals: ArrayLike | None = None,
     colors: ArrayLike | None = None,
-    rotation: ArrayLike | None = None,
-    translation: ArrayLike | None = None,
     scene: ArrayLike | None = None,
     mask: ArrayLike | None = None,
     unit: str = "mm",
-    threads: int = 1,
+    threads: int = ALL_CORES,
 ) -> PriorFinding:
     """Whether a cloud lies where the images show the object.
 
-    points, normals: N×3, world frame; colors: N×3, 0 to 255. rotation (3×3), translation (3): x_in_cam = R x + t. scene: H×W
+    points, normals: N×3, world frame; colors: N×3, 0 to 255. camera: with its pose. scene: H×W
     unpolarized intensity of everything in view (left out: the state's valid pixels). mask: H×W, non-zero = object.
 
     Compared are colors with brightness, and azimuths of the normals with phases; if neither says anything, where the cloud
@@ -132,8 +132,6 @@ def check_cloud(
             cloud,
             _rows(normals, "normals", len(cloud), np.float32),
             _rows(colors, "colors", len(cloud), np.uint8),
-            np.asarray(np.eye(3) if rotation is None else rotation, dtype=np.float64),
-            np.asarray(np.zeros(3) if translation is None else translation, dtype=np.float64),
             state,
             image,
             object_mask,
@@ -147,19 +145,19 @@ def check_cloud(
 def check_depth(
     depth: ArrayLike,
     state: PolarizationState,
-    camera: Pinhole,
+    camera: Camera,
     *,
     scene: ArrayLike | None = None,
     mask: ArrayLike | None = None,
     unit: str = "mm",
-    threads: int = 1,
+    threads: int = ALL_CORES,
 ) -> PriorFinding:
     """As check_cloud, for a depth map in the station's view (H×W, z, NaN = none), which has no colors."""
     image, object_mask = _scene_and_mask(state, scene, mask)
     return PriorFinding(**_core.check_depth(as_image(depth, "depth"), state, image, object_mask, camera, unit, threads))
 
 
-def check_size(points_in_cam: ArrayLike, camera: Pinhole, *, unit: str = "mm") -> Finding:
+def check_size(points_in_cam: ArrayLike, camera: Camera, *, unit: str = "mm") -> Finding:
     """Size and distance of the object in words; a warning with the likelier unit if they are implausible.
 
     points_in_cam: N×3, of the object, camera frame, N > 0.
@@ -180,7 +178,7 @@ def check_order(
     """
     stack = as_images(images, "images")
     object_mask = None if mask is None else as_mask(mask, stack[0].shape)
-    return OrderFinding(**_core.check_order(stack, [float(a) for a in angles_rad], object_mask))
+    return OrderFinding(**_core.check_order(stack, as_angles(angles_rad, "angles_rad"), object_mask))
 
 
 def check_response(
@@ -197,4 +195,4 @@ def check_response(
     """
     stack = as_images(images, "images")
     object_mask = None if mask is None else as_mask(mask, stack[0].shape)
-    return Finding(**_core.check_response(stack, [float(a) for a in angles_rad], object_mask, response))
+    return Finding(**_core.check_response(stack, as_angles(angles_rad, "angles_rad"), object_mask, response))

@@ -21,8 +21,10 @@ from malus._extra import extra
 from malus._files import replacing, write_bytes, write_text, writing
 from malus.colmap_export import write_colmap_workspace
 from malus.errors import InputError
+from malus.result import Result
 from malus.rti import write_rti
 from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
+from malus.threads import ALL_CORES
 from malus.units import METRES
 from malus.workspace import Workspace
 
@@ -44,7 +46,7 @@ def sample(raster: NDArray[Any], pixels: NDArray[np.float64]) -> NDArray[np.floa
 class Exporter:
     """Makes what the formats need from a workspace, each thing once."""
 
-    def __init__(self, workspace: Workspace, threads: int = 1) -> None:
+    def __init__(self, workspace: Workspace, threads: int = ALL_CORES) -> None:
         self.workspace = workspace
         self.threads = threads
         self.unit = str(workspace.quality["unit"])
@@ -129,7 +131,7 @@ def _write_glb(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     mesh = exporter.simplified(wishes.faces)
     _core.write_glb(
         str(path), mesh.vertices, mesh.normals, mesh.triangles, exporter.picture(), exporter.workspace.camera,
-        exporter.rotation, exporter.translation, exporter.unit, exporter.name, exporter.threads,
+        exporter.unit, exporter.name, exporter.threads,
     )  # fmt: skip
     _say_what_it_is(path, exporter, wishes.y_up)
 
@@ -354,16 +356,18 @@ MESHES = ("obj", "ply", "glb", "stl")
 
 
 def export(
-    work: str | Path,
+    work: str | Path | Result,
     format: str,
     output: str | Path | None = None,
     *,
     faces: int | None = None,
     interval: float | None = None,
     y_up: bool = False,
-    threads: int = 1,
+    threads: int = ALL_CORES,
 ) -> Path:
-    """Write the surface of a workspace in one of FORMATS; returns the file's path, WORK/export/… without `output`.
+    """Write the surface of a workspace or a result in one of FORMATS; returns the file's path.
+
+    Without `output` it is WORK/export/…; a result in memory has no such folder and needs an output.
 
     - obj, ply, glb, stl: mesh with texture (obj, glb), vertex colours (ply) or neither (stl); at most `faces` triangles if given.
       glb: the catalogue's words and the origin in asset.extras; `y_up` turns a world whose z is up to glTF's convention.
@@ -391,6 +395,11 @@ def export(
     if faces is not None and faces < 4:
         raise InputError(f"--faces {faces}, expected at least 4")
     write, name, endings = FORMATS[format]
+    if isinstance(work, Result):
+        if output is None and work.workspace is None:
+            raise InputError(f"output is missing: {work.name} is in memory, expected the path of a file")
+        with work.in_workspace() as folder:
+            return export(folder, format, output, faces=faces, interval=interval, y_up=y_up, threads=threads)
     path = Path(work) / "export" / name if output is None else Path(output)
     if path.suffix.lower() not in endings:
         raise InputError(f"{path}: ends in {path.suffix!r}, expected {' or '.join(endings) or 'a folder'} for {format}")

@@ -269,7 +269,7 @@ class Plates:
                     f"elevation_{surface}",
                     f"Elevation, {surface}",
                     "Along the optical axis, above the plane that fits the depth map; positive towards the camera. "
-                    "Relief shading over the colours.",
+                    "Relief shading over the colors.",
                     "viridis",
                     self.unit,
                     (low, high),

@@ -5,12 +5,13 @@ from __future__ import annotations
 from malus import _core
 from malus._core import DepthPrior, FusedSurface, HeightMap, PolarizationState
 from malus.options import Options
+from malus.threads import ALL_CORES
 
 __all__ = ["FusedSurface", "fuse_grid", "refine"]
 
 
 def fuse_grid(
-    height: HeightMap, prior: DepthPrior, *, options: Options | None = None, threads: int = 1
+    height: HeightMap, prior: DepthPrior, *, options: Options | None = None, threads: int = ALL_CORES
 ) -> FusedSurface:
     """The paper's grid transfer (Eq 14 to 16): low frequencies of the prior, detail of the polarization height."""
     return _core.fuse_grid(height, prior, (options or Options()).to_json(), threads)
@@ -22,7 +23,7 @@ def refine(
     *,
     refractive_index: float | None = 1.5,
     options: Options | None = None,
-    threads: int = 1,
+    threads: int = ALL_CORES,
 ) -> FusedSurface:
     """Refine the prior by nonlinear least squares on log depth (docs/method.md); refractive_index None = from the data."""
     return _core.refine(state, prior, refractive_index, (options or Options()).to_json(), threads)

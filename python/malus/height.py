@@ -7,8 +7,10 @@ from numpy.typing import ArrayLike
 
 from malus import _core
 from malus._arrays import as_image
-from malus._core import HeightMap, Pinhole, PolarizationState, ReflectionMap
+from malus._core import HeightMap, PolarizationState, ReflectionMap
+from malus.camera import Camera
 from malus.options import Options
+from malus.threads import ALL_CORES
 
 __all__ = ["HeightMap", "solve"]
 
@@ -17,11 +19,11 @@ def solve(
     state: PolarizationState,
     reflection: ReflectionMap,
     *,
-    camera: Pinhole | None = None,
+    camera: Camera | None = None,
     light: ArrayLike | None = None,
     prior_normals: ArrayLike | None = None,
     options: Options | None = None,
-    threads: int = 1,
+    threads: int = ALL_CORES,
 ) -> HeightMap:
     """Solve the height system; `height` is H×W, in pixels (GSD), positive towards the camera, mean 0, NaN outside.
 

@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_image, as_images, as_mask
-from malus._core import Pinhole, PolarizationState, ReflectionMap
+from malus._arrays import as_angles, as_image, as_intensities, as_mask
+from malus._core import PolarizationState, ReflectionMap
+from malus.camera import Camera
 from malus.options import Options
+from malus.threads import ALL_CORES
 
 __all__ = [
     "PolarizationState",
@@ -38,22 +40,22 @@ def decompose(
     read_noise_e: float = 8.0,
     frames_averaged: int = 1,
     options: Options | None = None,
-    threads: int = 1,
+    threads: int = ALL_CORES,
 ) -> PolarizationState:
     """Fit I(a) = (s0 + s1 cos 2a + s2 sin 2a) / 2 at every pixel.
 
     images: K arrays H×W, linear, in [0, 1] of the white level, or all uint16 with white at 65535. angles_rad: K polarizer
-    angles; the same angle several times (modulo π) counts as several exposures. mask: H×W, non-zero = object. The noise model (electrons at white, read
-    noise, averaged frames) sets the expected residual. Returns a state with `unpolarized` = s0 / 2, `degree`, `phase_rad` in
+    angles; the same angle several times (modulo π) counts as several exposures. mask: H×W, non-zero = object. The noise
+    model (electrons at white, read noise, averaged frames) sets the expected residual. Returns a state with `unpolarized` = s0 / 2, `degree`, `phase_rad` in
     [0, π), `residual` (in expected standard deviations) and `valid` (255 = usable), all H×W, read-only. float32 and
     uint16 images in C order are used where they are, without a copy.
-    Raises ValueError for shapes, malus.DataError for fewer than three distinct angles.
+    Raises ValueError for shapes, degrees and intensities of another scale, malus.DataError for fewer than three distinct angles.
     """
-    stack = as_images(images, "images", keep_16_bit=True)
+    stack = as_intensities(images, "images")
     fit = _core.decompose_16_bit if stack[0].dtype == np.uint16 else _core.decompose
     return fit(
         stack,
-        [float(a) for a in angles_rad],
+        as_angles(angles_rad, "angles_rad"),
         None if mask is None else as_mask(mask, stack[0].shape),
         full_well_e,
         read_noise_e,
@@ -93,12 +95,12 @@ def brewster_angle(refractive_index: float = 1.5) -> float:
 def map_reflection(
     state: PolarizationState,
     *,
-    camera: Pinhole | None = None,
+    camera: Camera | None = None,
     prior_normals: ArrayLike | None = None,
     refractive_index: float = 1.5,
     reflection: str = "auto",
     options: Options | None = None,
-    threads: int = 1,
+    threads: int = ALL_CORES,
 ) -> ReflectionMap:
     """Label pixels diffuse (1) or specular (2) and read their zenith off the degree.
 

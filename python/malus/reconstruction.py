@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from malus import _core, exif, photogrammetry, raw, scans
 from malus.camera import Camera
 from malus.options import Options
+from malus.result import Confidence, Result
 from malus.station import Station
+from malus.threads import ALL_CORES
 
 #: The steps in their order, as they stand in manifest.json.
 STEPS: tuple[str, ...] = tuple(_core.step_names())
@@ -32,29 +33,6 @@ class Progress:
     message: str
 
 
-@dataclass(frozen=True)
-class Result:
-    """What a reconstruction returns; rasters have the size of the undistorted polarized image.
-
-    depth: H×W float32, z in the station camera, station unit, NaN = none. normals: H×W×3 float32, unit, camera frame (x
-    right, y down, z forward), towards the camera. sigma: H×W float32, one standard deviation of depth. prior_depth: the
-    coarse surface. quality: every figure of the report (as quality.json). A step that was not run leaves None.
-    """
-
-    depth: NDArray[np.float32] | None
-    normals: NDArray[np.float32] | None
-    sigma: NDArray[np.float32] | None
-    prior_depth: NDArray[np.float32] | None
-    prior_sigma: NDArray[np.float32] | None
-    polarization_height: NDArray[np.float32] | None
-    unpolarized: NDArray[np.float32] | None
-    degree: NDArray[np.float32] | None
-    phase_rad: NDArray[np.float32] | None
-    zenith_rad: NDArray[np.float32] | None
-    quality: dict[str, Any] | None
-    workspace: Path | None
-
-
 def reconstruct(
     station: Station,
     options: Options | None = None,
@@ -64,7 +42,7 @@ def reconstruct(
     until: str | None = None,
     reference: str | Path | None = None,
     keep_maps: bool = True,
-    threads: int = 1,
+    threads: int = ALL_CORES,
     progress: Callable[[Progress], None] | None = None,
     log: Callable[[str, str], None] | None = None,
 ) -> Result:
@@ -103,23 +81,36 @@ def reconstruct(
             log,
         )
 
+    def save(folder: Path) -> None:
+        """Steps whose results are in memory are written, not repeated."""
+        with _folder(None, "raw") as again:
+            _core.reconstruct(
+                _readable(station, core, again, lambda _, __: None), settings.to_json(), str(folder), True, None,
+                None if reference is None else str(reference), False, results, threads, None, None,
+            )  # fmt: skip
+
     if workspace is not None:
         _core.claim_workspace(str(workspace), station._core, replace)
     with _folder(workspace, "raw") as developed:
-        core = _readable(station, developed, lambda fraction, message: report("polarization", fraction, message))
+        core = _readable(
+            station, station._core, developed, lambda fraction, message: report("polarization", fraction, message)
+        )
         if _needs_photos(station, until):
             with _folder(workspace, "prior/colmap") as folder:
                 core = _with_photos(
                     station.describe(), core, settings, folder, run, threads, report, log or (lambda _, __: None)
                 )
         outcome = run(core, until, keep=keep_maps)
-    for intermediate in ("scene", "valid", "results"):
+    for intermediate in ("scene", "valid"):
         del outcome[intermediate]
-    quality = outcome.pop("quality")
+    results, quality, confidence = (outcome.pop(name) for name in ("results", "quality", "confidence"))
     return Result(
         **outcome,
+        name=station.name,
+        confidence=None if confidence is None else Confidence(*confidence),
         quality=None if quality is None else json.loads(quality),
         workspace=None if workspace is None else Path(workspace),
+        _save=save,
     )
 
 
@@ -128,12 +119,13 @@ def _needs_photos(station: Station, until: str | None) -> bool:
     return station.describe()["prior"] == "photos" and until not in ("polarization", "polarizer", "zenith")
 
 
-def _readable(station: Station, folder: Path, progress: Callable[[float, str], None]) -> _core.Station:
+def _readable(
+    station: Station, core: _core.Station, folder: Path, progress: Callable[[float, str], None]
+) -> _core.Station:
     """The station with its RAW files developed into `folder`, once its images are known to be taken alike, and with
     the cloud of a format that the C++ library does not read.
     """
     description = station.describe()
-    core = station._core
     if "prior_cloud" in description and scans.is_scan(Path(description["prior_cloud"])):
         points, normals = scans.read_scan(Path(description["prior_cloud"]), description["unit"])
         core = core.with_cloud(points, normals)
@@ -246,11 +238,11 @@ def _fused_of(description: dict[str, Any], images: dict[str, Any], options: Opti
     }
 
 
-def check(station: Station, options: Options | None = None, *, threads: int = 1) -> dict[str, Any]:
+def check(station: Station, options: Options | None = None, *, threads: int = ALL_CORES) -> dict[str, Any]:
     """Read everything a station names and say what a run would do, its expected time and memory, and what is wrong."""
     settings = options or Options()
     with _folder(None, "raw") as folder:
-        core = _readable(station, folder, lambda _, __: None)
+        core = _readable(station, station._core, folder, lambda _, __: None)
         plan: dict[str, Any] = json.loads(_core.check(core, settings.to_json(), threads))
     if _needs_photos(station, None):
         does, warnings, seconds = photogrammetry.plan(station.describe(), settings, threads)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import platform
+import shutil
 import webbrowser
 from collections.abc import Iterator, Mapping
 from importlib import metadata, resources
@@ -14,11 +15,13 @@ import jinja2
 from markupsafe import Markup, escape
 
 from malus import _core, viewer
-from malus._files import write_bytes, write_text
+from malus._files import replacing, write_bytes, write_text
 from malus.errors import ExternalError, InputError
 from malus.figures import Figure, Plates, encode, grey
+from malus.glossary import definitions
 from malus.options import Options
 from malus.reconstruction import STEPS
+from malus.result import Result
 from malus.workspace import Workspace
 
 #: The surfaces that figures compare, in their order.
@@ -137,6 +140,11 @@ def _asset(name: str) -> Markup:
     return Markup(resources.files("malus").joinpath("assets", name).read_text(encoding="utf-8"))
 
 
+def _term(name: str, text: str | None = None) -> Markup:
+    """A term of the glossary, as `text` or itself, with its definition on hovering and for screen readers."""
+    return Markup('<abbr title="{}">{}</abbr>').format(definitions()[name], text or name)
+
+
 def _compare(plates: Plates) -> dict[str, bytes]:
     box = plates.object_box()
     return {name: encode(grey(plates.shade(name))[box], "WEBP", quality=90) for name in ("prior", "fused")}
@@ -161,12 +169,27 @@ def _sections(quality: Mapping[str, Any], figures: Mapping[str, list[Figure]]) -
     return [(name, title) for name, title in every if name not in absent]
 
 
-def write_report(work: str | Path) -> Path:
-    """Write WORK/report/index.html, and its figures as PNG and CSV beside it, from the workspace; returns the page's path.
+def write_report(work: str | Path | Result, output: str | Path | None = None) -> Path:
+    """Write the report of a workspace or a result; returns the page's path.
 
-    Raises InputError unless all that it shows is as the steps left it, from images to figures.
+    In a workspace it is WORK/report/index.html, with its figures as PNG and CSV beside it. With `output`, which a result in
+    memory needs, the page alone is also written there. Raises InputError unless all that it shows is as the steps left it,
+    from images to figures.
     """
-    workspace = Workspace(work)
+    if isinstance(work, Result):
+        if output is None and work.workspace is None:
+            raise InputError(f"output is missing: {work.name} is in memory, expected the path of an HTML file")
+        with work.in_workspace() as folder:
+            return write_report(folder, output)
+    page = _write_in(Workspace(work))
+    if output is None:
+        return page
+    with replacing(Path(output)) as temporary:
+        shutil.copyfile(page, temporary)
+    return Path(output)
+
+
+def _write_in(workspace: Workspace) -> Path:
     quality, manifest = workspace.quality, workspace.manifest
     plates = Plates(workspace)
     steps = [step for step in STEPS if step in manifest["steps"] and step != "report"]
@@ -178,7 +201,7 @@ def write_report(work: str | Path) -> Path:
     )
     environment.filters["number"] = _number
     environment.filters["base64"] = lambda content: base64.b64encode(content).decode()
-    environment.globals.update(q=numbers.element, leaves=numbers.leaves, asset=_asset)
+    environment.globals.update(q=numbers.element, leaves=numbers.leaves, asset=_asset, term=_term)
     template = environment.from_string(resources.files("malus").joinpath("templates/report.html.j2").read_text("utf-8"))
     registration = [-1.0 if rms is None else rms for rms in quality["registration_rms_px"]]
     page = template.render(
@@ -224,6 +247,11 @@ def open_report(work: str | Path) -> Path:
     page = (Path(work) / "report" / "index.html").resolve()
     if not page.is_file():
         raise InputError(f"{page}: there is none; run `malus report {work}` first")
-    if not webbrowser.open(page.as_uri()):
+    return open_page(page)
+
+
+def open_page(page: Path) -> Path:
+    """Show a file in the web browser; ExternalError if there is none."""
+    if not webbrowser.open(page.resolve().as_uri()):
         raise ExternalError(f"no web browser could be started; open {page} in one")
     return page

@@ -12,6 +12,7 @@ from malus import _core
 from malus._arrays import as_image, as_mask
 from malus.camera import Camera
 from malus.options import Options
+from malus.threads import ALL_CORES
 
 __all__ = ["SweepPass", "SweepResult", "sweep"]
 
@@ -73,7 +74,7 @@ def sweep(
     points: ArrayLike,
     mask: ArrayLike | None = None,
     options: Options | None = None,
-    threads: int = 1,
+    threads: int = ALL_CORES,
     progress: Callable[[str, float, str], None] | None = None,
     log: Callable[[str, str], None] | None = None,
     surface: tuple[ArrayLike, ArrayLike] | None = None,

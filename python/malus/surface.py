@@ -10,8 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
 from malus._arrays import as_image
-from malus._core import FusedSurface, Pinhole
+from malus._core import FusedSurface
+from malus.camera import Camera
 from malus.options import Options
+from malus.threads import ALL_CORES
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,9 @@ class Dem:
         return points
 
 
-def dem_from_mesh(mesh: Mesh, surface: FusedSurface, *, options: Options | None = None, threads: int = 1) -> Dem:
+def dem_from_mesh(
+    mesh: Mesh, surface: FusedSurface, *, options: Options | None = None, threads: int = ALL_CORES
+) -> Dem:
     """Elevation model of a surface's mesh in the plane fitted to it; the pixel is options.surface.dem_pixel."""
     return Dem(**_core.dem_from_mesh(mesh.vertices, mesh.triangles, surface, (options or Options()).to_json(), threads))
 
@@ -58,13 +62,13 @@ def write_dem(path: str | Path, dem: Dem, *, unit: str, name: str) -> None:
     _core.write_dem(str(path), dem.elevation, dem.pixel, dem.origin, dem.right, dem.up, dem.normal, unit, name)
 
 
-def normals_from_depth(depth: ArrayLike, camera: Pinhole, *, threads: int = 1) -> NDArray[np.float32]:
+def normals_from_depth(depth: ArrayLike, camera: Camera, *, threads: int = ALL_CORES) -> NDArray[np.float32]:
     """Unit normals (H×W×3, camera frame, towards the camera) of a z-depth map (H×W, NaN = none)."""
     return _core.normals_from_depth(as_image(depth, "depth"), camera, threads)
 
 
 def mesh_from_depth(
-    surface: FusedSurface, *, color: ArrayLike | None = None, options: Options | None = None, threads: int = 1
+    surface: FusedSurface, *, color: ArrayLike | None = None, options: Options | None = None, threads: int = ALL_CORES
 ) -> Mesh:
     """Triangulate a fused surface, cut at depth discontinuities; color: H×W linear intensity for the vertices."""
     intensity = None if color is None else as_image(color, "color")

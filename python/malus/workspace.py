@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus import _core
-from malus._core import FusedSurface, Pinhole
+from malus._core import FusedSurface
+from malus.camera import Camera
 from malus.errors import InputError
 from malus.options import Options
 
@@ -108,22 +109,28 @@ class Workspace:
         return notes
 
     @cached_property
-    def camera(self) -> Pinhole:
-        """Camera of all rasters, memory pixel convention."""
-        camera = self._fused_notes["camera"]
-        return Pinhole(*(camera[key] for key in ("width", "height", "fx", "fy", "cx", "cy")))
+    def camera(self) -> Camera:
+        """Camera of all rasters, memory pixel convention, and its pose."""
+        camera, pose = self._fused_notes["camera"], self._fused_notes["pose"]
+        params = [float(camera[key]) for key in ("fx", "fy", "cx", "cy")]
+        return Camera(
+            "PINHOLE",
+            camera["width"],
+            camera["height"],
+            params,
+            np.array(pose["rotation"]),
+            np.array(pose["translation"]),
+        )
 
-    @cached_property
+    @property
     def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Rotation (3×3) and translation (3) that take world points into the camera frame."""
-        pose = self._fused_notes["pose"]
-        return np.array(pose["rotation"], float), np.array(pose["translation"], float)
+        return self.camera.pose()
 
     def surface(self) -> FusedSurface:
         """The fused surface."""
         depth, normals, sigma = (self.raster(f"fused/{name}.tif") for name in ("depth", "normals", "sigma"))
-        rotation, translation = self.pose
-        return FusedSurface(depth, normals, sigma, self.camera, rotation, translation)
+        return FusedSurface(depth, normals, sigma, self.camera)
 
     def options(self) -> Options:
         """The options of the run that made it."""

@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 import tifffile
 
+from malus import synthetic
+
 # Ctrl-C is ignored in a shell's background jobs, and so by the programs that are started here, unless it is handled.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -55,6 +57,23 @@ def malus_station(*arguments: str | Path, **options: object) -> Outcome:
     if not program.exists():
         pytest.skip(f"{program} is not built")
     return run_program(program, *arguments, **options)
+
+
+@pytest.fixture(scope="session")
+def scene() -> synthetic.Scene:
+    """A small carved stone with exact truth."""
+    return synthetic.relief(240, 180, seed=3)
+
+
+@pytest.fixture(scope="session")
+def sensor() -> synthetic.Sensor:
+    return synthetic.Sensor()
+
+
+@pytest.fixture(scope="session")
+def images(scene: synthetic.Scene, sensor: synthetic.Sensor) -> list[np.ndarray]:
+    """The stone through the polarizer, linear, in [0, 1] of the white level."""
+    return [image / np.float32(16383) for image in synthetic.render(scene, sensor=sensor)]
 
 
 @pytest.fixture(scope="session")

@@ -6,25 +6,7 @@ import numpy as np
 import pytest
 
 import malus
-from malus import evidence, polarization, synthetic
-from malus.prior import Pinhole
-
-WIDTH, HEIGHT = 240, 180
-
-
-@pytest.fixture(scope="module")
-def scene() -> synthetic.Scene:
-    return synthetic.relief(WIDTH, HEIGHT, seed=3)
-
-
-@pytest.fixture(scope="module")
-def sensor() -> synthetic.Sensor:
-    return synthetic.Sensor()
-
-
-@pytest.fixture(scope="module")
-def images(scene: synthetic.Scene, sensor: synthetic.Sensor) -> list[np.ndarray]:
-    return [image / np.float32(16383) for image in synthetic.render(scene, sensor=sensor)]
+from malus import Camera, evidence, polarization, synthetic
 
 
 @pytest.fixture(scope="module")
@@ -38,21 +20,21 @@ def state(images: list[np.ndarray], angles: np.ndarray) -> polarization.Polariza
 
 
 @pytest.fixture(scope="module")
-def camera(scene: synthetic.Scene) -> Pinhole:
-    return Pinhole(WIDTH, HEIGHT, *scene.camera.params)
+def camera(scene: synthetic.Scene) -> Camera:
+    return scene.camera
 
 
 def points(scene: synthetic.Scene) -> tuple[np.ndarray, np.ndarray]:
     """Camera frame, N×3, and the colors that a camera without a filter would give them."""
     fx, fy, cx, cy = scene.camera.params
-    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    v, u = np.indices(scene.depth.shape)
     rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u, float)], -1)
     colors = np.clip(255 * scene.albedo, 0, 255).astype(np.uint8)
     return (scene.depth[..., None] * rays).reshape(-1, 3), np.repeat(colors.reshape(-1, 1), 3, axis=1)
 
 
 def normals(scene: synthetic.Scene) -> np.ndarray:
-    grid = points(scene)[0].reshape(HEIGHT, WIDTH, 3)
+    grid = points(scene)[0].reshape(*scene.depth.shape, 3)
     result = np.cross(np.gradient(grid, axis=0), np.gradient(grid, axis=1))
     return result / np.linalg.norm(result, axis=-1, keepdims=True)
 
@@ -62,7 +44,7 @@ def test_phase_agrees_and_turns_against_a_wrong_direction(
     images: list[np.ndarray],
     angles: np.ndarray,
     state: polarization.PolarizationState,
-    camera: Pinhole,
+    camera: Camera,
 ) -> None:
     right = evidence.check_phase(state, normals(scene), camera=camera)
     assert right.severity == "note", right.message
@@ -75,7 +57,7 @@ def test_phase_agrees_and_turns_against_a_wrong_direction(
 
 
 def test_cloud_in_its_place_and_beside_it(
-    scene: synthetic.Scene, state: polarization.PolarizationState, camera: Pinhole
+    scene: synthetic.Scene, state: polarization.PolarizationState, camera: Camera
 ) -> None:
     cloud, colors = points(scene)
     right = evidence.check_cloud(cloud, state, camera, colors=colors)
@@ -89,13 +71,13 @@ def test_cloud_in_its_place_and_beside_it(
     assert metres.severity != "note", metres.message
 
 
-def test_depth_map_in_its_place(scene: synthetic.Scene, state: polarization.PolarizationState, camera: Pinhole) -> None:
+def test_depth_map_in_its_place(scene: synthetic.Scene, state: polarization.PolarizationState, camera: Camera) -> None:
     assert evidence.check_depth(scene.depth, state, camera).severity == "note"
     with pytest.raises(malus.InputError, match="depth map"):
         evidence.check_depth(scene.depth[:-1], state, camera)
 
 
-def test_size_in_words(scene: synthetic.Scene, camera: Pinhole) -> None:
+def test_size_in_words(scene: synthetic.Scene, camera: Camera) -> None:
     cloud, _ = points(scene)
     right = evidence.check_size(cloud, camera, unit="mm")
     assert right.severity == "note"
@@ -130,6 +112,6 @@ def test_order_and_response(images: list[np.ndarray], angles: np.ndarray) -> Non
         (lambda _, camera: evidence.check_size(np.zeros(3), camera), "points_in_cam has shape"),
     ],
 )
-def test_wrong_shapes(state: polarization.PolarizationState, camera: Pinhole, call: object, message: str) -> None:
+def test_wrong_shapes(state: polarization.PolarizationState, camera: Camera, call: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         call(state, camera)  # type: ignore[operator]

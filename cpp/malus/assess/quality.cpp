@@ -10,6 +10,7 @@
 #include "malus/assess/high_pass.h"
 #include "malus/assess/polarization_depth.h"
 #include "malus/core/parallel.h"
+#include "malus/core/ranked_values.h"
 
 namespace malus {
 namespace {

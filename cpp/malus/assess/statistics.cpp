@@ -5,6 +5,8 @@
 #include <limits>
 #include <numeric>
 
+#include "malus/core/ranked_values.h"
+
 namespace malus {
 namespace {
 

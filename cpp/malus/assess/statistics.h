@@ -5,9 +5,9 @@
 #include <span>
 #include <vector>
 
-#include "malus/core/ranked_values.h"
-
 namespace malus {
+
+class RankedValues;
 
 /// Counts over bins of equal width. The struct, like every figure of an assessment, lists its fields once for writers:
 /// visit(name, value) with numbers, texts, vectors, optionals and other such structs.

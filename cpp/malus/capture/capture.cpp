@@ -318,7 +318,7 @@ Image<float> mean_color(const CaptureInput& input, const ResponseCurve& curve, c
     if (exposure_ratio(input.polarized, k) > 1) continue;
     const RawImage raw = input.load(k);
     if (raw.pixels.channels() != 3)
-      throw input_error(input.names[k] + " is grey, but " + input.names[0] + " is a colour image");
+      throw input_error(input.names[k] + " is gray, but " + input.names[0] + " is a color image");
     require_size(raw.pixels, mean.size(), input.names[k]);
     const Levels levels = levels_of(raw, input.polarized, options.saturation, input.names[k]);
     const ResamplingMap map(input.lens, maps[k]);

@@ -97,7 +97,7 @@ void require_color_cells(const Image<float>& mosaic, const std::string& name) {
   if (size.width % 4 != 0 || size.height % 4 != 0 || size.width < 8 || size.height < 8) {
     throw input_error(
         name + " is " + to_string(size) +
-        " pixels; a colour mosaic of 4 x 4 cells has a width and height that are multiples of 4, at least 8");
+        " pixels; a color mosaic of 4 x 4 cells has a width and height that are multiples of 4, at least 8");
   }
 }
 

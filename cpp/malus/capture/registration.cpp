@@ -426,9 +426,9 @@ Pyramid coarser_levels(const std::vector<Image<float>>& images, const Context& c
   return pyramid;
 }
 
-/// Why a displacement cannot be believed, or nothing.
-void judge(ImageRegistration& result, double similarity, double texture, double last_step_px, Size size,
-           const RegistrationOptions& options) {
+/// Sets the status, and why a displacement cannot be believed.
+void set_status(ImageRegistration& result, double similarity, double texture, double last_step_px, Size size,
+                const RegistrationOptions& options) {
   std::ostringstream message;
   message.precision(3);
   const double linear = (result.image_from_base.leftCols<2>() - Eigen::Matrix2d::Identity()).norm();
@@ -506,7 +506,7 @@ std::vector<ImageRegistration> register_images(const std::vector<Image<float>>& 
     results[k].image_from_base = maps[k];
     results[k].displacement_px = affine_distance_px(maps[k], identity_affine(), size);
     results[k].rms_px = assessment.rms_px[k];
-    judge(results[k], assessment.similarity[k], assessment.texture, last_step_px, size, options);
+    set_status(results[k], assessment.similarity[k], assessment.texture, last_step_px, size, options);
   }
   return results;
 }

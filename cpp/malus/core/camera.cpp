@@ -5,6 +5,8 @@
 #include <cmath>
 #include <sstream>
 
+#include "malus/core/pixel_rect.h"
+
 namespace malus {
 namespace {
 
@@ -80,6 +82,10 @@ Eigen::Vector2d invert(const Forward& forward, const Eigen::Vector2d& target, Ei
 }
 
 }  // namespace
+
+Pinhole Pinhole::cropped(const PixelRect& rect) const {
+  return {rect.size(), fx, fy, cx - rect.u0, cy - rect.v0};
+}
 
 std::string_view to_string(LensModel model) {
   return entry(model).name;

@@ -6,9 +6,10 @@
 #include <vector>
 
 #include "malus/core/image.h"
-#include "malus/core/pixel_rect.h"
 
 namespace malus {
+
+struct PixelRect;
 
 /// Camera without distortion, the camera of every raster after undistortion.
 /// In pixels, memory convention: the centre of the top-left pixel is (0, 0).
@@ -25,7 +26,7 @@ struct Pinhole {
   /// Mean focal length in pixels; depth / focal() is the ground sampling distance (GSD).
   double focal() const { return 0.5 * (fx + fy); }
   /// Camera of a part of the raster.
-  Pinhole cropped(const PixelRect& rect) const { return {rect.size(), fx, fy, cx - rect.u0, cy - rect.v0}; }
+  Pinhole cropped(const PixelRect& rect) const;
   /// Camera of the raster whose pixels are means of 2 × 2 of this one's.
   Pinhole binned() const {
     return {{(size.width + 1) / 2, (size.height + 1) / 2}, fx / 2, fy / 2, (cx - 0.5) / 2, (cy - 0.5) / 2};

@@ -36,7 +36,7 @@ PhaseAgreement::Part part_of(const std::vector<PhaseCell>& cells) {
   return part;
 }
 
-Finding judge(const PhaseAgreement& agreement) {
+Finding finding_of(const PhaseAgreement& agreement) {
   const PhaseCoherence& overall = agreement.overall;
   Finding finding;
   finding.check = "phase";
@@ -114,7 +114,7 @@ PhaseAgreement phase_agreement(const PolarizationState& state, const Pinhole* ca
     if (part.disagreement - 2 * part.disagreement_sigma > unrelated) ++bad;
   }
   agreement.unrelated_share = known > 0 ? bad / known : 0;
-  agreement.finding = judge(agreement);
+  agreement.finding = finding_of(agreement);
   return agreement;
 }
 

@@ -9,6 +9,7 @@
 #include <sstream>
 #include <utility>
 
+#include "malus/core/opencv_threads_internal.h"
 #include "malus/evidence/alignment_place_internal.h"
 #include "malus/evidence/other_inputs_internal.h"
 #include "malus/evidence/reduced_view.h"
@@ -325,6 +326,7 @@ std::string why_cloud_misses(const PointCloud& cloud, const Pose& pose, const Pi
 
 PriorAlignment check_alignment(const PointCloud& cloud, const Pose& pose, const AlignmentScene& scene,
                                const Context& context) {
+  const OpenCvThreads threads(context.threads);
   PriorAlignment found;
   const Eigen::Affine3d given = affine_of(pose);
   const CloudCoverage coverage = cloud_coverage(cloud, scene.camera, given, scene.object);
@@ -347,6 +349,7 @@ PriorAlignment check_alignment(const PointCloud& cloud, const Pose& pose, const 
 
 PriorAlignment check_alignment(const Image<float>& depth, const AlignmentScene& scene, const Context& context) {
   require_size(depth, scene.state.size(), "depth map of the prior");
+  const OpenCvThreads threads(context.threads);
   PriorAlignment found;
   Views<SceneView> scenes = views_of(scene);
   Views<PriorView> priors([&](int factor) { return prior_view(depth, scene.camera, factor, context); });

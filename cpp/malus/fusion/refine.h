@@ -65,7 +65,7 @@ struct RefineOptions {
           "most such rounds at the end while the surface moves by 0.5 GSD");
     visit("steps", self.steps, Range{1, 50}, "Gauss-Newton steps of each solve after the first two, which take one");
     visit("tile_px", self.tile_px, Range{64, 4096}, "largest side of a tile's core");
-    visit("margin_px", self.margin_px, Range{16, 512}, "overlap of a tile with its neighbours");
+    visit("margin_px", self.margin_px, Range{16, 512}, "overlap of a tile with its neighbors");
     visit("strip_megapixels", self.strip_megapixels, Range{0.001, 1e6},
           "size of the strips of whole rows of tiles that are worked on one after the other; memory grows with it");
     visit("robust_scale", self.robust_scale, Range{0.1, 100},

@@ -264,13 +264,13 @@ void refine_lobe(const SampleSet& set, double scale, DiffuseFit& fit, const Cont
   fit = refined;
 }
 
-/// Robust relative spread of s0 less the mirror image of the usual surroundings, where the view is steep enough for
-/// them to be what is seen.
+/// Robust relative spread of s0 less the mirror image of the usual surroundings, where the surface faces
+/// the camera enough to mirror them.
 double body_spread(const std::vector<ReflectionSample>& samples, const MirrorReflection& mirror, double eta) {
-  constexpr double steep_tan2 = 1.0 / 3;  // zenith below 30°
+  constexpr double frontal_tan2 = 1.0 / 3;  // zenith below 30°
   std::vector<double> rest, deviation;
   for (const ReflectionSample& s : samples) {
-    if (s.tan2() < steep_tan2) rest.push_back(s.s0 - mirror.environment * fresnel_factors(s.tan2(), eta).reflectance);
+    if (s.tan2() < frontal_tan2) rest.push_back(s.s0 - mirror.environment * fresnel_factors(s.tan2(), eta).reflectance);
   }
   const double middle = median(rest);
   for (const double value : rest) deviation.push_back(std::abs(value - middle));

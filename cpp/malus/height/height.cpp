@@ -18,9 +18,9 @@ constexpr float none = std::numeric_limits<float>::quiet_NaN();
 /// Gauss–Newton steps that raise the cost by more than this are halved, at most so often.
 constexpr double allowed_rise = 1.05;
 constexpr int most_halvings = 5;
-/// Rasters of at most so many pixels are solved as a whole, the likelihood by some ten systems and the linear methods
-/// by one; larger ones start from half the resolution and are finished in tiles, which overlap by twice a margin.
-constexpr std::size_t whole_pixels = 200'000, whole_linear_pixels = 500'000;
+/// The same as whole_height_pixels for the linear methods, which solve one system where the likelihood solves some ten.
+constexpr std::size_t whole_linear_pixels = 500'000;
+/// Of rasters that are larger: tiles overlap by twice a margin.
 constexpr int tile_px = 256, margin_px = 24;
 
 void validate(const HeightInput& input, const HeightOptions& options) {
@@ -243,7 +243,7 @@ void solve_in_tiles(const std::function<HeightData(PixelRect)>& tile, const Imag
 
 /// Whether a raster is solved as a whole.
 bool is_whole(Size size, const HeightOptions& options) {
-  return size.area() <= (options.method == HeightMethod::likelihood ? whole_pixels : whole_linear_pixels);
+  return size.area() <= (options.method == HeightMethod::likelihood ? whole_height_pixels : whole_linear_pixels);
 }
 
 /// The height of a raster of any size: of half the resolution first, then in tiles.

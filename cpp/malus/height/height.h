@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstddef>
 #include <optional>
 
 #include "malus/core/camera.h"
@@ -77,9 +78,13 @@ struct HeightInput {
   std::optional<Eigen::Vector4d> light;
   const Image<float>* prior_normals = nullptr;  ///< 3 channels, camera frame; needed if there is no light yet
   const Image<float>* prior_height = nullptr;   ///< as HeightMap::height; a possible start, and HeightBoundary::prior
-  /// The light as estimate_light finds it with the prior's normals, for who does not keep these.
+  /// The light as estimate_light finds it with the prior's normals, in place of these.
   std::optional<LightEstimate> estimated_light = std::nullopt;
 };
+
+/// Rasters of at most so many pixels are solved as a whole by the likelihood; larger ones start from half the
+/// resolution and are finished in tiles.
+inline constexpr std::size_t whole_height_pixels = 200'000;
 
 /// Height from polarization and shading alone (Eq 9 to 11).
 ///

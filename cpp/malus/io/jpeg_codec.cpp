@@ -128,7 +128,7 @@ RawImage decode_jpeg(std::string_view bytes, const HeaderCheck& check) {
   reader.jpeg.client_data = &reader;
   if (!read_header(reader)) throw std::runtime_error(reader.message);
   if (reader.jpeg.num_components != 1 && reader.jpeg.num_components != 3) {
-    throw std::runtime_error("has " + std::to_string(reader.jpeg.num_components) + " components, expected grey or RGB");
+    throw std::runtime_error("has " + std::to_string(reader.jpeg.num_components) + " components, expected gray or RGB");
   }
   const ImageHeader header{{static_cast<int>(reader.jpeg.output_width), static_cast<int>(reader.jpeg.output_height)},
                            reader.jpeg.num_components,

@@ -517,7 +517,7 @@ void write(const std::filesystem::path& path, const PointCloud& cloud, const Tri
       (!cloud.colors.empty() && cloud.colors.size() != count)) {
     throw input_error("cannot write " + path.string() + ": " + std::to_string(count) + " points with " +
                       std::to_string(cloud.normals.size()) + " normals and " + std::to_string(cloud.colors.size()) +
-                      " colours, expected none or as many");
+                      " colors, expected none or as many");
   }
   Eigen::AlignedBox3d box;
   for (const Eigen::Vector3d& point : cloud.points) box.extend(point);

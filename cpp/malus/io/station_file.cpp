@@ -339,7 +339,7 @@ std::optional<Pose> read_pose(const TomlTable& table) {
     const auto angles = table.required(table.numbers_exactly<3>("omega_phi_kappa_deg", {-360, 360}),
                                        "omega_phi_kappa_deg", "three angles in degrees");
     const auto center =
-        table.required(table.numbers_exactly<3>("center"), "center", "the projection centre (X0, Y0, Z0)");
+        table.required(table.numbers_exactly<3>("center"), "center", "the projection center (X0, Y0, Z0)");
     pose.rotation = Eigen::Vector3d(1, -1, -1).asDiagonal() * rotation_from_omega_phi_kappa(angles);
     pose.translation = -pose.rotation * Eigen::Vector3d(center[0], center[1], center[2]);
     return pose;

@@ -133,7 +133,7 @@ Layout read_layout(TIFF* tiff) {
   if (layout.photometric != PHOTOMETRIC_MINISBLACK && layout.photometric != PHOTOMETRIC_MINISWHITE &&
       layout.photometric != PHOTOMETRIC_RGB) {
     throw std::runtime_error("has photometric interpretation " + std::to_string(layout.photometric) +
-                             ", expected grey or RGB");
+                             ", expected gray or RGB");
   }
   if (layout.samples < 1 || layout.samples > 4) {
     throw std::runtime_error("has " + std::to_string(layout.samples) + " samples a pixel, expected 1 to 4");

@@ -71,8 +71,8 @@ class Judge {
 
 /// Judges the points that are `due`; hidden ones are looked for, or known and left out.
 template <class Due>
-void judge(PointJudgement& judgement, std::span<const ViewPoint> points, const VisibilityOptions& options,
-           bool hidden_known, const Context& context, Due&& due) {
+void judge_points(PointJudgement& judgement, std::span<const ViewPoint> points, const VisibilityOptions& options,
+                  bool hidden_known, const Context& context, Due&& due) {
   const auto left_out =
       hidden_known ? std::span<const std::uint8_t>(judgement.hidden) : std::span<const std::uint8_t>();
   const NeighborSearch search(points, left_out, static_cast<std::size_t>(options.neighbors), context);
@@ -121,12 +121,12 @@ PointJudgement judge_points(std::span<const ViewPoint> points, Size size, const 
   judgement.hidden.resize(points.size());
   judgement.outlier.resize(points.size());
   judgement.distance2.resize(points.size());
-  judge(judgement, points, options, false, context, [](std::size_t) { return true; });
+  judge_points(judgement, points, options, false, context, [](std::size_t) { return true; });
   if (std::ranges::find_if(judgement.hidden, [](auto hidden) { return hidden != 0; }) == judgement.hidden.end())
     return judgement;
-  // Who had no hidden point among the neighbours keeps them, and the verdict.
+  // A hidden point is no neighbor. Points that had none among their neighbors keep their judgement.
   const Mask hidden = hidden_pixels(points, judgement.hidden, size);
-  judge(judgement, points, options, true, context, [&](std::size_t i) {
+  judge_points(judgement, points, options, true, context, [&](std::size_t i) {
     return !judgement.hidden[i] &&
            any_within(hidden, points[i], std::sqrt(static_cast<double>(judgement.distance2[i])));
   });

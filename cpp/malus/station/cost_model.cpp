@@ -1,6 +1,7 @@
 #include <algorithm>
 
 #include "malus/fusion/tile_solver.h"
+#include "malus/height/height.h"
 #include "malus/station/cost_model_internal.h"
 
 namespace malus {
@@ -60,9 +61,9 @@ Expected height_cost(const Workload& work) {
   Expected cost = expected({2.3, 0.93, 49, 75}, work.object_mpx, work.threads);
   // The height of a raster is solved as a whole, many times, at the first of its halved resolutions that is small
   // enough.
-  constexpr double largest_mpx = 0.2, seconds_per_mpx = 35;
+  constexpr double seconds_per_mpx = 35;
   double share = 1;
-  while (share * image_mpx(work) > largest_mpx) share /= 4;
+  while (share * static_cast<double>(work.size.area()) > static_cast<double>(whole_height_pixels)) share /= 4;
   cost.seconds += seconds_per_mpx * share * work.object_mpx;
   return cost;
 }

@@ -50,15 +50,9 @@ void keep(CalibratedPolarization& result, Keeper& keeper) {
   const auto measured = keeper.result<MeasuredPolarization>();
   result.state = measured->state;
   if (!result.polarizer.from_surface) return;
-  const PolarizationState& as_measured = *measured->state;
   PolarizationState& state = keeper.shared(result.state);
+  state = *measured->state;
   keep_maps(state, "polarization/", keeper);
-  state.residual = as_measured.residual;
-  state.valid = as_measured.valid;
-  state.exposures = as_measured.exposures;
-  state.noise = as_measured.noise;
-  state.weighting = as_measured.weighting;
-  state.variance_factor = as_measured.variance_factor;
 }
 
 void keep(DepthPrior& result, Keeper& keeper) {

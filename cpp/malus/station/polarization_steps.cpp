@@ -12,6 +12,7 @@
 #include "malus/evidence/response_check.h"
 #include "malus/io/image_file.h"
 #include "malus/polarization/decompose.h"
+#include "malus/polarization/frame_calibration_internal.h"
 #include "malus/polarization/interpolation_error.h"
 #include "malus/polarization/unpolarized.h"
 #include "malus/station/state_views_internal.h"

@@ -36,7 +36,7 @@ struct RunOptions {
       {};  ///< cloud or mesh in the world frame to compare the surface with
   /// false: results that no later step needs are let go, which takes less memory; only the last step's remain.
   bool keep_maps = true;
-  /// Without a workspace: of an earlier run; what was made from the same inputs and options is not made again.
+  /// Of an earlier run in memory; what was made from the same inputs and options is not made again.
   const Results* known = nullptr;
 };
 
@@ -48,7 +48,7 @@ struct RunOptions {
 /// back instead of repeated, with the same result to the bit. Throws Error; what finished steps wrote stays.
 Results reconstruct(const Station& station, const Options& options, const RunOptions& run, const Context& context);
 
-/// Makes a folder the station's workspace, or throws as reconstruct would; for who writes in it before.
+/// Makes a folder the station's workspace, or throws as reconstruct would. For programs that write to it before.
 void claim_workspace(const std::filesystem::path& folder, const Station& station, bool replace);
 
 /// For steps that another program does with a finished workspace: removes what the step, and those after it, left.

@@ -51,7 +51,7 @@ struct Scene {
   Image<float> image;
 };
 
-/// The polarization with the polarizer's scale as the surface has it.
+/// The polarization with the polarizer's scale corrected by the surface.
 struct CalibratedPolarization {
   std::shared_ptr<const PolarizationState> state;  ///< that of the images if the surface corrects nothing
   PolarizerCalibration polarizer;
@@ -84,6 +84,8 @@ struct QualityReport {
 /// Results by their type, shared with whoever asks for them.
 class Results {
  public:
+  std::vector<std::string> warnings;  ///< of all steps, "<step>: <sentence>"
+
   /// Null if it was not made, or let go again.
   template <class T>
   std::shared_ptr<const T> get() const {

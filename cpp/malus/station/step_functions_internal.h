@@ -14,7 +14,7 @@ namespace malus {
 /// Angles and exposures that the images themselves ask for are fitted where that is wanted and better than what is
 /// given.
 std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings> measure_polarization(const Job& job);
-/// The polarizer's scale, as the surface has it: what no image can tell.
+/// Corrects the polarizer's scale by the surface: images alone cannot tell its zero.
 CalibratedPolarization calibrate_polarization(const Job& job, const MeasuredPolarization& measured,
                                               const StationView& view, const DepthPrior* prior);
 /// Diffuse or specular, and the zenith that the degree then means.

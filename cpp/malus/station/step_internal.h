@@ -55,7 +55,7 @@ struct StepRow {
 struct Part {
   std::type_index type;
   std::shared_ptr<void> (*make)();
-  void (*keep)(void* result, Keeper& keeper);
+  void (*keep)(void* result, Keeper& keeper);  ///< changes the result only while reading
 };
 
 /// A result type that a step reads.

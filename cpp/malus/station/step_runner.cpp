@@ -6,7 +6,6 @@
 
 #include "malus/core/version.h"
 #include "malus/io/sha256.h"
-#include "malus/station/describe.h"
 #include "malus/station/step_runner_internal.h"
 #include "malus/station/step_watch_internal.h"
 
@@ -76,6 +75,7 @@ Results StepRunner::run() {
   if (!run_.keep_maps) {
     results_.drop_if([this](std::type_index type) { return !steps_.back()->makes_type(type); });
   }
+  results_.warnings = warnings_->all;
   return std::move(results_);
 }
 
@@ -103,12 +103,10 @@ Json StepRunner::options_of(const Step& step) const {
 
 bool StepRunner::is_done(const Step& step, const std::string& key) {
   if (!workspace_) {
-    if (run_.known == nullptr || step.makes.empty()) return false;
-    for (const Part& part : step.makes) {
-      const auto known = run_.known->get(part.type, &key);
-      if (!known) return false;
-      results_.set(part.type, key, known);
-    }
+    const auto results = known(step, key);
+    if (!results) return false;
+    for (std::size_t k = 0; k < results->size(); ++k) results_.set(step.makes[k].type, key, (*results)[k]);
+    repeat(step.name, known_warnings(step.name));
     return true;
   }
   const Workspace::Record* record = workspace_->record(step.name);
@@ -120,11 +118,35 @@ bool StepRunner::is_done(const Step& step, const std::string& key) {
     return false;
   }
   for (const Part& part : step.makes) kept_[part.type] = &step;
-  for (const std::string& warning : record->warnings) {
-    warnings_->all.push_back(step.name + ": " + warning);
+  repeat(step.name, record->warnings);
+  return true;
+}
+
+std::optional<std::vector<std::shared_ptr<const void>>> StepRunner::known(const Step& step,
+                                                                          const std::string& key) const {
+  if (run_.known == nullptr || step.makes.empty()) return std::nullopt;
+  std::vector<std::shared_ptr<const void>> results;
+  for (const Part& part : step.makes) {
+    results.push_back(run_.known->get(part.type, &key));
+    if (!results.back()) return std::nullopt;
+  }
+  return results;
+}
+
+std::vector<std::string> StepRunner::known_warnings(const std::string& step) const {
+  std::vector<std::string> warnings;
+  const std::string start = step + ": ";
+  for (const std::string& warning : run_.known->warnings) {
+    if (warning.starts_with(start)) warnings.push_back(warning.substr(start.size()));
+  }
+  return warnings;
+}
+
+void StepRunner::repeat(const std::string& step, const std::vector<std::string>& warnings) {
+  for (const std::string& warning : warnings) {
+    warnings_->all.push_back(step + ": " + warning);
     context_.log(LogLevel::warning, warning);
   }
-  return true;
 }
 
 std::shared_ptr<const void> StepRunner::result(std::type_index type) {
@@ -186,12 +208,20 @@ void StepRunner::compute(std::size_t index, const std::string& key, const Statio
   StepFiles files;
   Json times = Json::object();
   const Context inner = context_of(step.name, record.warnings);
-  const auto made = step.run({station_, options_, run_, inner, files, times}, inputs);
+  std::vector<std::shared_ptr<const void>> made;
+  if (auto earlier = known(step, key)) {
+    made = std::move(*earlier);
+    record.warnings = known_warnings(step.name);
+    repeat(step.name, record.warnings);
+  } else {
+    const auto results = step.run({station_, options_, run_, inner, files, times}, inputs);
+    made.assign(results.begin(), results.end());
+  }
   inputs_.require_unchanged(values);
   if (workspace_) {
     for (std::size_t k = 0; k < made.size(); ++k) {
       Keeper keeper(files, record.notes);
-      step.makes[k].keep(made[k].get(), keeper);
+      step.makes[k].keep(const_cast<void*>(made[k].get()), keeper);  // which only reads it to write it
     }
     record.outputs = workspace_->examine(written(step, files, inner), inner);
     context_.check_cancel();

@@ -13,7 +13,7 @@
 
 namespace malus {
 
-/// Who the workspaces of a station belong to.
+/// What identifies a station as the owner of a workspace.
 Workspace::Owner owner_of(const Station& station);
 
 /// One reconstruction. Knows no step by name.
@@ -27,8 +27,14 @@ class StepRunner {
   Results run();
 
  private:
-  /// Takes a step's results from the workspace or an earlier run if they are there with this key.
+  /// Takes a step's results from the workspace, or without one from an earlier run, if they are there with this key.
   bool is_done(const Step& step, const std::string& key);
+  /// The step's results of an earlier run in memory; nothing unless all of them are there with this key.
+  std::optional<std::vector<std::shared_ptr<const void>>> known(const Step& step, const std::string& key) const;
+  /// Repeats the warnings of a step that is not run.
+  void repeat(const std::string& step, const std::vector<std::string>& warnings);
+  /// Its warnings of the earlier run in memory.
+  std::vector<std::string> known_warnings(const std::string& step) const;
   void compute(std::size_t index, const std::string& key, const StationInputs::Values& values);
   /// Writes the files of a step, which must be among those that its row names.
   std::vector<std::string> written(const Step& step, const StepFiles& files, const Context& context) const;

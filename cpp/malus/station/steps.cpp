@@ -41,7 +41,7 @@ std::vector<Step> make_table() {
             .applies = has_prior},
            make_prior),
       step({.name = "polarizer",
-            .does = "the polarizer's scale, as the surface has it",
+            .does = "the polarizer's scale, corrected by the surface",
             .options = {"polarizer", "light"},
             .station = {&Of::polarized, &Of::optics},
             .leaves = {"polarization/unpolarized.tif", "polarization/degree.tif", "polarization/phase.tif"},

@@ -57,8 +57,8 @@ Surroundings surroundings(const std::vector<Surroundings>& columns, int u) {
 
 }  // namespace
 
-void judge(const PassResult& pass, const HalvesDifference& halves, double rate, double focal, const Mask& mask,
-           const SweepOptions& options, const Context& context, SweepResult& result) {
+void fill_result(const PassResult& pass, const HalvesDifference& halves, double rate, double focal, const Mask& mask,
+                 const SweepOptions& options, const Context& context, SweepResult& result) {
   result.depth = Image<float>(mask.size(), 1, none);
   result.sigma = result.confidence = result.depth;
   parallel_rows(context, mask.height(), [&](int v) {

@@ -30,7 +30,7 @@ struct HalvesDifference {
 /// the pixels on it are kept, where object and ground meet if it stands on the ground.
 ///
 /// `rate`: px of parallax a unit of ln z. `focal`: of the station, px.
-void judge(const PassResult& pass, const HalvesDifference& halves, double rate, double focal, const Mask& mask,
-           const SweepOptions& options, const Context& context, SweepResult& result);
+void fill_result(const PassResult& pass, const HalvesDifference& halves, double rate, double focal, const Mask& mask,
+                 const SweepOptions& options, const Context& context, SweepResult& result);
 
 }  // namespace malus

@@ -349,7 +349,7 @@ class SurfaceSweep {
 
   void judge_pass() {
     const HalvesDifference halves{&difference_px_, &wide_difference_px_};
-    judge(pass_, halves, rate_, input_.camera.focal(), level_.mask, options_, context_, result_);
+    fill_result(pass_, halves, rate_, input_.camera.focal(), level_.mask, options_, context_, result_);
   }
 
   /// Whether there are any.

@@ -44,9 +44,9 @@ constexpr int table_steps = 1 << 14;  // finer than 8-bit sRGB everywhere, its s
 
 DisplayColors::DisplayColors(const Image<float>& color, const Image<float>& depth, double white_percentile)
     : color_(color), table_(table_steps + 1) {
-  require_size(color, depth.size(), "the colour image");
+  require_size(color, depth.size(), "the color image");
   if (color.channels() != 1 && color.channels() != 3) {
-    throw input_error("the colour image has " + std::to_string(color.channels()) + " channels, expected 1 or 3");
+    throw input_error("the color image has " + std::to_string(color.channels()) + " channels, expected 1 or 3");
   }
   for (std::size_t i = 0; i < table_.size(); ++i) table_[i] = srgb(static_cast<double>(i) / table_steps);
   factor_ = white_factor(color, depth, white_percentile);

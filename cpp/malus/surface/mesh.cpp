@@ -201,9 +201,9 @@ void require_consistent(const FusedSurface& surface, const Image<float>& color) 
       throw input_error("the normal map has " + std::to_string(surface.normals.channels()) + " channels, expected 3");
   }
   if (color.empty()) return;
-  require_size(color, surface.camera.size, "the colour image");
+  require_size(color, surface.camera.size, "the color image");
   if (color.channels() != 1 && color.channels() != 3) {
-    throw input_error("the colour image has " + std::to_string(color.channels()) + " channels, expected 1 or 3");
+    throw input_error("the color image has " + std::to_string(color.channels()) + " channels, expected 1 or 3");
   }
 }
 

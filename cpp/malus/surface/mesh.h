@@ -24,11 +24,11 @@ struct SurfaceOptions {
     visit("max_incidence_deg", self.max_incidence_deg, Range{45, 90},
           "triangles seen flatter than this (normal to viewing ray) are left out: the sides of depth steps");
     visit("min_step_gsd", self.min_step_gsd, not_negative,
-          "depth steps between neighbouring pixels up to this many GSD are never cut by step_ratio");
+          "depth steps between neighboring pixels up to this many GSD are never cut by step_ratio");
     visit("step_ratio", self.step_ratio, Range{1, 1e6},
           "a larger step is cut if it exceeds this many times the steps right before and after it");
     visit("white_percentile", self.white_percentile, Range{1, 100},
-          "intensity percentile that becomes white in the vertex colours");
+          "intensity percentile that becomes white in the vertex colors");
     visit("dem_pixel", self.dem_pixel, Range{1e-9, 1e9},
           "pixel of the elevation model in the station's unit; auto = GSD x subsample");
     visit("glb_triangles", self.glb_triangles, Range{100, 1e9},

@@ -1,4 +1,4 @@
-// The mesh viewer: the surface in space, with the same colours, to turn, move and zoom.
+// The mesh viewer: the surface in space, with the same colors, to turn, move and zoom.
 (async () => {
   const root = document.getElementById('mesh');
   if (!root) return;

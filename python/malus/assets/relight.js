@@ -1,4 +1,4 @@
-// The relighting viewer: the object's normals and colours under a light that follows the pointer.
+// The relighting viewer: the object's normals and colors under a light that follows the pointer.
 (async () => {
   const root = document.getElementById('relight');
   if (!root) return;

@@ -160,7 +160,7 @@ def _find(backend: str) -> tuple[str, list[str]]:
     name = os.environ.get("MALUS_COLMAP", DEFAULT_PROGRAM)
     program = shutil.which(name)
     package = importlib.util.find_spec(PACKAGE) is not None
-    # Who names a program wants that one.
+    # A program that is named is wanted, even if the package could do its work.
     named = name != DEFAULT_PROGRAM
     if backend != PACKAGE and program is not None:
         return "colmap", [program]

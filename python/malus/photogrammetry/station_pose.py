@@ -157,6 +157,4 @@ def lens_of_raster(lens: Camera | None) -> Camera | None:
     """The lens of a station's undistorted raster, in one of COLMAP's models, without pose."""
     if lens is None:
         return None
-    pinhole = _core.pinhole_of(lens.values())
-    params = [pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy]
-    return Camera("PINHOLE", lens.width, lens.height, params)
+    return Camera("PINHOLE", lens.width, lens.height, lens.undistorted().params)

@@ -47,7 +47,7 @@ TEST(PointCloudFile, WrittenPlyComesBack) {
   EXPECT_TRUE(cloud.colors.empty());
   bare.colors.resize(2);
   expect_error(
-      ErrorCode::input, [&] { write_ply(folder / "x.ply", bare); }, "4 points", "2 colours");
+      ErrorCode::input, [&] { write_ply(folder / "x.ply", bare); }, "4 points", "2 colors");
 }
 
 TEST(PointCloudFile, CoordinatesAreDoubleWhereFloatWouldLoseDetail) {

@@ -4,7 +4,7 @@
 
 #include <numeric>
 
-#include "malus/polarization/polarizer_calibration.h"
+#include "malus/polarization/frame_calibration_internal.h"
 #include "polarizer_scene.h"
 #include "thrown_error.h"
 

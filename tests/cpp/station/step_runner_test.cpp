@@ -268,6 +268,27 @@ TEST_F(StepRunnerTest, InMemoryNothingIsWrittenAndKnownResultsAreTaken) {
   EXPECT_EQ(second.get<Seed>(), first.get<Seed>()) << "shared, not copied";
 }
 
+TEST_F(StepRunnerTest, ResultsInMemoryAreWrittenWithTheirWarnings) {
+  folder_.write("seed.txt", "-3");
+  run_.workspace.reset();
+  const Results first = run();
+  EXPECT_EQ(first.warnings, Names{"seed: the seed is below zero"});
+  run_.workspace = work_;
+  run_.known = &first;
+  bool made_again = false;
+  while_reading = [&] { made_again = true; };
+  const Results second = run();
+  EXPECT_FALSE(made_again);
+  EXPECT_EQ(second.get<Seed>(), first.get<Seed>());
+  EXPECT_EQ(second.warnings, first.warnings);
+  EXPECT_EQ(logged_, Names{"the seed is below zero"});
+  EXPECT_TRUE(exists("side.txt")) << "what is no result is made";
+  run_.known = nullptr;
+  run();
+  EXPECT_EQ(kept_, (Names{"seed", "twice", "side", "sum"}));
+  EXPECT_EQ(logged_, Names{"the seed is below zero"}) << "recorded with the step";
+}
+
 TEST_F(StepRunnerTest, ResultsAreLetGoOnceNoLaterStepReadsThem) {
   struct Steps {
     static Seed first(const Job&) { return {Image<float>({1, 1}), 1}; }

@@ -1,9 +1,8 @@
-#include "malus/polarization/polarizer_calibration.h"
-
 #include <gtest/gtest.h>
 
 #include <utility>
 
+#include "malus/polarization/frame_calibration_internal.h"
 #include "polarizer_scene.h"
 #include "thrown_error.h"
 

@@ -1,4 +1,4 @@
-#include "malus/station/describe.h"
+#include "malus/station/station.h"
 
 #include "malus/io/colmap_workspace.h"
 #include "malus/station/json_fields_internal.h"

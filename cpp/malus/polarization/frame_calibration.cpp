@@ -1,5 +1,3 @@
-#include "malus/polarization/polarizer_calibration.h"
-
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
 #include <Eigen/QR>
@@ -7,6 +5,8 @@
 #include <limits>
 #include <numbers>
 #include <sstream>
+
+#include "malus/polarization/frame_calibration_internal.h"
 
 namespace malus {
 namespace {

@@ -1,0 +1,143 @@
+"""What a reconstruction returns."""
+
+from __future__ import annotations
+
+import base64
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malus.camera import Camera
+from malus.errors import InputError
+
+#: Long side of the pictures in a notebook, in pixels.
+_PICTURE_PX = 480
+
+
+@dataclass(frozen=True)
+class Confidence:
+    """How far the surface may be trusted, from evidence: level "high", "partial" or "low", and why it is not high."""
+
+    level: str
+    reasons: list[str]
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Result:
+    """What a reconstruction returns; rasters have the size of the undistorted polarized image and are read-only.
+
+    depth: H×W float32, z in the station camera, station unit, NaN = none. normals: H×W×3 float32, unit, camera frame (x
+    right, y down, z forward), towards the camera. sigma: H×W float32, one standard deviation of depth. prior_depth: the
+    coarse surface. camera: of all rasters, with its pose. status: how the fusion ended, "converged" if well. confidence:
+    how far the surface may be trusted. warnings: of all steps, "<step>: <sentence>". quality: every figure of the report (as
+    quality.json). A step that was not run leaves None.
+    """
+
+    name: str
+    depth: NDArray[np.float32] | None
+    normals: NDArray[np.float32] | None
+    sigma: NDArray[np.float32] | None
+    prior_depth: NDArray[np.float32] | None
+    prior_sigma: NDArray[np.float32] | None
+    polarization_height: NDArray[np.float32] | None
+    unpolarized: NDArray[np.float32] | None
+    degree: NDArray[np.float32] | None
+    phase_rad: NDArray[np.float32] | None
+    zenith_rad: NDArray[np.float32] | None
+    camera: Camera | None
+    status: str | None
+    confidence: Confidence | None
+    warnings: list[str]
+    quality: dict[str, Any] | None
+    workspace: Path | None
+    _save: Callable[[Path], None] | None = field(default=None)
+
+    @property
+    def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Rotation (3×3) and translation (3) that take world points into the camera frame."""
+        return None if self.camera is None else self.camera.pose()
+
+    def save(self, workspace: str | Path) -> None:
+        """Write everything into a workspace folder, as a run with `workspace` does; what is there is replaced.
+
+        Steps that were not run yet are run. Raises InputError for a result that another process sent.
+        """
+        if self._save is None:
+            raise InputError(f"{self.name}: the result comes from another process, expected one of malus.reconstruct")
+        self._save(Path(workspace))
+
+    @contextmanager
+    def in_workspace(self) -> Iterator[Path]:
+        """The workspace of the run, or one for the time of the context."""
+        if self.workspace is not None:
+            yield self.workspace
+            return
+        with tempfile.TemporaryDirectory(prefix="malus-") as folder:
+            self.save(folder)
+            yield Path(folder)
+
+    def show(self) -> Path:
+        """Write the report and show it in the web browser; returns the page's path."""
+        from malus.report import open_page, write_report
+
+        if self.workspace is not None:
+            return open_page(write_report(self.workspace))
+        return open_page(write_report(self, Path(tempfile.mkdtemp(prefix="malus-")) / f"{self.name}.html"))
+
+    def pictures(self) -> dict[str, NDArray[np.uint8]]:
+        """Relief shading of prior and fused surface, as far as they exist: title → grey and alpha, at most 480 px wide or high."""
+        from malus.figures import flattened, grey, hillshade, reduced, step_for
+
+        pictures = {}
+        for title, depth in (("prior", self.prior_depth), ("fused", self.depth)):
+            if depth is None or self.camera is None or not np.isfinite(depth).any():
+                continue
+            step = step_for(depth.shape, _PICTURE_PX)
+            small = reduced(depth, step)
+            pixel = step * float(np.nanmedian(depth)) / self.camera.fx
+            pictures[title] = grey(hillshade(flattened(small), pixel))
+        return pictures
+
+    def _summary(self) -> str:
+        parts = []
+        if self.quality is not None:
+            parts.append(f"{self.quality['method']} fusion")
+        if self.status is not None:
+            parts.append(self.status)
+        if self.confidence is not None:
+            parts.append(f"{self.confidence.level} confidence")
+        if self.camera is not None:
+            parts.append(f"{self.camera.width} × {self.camera.height} px")
+        if self.quality is not None:
+            parts.append(f"GSD {self.quality['gsd']:.4g} {self.quality['unit']}")
+        count = len(self.warnings)
+        parts.append("1 warning" if count == 1 else f"{count} warnings")
+        return ", ".join(parts)
+
+    def __repr__(self) -> str:
+        return f"Result({self.name!r}: {self._summary()})"
+
+    def _repr_html_(self) -> str:
+        from malus.figures import encode
+
+        pictures = "".join(
+            f'<figure style="display:inline-block;margin:4px"><img alt="Relief shading of the {title} surface" '
+            f'src="data:image/png;base64,{base64.b64encode(encode(picture, "PNG")).decode()}">'
+            f"<figcaption>{title}</figcaption></figure>"
+            for title, picture in self.pictures().items()
+        )
+        cautions = [*(self.confidence.reasons if self.confidence else []), *self.warnings]
+        listed = "".join(f"<li>{escape(line)}</li>" for line in cautions)
+        return f"<p><b>{escape(self.name)}</b>: {escape(self._summary())}</p>{pictures}" + (
+            f"<ul>{listed}</ul>" if listed else ""
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_save": None}

@@ -1,0 +1,119 @@
+"""What malus.reconstruct returns, in memory and from a workspace; cameras and units of what it takes."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import malus
+from malus import synthetic
+from malus.glossary import definitions
+from malus.threads import ALL_CORES
+
+
+@pytest.fixture(scope="module")
+def result(scene: synthetic.Scene, sensor: synthetic.Sensor, images: list[np.ndarray]) -> malus.Result:
+    station = malus.Station(
+        images, sensor.angles_deg, scene.camera, prior_depth=scene.depth, name="in memory", frames_averaged=16
+    )
+    return malus.reconstruct(station)
+
+
+def test_result_says_what_it_is(result: malus.Result, scene: synthetic.Scene) -> None:
+    camera = result.camera
+    assert camera is not None and result.quality is not None and result.confidence is not None
+    assert (camera.width, camera.height) == scene.depth.shape[::-1]
+    np.testing.assert_allclose([camera.fx, camera.fy, camera.cx, camera.cy], scene.camera.params)
+    np.testing.assert_allclose(result.pose[0], scene.camera.rotation)
+    np.testing.assert_allclose(result.pose[1], scene.camera.translation)
+    assert result.status == result.quality["status"]
+    assert result.confidence.level == result.quality["confidence"]["level"]
+    assert result.warnings == result.quality["warnings"]
+    assert "'in memory'" in repr(result) and result.confidence.level in repr(result)
+    assert len(repr(result)) < 200
+
+
+def test_notebook_shows_prior_and_surface(result: malus.Result) -> None:
+    page = result._repr_html_()
+    assert page.count("<img") == 2
+    assert "in memory" in page and "data:image/png;base64," in page
+
+
+def test_rasters_cannot_be_changed(result: malus.Result) -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        result.depth[0, 0] = 1
+
+
+def test_save_writes_what_is_in_memory(result: malus.Result, tmp_path: Path) -> None:
+    result.save(tmp_path)
+    workspace = malus.Workspace(tmp_path)
+    np.testing.assert_array_equal(workspace.raster("fused/depth.tif"), result.depth)
+    np.testing.assert_array_equal(workspace.raster("prior/sigma.tif"), result.prior_sigma)
+    assert workspace.quality["warnings"] == result.warnings
+    assert workspace.manifest["warnings"] == result.warnings
+
+
+def test_exports_and_report_from_memory(result: malus.Result, tmp_path: Path) -> None:
+    mesh = malus.export(result, "ply", tmp_path / "surface.ply")
+    assert mesh.read_bytes().startswith(b"ply")
+    page = malus.write_report(result, tmp_path / "report.html")
+    assert "in memory" in page.read_text(encoding="utf-8")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html", "surface.ply"]
+    with pytest.raises(malus.InputError, match="output is missing"):
+        malus.export(result, "ply")
+    with pytest.raises(malus.InputError, match="output is missing"):
+        malus.write_report(result)
+
+
+def test_result_of_another_process_has_its_rasters_only(result: malus.Result) -> None:
+    sent = pickle.loads(pickle.dumps(result))
+    np.testing.assert_array_equal(sent.depth, result.depth)
+    with pytest.raises(malus.InputError, match="another process"):
+        sent.save("nowhere")
+
+
+def test_part_of_a_run(scene: synthetic.Scene, sensor: synthetic.Sensor, images: list[np.ndarray]) -> None:
+    station = malus.Station(images, sensor.angles_deg, scene.camera)
+    part = malus.reconstruct(station, until="polarization")
+    assert part.camera is not None and part.degree is not None
+    np.testing.assert_allclose(part.camera.translation, scene.camera.translation)
+    assert part.depth is None and part.status is None and part.confidence is None
+    assert "<img" not in part._repr_html_()
+
+
+def test_distorted_camera_is_no_camera_of_maps(scene: synthetic.Scene) -> None:
+    lens = malus.Camera("OPENCV", scene.camera.width, scene.camera.height, [*scene.camera.params, 0.01, 0, 0, 0])
+    with pytest.raises(malus.InputError, match=r"OPENCV.*undistorted\(\)"):
+        malus.surface.normals_from_depth(scene.depth, lens)
+    plain = lens.undistorted()
+    assert plain.model == "PINHOLE"
+    np.testing.assert_allclose(plain.params, scene.camera.params)
+    expected = malus.surface.normals_from_depth(scene.depth, scene.camera)
+    np.testing.assert_array_equal(malus.surface.normals_from_depth(scene.depth, plain), expected)
+
+
+def test_degrees_are_not_radians(images: list[np.ndarray], sensor: synthetic.Sensor) -> None:
+    with pytest.raises(ValueError, match=r"angles_rad\[1\] = 30 .*degrees"):
+        malus.polarization.decompose(images, [0, 30, 60, 90, 120, 150])
+    turned = malus.polarization.decompose(images, np.deg2rad(sensor.angles_deg) + np.pi)
+    assert turned.valid.any()
+
+
+def test_levels_are_not_shares_of_white(images: list[np.ndarray], sensor: synthetic.Sensor) -> None:
+    with pytest.raises(ValueError, match=r"images\[0\] reaches .*expected linear intensities in \[0, 1\]"):
+        malus.polarization.decompose([255 * image for image in images], np.deg2rad(sensor.angles_deg))
+
+
+def test_all_cores_by_default() -> None:
+    assert ALL_CORES >= 1
+    assert malus.reconstruct.__kwdefaults__["threads"] == ALL_CORES
+    assert malus.polarization.decompose.__kwdefaults__["threads"] == ALL_CORES
+
+
+def test_glossary_defines_each_term_in_a_sentence() -> None:
+    terms = definitions()
+    assert len(terms) > 20 and "GSD" in terms
+    assert all(text.endswith(".") and "**" not in text for text in terms.values())
