@@ -10,4 +10,5 @@ find_package(OpenCV 4.5 REQUIRED COMPONENTS core imgproc imgcodecs calib3d flann
 find_package(Ceres 2.1 REQUIRED)
 find_package(CHOLMOD REQUIRED)
 find_package(nlohmann_json 3.11 REQUIRED)
+find_package(re2 REQUIRED)
 find_package(tomlplusplus 3.0 REQUIRED)

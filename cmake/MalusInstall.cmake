@@ -17,4 +17,4 @@ configure_package_config_file(cmake/malus-config.cmake.in ${PROJECT_BINARY_DIR}/
                               INSTALL_DESTINATION ${config_dir})
 write_basic_package_version_file(${PROJECT_BINARY_DIR}/malus-config-version.cmake COMPATIBILITY SameMinorVersion)
 install(FILES ${PROJECT_BINARY_DIR}/malus-config.cmake ${PROJECT_BINARY_DIR}/malus-config-version.cmake
-              cmake/FindCHOLMOD.cmake DESTINATION ${config_dir} COMPONENT development)
+              cmake/FindCHOLMOD.cmake cmake/Findre2.cmake DESTINATION ${config_dir} COMPONENT development)

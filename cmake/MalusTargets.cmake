@@ -43,5 +43,5 @@ function(malus_link_rooms target)
   endforeach()
   target_link_libraries(${target} PUBLIC Eigen3::Eigen Threads::Threads
                                   PRIVATE CHOLMOD::CHOLMOD Ceres::ceres ${OpenCV_LIBS} TBB::tbb TIFF::TIFF PNG::PNG
-                                          JPEG::JPEG OpenSSL::Crypto tomlplusplus::tomlplusplus)
+                                          JPEG::JPEG OpenSSL::Crypto re2::re2 tomlplusplus::tomlplusplus)
 endfunction()

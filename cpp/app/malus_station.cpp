@@ -1,10 +1,15 @@
 // malus-station: the whole job for a station whose camera and prior are given, without Python.
 
+#include <sys/resource.h>
+#include <unistd.h>
+
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <csignal>
 #include <cstdio>
+#include <cstdlib>
 #include <exception>
 #include <filesystem>
 #include <iostream>
@@ -12,6 +17,8 @@
 #include <new>
 #include <nlohmann/json.hpp>
 #include <string>
+#include <string_view>
+#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -72,7 +79,7 @@ class Reporter {
   void write(nlohmann::ordered_json event) {
     const auto elapsed = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_);
     event["seconds"] = elapsed.count();
-    std::cout << event.dump() << std::endl;
+    std::cout << event.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) << std::endl;
   }
 
   bool json_, quiet_;
@@ -109,14 +116,91 @@ void run(const Arguments& arguments) {
   if (const auto report = results.get<malus::QualityReport>()) reporter.close(report->quality);
 }
 
-int fail(int code, const std::string& message) {
+int fail(ErrorCode code, const std::string& message) {
   std::fprintf(stderr, "malus-station: %s\n", message.c_str());
-  return code;
+  return static_cast<int>(code);
 }
+
+/// Runs and says what went wrong; every error ends in an exit code of the table.
+int run_or_fail(const Arguments& arguments) {
+  try {
+    run(arguments);
+    return 0;
+  } catch (const malus::Error& error) {
+    return fail(error.code(), error.what());
+  } catch (const std::bad_alloc&) {
+    return fail(ErrorCode::resource, "out of memory; see `malus check` for what the station needs");
+  } catch (const std::filesystem::filesystem_error& error) {
+    return fail(ErrorCode::input, error.path1().string() + ": " + error.code().message());
+  } catch (const std::system_error& error) {
+    return fail(ErrorCode::resource, std::string("the system refuses: ") + error.what());
+  } catch (const std::exception& error) {
+    return fail(ErrorCode::resource, std::string("stopped by an error of its own, please report it: ") + error.what());
+  }
+}
+
+/// What leaves a thread of a library, or comes while another error is on its way: the last net.
+[[noreturn]] void end_unexpectedly() {
+  std::string what = "stopped by an error of its own, please report it";
+  try {
+    if (std::current_exception()) std::rethrow_exception(std::current_exception());
+  } catch (const std::bad_alloc&) {
+    what = "out of memory; see `malus check` for what the station needs";
+  } catch (const std::exception& error) {
+    what += std::string(": ") + error.what();
+  } catch (...) {
+    what += ": of a type that nobody knows";
+  }
+  std::_Exit(fail(ErrorCode::resource, what));
+}
+
+/// Seconds that a run gets to end after it was told to. Long work looks every half second; a step that writes a large
+/// file on a slow disk takes longer.
+constexpr unsigned seconds_to_end = 30;
+
+void end_at_signals() {
+  const auto interrupt = [](int) {
+    interrupted.store(true);
+    ::alarm(seconds_to_end);
+  };
+  std::signal(SIGINT, interrupt);
+  std::signal(SIGTERM, interrupt);
+  std::signal(SIGALRM, [](int) {
+    constexpr std::string_view message = "malus-station: did not end by itself; finished steps are kept\n";
+    static_cast<void>(!::write(STDERR_FILENO, message.data(), message.size()));
+    std::_Exit(static_cast<int>(ErrorCode::interrupted));
+  });
+  // A file that grows over the limit is an error like a full disk.
+  std::signal(SIGXFSZ, SIG_IGN);
+}
+
+/// OpenBLAS starts threads as it is loaded, before main, and each takes 128 MB; where there is a limit they wait for it
+/// forever, also at the end. It reads this variable only then, so the program starts once more with it.
+void start_without_blas_threads(char** arguments) {
+  if (std::getenv("OPENBLAS_NUM_THREADS") != nullptr) return;
+  ::setenv("OPENBLAS_NUM_THREADS", "1", 0);
+  ::execv("/proc/self/exe", arguments);
+  // Without /proc it goes on as it is.
+}
+
+/// Runs before the constructors of the libraries, which do not say what they lack.
+void require_memory_to_start(int, char**, char**) {
+  constexpr rlim_t least_bytes = rlim_t{256} << 20;
+  rlimit limit{};
+  if (::getrlimit(RLIMIT_AS, &limit) != 0 || limit.rlim_cur >= least_bytes) return;
+  constexpr std::string_view message =
+      "malus-station: out of memory: the limit of address space (ulimit -v) is below 256 MB, which it takes to start\n";
+  static_cast<void>(!::write(STDERR_FILENO, message.data(), message.size()));
+  ::_exit(static_cast<int>(ErrorCode::resource));
+}
+
+[[gnu::section(".preinit_array"), gnu::used]] void (*const first_of_all)(int, char**, char**) = require_memory_to_start;
 
 }  // namespace
 
 int main(int argc, char** argv) {
+  start_without_blas_threads(argv);
+  std::set_terminate(end_unexpectedly);
   Arguments arguments;
   CLI::App app{"Metric surface of a heritage object from polarized images and a coarse surface", "malus-station"};
   app.set_version_flag("--version", std::string("malus-station ") + malus::version);
@@ -137,25 +221,10 @@ int main(int argc, char** argv) {
   } catch (const CLI::Success& success) {
     return app.exit(success);
   } catch (const CLI::ParseError& error) {
-    return fail(static_cast<int>(ErrorCode::input), error.what());
+    return fail(ErrorCode::input, error.what());
   }
 
-  if (arguments.workspace.empty())
-    return fail(static_cast<int>(ErrorCode::input), "--output is empty, expected a folder");
-
-  std::signal(SIGINT, [](int) { interrupted.store(true); });
-  std::signal(SIGTERM, [](int) { interrupted.store(true); });
-  try {
-    run(arguments);
-  } catch (const malus::Error& error) {
-    return fail(static_cast<int>(error.code()), error.what());
-  } catch (const std::bad_alloc&) {
-    return fail(static_cast<int>(ErrorCode::resource), "out of memory");
-  } catch (const std::filesystem::filesystem_error& error) {
-    return fail(static_cast<int>(ErrorCode::input), error.path1().string() + ": " + error.code().message());
-  } catch (const std::exception& error) {
-    return fail(static_cast<int>(ErrorCode::resource),
-                std::string("stopped by an error of its own, please report it: ") + error.what());
-  }
-  return 0;
+  if (arguments.workspace.empty()) return fail(ErrorCode::input, "--output is empty, expected a folder");
+  end_at_signals();
+  return run_or_fail(arguments);
 }

@@ -40,6 +40,7 @@ void bind_io(py::module_& module) {
     return py::make_tuple(size.width, size.height);
   });
   module.def("angles_of_names", &angles_of_names);
+  module.def("angle_of_name", &angle_of_name);
   module.def("write_png",
              [](const std::string& path, const Array<std::uint8_t>& image) { write_png(path, to_image(image)); });
 }

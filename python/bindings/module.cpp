@@ -2,6 +2,8 @@
 
 #include <filesystem>
 #include <new>
+#include <string>
+#include <system_error>
 
 #include "bindings.h"
 #include "malus/core/error.h"
@@ -28,6 +30,14 @@ const char* exception_name(malus::ErrorCode code) {
   return nullptr;
 }
 
+/// Raises one of malus.errors; names of files in the message need not be UTF-8.
+void raise(const char* name, const std::string& message) {
+  const py::object type = py::module_::import("malus.errors").attr(name);
+  const auto text = py::reinterpret_steal<py::object>(
+      PyUnicode_DecodeUTF8(message.data(), static_cast<py::ssize_t>(message.size()), "backslashreplace"));
+  PyErr_SetObject(type.ptr(), text.ptr());
+}
+
 void translate(std::exception_ptr error) {
   try {
     if (error) std::rethrow_exception(error);
@@ -36,12 +46,12 @@ void translate(std::exception_ptr error) {
     if (name == nullptr) {
       PyErr_SetString(PyExc_KeyboardInterrupt, e.what());
     } else {
-      const py::object type = py::module_::import("malus.errors").attr(name);
-      PyErr_SetString(type.ptr(), e.what());
+      raise(name, e.what());
     }
   } catch (const std::filesystem::filesystem_error& e) {
-    const py::object type = py::module_::import("malus.errors").attr("InputError");
-    PyErr_SetString(type.ptr(), (e.path1().string() + ": " + e.code().message()).c_str());
+    raise("InputError", e.path1().string() + ": " + e.code().message());
+  } catch (const std::system_error& e) {
+    raise("ResourceError", std::string("the system refuses: ") + e.what());
   } catch (const std::bad_alloc&) {
     PyErr_SetString(PyExc_MemoryError, "out of memory");
   }

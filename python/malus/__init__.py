@@ -9,18 +9,22 @@ Frames, angles and units: docs/conventions.md. Each step alone, on arrays: `malu
 `malus.stereo`, `malus.prior`, `malus.evidence`, `malus.height`, `malus.fusion`, `malus.surface`, `malus.assess`.
 """
 
-from malus import assess, capture, evidence, fusion, height, photogrammetry, polarization, prior, stereo, surface
-from malus._core import version as __version__
-from malus.camera import Camera
-from malus.errors import DataError, ExternalError, InputError, MalusError, ResourceError
-from malus.exports import export
-from malus.options import Options
-from malus.reconstruction import Progress, check, reconstruct
-from malus.report import open_report, write_report
-from malus.result import Confidence, Result
-from malus.station import Station
-from malus.station_import import import_station
-from malus.workspace import Workspace
+from malus import _memory
+
+_memory.prepare()
+
+from malus import assess, capture, evidence, fusion, height, photogrammetry, polarization, prior, stereo, surface  # noqa: E402
+from malus._core import version as __version__  # noqa: E402
+from malus.camera import Camera  # noqa: E402
+from malus.errors import DataError, ExternalError, InputError, MalusError, ResourceError  # noqa: E402
+from malus.exports import export  # noqa: E402
+from malus.options import Options  # noqa: E402
+from malus.reconstruction import Progress, check, reconstruct  # noqa: E402
+from malus.report import open_report, write_report  # noqa: E402
+from malus.result import Confidence, Result  # noqa: E402
+from malus.station import Station  # noqa: E402
+from malus.station_import import import_station  # noqa: E402
+from malus.workspace import Workspace  # noqa: E402
 
 __all__ = [
     "Camera",

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import errno
+import hashlib
+import json
 import os
 import secrets
-from collections.abc import Iterator
-from contextlib import contextmanager
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from malus.errors import InputError, ResourceError
 
@@ -47,6 +51,36 @@ def replacing(path: Path) -> Iterator[Path]:
 def write_text(path: Path, text: str) -> None:
     """Write a whole text file (UTF-8)."""
     write_bytes(path, text.encode())
+
+
+def write_record(path: Path, record: Mapping[str, Any]) -> None:
+    """Write a JSON object with a checksum, by which `read_record` knows that nobody changed it."""
+    write_text(path, json.dumps({**record, "checksum": _checksum(record)}, indent=1) + "\n")
+
+
+def read_record(path: Path) -> dict[str, Any] | None:
+    """What `write_record` wrote; None if there is none, or not as it was written."""
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not isinstance(record, dict) or record.pop("checksum", None) != _checksum(record):
+        return None
+    return record
+
+
+def _checksum(record: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+
+
+def remove_unfinished(folder: Path, *, older_than_s: float) -> None:
+    """Remove files in a folder that a run which was killed had begun to write. Others may write there: what is younger
+    than that stays.
+    """
+    for path in folder.glob(".*.partial-*"):
+        with suppress(OSError):
+            if time.time() - path.stat().st_mtime > older_than_s:
+                path.unlink()
 
 
 def write_bytes(path: Path, content: bytes) -> None:

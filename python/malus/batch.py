@@ -20,9 +20,9 @@ import jinja2
 
 from malus import _core
 from malus._extra import extra
-from malus._files import write_text
+from malus._files import read_record, remove_unfinished, write_record, write_text
 from malus.campaign import Campaign, Task
-from malus.errors import DataError, ExternalError, InputError, MalusError, ResourceError
+from malus.errors import DataError, ExternalError, InputError, MalusError, ResourceError, ending_of
 from malus.options import Options
 from malus.reconstruction import reconstruct
 from malus.report import write_report
@@ -64,12 +64,11 @@ def run_station(task: Task) -> Outcome:
             write_report(task.workspace)
         outcome["figures"] = _figures(result.quality) if result.quality else {}
         outcome["manifest"] = _manifest(task)  # a result that is not there any more, or another one, is not done
-    except MalusError as error:
-        outcome |= {"status": "failed", "reason": str(error), "exit_code": error.exit_code}
-    except MemoryError:
-        outcome |= {"status": "failed", "reason": "out of memory", "exit_code": ResourceError.exit_code}
+    except Exception as error:  # one station, whatever it is, does not end the others
+        code, reason = ending_of(error)
+        outcome |= {"status": "failed", "reason": reason, "exit_code": code}
     outcome["seconds"] = round(time.monotonic() - started, 3)
-    write_text(task.marker, json.dumps(outcome, indent=1) + "\n")
+    write_record(task.marker, outcome)
     return outcome
 
 
@@ -93,6 +92,8 @@ def run_campaign(
     """
     if jobs < 1:
         raise InputError(f"--jobs {jobs}, expected at least 1")
+    for folder in (Path(output), Path(output) / "done"):
+        remove_unfinished(folder, older_than_s=3600)
     tasks = campaign.tasks(output, threads or max(1, ALL_CORES // jobs))
     mine = tasks if shard is None else tasks[shard[0] - 1 :: shard[1]]
     open_tasks = [task for task in mine if _marker(task).get("status") != "done"]
@@ -150,7 +151,7 @@ def _killed(task: Task, reason: str) -> Outcome:
     """Leaves the marker of a station whose process could not."""
     outcome: Outcome = {"station": task.identifier, "file": task.station, "status": "failed", "reason": reason}
     outcome |= {"exit_code": ResourceError.exit_code, "key": task.key(), "seconds": 0.0}
-    write_text(task.marker, json.dumps(outcome, indent=1) + "\n")
+    write_record(task.marker, outcome)
     return outcome
 
 
@@ -199,12 +200,10 @@ def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[Outcome]:
 def _marker(task: Task) -> Outcome:
     """How a station ended, if that still holds; otherwise pending."""
     pending = {"station": task.identifier, "file": task.station, "status": "pending", "reason": "", "exit_code": 0}
-    try:
-        outcome: Outcome = json.loads(task.marker.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    outcome = read_record(task.marker)
+    if outcome is None or outcome.get("key") != task.key():
         return pending
-    same = isinstance(outcome, dict) and outcome.get("key") == task.key()
-    if not same or (outcome["status"] == "done" and outcome.get("manifest") != _manifest(task)):
+    if outcome["status"] == "done" and outcome.get("manifest") != _manifest(task):
         return pending
     return outcome
 
@@ -237,6 +236,11 @@ def _figures(quality: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def _as_text(value: object) -> object:
+    """A cell that spreadsheet programs do not take for a formula, whatever a station's name or a message begins with."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
+
+
 def _merge(campaign: Campaign, tasks: Sequence[Task], output: Path) -> list[Outcome]:
     """Write the tables and the page over all stations. Nothing in them depends on when or where a station ran."""
     template = jinja2.Environment(
@@ -254,7 +258,7 @@ def _merge(campaign: Campaign, tasks: Sequence[Task], output: Path) -> list[Outc
         table = io.StringIO()
         writer = csv.DictWriter(table, COLUMNS, lineterminator="\n")
         writer.writeheader()
-        writer.writerows(rows)
+        writer.writerows({column: _as_text(value) for column, value in row.items()} for row in rows)
         write_text(output / "campaign.csv", table.getvalue())
         record = {"campaign": campaign.name, "version": _core.version, "stations": rows}
         write_text(output / "campaign.json", json.dumps(record, indent=1) + "\n")

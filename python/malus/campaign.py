@@ -90,7 +90,7 @@ class Campaign:
             content = tomllib.loads(file.read_text(encoding="utf-8"))
         except OSError as error:
             raise InputError(f"{file}: cannot be read ({error.strerror})") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
             raise InputError(f"{file}: is not valid TOML ({error})") from None
         _check_keys(file, content, "")
         table = content.get("campaign")

@@ -7,6 +7,7 @@ import json
 import os
 import sys
 from collections.abc import Sequence
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import malus
 from malus import _core, batch, m3c2
 from malus.campaign import Campaign
 from malus.demo import example_station
-from malus.errors import InputError, MalusError
+from malus.errors import InputError, ending_of
 from malus.exports import FORMATS, MESHES
 from malus.progress import BarProgress, JsonProgress, ProgressView
 from malus.threads import ALL_CORES
@@ -299,35 +300,34 @@ def _run(arguments: Sequence[str] | None) -> None:
         _reconstruct(args, args.station, *STEP_COMMANDS.get(args.command, (None, None))[:2])
 
 
+def _start_with_utf8() -> None:
+    """Start once more if the locale has another coding: names of files are UTF-8 for the C++ library."""
+    if sys.getfilesystemencoding() != "utf-8":
+        os.execv(sys.executable, [sys.executable, "-X", "utf8", *sys.orig_argv[1:]])
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code (docs: INTERFACES; 0, 2, 3, 4, 5 or 130)."""
+    if arguments is None:
+        _start_with_utf8()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # a terminal that has not every sign shall not end a run
+            stream.reconfigure(errors="backslashreplace")
     try:
         _run(arguments)
-    except MalusError as error:
-        print(f"malus: {error}", file=sys.stderr)
-        return error.exit_code
     except KeyboardInterrupt:
         print("malus: interrupted; finished steps are kept and will not be repeated", file=sys.stderr)
         return INTERRUPTED
-    except MemoryError:
-        print("malus: out of memory; see `malus check` for what the station needs", file=sys.stderr)
-        return 5
     except BrokenPipeError:
         # The reader of our output is gone (`malus … | head`); nothing is left to say.
         sys.stderr.close()
         return 0
-    except OSError as error:
-        print(f"malus: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
-        return 5
-    except Exception as error:  # the last net: nobody shall be shown a traceback
+    except Exception as error:
         if "MALUS_TRACEBACK" in os.environ:
             raise
-        print(
-            f"malus: stopped by an error of its own, please report it: {type(error).__name__}: {error}\n"
-            "  (set MALUS_TRACEBACK=1 to see where)",
-            file=sys.stderr,
-        )
-        return 5
+        code, message = ending_of(error)
+        print(f"malus: {message}", file=sys.stderr)
+        return code
     return 0
 
 

@@ -1,5 +1,7 @@
 """Exceptions that a user can cause, and the exit code of each."""
 
+from __future__ import annotations
+
 
 class MalusError(Exception):
     """Base of all errors raised by malus; `exit_code` is what the command line returns for it."""
@@ -29,3 +31,18 @@ class ResourceError(MalusError, OSError):
     """Out of disk or memory."""
 
     exit_code = 5
+
+
+def ending_of(error: Exception) -> tuple[int, str]:
+    """Exit code and message for whatever ends a run: the last net, so that nobody is shown a traceback."""
+    if isinstance(error, MalusError):
+        return error.exit_code, str(error)
+    if isinstance(error, MemoryError):
+        return ResourceError.exit_code, "out of memory; see `malus check` for what the station needs"
+    if isinstance(error, OSError):
+        return ResourceError.exit_code, f"{error.filename or 'a file'}: {error.strerror or error}"
+    return (
+        ResourceError.exit_code,
+        f"stopped by an error of its own, please report it: {type(error).__name__}: {error}\n"
+        "  (set MALUS_TRACEBACK=1 to see where)",
+    )

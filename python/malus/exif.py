@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from PIL import Image, UnidentifiedImageError
+from PIL.JpegImagePlugin import JpegImageFile
+from PIL.PngImagePlugin import PngImageFile
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
 from malus.errors import InputError
@@ -28,26 +31,37 @@ _SAME = 1e-3
 
 
 def tags_of(path: Path) -> dict[int, Any]:
-    """TIFF and EXIF tags of a JPEG, TIFF or TIFF-like RAW file (CR2, NEF, ARW, DNG, PEF); empty where it has none."""
+    """TIFF and EXIF tags of a JPEG, PNG, TIFF or TIFF-like RAW file (CR2, NEF, ARW, DNG, PEF); empty where it has none, and
+    where they are damaged.
+    """
     try:
-        with path.open("rb") as file:
-            header = file.read(8)
-            if header[:4] in (b"II*\0", b"MM\0*"):
-                directory = ImageFileDirectory_v2(header)
-                file.seek(directory.next)
-                directory.load(file)
-                tags = dict(directory)
-                if isinstance(offset := tags.get(_EXIF_IFD), int):
-                    detail = ImageFileDirectory_v2(header)
-                    file.seek(offset)
-                    detail.load(file)
-                    tags |= dict(detail)
-                return tags
-        with Image.open(path) as image:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return _read_tags(path)
+    except Exception:  # Pillow raises nearly every type there is on damaged tags, which are no reason to stop.
+        return {}
+
+
+def _read_tags(path: Path) -> dict[int, Any]:
+    with path.open("rb") as file:
+        header = file.read(8)
+        if header[:4] in (b"II*\0", b"MM\0*"):
+            directory = ImageFileDirectory_v2(header)
+            file.seek(directory.next)
+            directory.load(file)
+            tags = dict(directory)
+            if isinstance(offset := tags.get(_EXIF_IFD), int):
+                detail = ImageFileDirectory_v2(header)
+                file.seek(offset)
+                detail.load(file)
+                tags |= dict(detail)
+            return tags
+        file.seek(0)
+        # Not by Image.open: it tries every format that it knows, and refuses images that are large.
+        kind = JpegImageFile if header.startswith(b"\xff\xd8") else PngImageFile
+        with kind(file) as image:
             exif = image.getexif()
             return dict(exif) | dict(exif.get_ifd(_EXIF_IFD))
-    except (OSError, UnidentifiedImageError, ValueError, SyntaxError, TypeError, KeyError):
-        return {}
 
 
 def require_alike(images: Sequence[Path], *, exposures_differ: bool) -> None:
@@ -62,7 +76,7 @@ def require_alike(images: Sequence[Path], *, exposures_differ: bool) -> None:
             continue
         first: tuple[Path, float] | None = None
         for path, values in zip(images, tags, strict=True):
-            value = _number(values.get(tag))
+            value = number_of(values.get(tag))
             if value is None:
                 continue
             if first is None:
@@ -75,13 +89,15 @@ def require_alike(images: Sequence[Path], *, exposures_differ: bool) -> None:
                 )
 
 
-def _number(value: object) -> float | None:
+def number_of(value: object) -> float | None:
+    """A tag's value, or the first of its values, as a finite number; None if it is none."""
     if isinstance(value, tuple) and value:
         value = value[0]
     try:
-        return float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, ZeroDivisionError):
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
         return None
+    return number if math.isfinite(number) else None
 
 
 def _shown(tag: int, value: float) -> str:

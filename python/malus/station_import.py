@@ -146,7 +146,7 @@ def _numbers(values: Iterable[float]) -> str:
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    return [(int(part), "") if part.isdigit() else (-1, part.lower()) for part in re.split(r"(\d+)", path.name)]
+    return [(int(part), "") if part.isdecimal() else (-1, part.lower()) for part in re.split(r"(\d+)", path.name)]
 
 
 def _images(folder: Path, mask: Path | None) -> list[Path]:
@@ -176,7 +176,7 @@ def _shots(
             )
         return [_Shot(path, angle) for path, angle in zip(images, angles, strict=True)]
     if pattern is not None:
-        return [_Shot(path, _angle_by_pattern(path, pattern)) for path in images]
+        return [_Shot(path, _core.angle_of_name(path, pattern, "--pattern")) for path in images]
     tables = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".csv")
     if table is None and len(tables) == 1:
         table = tables[0]
@@ -205,19 +205,6 @@ def _all_once(shots: list[_Shot], images: list[Path], table: Path) -> list[_Shot
             "expected every image of the folder (move other images elsewhere)"
         )
     return shots
-
-
-def _angle_by_pattern(path: Path, pattern: str) -> float:
-    try:
-        expression = re.compile(pattern)
-    except re.error as error:
-        raise InputError(f"--pattern {pattern!r} is not a regular expression ({error})") from None
-    if expression.groups != 1:
-        raise InputError(f"--pattern {pattern!r}, expected a regular expression with one group that captures the angle")
-    found = expression.search(path.name)
-    if found is None:
-        raise InputError(f"{path}: no angle in its name by the pattern {pattern!r}")
-    return _number(found[1], f"{path}: the angle in its name")
 
 
 def _number(value: object, where: str) -> float:
@@ -314,7 +301,7 @@ def _shots_of_sidecars(folder: Path) -> list[_Shot]:
     for path in sorted(folder.glob("*.json"), key=_natural):
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise InputError(f"{path}: cannot be read as JSON ({error})") from None
         if not isinstance(content, dict):
             continue

@@ -57,7 +57,7 @@ class Workspace:
     @cached_property
     def findings(self) -> list[dict[str, Any]]:
         """What the checks of the inputs concluded, evidence/findings.json."""
-        findings: list[dict[str, Any]] = json.loads(self.path("evidence/findings.json").read_text())
+        findings: list[dict[str, Any]] = json.loads(self.path("evidence/findings.json").read_text(encoding="utf-8"))
         return findings
 
     def path(self, name: str) -> Path:

@@ -15,4 +15,8 @@ namespace malus {
 std::vector<double> angles_of_names(const std::vector<std::filesystem::path>& files, const std::string& where,
                                     const std::string& instead);
 
+/// Angle in degrees in a file's name: what the one group of `pattern`, a regular expression (RE2) searched in the file
+/// name, captures. Throws ErrorCode::input, naming `where`, when the pattern is not usable or does not match.
+double angle_of_name(const std::filesystem::path& file, const std::string& pattern, const std::string& where);
+
 }  // namespace malus

@@ -8,14 +8,18 @@
 #include <system_error>
 #include <utility>
 
+#include "malus/io/utf8_name_internal.h"
+
 namespace malus {
 namespace {
+
+constexpr std::string_view mark = ".partial-";
 
 std::filesystem::path temporary_name(const std::filesystem::path& path) {
   static std::atomic<unsigned> counter{0};
   std::filesystem::path name(".");
   name += path.filename();
-  name += ".partial-" + std::to_string(::getpid()) + "-" + std::to_string(counter.fetch_add(1));
+  name += std::string(mark) + std::to_string(::getpid()) + "-" + std::to_string(counter.fetch_add(1));
   return path.parent_path() / name;
 }
 
@@ -57,6 +61,11 @@ Error file_error(const std::string& action, const std::filesystem::path& path, i
     default:
       return input_error(message);
   }
+}
+
+bool is_unfinished(const std::filesystem::path& path) {
+  const std::string name = path.filename().string();
+  return name.starts_with('.') && name.find(mark) != std::string::npos;
 }
 
 AtomicFile::AtomicFile(std::filesystem::path path) : path_(std::move(path)), temporary_(temporary_name(path_)) {
@@ -104,6 +113,7 @@ void write_file(const std::filesystem::path& path, std::string_view bytes) {
 }
 
 void create_folder(const std::filesystem::path& folder) {
+  require_utf8(folder, "folder");
   std::error_code error;
   std::filesystem::create_directories(folder, error);
   if (error) throw file_error("cannot create folder", folder, error.value());

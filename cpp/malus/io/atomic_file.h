@@ -42,6 +42,9 @@ class AtomicFile {
 /// Writes a whole file atomically.
 void write_file(const std::filesystem::path& path, std::string_view bytes);
 
+/// Whether this is the temporary name of a file that an AtomicFile, or its like in Python, has begun.
+bool is_unfinished(const std::filesystem::path& path);
+
 /// Creates a folder and its parents; an existing one is fine. Throws ErrorCode::input when it cannot be (a file is in
 /// the way, no permission) or is not writable, ErrorCode::resource when the disk is full.
 void create_folder(const std::filesystem::path& folder);

@@ -8,6 +8,8 @@
 #include <cstring>
 #include <system_error>
 
+#include "malus/io/utf8_name_internal.h"
+
 namespace malus {
 namespace {
 
@@ -17,6 +19,7 @@ constexpr std::size_t longest_line = 1 << 26;
 }  // namespace
 
 std::uint64_t require_file(const std::filesystem::path& path, const std::string& what) {
+  require_utf8(path, what);
   const std::string name = what + " " + path.string();
   std::error_code error;
   const auto status = std::filesystem::status(path, error);

@@ -1,4 +1,4 @@
-#include <glob.h>
+#include <re2/re2.h>
 
 #include <algorithm>
 #include <array>
@@ -6,12 +6,12 @@
 #include <charconv>
 #include <cmath>
 #include <optional>
-#include <regex>
 #include <set>
 #include <span>
 
 #include "malus/core/error.h"
 #include "malus/io/angles_of_names.h"
+#include "malus/io/file_glob_internal.h"
 #include "malus/io/image_file.h"
 #include "malus/io/polarized_files_internal.h"
 
@@ -47,24 +47,12 @@ bool is_image_name(const std::filesystem::path& path) {
   return has_extension(path, extensions) || is_raw_name(path);
 }
 
-/// The text as a glob that matches only itself.
-std::string without_wildcards(const std::string& text) {
-  std::string pattern;
-  for (const char c : text) {
-    if (c == '*' || c == '?' || c == '[' || c == '\\') pattern += '\\';
-    pattern += c;
-  }
-  return pattern;
-}
-
-std::vector<std::filesystem::path> match(const std::string& pattern) {
-  std::vector<std::filesystem::path> files;
-  glob_t matches{};
-  if (::glob(pattern.c_str(), 0, nullptr, &matches) == 0) {
-    for (std::size_t i = 0; i < matches.gl_pathc; ++i) files.emplace_back(matches.gl_pathv[i]);
-  }
-  ::globfree(&matches);
-  return files;
+/// Names are bytes, whatever their coding. Time and memory of a search are bounded (std::regex has neither bound).
+re2::RE2::Options by_bytes(bool any_case) {
+  re2::RE2::Options options(re2::RE2::Latin1);
+  options.set_case_sensitive(!any_case);
+  options.set_log_errors(false);
+  return options;
 }
 
 std::optional<double> number_of(const std::string& text) {
@@ -79,22 +67,26 @@ enum class AnglePlace { behind_word, before_word, last_in_folder };
 
 std::optional<double> angle_at(AnglePlace place, const std::filesystem::path& file) {
   static const std::string number = R"((\d+(?:\.\d+)?))";
-  static const std::regex behind_word(
-      "(?:^|[^a-z])(?:pol|polari[sz]er|polari[sz]ation|angle|ang|deg|rot)[ _.=-]*" + number, std::regex::icase);
-  static const std::regex before_word(number + "[ _-]*(?:deg|°)", std::regex::icase);
-  static const std::regex last_number(number + R"(\D*$)");
-  static const std::regex folder_word("(?:^|[^a-z])(?:pol|polari[sz]e[rd]|polari[sz]ation|angles?)", std::regex::icase);
+  static const re2::RE2 behind_word(
+      "(?:^|[^a-z])(?:pol|polari[sz]er|polari[sz]ation|angle|ang|deg|rot)[ _.=-]*" + number, by_bytes(true));
+  static const re2::RE2 before_word(number + "[ _-]*(?:deg|°)", by_bytes(true));
+  static const re2::RE2 last_number(number + R"(\D*$)", by_bytes(true));
+  static const re2::RE2 folder_word("(?:^|[^a-z])(?:pol|polari[sz]e[rd]|polari[sz]ation|angles?)", by_bytes(true));
   const std::string name = file.stem().string();
+  std::string digits;
   if (place == AnglePlace::last_in_folder) {
     const std::string folder = file.parent_path().filename().string();
-    std::smatch match;
-    if (!std::regex_search(folder, folder_word) || !std::regex_search(name, match, last_number)) return std::nullopt;
-    return number_of(match[1].str());
+    if (!re2::RE2::PartialMatch(folder, folder_word) || !re2::RE2::PartialMatch(name, last_number, &digits))
+      return std::nullopt;
+    return number_of(digits);
   }
   std::optional<double> angle;
-  const std::regex& marked = place == AnglePlace::behind_word ? behind_word : before_word;
-  for (std::sregex_iterator match(name.begin(), name.end(), marked), none; match != none; ++match)
-    angle = number_of((*match)[1].str());
+  const re2::RE2& marked = place == AnglePlace::behind_word ? behind_word : before_word;
+  std::array<re2::StringPiece, 2> found;
+  for (std::size_t begin = 0; marked.Match(name, begin, name.size(), re2::RE2::UNANCHORED, found.data(), 2);) {
+    angle = number_of(std::string(found[1]));
+    begin = static_cast<std::size_t>(found[0].end() - name.data());
+  }
   return angle;
 }
 
@@ -148,7 +140,8 @@ bool natural_less(std::string_view a, std::string_view b) {
   return whole_a < whole_b;
 }
 
-std::vector<std::filesystem::path> list_images(const std::filesystem::path& base, const std::string& folder_or_glob) {
+std::vector<std::filesystem::path> list_images(const std::filesystem::path& base, const std::string& folder_or_glob,
+                                               const std::string& where) {
   std::vector<std::filesystem::path> files;
   const std::filesystem::path folder = (base / folder_or_glob).lexically_normal();
   if (std::filesystem::is_directory(folder)) {
@@ -158,10 +151,8 @@ std::vector<std::filesystem::path> list_images(const std::filesystem::path& base
     // Cameras write RAW and JPEG side by side: the RAW files are the linear ones.
     if (std::ranges::any_of(files, is_raw_name))
       std::erase_if(files, [](const auto& file) { return !is_raw_name(file); });
-  } else if (std::filesystem::path(folder_or_glob).is_absolute()) {
-    files = match(folder_or_glob);
   } else {
-    files = match(without_wildcards(base.string()) + "/" + folder_or_glob);
+    files = match_files(base, folder_or_glob, where);
   }
   std::sort(files.begin(), files.end(),
             [](const auto& a, const auto& b) { return natural_less(a.string(), b.string()); });
@@ -169,21 +160,22 @@ std::vector<std::filesystem::path> list_images(const std::filesystem::path& base
 }
 
 double angle_of_name(const std::filesystem::path& file, const std::string& pattern, const std::string& where) {
-  const std::string name = file.filename().string();
-  std::smatch match;
-  try {
-    const std::regex expression(pattern);
-    if (expression.mark_count() != 1) {
-      throw input_error(where + " = \"" + pattern +
-                        "\", expected a regular expression with one group that captures the angle");
-    }
-    std::regex_search(name, match, expression);
-  } catch (const std::regex_error& error) {
-    throw input_error(where + " = \"" + pattern + "\" is not a regular expression (" + error.what() + ")");
+  constexpr std::size_t longest_shown = 200;
+  std::string shown = where;
+  shown.append(" = \"").append(pattern, 0, longest_shown).append(pattern.size() > longest_shown ? "…\"" : "\"");
+  const re2::RE2 expression(pattern, by_bytes(false));
+  if (!expression.ok()) {
+    throw input_error(shown + " is not a regular expression of RE2's kind (" +
+                      expression.error().substr(0, longest_shown) + ")");
   }
-  const std::optional<double> angle = number_of(match.empty() ? std::string() : match[1].str());
+  if (expression.NumberOfCapturingGroups() != 1) {
+    throw input_error(shown + ", expected a regular expression with one group that captures the angle");
+  }
+  std::string digits;
+  re2::RE2::PartialMatch(file.filename().string(), expression, &digits);
+  const std::optional<double> angle = number_of(digits);
   if (!angle) {
-    throw input_error(where + ": no angle in the name of " + file.string() + " by the pattern \"" + pattern + "\"");
+    throw input_error(shown + " finds no angle in the name of " + file.string());
   }
   return *angle;
 }

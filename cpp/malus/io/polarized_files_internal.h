@@ -1,6 +1,6 @@
 #pragma once
 
-// Private to the io room: which files a folder or glob in [polarized].images stands for, and patterns for their names.
+// Private to the io room: which files a folder or glob in [polarized].images stands for.
 
 #include <filesystem>
 #include <string>
@@ -13,11 +13,8 @@ namespace malus {
 bool natural_less(std::string_view a, std::string_view b);
 
 /// Image files of a folder (of RAW files and others side by side the RAW files), or the files a glob (*, ?, […])
-/// matches, in natural order. `folder_or_glob` starts at `base`.
-std::vector<std::filesystem::path> list_images(const std::filesystem::path& base, const std::string& folder_or_glob);
-
-/// Angle in degrees in a file's name: what the one group of `pattern`, a regular expression (ECMAScript) searched in
-/// the file name, captures. Throws ErrorCode::input, naming `where`, when the pattern is not usable or does not match.
-double angle_of_name(const std::filesystem::path& file, const std::string& pattern, const std::string& where);
+/// matches, in natural order. `folder_or_glob` starts at `base`; `where` names the field in messages.
+std::vector<std::filesystem::path> list_images(const std::filesystem::path& base, const std::string& folder_or_glob,
+                                               const std::string& where);
 
 }  // namespace malus

@@ -94,12 +94,17 @@ std::vector<std::filesystem::path> read_image_list(const TomlTable& table) {
   std::vector<std::filesystem::path> images;
   if (const toml::node* node = table.find("images"); node && node->is_string()) {
     const std::string place = *table.text("images");
-    images = list_images(table.file().parent_path(), place);
+    images = list_images(table.file().parent_path(), place, table.where("images"));
     if (images.empty()) throw table.wrong("images", "a folder with images, or a pattern that matches files");
   } else {
     const auto names =
         table.required(table.texts("images"), "images", "a list of files, a folder or a pattern like \"pol/*.png\"");
     for (const std::string& name : names) images.push_back(table.resolve(name));
+  }
+  constexpr std::size_t most_images = 1000;
+  if (images.size() > most_images) {
+    throw table.error("images", "are " + std::to_string(images.size()) + ", expected at most " +
+                                    std::to_string(most_images) + " of one station");
   }
   std::set<std::filesystem::path> seen;
   for (const auto& image : images) {

@@ -24,6 +24,7 @@ using Json = Workspace::Json;
 using SortedJson = nlohmann::json;
 
 constexpr int manifest_format = 2;
+constexpr int deepest_level = 100;
 constexpr std::array<std::string_view, 5> reserved_names{"format", "inputs", "station", "steps", "times"};
 
 /// Held as long as the object lives; the system drops it when the process dies.
@@ -100,6 +101,12 @@ struct Entry {
   }
 };
 
+/// Ends the parser at a depth that no manifest has: copying a document calls itself once a level.
+bool require_shallow(int depth, SortedJson::parse_event_t, SortedJson&) {
+  if (depth > deepest_level) throw std::invalid_argument("depth");
+  return true;
+}
+
 struct Manifest {
   SortedJson info = SortedJson::object(), station;
   std::map<std::string, Entry, std::less<>> steps;
@@ -139,7 +146,7 @@ struct Manifest {
     };
     if (fs::is_regular_file(path) && fs::is_empty(path)) throw damaged();
     try {
-      return from_json(SortedJson::parse(read_file(path, "manifest")));
+      return from_json(SortedJson::parse(read_file(path, "manifest"), require_shallow));
     } catch (const SortedJson::exception&) {
       throw damaged();
     } catch (const std::invalid_argument&) {
@@ -153,6 +160,18 @@ bool has_files(const fs::path& folder) {
   return std::ranges::any_of(fs::directory_iterator(folder), [](const fs::directory_entry& entry) {
     return !entry.path().filename().string().starts_with(".");
   });
+}
+
+/// Removes files that a run which was killed had begun to write; the folder's lock is held.
+void remove_unfinished(const fs::path& folder) {
+  std::error_code error;
+  constexpr auto options = fs::directory_options::skip_permission_denied;
+  for (fs::recursive_directory_iterator entry(folder, options, error), end; !error && entry != end;
+       entry.increment(error)) {
+    const fs::path& path = entry->path();
+    std::error_code ignored;
+    if (is_unfinished(path)) fs::remove(path, ignored);
+  }
 }
 
 SortedJson to_json(const Workspace::Owner& owner, const fs::path& folder) {
@@ -190,6 +209,7 @@ Workspace::Workspace(const fs::path& given_folder, const Owner& owner, bool repl
                       (folder / "work").string());
   }
   state_ = std::make_unique<State>(folder);
+  remove_unfinished(folder);
   Manifest& manifest = state_->manifest;
   if (exists) {
     try {

@@ -4,7 +4,8 @@ namespace malus {
 
 /// While one lives, OpenBLAS and the OpenMP loops that CHOLMOD starts from the calling thread run on that thread alone.
 /// Their own threads would fight with ours for the cores and spin while they wait (measured: twice the processor time,
-/// for no gain), and their number would show in the last digits of the results.
+/// for no gain), and their number would show in the last digits of the results. Throws ErrorCode::resource when there
+/// is no memory for OpenBLAS to work in, for which it would wait forever.
 class SequentialBlas {
  public:
   SequentialBlas();

@@ -11,6 +11,7 @@
 
 #include "malus/core/error.h"
 #include "malus/core/robust_spread.h"
+#include "malus/linalg/sequential_blas.h"
 
 namespace malus {
 namespace {
@@ -211,6 +212,7 @@ void find_lens_sigmas(ceres::Problem& problem, Bundle& bundle, double factor, in
   ceres::Covariance::Options options;
   options.num_threads = threads;
   options.sparse_linear_algebra_library_type = ceres::SUITE_SPARSE;
+  const SequentialBlas sequential;
   ceres::Covariance covariance(options);
   // Without a result the lens is not determined by the photos; no standard deviation says so.
   if (!covariance.Compute(blocks, &problem)) return;

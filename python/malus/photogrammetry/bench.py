@@ -73,7 +73,7 @@ class Bench:
     def extract_features(self, stage: str, target: Path, names: list[str], reader: dict[str, object]) -> None:
         """Find the features of images that share one camera, which `reader` (ImageReader.*) describes."""
         names_file = self.folder / f"{stage}_names.txt"
-        names_file.write_text("".join(f"{database.quoted(name)}\n" for name in names))
+        names_file.write_text("".join(f"{database.quoted(name)}\n" for name in names), encoding="utf-8")
         photos = self.options.photos
         self.colmap.run(
             "feature_extractor",
@@ -131,7 +131,7 @@ class Bench:
         database.write_matches(target, pairs, found)
         pairs_file = self.folder / f"{stage}_pairs.txt"
         lines = (f"{database.quoted(first)} {database.quoted(second)}\n" for first, second in pairs)
-        pairs_file.write_text("".join(lines))
+        pairs_file.write_text("".join(lines), encoding="utf-8")
         self.report(stage, 0.5, "verifying matches")
         self.colmap.run(
             "matches_importer",

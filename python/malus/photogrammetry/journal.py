@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from malus import _core
-from malus._files import write_text
+from malus._files import read_record, write_record
 from malus.photogrammetry import database
 
 Log = Callable[[str, str], None]
@@ -63,7 +63,7 @@ class Journal:
         )
         self._previous = key = hashlib.sha256(text.encode()).hexdigest()
         mark = self._marks / f"{name}.json"
-        done = self._read(mark)
+        done = read_record(mark) or {}
         if done.get("key") == key and done.get("outputs") == self._states(outputs):
             for warning in done["warnings"]:
                 self._log("warning", warning)
@@ -81,7 +81,7 @@ class Journal:
                 "warnings": self._warnings,
                 "seconds": round(time.monotonic() - start, 2),
             }
-            write_text(mark, json.dumps(done, indent=1))
+            write_record(mark, done)
         self.seconds[name] = done["seconds"]
         kept: dict[str, Any] = done["notes"]
         return kept
@@ -96,14 +96,6 @@ class Journal:
                     state = sha256_of(file) if file.suffix == ".tif" else file.stat().st_size
                     states[str(file.relative_to(self.folder))] = state
         return states
-
-    @staticmethod
-    def _read(mark: Path) -> dict[str, Any]:
-        try:
-            content = json.loads(mark.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return {}
-        return content if isinstance(content, dict) else {}
 
     @staticmethod
     def _remove(path: Path) -> None:

@@ -11,15 +11,17 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import ExifTags, Image, UnidentifiedImageError
+from PIL import ExifTags
 
 from malus import _core
 from malus.errors import InputError, MalusError
+from malus.exif import number_of, tags_of
 
+_MOST_NAMES = 100_000
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff"})
 #: Diagonal of the 36 × 24 mm frame to which 35-mm-equivalent focal lengths refer.
 _FULL_FRAME_DIAGONAL_MM = 43.27
-_MM_PER_RESOLUTION_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
+_MM_PER_RESOLUTION_UNIT: dict[float, float] = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 
 
 @dataclass(frozen=True)
@@ -43,37 +45,29 @@ class Photo:
 
 
 def _natural(name: str) -> list[tuple[int, str]]:
-    return [(int(part), "") if part.isdigit() else (-1, part.lower()) for part in re.split(r"(\d+)", name)]
+    return [(int(part), "") if part.isdecimal() else (-1, part.lower()) for part in re.split(r"(\d+)", name)]
 
 
-def _number(value: object) -> float | None:
-    try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, ZeroDivisionError):
-        return None
-    return number if math.isfinite(number) and number > 0 else None
+def _positive(value: object) -> float | None:
+    number = number_of(value)
+    return number if number is not None and number > 0 else None
 
 
 def _exif(path: Path, width: int, height: int) -> tuple[str, float | None]:
     """Camera and lens, and the focal length in pixels, as far as the file says."""
-    try:
-        with Image.open(path) as image:
-            exif = image.getexif()
-            detail = exif.get_ifd(ExifTags.IFD.Exif)
-    except (OSError, UnidentifiedImageError, ValueError, SyntaxError):
-        return "", None
+    said = tags_of(path)
     tags = ExifTags.Base
-    names = [exif.get(tags.Make), exif.get(tags.Model), detail.get(tags.LensModel)]
+    names = [said.get(tags.Make), said.get(tags.Model), said.get(tags.LensModel)]
     maker = " ".join(str(name).strip("\x00 ") for name in names if name)
-    focal_mm = _number(detail.get(tags.FocalLength))
-    resolution = _number(detail.get(tags.FocalPlaneXResolution))
-    unit = _MM_PER_RESOLUTION_UNIT.get(int(detail.get(tags.FocalPlaneResolutionUnit, 2) or 2), 25.4)
-    written = _number(detail.get(tags.ExifImageWidth))
+    focal_mm = _positive(said.get(tags.FocalLength))
+    resolution = _positive(said.get(tags.FocalPlaneXResolution))
+    unit = _MM_PER_RESOLUTION_UNIT.get(number_of(said.get(tags.FocalPlaneResolutionUnit)) or 2, 25.4)
+    written = _positive(said.get(tags.ExifImageWidth))
     if focal_mm and resolution:
         # The resolution refers to the image as the camera wrote it.
-        scale = max(width, height) / max(written or width, _number(detail.get(tags.ExifImageHeight)) or height)
+        scale = max(width, height) / max(written or width, _positive(said.get(tags.ExifImageHeight)) or height)
         return maker, focal_mm * resolution / unit * scale
-    equivalent = _number(detail.get(tags.FocalLengthIn35mmFilm))
+    equivalent = _positive(said.get(tags.FocalLengthIn35mmFilm))
     if equivalent:
         return maker, equivalent / _FULL_FRAME_DIAGONAL_MM * math.hypot(width, height)
     return maker, None
@@ -90,10 +84,19 @@ def list_photos(folder: Path, exclude: Sequence[str]) -> list[Photo]:
     """The photos below a folder in natural order of their names (PNG, TIFF, JPEG), without those whose name or path
     below the folder matches a pattern of `exclude`.
 
-    Raises InputError for a pattern that matches none of the files, and for files that are not readable images.
+    Raises InputError for a pattern that matches none of the files, for files that are not readable images, and for a
+    folder with more in it than a station can have.
     """
-    files = [p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES and p.is_file()]
-    names = {p.relative_to(folder).as_posix(): p for p in files if not any(q.startswith(".") for q in p.parts)}
+    names = {}
+    for count, path in enumerate(folder.rglob("*")):
+        if count == _MOST_NAMES:
+            raise InputError(
+                f'[photos] folder = "{folder}" has more than {_MOST_NAMES} files and folders, expected the photos of one station'
+            )
+        below = path.relative_to(folder)
+        hidden = any(part.startswith(".") for part in below.parts)
+        if not hidden and path.suffix.lower() in SUFFIXES and path.is_file():
+            names[below.as_posix()] = path
     for pattern in exclude:
         if not any(_matches(name, pattern) for name in names):
             raise InputError(f'[photos] exclude = ["{pattern}"]: no photo in {folder} has that name')

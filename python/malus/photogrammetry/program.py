@@ -63,7 +63,12 @@ class Colmap:
         name = PACKAGE if self.backend == PACKAGE else self._start[0]
         try:
             answer = subprocess.run(
-                [*self._start, "help"], capture_output=True, text=True, timeout=60, env=self._environment()
+                [*self._start, "help"],
+                capture_output=True,
+                encoding="utf-8",
+                errors="replace",
+                timeout=60,
+                env=self._environment(),
             )
         except (OSError, subprocess.TimeoutExpired) as error:
             raise ExternalError(f"{name} does not start: {error}") from None

@@ -1,0 +1,231 @@
+"""Whatever the machine refuses and whatever files strangers name: an exit code of the table, a message, nothing that looks finished."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import resource
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from conftest import Outcome, edit, half_written, malus, malus_station
+from malus._files import read_record, replacing, write_record
+from malus.batch import _as_text
+from malus.exif import tags_of
+from malus.photogrammetry.photos import describe_photo, list_photos
+
+MB = 1 << 20
+
+
+def limited(kind: int, value: int) -> dict[str, Callable[[], None]]:
+    """For run_program: the process gets at most so much."""
+    return {"preexec_fn": lambda: resource.setrlimit(kind, (value, value))}
+
+
+def run_both(*arguments: str | Path) -> list[Outcome]:
+    return [malus("run", *arguments), malus_station(*arguments)]
+
+
+@pytest.mark.parametrize("limit_mb", [150, 256, 320, 400, 480])
+def test_a_limit_of_address_space_ends_a_run_and_the_next_one_finishes(
+    small_station: Path, tmp_path: Path, limit_mb: int
+) -> None:
+    """OpenBLAS asks for its buffers forever when the system refuses, deaf to signals."""
+    arguments = (small_station, "-o", tmp_path / "work", "--fusion", "grid", "--until", "prior", "--quiet")
+    outcome = malus_station(*arguments, **limited(resource.RLIMIT_AS, limit_mb * MB))
+    assert outcome.code in (0, 5), outcome
+    assert outcome.code == 0 or "memory" in outcome.err
+    assert not half_written(tmp_path)
+    assert malus_station(*arguments).code == 0
+
+
+def test_too_little_memory_to_start_is_said(small_station: Path) -> None:
+    outcome = malus("check", small_station, **limited(resource.RLIMIT_AS, 300 * MB))
+    assert (outcome.code, outcome.err.count("\n")) == (5, 1)
+    assert "300 MB" in outcome.err
+
+
+def test_files_over_the_limit_of_size_are_like_a_full_disk(small_station: Path, tmp_path: Path) -> None:
+    arguments = (small_station, "-o", tmp_path / "work", "--until", "polarization", "--quiet")
+    outcome = malus_station(*arguments, **limited(resource.RLIMIT_FSIZE, 20_000))
+    assert outcome.code == 5
+    assert "File too large" in outcome.err
+    assert not half_written(tmp_path)
+
+
+def test_what_a_killed_run_had_begun_to_write_is_removed_by_the_next(small_station: Path, tmp_path: Path) -> None:
+    for name in (".depth.tif.partial-1-2", "fused/.surface.partial-0a1b.ply"):
+        path = tmp_path / "work" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"half")
+    (tmp_path / "work/fused").rename(tmp_path / "fused")
+    arguments = (small_station, "-o", tmp_path / "work", "--until", "polarization", "--quiet")
+    assert malus_station(*arguments).code == 0
+    (tmp_path / "fused").rename(tmp_path / "work/fused")
+    assert malus_station(*arguments).code == 0
+    assert not half_written(tmp_path)
+
+
+def test_both_writers_name_unfinished_files_alike(tmp_path: Path) -> None:
+    with replacing(tmp_path / "page.html") as temporary:
+        temporary.write_text("x")
+        assert half_written(tmp_path) == [temporary]
+
+
+def test_a_run_that_does_not_end_by_itself_is_ended(small_station: Path, tmp_path: Path) -> None:
+    """SIGALRM is what the program sends itself some time after SIGTERM."""
+    program = Path(os.environ.get("MALUS_STATION", Path(__file__).parents[2] / "build/malus-station"))
+    if not program.exists():
+        pytest.skip(f"{program} is not built")
+    run = subprocess.Popen([program, small_station, "-o", tmp_path / "work"], stderr=subprocess.PIPE, text=True)
+    while not (tmp_path / "work/manifest.json").exists():
+        time.sleep(0.01)
+    run.send_signal(signal.SIGALRM)
+    _, err = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert "did not end by itself" in err
+
+
+@pytest.mark.parametrize("pattern", ["/*/*/../*/../*/../*/../*", "*/../*/../*/../*/../*/../*/../*/../*"])
+def test_patterns_that_go_through_the_whole_disk_end_soon(small_station: Path, tmp_path: Path, pattern: str) -> None:
+    text = small_station.read_text()
+    begin, end = text.index("images = ["), text.index("angles_deg")
+    small_station.write_text(text[:begin] + f'images = "{pattern}"\n' + text[end:])
+    for index in range(20):
+        (small_station.parent / f"folder{index}").mkdir()
+    for outcome in run_both(small_station, "-o", tmp_path / "work", "--quiet"):
+        assert outcome.code == 2
+        assert "[polarized].images" in outcome.err
+
+
+@pytest.mark.parametrize("pattern", ["(" * 100_000, r"(\\d+)" + "a?" * 100_000, r"(a*)*(\\1)" * 1000])
+def test_patterns_that_overflow_a_parser_are_refused(small_station: Path, tmp_path: Path, pattern: str) -> None:
+    text = small_station.read_text()
+    begin, end = text.index("images = ["), text.index("frames_averaged")
+    small_station.write_text(text[:begin] + f'images = "pol"\nangle_pattern = "{pattern}"\n' + text[end:])
+    for outcome in run_both(small_station, "-o", tmp_path / "work", "--quiet"):
+        assert outcome.code == 2
+        assert "angle_pattern" in outcome.err
+        assert len(outcome.err) < 2000
+
+
+def test_thousands_of_images_are_answered_soon(small_station: Path, tmp_path: Path) -> None:
+    text = small_station.read_text()
+    begin, end = text.index("images = ["), text.index("frames_averaged")
+    small_station.write_text(text[:begin] + 'images = "many"\nangles_deg = "auto"\n' + text[end:])
+    (small_station.parent / "many").mkdir()
+    for index in range(10_000):
+        (small_station.parent / f"many/{index}.png").touch()
+    for outcome in run_both(small_station, "-o", tmp_path / "work", "--quiet"):
+        assert (outcome.code, "at most 1000" in outcome.err) == (2, True), outcome
+
+
+def test_names_that_are_not_utf8_are_refused(small_station: Path, tmp_path: Path) -> None:
+    odd = Path(os.fsdecode(bytes(tmp_path) + b"/\xff\xe4"))
+    try:
+        small_station.parent.rename(odd)
+    except OSError:
+        pytest.skip("this file system has UTF-8 names only")
+    for outcome in run_both(odd / "station.toml", "-o", tmp_path / "work", "--quiet"):
+        assert (outcome.code, "UTF-8" in outcome.err) == (2, True), outcome
+    odd.rename(tmp_path / "right")
+    for outcome in run_both(tmp_path / "right/station.toml", "-o", odd, "--quiet"):
+        assert (outcome.code, "UTF-8" in outcome.err) == (2, True), outcome
+
+
+@pytest.mark.parametrize("what", ["deep", "notes"])
+def test_a_damaged_manifest_is_said(small_station: Path, tmp_path: Path, what: str) -> None:
+    arguments = (small_station, "-o", tmp_path / "work", "--until", "polarization", "--quiet")
+    assert malus_station(*arguments).code == 0
+    path = tmp_path / "work/manifest.json"
+    if what == "deep":
+        path.write_text('{"format": ' + "[" * 200_000 + "]" * 200_000 + "}")
+        for outcome in run_both(*arguments):
+            assert (outcome.code, "manifest.json is damaged" in outcome.err) == (2, True), outcome
+        return
+    notes = path.read_text()
+    assert '"warnings": []' in notes
+    path.write_text(notes.replace('"warnings": []', '"warnings": ""'))
+    outcome = malus_station(*arguments)
+    assert (outcome.code, "manifest.json" in outcome.err) == (2, True), outcome
+
+
+def test_another_coding_of_the_system_garbles_nothing(small_station: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "größe"
+    small_station.parent.rename(folder)
+    system = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    outcome = malus("check", folder / "station.toml", env=system)
+    assert outcome.code == 0, outcome.err
+
+
+def test_damaged_tags_are_no_tags(tmp_path: Path) -> None:
+    for content in (b"II*\0", b"II*\0\x08", b"MM\0*\0\0\0\x08\xff\xff", b"\xff\xd8", b"\x89PNG", b""):
+        (tmp_path / "image").write_bytes(content)
+        assert tags_of(tmp_path / "image") == {}
+
+
+def photo(path: Path, resolution_unit: object = 2) -> None:
+    exif = Image.Exif()
+    exif[271] = "Maker"
+    exif.get_ifd(34665).update({37386: 50.0, 41486: 1000.0, 41488: resolution_unit})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.zeros((30, 40), np.uint8)).save(path, exif=exif)
+
+
+@pytest.mark.parametrize("unit", [2, 77, (1, 2), "cm"])
+def test_an_odd_unit_of_resolution_is_inches(tmp_path: Path, unit: object) -> None:
+    photo(tmp_path / "a.jpg", unit)
+    focal_px = describe_photo(tmp_path / "a.jpg", "a.jpg").focal_px
+    # (1, 2): the first of two values, which says that there is no unit.
+    assert focal_px == pytest.approx(50 * 1000 / 25.4)
+
+
+def test_tags_of_images_larger_than_pillow_opens(tmp_path: Path) -> None:
+    Image.MAX_IMAGE_PIXELS, before = 100, Image.MAX_IMAGE_PIXELS
+    try:
+        photo(tmp_path / "a.jpg")
+        assert tags_of(tmp_path / "a.jpg")[271] == "Maker"
+    finally:
+        Image.MAX_IMAGE_PIXELS = before
+
+
+def test_photos_below_a_hidden_folder_are_listed(tmp_path: Path) -> None:
+    folder = tmp_path / ".archive" / "views"
+    for name in ("1²2.jpg", "10.jpg", ".thumbnail.jpg", ".cache/9.jpg"):
+        photo(folder / name)
+    assert [photo.name for photo in list_photos(folder, [])] == ["1²2.jpg", "10.jpg"]
+
+
+def test_cells_of_tables_are_no_formulas() -> None:
+    assert [_as_text(text) for text in ("=1+1", "@x", "-2", "a=b", -2.0)] == ["'=1+1", "'@x", "'-2", "a=b", -2.0]
+
+
+def test_a_station_named_like_a_formula_is_text_in_the_table(small_station: Path, tmp_path: Path) -> None:
+    edit(small_station, 'name = "small"', 'name = "=HYPERLINK(1)"')
+    (tmp_path / "campaign.toml").write_text(
+        '[campaign]\nstations = ["station/station.toml"]\nreport = false\n[options]\nfusion = "grid"\n'
+    )
+    assert malus("batch", tmp_path / "campaign.toml", "-o", tmp_path / "out", "--quiet").code == 0
+    with (tmp_path / "out/campaign.csv").open(newline="") as file:
+        assert next(csv.DictReader(file))["name"] == "'=HYPERLINK(1)"
+    marker = next((tmp_path / "out/done").iterdir())
+    assert read_record(marker) is not None
+    edit(marker, '"coverage": ', '"coverage": 1')
+    assert read_record(marker) is None, "edited"
+
+
+def test_records_are_read_as_they_were_written_only(tmp_path: Path) -> None:
+    path = tmp_path / "record.json"
+    write_record(path, {"a": [1, 2.5], "b": None})
+    assert read_record(path) == {"a": [1, 2.5], "b": None}
+    for content in ("", "[]", "[" * 200_000, json.dumps({"a": 1}), path.read_text().replace("2.5", "3.5")):
+        path.write_text(content)
+        assert read_record(path) is None
