@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus import _core, exif, photogrammetry, raw, scans
+from malus._files import require_utf8
 from malus.camera import Camera
 from malus.options import Options
 from malus.station import Station
@@ -103,6 +104,9 @@ def reconstruct(
             log,
         )
 
+    for path in (workspace, reference):
+        if path is not None:
+            require_utf8(path)
     if workspace is not None:
         _core.claim_workspace(str(workspace), station._core, replace)
     with _folder(workspace, "raw") as developed:
