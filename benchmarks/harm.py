@@ -38,14 +38,12 @@ import numpy as np
 import station_variants
 import tifffile
 from numpy.typing import NDArray
+from rendered_files import BORDER_PX, Array, Mask, lowpass
 from scipy import ndimage
 from station_variants import WRONG_PRIOR
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Result = dict[str, Any]
 
-BORDER_PX, DETAIL_SIGMA_PX = 6, 8.0
 WORSE, BETTER, SAME = 1.1, 0.9, 0.005
 UNMARKED_BAR, LOW_BAR = 0.01, 0.05
 FIGURES = ("rmse", "detail_mad", "normal_median")
@@ -54,12 +52,6 @@ TIME_LIMIT_S = 900
 
 
 # --- scoring: definitions of shared/tools/score.py
-
-
-def lowpass(values: Array, mask: Mask) -> Array:
-    weight = ndimage.gaussian_filter(mask.astype(float), DETAIL_SIGMA_PX)
-    smooth = ndimage.gaussian_filter(np.where(mask, values, 0.0), DETAIL_SIGMA_PX)
-    return np.asarray(smooth / np.maximum(weight, 1e-6))
 
 
 def normals_of(depth: Array, K: Array) -> Array:

@@ -21,13 +21,13 @@ from pathlib import Path
 import numpy as np
 import tifffile
 from PIL import Image
+from rendered_files import BORDER_PX, lowpass
 from scipy import ndimage
 
 import malus
 
 WHITE, FULL_WELL_E, READ_NOISE_E, FRAMES = 16383, 20000, 8, 16
 ANGLES_DEG = np.arange(0, 180, 30)
-BORDER_PX, DETAIL_SIGMA_PX = 6, 8.0
 
 
 def perturbed_station(scene: Path, folder: Path, args: argparse.Namespace) -> tuple[Path, np.ndarray, np.ndarray]:
@@ -66,9 +66,8 @@ def detail_mad(scene: Path, work: Path) -> float:
     mask = ndimage.binary_erosion(truth["mask"] > 0, iterations=BORDER_PX) & np.isfinite(depth)
     gsd = json.loads((work / "quality.json").read_text())["gsd"]
     error = np.where(mask, depth - truth["depth"], 0)
-    weight = ndimage.gaussian_filter(mask.astype(float), DETAIL_SIGMA_PX)
-    detail = error - ndimage.gaussian_filter(error, DETAIL_SIGMA_PX) / np.maximum(weight, 1e-6)
-    return float(1.4826 * np.median(np.abs(detail[mask])) / gsd)
+    detail = (error - lowpass(error, mask))[mask]
+    return float(1.4826 * np.median(np.abs(detail)) / gsd)
 
 
 def run(station: Path, work: Path, args: argparse.Namespace) -> dict[str, object]:

@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.lib import recfunctions
 from numpy.typing import NDArray
+from rendered_files import Array, Cloud, read_cloud, toml_text, vectors, with_vectors, write_cloud
 
-Array = NDArray[np.float64]
-Cloud = NDArray[Any]  # structured: a field for each property of the file
+POINT, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 
 #: The coarse surface is distorted or incomplete, as stereo without control or with little texture gives it.
 PRIOR_ERRORS = ("bias", "tilt", "scale", "holes")
@@ -90,24 +89,6 @@ def draw(random: np.random.Generator) -> Variant:
 # --- the cloud
 
 
-def read_cloud(path: Path) -> Cloud:
-    """Vertices of a binary little-endian PLY file of scalar properties, as the renderer writes it."""
-    types = {"float": "<f4", "double": "<f8", "uchar": "u1"}
-    content = path.read_bytes()
-    end = content.index(b"end_header\n") + len(b"end_header\n")
-    header = [line.split() for line in content[:end].decode("ascii").splitlines()]
-    names = [(words[2], types[words[1]]) for words in header if words[0] == "property"]
-    count = next(int(words[2]) for words in header if words[:2] == ["element", "vertex"])
-    return np.frombuffer(content, names, count, end).copy()
-
-
-def write_cloud(path: Path, cloud: Cloud) -> None:
-    types = {"f4": "float", "f8": "double", "u1": "uchar"}
-    properties = [f"property {types[cloud.dtype[name].str[1:]]} {name}" for name in cloud.dtype.names or ()]
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(cloud)}", *properties, "end_header", ""]
-    path.write_bytes("\n".join(lines).encode("ascii") + cloud.tobytes())
-
-
 def turn(axis: Array, angle_rad: float) -> Array:
     """Matrix of a turn about a unit axis (Rodrigues)."""
     cross = np.cross(np.eye(3), axis)
@@ -152,7 +133,7 @@ def change_points(points: Array, variant: Variant, gsd: float, extent: float) ->
 def change_cloud(cloud: Cloud, variant: Variant, camera: dict[str, Any], gsd: float) -> Cloud:
     """The cloud as the variant has it; camera: the station in meta.json."""
     rotation, shift = np.array(camera["R_world_to_cam"]), np.array(camera["t_world_to_cam"])
-    world = recfunctions.structured_to_unstructured(cloud[["x", "y", "z"]]).astype(float)
+    world = vectors(cloud, POINT)
     points = world @ rotation.T + shift
     if variant.name == "holes":
         return np.asarray(cloud[rest_with_holes(points, camera["K"][0][0], variant.amount)])
@@ -161,23 +142,11 @@ def change_cloud(cloud: Cloud, variant: Variant, camera: dict[str, Any], gsd: fl
     else:
         points, normal_matrix = change_points(points, variant, gsd, gsd * camera["width"])
         world = (points - shift) @ rotation
-    normals = recfunctions.structured_to_unstructured(cloud[["nx", "ny", "nz"]]).astype(float)
-    normals = normals @ rotation.T @ normal_matrix.T @ rotation
-    out = cloud.copy()
-    for k, axis in enumerate("xyz"):
-        out[axis], out["n" + axis] = world[:, k], normals[:, k]
-    return np.asarray(out)
+    normals = vectors(cloud, NORMAL) @ rotation.T @ normal_matrix.T @ rotation
+    return with_vectors(with_vectors(cloud, POINT, world), NORMAL, normals)
 
 
 # --- the station file
-
-
-def toml_text(tables: dict[str, dict[str, Any]]) -> str:
-    """TOML of tables of numbers, texts and lists of them, which are written as in JSON."""
-    lines = []
-    for table, values in tables.items():
-        lines += [f"[{table}]", *(f"{key} = {json.dumps(value)}" for key, value in values.items()), ""]
-    return "\n".join(lines)
 
 
 def change_settings(tables: dict[str, dict[str, Any]], variant: Variant) -> None:

@@ -24,12 +24,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from rendered_files import BORDER_PX, lowpass
 from scipy import ndimage
 
 import malus
 
 Array = NDArray[np.floating]
-BORDER_PX, DETAIL_SIGMA_PX = 6, 8.0
 
 
 @dataclass
@@ -132,11 +132,6 @@ def triangulated(scene: Scene, features: int = 4000) -> Array:
                 errors.append(np.linalg.norm((y[:2] / y[2]).T - seen, axis=1))
             points.append((x[:3] / x[3]).T[np.maximum(*errors) < 0.7])
     return np.concatenate(points)
-
-
-def lowpass(values: Array, mask: NDArray[np.bool_]) -> Array:
-    weight = ndimage.gaussian_filter(mask.astype(float), DETAIL_SIGMA_PX)
-    return ndimage.gaussian_filter(np.where(mask, values, 0.0), DETAIL_SIGMA_PX) / np.maximum(weight, 1e-6)
 
 
 def figures(scene: Scene, depth: Array, sigma: Array | None = None) -> dict[str, float]:

@@ -18,6 +18,16 @@ from malus.errors import InputError, ResourceError
 _OUT_OF_SOMETHING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ENOMEM, errno.EFBIG)
 
 
+def require_utf8(path: str | Path) -> None:
+    """InputError for a path that is no text: station files, reports and the C++ library take names in UTF-8 only."""
+    absolute = os.path.abspath(path)
+    try:
+        absolute.encode()
+    except UnicodeEncodeError:
+        shown = os.fsencode(absolute).decode("ascii", "backslashreplace")
+        raise InputError(f"{shown}: this name is not in UTF-8, expected a file and folders whose names are") from None
+
+
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
     """Turn failures of writing this file into errors that name it; makes its folder."""

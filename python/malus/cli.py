@@ -13,6 +13,7 @@ from typing import Any
 
 import malus
 from malus import _core, batch, m3c2
+from malus._files import require_utf8
 from malus.campaign import Campaign
 from malus.demo import example_station
 from malus.errors import InputError, ending_of
@@ -259,6 +260,8 @@ def _run(arguments: Sequence[str] | None) -> None:
                 args.folder,
                 args.output,
                 table=args.table,
+    for text in sys.argv[1:] if arguments is None else arguments:
+        require_utf8(text)
                 pattern=args.pattern,
                 angles=_angles("--angles", args.angles, "angles in degrees: 0,45,90,135"),
                 mosaic=_angles("--mosaic", args.mosaic, "four angles in degrees: 90,45,135,0"),

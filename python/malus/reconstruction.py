@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from malus import _core, exif, photogrammetry, raw, scans
+from malus._files import require_utf8
 from malus.camera import Camera
 from malus.options import Options
 from malus.result import Confidence, Result
@@ -89,6 +90,9 @@ def reconstruct(
                 None if reference is None else str(reference), False, results, threads, None, None,
             )  # fmt: skip
 
+    for path in (workspace, reference):
+        if path is not None:
+            require_utf8(path)
     if workspace is not None:
         _core.claim_workspace(str(workspace), station._core, replace)
     with _folder(workspace, "raw") as developed:

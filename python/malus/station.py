@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
 from malus._arrays import as_images, as_mask
+from malus._files import require_utf8
 from malus.camera import Camera
 
 
@@ -81,6 +82,7 @@ class Station:
     @classmethod
     def load(cls, path: str | Path) -> Station:
         """Read a station file; `malus.InputError` names file, field, value and what was expected."""
+        require_utf8(path)
         station = cls.__new__(cls)
         station._core = _core.Station.load(str(path))
         return station

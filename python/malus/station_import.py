@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus import _core
-from malus._files import write_text
+from malus._files import require_utf8, write_text
 from malus.errors import InputError
 from malus.photogrammetry.metashape import read_metashape
 from malus.raw import is_raw
@@ -156,6 +156,8 @@ def _images(folder: Path, mask: Path | None) -> list[Path]:
     if not images:
         kinds = sorted({path.suffix for path in files if path.suffix})
         raise InputError(f"{folder}: no images, expected PNG, TIFF, JPEG or RAW files" + (f" (there are {', '.join(kinds)})" if kinds else ""))  # fmt: skip
+    for path in images:
+        require_utf8(path)
     return sorted(images, key=_natural)
 
 

@@ -12,6 +12,7 @@ import pytest
 import tifffile
 
 from conftest import edit, half_written, malus, malus_station
+from malus import InputError, Station
 
 IMAGES = "images = ["
 ANGLES = "angles_deg = [0, 30, 60, 90, 120, 150]"
@@ -49,6 +50,28 @@ def test_station_file_is_not_toml(small_station: Path, work: Path) -> None:
 def test_keys_of_thousands_of_parts_are_refused_before_the_parser_sees_them(small_station: Path, work: Path) -> None:
     small_station.write_text(f"[station]\n{'.'.join(['a'] * 50_000)} = 1\n")
     expect(small_station, work, 2, "station.toml, line 2", "parts")
+
+
+def test_names_that_are_no_text(small_station: Path, tmp_path: Path) -> None:
+    """A byte that is not UTF-8: as station file, as workspace, in a folder of images, and on arrays' side."""
+    strange = tmp_path / os.fsdecode(b"st\xffange")
+    small_station.parent.rename(strange)
+    images = tmp_path / "images"
+    images.mkdir()
+    (images / os.fsdecode(b"pol\xff_000.tif")).write_bytes(b"")
+    for arguments in (
+        ("run", strange / "station.toml", "-o", tmp_path / "work"),
+        ("check", strange / "station.toml"),
+        ("import", images, "-o", tmp_path / "new.toml"),
+        ("options", strange),
+    ):
+        outcome = malus(*arguments, cwd=tmp_path)
+        assert outcome.code == 2, outcome
+        assert "\\xff" in outcome.err and "not in UTF-8" in outcome.err
+    outcome = malus("check", "station.toml", cwd=strange)
+    assert outcome.code == 2 and "not in UTF-8" in outcome.err
+    with pytest.raises(InputError, match="not in UTF-8"):
+        Station.load(strange / "station.toml")
 
 
 def test_folders_that_no_system_can_make(small_station: Path, tmp_path: Path) -> None:
