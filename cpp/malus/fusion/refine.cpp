@@ -362,17 +362,16 @@ class Refiner {
     ResidualSummary summary(size);
     for (const TileStrip& tiles : strips_) {
       const StripField strip = weighted_strip(tiles.rows, margin, weights(1, true), &summary);
-      const Image<float> sigma = surface_sigma(strip.field, context_);
+      const Size part = strip.field.size();
+      const Image<std::uint8_t> trust =
+          cropped(report_.trust, {0, strip.first_row, part.width, strip.first_row + part.height});
+      const Image<float> sigma = surface_sigma(strip.field, trust, prior.smoothing_px, context_);
       parallel_rows(context_, tiles.rows.end - tiles.rows.begin, [&](int row) {
         const int v = tiles.rows.begin + row, strip_v = v - strip.first_row;
         for (int u = 0; u < size.width; ++u) {
           if (!image_.object(u, v)) continue;
           surface.depth(u, v) = static_cast<float>(image_.depth_of(image_.x(u, v)));
-          // Where the prior's surface stays, so does its uncertainty.
-          const double trust = report_.trust(u, v) / 255.0;
-          const double prior_sigma = strip.field.prior_sigma(u, strip_v) * surface.depth(u, v) / image_.focal;
-          surface.sigma(u, v) = static_cast<float>(
-              std::sqrt(trust * std::pow(sigma(u, strip_v), 2) + (1 - trust) * std::pow(prior_sigma, 2)));
+          surface.sigma(u, v) = sigma(u, strip_v);
           report_.label(u, v) = image_.kind(u, v);
           report_.confidence(u, v) =
               static_cast<std::uint8_t>(std::lround(255 * stokes_weight(strip.field, u, strip_v)));

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "malus/core/parallel.h"
 #include "malus/fusion/masked_blur.h"
@@ -28,9 +29,59 @@ double slope_variance(const RefinementField& field, int u, int v) {
   return std::min(1 / (weight * steepness + 1e-12), square(unknown_slope)) * stretch;
 }
 
+/// Squared curvature of the prior at a pixel [GSD² / px⁴]; 0 where its neighbours are missing.
+double squared_curvature(const RefinementField& field, int u, int v) {
+  for (const auto& [du, dv] : {std::pair{1, 0}, {-1, 0}, {0, 1}, {0, -1}, {1, 1}}) {
+    if (!field.is_object(u + du, v + dv)) return 0;
+  }
+  const Image<double>& x = field.x_prior;
+  const double uu = x(u + 1, v) + x(u - 1, v) - 2 * x(u, v), vv = x(u, v + 1) + x(u, v - 1) - 2 * x(u, v);
+  const double uv = x(u + 1, v + 1) - x(u + 1, v) - x(u, v + 1) + x(u, v);
+  return uu * uu + vv * vv + 2 * uv * uv;
+}
+
+/// Variance of the prior [GSD²], with what its smoothing cuts off.
+Image<float> prior_variance(const RefinementField& field, double smoothing_px, const Context& context) {
+  constexpr double of_noise = 0.3, of_smoothing = 0.6;
+  Image<float> variance(field.size(), 1, std::numeric_limits<float>::quiet_NaN()), curvature = variance;
+  parallel_rows(context, field.size().height, [&](int v) {
+    for (int u = 0; u < field.size().width; ++u) {
+      if (!field.object(u, v)) continue;
+      variance(u, v) = static_cast<float>(square(field.prior_sigma(u, v)));
+      curvature(u, v) = static_cast<float>(squared_curvature(field, u, v));
+    }
+  });
+  if (smoothing_px <= 0) return variance;
+  const double reach = std::min(smoothing_px, surface_sigma_reach_px / 3.0);  // blurs end at 3 sigma
+  const Image<float> around = masked_blur(curvature, field.object, reach, context);
+  const double length4 = square(square(smoothing_px));
+  parallel_rows(context, field.size().height, [&](int v) {
+    for (int u = 0; u < field.size().width; ++u) {
+      if (!field.object(u, v)) continue;
+      const double stretch = 1 + central_slopes(field, u, v).squaredNorm();
+      variance(u, v) = static_cast<float>(square(of_noise) * variance(u, v) +
+                                          square(of_smoothing) * length4 * around(u, v) * stretch);
+    }
+  });
+  return variance;
+}
+
+/// Standard deviation by the nearness of the contour [GSD]. The image's border is none.
+Image<float> contour_sigma(const RefinementField& field, const Context& context) {
+  constexpr double near_px = 2, whole_gsd = 10;
+  Mask all(field.size());
+  all.fill(255);
+  Image<float> inside(field.size());
+  for (std::size_t i = 0; i < inside.count(); ++i) inside[i] = field.object[i] ? 1.0F : 0.0F;
+  Image<float> sigma = masked_blur(inside, all, near_px, context);
+  for (float& value : sigma) value = static_cast<float>(whole_gsd * std::max(1.0 - value, 0.0));
+  return sigma;
+}
+
 }  // namespace
 
-Image<float> surface_sigma(const RefinementField& field, const Context& context) {
+Image<float> surface_sigma(const RefinementField& field, const Image<std::uint8_t>& trust, double smoothing_px,
+                           const Context& context) {
   constexpr float none = std::numeric_limits<float>::quiet_NaN();
   constexpr double low_frequency_px = surface_sigma_reach_px / 3.0, high_frequency_px = 3;  // blurs end at 3 sigma
   Image<float> change(field.size(), 1, none), slope(field.size(), 1, none);
@@ -43,14 +94,16 @@ Image<float> surface_sigma(const RefinementField& field, const Context& context)
   });
   const Image<float> changes = masked_blur(change, field.object, low_frequency_px, context);
   const Image<float> slopes = masked_blur(slope, field.object, high_frequency_px, context);
+  const Image<float> prior = prior_variance(field, smoothing_px, context);
+  const Image<float> contour = contour_sigma(field, context);
   Image<float> sigma(field.size(), 1, none);
   parallel_rows(context, field.size().height, [&](int v) {
     for (int u = 0; u < field.size().width; ++u) {
       if (!field.object(u, v)) continue;
-      const double gsd = field.depth_of(field.x(u, v)) / field.focal;
-      const double prior = square(field.prior_sigma(u, v));
-      const double low = 0.16 * prior + changes(u, v) / 15;
-      sigma(u, v) = static_cast<float>(gsd * std::sqrt(low + high_frequency_px * slopes(u, v)));
+      const double gsd = field.depth_of(field.x(u, v)) / field.focal, share = trust(u, v) / 255.0;
+      const double refined = 0.16 * prior(u, v) + changes(u, v) / 15 + high_frequency_px * slopes(u, v);
+      sigma(u, v) =
+          static_cast<float>(gsd * std::sqrt(share * refined + (1 - share) * prior(u, v) + square(contour(u, v))));
     }
   });
   return sigma;

@@ -8,14 +8,20 @@ namespace malus {
 /// How far around a pixel its sigma looks [px], in whole prior blocks.
 inline constexpr int surface_sigma_reach_px = 72;
 
-/// One standard deviation of the refined depth, station unit; NaN outside the object.
+/// One standard deviation of the resulting depth, station unit; NaN outside the object. `trust` is the share of the
+/// refined surface in it, 0 (the prior's) … 255, and `smoothing_px` the length over which the prior smooths its points,
+/// 0 = it does not.
 ///
-/// Two parts. Low frequencies come from the prior, whose blocks the polarization ties together, which averages their
-/// errors: σ² = 0.15 σ_prior² + (mean squared change around the pixel, Gaussian of 24 px) / 16; the second term is
-/// large where the prior was wrong by more than it says. High frequencies: the depth over 3 px of slopes that are as
-/// uncertain as the curvature of the pixel's own Stokes residuals says (the diagonal approximation of the normal
-/// equations) at the weights of the solution, so that it grows where they fit badly. The shares were calibrated on
-/// rendered stations.
-Image<float> surface_sigma(const RefinementField& field, const Context& context);
+/// *Prior*: σ² = (0.3 σ_p)² + (0.6 B / cos θ)². B is what smoothing cuts off, L² times the RMS curvature over L: a
+/// prior's own σ_p knows the noise of its points, and is the same on a plane and on a face. *Refined*: low frequencies
+/// come from the prior, whose blocks the polarization ties together, which averages their errors: 0.16 σ² + (mean
+/// squared change around the pixel, Gaussian of 24 px) / 15; the second term is large where the prior was wrong by more
+/// than it says. High frequencies: the depth over 3 px of slopes that are as uncertain as the curvature of the pixel's
+/// own Stokes residuals says (the diagonal approximation of the normal equations) at the weights of the solution, so
+/// that it grows where they fit badly. *Contour*: within some 5 px of it neither knows how steeply the surface falls:
+/// 10 GSD times the share of the surroundings (Gaussian of 2 px) that is not on the object. The numbers were calibrated
+/// on rendered stations.
+Image<float> surface_sigma(const RefinementField& field, const Image<std::uint8_t>& trust, double smoothing_px,
+                           const Context& context);
 
 }  // namespace malus

@@ -158,5 +158,21 @@ TEST(Evidence, TheAnchorTakesLowFrequenciesFromThePriorAndLeavesDetail) {
   EXPECT_GT(detail, 0.9);
 }
 
+TEST(Evidence, TheAnchorIsNotDraggedByAStepThatThePriorHasWrong) {
+  const SyntheticStation station = make_station(scene_under_a_sky());
+  RefinementImage image = make_image(station.state, station.prior, Context{});
+  Image<double> prior = image.x;
+  constexpr double length = 12;
+  for (int v = 40; v < 56; ++v) {
+    for (int u = 64; u < 80; ++u) prior(u, v) += 20;  // sigma is some 1 GSD
+  }
+  const Image<double> before = image.x;
+  anchor_to_prior(image, prior, length, Context{});
+  double largest = 0;
+  for (std::size_t i = 0; i < before.count(); ++i) largest = std::max(largest, std::abs(image.x[i] - before[i]));
+  // The mean over a Gaussian of 12 px about 16 x 16 px would be 4 GSD.
+  EXPECT_LT(largest, 0.5);
+}
+
 }  // namespace
 }  // namespace malus

@@ -1,0 +1,81 @@
+#include "malus/fusion/surface_sigma.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "malus/fusion/refinement_image.h"
+#include "malus/fusion/refinement_weights.h"
+#include "synthetic_station.h"
+
+namespace malus {
+namespace {
+
+constexpr Size size{160, 128};
+constexpr double prior_sigma_gsd = 0.5;  // of the synthetic station
+constexpr std::uint8_t nothing = 0, all = 255;
+
+/// Sigma in GSD of a surface that has its prior's shape: a sphere's cap of this curvature [1 / px], seen from above.
+/// Its polarization is what the reflection model predicts.
+Image<float> sigma_of_cap(double curvature, double smoothing_px, std::uint8_t trust, int first_column = 0) {
+  SyntheticOptions scene;
+  scene.size = size;
+  SyntheticStation station = make_station(scene);
+  const double gsd = 500.0 / 900;
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = 0; u < size.width; ++u) {
+      const double x = u - 0.5 * size.width, y = v - 0.5 * size.height;
+      station.prior.depth(u, v) = static_cast<float>(500 + gsd * 0.5 * curvature * (x * x + y * y));
+      if (u < first_column) station.state.valid(u, v) = static_cast<std::uint8_t>(PixelState::outside);
+    }
+  }
+  RefinementImage image = make_image(station.state, station.prior, Context{});
+  image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+  RefinementField field = image.part(image.everything(), Context{});
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = first_column; u < size.width; ++u) {
+      const Eigen::Vector2d slopes = central_slopes(field, u, v);
+      const PredictedStokes model = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
+      field.s1(u, v) = static_cast<float>(model.s1);
+      field.s2(u, v) = static_cast<float>(model.s2);
+    }
+  }
+  update_weights(field, {}, Context{});
+  Image<float> sigma = surface_sigma(field, Image<std::uint8_t>(field.size(), 1, trust), smoothing_px, Context{});
+  for (std::size_t i = 0; i < sigma.count(); ++i) {
+    if (field.object[i]) sigma[i] /= static_cast<float>(field.depth_of(field.x[i]) / field.focal);
+  }
+  return sigma;
+}
+
+TEST(SurfaceSigma, OfAPriorThatDoesNotSmoothIsItsOwn) {
+  EXPECT_NEAR(sigma_of_cap(0.01, 0, nothing)(80, 64), prior_sigma_gsd, 0.01);
+}
+
+TEST(SurfaceSigma, KnowsWhatSmoothingCutsOff) {
+  const double plane = sigma_of_cap(0, 5, nothing)(80, 64);
+  EXPECT_NEAR(plane, 0.3 * prior_sigma_gsd, 0.02);
+  // Both curvatures of the cap: 0.6 L² c √2.
+  const double cut = 0.6 * 25 * 0.02 * std::sqrt(2.0);
+  EXPECT_NEAR(sigma_of_cap(0.02, 5, nothing)(80, 64), std::hypot(plane, cut), 0.05 * cut);
+  const double twice_as_long = sigma_of_cap(0.02, 10, nothing)(80, 64);
+  EXPECT_NEAR(twice_as_long, std::hypot(plane, 4 * cut), 0.2 * cut);
+}
+
+TEST(SurfaceSigma, IsSmallerWhereTheSurfaceIsRefined) {
+  EXPECT_LT(sigma_of_cap(0.02, 5, all)(100, 64), 0.8 * sigma_of_cap(0.02, 5, nothing)(100, 64));
+}
+
+TEST(SurfaceSigma, GrowsAtTheContourButNotAtTheBorderOfTheImage) {
+  constexpr int contour = 40;
+  for (const std::uint8_t trust : {nothing, all}) {
+    const Image<float> sigma = sigma_of_cap(0, 5, trust, contour);
+    EXPECT_GT(sigma(contour + 1, 64), 2);
+    EXPECT_LT(sigma(contour + 8, 64), 1);
+    EXPECT_LT(sigma(size.width - 2, 64), 1);
+    EXPECT_TRUE(std::isnan(sigma(contour - 2, 64)));
+  }
+}
+
+}  // namespace
+}  // namespace malus
