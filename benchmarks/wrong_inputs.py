@@ -192,7 +192,7 @@ def run(inputs: Inputs) -> Said:
         except malus.MalusError as error:
             return Said(error.exit_code, False, [str(error)])
         found = json.loads((work / "evidence/findings.json").read_text())
-        return Said(0, any(finding["severity"] != "note" for finding in found), warnings)
+        return Said(0, any(finding["severity"] in ("warning", "error") for finding in found), warnings)
 
 
 def main() -> None:

@@ -54,23 +54,20 @@ class Reporter {
     }
   }
 
-  /// How far the result may be trusted, and with --quiet the warnings that were not shown: nobody shall miss them.
-  void close(const malus::Quality& quality) const {
-    if (json_) return;
-    const bool is_high = quality.confidence.level == malus::ConfidenceLevel::high;
-    if (quiet_) {
-      for (const std::string& warning : quality.warnings) std::fprintf(stderr, "warning: %s\n", warning.c_str());
-      if (is_high) return;
-    }
-    std::fprintf(stderr, "%-13s %s\n", "confidence", std::string(enum_name(quality.confidence.level)).c_str());
-    for (const std::string& reason : quality.confidence.reasons) std::fprintf(stderr, "  %s\n", reason.c_str());
+  /// How far the surface may be trusted; with --quiet only if that is not everywhere.
+  void close(const malus::SurfaceConfidence& found) const {
+    const malus::Confidence& confidence = found.confidence;
+    if (json_ || (quiet_ && confidence.level == malus::ConfidenceLevel::high)) return;
+    std::fprintf(stderr, "%-13s %s%s\n", "confidence", std::string(enum_name(confidence.level)).c_str(),
+                 found.assessed ? "" : ", not assessed yet");
+    for (const std::string& reason : confidence.reasons) std::fprintf(stderr, "  %s\n", reason.c_str());
   }
 
   void log(malus::LogLevel level, const std::string& message) {
     const bool warning = level == malus::LogLevel::warning;
     if (json_) {
       write({{"event", "log"}, {"level", warning ? "warning" : "info"}, {"message", message}});
-    } else if (!quiet_ && warning) {
+    } else if (warning) {
       std::fprintf(stderr, "warning: %s\n", message.c_str());
     }
   }
@@ -112,8 +109,8 @@ void run(const Arguments& arguments) {
   if (!arguments.until.empty()) where.until = arguments.until;
   if (!arguments.reference.empty()) where.reference = arguments.reference;
   const malus::Options options = read_options(arguments);
-  const malus::Results results = malus::reconstruct(malus::Station::load(arguments.station), options, where, context);
-  if (const auto report = results.get<malus::QualityReport>()) reporter.close(report->quality);
+  malus::reconstruct(malus::Station::load(arguments.station), options, where, context);
+  if (const auto found = malus::surface_confidence(arguments.workspace)) reporter.close(*found);
 }
 
 int fail(ErrorCode code, const std::string& message) {

@@ -21,6 +21,8 @@ void bind_fusion(py::module_& module) {
         surface.sigma = to_image(sigma);
         surface.camera = view.camera;
         surface.pose = view.pose;
+        surface.confidence.limit(ConfidenceLevel::partial,
+                                 "The surface was given as arrays: what it was made from is not known.");
         return surface;
       }))
       .def_property_readonly("depth", [](const FusedSurface& s) { return copy_to_array(s.depth); })
@@ -32,6 +34,13 @@ void bind_fusion(py::module_& module) {
                              })
       .def_readonly("method", &FusedSurface::method)
       .def_readonly("status", &FusedSurface::status)
+      .def_property_readonly("confidence",
+                             [](const FusedSurface& s) {
+                               py::dict confidence;
+                               confidence["level"] = enum_name(s.confidence.level);
+                               confidence["reasons"] = s.confidence.reasons;
+                               return confidence;
+                             })
       .def_readonly("warnings", &FusedSurface::warnings);
   module.def(
       "fuse_grid", [](const HeightMap& height, const DepthPrior& prior, const std::string& options_json, int threads) {

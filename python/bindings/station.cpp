@@ -186,6 +186,12 @@ void bind_station(py::module_& module) {
   module.def("claim_workspace", [](const std::string& folder, const Station& station, bool replace) {
     claim_workspace(folder, station, replace);
   });
+  module.def("surface_confidence", [](const std::string& folder) -> py::object {
+    const auto found = surface_confidence(folder);
+    if (!found) return py::none();
+    const Confidence& confidence = found->confidence;
+    return py::make_tuple(enum_name(confidence.level), confidence.reasons, found->assessed);
+  });
   module.def("read_manifest", [](const std::string& folder) { return Workspace::read_manifest(folder).dump(); });
   module.def("sha256_of_file", [](const std::string& path) { return sha256_of_file(path, "output"); });
   module.def("forget_step", [](const std::string& folder, const std::string& step) { forget_step(folder, step); });

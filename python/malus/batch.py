@@ -35,7 +35,7 @@ _SCHEDULER_TIMEOUT = "20s"
 
 #: Columns of the merged table.
 COLUMNS = (
-    "station", "status", "reason", "name", "unit", "gsd", "method", "quality", "coverage",
+    "station", "status", "reason", "name", "confidence", "reasons", "unit", "gsd", "method", "quality", "coverage",
     "patch_prior_rmse_gsd", "patch_fused_rmse_gsd", "reference_rmse_gsd", "warnings",
 )  # fmt: skip
 
@@ -224,6 +224,8 @@ def _figures(quality: Mapping[str, Any]) -> dict[str, Any]:
     reference = quality["reference"]
     return {
         "name": quality["name"],
+        "confidence": quality["confidence"]["level"],
+        "reasons": " ".join(quality["confidence"]["reasons"]),
         "unit": quality["unit"],
         "gsd": quality["gsd"],
         "method": quality["method"],

@@ -18,7 +18,7 @@ from malus.campaign import Campaign
 from malus.demo import example_station
 from malus.errors import InputError, ending_of
 from malus.exports import FORMATS, MESHES
-from malus.progress import BarProgress, JsonProgress, ProgressView
+from malus.progress import BarProgress, JsonProgress, ProgressView, WarningsOnly
 from malus.threads import ALL_CORES
 
 INTERRUPTED = 130
@@ -149,7 +149,7 @@ def _angles(option: str, text: str | None, expected: str) -> list[float] | None:
 def _view(args: argparse.Namespace) -> ProgressView:
     if args.json:
         return JsonProgress()
-    return ProgressView() if args.quiet else BarProgress()
+    return WarningsOnly() if args.quiet else BarProgress()
 
 
 def _options(args: argparse.Namespace, start: malus.Options | None = None) -> malus.Options:
@@ -198,16 +198,18 @@ def _reconstruct(
 
 
 def _print_summary(work: Path, quiet: bool) -> None:
-    path = work / "quality.json"
-    if not path.exists():
+    """The figures that matter if the surface is assessed, and how far it may be trusted; quietly, only if that is not everywhere."""
+    confidence = _core.surface_confidence(str(work))
+    if confidence is None:
         return
-    quality = json.loads(path.read_text(encoding="utf-8"))
-    if quiet:  # nobody shall miss them
-        for line in malus.report.caution_lines(quality):
-            print(line, file=sys.stderr)
-        return
-    for line in malus.report.summary_lines(quality):
-        print(line)
+    level, reasons, assessed = confidence
+    if quiet:
+        if level != "high":
+            print(*malus.report.confidence_lines(level, reasons, assessed), sep="\n", file=sys.stderr)
+    elif assessed:
+        print(*malus.report.summary_lines(json.loads((work / "quality.json").read_text(encoding="utf-8"))), sep="\n")
+    else:
+        print(*malus.report.confidence_lines(level, reasons, assessed), sep="\n")
 
 
 def _check(args: argparse.Namespace) -> None:

@@ -25,5 +25,9 @@ def refine(
     options: Options | None = None,
     threads: int = ALL_CORES,
 ) -> FusedSurface:
-    """Refine the prior by nonlinear least squares on log depth (docs/method.md); refractive_index None = from the data."""
+    """Refine the prior by nonlinear least squares on log depth (docs/method.md); refractive_index None = from the data.
+
+    The surface's `confidence` ({"level": "high" | "partial" | "low", "reasons": [...]}) says how far it may be trusted,
+    `status` and `warnings` what the solver met.
+    """
     return _core.refine(state, prior, refractive_index, (options or Options()).to_json(), threads)

@@ -1,4 +1,4 @@
-"""How the command line shows progress: a rich bar for people, JSON lines for programs, nothing when quiet."""
+"""How the command line shows progress: a rich bar for people, JSON lines for programs, warnings only when quiet."""
 
 from __future__ import annotations
 
@@ -28,6 +28,15 @@ class ProgressView:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         return None
+
+
+class WarningsOnly(ProgressView):
+    """Each warning at once, a line on standard error, and nothing else."""
+
+    def log(self, level: str, message: str) -> None:
+        """Print warnings."""
+        if level == "warning":
+            print(f"warning: {message}", file=sys.stderr, flush=True)
 
 
 class JsonProgress(ProgressView):

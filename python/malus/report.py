@@ -6,7 +6,7 @@ import base64
 import platform
 import shutil
 import webbrowser
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import metadata, resources
 from pathlib import Path
 from typing import Any
@@ -28,8 +28,11 @@ from malus.workspace import Workspace
 SURFACES = ("prior", "polarization", "fused")
 #: What the checks of the inputs look at, by the names in evidence/findings.json.
 CHECKS = {
+    "registration": "Registration of the images",
     "order": "Order of the images",
     "response": "Response of the camera",
+    "misfits": "Agreement with the polarizer's sinusoid",
+    "texture": "Texture finer than the mosaic",
     "size": "Size and distance",
     "phase": "Polarization against the prior's slopes",
     "prior": "Place of the prior in the images",
@@ -46,13 +49,35 @@ def _number(value: Any, digits: int = 3) -> str:
     return f"{value:.{digits}g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
-def caution_lines(quality: Mapping[str, Any]) -> list[str]:
-    """Every warning, and the confidence with its reasons unless it is high."""
-    confidence = quality["confidence"]
-    lines = [f"warning: {warning}" for warning in quality["warnings"]]
-    if confidence["level"] != "high":
-        lines += [f"confidence: {confidence['level']}", *(f"  {reason}" for reason in confidence["reasons"])]
-    return lines
+def confidence_lines(level: str, reasons: Sequence[str], assessed: bool) -> list[str]:
+    """How far a surface may be trusted and why, a line each; one that is not assessed may turn out worse."""
+    return [f"confidence: {level}{'' if assessed else ', not assessed yet'}", *(f"  {reason}" for reason in reasons)]
+
+
+def what_to_trust(quality: Mapping[str, Any]) -> str:
+    """The confidence as one sentence for someone who looks for five seconds."""
+    level = quality["confidence"]["level"]
+    refined = quality.get("refinement", {}).get("trusted_share")
+    if level == "low":
+        return "Do not rely on this surface before the reasons below are cleared up."
+    if level == "high":
+        return "Shape and fine detail can be trusted on nearly all of the object."
+    if refined is None:
+        return "The shape is as good as the coarse surface it came from (the prior). Nothing proves the fine detail."
+    if refined < 0.05:
+        return "This is the coarse surface it started from (the prior), no finer and no worse."
+    if refined < 0.9:
+        return (
+            f"Fine detail is likely where the map is blue-green ({100 * refined:.0f} % of the object). "
+            "Elsewhere this is the coarse surface it started from (the prior)."
+        )
+    return "Most of this can be trusted. The reasons below say which parts or details are less sure."
+
+
+def _other_warnings(quality: Mapping[str, Any]) -> list[str]:
+    """The warnings that are not among the reasons already."""
+    reasons = quality["confidence"]["reasons"]
+    return [warning for warning in quality["warnings"] if not any(warning.endswith(reason) for reason in reasons)]
 
 
 def summary_lines(quality: Mapping[str, Any]) -> list[str]:
@@ -61,8 +86,7 @@ def summary_lines(quality: Mapping[str, Any]) -> list[str]:
     lines = [
         f"{quality['name']}: {quality['method']} fusion, {quality['status']}",
         f"  GSD {_number(quality['gsd'], 4)} {unit}, coverage {100 * quality['coverage']['fraction']:.1f} %",
-        f"  confidence: {quality['confidence']['level']}",
-        *(f"    {reason}" for reason in quality["confidence"]["reasons"]),
+        *(f"  {line}" for line in confidence_lines(**quality["confidence"], assessed=True)),
     ]
     for patch in quality["patches"]:
         fits = {name: patch[name] for name in SURFACES if patch[name] is not None}
@@ -206,6 +230,8 @@ def _write_in(workspace: Workspace) -> Path:
     registration = [-1.0 if rms is None else rms for rms in quality["registration_rms_px"]]
     page = template.render(
         quality=quality,
+        what_to_trust=what_to_trust(quality),
+        other_warnings=_other_warnings(quality),
         m3c2=m3c2,
         findings=workspace.findings,
         checks=CHECKS,

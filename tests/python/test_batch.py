@@ -69,9 +69,12 @@ def test_broken_station_is_listed_and_the_others_finish(three: tuple[Path, Path]
     assert [(row["station"], row["status"]) for row in rows] == [("o00", "done"), ("o01", "failed"), ("o02", "done")]
     assert "angles_deg" in rows[1]["reason"]
     assert rows[0]["name"] == "object 0" and rows[0]["gsd"] > 0 and rows[0]["patch_fused_rmse_gsd"] > 0
+    assert rows[0]["confidence"] == "partial" and "grid transfer" in rows[0]["reasons"]
+    assert rows[1]["confidence"] is None
     assert (output / "campaign.csv").read_text().count("\n") == 4
     page = (output / "index.html").read_text()
     assert "2 done, 1 failed" in page and "o01" in page
+    assert page.count("confidence partial") == 2 and "grid transfer takes all detail" in page
     assert (output / "stations/o02/fused/surface.ply").exists()
 
 

@@ -47,6 +47,23 @@ def test_a_warning_is_said_and_lowers_confidence(small_station: Path, tmp_path: 
     assert any(text in warning for warning in quality["warnings"])
 
 
+def test_what_a_part_of_the_result_suffers_from_makes_it_partial(small_station: Path, tmp_path: Path) -> None:
+    path = small_station.parent / "pol/pol_060.tif"
+    pixels = tifffile.imread(path)
+    pixels[20:140, 20:180] //= 2
+    tifffile.imwrite(path, pixels)
+    work = tmp_path / "work"
+    outcome = malus_station(small_station, "-o", work, "--until", "assess")
+    assert outcome.code == 0, outcome.err
+    found = findings(work)["misfits"]
+    assert found["severity"] == "caution"
+    assert 0.5 < found["figures"]["misfit_fraction"] < 0.7
+    assert outcome.err.count("warning: " + found["message"]) == 1
+    confidence = json.loads((work / "quality.json").read_text())["confidence"]
+    assert confidence["level"] in ("partial", "low")
+    assert any(found["message"] in reason for reason in confidence["reasons"])
+
+
 def direction_exchanged(station: Path) -> Path:
     return edit(station, ANGLES, ANGLES + '\nangle_direction = "cw"')
 

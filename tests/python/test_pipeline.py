@@ -336,9 +336,10 @@ def test_every_warning_is_in_the_figures_and_on_the_page(small_station: Path, tm
     quiet = run_malus(*command, "--quiet")
     assert quiet.code == 0
     quality = json.loads((work / "quality.json").read_text())
-    assert all(f"warning: {warning}" in quiet.err for warning in quality["warnings"])
+    # Each at once, without its step's name, and not again at the end.
+    assert all(quiet.err.count(f"warning: {warning.split(': ', 1)[1]}") == 1 for warning in quality["warnings"])
+    assert quiet.err.index("warning: ") < quiet.err.index("confidence: partial")
     assert quality["confidence"]["level"] == "partial"
-    assert "confidence: partial" in quiet.err
     assert all(reason in quiet.err for reason in quality["confidence"]["reasons"])
     manifest = malus.Workspace(work).manifest
     text = "object's pixels do not follow the polarizer's sinusoid"
@@ -346,12 +347,39 @@ def test_every_warning_is_in_the_figures_and_on_the_page(small_station: Path, tm
     assert any(warning.startswith("polarization: ") and text in warning for warning in quality["warnings"])
     assert manifest["warnings"] == quality["warnings"]
     page = (work / "report/index.html").read_text()
-    assert all(markupsafe.escape(warning) in page for warning in quality["warnings"])
+    # What is a reason of the confidence is not said twice.
+    assert all(markupsafe.escape(warning.split(": ", 1)[1]) in page for warning in quality["warnings"])
     assert all(markupsafe.escape(reason) in page for reason in quality["confidence"]["reasons"])
     outcome = run_malus(*command)
     assert "kept from an earlier run" in outcome.err
     assert text in outcome.err.replace("\n", " "), "repeated"
     assert all(f"warning: {warning}" in outcome.out for warning in quality["warnings"])
+
+
+def test_runs_that_end_before_the_assessment_say_confidence_and_warnings(small_station: Path, tmp_path: Path) -> None:
+    """Of both programs, quietly or not; what the inputs say counts already."""
+    path = small_station.parent / "pol/pol_060.tif"
+    pixels = tifffile.imread(path)
+    pixels[20:140, 20:180] //= 2
+    tifffile.imwrite(path, pixels)
+    work = tmp_path / "work"
+    misfits = "object's pixels do not follow the polarizer's sinusoid"
+    for command, word in (
+        (lambda *words: run_malus("fuse", small_station, "-o", work, "--fusion", "grid", *words), "confidence: "),
+        (lambda *words: run_malus("mesh", small_station, "-o", work, "--fusion", "grid", *words), "confidence: "),
+        (
+            lambda *words: malus_station(small_station, "-o", work, "--fusion", "grid", "--until", "fuse", *words),
+            "confidence    ",
+        ),
+    ):
+        quiet, loud = command("--quiet"), command()
+        assert quiet.code == loud.code == 0, quiet.err + loud.err
+        for said in (quiet.err, loud.out + loud.err.replace("\n", " ")):
+            assert f"{word}partial, not assessed yet" in said
+            assert said.index(misfits) < said.index(word), "the warning at once, the verdict at the end"
+            assert said.rindex(misfits) > said.index(word), "which names it among its reasons"
+    quiet = run_malus("decompose", small_station, "-o", tmp_path / "maps", "--quiet")
+    assert misfits in quiet.err and "confidence" not in quiet.err, "nothing is fused"
 
 
 def test_provenance_names_everything_that_was_read(small_station: Path, tmp_path: Path) -> None:

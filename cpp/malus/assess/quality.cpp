@@ -10,7 +10,9 @@
 #include "malus/assess/high_pass.h"
 #include "malus/assess/polarization_depth.h"
 #include "malus/core/parallel.h"
+#include "malus/core/percent.h"
 #include "malus/core/ranked_values.h"
+#include "malus/core/robust_spread.h"
 
 namespace malus {
 namespace {
@@ -116,7 +118,7 @@ Spread detail_of(const Image<float>& detail, double gsd, const Context& context)
     std::transform(detail.data() + begin, detail.data() + end, to, [](float value) { return std::abs(value); });
   };
   const double median = percentiles({detail.count(), sizes, context}, gsd, {0.5})[0];
-  return {count > 0 ? std::sqrt(squares / count) : nan, 1.4826 * median};
+  return {count > 0 ? std::sqrt(squares / count) : nan, deviation_per_median * median};
 }
 
 DetailFigures compare_with_prior(const FusedSurface& surface, const DepthPrior& prior, double gsd,
@@ -229,24 +231,61 @@ double ground_sampling_distance(const Image<float>& depth, const Pinhole& camera
 
 namespace {
 
-/// What the figures add to what the fusion says of its own result.
-Confidence confidence_of(const Quality& quality, Confidence confidence) {
-  // A surface that is unsure by more than this has no detail that could be trusted.
+// In what follows a figure that is missing or NaN proves nothing: comparisons are written so that it fails them.
+
+/// A surface that is unsure by much has no detail that could be trusted.
+void limit_by_sigma(const std::optional<SigmaFigures>& sigma, Confidence& confidence) {
   constexpr double unknown_gsd = 10;
-  // 0.95 are expected. Stations whose surface is right have 0.8 at least, those that went astray less than 0.45.
-  constexpr double least_within = 0.6;
-  const auto percent = [](double share) { return std::to_string(std::lround(100 * share)) + " %"; };
-  if (quality.sigma && quality.sigma->median_gsd > unknown_gsd) {
+  if (!sigma || std::isnan(sigma->median_gsd)) {
+    confidence.limit(ConfidenceLevel::partial, "How unsure the surface is, is not known.");
+  } else if (!(sigma->median_gsd <= unknown_gsd)) {
     confidence.limit(ConfidenceLevel::low, "The surface is unsure by " +
-                                               std::to_string(std::lround(quality.sigma->median_gsd)) +
+                                               std::to_string(std::lround(sigma->median_gsd)) +
                                                " times the ground sampling distance in the median.");
   }
-  if (quality.prior_vs_fused && quality.prior_vs_fused->within_2_prior_sigma_fraction < least_within) {
-    confidence.limit(ConfidenceLevel::low,
-                     "Only " + percent(quality.prior_vs_fused->within_2_prior_sigma_fraction) +
-                         " of the surface lie within two standard deviations of the prior, 95 % are expected: prior "
-                         "and polarization contradict each other.");
+}
+
+/// Fused and prior surface contradict each other where they are farther apart than the prior is unsure.
+void limit_by_distance(const std::optional<DetailFigures>& figures, Confidence& confidence) {
+  // 0.95 are expected. Stations whose surface is right have 0.8 at least, those that went astray less than 0.45.
+  constexpr double least_within = 0.6;
+  const double within = figures ? figures->within_2_prior_sigma_fraction : nan;
+  if (std::isnan(within)) {
+    confidence.limit(ConfidenceLevel::partial, "Nothing tells how far the surface may lie from its prior.");
+  } else if (!(within >= least_within)) {
+    confidence.limit(ConfidenceLevel::low, "Only " + percent(within) +
+                                               " of the surface lie within two standard deviations of the prior, 95 % "
+                                               "are expected: prior and polarization contradict each other.");
   }
+}
+
+/// Between the prior's data the surface's low frequencies are an interpolation, however sure its detail is.
+void limit_by_holes(const PriorFigures& prior, Confidence& confidence) {
+  constexpr double many = 0.25, most = 0.7;
+  if (prior.filled_fraction <= many) return;
+  const std::string share = std::isnan(prior.filled_fraction) ? "an unknown part" : percent(prior.filled_fraction);
+  confidence.limit(
+      prior.filled_fraction > most ? ConfidenceLevel::low : ConfidenceLevel::partial,
+      "On " + share + " of the object the prior has no data of its own: the surface is an interpolation there.");
+}
+
+/// Where polarization is not usable nothing is measured, and what is near goes on.
+void limit_by_gaps(const PolarizationFigures& polarization, Confidence& confidence) {
+  constexpr double nearly_all = 0.9;
+  if (polarization.valid_fraction >= nearly_all) return;
+  const std::string share =
+      std::isnan(polarization.valid_fraction) ? "an unknown part" : percent(1 - polarization.valid_fraction);
+  confidence.limit(ConfidenceLevel::partial, "On " + share +
+                                                 " of the object the polarization is not usable (saturated, too dark, "
+                                                 "or off the sinusoid): nothing finer than the prior is known there.");
+}
+
+/// What the figures add to what the fusion says of its own result.
+Confidence confidence_of(const Quality& quality, Confidence confidence) {
+  limit_by_sigma(quality.sigma, confidence);
+  limit_by_distance(quality.prior_vs_fused, confidence);
+  if (quality.prior) limit_by_holes(*quality.prior, confidence);
+  if (quality.polarization) limit_by_gaps(*quality.polarization, confidence);
   return confidence;
 }
 
@@ -299,7 +338,6 @@ Quality assess(const AssessInput& input, const AssessOptions& options, const Con
         section(profile, prior, polarization, surface.depth, surface.camera, quality.gsd, options, context));
   }
   quality.confidence = confidence_of(quality, surface.confidence);
-  for (const std::string& doubt : input.doubts) quality.confidence.limit(ConfidenceLevel::low, doubt);
   if (input.reference != nullptr) {
     context.progress("assess", 0.6, "comparing with the reference");
     quality.reference = compare_with_reference(surface, *input.reference, quality.gsd, options, context);

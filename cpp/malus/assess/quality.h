@@ -191,7 +191,6 @@ struct AssessInput {
   std::vector<PatchSpec> patches;
   std::vector<ProfileSpec> profiles;
   std::string unit = "mm";
-  std::vector<std::string> doubts;  ///< why the inputs may be wrong, a sentence each
 };
 
 /// Depth / focal length at the image centre (median of the 5 × 5 pixels about it), or of the map's median depth where

@@ -6,6 +6,7 @@
 #include <numeric>
 
 #include "malus/core/ranked_values.h"
+#include "malus/core/robust_spread.h"
 
 namespace malus {
 namespace {
@@ -66,7 +67,7 @@ std::vector<double> percentiles(const RankedValues& values, double divisor, std:
 
 double robust_sigma(std::vector<double> values) {
   for (double& value : values) value = std::abs(value);
-  return 1.4826 * percentile_in_place(values, 0.5);
+  return deviation_per_median * percentile_in_place(values, 0.5);
 }
 
 double root_mean_square(std::span<const double> values) {

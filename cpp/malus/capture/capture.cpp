@@ -184,15 +184,17 @@ void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>&
   exposures.names.assign(4, name);
 }
 
-/// Registration of every image; identity for those that stay untouched.
+/// Registration of every image; identity for those that stay untouched. Names those of which nothing tells how they
+/// lie.
 std::vector<ImageRegistration> registrations(const Exposures& exposures, const CaptureOptions& options,
-                                             const Context& context) {
+                                             std::vector<std::string>& unregistered, const Context& context) {
   auto results = register_images(exposures.images, exposures.noise, options.registration, context);
   for (std::size_t k = 1; k < results.size(); ++k) {
     ImageRegistration& result = results[k];
     const bool automatic = options.mode == RegistrationMode::automatic;
     if (result.status == RegistrationStatus::no_texture && automatic) {
       context.log(LogLevel::warning, exposures.names[k] + " is used without registration: " + result.message);
+      unregistered.push_back(exposures.names[k]);
       continue;
     }
     if (result.status != RegistrationStatus::ok) {
@@ -385,7 +387,7 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
   std::vector<Affine> maps(exposures.images.size(), identity_affine());
   std::vector<double> rms_px(exposures.images.size(), 0.0);
   if (registering) {
-    const auto results = registrations(exposures, options, context);
+    const auto results = registrations(exposures, options, stack.unregistered, context);
     for (std::size_t k = 0; k < results.size(); ++k) {
       maps[k] = results[k].image_from_base;
       rms_px[k] = results[k].rms_px;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <string>
 #include <vector>
 
 #include "malus/core/camera.h"
@@ -23,6 +24,8 @@ struct PolarizedStack {
   std::vector<Eigen::Matrix<double, 2, 3>> image_from_base;
   /// One standard deviation of the displacement left in image k [px] (ImageRegistration::rms_px); 0 if not registered.
   std::vector<double> registration_rms_px;
+  /// Names of images that were to be registered but lie as they are, as nothing in them tells where they belong.
+  std::vector<std::string> unregistered;
 };
 
 }  // namespace malus

@@ -11,16 +11,17 @@ namespace malus {
 /// How much a finding matters.
 enum class Severity {
   note,     ///< nothing is wrong, or the data cannot tell
+  caution,  ///< the input is right, but parts of the result suffer from it
   warning,  ///< a person should look
   error,    ///< certain: the input is wrong
 };
 constexpr auto names_of(Severity) {
-  return std::to_array<std::string_view>({"note", "warning", "error"});
+  return std::to_array<std::string_view>({"note", "caution", "warning", "error"});
 }
 
 /// What a check of the input concluded, in words that a person who is no programmer can act on.
 struct Finding {
-  std::string check;  ///< what was looked at: "phase", "prior", "size", "response", "order"
+  std::string check;  ///< what was looked at: "phase", "prior", "size", "response", "order", "misfits", …
   Severity severity = Severity::note;
   std::string message;
   std::string suggestion;                               ///< what to do; empty = nothing

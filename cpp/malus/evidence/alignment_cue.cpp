@@ -5,6 +5,7 @@
 
 #include "malus/evidence/alignment_cue_internal.h"
 #include "malus/evidence/smoothing_internal.h"
+#include "malus/polarization/phase_weight.h"
 #include "malus/polarization/ray_frame.h"
 
 namespace malus {
@@ -12,14 +13,7 @@ namespace {
 
 /// Scales that are compared: below, pixels are noise; above, light changes from place to place.
 constexpr double fine_px = 0.8, coarse_px = 6;
-/// As in PhaseCoherence.
-constexpr double slope_sigma = 0.15, degree_floor = 0.003, decay = 8;
 constexpr float gradient_floor = 0.005F, bend_floor = 0.01F;
-
-float weight_of_variance(double variance) {
-  const double root = 1 / (1 + decay * variance);
-  return static_cast<float>(root * root);
-}
 
 template <class T>
 std::vector<T> inside(const Image<T>& image, const Mask& pixels) {
@@ -264,7 +258,7 @@ AlignmentCue phase_cue(const PriorView& prior, const SceneView& scene, const Mas
       const Slopes slopes = frame.slopes(normal);
       const bool known = normal.dot(frame.view) > 0.1 && slopes.tan2() > 1e-6;
       azimuths.push_back(known ? std::polar(1.0F, static_cast<float>(4 * slopes.azimuth_rad())) : 0.0F);
-      weights.push_back(known ? weight_of_variance(slope_sigma * slope_sigma / slopes.tan2()) : 0.0F);
+      weights.push_back(known ? static_cast<float>(angle_weight(azimuth_variance(slopes.tan2()))) : 0.0F);
     }
   }
   Image<float> real(scene.size()), imaginary(scene.size()), phase_weights(scene.size());
@@ -272,7 +266,7 @@ AlignmentCue phase_cue(const PriorView& prior, const SceneView& scene, const Mas
     const std::complex<double> polarization(scene.s1[i], scene.s2[i]);
     const double degree2 = std::norm(polarization);
     if (!(degree2 > 0)) continue;
-    phase_weights[i] = weight_of_variance((scene.variance[i] + degree_floor * degree_floor) / (4 * degree2));
+    phase_weights[i] = static_cast<float>(angle_weight(phase_variance(scene.variance[i], degree2)));
     const std::complex<double> twice = polarization * polarization / degree2;
     real[i] = phase_weights[i] * static_cast<float>(twice.real());
     imaginary[i] = phase_weights[i] * static_cast<float>(twice.imag());

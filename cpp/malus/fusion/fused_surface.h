@@ -18,7 +18,7 @@ struct FusedSurface {
   Pinhole camera;
   Pose pose;                          ///< cam_from_world
   std::string method;                 ///< "grid" | "refined"
-  std::string status = "not run";     ///< "converged", "low confidence", …
+  std::string status = "not run";     ///< the solver's: "converged", …
   std::vector<std::string> warnings;  ///< one sentence each, for people
   Confidence confidence;              ///< from what the surface was held against
 };

@@ -13,6 +13,7 @@
 #include "malus/core/parallel.h"
 #include "malus/fusion/coarse_level.h"
 #include "malus/fusion/masked_blur.h"
+#include "malus/fusion/refinement_verdict.h"
 #include "malus/fusion/refinement_weights.h"
 #include "malus/fusion/reflection_fit.h"
 #include "malus/fusion/reflection_labels.h"
@@ -145,45 +146,11 @@ bool looks_like_metal(const RefinementImage& image) {
   return specular_share(image) > 0.5 && image.reflection.mirror.body > largest_body_share * median_specular_s0(image);
 }
 
-/// What the numbers say about whether to trust the surface.
-void judge(const RefineReport& report, FusedSurface& surface) {
-  surface.status = "converged";
-  const RefineIteration& last = *std::find_if(report.iterations.rbegin(), report.iterations.rend(),
-                                              [](const auto& round) { return !round.search; });
-  constexpr int many_rejections = 4;  // of a tile: no step was accepted
-  if (last.rejected_steps >= many_rejections * report.tiles) {
-    surface.status = "not converged";
-    surface.warnings.push_back("The refinement found no better surface than the prior in most of the image.");
-  } else if (last.change_gsd > 1) {
-    surface.status = "not converged";
-    surface.warnings.push_back("The surface still moved by " + std::to_string(last.change_gsd) +
-                               " GSD in the last round.");
-  }
-  if (report.metal) {
-    surface.status = "low confidence";
-    surface.warnings.push_back(
-        "The polarization has the direction of a mirror reflection but is much weaker than a dielectric's: the surface "
-        "is "
-        "probably bare metal, for which the Fresnel formulas used here do not hold.");
-  }
-  constexpr double largest_residual = 3;
-  if (report.median_residual > largest_residual) {
-    surface.status = "low confidence";
-    surface.warnings.push_back(
-        "The reflection model does not explain the measured polarization: the median residual is " +
-        std::to_string(report.median_residual) + " standard deviations.");
-  }
-}
-
 /// Distance beyond which the prior is better known than the integral of slopes, which are wrong in the mean by about
 /// 0.25 degrees at best: noise over the square root of the points inside a Gaussian = slope × distance. 0 = not known.
 double anchor_length_px(const DepthPrior& prior, const RefinementImage& image, double anchor) {
   const double gsd = image.depth_of(0) / image.focal;
   return anchor * std::sqrt(std::max(prior.noise / gsd * prior.spacing_px, 0.0));
-}
-
-std::string percent(double share) {
-  return std::to_string(std::lround(100 * share)) + " %";
 }
 
 bool has_usable(const RefinementImage& image) {
@@ -204,44 +171,6 @@ Eigen::Vector3d mean_normal(const RefinementImage& image) {
     }
   }
   return sum.norm() > 0 ? Eigen::Vector3d(sum.normalized()) : Eigen::Vector3d(0, 0, -1);
-}
-
-/// What is said of the evidence. That nothing was gained is a warning, too.
-Confidence confidence_of(const RefineReport& report, bool weighed, FusedSurface& surface) {
-  constexpr double everywhere = 0.9, nowhere = 0.05;
-  // Of stations between 0.5 and 0.75 some were made worse, under light and of materials that were drawn at random.
-  constexpr double well_explained = 0.75;
-  const bool is_prior = report.trusted_share < nowhere;
-  Confidence confidence;
-  if (!weighed) {
-    confidence.limit(ConfidenceLevel::partial,
-                     "refine.evidence is off: nothing holds the refined surface against its prior.");
-  } else if (is_prior) {
-    surface.warnings.push_back(
-        "The surface is the prior's: at its slopes the reflection model does not explain the measured polarization, so "
-        "that nothing finer can be known from it. Metal, lamps close to the object or a misplaced prior do that.");
-    confidence.limit(ConfidenceLevel::partial, surface.warnings.back());
-  } else if (report.trusted_share < everywhere) {
-    confidence.limit(ConfidenceLevel::partial,
-                     "In " + percent(1 - report.trusted_share) +
-                         " of the object the surface is the prior's, because the reflection model does not explain "
-                         "the polarization there.");
-  } else if (report.explained_share < well_explained) {
-    confidence.limit(ConfidenceLevel::partial,
-                     "At the prior's slopes the reflection model explains the polarization only in part (" +
-                         percent(std::max(report.explained_share, 0.0)) + "): fine detail is likely, not certain.");
-  }
-  if (!is_prior && report.reflection.mirrored) {
-    confidence.limit(ConfidenceLevel::partial,
-                     "The light is told by a map of the surroundings that was fitted on this object: its detail is "
-                     "less sure than under a plain sky or on a black mirror.");
-  }
-  // A wrong model does no harm where the prior's surface stayed.
-  if (surface.status == "low confidence")
-    confidence.limit(is_prior ? ConfidenceLevel::partial : ConfidenceLevel::low, surface.warnings.front());
-  if (surface.status == "not converged" && !is_prior)
-    confidence.limit(ConfidenceLevel::partial, "The refinement did not converge.");
-  return confidence;
 }
 
 /// Part of the progress, 0 … 1.
@@ -273,7 +202,7 @@ class Refiner {
     // The second has hundreds of parameters more, which explain some of anything.
     constexpr double clearly = 0.1;
     fit_reflection(image_, options_, report_, context_);
-    const double by_labels = mean_over_object(explained_shares(false, nullptr));
+    const double by_labels = mean_over_object(explained(nullptr).shares(false, context_));
     // A black mirror's polarization follows from the slopes whatever it mirrors: no surroundings do better.
     constexpr double well = 0.75;
     const bool is_mirror = specular_share(image_) > 0.5 && by_labels > options_.explained_least;
@@ -282,7 +211,7 @@ class Refiner {
     const ReflectionModel model = image_.reflection;
     image_.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
     fit_mirrored(image_, report_, context_);
-    if (mean_over_object(explained_shares(false, nullptr)) > by_labels + clearly) return;
+    if (mean_over_object(explained(nullptr).shares(false, context_)) > by_labels + clearly) return;
     image_.kind = labels;
     image_.reflection = model;
     report_.surroundings = {};
@@ -321,12 +250,13 @@ class Refiner {
 
   /// Goes back to the prior where nothing speaks for the refined surface, and in the lowest frequencies.
   void weigh_evidence(const DepthPrior& prior) {
+    if (!options_.evidence) return;
     const Size size = image_.size();
     report_.trust = Image<std::uint8_t>(size);
-    for (std::size_t i = 0; i < report_.trust.count(); ++i) report_.trust[i] = image_.object[i] ? 255 : 0;
-    if (!options_.evidence) return;
     Image<double> x_prior(size);
-    const Image<float> shares = explained_shares(image_.reflection.mirrored != nullptr, &x_prior);
+    const ExplainedPolarization at_prior = explained(&x_prior);
+    const Image<float> beyond_plane = at_prior.shares(true, context_);
+    const Image<float> shares = image_.reflection.mirrored ? beyond_plane : at_prior.shares(false, context_);
     const double least = options_.explained_least, ramp = std::max(options_.explained_enough - least, 1e-6);
     parallel_rows(context_, size.height, [&](int v) {
       for (int u = 0; u < size.width; ++u) {
@@ -338,13 +268,16 @@ class Refiner {
       }
     });
     anchor_to_prior(image_, x_prior, anchor_length_px(prior, image_, options_.anchor), context_);
+    // Pixels without usable polarization follow those around them, and are no evidence.
     double trust = 0, count = 0;
     for (std::size_t i = 0; i < report_.trust.count(); ++i) {
+      if (!image_.usable[i]) continue;
       trust += report_.trust[i] / 255.0;
-      count += image_.object[i] != 0;
+      ++count;
     }
-    report_.trusted_share = trust / count;
+    report_.trusted_share = trust / std::max(count, 1.0);
     report_.explained_share = mean_over_object(shares);
+    report_.explained_beyond_plane = mean_over_object(beyond_plane);
   }
 
   /// The surface that was found, and what is reported of its pixels.
@@ -363,8 +296,10 @@ class Refiner {
     for (const TileStrip& tiles : strips_) {
       const StripField strip = weighted_strip(tiles.rows, margin, weights(1, true), &summary);
       const Size part = strip.field.size();
+      // Without evidence there is no map of trust: then all is the refined surface's.
       const Image<std::uint8_t> trust =
-          cropped(report_.trust, {0, strip.first_row, part.width, strip.first_row + part.height});
+          report_.trust.empty() ? Image<std::uint8_t>(part, 1, 255)
+                                : cropped(report_.trust, {0, strip.first_row, part.width, strip.first_row + part.height});
       const Image<float> sigma = surface_sigma(strip.field, trust, prior.smoothing_px, context_);
       parallel_rows(context_, tiles.rows.end - tiles.rows.begin, [&](int row) {
         const int v = tiles.rows.begin + row, strip_v = v - strip.first_row;
@@ -422,8 +357,8 @@ class Refiner {
     report_.eta_sigma = fit.sigma;
   }
 
-  /// Share of the polarization that the reflection explains at the prior's slopes, in cells; copies the prior if asked.
-  Image<float> explained_shares(bool beyond_a_plane, Image<double>* x_prior) const {
+  /// How much of the polarization the reflection explains at the prior's slopes; copies the prior if asked.
+  ExplainedPolarization explained(Image<double>* x_prior) const {
     ExplainedPolarization explained(image_.size(), mean_normal_);
     for (const TileStrip& tiles : strips_) {
       StripField strip = strip_field(image_, tiles.rows, whole_blocks(weights_reach_px), context_);
@@ -433,7 +368,7 @@ class Refiner {
       for (int v = strip.rows.begin; v < strip.rows.end && x_prior != nullptr; ++v)
         std::copy_n(strip.field.x.row(v), image_.size().width, x_prior->row(strip.first_row + v));
     }
-    return explained.shares(beyond_a_plane, context_);
+    return explained;
   }
 
   double mean_over_object(const Image<float>& cells) const {
@@ -580,11 +515,13 @@ RefineResult refine(const PolarizationState& state, const DepthPrior& prior, con
   Refiner refiner(image, options, result.report, context);
   refiner.label(input);
   if (options.surroundings && input.reflection == ReflectionChoice::automatic) refiner.choose_model();
-  refiner.run(!input.refractive_index);
+  // The index would be that of the reflection model which the surroundings took the place of.
+  const bool leaves_index_open = image.reflection.mirrored != nullptr;
+  refiner.run(!input.refractive_index && !leaves_index_open);
+  if (!input.refractive_index && leaves_index_open) result.report.eta_sigma = std::numeric_limits<double>::quiet_NaN();
   refiner.weigh_evidence(prior);
   result.surface = refiner.finish(prior);
-  judge(result.report, result.surface);
-  result.surface.confidence = confidence_of(result.report, options.evidence, result.surface);
+  judge(result.report, options.explained_least, result.surface);
   result.report.seconds = seconds_since(start);
   return result;
 }

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <limits>
 #include <optional>
 #include <string>
 #include <vector>
@@ -99,7 +100,7 @@ struct RefineOptions {
     visit("explained_enough", self.explained_enough, Range{-1, 1}, "… and from which on the refined one is");
     visit("anchor", self.anchor, not_negative,
           "the prior's low frequencies are kept beyond this times the square root of its points' noise (GSD) times "
-          "their distance (px), in px; 0 = not");
+          "their distance (px), in px; 0 = not, as of meshes and depth maps, whose points have no known noise");
   }
 };
 
@@ -120,7 +121,7 @@ struct RefineReport {
   std::vector<RefineIteration> iterations;
   ReflectionModel reflection;  ///< with eta
   Surroundings surroundings;   ///< without radiance if they are not the model
-  double eta_sigma = 0;
+  double eta_sigma = 0;        ///< 0 = the index is given, NaN = neither given nor estimated
   std::array<double, EnvironmentProfile::node_count> environment_sigma{};
   double lobe_strength_sigma = 0, lobe_roughness_sigma = 0, light_sigma_rad = 0;
   double mirror_body_sigma = 0, mirror_environment_sigma = 0;
@@ -128,11 +129,15 @@ struct RefineReport {
   double specular_share = 0;       ///< of the object's pixels
   Image<std::uint8_t> label;       ///< 0 = outside, 1 = diffuse, 2 = specular
   Image<std::uint8_t> confidence;  ///< weight of the polarization of each pixel, 0 … 255
-  Image<std::uint8_t> trust;       ///< share of the refined surface in the result, 0 (prior) … 255
-  double trusted_share = 1;        ///< mean of that over the object, 0 … 1
-  double explained_share = 1;      ///< of the polarization at the prior's slopes, mean over the object, −1 … 1
-  double stokes_cost = 0;          ///< mean of ln(1 + r² / 4) over usable pixels, of the result
-  double median_residual = 0;      ///< of the result's Stokes vectors, in standard deviations
+  /// Share of the refined surface in the result, 0 (prior) … 255. Empty, and the shares NaN, without `evidence`.
+  Image<std::uint8_t> trust;
+  double trusted_share = std::numeric_limits<double>::quiet_NaN();  ///< its mean over usable pixels, 0 … 1
+  /// Of the polarization at the prior's slopes, mean over the object, −1 … 1: all of it (with surroundings that beyond
+  /// a plane's), and that beyond a plane's.
+  double explained_share = std::numeric_limits<double>::quiet_NaN();
+  double explained_beyond_plane = std::numeric_limits<double>::quiet_NaN();
+  double stokes_cost = 0;                       ///< mean of ln(1 + r² / 4) over usable pixels, of the result
+  double median_residual = 0;                   ///< of the result's Stokes vectors, in standard deviations
   int regions_compared = 0, regions_taken = 0;  ///< of the search for a better minimum
   int tiles = 0;
   double seconds = 0;
@@ -154,7 +159,7 @@ struct RefineResult {
 /// specular, with an environment by zenith, or an object that is matt all over and mirrors its surroundings
 /// (surroundings.h). Where the model does not explain the polarization at the prior's slopes, the prior's surface stays
 /// (see surface_evidence.h), which surface.confidence and report.trust tell. What the data cannot support otherwise is
-/// in surface.status ("converged", "not converged", "low confidence") and warnings.
+/// in surface.confidence and warnings; surface.status is the solver's ("converged", "not converged").
 RefineResult refine(const PolarizationState& state, const DepthPrior& prior, const RefineInput& input,
                     const RefineOptions& options, const Context& context);
 

@@ -8,16 +8,14 @@
 #include "malus/core/even_choice.h"
 #include "malus/core/median.h"
 #include "malus/core/parallel.h"
+#include "malus/core/robust_spread.h"
+#include "malus/core/square.h"
 #include "malus/fusion/fresnel_factors.h"
 #include "malus/fusion/masked_blur.h"
 #include "malus/fusion/quad_costs_internal.h"
 
 namespace malus {
 namespace {
-
-double square(double x) {
-  return x * x;
-}
 
 /// Body light of specular pixels: s0 less the mirror image of the usual surroundings, where that is a likely value; the
 /// neighbours' elsewhere, because steep slopes see other, darker surroundings.
@@ -172,7 +170,7 @@ FitQuality ResidualSummary::quality() {
 double ResidualSummary::albedo_weight(const WeightOptions& options) {
   // A body of one albedo says more about its shape by its shading than a textured one.
   constexpr double textured = 0.06, most = 2.5;
-  const double spread = 1.4826 * median_in_place(albedo_steps_);
+  const double spread = deviation_per_median * median_in_place(albedo_steps_);
   return square(options.albedo_weight * std::clamp(textured / std::max(spread, 1e-6), 1.0, most));
 }
 

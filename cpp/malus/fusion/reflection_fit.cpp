@@ -9,6 +9,7 @@
 
 #include "malus/core/even_choice.h"
 #include "malus/core/median.h"
+#include "malus/core/robust_spread.h"
 #include "malus/fusion/fresnel_factors.h"
 #include "malus/polarization/fresnel.h"
 
@@ -27,7 +28,8 @@ Eigen::VectorXd robust_fit(const Eigen::MatrixXd& rows, const Eigen::VectorXd& v
     solution = (weighted.transpose() * rows).ldlt().solve(weighted.transpose() * values);
     const Eigen::VectorXd residual = values - rows * solution;
     const Eigen::VectorXd magnitude = residual.cwiseAbs();
-    const double spread = 1.4826 * median(std::vector<double>{magnitude.begin(), magnitude.end()});
+    std::vector<double> magnitudes(magnitude.begin(), magnitude.end());
+    const double spread = robust_spread(magnitudes);
     weights = 1 / (1 + (residual.array() / std::max(1.5 * spread, 1e-12)).square());
   }
   return solution;
@@ -274,7 +276,7 @@ double body_spread(const std::vector<ReflectionSample>& samples, const MirrorRef
   }
   const double middle = median(rest);
   for (const double value : rest) deviation.push_back(std::abs(value - middle));
-  return 1.4826 * median(std::move(deviation)) / mirror.body;
+  return robust_spread(deviation) / mirror.body;
 }
 
 std::array<double, node_count> nodes_of(const Eigen::VectorXd& values) {
@@ -440,7 +442,7 @@ SpecularFit fit_specular(const std::vector<ReflectionSample>& samples, double et
   }
   const double usual = near.empty() ? peak : median(near);
   for (const double e : near) deviation.push_back(std::abs(e - usual));
-  fit.environment_sigma = 1.4826 * median(deviation);
+  fit.environment_sigma = robust_spread(deviation);
   fit.mirror = {std::max(body, 1e-3 * usual), usual};
   fit.mirror.body_spread = body_spread(samples, fit.mirror, eta);
   return fit;

@@ -7,6 +7,7 @@
 
 #include "malus/core/median.h"
 #include "malus/core/parallel.h"
+#include "malus/core/square.h"
 #include "malus/fusion/connected_sets.h"
 #include "malus/fusion/masked_blur.h"
 
@@ -16,10 +17,6 @@ namespace {
 constexpr double detail_sigma_px = 8;
 constexpr double different_gsd = 0.3;
 constexpr int grow_px = 3;
-
-double square(double x) {
-  return x * x;
-}
 
 double cauchy(double squared, double scale) {
   return square(scale) * std::log1p(squared / square(scale));

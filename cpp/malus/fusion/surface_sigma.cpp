@@ -6,15 +6,12 @@
 #include <utility>
 
 #include "malus/core/parallel.h"
+#include "malus/core/square.h"
 #include "malus/fusion/masked_blur.h"
 #include "malus/fusion/refinement_weights.h"
 
 namespace malus {
 namespace {
-
-double square(double x) {
-  return x * x;
-}
 
 /// Variance of depth [GSD²] over one pixel step from the uncertainty of the slopes there.
 double slope_variance(const RefinementField& field, int u, int v) {

@@ -5,22 +5,15 @@
 #include <cmath>
 #include <complex>
 
+#include "malus/polarization/phase_weight.h"
+
 namespace malus {
 namespace {
 
 using Complex = std::complex<double>;
 
 constexpr int parts_per_side = 8;
-/// Standard deviation of a prior's slopes, and of s1 / s0 and s2 / s0 beside the noise.
-constexpr double slope_sigma = 0.15, degree_floor = 0.003;
-/// E exp(4i x) = exp(−8 variance of x) for a normal x.
-constexpr double decay = 8;
 constexpr double min_ahead = 3, min_ahead_for_zero = 4, min_coherence = 0.3;
-
-double weight_of_variance(double variance) {
-  const double root = 1 / (1 + decay * variance);
-  return root * root;
-}
 
 /// Weighted sums over cells; phases, azimuths and their products are of unit modulus.
 struct Sums {
@@ -75,11 +68,10 @@ PhaseCoherence phase_coherence(const std::vector<PhaseCell>& cells) {
     const PhaseCell& cell = cells[i];
     const Complex polarization = cell.polarization();
     const double degree2 = std::max(std::norm(polarization), 1e-12);
-    const double phase_variance = (cell.variance + degree_floor * degree_floor) / (4 * degree2);
-    const double azimuth_variance = slope_sigma * slope_sigma / cell.slopes.tan2();
-    result.phases_known += weight_of_variance(phase_variance);
-    result.azimuths_known += weight_of_variance(azimuth_variance);
-    const double weight = weight_of_variance(phase_variance + azimuth_variance);
+    const double of_phase = phase_variance(cell.variance, degree2), of_azimuth = azimuth_variance(cell.slopes.tan2());
+    result.phases_known += angle_weight(of_phase);
+    result.azimuths_known += angle_weight(of_azimuth);
+    const double weight = angle_weight(of_phase + of_azimuth);
     const Complex phase = polarization * polarization / degree2, azimuth = cell.azimuth() * cell.azimuth();
     by_part[static_cast<std::size_t>(parts[i])] +=
         Sums{weight, weight * phase, weight * azimuth, weight * phase * std::conj(azimuth),

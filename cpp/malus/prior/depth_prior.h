@@ -16,12 +16,13 @@ struct DepthPrior {
   Pose pose;  ///< cam_from_world
 
   // Block of provenance, for quality.json.
-  double points_total = 0;     ///< in the file
-  double points_used = 0;      ///< visible, inliers
-  double noise = 0;            ///< robust standard deviation of a point about the surface, station unit
-  double spacing_px = 0;       ///< mean distance of neighbouring used points in the view
-  double smoothing_px = 0;     ///< chosen smoothing length
-  double filled_fraction = 0;  ///< share of object pixels farther than 2 · spacing from any point
+  double points_total = 0;  ///< in the file
+  double points_used = 0;   ///< visible, inliers
+  double noise = 0;         ///< robust standard deviation of a point about the surface, station unit
+  double spacing_px = 0;    ///< mean distance of neighbouring used points in the view
+  double smoothing_px = 0;  ///< chosen smoothing length
+  /// Share of object pixels farther than 2 · spacing from any point; of rasters and photos, those without a depth.
+  double filled_fraction = 0;
 };
 
 }  // namespace malus

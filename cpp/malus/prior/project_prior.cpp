@@ -466,6 +466,15 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
   parallel_rows(context, depth.height(), [&](int v) {
     for (int u = 0; u < depth.width(); ++u) missing.at<std::uint8_t>(v, u) = known(u, v) ? 0 : 255;
   });
+  // The cloud's points are few: what lies between them is seen, or is not.
+  double object = 0, unseen = 0;
+  for (int v = 0; v < depth.height(); ++v) {
+    for (int u = 0; u < depth.width(); ++u) {
+      object += mask(u, v) != 0;
+      unseen += mask(u, v) != 0 && missing.at<std::uint8_t>(v, u) != 0;
+    }
+  }
+  prior.filled_fraction = unseen / object;
   cv::distanceTransform(missing, distance, cv::DIST_L2, cv::DIST_MASK_PRECISE);
   parallel_rows(context, depth.height(), [&](int v) {
     for (int u = 0; u < depth.width(); ++u) {

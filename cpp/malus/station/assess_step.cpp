@@ -9,8 +9,7 @@ namespace malus {
 
 QualityReport make_quality(const Job& job, const FusedSurface& surface, const CalibratedPolarization& polarization,
                            const StationView& view, const DepthPrior& prior, const HeightMap* height,
-                           const InputEvidence& evidence, const RefinementFindings* refinement,
-                           const Warnings& warnings) {
+                           const RefinementFindings* refinement, const Warnings& warnings) {
   const StationFile& station = job.station.file;
   std::optional<TriangleMesh> reference;
   if (job.run.reference) reference = read_cloud_or_mesh(*job.run.reference, job.context, "reference");
@@ -25,8 +24,7 @@ QualityReport make_quality(const Job& job, const FusedSurface& surface, const Ca
                            .registration_rms_px = view.registration_rms_px,
                            .patches = station.patches,
                            .profiles = station.profiles,
-                           .unit = station.unit,
-                           .doubts = evidence.doubts()},
+                           .unit = station.unit},
                           job.options.assess, job.context);
   report.quality.warnings = warnings.all;
   const auto& photogrammetry = job.station.photogrammetry;

@@ -5,7 +5,6 @@
 
 #include "malus/evidence/before_fusion.h"
 #include "malus/io/colmap_workspace.h"
-#include "malus/station/json_fields_internal.h"
 #include "malus/station/state_views_internal.h"
 #include "malus/station/step_functions_internal.h"
 
@@ -27,28 +26,28 @@ std::vector<Finding> compare_with_prior(const Job& job, const PolarizationState&
 
 }  // namespace
 
-std::vector<std::string> InputEvidence::doubts() const {
-  std::vector<std::string> texts;
+void InputEvidence::limit(Confidence& confidence) const {
   for (const Finding& finding : findings) {
-    if (finding.severity != Severity::note) texts.push_back(finding.text());
+    if (finding.severity == Severity::note) continue;
+    confidence.limit(finding.severity == Severity::caution ? ConfidenceLevel::partial : ConfidenceLevel::low,
+                     finding.text());
   }
-  return texts;
 }
 
 InputEvidence check_inputs(const Job& job, const ImageFindings& of_images, const CalibratedPolarization& polarization,
                            const StationView& view, const Scene& scene, const DepthPrior* prior) {
-  InputEvidence evidence{of_images.findings, ""};
+  InputEvidence evidence{of_images.findings};
   if (prior != nullptr)
     std::ranges::move(compare_with_prior(job, *polarization.state, view, scene, *prior),
                       std::back_inserter(evidence.findings));
   std::ranges::stable_sort(evidence.findings, std::ranges::greater(), &Finding::severity);
   for (const Finding& finding : evidence.findings) {
-    if (finding.severity == Severity::note) continue;
+    // Cautions were logged by the steps that found them, which are run without this one, too.
+    if (finding.severity <= Severity::caution) continue;
     if (finding.severity == Severity::error && job.options.evidence.refuse)
       throw input_error(finding.text() + " (evidence.refuse = false goes on all the same)");
     job.context.log(LogLevel::warning, finding.text());
   }
-  evidence.json = fields_to_json(evidence.findings).dump(2) + "\n";
   return evidence;
 }
 

@@ -69,8 +69,9 @@ void keep(DepthPrior& result, Keeper& keeper) {
 }
 
 void keep(InputEvidence& result, Keeper& keeper) {
-  keeper.text("evidence/findings.json", result.json);
-  if (keeper.is_reading()) fields_from_json(result.findings, Json::parse(result.json));
+  std::string json = fields_to_json(result.findings).dump(2) + "\n";
+  keeper.text("evidence/findings.json", json);
+  if (keeper.is_reading()) fields_from_json(result.findings, Json::parse(json));
 }
 
 void keep(ReflectionMap& result, Keeper& keeper) {

@@ -8,6 +8,7 @@
 #include "malus/core/depth_normals.h"
 #include "malus/core/median.h"
 #include "malus/core/parallel.h"
+#include "malus/core/percent.h"
 #include "malus/evidence/image_order.h"
 #include "malus/evidence/response_check.h"
 #include "malus/io/image_file.h"
@@ -75,22 +76,37 @@ void fit_polarizer_of(PolarizedStack& stack, const PolarizedSpec& spec, const Po
   }
 }
 
+/// Images that lie as they are may be aside of each other, which passes for polarization at every edge.
+std::optional<Finding> caution_of_registration(const PolarizedStack& stack) {
+  const std::size_t count = stack.unregistered.size();
+  if (count == 0) return std::nullopt;
+  return Finding{"registration",
+                 Severity::caution,
+                 "used without registration: " + std::to_string(count) + " of the " +
+                     std::to_string(stack.images.size()) +
+                     " polarized images, as too little in them tells how they lie",
+                 "if the camera did not move, capture.registration = \"off\" says so",
+                 {}};
+}
+
 /// Pixels that do not follow the sinusoid are left out one by one; many of them have one cause.
-void warn_of_misfits(const PolarizationState& state, const Context& context) {
+std::optional<Finding> caution_of_misfits(const PolarizationState& state) {
   std::size_t object_pixels = 0, misfit_pixels = 0;
   for (const std::uint8_t pixel : state.valid) {
     object_pixels += pixel != static_cast<std::uint8_t>(PixelState::outside);
     misfit_pixels += pixel == static_cast<std::uint8_t>(PixelState::misfit);
   }
   const auto object = static_cast<double>(object_pixels), misfits = static_cast<double>(misfit_pixels);
-  if (misfits <= many_misfits * object) return;
-  context.log(LogLevel::warning, std::to_string(std::lround(100 * misfits / object)) +
-                                     " % of the object's pixels do not follow the polarizer's sinusoid: is `response` "
-                                     "right, did the light change, did something move?");
+  if (misfits <= many_misfits * object) return std::nullopt;
+  return Finding{"misfits",
+                 Severity::caution,
+                 percent(misfits / object) + " of the object's pixels do not follow the polarizer's sinusoid",
+                 "is `response` right, did the light change, did something move?",
+                 {{"misfit_fraction", misfits / object}}};
 }
 
 /// Of images interpolated from a mosaic: texture finer than its cells passes for polarization.
-void warn_of_texture(const PolarizationState& state, const Context& context) {
+std::optional<Finding> caution_of_texture(const PolarizationState& state) {
   std::vector<double> errors;
   for (int v = 0; v < state.size().height; v += 4) {
     for (int u = 0; u < state.size().width; u += 4) {
@@ -100,12 +116,15 @@ void warn_of_texture(const PolarizationState& state, const Context& context) {
       errors.push_back(std::sqrt(0.5 * (covariance(1, 1) + covariance(2, 2))) / linear);
     }
   }
-  if (errors.empty()) return;
-  if (median_in_place(errors) < texture_over_polarization) return;
-  context.log(LogLevel::warning,
-              "texture finer than the mosaic's cells is as strong as the polarization on most of the object: the fused "
-              "detail may be worse than the prior's; come closer, stop the lens down, or turn a filter before an "
-              "ordinary camera");
+  if (errors.empty()) return std::nullopt;
+  const double error = median_in_place(errors);
+  if (error < texture_over_polarization) return std::nullopt;
+  return Finding{"texture",
+                 Severity::caution,
+                 "texture finer than the mosaic's cells is as strong as the polarization on most of the object: the "
+                 "fused detail may be worse than the prior's",
+                 "come closer, stop the lens down, or turn a filter before an ordinary camera",
+                 {{"texture_over_polarization", error}}};
 }
 
 /// What is known of the reflection, the light and the scale, to compare the polarization with the prior.
@@ -155,11 +174,18 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
       check_response(stack.images, stack.angles_rad, stack.mask, polarized.response, context).finding);
   auto state = std::make_shared<PolarizationState>(decompose(stack.images, stack.angles_rad, stack.noise, stack.mask,
                                                              stack.saturated, options.polarization, context));
+  // Each image that is not registered was warned of.
+  if (auto found = caution_of_registration(stack)) of_images.findings.push_back(*std::move(found));
+  const auto warn = [&](std::optional<Finding> found) {
+    if (!found) return;
+    context.log(LogLevel::warning, found->text());
+    of_images.findings.push_back(*std::move(found));
+  };
   if (!stack.shared.empty()) {
     add_interpolation_error(*state, stack.shared, context);
-    warn_of_texture(*state, context);
+    warn(caution_of_texture(*state));
   }
-  warn_of_misfits(*state, context);
+  warn(caution_of_misfits(*state));
   measured.state = std::move(state);
   Scene scene;
   const bool has_surroundings = std::ranges::find(stack.mask, std::uint8_t{0}) != stack.mask.end();

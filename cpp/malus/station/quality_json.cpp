@@ -15,39 +15,41 @@ Json refine_report_json(const RefineReport& report) {
                           {"change_gsd", i.change_gsd},
                           {"rejected_steps", i.rejected_steps}});
   }
-  Json environment = Json::array();
-  for (std::size_t k = 0; k < model.environment.radiance.size(); ++k) {
-    environment.push_back({{"zenith_rad", EnvironmentProfile::nodes_rad[k]},
-                           {"radiance", model.environment.radiance[k]},
-                           {"sigma", fields_to_json(report.environment_sigma[k])}});
-  }
-  Json surroundings = nullptr;
-  if (!report.surroundings.radiance.empty()) {
-    const Image<float>& radiance = report.surroundings.radiance;
+  // Either of two models: what the other one fitted is not of this result.
+  Json light, lobe, environment, mirror, surroundings;
+  const Image<float>& radiance = report.surroundings.radiance;
+  if (radiance.empty()) {
+    light = {{"direction", {model.lobe.light.x(), model.lobe.light.y(), model.lobe.light.z()}},
+             {"sigma_rad", fields_to_json(report.light_sigma_rad)}};
+    lobe = {{"strength", model.lobe.strength},
+            {"strength_sigma", fields_to_json(report.lobe_strength_sigma)},
+            {"roughness", model.lobe.roughness},
+            {"roughness_sigma", fields_to_json(report.lobe_roughness_sigma)}};
+    for (std::size_t k = 0; k < model.environment.radiance.size(); ++k) {
+      environment.push_back({{"zenith_rad", EnvironmentProfile::nodes_rad[k]},
+                             {"radiance", model.environment.radiance[k]},
+                             {"sigma", fields_to_json(report.environment_sigma[k])}});
+    }
+    mirror = {{"body", model.mirror.body},
+              {"body_sigma", fields_to_json(report.mirror_body_sigma)},
+              {"environment", model.mirror.environment},
+              {"environment_sigma", fields_to_json(report.mirror_environment_sigma)}};
+  } else {
     Json rows = Json::array();
     for (int row = 0; row < radiance.height(); ++row)
       rows.push_back(std::vector<float>(radiance.row(row), radiance.row(row) + radiance.width()));
     surroundings = {{"roughness", report.surroundings.roughness}, {"radiance", rows}};
   }
   return {{"refractive_index", {{"value", model.eta}, {"sigma", fields_to_json(report.eta_sigma)}}},
-          {"light",
-           {{"direction", {model.lobe.light.x(), model.lobe.light.y(), model.lobe.light.z()}},
-            {"sigma_rad", fields_to_json(report.light_sigma_rad)}}},
-          {"lobe",
-           {{"strength", model.lobe.strength},
-            {"strength_sigma", fields_to_json(report.lobe_strength_sigma)},
-            {"roughness", model.lobe.roughness},
-            {"roughness_sigma", fields_to_json(report.lobe_roughness_sigma)}}},
+          {"light", light},
+          {"lobe", lobe},
           {"environment", environment},
           {"surroundings", surroundings},
-          {"mirror",
-           {{"body", model.mirror.body},
-            {"body_sigma", fields_to_json(report.mirror_body_sigma)},
-            {"environment", model.mirror.environment},
-            {"environment_sigma", fields_to_json(report.mirror_environment_sigma)}}},
+          {"mirror", mirror},
           {"specular_share", report.specular_share},
-          {"explained_share", report.explained_share},
-          {"trusted_share", report.trusted_share},
+          {"explained_share", fields_to_json(report.explained_share)},
+          {"explained_beyond_plane", fields_to_json(report.explained_beyond_plane)},
+          {"trusted_share", fields_to_json(report.trusted_share)},
           {"regions_compared", report.regions_compared},
           {"regions_taken", report.regions_taken},
           {"tiles", report.tiles},

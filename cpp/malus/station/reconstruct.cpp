@@ -2,7 +2,9 @@
 
 #include <algorithm>
 
+#include "malus/io/input_file.h"
 #include "malus/io/sha256.h"
+#include "malus/station/json_fields_internal.h"
 #include "malus/station/step_runner_internal.h"
 
 namespace malus {
@@ -56,6 +58,19 @@ Results reconstruct(const Station& station, const Options& options, const RunOpt
   std::vector<const Step*> steps = steps_of_run(step_table(), station, options, run.until);
   if (!station.has_prior() && (!run.until || steps.empty())) throw no_prior(station);
   return StepRunner(step_table(), std::move(steps), station, options, run, context).run();
+}
+
+std::optional<SurfaceConfidence> surface_confidence(const std::filesystem::path& folder) {
+  const Json steps = Workspace::read_manifest(folder).at("steps");
+  SurfaceConfidence found{{}, steps.contains("assess")};
+  if (found.assessed) {
+    fields_from_json(found.confidence, Json::parse(read_file(folder / "quality.json", "assessment")).at("confidence"));
+  } else if (steps.contains("fuse")) {
+    fields_from_json(found.confidence, steps.at("fuse").at("notes").at("confidence"));
+  } else {
+    return std::nullopt;
+  }
+  return found;
 }
 
 void claim_workspace(const std::filesystem::path& folder, const Station& station, bool replace) {

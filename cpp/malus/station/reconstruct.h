@@ -48,6 +48,14 @@ struct RunOptions {
 /// back instead of repeated, with the same result to the bit. Throws Error; what finished steps wrote stays.
 Results reconstruct(const Station& station, const Options& options, const RunOptions& run, const Context& context);
 
+/// How far the surface that a workspace holds may be trusted: as assessed, or as the fusion alone knows it. Nothing is
+/// returned if nothing is fused. Throws an input error if the folder is no workspace.
+struct SurfaceConfidence {
+  Confidence confidence;
+  bool assessed = false;
+};
+std::optional<SurfaceConfidence> surface_confidence(const std::filesystem::path& workspace);
+
 /// Makes a folder the station's workspace, or throws as reconstruct would. For programs that write to it before.
 void claim_workspace(const std::filesystem::path& folder, const Station& station, bool replace);
 

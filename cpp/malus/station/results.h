@@ -8,6 +8,7 @@
 
 #include "malus/assess/quality.h"
 #include "malus/core/camera.h"
+#include "malus/core/confidence.h"
 #include "malus/core/finding.h"
 #include "malus/core/image.h"
 #include "malus/fusion/fused_surface.h"
@@ -36,7 +37,8 @@ struct StationView {
   std::vector<double> registration_rms_px;  ///< PolarizedStack::registration_rms_px
 };
 
-/// What the images say of themselves: "order" and "response".
+/// What the images say of themselves: "order" and "response", and if it gives cause for caution, "registration",
+/// "misfits" and "texture".
 struct ImageFindings {
   std::vector<Finding> findings;
 };
@@ -57,13 +59,12 @@ struct CalibratedPolarization {
   PolarizerCalibration polarizer;
 };
 
-/// What all inputs together say of themselves before they are fused, most severe first, and evidence/findings.json.
+/// What all inputs together say of themselves before they are fused, most severe first.
 struct InputEvidence {
   std::vector<Finding> findings;
-  std::string json;
 
-  /// Of those that are more than notes: why the result may not be trusted.
-  std::vector<std::string> doubts() const;
+  /// Lowers the confidence by all that are more than notes: to partial for cautions, to low for the rest.
+  void limit(Confidence& confidence) const;
 };
 
 /// What the nonlinear refinement found out beside the surface.

@@ -51,7 +51,6 @@ void write_mesh(const Job& job, const FusedSurface& surface, const ObjectColor& 
 /// Every figure of quality.json.
 QualityReport make_quality(const Job& job, const FusedSurface& surface, const CalibratedPolarization& polarization,
                            const StationView& view, const DepthPrior& prior, const HeightMap* height,
-                           const InputEvidence& evidence, const RefinementFindings* refinement,
-                           const Warnings& warnings);
+                           const RefinementFindings* refinement, const Warnings& warnings);
 
 }  // namespace malus

@@ -45,9 +45,10 @@ struct PriorMaker {
   }
 };
 
-/// What the fusion says of its result goes the way of all warnings.
-FusedSurface with_warnings_logged(FusedSurface surface, const Context& context) {
+/// What the fusion says of its result goes the way of all warnings, and what the inputs say lowers the confidence.
+FusedSurface judged(FusedSurface surface, const InputEvidence& evidence, const Context& context) {
   for (const std::string& warning : surface.warnings) context.log(LogLevel::warning, warning);
+  evidence.limit(surface.confidence);
   return surface;
 }
 
@@ -78,14 +79,14 @@ HeightMap make_height(const Job& job, const CalibratedPolarization& polarization
 }
 
 FusedSurface fuse_by_grid(const Job& job, const HeightMap& height, const DepthPrior& prior,
-                          const InputEvidence& /*evidence*/) {
-  return with_warnings_logged(fuse_grid(height, prior, job.options.grid, job.context), job.context);
+                          const InputEvidence& evidence) {
+  return judged(fuse_grid(height, prior, job.options.grid, job.context), evidence, job.context);
 }
 
 std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,
                                                                 const CalibratedPolarization& polarization,
                                                                 const DepthPrior& prior,
-                                                                const InputEvidence& /*evidence*/) {
+                                                                const InputEvidence& evidence) {
   const OpticsSpec& optics = job.station.file.optics;
   RefineInput input;
   input.refractive_index = optics.refractive_index;
@@ -95,7 +96,7 @@ std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,
   job.times["linear_solver_share"] = refined.report.linear_solver_share;
   RefinementFindings findings{refine_report_json(refined.report).dump(2) + "\n", std::move(refined.report.label),
                               std::move(refined.report.confidence), std::move(refined.report.trust)};
-  return {with_warnings_logged(std::move(refined.surface), job.context), std::move(findings)};
+  return {judged(std::move(refined.surface), evidence, job.context), std::move(findings)};
 }
 
 void write_mesh(const Job& job, const FusedSurface& surface, const ObjectColor& color,

@@ -101,13 +101,41 @@ TEST(Quality, ConfidenceIsTheSurfacesOwnLessWhatTheFiguresSay) {
   EXPECT_EQ(assess(c.input, {}, {}).confidence.level, ConfidenceLevel::low) << "the surface left its prior";
 }
 
-TEST(Quality, DoubtsOfTheInputsLowerTheConfidence) {
+TEST(Quality, APriorThatIsMostlyFilledIsNoEvidence) {
   Case c;
   c.prior.sigma.fill(2.0f);
-  c.input.doubts = {"the images do not seem to be in order"};
+  for (const auto& [filled, level] : {std::pair{0.2, ConfidenceLevel::high},
+                                      {0.3, ConfidenceLevel::partial},
+                                      {0.8, ConfidenceLevel::low},
+                                      {static_cast<double>(none), ConfidenceLevel::partial}}) {
+    c.prior.filled_fraction = filled;
+    EXPECT_EQ(assess(c.input, {}, {}).confidence.level, level) << filled;
+  }
+}
+
+TEST(Quality, PixelsWithoutPolarizationAreNotTrusted) {
+  Case c;
+  c.prior.sigma.fill(2.0f);
+  for (int v = 2; v < 22; ++v) {
+    for (int u = 0; u < 200; ++u) c.state.valid(u, v) = 64;
+  }
   const Confidence confidence = assess(c.input, {}, {}).confidence;
-  EXPECT_EQ(confidence.level, ConfidenceLevel::low);
-  EXPECT_EQ(confidence.reasons, c.input.doubts);
+  EXPECT_EQ(confidence.level, ConfidenceLevel::partial);
+  ASSERT_EQ(confidence.reasons.size(), 1u);
+  EXPECT_NE(confidence.reasons[0].find("On 14 % of the object the polarization is not usable"), std::string::npos)
+      << confidence.reasons[0];
+}
+
+TEST(Quality, FiguresThatAreMissingProveNothing) {
+  Case c;
+  c.surface.sigma.fill(none);
+  c.prior.sigma.fill(2.0f);
+  EXPECT_EQ(assess(c.input, {}, {}).confidence.level, ConfidenceLevel::partial) << "sigma is not known";
+  c.surface.sigma.fill(0.25f);
+  c.prior.sigma.fill(none);
+  EXPECT_EQ(assess(c.input, {}, {}).confidence.level, ConfidenceLevel::partial) << "the prior's sigma is not known";
+  c.input.prior = nullptr;
+  EXPECT_EQ(assess(c.input, {}, {}).confidence.level, ConfidenceLevel::partial) << "there is no prior";
 }
 
 TEST(Quality, OnlyASurfaceIsNeeded) {

@@ -159,8 +159,10 @@ TEST(Capture, data_that_cannot_be_used) {
   int warnings = 0;
   Context context;
   context.on_log = [&](LogLevel level, const std::string&) { warnings += level == LogLevel::warning; };
-  capture_stack(flat, {}, context);
+  const PolarizedStack stack = capture_stack(flat, {}, context);
   EXPECT_EQ(warnings, 3);
+  EXPECT_EQ(stack.unregistered.size(), 3u);
+  EXPECT_TRUE(capture_stack(aligned_input(), {}, Context{}).unregistered.empty());
 }
 
 TEST(Capture, options_are_checked) {

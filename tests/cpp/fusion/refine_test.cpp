@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <atomic>
 #include <cmath>
 #include <limits>
@@ -179,8 +180,10 @@ TEST(Refine, WarnsOfMetal) {
   scene.model.mirror = {0.9, 4};  // direction of a mirror image, degree far below a dielectric's
   const SyntheticStation station = make_station(scene);
   const RefineResult result = refine(station.state, station.prior, {}, quick(), Context{});
-  EXPECT_EQ(result.surface.status, "low confidence");
-  ASSERT_FALSE(result.surface.warnings.empty());
+  EXPECT_NE(result.surface.confidence.level, ConfidenceLevel::high);
+  EXPECT_TRUE(std::ranges::any_of(result.surface.confidence.reasons, [](const std::string& reason) {
+    return reason.find("bare metal") != std::string::npos;
+  }));
 }
 
 TEST(Refine, EstimatesTheRefractiveIndex) {

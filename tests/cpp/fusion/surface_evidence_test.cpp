@@ -70,6 +70,8 @@ TEST(Evidence, WhatTheModelCannotExplainLeavesThePrior) {
   EXPECT_GT(rms_of_columns(free.surface.depth, station.prior.depth, 4, 156, gsd), 0.3) << "it would have moved";
   EXPECT_LT(rms_error_gsd(held.surface.depth, station.truth, station.prior.camera), 1.02 * prior);
   EXPECT_NE(free.surface.confidence.level, ConfidenceLevel::high) << "nothing was held against the prior";
+  EXPECT_TRUE(std::isnan(free.report.trusted_share) && std::isnan(free.report.explained_share));
+  EXPECT_TRUE(free.report.trust.empty()) << "a map would say what nobody knows";
   EXPECT_LT(held.report.trusted_share, 0.05);
   EXPECT_EQ(held.surface.confidence.level, ConfidenceLevel::partial);
   ASSERT_FALSE(held.surface.confidence.reasons.empty());
@@ -84,6 +86,35 @@ TEST(Evidence, WithoutAnyUsablePixelThePriorStays) {
   EXPECT_LT(result.report.trusted_share, 0.05);
   EXPECT_NE(result.surface.confidence.level, ConfidenceLevel::high);
   EXPECT_NEAR(result.surface.depth(80, 64), station.prior.depth(80, 64), 1e-3);
+}
+
+TEST(Evidence, OnlyUsablePixelsAreTrusted) {
+  SyntheticOptions scene = scene_under_a_sky();
+  scene.size = {320, 128};
+  SyntheticStation station = make_station(scene);
+  // The left part is misleading, of the right one nothing is usable but what lies farthest from it.
+  turn_phase(station.state, 0, misleading);
+  for (int v = 0; v < 128; ++v) {
+    for (int u = 160; u < 320; ++u) {
+      station.state.phi(u, v) -= static_cast<float>(misleading);
+      if (u < 280) station.state.valid(u, v) = static_cast<std::uint8_t>(PixelState::saturated);
+    }
+  }
+  const RefineResult result = refine(station.state, station.prior, diffuse, quick(), Context{});
+  EXPECT_LT(result.report.trust(80, 64), 60);
+  EXPECT_GT(result.report.trust(300, 64), 200);
+  EXPECT_NEAR(result.report.trusted_share, 0.2, 0.1) << "40 of 200 usable columns, whatever lies between";
+}
+
+TEST(Evidence, AFlatObjectSaysNothingOfItsRelief) {
+  SyntheticOptions scene = scene_under_a_sky();
+  scene.bump_gsd = 0.02;
+  scene.flat = true;
+  const SyntheticStation station = make_station(scene);
+  const RefineResult result = refine(station.state, station.prior, diffuse, quick(), Context{});
+  EXPECT_GT(result.report.explained_share, 0.9) << "all of a plane's";
+  EXPECT_LT(result.report.explained_beyond_plane, 0.2);
+  EXPECT_EQ(result.surface.confidence.level, ConfidenceLevel::partial);
 }
 
 TEST(Evidence, IsWeighedRegionByRegion) {

@@ -2,14 +2,17 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <memory>
 #include <random>
 
 #include "malus/fusion/fresnel_factors.h"
+#include "malus/fusion/refine.h"
 #include "malus/fusion/reflection_model.h"
 #include "malus/fusion/surroundings_fit.h"
+#include "synthetic_station.h"
 
 namespace malus {
 namespace {
@@ -112,6 +115,23 @@ TEST(Surroundings, AreFoundFromWhatTheyMirror) {
   }
   EXPECT_LT(std::sqrt(error / size), 0.1);
   EXPECT_GE(*std::min_element(fit.surroundings.radiance.begin(), fit.surroundings.radiance.end()), 0);
+}
+
+TEST(Surroundings, LeaveNoIndexToBeEstimated) {
+  SyntheticOptions scene;
+  scene.size = {160, 128};
+  const Pinhole view = make_station(scene).prior.camera;
+  scene.model.mirrored = std::make_shared<MirroredLightTable>(window(0.2), 1.5, view, Context{});
+  const SyntheticStation station = make_station(scene);
+  RefineInput input;
+  input.refractive_index.reset();
+  const RefineResult result = refine(station.state, station.prior, input, {}, Context{});
+  ASSERT_TRUE(result.report.reflection.mirrored) << "the model must be the map";
+  EXPECT_EQ(result.report.reflection.eta, 1.5);
+  EXPECT_TRUE(std::isnan(result.report.eta_sigma)) << "not that of the model which was rejected";
+  EXPECT_TRUE(std::ranges::any_of(result.surface.warnings, [](const std::string& warning) {
+    return warning.find("refractive index is not known") != std::string::npos;
+  }));
 }
 
 }  // namespace

@@ -25,6 +25,7 @@ struct SyntheticOptions {
   ReflectionModel model;
   double noise = 2e-5;    ///< standard deviation of s1 and s2
   double bump_gsd = 1.5;  ///< height of the bumps that the prior does not have
+  bool flat = false;      ///< nothing but the bumps on a tilted plane
 };
 
 inline SyntheticStation make_station(const SyntheticOptions& options) {
@@ -36,7 +37,8 @@ inline SyntheticStation make_station(const SyntheticOptions& options) {
   for (int v = 0; v < size.height; ++v) {
     for (int u = 0; u < size.width; ++u) {
       const double x = u - 0.5 * size.width, y = v - 0.5 * size.height;
-      const double smooth = 0.45 * x + 0.3 * y + 0.004 * (x * x + y * y);
+      const double tilt = 0.45 * x + 0.3 * y;
+      const double smooth = options.flat ? tilt / (1 - gsd / distance * tilt) : tilt + 0.004 * (x * x + y * y);
       const double bumps = options.bump_gsd * std::sin(0.35 * u) * std::cos(0.3 * v);
       station.truth(u, v) = static_cast<float>(distance + gsd * (smooth + bumps));
       station.prior.depth(u, v) = static_cast<float>(distance + gsd * smooth);

@@ -138,6 +138,14 @@ TEST(KeptResults, ViewColorAndScene) {
   EXPECT_EQ(expect_kept(Scene{raster(4)}).image, raster(4));
 }
 
+TEST(KeptResults, InputEvidenceIsItsFindings) {
+  const InputEvidence back =
+      expect_kept(InputEvidence{{{"misfits", Severity::caution, "many", "look", {{"misfit_fraction", 0.25}}}}});
+  ASSERT_EQ(back.findings.size(), 1u);
+  EXPECT_EQ(back.findings[0].severity, Severity::caution);
+  EXPECT_EQ(back.findings[0].figures[0].second, 0.25);
+}
+
 TEST(KeptResults, Surfaces) {
   const DepthPrior prior = expect_kept(DepthPrior{raster(500), raster(1), camera, pose, 10, 9, nan, 3, 4, 0.5});
   EXPECT_EQ(prior.pose.rotation, pose.rotation) << "to the last bit";

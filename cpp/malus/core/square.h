@@ -1,0 +1,9 @@
+#pragma once
+
+namespace malus {
+
+constexpr double square(double x) {
+  return x * x;
+}
+
+}  // namespace malus

@@ -1,0 +1,119 @@
+#include "malus/fusion/refinement_verdict.h"
+
+#include <algorithm>
+#include <cmath>
+#include <sstream>
+#include <string>
+
+#include "malus/core/percent.h"
+
+namespace malus {
+namespace {
+
+std::string rounded(double value) {
+  std::ostringstream text;
+  text.precision(2);
+  text << value;
+  return text.str();
+}
+
+bool is_the_prior(const RefineReport& report) {
+  constexpr double nowhere = 0.05;
+  return report.trusted_share < nowhere;
+}
+
+/// A warning that lowers the confidence.
+void warn(ConfidenceLevel most, const std::string& text, FusedSurface& surface) {
+  surface.warnings.push_back(text);
+  surface.confidence.limit(most, text);
+}
+
+/// What the solver says of a surface is of no interest where the prior's stayed.
+void judge_solver(const RefineReport& report, FusedSurface& surface) {
+  constexpr int many_rejections = 4;  // of a tile: no step was accepted
+  constexpr double settled_gsd = 1;
+  const RefineIteration& last =
+      *std::ranges::find(report.iterations.rbegin(), report.iterations.rend(), false, &RefineIteration::search);
+  std::string problem;
+  if (last.rejected_steps >= many_rejections * report.tiles) {
+    problem = "The refinement found no better surface than the prior in most of the image.";
+  } else if (!(last.change_gsd <= settled_gsd)) {
+    problem = "The surface still moved by " + rounded(last.change_gsd) + " GSD in the last round.";
+  }
+  surface.status = problem.empty() ? "converged" : "not converged";
+  if (problem.empty()) return;
+  surface.warnings.push_back(problem);
+  if (!is_the_prior(report)) surface.confidence.limit(ConfidenceLevel::partial, problem);
+}
+
+void judge_model(const RefineReport& report, FusedSurface& surface) {
+  constexpr double largest_residual = 3;
+  // A wrong model does no harm where the prior's surface stayed.
+  const ConfidenceLevel most = is_the_prior(report) ? ConfidenceLevel::partial : ConfidenceLevel::low;
+  if (report.metal) {
+    warn(most,
+         "The polarization has the direction of a mirror reflection but is much weaker than a dielectric's: the "
+         "surface is probably bare metal, for which the Fresnel formulas used here do not hold.",
+         surface);
+  }
+  if (!(report.median_residual <= largest_residual)) {
+    warn(most,
+         "The reflection model does not explain the measured polarization: the median residual is " +
+             rounded(report.median_residual) + " standard deviations.",
+         surface);
+  }
+  if (std::isnan(report.eta_sigma)) {
+    surface.warnings.push_back(
+        "The refractive index is not known, and a map of the surroundings leaves no way to estimate it: " +
+        rounded(report.reflection.eta) + " is taken. State it as refractive_index in [optics].");
+  }
+}
+
+/// What the prior's slopes say. That nothing was gained is a warning, too.
+void judge_evidence(const RefineReport& report, double explained_least, FusedSurface& surface) {
+  constexpr double everywhere = 0.9;
+  // Of stations between 0.5 and 0.75 some were made worse, under light and of materials that were drawn at random.
+  constexpr double well_explained = 0.75;
+  Confidence& confidence = surface.confidence;
+  if (std::isnan(report.trusted_share)) {
+    confidence.limit(ConfidenceLevel::partial,
+                     "refine.evidence is off: nothing holds the refined surface against its prior.");
+    return;
+  }
+  if (is_the_prior(report)) {
+    warn(ConfidenceLevel::partial,
+         "The surface is the prior's: at its slopes the reflection model does not explain the measured polarization, "
+         "so that nothing finer can be known from it. Metal, lamps close to the object or a misplaced prior do that.",
+         surface);
+    return;
+  }
+  if (!(report.trusted_share >= everywhere)) {
+    confidence.limit(ConfidenceLevel::partial,
+                     "In " + percent(1 - report.trusted_share) +
+                         " of the object the surface is the prior's, because the reflection model does not explain "
+                         "the polarization there.");
+  } else if (!(report.explained_share >= well_explained)) {
+    confidence.limit(ConfidenceLevel::partial,
+                     "At the prior's slopes the reflection model explains the polarization only in part (" +
+                         percent(std::max(report.explained_share, 0.0)) + "): fine detail is likely, not certain.");
+  } else if (!(report.explained_beyond_plane >= explained_least)) {
+    confidence.limit(ConfidenceLevel::partial,
+                     "Nearly all of the polarization that the reflection model explains at the prior's slopes is that "
+                     "of a plane: it says little of the relief on it. Fine detail is likely, not certain.");
+  }
+  if (report.reflection.mirrored) {
+    confidence.limit(ConfidenceLevel::partial,
+                     "The light is told by a map of the surroundings that was fitted on this object: its detail is "
+                     "less sure than under a plain sky or on a black mirror.");
+  }
+}
+
+}  // namespace
+
+void judge(const RefineReport& report, double explained_least, FusedSurface& surface) {
+  judge_evidence(report, explained_least, surface);
+  judge_solver(report, surface);
+  judge_model(report, surface);
+}
+
+}  // namespace malus

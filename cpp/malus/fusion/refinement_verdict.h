@@ -1,0 +1,11 @@
+#pragma once
+
+#include "malus/fusion/refine.h"
+
+namespace malus {
+
+/// Says of a refined surface what the report gives reason for: status, warnings and confidence. `explained_least` is
+/// RefineOptions::explained_least.
+void judge(const RefineReport& report, double explained_least, FusedSurface& surface);
+
+}  // namespace malus

@@ -1,0 +1,103 @@
+#include "malus/fusion/refinement_verdict.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <limits>
+
+namespace malus {
+namespace {
+
+constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+constexpr double explained_least = 0.35;
+
+/// Of a surface that nothing speaks against.
+RefineReport good() {
+  RefineReport report;
+  report.tiles = 2;
+  report.iterations = {{.change_gsd = 3}, {.change_gsd = 0.2}, {.search = true, .change_gsd = 9}};
+  report.median_residual = 0.9;
+  report.trusted_share = 0.97;
+  report.explained_share = 0.85;
+  report.explained_beyond_plane = 0.7;
+  return report;
+}
+
+FusedSurface judged(const RefineReport& report) {
+  FusedSurface surface;
+  judge(report, explained_least, surface);
+  return surface;
+}
+
+bool mentions(const std::vector<std::string>& texts, const std::string& word) {
+  return std::ranges::any_of(texts, [&](const std::string& text) { return text.find(word) != std::string::npos; });
+}
+
+TEST(Verdict, NothingSpeaksAgainstAGoodSurface) {
+  const FusedSurface surface = judged(good());
+  EXPECT_EQ(surface.status, "converged");
+  EXPECT_EQ(surface.confidence.level, ConfidenceLevel::high);
+  EXPECT_TRUE(surface.confidence.reasons.empty());
+  EXPECT_TRUE(surface.warnings.empty());
+}
+
+TEST(Verdict, EveryReasonIsKeptAndTheWorstComesFirst) {
+  RefineReport report = good();
+  report.iterations[1].change_gsd = 1.23456789;
+  report.metal = true;
+  report.median_residual = 4.123456789;
+  const FusedSurface surface = judged(report);
+  EXPECT_EQ(surface.status, "not converged") << "which says nothing of the model";
+  EXPECT_EQ(surface.confidence.level, ConfidenceLevel::low);
+  ASSERT_EQ(surface.confidence.reasons.size(), 3u);
+  EXPECT_TRUE(mentions({surface.confidence.reasons[0]}, "metal"));
+  EXPECT_TRUE(mentions(surface.confidence.reasons, "moved by 1.2 GSD"));
+  EXPECT_TRUE(mentions(surface.confidence.reasons, "residual is 4.1 standard"));
+  EXPECT_EQ(surface.warnings.size(), 3u);
+}
+
+TEST(Verdict, AWrongModelDoesNoHarmWhereThePriorStayed) {
+  RefineReport report = good();
+  report.trusted_share = 0.01;
+  report.metal = true;
+  report.iterations[1].change_gsd = 5;
+  const FusedSurface surface = judged(report);
+  EXPECT_EQ(surface.confidence.level, ConfidenceLevel::partial);
+  EXPECT_TRUE(mentions({surface.confidence.reasons[0]}, "The surface is the prior's"));
+  EXPECT_TRUE(mentions(surface.confidence.reasons, "metal"));
+  EXPECT_FALSE(mentions(surface.confidence.reasons, "moved")) << "of a surface that is not the result";
+  EXPECT_TRUE(mentions(surface.warnings, "moved"));
+}
+
+TEST(Verdict, WhatOnlyAPlaneExplainsIsNoEvidenceOfRelief) {
+  RefineReport report = good();
+  report.explained_beyond_plane = 0.1;
+  EXPECT_EQ(judged(report).confidence.level, ConfidenceLevel::partial);
+  EXPECT_TRUE(mentions(judged(report).confidence.reasons, "plane"));
+}
+
+TEST(Verdict, FiguresThatAreMissingProveNothing) {
+  for (double RefineReport::*const figure :
+       {&RefineReport::trusted_share, &RefineReport::explained_share, &RefineReport::explained_beyond_plane}) {
+    RefineReport report = good();
+    report.*figure = nan;
+    EXPECT_EQ(judged(report).confidence.level, ConfidenceLevel::partial);
+  }
+  RefineReport report = good();
+  report.median_residual = nan;
+  EXPECT_EQ(judged(report).confidence.level, ConfidenceLevel::low);
+  report = good();
+  report.iterations[1].change_gsd = nan;
+  EXPECT_EQ(judged(report).status, "not converged");
+}
+
+TEST(Verdict, AnIndexThatIsNeitherGivenNorEstimatedIsSaid) {
+  RefineReport report = good();
+  report.eta_sigma = nan;
+  report.reflection.eta = 1.5;
+  EXPECT_TRUE(mentions(judged(report).warnings, "refractive index is not known"));
+  EXPECT_TRUE(mentions(judged(report).warnings, "1.5 is taken"));
+}
+
+}  // namespace
+}  // namespace malus
