@@ -13,6 +13,8 @@ from malus.errors import InputError
 
 _EXIF_IFD = 34665
 _EXPOSURE_TIME = 33434
+_DATE_TAKEN = 36867
+_SUBSECOND = 37521
 _WHITE_BALANCE = 41987
 #: Tags that must not change within a station, their names and units.
 _ALIKE: dict[int, tuple[str, str]] = {
@@ -48,6 +50,16 @@ def tags_of(path: Path) -> dict[int, Any]:
             return dict(exif) | dict(exif.get_ifd(_EXIF_IFD))
     except (OSError, UnidentifiedImageError, ValueError, SyntaxError, TypeError, KeyError):
         return {}
+
+
+def taken(path: Path) -> str | None:
+    """When an image was taken, as the camera writes it ("2026:05:04 10:11:12.57"), which sorts by time; None if it does not say."""
+    tags = tags_of(path)
+    moment = tags.get(_DATE_TAKEN)
+    if not isinstance(moment, str) or not moment.strip():
+        return None
+    fraction = str(tags.get(_SUBSECOND, "")).strip()
+    return f"{moment.strip()}.{fraction}" if fraction else moment.strip()
 
 
 def require_alike(images: Sequence[Path], *, exposures_differ: bool) -> None:
