@@ -17,8 +17,10 @@ from malus import _core, viewer
 from malus._files import write_bytes, write_text
 from malus.errors import ExternalError, InputError
 from malus.figures import Figure, Plates, encode, grey
+from malus.lengths import shown
 from malus.options import Options
 from malus.reconstruction import STEPS
+from malus.report_head import head_of
 from malus.workspace import Workspace
 
 #: The surfaces that figures compare, in their order.
@@ -52,23 +54,30 @@ def caution_lines(quality: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def summary_lines(quality: Mapping[str, Any]) -> list[str]:
-    """The figures that matter first, a line each, for the terminal."""
+def summary_lines(quality: Mapping[str, Any], size: tuple[float, float] | None) -> list[str]:
+    """What a person wants to know first, a line each, for the terminal; size: of the object, in the station's unit."""
     unit = quality["unit"]
+    extent = "" if size is None else f"{_number(size[0])} x {_number(size[1])} {unit}, "
     lines = [
-        f"{quality['name']}: {quality['method']} fusion, {quality['status']}",
-        f"  GSD {_number(quality['gsd'], 4)} {unit}, coverage {100 * quality['coverage']['fraction']:.1f} %",
+        f"{quality['name']}: {extent}{100 * quality['coverage']['fraction']:.1f} % of it measured, "
+        f"one pixel is {shown(quality['gsd'], unit)}"
+    ]
+    if quality["sigma"]:
+        median, most = (shown(quality["sigma"][key] * quality["gsd"], unit) for key in ("median_gsd", "p95_gsd"))
+        lines.append(f"  accuracy: {median} (one standard deviation of depth, median), 95 % better than {most}")
+    lines += [
         f"  confidence: {quality['confidence']['level']}",
         *(f"    {reason}" for reason in quality["confidence"]["reasons"]),
     ]
     for patch in quality["patches"]:
         fits = {name: patch[name] for name in SURFACES if patch[name] is not None}
-        shares = ", ".join(f"{name} {_number(fit['rmse_gsd'])}" for name, fit in fits.items())
-        lines.append(f"  patch {patch['name']}: plane RMSE / GSD: {shares}")
+        shares = ", ".join(f"{name} {shown(fit['rmse'], unit)}" for name, fit in fits.items())
+        lines.append(f"  flat patch {patch['name']}, distance from a plane (RMSE): {shares}")
     if quality["reference"]:
         distance = quality["reference"]["distance_gsd"]
-        lines.append(f"  reference: RMSE / GSD {_number(distance['rmse'])}, robust {_number(distance['mad'])}")
-    lines += [f"  warning: {warning}" for warning in quality["warnings"]]
+        rms, robust = (shown(distance[key] * quality["gsd"], unit) for key in ("rmse", "mad"))
+        lines.append(f"  distance to the reference: RMSE {rms}, robust {robust}")
+    lines += [f"  warning: {warning}" for warning in quality["warnings"]] or ["  no warnings"]
     return lines
 
 
@@ -181,7 +190,9 @@ def write_report(work: str | Path) -> Path:
     environment.globals.update(q=numbers.element, leaves=numbers.leaves, asset=_asset)
     template = environment.from_string(resources.files("malus").joinpath("templates/report.html.j2").read_text("utf-8"))
     registration = [-1.0 if rms is None else rms for rms in quality["registration_rms_px"]]
+    mesh = viewer.mesh_view(workspace)
     page = template.render(
+        head=head_of(plates, mesh["extent"]),
         quality=quality,
         m3c2=m3c2,
         findings=workspace.findings,
@@ -192,7 +203,7 @@ def write_report(work: str | Path) -> Path:
         compare=_compare(plates),
         trust=_trust(plates),
         relight=viewer.relighting(workspace),
-        mesh=viewer.mesh_view(workspace),
+        mesh=mesh,
         surfaces=SURFACES,
         sections=_sections(quality, figures),
         others=[(name, title) for name, title in _OTHERS if quality.get(name)],
