@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import malus
-from malus import _core, batch, m3c2
+from malus import _core, batch, m3c2, studio
 from malus.campaign import Campaign
 from malus.demo import example_station
 from malus.errors import InputError, MalusError
@@ -132,6 +132,10 @@ def _parser() -> argparse.ArgumentParser:
     many.add_argument(
         "--shard", metavar="I/N", help="only every N-th station from the I-th on; default in a Slurm array job: its own"
     )
+    local = commands.add_parser("studio", help="the whole way in the web browser, without writing files by hand")
+    local.add_argument("folder", type=Path, nargs="?", default=Path(), metavar="FOLDER", help="default: this folder")
+    local.add_argument("--port", type=int, default=0, help="default: any free one")
+    local.add_argument("--no-browser", action="store_true", help="print the address only")
     options = commands.add_parser("options", help="list every option with its default and meaning")
     options.add_argument("--main", action="store_true", help="only the dozen that matter most")
     options.set_defaults(json=False, quiet=False)
@@ -295,6 +299,9 @@ def _run(arguments: Sequence[str] | None) -> None:
                 unit=args.unit,
             )
         )
+        return
+    if args.command == "studio":
+        studio.serve(args.folder, port=args.port, browser=not args.no_browser)
         return
     if args.threads is None and args.command != "batch":  # which shares the cores out by its jobs
         args.threads = os.cpu_count() or 1
