@@ -6,6 +6,7 @@
 #include "interruptible.h"
 #include "malus/capture/mosaic.h"
 #include "malus/capture/registration.h"
+#include "malus/capture/select_object.h"
 #include "malus/station/options.h"
 
 namespace malus::python {
@@ -54,6 +55,21 @@ void bind_capture(py::module_& module) {
     }
     return result;
   });
+
+  module.def("select_similar", [](const Array<std::uint8_t>& picture, int u, int v, int tolerance) {
+    return to_array(select_similar(to_image(picture), u, v, tolerance));
+  });
+
+  module.def("cut_out_object",
+             [](const Array<std::uint8_t>& picture, const Array<std::uint8_t>& hints, int iterations, int threads) {
+               const Image<std::uint8_t> image = to_image(picture);
+               const Mask known = to_image(hints);
+               Mask object;
+               run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+                 object = cut_out_object(image, known, iterations, context);
+               });
+               return to_array(std::move(object));
+             });
 }
 
 }  // namespace malus::python

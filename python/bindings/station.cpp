@@ -199,6 +199,19 @@ void bind_station(py::module_& module) {
              [](const std::string& folder, const std::string& step, const std::vector<std::string>& files,
                 double seconds) { record_step(folder, step, files, seconds, {}); });
 
+  module.def("expected_times", [](const Station& station, const std::string& options_json,
+                                  const std::optional<std::string>& until,
+                                  const std::optional<std::pair<int, int>>& width_height, int threads) {
+    std::optional<Size> size;
+    if (width_height) size = Size{width_height->first, width_height->second};
+    Context context;
+    context.threads = threads;
+    py::list times;
+    for (const ExpectedTime& time : expected_times(station, options_from_json({}, options_json), until, size, context))
+      times.append(py::make_tuple(time.step, time.seconds));
+    return times;
+  });
+
   module.def("check", [](const Station& station, const std::string& options_json, int threads) {
     std::string plan;
     run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {

@@ -12,13 +12,16 @@ from pathlib import Path
 from typing import Any
 
 import malus
-from malus import _core, batch, m3c2
+from malus import _core, batch, m3c2, studio
 from malus._files import require_utf8
 from malus.campaign import Campaign
 from malus.demo import example_station
 from malus.errors import InputError, ending_of
 from malus.exports import FORMATS, MESHES
+from malus.options import MAIN
 from malus.progress import BarProgress, JsonProgress, ProgressView, WarningsOnly
+from malus.reconstruction import expected_times
+from malus.report_head import size_of_object
 from malus.threads import ALL_CORES
 
 INTERRUPTED = 130
@@ -26,10 +29,10 @@ INTERRUPTED = 130
 #: What each single-step command runs, and with which fusion (None = as the options say); the steps that it needs are done first if they
 #: are not yet.
 STEP_COMMANDS = {
-    "decompose": ("zenith", None, "intensity, degree, phase and zenith maps (Fig. 5)"),
+    "decompose": ("zenith", None, "intensity, degree, phase and zenith maps"),
     "prior": ("prior", None, "the photogrammetric surface in the polarized view"),
-    "height": ("height", None, "height from polarization alone (Fig. 6)"),
-    "fuse": ("fuse", None, "the fused surface, by --fusion: refined (default) or grid (Eq 14 to 16)"),
+    "height": ("height", None, "height from polarization alone"),
+    "fuse": ("fuse", None, "the fused surface, by --fusion: refined (default) or grid (the paper's transfer)"),
     "refine": ("fuse", "refined", "the fused surface by nonlinear refinement: fuse --fusion refined"),
     "mesh": ("mesh", None, "metric mesh in object space"),
     "assess": ("assess", None, "patches, profiles, comparison with a reference"),
@@ -134,7 +137,12 @@ def _parser() -> argparse.ArgumentParser:
     many.add_argument(
         "--shard", metavar="I/N", help="only every N-th station from the I-th on; default in a Slurm array job: its own"
     )
+    local = commands.add_parser("studio", help="the whole way in the web browser, without writing files by hand")
+    local.add_argument("folder", type=Path, nargs="?", default=Path(), metavar="FOLDER", help="default: this folder")
+    local.add_argument("--port", type=int, default=0, help="default: any free one")
+    local.add_argument("--no-browser", action="store_true", help="print the address only")
     options = commands.add_parser("options", help="list every option with its default and meaning")
+    options.add_argument("--main", action="store_true", help="only the dozen that matter most")
     options.set_defaults(json=False, quiet=False)
     return parser
 
@@ -171,8 +179,10 @@ def _reconstruct(
         raise InputError(f"fusion = {options.fusion}, but `malus {args.command}` is {fusion}; use `malus fuse`")
     if getattr(args, "m3c2", False) and args.reference is None:
         raise InputError("--m3c2 compares with a reference, expected --reference SCAN.ply")
+    _require_own_folder(args.output, station_path)
     station = malus.Station.load(station_path)
     with _view(args) as view:
+        view.expect(expected_times(station, options, until=until, threads=args.threads))
         malus.reconstruct(
             station,
             options,
@@ -193,8 +203,29 @@ def _reconstruct(
             view.progress("report", 0.0, "")
             page = malus.write_report(args.output)
             view.progress("report", 1.0, str(page))
-    if not args.json:
+    if args.json:
+        return
+    if until is None or until == "assess":
         _print_summary(args.output, args.quiet)
+    elif not args.quiet:
+        _print_files(args.output, until)
+
+
+def _require_own_folder(work: Path, station: Path) -> None:
+    """Results do not lie among the inputs, which a later clearing would take along."""
+    if work.resolve() == station.resolve().parent:
+        raise InputError(
+            f"-o {work}: is the folder of the station's inputs, expected one of its own for the results, such as "
+            f"-o {work / (station.stem + '_work')}"
+        )
+
+
+def _print_files(work: Path, step: str) -> None:
+    """What lies in the folder that the last step has written to."""
+    workspace = malus.Workspace(work)
+    folders = {Path(name).parts[0] for name in workspace.manifest["steps"].get(step, {}).get("outputs", {})}
+    files = [name for name in workspace.outputs if Path(name).parts[0] in folders]
+    print(f"{work} has {', '.join(files)}")
 
 
 def _print_summary(work: Path, quiet: bool) -> None:
@@ -207,7 +238,10 @@ def _print_summary(work: Path, quiet: bool) -> None:
         if level != "high":
             print(*malus.report.confidence_lines(level, reasons, assessed), sep="\n", file=sys.stderr)
     elif assessed:
-        print(*malus.report.summary_lines(json.loads((work / "quality.json").read_text(encoding="utf-8"))), sep="\n")
+        workspace = malus.Workspace(work)
+        print(*malus.report.summary_lines(workspace.quality, size_of_object(workspace)), sep="\n")
+        if workspace.has("report/index.html"):
+            print(f"  report: malus view {work}")
     else:
         print(*malus.report.confidence_lines(level, reasons, assessed), sep="\n")
 
@@ -254,7 +288,8 @@ def _run(arguments: Sequence[str] | None) -> None:
     args = _parser().parse_args(arguments)
     if args.command == "options":
         for name, kind, default, meaning in malus.Options.describe():
-            print(f"{name} = {json.dumps(default)}  ({kind})\n    {meaning}")
+            if name in MAIN or not args.main:
+                print(f"{name} = {json.dumps(default)}  ({kind})\n    {meaning}")
         return
     if args.command == "import":
         print(
@@ -274,6 +309,9 @@ def _run(arguments: Sequence[str] | None) -> None:
                 unit=args.unit,
             )
         )
+        return
+    if args.command == "studio":
+        studio.serve(args.folder, port=args.port, browser=not args.no_browser)
         return
     if args.threads is None and args.command != "batch":  # which shares the cores out by its jobs
         args.threads = ALL_CORES

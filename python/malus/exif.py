@@ -16,6 +16,8 @@ from malus.errors import InputError
 
 _EXIF_IFD = 34665
 _EXPOSURE_TIME = 33434
+_DATE_TAKEN = 36867
+_SUBSECOND = 37521
 _WHITE_BALANCE = 41987
 #: Tags that must not change within a station, their names and units.
 _ALIKE: dict[int, tuple[str, str]] = {
@@ -62,6 +64,16 @@ def _read_tags(path: Path) -> dict[int, Any]:
         with kind(file) as image:
             exif = image.getexif()
             return dict(exif) | dict(exif.get_ifd(_EXIF_IFD))
+
+
+def taken(path: Path) -> str | None:
+    """When an image was taken, as the camera writes it ("2026:05:04 10:11:12.57"), which sorts by time; None if it does not say."""
+    tags = tags_of(path)
+    moment = tags.get(_DATE_TAKEN)
+    if not isinstance(moment, str) or not moment.strip():
+        return None
+    fraction = str(tags.get(_SUBSECOND, "")).strip()
+    return f"{moment.strip()}.{fraction}" if fraction else moment.strip()
 
 
 def require_alike(images: Sequence[Path], *, exposures_differ: bool) -> None:

@@ -13,9 +13,13 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import Colormap, ListedColormap
 from matplotlib.figure import Figure as Drawing
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from PIL import Image
 
+from malus.lengths import scale_bar, shown
+from malus.units import METRES
 from malus.workspace import Raster, Workspace
 
 #: Long side of the pictures' data in pixels: larger rasters are averaged down, a report is for looking.
@@ -25,6 +29,9 @@ COLORS = {"prior": "#b0702a", "polarization": "#2f7fb3", "fused": "#1d2733"}
 #: Figures of a map's values in its CSV file.
 _PERCENTILES = (0, 1, 5, 25, 50, 75, 95, 99, 100)
 _DPI = 150
+#: Inches that a figure is wide, and points of its letters: 11 pixels still where a telephone shows it 356 pixels wide.
+_WIDTH_IN = 6.4
+_LETTERS_PT = 14.5
 #: Sine of the angle beyond grazing light at which relief shading becomes black.
 _BEYOND_GRAZING = 0.342
 #: How dark relief shading makes the colours of a map that it lies over, at most.
@@ -41,6 +48,13 @@ class Figure:
     picture: NDArray[np.uint8]
     header: Sequence[str]
     rows: Sequence[Sequence[Any]]
+    #: What is seen, for those who do not see it; "" = title and caption say it.
+    seen: str = ""
+
+    @property
+    def alt(self) -> str:
+        """Text in place of the picture."""
+        return f"{self.title}. {self.seen or self.caption}"
 
     def png(self) -> bytes:
         """Picture as PNG."""
@@ -141,10 +155,18 @@ def _draw(drawing: Drawing) -> NDArray[np.uint8]:
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
 
 
+def _spread(values: NDArray[Any], label: str) -> str:
+    """What most values of a map are, in words; nothing for pictures without a unit."""
+    if not label or not values.size:
+        return ""
+    low, middle, high = (f"{p:.3g}" for p in np.percentile(values, (5, 50, 95)))
+    return f" Nine tenths of the values lie between {low} and {high} {label}, half of them below {middle} {label}."
+
+
 def _style(axes: Any) -> None:
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
-    axes.tick_params(labelsize=8, color="#8a8f96")
+    axes.tick_params(labelsize=_LETTERS_PT, color="#8a8f96")
     axes.grid(color="#e3e6ea", lw=0.6)
     axes.set_axisbelow(True)
 
@@ -175,7 +197,11 @@ class Plates:
 
     def raster(self, name: str) -> Raster:
         """A raster of the workspace at the size of the pictures."""
-        return reduced(self.workspace.raster(name), self.step)
+        return self.small(self.workspace.raster(name))
+
+    def small(self, raster: Raster) -> Raster:
+        """A raster at the size of the pictures."""
+        return reduced(raster, self.step)
 
     def thinned(self, name: str) -> Raster:
         """The same without averaging, for angles and labels."""
@@ -208,10 +234,10 @@ class Plates:
         if limits is None:
             limits = tuple(np.percentile(finite, [1, 99])) if finite.size else (0.0, 1.0)
         shape = raster.shape
-        width = 6.4
+        width = _WIDTH_IN
         # Room for the colour bar below the picture.
-        drawing = Drawing(figsize=(width, width * shape[0] / shape[1] + (0.55 if how.label or how.ticks else 0.0)))
-        bar_height = 0.55 / drawing.get_figheight() if how.label or how.ticks else 0.0
+        drawing = Drawing(figsize=(width, width * shape[0] / shape[1] + (0.66 if how.label or how.ticks else 0.0)))
+        bar_height = 0.66 / drawing.get_figheight() if how.label or how.ticks else 0.0
         axes = drawing.add_axes((0, bar_height, 1, 1 - bar_height))
         picture = axes.imshow(raster, cmap=how.cmap, vmin=limits[0], vmax=limits[1], interpolation="antialiased")
         if shade is not None:
@@ -221,15 +247,19 @@ class Plates:
                 interpolation="antialiased",
             )
         axes.set_axis_off()
+        self._scale_bar(axes, shape[1])
         if bar_height:
-            bar_axes = drawing.add_axes((0.2, bar_height * 0.66, 0.6, bar_height * 0.2))
+            bar_axes = drawing.add_axes((0.15, bar_height * 0.72, 0.65, bar_height * 0.2))
             bar = drawing.colorbar(picture, cax=bar_axes, orientation="horizontal")
             bar.outline.set_linewidth(0.4)
-            bar_axes.tick_params(labelsize=8, length=2)
+            bar_axes.tick_params(labelsize=_LETTERS_PT, length=2)
             if how.ticks:
                 bar.set_ticks(list(how.ticks), labels=list(how.ticks.values()))
+            else:
+                bar.locator = MaxNLocator(4)
+                bar.update_ticks()
             if how.label:
-                bar_axes.text(1.02, 0.5, how.label, transform=bar_axes.transAxes, fontsize=8, va="center")
+                bar_axes.text(1.03, 0.5, how.label, transform=bar_axes.transAxes, fontsize=_LETTERS_PT, va="center")
         summary: list[Any] = [how.title, how.label, finite.size, finite.mean() if finite.size else None]
         summary += (
             [float(p) for p in np.percentile(finite, _PERCENTILES)] if finite.size else [None] * len(_PERCENTILES)
@@ -241,7 +271,21 @@ class Plates:
             _draw(drawing),
             ["map", "unit", "pixels", "mean", *(f"p{p:02d}" for p in _PERCENTILES)],
             [summary],
+            how.caption + _spread(finite, how.label),
         )
+
+    def _scale_bar(self, axes: Any, width_px: int) -> None:
+        """A length on the object, at the lower left of a picture of the rasters."""
+        pixel = self.gsd * self.step
+        length, label = scale_bar(width_px * pixel, self.unit)
+        left, low = 0.03, 0.045
+        for color, width in (("black", 4.5), ("white", 2.2)):
+            axes.plot(
+                [left, left + length / (width_px * pixel)], [low, low], color=color, lw=width, solid_capstyle="butt",
+                transform=axes.transAxes, zorder=5,
+            )  # fmt: skip
+        text = axes.text(left, low + 0.015, label, color="white", fontsize=_LETTERS_PT, transform=axes.transAxes)
+        text.set_path_effects([withStroke(linewidth=2.5, foreground="black")])
 
     def shadings(self) -> Iterator[Figure]:
         """Relief shading of prior and fused surface, the fused one from two more directions."""
@@ -413,13 +457,13 @@ class Plates:
     def profile_lines(self) -> Figure:
         """Where the sections run, on the picture they were taken from (Fig. 11)."""
         intensity = self.raster("polarization/unpolarized.tif")
-        width = 6.4
-        drawing = Drawing(figsize=(width, width * intensity.shape[0] / intensity.shape[1]))
+        drawing = Drawing(figsize=(_WIDTH_IN, _WIDTH_IN * intensity.shape[0] / intensity.shape[1]))
         axes = drawing.add_axes((0, 0, 1, 1))
         low, high = np.nanpercentile(intensity, [1, 99])
         axes.imshow(intensity, cmap="gray", vmin=low, vmax=high)
         axes.set_axis_off()
         axes.set(xlim=(-0.5, intensity.shape[1] - 0.5), ylim=(intensity.shape[0] - 0.5, -0.5))
+        self._scale_bar(axes, intensity.shape[1])
         rows = []
         for profile in self.quality["profiles"]:
             (u0, v0), (u1, v1) = profile["from_px"], profile["to_px"]
@@ -428,7 +472,7 @@ class Plates:
             axes.plot(*line.T, color="white", lw=3, solid_capstyle="round")
             axes.plot(*line.T, color="#d1495b", lw=1.6, solid_capstyle="round")
             axes.annotate(
-                profile["name"], line[0], xytext=(6, 6), textcoords="offset points", color="white", fontsize=10,
+                profile["name"], line[0], xytext=(6, 6), textcoords="offset points", color="white", fontsize=_LETTERS_PT,
                 bbox={"boxstyle": "round,pad=0.25", "fc": "#d1495b", "ec": "none"},
             )  # fmt: skip
         return Figure(
@@ -437,40 +481,45 @@ class Plates:
         )  # fmt: skip
 
     def profiles(self) -> Iterator[Figure]:
-        """Sections through prior, polarization height and fused surface (Fig. 12 and 13)."""
+        """Sections through prior, polarization height and fused surface (Fig. 12 and 13), and their detail."""
+        sigma_px = float(self.workspace.manifest["options"]["assess"]["detail_sigma_px"])
+        to_micrometers = 1e6 * METRES[self.unit]
         for number, profile in enumerate(self.quality["profiles"], 1):
-            drawing = Drawing(figsize=(9.6, 4.2), layout="constrained")
-            above, below = drawing.subplots(2, 1, sharex=True, height_ratios=(5, 2))
+            drawing = Drawing(figsize=(_WIDTH_IN, 6.2), layout="constrained")
+            above, below = drawing.subplots(2, 1, sharex=True, height_ratios=(5, 4))
             along = _values(profile["position"])
             present = [name for name in COLORS if profile[name]]
-            for name in present:
-                above.plot(
-                    along, _values(profile[name]), color=COLORS[name], lw=1.5 if name == "fused" else 1.1, label=name
-                )
-            above.set_ylabel(f"height [{self.unit}]", fontsize=9)
-            above.margins(x=0.01)
-            above.legend(fontsize=8, frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
-            if profile["prior"] and profile["fused"]:
-                difference = (_values(profile["fused"]) - _values(profile["prior"])) / self.gsd
-                below.fill_between(along, difference, color=COLORS["fused"], alpha=0.25, lw=0)
-                below.plot(along, difference, color=COLORS["fused"], lw=0.9)
-            below.set_ylabel("fused − prior\n[GSD]", fontsize=9)
-            below.set_xlabel(f"along the profile [{self.unit}]", fontsize=9)
-            for axes in (above, below):
+            step = float(np.median(np.diff(along))) / self.gsd if len(along) > 1 else 1.0
+            details = {
+                name: to_micrometers * without_form(_values(profile[name]), sigma_px / max(step, 1e-9))
+                for name in present
+                if name != "polarization"
+            }
+            for axes, lines in ((above, {name: _values(profile[name]) for name in present}), (below, details)):
+                for name, values in lines.items():
+                    axes.plot(along, values, color=COLORS[name], lw=1.6 if name == "fused" else 1.2, label=name)
+                axes.margins(x=0.01)
                 _style(axes)
+                axes.yaxis.set_major_locator(MaxNLocator(5))
+            above.set_ylabel(f"height [{self.unit}]", fontsize=_LETTERS_PT)
+            above.legend(fontsize=_LETTERS_PT, frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0, 1),
+                         borderaxespad=0, columnspacing=1, handlelength=1.2)  # fmt: skip
+            below.set_ylabel("detail [µm]", fontsize=_LETTERS_PT)
+            below.set_xlabel(f"along the profile [{self.unit}]", fontsize=_LETTERS_PT)
             columns = [profile["position"], *(profile[name] for name in present)]
+            spread = ", ".join(f"{name} {np.nanstd(values):.2g} µm" for name, values in details.items())
             yield Figure(
                 f"profile_{number}", f"Profile {profile['name']}",
-                "Height above the chord of the fused section, towards the camera; polarization alone has no absolute height. "
-                "Below, what fusion changed.",
+                "Above: height over the chord of the fused section, towards the camera; polarization alone has no absolute "
+                f"height. Below: what is finer than {sigma_px:g} px ({shown(sigma_px * self.gsd, self.unit)}), its form taken out.",
                 _draw(drawing), [f"position_{self.unit}", *(f"{name}_{self.unit}" for name in present)],
-                list(zip(*columns, strict=True)),
+                list(zip(*columns, strict=True)), f"A section of {along[-1] if len(along) else 0:.3g} {self.unit}. Spread of the detail: {spread}.",
             )  # fmt: skip
 
     def _histogram(
         self, name: str, title: str, axis: str, bins: Mapping[str, Mapping[str, Any]], notes: Mapping[str, str]
     ) -> Figure:
-        drawing = Drawing(figsize=(6.4, 3.3), layout="constrained")
+        drawing = Drawing(figsize=(_WIDTH_IN, 4.4), layout="constrained")
         axes = drawing.subplots()
         low, high = np.inf, -np.inf
         for surface, histogram in bins.items():
@@ -486,11 +535,11 @@ class Plates:
                 low, high = min(low, edges[used[0]]), max(high, edges[used[-1] + 1])
         if low < high:
             axes.set_xlim(low - 0.05 * (high - low), high + 0.05 * (high - low))
-        axes.set_xlabel(axis, fontsize=9)
-        axes.set_ylabel("share of pixels [%]", fontsize=9)
+        axes.set_xlabel(axis, fontsize=_LETTERS_PT)
+        axes.set_ylabel("share of pixels [%]", fontsize=_LETTERS_PT)
         _style(axes)
         if notes:
-            axes.legend(fontsize=8, frameon=False)
+            axes.legend(fontsize=_LETTERS_PT, frameon=False, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
         rows = [
             [
                 surface,
@@ -516,6 +565,29 @@ class Plates:
                     {name: fit["histogram_gsd"] for name, fit in fits.items()},
                     {name: f"{name}: RMSE {fit['rmse_gsd']:.3g} GSD" for name, fit in fits.items()},
                 )
+
+
+def without_form(section: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+    """A section without its form: the straight line that fits around each sample, weighted by a Gaussian of `sigma` samples.
+
+    Lines, not means, so that a slope at the ends is form too. Missing samples (NaN) do not count.
+    """
+    reach = max(1, int(np.ceil(3 * sigma)))
+    offset = np.arange(-reach, reach + 1)
+    weight = np.exp(-0.5 * (offset / sigma) ** 2)
+    known = np.isfinite(section)
+    values = np.where(known, section, 0)
+
+    def sums(terms: NDArray[Any], power: int) -> NDArray[np.float64]:
+        # Turned round, since a convolution counts offsets backwards.
+        return np.convolve(terms, (weight * offset**power)[::-1])[reach : reach + len(section)]
+
+    s0, s1, s2 = (sums(known.astype(float), power) for power in range(3))
+    t0, t1 = (sums(values, power) for power in range(2))
+    determinant = s0 * s2 - s1**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        form = np.where(determinant > 1e-9 * s0 * s2, (s2 * t0 - s1 * t1) / determinant, t0 / s0)
+    return np.where(known, section - form, np.nan)
 
 
 def _values(values: Sequence[float | None]) -> NDArray[np.float64]:

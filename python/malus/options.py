@@ -12,6 +12,23 @@ from malus import _core
 _SCHEMA: dict[str, dict[str, dict[str, Any]]] = json.loads(_core.option_schema())
 
 
+#: The options that a user is likely to need, for a list that can be read.
+MAIN = (
+    "capture.registration",
+    "polarizer.calibrate_angles",
+    "polarizer.angle_sigma_deg",
+    "photos.backend",
+    "photos.max_side_px",
+    "sweep.again",
+    "prior.smoothing_px",
+    "evidence.refuse",
+    "refine.prior_weight",
+    "surface.subsample",
+    "surface.dem_pixel",
+    "assess.alignment",
+)
+
+
 class Section:
     """The options of one step as attributes; assignment checks name, type and range."""
 

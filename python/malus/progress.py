@@ -5,15 +5,74 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+#: Seconds of work after which the speed that was met counts as much as the one that was expected.
+_TRUST_SECONDS = 5.0
+
+
+class Overall:
+    """How much of the whole run is done, and how long the rest takes at the speed met so far.
+
+    `expected`: steps in their order and the seconds that each is expected to take. A step whose first event says that it is done was kept
+    from an earlier run and says nothing of the speed.
+    """
+
+    def __init__(self, expected: Sequence[tuple[str, float]]) -> None:
+        self._expected = dict(expected)
+        self._done: dict[str, float] = {}
+        self._kept: set[str] = set()
+        self._start = time.monotonic()
+
+    def update(self, step: str, fraction: float) -> None:
+        """Take an event over; steps that nobody expected do not count."""
+        if step not in self._expected:
+            return
+        if step not in self._done and fraction >= 1:
+            self._kept.add(step)
+        self._done[step] = max(fraction, self._done.get(step, 0.0))
+
+    @property
+    def fraction(self) -> float:
+        """Of everything, 0 … 1."""
+        total = sum(self._expected.values())
+        return (
+            sum(seconds * self._done.get(step, 0.0) for step, seconds in self._expected.items()) / total
+            if total
+            else 0.0
+        )
+
+    @property
+    def seconds_left(self) -> float:
+        """Expected rest, at the speed met so far."""
+        rest = sum(seconds * (1 - self._done.get(step, 0.0)) for step, seconds in self._expected.items())
+        computed = sum(self._expected[step] * part for step, part in self._done.items() if step not in self._kept)
+        return rest * (time.monotonic() - self._start + _TRUST_SECONDS) / (computed + _TRUST_SECONDS)
+
+
+def duration(seconds: float) -> str:
+    """A duration as people say it, no finer than it can be known."""
+    if seconds < 90:
+        return f"{max(5, 5 * round(seconds / 5))} s"
+    if seconds < 5400:
+        return f"{round(seconds / 60)} min"
+    return f"{seconds / 3600:.1f} h"
+
 
 class ProgressView:
     """Receives progress and log events; use as a context manager."""
+
+    def __init__(self) -> None:
+        self._overall = Overall([])
+
+    def expect(self, expected: Sequence[tuple[str, float]]) -> None:
+        """Steps to come and the seconds that each is expected to take."""
+        self._overall = Overall(expected)
 
     def progress(self, step: str, fraction: float, message: str) -> None:
         """One progress event: `fraction` of `step` is done."""
@@ -43,6 +102,7 @@ class JsonProgress(ProgressView):
     """One JSON object an event on standard output."""
 
     def __init__(self) -> None:
+        super().__init__()
         self._start = time.monotonic()
 
     def _write(self, **event: Any) -> None:
@@ -50,7 +110,15 @@ class JsonProgress(ProgressView):
 
     def progress(self, step: str, fraction: float, message: str) -> None:
         """Write a progress object."""
-        self._write(event="progress", step=step, fraction=round(fraction, 4), message=message)
+        self._overall.update(step, fraction)
+        self._write(
+            event="progress",
+            step=step,
+            fraction=round(fraction, 4),
+            message=message,
+            overall=round(self._overall.fraction, 4),
+            seconds_left=round(self._overall.seconds_left, 1),
+        )
 
     def log(self, level: str, message: str) -> None:
         """Write a log object."""
@@ -61,6 +129,7 @@ class BarProgress(ProgressView):
     """One line a step with a bar on standard error; plain lines when that is not a terminal."""
 
     def __init__(self) -> None:
+        super().__init__()
         self._console = Console(file=sys.stderr, highlight=False)
         self._bar = Progress(
             SpinnerColumn(),
@@ -84,14 +153,22 @@ class BarProgress(ProgressView):
             self._bar.stop()
 
     def progress(self, step: str, fraction: float, message: str) -> None:
-        """Advance the step's bar."""
+        """Advance the step's bar and that of the whole run."""
+        self._overall.update(step, fraction)
         if not self._console.is_terminal:
             if fraction >= 1:
-                self._console.print(f"{step:<13} {message or 'done'}")
+                self._console.print(f"{100 * self._overall.fraction:3.0f} %  {step:<13} {message or 'done'}")
             return
-        if step not in self._tasks:
-            self._tasks[step] = self._bar.add_task(step, total=1.0, message="")
+        for name in ("everything", step):
+            if name not in self._tasks:
+                self._tasks[name] = self._bar.add_task(name, total=1.0, message="")
         self._bar.update(self._tasks[step], completed=fraction, message=message)
+        left = f"about {duration(self._overall.seconds_left)} left" if self._overall.fraction < 1 else "done"
+        self._bar.update(
+            self._tasks["everything"],
+            completed=self._overall.fraction,
+            message=f"{100 * self._overall.fraction:.0f} %, {left}",
+        )
 
     def log(self, level: str, message: str) -> None:
         """Print warnings above the bars."""

@@ -37,6 +37,20 @@ class Developed:
     read_noise_e: float | None
 
 
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height of a RAW file's image once it is developed."""
+    library = extra("rawpy", "rawpy", "reading RAW files", "raw")
+    try:
+        with library.imread(str(path)) as raw:
+            return int(raw.sizes.iwidth), int(raw.sizes.iheight)
+    except library.LibRawError as error:
+        raise _not_raw(path, error) from None
+
+
+def _not_raw(path: Path, error: Exception) -> InputError:
+    return InputError(f"{path}: not a RAW file that LibRaw can read ({error}), expected one, or PNG or TIFF")
+
+
 def is_raw(path: Path) -> bool:
     """Whether the name is that of a camera's RAW file."""
     return path.suffix.lower() in SUFFIXES
@@ -63,7 +77,7 @@ def develop(
         recipe = f"{_RECIPE} {library.__version__} {plane}".encode()
         target = folder / f"{path.stem}_{hashlib.sha256(content + recipe).hexdigest()[:16]}.tif"
         if not target.exists():
-            pixels = _linear(library, path)
+            pixels = linear_image(path)
             if plane is not None and pixels.ndim == 3:
                 pixels = pixels[..., plane]
             with replacing(target) as temporary:
@@ -73,13 +87,15 @@ def develop(
     return Developed(developed, full_well_e, read_noise_e)
 
 
-def _linear(library: object, path: Path) -> NDArray[np.float32]:
-    """H×W or H×W×3, 1 = white level."""
+def linear_image(path: Path, *, half_size: bool = False) -> NDArray[np.float32]:
+    """A RAW file's pixels, H×W or H×W×3, 1 = white level; half_size: one pixel for a cell of four, and fast."""
+    library = extra("rawpy", "rawpy", "reading RAW files", "raw")
     try:
-        with library.imread(str(path)) as raw:  # type: ignore[attr-defined]
+        with library.imread(str(path)) as raw:
             pixels = raw.postprocess(
-                demosaic_algorithm=library.DemosaicAlgorithm.LINEAR,  # type: ignore[attr-defined]
-                output_color=library.ColorSpace.raw,  # type: ignore[attr-defined]
+                half_size=half_size,
+                demosaic_algorithm=library.DemosaicAlgorithm.LINEAR,
+                output_color=library.ColorSpace.raw,
                 output_bps=16,
                 gamma=(1, 1),
                 no_auto_bright=True,
@@ -89,10 +105,8 @@ def _linear(library: object, path: Path) -> NDArray[np.float32]:
                 user_wb=[1, 1, 1, 1],
                 user_flip=0,
             )
-    except library.LibRawError as error:  # type: ignore[attr-defined]
-        raise InputError(
-            f"{path}: not a RAW file that LibRaw can read ({error}), expected one, or PNG or TIFF"
-        ) from None
+    except library.LibRawError as error:
+        raise _not_raw(path, error) from None
     if pixels.ndim == 3 and pixels.shape[2] == 1:
         pixels = pixels[..., 0]
     return np.asarray(pixels, dtype=np.float32) / np.float32(65535)

@@ -242,6 +242,33 @@ def _fused_of(description: dict[str, Any], images: dict[str, Any], options: Opti
     }
 
 
+#: Seconds of the report: of any, and for a megapixel.
+_REPORT_SECONDS = (4.0, 3.0)
+
+
+def expected_times(
+    station: Station, options: Options | None = None, *, until: str | None = None, threads: int = ALL_CORES
+) -> list[tuple[str, float]]:
+    """Steps of a run in their order and the seconds that each is expected to take, the report at the end among them.
+
+    Only the images' size and the mask are read. Raises what a run would raise for those.
+    """
+    settings = options or Options()
+    description = station.describe()
+    first = Path(description["images"][0]) if description["images"] else None
+    size = raw.image_size(first) if first is not None and raw.is_raw(first) else None
+    times = _core.expected_times(station._core, settings.to_json(), until, size, threads)
+    if _needs_photos(station, until):
+        _, _, seconds = photogrammetry.plan(description, settings, threads)
+        fused_twice = sum(time for step, time in times if step != "mesh") if settings.sweep.again else 0.0
+        times = [*times[:1], ("photos", 0.7 * seconds), ("sweep", 0.3 * seconds + fused_twice), *times[1:]]
+    if until is None:
+        width, height = size or _core.image_size(str(first)) if first is not None else (0, 0)
+        fixed, per_megapixel = _REPORT_SECONDS
+        times.append(("report", fixed + per_megapixel * width * height / 1e6))
+    return times
+
+
 def check(station: Station, options: Options | None = None, *, threads: int = ALL_CORES) -> dict[str, Any]:
     """Read everything a station names and say what a run would do, its expected time and memory, and what is wrong."""
     settings = options or Options()

@@ -19,8 +19,10 @@ from malus._files import replacing, write_bytes, write_text
 from malus.errors import ExternalError, InputError
 from malus.figures import Figure, Plates, encode, grey
 from malus.glossary import definitions
+from malus.lengths import shown
 from malus.options import Options
 from malus.reconstruction import STEPS
+from malus.report_head import head_of
 from malus.result import Result
 from malus.workspace import Workspace
 
@@ -80,22 +82,29 @@ def _other_warnings(quality: Mapping[str, Any]) -> list[str]:
     return [warning for warning in quality["warnings"] if not any(warning.endswith(reason) for reason in reasons)]
 
 
-def summary_lines(quality: Mapping[str, Any]) -> list[str]:
-    """The figures that matter first, a line each, for the terminal."""
+def summary_lines(quality: Mapping[str, Any], size: tuple[float, float] | None) -> list[str]:
+    """What a person wants to know first, a line each, for the terminal; size: of the object, in the station's unit."""
     unit = quality["unit"]
+    extent = "" if size is None else f"{_number(size[0])} x {_number(size[1])} {unit}, "
     lines = [
-        f"{quality['name']}: {quality['method']} fusion, {quality['status']}",
-        f"  GSD {_number(quality['gsd'], 4)} {unit}, coverage {100 * quality['coverage']['fraction']:.1f} %",
+        f"{quality['name']}: {extent}{100 * quality['coverage']['fraction']:.1f} % of it measured, "
+        f"one pixel is {shown(quality['gsd'], unit)}"
+    ]
+    if quality["sigma"]:
+        median, most = (shown(quality["sigma"][key] * quality["gsd"], unit) for key in ("median_gsd", "p95_gsd"))
+        lines.append(f"  accuracy: {median} (one standard deviation of depth, median), 95 % better than {most}")
+    lines += [
         *(f"  {line}" for line in confidence_lines(**quality["confidence"], assessed=True)),
     ]
     for patch in quality["patches"]:
         fits = {name: patch[name] for name in SURFACES if patch[name] is not None}
-        shares = ", ".join(f"{name} {_number(fit['rmse_gsd'])}" for name, fit in fits.items())
-        lines.append(f"  patch {patch['name']}: plane RMSE / GSD: {shares}")
+        shares = ", ".join(f"{name} {shown(fit['rmse'], unit)}" for name, fit in fits.items())
+        lines.append(f"  flat patch {patch['name']}, distance from a plane (RMSE): {shares}")
     if quality["reference"]:
         distance = quality["reference"]["distance_gsd"]
-        lines.append(f"  reference: RMSE / GSD {_number(distance['rmse'])}, robust {_number(distance['mad'])}")
-    lines += [f"  warning: {warning}" for warning in quality["warnings"]]
+        rms, robust = (shown(distance[key] * quality["gsd"], unit) for key in ("rmse", "mad"))
+        lines.append(f"  distance to the reference: RMSE {rms}, robust {robust}")
+    lines += [f"  warning: {warning}" for warning in quality["warnings"]] or ["  no warnings"]
     return lines
 
 
@@ -228,7 +237,9 @@ def _write_in(workspace: Workspace) -> Path:
     environment.globals.update(q=numbers.element, leaves=numbers.leaves, asset=_asset, term=_term)
     template = environment.from_string(resources.files("malus").joinpath("templates/report.html.j2").read_text("utf-8"))
     registration = [-1.0 if rms is None else rms for rms in quality["registration_rms_px"]]
+    mesh = viewer.mesh_view(workspace)
     page = template.render(
+        head=head_of(plates, mesh["extent"]),
         quality=quality,
         what_to_trust=what_to_trust(quality),
         other_warnings=_other_warnings(quality),
@@ -241,7 +252,7 @@ def _write_in(workspace: Workspace) -> Path:
         compare=_compare(plates),
         trust=_trust(plates),
         relight=viewer.relighting(workspace),
-        mesh=viewer.mesh_view(workspace),
+        mesh=mesh,
         surfaces=SURFACES,
         sections=_sections(quality, figures),
         others=[(name, title) for name, title in _OTHERS if quality.get(name)],

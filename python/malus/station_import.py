@@ -30,7 +30,7 @@ _EXPOSURE_COLUMNS = ("exposure_s", "exposure", "exposure_time")
 
 
 @dataclass(frozen=True)
-class _Shot:
+class Shot:
     """One image, its polarizer angle [deg] and exposure time [s]."""
 
     image: Path
@@ -82,11 +82,11 @@ def import_station(
         raise InputError(f"--cloud {cloud}: no such file")
     if output.exists():
         raise InputError(f"{output} exists already, expected a name for a new station file")
-    mask = next((path for path in folder.iterdir() if path.name.lower() == "mask.png"), None)
+    mask = mask_of(folder)
     if mosaic is not None:
-        lines = _mosaic_lines(_images(folder, mask), output, mosaic, colors)
+        lines = _mosaic_lines(images_of(folder, mask), output, mosaic, colors)
     else:
-        lines = _shot_lines(_shots(folder, mask, table, pattern, angles), output)
+        lines = _shot_lines(shots_of(folder, mask, table, pattern, angles), output)
     if mask is not None:
         lines.append(f"mask = {_text(_relative(mask, output))}")
     camera = [] if metashape is None or label is None else _camera_lines(Path(metashape), label)
@@ -149,7 +149,13 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part.lower()) for part in re.split(r"(\d+)", path.name)]
 
 
-def _images(folder: Path, mask: Path | None) -> list[Path]:
+def mask_of(folder: Path) -> Path | None:
+    """The folder's mask.png, which becomes the station's mask; None if there is none."""
+    return next((path for path in folder.iterdir() if path.name.lower() == "mask.png"), None)
+
+
+def images_of(folder: Path, mask: Path | None) -> list[Path]:
+    """The folder's RAW files, or else its other images, without the mask, in natural order; InputError for none."""
     files = [path for path in folder.iterdir() if path.is_file() and path != mask and not path.name.startswith(".")]
     raw = [path for path in files if is_raw(path)]
     images = raw or [path for path in files if path.suffix.lower() in _IMAGES]
@@ -161,24 +167,25 @@ def _images(folder: Path, mask: Path | None) -> list[Path]:
     return sorted(images, key=_natural)
 
 
-def _shots(
+def shots_of(
     folder: Path, mask: Path | None, table: str | Path | None, pattern: str | None, angles: Sequence[float] | None
-) -> list[_Shot]:
+) -> list[Shot]:
+    """Images and angles of a folder, by the first source that there is (see `import_station`)."""
     given = [
         name for name, value in (("--angles", angles), ("--pattern", pattern), ("--table", table)) if value is not None
     ]
     if len(given) > 1:
         raise InputError(f"{' and '.join(given)} are both given, expected one source of angles")
-    images = _images(folder, mask)
+    images = images_of(folder, mask)
     if angles is not None:
         if len(angles) != len(images):
             names = ", ".join(path.name for path in images)
             raise InputError(
                 f"--angles has {len(angles)} angles for {len(images)} images ({names}), expected one for each"
             )
-        return [_Shot(path, angle) for path, angle in zip(images, angles, strict=True)]
+        return [Shot(path, angle) for path, angle in zip(images, angles, strict=True)]
     if pattern is not None:
-        return [_Shot(path, _core.angle_of_name(path, pattern, "--pattern")) for path in images]
+        return [Shot(path, _core.angle_of_name(path, pattern, "--pattern")) for path in images]
     tables = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".csv")
     if table is None and len(tables) == 1:
         table = tables[0]
@@ -189,12 +196,12 @@ def _shots(
         return shots
     instead = "expected --angles A,B,…, one for each in this order, --pattern REGEX or a table (--table FILE.csv)"
     return [
-        _Shot(path, angle)
+        Shot(path, angle)
         for path, angle in zip(images, _core.angles_of_names(images, str(folder), instead), strict=True)
     ]
 
 
-def _all_once(shots: list[_Shot], images: list[Path], table: Path) -> list[_Shot]:
+def _all_once(shots: list[Shot], images: list[Path], table: Path) -> list[Shot]:
     """The table's shots, which must be the folder's images, each of them once."""
     listed = [shot.image.resolve() for shot in shots]
     twice = sorted({path.name for path in listed if listed.count(path) > 1})
@@ -268,7 +275,7 @@ def _rows_of(table: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     return names, result
 
 
-def _shots_of_table(folder: Path, table: Path) -> list[_Shot]:
+def _shots_of_table(folder: Path, table: Path) -> list[Shot]:
     columns, rows = _rows_of(table)
     names = {name.lower(): name for name in columns}
 
@@ -291,13 +298,13 @@ def _shots_of_table(folder: Path, table: Path) -> list[_Shot]:
         exposure = None
         if exposure_column is not None:
             exposure = _number(row[exposure_column], f"{table}, line {line}: {exposure_column}")
-        shots.append(_Shot(image, angle, exposure))
+        shots.append(Shot(image, angle, exposure))
     if not shots:
         raise InputError(f"{table}: no rows below the first line")
     return shots
 
 
-def _shots_of_sidecars(folder: Path) -> list[_Shot]:
+def _shots_of_sidecars(folder: Path) -> list[Shot]:
     """Images that JSON files beside them describe; none if there are no such files."""
     shots = []
     for path in sorted(folder.glob("*.json"), key=_natural):
@@ -310,7 +317,7 @@ def _shots_of_sidecars(folder: Path) -> list[_Shot]:
         angle = _angle_of_sidecar(content, path)
         if angle is None:
             continue
-        shots.append(_Shot(_image_of_sidecar(content, path), angle))
+        shots.append(Shot(_image_of_sidecar(content, path), angle))
     return shots
 
 
@@ -353,7 +360,7 @@ def _text(value: str) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-def _shot_lines(shots: list[_Shot], output: Path) -> list[str]:
+def _shot_lines(shots: list[Shot], output: Path) -> list[str]:
     images = ", ".join(_text(_relative(shot.image, output)) for shot in shots)
     lines = [f"images = [{images}]", f"angles_deg = [{', '.join(f'{shot.angle_deg:.10g}' for shot in shots)}]"]
     exposures = [shot.exposure_s for shot in shots]

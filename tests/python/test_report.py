@@ -20,7 +20,7 @@ from PIL import Image
 import malus
 from conftest import malus as run_malus
 from conftest import run_program
-from malus import figures, viewer
+from malus import figures, lengths, viewer
 
 
 class Page(HTMLParser):
@@ -137,6 +137,59 @@ def test_figures_lie_beside_the_page_with_their_numbers(work: Path) -> None:
         row = next(csv.DictReader(file))
     degree = tifffile.imread(work / "polarization/degree.tif")
     assert float(row["p50"]) == pytest.approx(np.nanmedian(degree), rel=1e-6)
+
+
+def test_first_come_photograph_size_accuracy_and_gain(work: Path) -> None:
+    text = (work / "report/index.html").read_text()
+    places = [
+        text.index(part) for part in ("Photograph of", "<dt>Size", "<dt>Accuracy", "Confidence: ", "over stereo alone")
+    ]
+    assert places == sorted(places)
+    quality = json.loads((work / "quality.json").read_text())
+    accuracy = lengths.shown(quality["sigma"]["median_gsd"] * quality["gsd"], "mm")
+    assert f"<dt>Accuracy</dt><dd>{accuracy} " in text and accuracy.endswith(" µm")
+
+
+def test_alternative_texts_say_what_is_seen(work: Path) -> None:
+    alternatives = re.findall(r'<img [^>]*alt="([^"]*)"', (work / "report/index.html").read_text())
+    assert all(len(text.split()) >= 5 for text in alternatives), alternatives
+    assert len(set(alternatives)) == len(alternatives)
+    degree = next(text for text in alternatives if text.startswith("Degree of linear polarization"))
+    median = np.nanmedian(tifffile.imread(work / "polarization/degree.tif"))
+    assert f"half of them below {median:.3g}" in degree
+
+
+@pytest.mark.parametrize(
+    ("length", "unit", "said"),
+    [
+        (0.0604, "mm", "60 µm"),
+        (1.26, "mm", "1.3 mm"),
+        (218, "mm", "218 mm"),
+        (0.003, "in", "76 µm"),
+        (3.2, "m", "3.2 m"),
+    ],
+)
+def test_lengths_as_people_say_them(length: float, unit: str, said: str) -> None:
+    assert lengths.shown(length, unit) == said
+
+
+@pytest.mark.parametrize(
+    ("extent", "unit", "bar"), [(218, "mm", (50, "50 mm")), (0.9, "m", (0.2, "200 mm")), (12, "mm", (2, "2 mm"))]
+)
+def test_scale_bars_are_round_and_about_a_fifth(extent: float, unit: str, bar: tuple[float, str]) -> None:
+    length, label = lengths.scale_bar(extent, unit)
+    assert (length, label) == (pytest.approx(bar[0]), bar[1])
+
+
+def test_detail_of_a_section_is_free_of_its_form() -> None:
+    along = np.arange(200.0)
+    wave = np.sin(along / 3)
+    section = 0.3 * along - 40 + wave
+    section[60:64] = np.nan
+    detail = figures.without_form(section, 8)
+    assert np.isnan(detail[60:64]).all()
+    np.testing.assert_allclose(detail[70:-40], wave[70:-40], atol=0.1)
+    np.testing.assert_allclose(figures.without_form(0.3 * along - 40, 8), 0, atol=1e-9)
 
 
 def unpack(text: str) -> np.ndarray:

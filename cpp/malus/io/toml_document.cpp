@@ -33,6 +33,18 @@ void require_short_keys(const std::string& text, const std::filesystem::path& pa
   }
 }
 
+/// What editors and other systems often bring into a file that is then not TOML; "" = nothing of that.
+std::string likely_cause(const std::string& text, const toml::parse_error& error) {
+  if (error.description().find("utf-8") != std::string_view::npos)
+    return "; the file is not UTF-8 text, expected it saved as UTF-8";
+  std::size_t begin = 0;
+  for (toml::source_index line = 1; line < error.source().begin.line && begin < text.size(); ++line)
+    begin = std::min(text.find('\n', begin), text.size() - 1) + 1;
+  const std::size_t end = std::min(text.find('\n', begin), text.size());
+  if (std::string_view(text).substr(begin, end - begin).find('\\') == std::string_view::npos) return "";
+  return "; a path of Windows is written with / or between single quotes: 'C:\\scans\\cloud.ply'";
+}
+
 }  // namespace
 
 toml::table read_toml(const std::filesystem::path& path, const std::string& what) {
@@ -42,7 +54,7 @@ toml::table read_toml(const std::filesystem::path& path, const std::string& what
     return toml::parse(text, path.string());
   } catch (const toml::parse_error& error) {
     throw input_error(path.string() + ", line " + std::to_string(error.source().begin.line) + ": not TOML (" +
-                      std::string(error.description()) + ")");
+                      std::string(error.description()) + ")" + likely_cause(text, error));
   }
 }
 

@@ -135,6 +135,16 @@ std::string describe_images(const Station& station) {
   return text;
 }
 
+double pixels_on(const Mask& object) {
+  return static_cast<double>(std::ranges::count_if(object, [](std::uint8_t value) { return value != 0; }));
+}
+
+/// The station as the Python package hands it over once the prior is made from its photos.
+Station with_prior_of_photos(Station station) {
+  if (!station.has_prior() && station.file.photos) station.prior = SweptDepth{};
+  return station;
+}
+
 void warn_of_memory(Plan& plan) {
   const double machine_mb =
       1e-6 * static_cast<double>(sysconf(_SC_PHYS_PAGES)) * static_cast<double>(sysconf(_SC_PAGESIZE));
@@ -147,30 +157,37 @@ void warn_of_memory(Plan& plan) {
 
 }  // namespace
 
+std::vector<ExpectedTime> expected_times(const Station& station, const Options& options,
+                                         const std::optional<std::string>& until, const std::optional<Size>& known_size,
+                                         const Context& context) {
+  const Size size = known_size ? *known_size : size_of_images(station);
+  const Station planned = with_prior_of_photos(station);
+  const Workload work{planned, options, size, pixels_on(read_object(station, size)) / 1e6, context.threads};
+  std::vector<ExpectedTime> times;
+  for (const Step* step : steps_of_run(step_table(), planned, options, until))
+    times.push_back({step->name, step->cost(work).seconds});
+  return times;
+}
+
 Plan check_station(const Station& station, const Options& options, const Context& context) {
   Plan plan;
   plan.name = station.file.name;
   plan.size = size_of_images(station);
   const Mask object = read_object(station, plan.size);
-  plan.object_pixels =
-      static_cast<double>(std::ranges::count_if(object, [](std::uint8_t value) { return value != 0; }));
+  plan.object_pixels = pixels_on(object);
   read_images(station, object, plan, context);
   Details details{{"polarization", describe_images(station)}};
-  std::optional<Station> with_photos;
   if (station.has_prior()) {
     if (!station.file.camera) {
       throw input_error(station.file.path.string() +
                         ": [camera] has no pose, expected a camera whose position is known");
     }
     details["prior"] = std::visit(PriorCheck{station, object, options.prior, context, plan, details}, station.prior);
-  } else if (station.file.photos) {
-    with_photos = station;
-    with_photos->prior = SweptDepth{};  // The Python package makes it, and says so.
-  } else {
+  } else if (!station.file.photos) {
     plan.warnings.emplace_back("there is no [prior]: only the polarization maps can be made");
   }
 
-  const Station& planned = with_photos ? *with_photos : station;
+  const Station planned = with_prior_of_photos(station);
   const Workload work{planned, options, plan.size, plan.object_pixels / 1e6, context.threads};
   for (const Step* step : steps_of_run(step_table(), planned, options, std::nullopt)) {
     const auto detail = details.find(step->name);

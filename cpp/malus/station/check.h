@@ -1,5 +1,6 @@
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -20,6 +21,19 @@ struct Plan {
   double seconds = 0;                 ///< expected, with context.threads threads
   double memory_mb = 0;               ///< expected peak
 };
+
+/// A step of a run and the seconds it is expected to take.
+struct ExpectedTime {
+  std::string step;
+  double seconds = 0;
+};
+
+/// What each step of a run is expected to take with context.threads threads, from the images' size and the mask alone.
+/// A station with [photos] is taken to have its prior already. `size` is that of the images if their files cannot say
+/// it (RAW).
+std::vector<ExpectedTime> expected_times(const Station& station, const Options& options,
+                                         const std::optional<std::string>& until, const std::optional<Size>& size,
+                                         const Context& context);
 
 /// Reads everything a station names, as a run would, without computing anything: images (size, levels, saturation),
 /// mask, labels, and where the prior's points fall. Throws what the run would throw for unusable input.

@@ -63,7 +63,7 @@ std::vector<Step> make_table() {
             .on_its_own = is_assessed},
            find_zenith),
       step({.name = "height",
-            .does = "height from polarization alone (Eq 9 to 11)",
+            .does = "height from polarization alone",
             .options = {"light", "height"},
             .leaves = {"height/height.tif"},
             .cost = height_cost,
@@ -71,7 +71,7 @@ std::vector<Step> make_table() {
            make_height),
       step(
           {.name = "fuse",
-           .does = "grid transfer of polarization detail onto the prior (Eq 14 to 16)",
+           .does = "the paper's transfer of polarization detail onto the prior",
            .options = {"fusion", "grid"},
            .leaves = {"fused/depth.tif", "fused/normals.tif", "fused/sigma.tif", "fused/camera.txt", "fused/image.txt"},
            .cost = grid_cost,

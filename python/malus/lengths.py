@@ -1,0 +1,23 @@
+"""Lengths as people say them, whatever the station's unit, and lengths of scale bars."""
+
+from __future__ import annotations
+
+import math
+
+from malus.units import METRES
+
+
+def shown(length: float, unit: str, digits: int = 2) -> str:
+    """A length of the station's unit in µm, mm or m, whichever is handy: 60 µm, 1.2 mm."""
+    metres = length * METRES[unit]
+    factor, name = next(((f, n) for f, n in ((1e6, "µm"), (1e3, "mm")) if abs(metres) * f < 1000), (1.0, "m"))
+    value = metres * factor
+    return f"{value:.{digits}g} {name}" if abs(value) < 10**digits else f"{value:.0f} {name}"
+
+
+def scale_bar(extent: float, unit: str) -> tuple[float, str]:
+    """Length of a scale bar for a picture of this width, 1, 2 or 5 times a power of ten, about a fifth of it; and its label."""
+    metres = extent * METRES[unit]
+    power = 10.0 ** math.floor(math.log10(metres / 4))
+    length = next(factor * power for factor in (5, 2, 1) if factor * power <= metres / 4)
+    return length / METRES[unit], shown(length / METRES[unit], unit, 4)

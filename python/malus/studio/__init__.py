@@ -1,0 +1,51 @@
+"""Malus Studio: a local web application for the whole way from a folder of images to the report (extra `studio`)."""
+
+from __future__ import annotations
+
+import socket
+import webbrowser
+from pathlib import Path
+
+from malus._extra import extra
+from malus.errors import InputError, ResourceError
+
+#: The only address that Studio listens on.
+ADDRESS = "127.0.0.1"
+
+
+def serve(folder: str | Path = ".", *, port: int = 0, browser: bool = True) -> None:
+    """Serve Studio for a folder until Ctrl-C, which also ends the runs that it started; their finished steps stay.
+
+    Only files below `folder` can be seen or written. port 0 = any free one. `browser`: open the page in the web browser.
+    Raises malus.InputError for a folder that is not there, malus.ExternalError unless the extra `studio` is installed,
+    malus.ResourceError for a port that is taken.
+    """
+    root = Path(folder)
+    if not root.is_dir():
+        raise InputError(f"{folder}: no such folder, expected one with images or stations")
+    purpose = "malus studio"
+    for package in ("starlette", "tomlkit"):
+        extra(package, package, purpose, "studio")
+    uvicorn = extra("uvicorn", "uvicorn", purpose, "studio")
+    from malus.studio.app import Studio
+
+    listener = socket.socket()
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((ADDRESS, port))
+        listener.listen()  # so that who reads the address can already use it
+    except OSError as error:
+        raise ResourceError(
+            f"--port {port}: cannot be used ({error.strerror or error}), expected a free port"
+        ) from None
+    studio = Studio(root, listener.getsockname()[1])
+    print(f"Malus Studio for {root.resolve()}\n  {studio.access.entrance}\nCtrl-C ends it.", flush=True)
+    if browser:
+        webbrowser.open(studio.access.entrance)
+    server = uvicorn.Server(uvicorn.Config(studio.app, log_level="warning", timeout_graceful_shutdown=2))
+    try:
+        server.run(sockets=[listener])
+    except KeyboardInterrupt:
+        pass
+    finally:
+        studio.runs.close()

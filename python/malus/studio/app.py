@@ -1,0 +1,294 @@
+"""The web application: what each address does. The work itself is in the modules beside it."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+from collections.abc import Awaitable, Callable, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+
+import malus
+from malus.errors import InputError, MalusError
+from malus.studio import checks, folders, masks, pictures, preview, results, runs
+from malus.studio.access import REPORTS, Access, Guard, Root
+from malus.studio.document import StationDocument
+
+#: Bodies of requests: a mask of a hundred megapixels is far smaller.
+_MAX_BODY = 64_000_000
+_STATIC = Path(str(resources.files("malus").joinpath("studio", "static")))
+
+Json = Mapping[str, Any]
+
+
+class Studio:
+    """One opened folder and everything that runs for it."""
+
+    def __init__(self, folder: Path, port: int) -> None:
+        self.root = Root(folder)
+        self.access = Access(port)
+        self.runs = runs.Runs()
+        self._report_keys: dict[str, Path] = {}
+        self._threads = os.cpu_count() or 1
+        self.app = Starlette(routes=self._routes(), middleware=[Middleware(Guard, access=self.access)])
+
+    def _routes(self) -> list[Route | Mount]:
+        asked: dict[str, Callable[[Json], Any]] = {
+            "folder": lambda q: folders.listing(self.root, q.get("path", "")),
+            "candidates": lambda _: folders.candidates(self.root),
+            "model": lambda q: {"images": folders.images_of_model(self.root.directory(q["path"]))},
+            "station": self._station,
+            "check": lambda q: checks.check(self.root.file(q["path"]), self._threads),
+            "size": lambda q: dict(zip(("width", "height"), pictures.size_of(self.root.file(q["path"])), strict=True)),
+            "runs": lambda _: [self._described(run) for run in self.runs.all()],
+            "log": lambda q: {"lines": next((r.log for r in self.runs.all() if r.number == int(q["number"])), [])},
+            "results": self._results,
+            "difference": lambda q: results.difference(self.root.directory(q["a"]), self.root.directory(q["b"])),
+            "thumbnail": lambda q: Response(pictures.thumbnail(self.root.file(q["path"])), media_type="image/jpeg"),
+            "picture": lambda q: Response(pictures.picture(self.root.file(q["path"])), media_type="image/jpeg"),
+            "mask": lambda q: Response(masks.read(self.root.file(q["path"])), media_type="image/png"),
+            "relief": lambda q: Response(results.relief(self.root.directory(q["path"])), media_type="image/png"),
+            "overlay": self._overlay,
+            "outline": lambda q: Response(masks.outline_of_prior(malus.Station.load(self.root.file(q["path"])), self._threads), media_type="image/png"),
+        }  # fmt: skip
+        told: dict[str, Callable[[Json], Any]] = {
+            "angles": lambda body: folders.angles(self.root, body["folder"], body["source"], body["images"], float(body.get("first", 0)), float(body.get("step", 45))),
+            "preview": self._preview,
+            "create": self._create,
+            "set": self._set,
+            "text": self._set_text,
+            "similar": self._similar,
+            "run": self._run,
+            "cancel": lambda body: self.runs.cancel(int(body["number"])),
+            "profile": lambda body: results.profile(self.root.directory(body["path"]), tuple(body["from"]), tuple(body["to"])),
+        }  # fmt: skip
+        return [
+            Route("/", self._page),
+            *(Route(f"/api/{name}", _asking(function)) for name, function in asked.items()),
+            *(Route(f"/api/{name}", _telling(function), methods=["POST"]) for name, function in told.items()),
+            Route("/api/mask", self._write_mask, methods=["PUT"]),
+            Route("/api/cut", self._cut_out, methods=["POST"]),
+            Route(REPORTS + "{key}/{path:path}", self._report),
+            Mount("/static", StaticFiles(directory=_STATIC)),
+        ]
+
+    # ---- pages and files ----
+
+    async def _page(self, _: Request) -> Response:
+        page = (_STATIC / "studio.html").read_text(encoding="utf-8")
+        return Response(
+            page.replace("{{page_token}}", self.access.page_token).replace("{{version}}", malus.__version__),
+            media_type="text/html",
+        )
+
+    async def _report(self, request: Request) -> Response:
+        folder = self._report_keys.get(request.path_params["key"])
+        if folder is None:
+            return Response("This report was opened by an earlier Studio.", 404)
+        path = (folder / request.path_params["path"]).resolve()
+        if not path.is_relative_to(folder.resolve()) or not path.is_file():
+            return Response("There is no such file in the report.", 404)
+        return FileResponse(path)
+
+    def _report_address(self, work: Path) -> str:
+        """The report's address with a key that opens this folder and nothing else."""
+        folder = work / "report"
+        key = next((key for key, known in self._report_keys.items() if known == folder), None)
+        if key is None:
+            key = secrets.token_urlsafe(24)
+            self._report_keys[key] = folder
+        return f"{REPORTS}{key}/index.html"
+
+    # ---- the station file ----
+
+    def _station(self, query: Json) -> Json:
+        return self._shown(StationDocument.read(self.root.file(query["path"])))
+
+    def _shown(self, document: StationDocument) -> Json:
+        """The file, its values, and its images and mask by the page's names, where they lie in the opened folder."""
+        shown: dict[str, Any] = {
+            "path": self.root.name(document.path),
+            "text": document.text,
+            "digest": document.digest,
+            "values": document.values,
+            "images": [],
+            "error": None,
+        }
+        try:
+            description = malus.Station.load(document.path).describe()
+            shown["images"] = [self.root.name(Path(path)) for path in description["images"]]
+            mask = document.values["polarized"].get("mask")
+            shown["mask"] = self.root.name(document.path.parent / mask) if mask else None
+        except MalusError as error:
+            shown["error"] = {"field": checks.field_of(str(error)), "message": str(error)}
+        return shown
+
+    def _create(self, body: Json) -> Json:
+        """A new station file from the page's table of images and angles."""
+        path = self.root.path(body["path"])
+        if path.suffix != ".toml":
+            raise InputError(f"{body['path']}, expected a name that ends in .toml")
+        document = StationDocument(path, "")
+        document.set("station", "name", body.get("name") or path.parent.name)
+        document.set("station", "unit", body.get("unit", "mm"))
+        images = [self.root.file(name) for name in body["images"]]
+        document.set("polarized", "images", [document.relative(image) for image in images])
+        for key in ("angles_deg", "angle_direction", "angle_zero_deg", "response", "exposure_s"):
+            if body.get(key) is not None:
+                document.set("polarized", key, body[key])
+        document.write(None)
+        return self._shown(document)
+
+    def _set(self, body: Json) -> Json:
+        """Change values and lists of a station file. Paths come as names of the page and are written relative to the file."""
+        document = StationDocument.read(self.root.file(body["path"]))
+        for change in body["changes"]:
+            if "entries" in change:
+                document.set_list(change["list"], change["entries"])
+                continue
+            value = change["value"]
+            if change.get("is_path") and value is not None:
+                value = document.relative(self.root.path(value))
+            document.set(change["table"], change["key"], value)
+        document.write(body["digest"])
+        return self._shown(document)
+
+    def _set_text(self, body: Json) -> Json:
+        document = StationDocument(self.root.file(body["path"]), body["text"])
+        document.write(body["digest"])
+        return self._shown(document)
+
+    # ---- images, masks ----
+
+    def _preview(self, body: Json) -> Json:
+        return preview.preview(
+            [self.root.file(name) for name in body["images"]],
+            [float(angle) for angle in body["angles_deg"]],
+            direction=body.get("angle_direction", "ccw"),
+            zero_deg=float(body.get("angle_zero_deg", 0)),
+            response=body.get("response", "linear"),
+        )
+
+    def _similar(self, body: Json) -> Response:
+        image = self.root.file(body["image"])
+        found = masks.similar(image, int(body["u"]), int(body["v"]), int(body["tolerance"]))
+        return Response(found, media_type="image/png")
+
+    async def _cut_out(self, request: Request) -> Response:
+        content = await _body(request)
+
+        def cut() -> Response:
+            image = self.root.file(request.query_params["image"])
+            hints = masks.decode(content, pictures.size_of(image))
+            return Response(masks.cut_out(image, hints, self._threads), media_type="image/png")
+
+        return await _answer(cut)
+
+    async def _write_mask(self, request: Request) -> Response:
+        """Write a mask (or labels) beside the station file and name it there."""
+        content = await _body(request)
+        query = request.query_params
+
+        def write() -> Json:
+            document = StationDocument.read(self.root.file(query["path"]))
+            images = malus.Station.load(document.path).describe()["images"]
+            labels = query.get("kind") == "labels"
+            values = masks.decode(content, pictures.size_of(Path(images[0])))
+            table, key = ("optics", "reflection") if labels else ("polarized", "mask")
+            present = document.values.get(table, {}).get(key)
+            is_file = present and present not in ("diffuse", "specular", "auto")
+            target = document.path.parent / (present if is_file else f"{document.path.stem}_{'labels' if labels else 'mask'}.png")  # fmt: skip
+            target = self.root.path(str(target)).with_suffix(".png")
+            masks.write(target, values)
+            document.set(table, key, document.relative(target))
+            document.write(query["digest"])
+            return self._shown(document)
+
+        return await _answer(write)
+
+    def _overlay(self, query: Json) -> Response:
+        station = malus.Station.load(self.root.file(query["path"]))
+        picture, undistorted = masks.overlay_of_prior(station, self._threads)
+        return Response(picture, media_type="image/png", headers={"X-Undistorted": str(int(undistorted))})
+
+    # ---- runs, results ----
+
+    def _described(self, run: runs.Run) -> Json:
+        return {
+            **runs.described(run),
+            "station": self.root.name(run.station),
+            "work": self.root.name(run.work),
+            "report": self._report_address(run.work) if run.state == "done" else None,
+        }
+
+    def _run(self, body: Json) -> Json:
+        station, work = self.root.file(body["path"]), self.root.path(body["work"])
+        if work == self.root.folder or work == station.parent:
+            raise InputError(f"{body['work']}: holds the inputs, expected a folder of its own for the results: {station.stem}_work")  # fmt: skip
+        fusion = body.get("fusion", "refined")
+        if fusion not in ("grid", "refined"):
+            raise InputError(f"fusion = {fusion!r}, expected grid or refined")
+        return self._described(self.runs.add(station, work, fusion))
+
+    def _results(self, _: Json) -> list[dict[str, Any]]:
+        found = []
+        for name in results.works(self.root):
+            folder = self.root.directory(name)
+            said = results.summary(folder)
+            address = self._report_address(folder) if said.get("report") else None
+            found.append({"path": name, **said, "report": address})
+        return found
+
+
+async def _body(request: Request) -> bytes:
+    content = bytearray()
+    async for chunk in request.stream():
+        content += chunk
+        if len(content) > _MAX_BODY:
+            return b""
+    return bytes(content)
+
+
+async def _answer(function: Callable[[], Any]) -> Response:
+    """What a function returns, computed on another thread, or its error in the page's form."""
+    try:
+        result = await run_in_threadpool(function)
+    except MalusError as error:
+        return JSONResponse({"error": str(error), "field": checks.field_of(str(error))}, 400)
+    except (KeyError, ValueError, TypeError, AttributeError) as error:
+        return JSONResponse({"error": f"the request is not what Studio expects ({type(error).__name__}: {error})"}, 400)
+    except OSError as error:
+        return JSONResponse({"error": f"{error.filename or 'a file'}: {error.strerror or error}"}, 400)
+    return result if isinstance(result, Response) else JSONResponse(result)
+
+
+def _asking(function: Callable[[Json], Any]) -> Callable[[Request], Awaitable[Response]]:
+    async def endpoint(request: Request) -> Response:
+        return await _answer(lambda: function(request.query_params))
+
+    return endpoint
+
+
+def _telling(function: Callable[[Json], Any]) -> Callable[[Request], Awaitable[Response]]:
+    async def endpoint(request: Request) -> Response:
+        content = await _body(request)
+
+        def told() -> Any:
+            body = json.loads(content)
+            if not isinstance(body, dict):
+                raise TypeError("no JSON object")
+            return function(body)
+
+        return await _answer(told)
+
+    return endpoint

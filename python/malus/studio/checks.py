@@ -1,0 +1,49 @@
+"""What `malus check` says of a station, each line beside the field that it concerns."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import malus
+from malus.errors import MalusError
+
+#: Words of messages and the field of the page that they concern, the first that fits.
+_FIELDS = (
+    ("mask", r"\bmask\b"),
+    ("angles", r"angle|polarizer|order of the images|direction"),
+    ("response", r"white_level|black_level|response|saturated|linear|gamma"),
+    ("images", r"\[polarized\]|images?\b.*(cannot be read|no such|size|differ)|exposure time|ISO|aperture"),
+    ("camera", r"\[camera\]|camera|lens|pose"),
+    ("prior", r"\[prior\]|cloud|mesh|depth map|prior"),
+    ("photos", r"\[photos\]|photos?\b|COLMAP"),
+    ("scale", r"\[\[scale\]\]|distance|unit"),
+    ("patch", r"\[\[patch\]\]|patch"),
+    ("profile", r"\[\[profile\]\]|profile"),
+    ("optics", r"refractive|reflection|label"),
+)
+
+
+def field_of(message: str) -> str:
+    """The field of the page that a message concerns; "station" if none is named."""
+    for field, pattern in _FIELDS:
+        if re.search(pattern, message, re.IGNORECASE):
+            return field
+    return "station"
+
+
+def check(path: Path, threads: int) -> dict[str, Any]:
+    """The plan of a run and everything that is wrong or doubtful, as lines with severity, field and message."""
+    try:
+        station = malus.Station.load(path)
+        plan = malus.check(station, threads=threads)
+    except MalusError as error:
+        return {"lines": [{"severity": "error", "field": field_of(_without_path(str(error), path)), "message": str(error)}]}  # fmt: skip
+    lines = [{"severity": "warning", "field": field_of(text), "message": text} for text in plan["warnings"]]
+    return {"lines": lines, "plan": plan}
+
+
+def _without_path(message: str, path: Path) -> str:
+    """The station file's own name may have any word in it."""
+    return message.replace(str(path), "")

@@ -1,0 +1,128 @@
+"""The station file as Studio edits it: what is not changed stays as it was written, comments too."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import AoT, Table
+
+from malus._files import write_bytes
+from malus.errors import InputError
+
+#: Tables of a station file that stand any number of times.
+LISTS = ("scale", "patch", "profile")
+#: Tables that stand once, with their keys, so that the page can be told of misprints early.
+TABLES = ("station", "polarized", "optics", "camera", "prior", "photos")
+
+
+class StationDocument:
+    """A station file, read, changed and written back."""
+
+    def __init__(self, path: Path, text: str) -> None:
+        self.path = path
+        try:
+            self._document = tomlkit.parse(text)
+        except TOMLKitError as error:
+            raise InputError(f"{path}: not valid TOML ({error})") from None
+        self.digest = digest_of(text)
+
+    @classmethod
+    def read(cls, path: Path) -> StationDocument:
+        """Read a file; InputError unless it is TOML in UTF-8."""
+        try:
+            return cls(path, path.read_bytes().decode("utf-8"))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
+        except UnicodeDecodeError:
+            raise InputError(f"{path}: is not UTF-8 text, expected a station file") from None
+
+    @property
+    def text(self) -> str:
+        """The file as it would be written now."""
+        return tomlkit.dumps(self._document)
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Everything that it says, as plain data."""
+        values: dict[str, Any] = self._document.unwrap()
+        return values
+
+    def set(self, table: str, key: str, value: Any) -> None:
+        """Set a value, or remove it with None; a value that is as before is left as it was written."""
+        if table not in TABLES:
+            raise InputError(f"[{table}] is no table of a station file, expected one of {', '.join(TABLES)}")
+        if table not in self._document:
+            if value is None:
+                return
+            self._document[table] = tomlkit.table()
+        content = self._document[table]
+        if not isinstance(content, Table):
+            raise InputError(f"{self.path}: {table} is no table, expected [{table}]")
+        _assign(content, key, value)
+        if not content:
+            del self._document[table]
+
+    def set_list(self, name: str, entries: Sequence[Mapping[str, Any]]) -> None:
+        """Make the tables [[name]] these; those that stay in place keep their comments."""
+        if name not in LISTS:
+            raise InputError(f"[[{name}]] is no list of a station file, expected one of {', '.join(LISTS)}")
+        if not entries:
+            self._document.pop(name, None)
+            return
+        if name not in self._document:
+            self._document[name] = tomlkit.aot()
+        present = self._document[name]
+        if not isinstance(present, AoT):
+            raise InputError(f"{self.path}: {name} is no list of tables, expected [[{name}]]")
+        for index, entry in enumerate(entries):
+            if index == len(present):
+                present.append(tomlkit.table())
+            table = present[index]
+            for key in [*(key for key in table if key not in entry), *entry]:
+                _assign(table, key, entry.get(key))
+        while len(present) > len(entries):
+            del present[len(present) - 1]
+
+    def write(self, expected: str | None) -> None:
+        """Write the file, unless it is not the one that `expected` is the digest of (None: there must be no file)."""
+        current = digest_of(self.path.read_text(encoding="utf-8")) if self.path.exists() else None
+        if current != expected:
+            raise InputError(
+                f"{self.path}: "
+                + ("exists already, expected another name" if expected is None else "was changed by another program since Studio read it; reload it")
+            )  # fmt: skip
+        write_bytes(self.path, self.text.encode())
+        self.digest = digest_of(self.text)
+
+    def relative(self, path: Path) -> str:
+        """How the file names another one."""
+        return Path(os.path.relpath(path.resolve(), self.path.resolve().parent)).as_posix()
+
+
+def digest_of(text: str) -> str:
+    """What tells one state of a file from another."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _assign(table: Table, key: str, value: Any) -> None:
+    if value is None:
+        table.pop(key, None)
+        return
+    if key in table and table.unwrap()[key] == value:
+        return
+    item = tomlkit.item(value)
+    if isinstance(value, list) and value and isinstance(value[0], Mapping):
+        # Marks: one a line, in braces.
+        item = tomlkit.array()
+        for entry in value:
+            inline = tomlkit.inline_table()
+            inline.update(entry)
+            item.append(inline)
+        item.multiline(True)
+    table[key] = item

@@ -1,0 +1,107 @@
+"""Which pixels are the object, and labels of reflection: read, written, and selected by color."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+import malus
+from malus import _core
+from malus._files import write_bytes
+from malus.errors import DataError, InputError
+from malus.figures import encode, step_for
+from malus.studio.pictures import displayed
+
+#: Long side of the picture in which GrabCut works: seconds, also for large images.
+_CUT_SIDE_PX = 900
+_CUT_ITERATIONS = 4
+
+Bytes = NDArray[np.uint8]
+
+
+def decode(content: bytes, size: tuple[int, int] | None = None) -> Bytes:
+    """Pixels H×W of a grey PNG from the page; InputError unless it is one, of this width and height."""
+    try:
+        with Image.open(io.BytesIO(content), formats=["PNG"]) as image:
+            if size is not None and image.size != size:
+                raise InputError(
+                    f"the mask is {image.width} x {image.height} pixels, expected {size[0]} x {size[1]} as the images"
+                )
+            return np.array(image.convert("RGBA").getchannel("R"))
+    except (OSError, UnidentifiedImageError, Image.DecompressionBombError) as error:
+        raise InputError(f"the mask is no PNG image ({error})") from None
+
+
+def read(path: Path) -> bytes:
+    """A mask or label image as PNG for the page."""
+    pixels, full_scale = _core.read_image_dn(str(path))
+    grey = pixels if pixels.ndim == 2 else pixels[..., 0]
+    # Labels are small numbers; masks of more than 8 bits are set or not.
+    values = grey if full_scale <= 255 else np.where(grey != 0, 255, 0)
+    return encode(values.astype(np.uint8), "PNG")
+
+
+def write(path: Path, values: Bytes) -> None:
+    """Write a mask or label image."""
+    write_bytes(path, encode(values, "PNG"))
+
+
+def similar(image: Path, u: int, v: int, tolerance: int) -> bytes:
+    """PNG of the pixels connected with (u, v) that look like it, 255 or 0."""
+    return encode(_core.select_similar(displayed(image), u, v, tolerance), "PNG")
+
+
+def cut_out(image: Path, hints: Bytes, threads: int) -> bytes:
+    """PNG of the object as GrabCut finds it from hints (0 background, 1 object, 2 and 3 probably; of the image's size)."""
+    picture = displayed(image)
+    if hints.shape != picture.shape[:2]:
+        raise InputError(f"the hints are {hints.shape[1]} x {hints.shape[0]} pixels, expected the image's size")
+    step = step_for(picture.shape, _CUT_SIDE_PX)
+    small = np.ascontiguousarray(picture[::step, ::step])
+    found = _core.cut_out_object(small, np.ascontiguousarray(hints[::step, ::step]), _CUT_ITERATIONS, threads)
+    whole = Image.fromarray(found).resize((picture.shape[1], picture.shape[0]), Image.Resampling.BILINEAR)
+    return encode(np.where(np.asarray(whole) >= 128, 255, 0).astype(np.uint8), "PNG")
+
+
+def _prior_in_view(station: malus.Station, threads: int) -> NDArray[np.float32]:
+    """Depth of the station's prior in the polarized image, which must be one without distortion."""
+    result = malus.reconstruct(station, until="prior", threads=threads)
+    if result.prior_depth is None:
+        raise DataError("there is no [prior] to see yet: the run makes it from the photos")
+    return result.prior_depth
+
+
+def outline_of_prior(station: malus.Station, threads: int) -> bytes:
+    """PNG of the pixels that the prior covers.
+
+    Raises InputError for a lens with distortion: the prior lies in the undistorted image, the mask in the image as taken.
+    """
+    if _has_distortion(station):
+        raise InputError(
+            "the outline of the prior is for lenses without distortion, expected another tool for this one"
+        )
+    return encode(np.where(np.isfinite(_prior_in_view(station, threads)), 255, 0).astype(np.uint8), "PNG")
+
+
+def _has_distortion(station: malus.Station) -> bool:
+    camera = station.describe().get("camera")
+    return camera is not None and camera["model"] not in ("PINHOLE", "SIMPLE_PINHOLE")
+
+
+def overlay_of_prior(station: malus.Station, threads: int) -> tuple[bytes, bool]:
+    """PNG of the prior's depth in colors, transparent where there is none, and whether the image must be undistorted for it."""
+    import matplotlib as mpl
+
+    depth = _prior_in_view(station, threads)
+    known = np.isfinite(depth)
+    if not known.any():
+        raise DataError("the prior covers no pixel of the polarized image")
+    near, far = np.percentile(depth[known], [1, 99])
+    colors = mpl.colormaps["viridis"](np.clip((far - np.nan_to_num(depth)) / max(far - near, 1e-9), 0, 1))
+    picture = np.rint(255 * colors).astype(np.uint8)
+    picture[..., 3] = np.where(known, 255, 0)
+    return encode(picture, "PNG", compress_level=3), _has_distortion(station)

@@ -1,0 +1,85 @@
+"""Intensity, degree and phase of a few polarized images within seconds, for the eye, before there is a station file."""
+
+from __future__ import annotations
+
+import base64
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from numpy.typing import NDArray
+
+from malus import evidence, polarization
+from malus.errors import InputError
+from malus.figures import encode, reduced, step_for
+from malus.studio.pictures import linear_or_encoded
+
+#: Long side of the previews.
+SIDE_PX = 640
+_SRGB_BREAK = 0.04045
+
+
+def decoded(pixels: NDArray[np.float32], response: str) -> NDArray[np.float32]:
+    """Light of encoded pixels in [0, 1], by the station file's word for the response: linear, srgb or gamma:G."""
+    if response == "linear":
+        return pixels
+    if response == "srgb":
+        return np.where(pixels <= _SRGB_BREAK, pixels / 12.92, ((pixels + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    try:
+        gamma = float(response.removeprefix("gamma:"))
+    except ValueError:
+        raise InputError(f"response = {response!r}, expected linear, srgb or gamma:2.2 for a preview") from None
+    return pixels ** np.float32(gamma)
+
+
+def _small(path: Path, response: str) -> NDArray[np.float32]:
+    pixels, _ = linear_or_encoded(path, half_size=True)
+    grey = pixels if pixels.ndim == 2 else pixels.mean(-1)
+    return decoded(reduced(grey, step_for(grey.shape, SIDE_PX)), response)
+
+
+def _shown(values: NDArray[Any], colors: str, low: float, high: float) -> str:
+    scaled = np.clip((np.nan_to_num(values, nan=low) - low) / max(high - low, 1e-9), 0, 1)
+    picture = np.rint(255 * mpl.colormaps[colors](scaled)[..., :3]).astype(np.uint8)
+    return "data:image/webp;base64," + base64.b64encode(encode(picture, "WEBP", quality=88)).decode()
+
+
+def preview(
+    paths: Sequence[Path], angles_deg: Sequence[float], *, direction: str, zero_deg: float, response: str
+) -> dict[str, Any]:
+    """Pictures of intensity, degree and phase as data addresses, what they range over, and what the images say themselves.
+
+    Angles are those of the filter's scale; `direction` and `zero_deg` as in the station file. Raises InputError or DataError
+    (fewer than three angles).
+    """
+    start = time.monotonic()
+    stack = [_small(path, response) for path in paths]
+    if len({image.shape for image in stack}) > 1:
+        raise InputError("the images are not of one size, expected one camera and one setting")
+    sign = -1.0 if direction == "cw" else 1.0
+    angles_rad = [float(np.radians(sign * (angle - zero_deg))) for angle in angles_deg]
+    white = max(float(image.max()) for image in stack)
+    # Not saturated, whatever the level: what is saturated in the files is flat in all of them.
+    images = [image / np.float32(1.02 * max(white, 1e-6)) for image in stack]
+    state = polarization.decompose(images, angles_rad)
+    degree = np.asarray(state.degree)
+    low, high = (float(p) for p in np.nanpercentile(state.unpolarized, [0.5, 99.5]))
+    top = float(np.nanpercentile(degree, 99))
+    findings = [evidence.check_order(images, angles_rad)]
+    if len(images) > 3:
+        findings.append(evidence.check_response(images, angles_rad))  # type: ignore[arg-type]
+    return {
+        "intensity": _shown(np.asarray(state.unpolarized) ** (1 / 2.2), "gray", low ** (1 / 2.2), high ** (1 / 2.2)),
+        "degree": _shown(degree, "viridis", 0, top),
+        "phase": _shown(np.degrees(np.asarray(state.phase_rad)), "twilight", 0, 180),
+        "degree_top": top,
+        "degree_median": float(np.nanmedian(degree)),
+        "residual_median": float(np.nanmedian(np.asarray(state.residual))),
+        "findings": [
+            {"severity": f.severity, "message": f.message, "suggestion": f.suggestion} for f in findings
+        ],
+        "seconds": time.monotonic() - start,
+    }  # fmt: skip

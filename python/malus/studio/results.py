@@ -1,0 +1,126 @@
+"""Finished results: what they are worth in a line, the difference of two, and profiles picked on the surface."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from numpy.typing import NDArray
+
+from malus.errors import DataError, InputError, MalusError
+from malus.figures import encode, grey, hillshade, reduced, step_for
+from malus.studio.access import Root
+from malus.workspace import Workspace
+
+#: Long side of the pictures of results.
+_SIDE_PX = 1400
+_SEARCH_DEPTH = 4
+#: Relative difference of two cameras that rounding explains.
+_SAME_CAMERA = 1e-6
+
+
+def works(root: Root) -> list[str]:
+    """Folders below the root that hold the results of a run."""
+    found = set()
+    for depth in range(_SEARCH_DEPTH):
+        for path in root.folder.glob("/".join(["*"] * depth + ["manifest.json"])):
+            if path.resolve().is_relative_to(root.folder):  # a link may lead elsewhere, or back
+                found.add(root.name(path.parent))
+    return sorted(found)
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    """The figures of a result that a list shows; `problem` for one that is not finished."""
+    try:
+        quality = Workspace(folder).quality
+    except (MalusError, json.JSONDecodeError) as error:
+        return {"problem": str(error)}
+    keys = ("name", "unit", "gsd", "width", "height", "method", "status", "confidence", "warnings")
+    return {
+        **{key: quality[key] for key in keys},
+        "coverage": quality["coverage"]["fraction"],
+        "sigma_gsd": quality["sigma"]["median_gsd"] if quality["sigma"] else None,
+        "report": (folder / "report" / "index.html").is_file(),
+    }
+
+
+def relief(folder: Path) -> bytes:
+    """PNG of a result's relief shading, for profiles and comparisons; its pixels are those of the rasters, if those are not large."""
+    workspace = Workspace(folder)
+    depth = workspace.raster("fused/depth.tif")
+    step = step_for(depth.shape, _SIDE_PX)
+    return encode(grey(hillshade(-reduced(depth, step), float(workspace.quality["gsd"]) * step)), "PNG")
+
+
+def _picture(values: NDArray[np.float32], limit: float) -> str:
+    colors = mpl.colormaps["RdBu"](np.clip(np.nan_to_num(values) / limit / 2 + 0.5, 0, 1))
+    picture = np.rint(255 * colors).astype(np.uint8)
+    picture[..., 3] = np.where(np.isfinite(values), 255, 0)
+    return "data:image/png;base64," + base64.b64encode(encode(picture, "PNG")).decode()
+
+
+def difference(first: Path, second: Path) -> dict[str, Any]:
+    """How much nearer the second surface is than the first, as a picture and figures in the station's unit.
+
+    Both must have been made from the same place: two runs, or two dates from one fixed camera. InputError otherwise.
+    """
+    a, b = Workspace(first), Workspace(second)
+    same_camera = all(
+        np.isclose(getattr(a.camera, key), getattr(b.camera, key), rtol=_SAME_CAMERA)
+        for key in ("width", "height", "fx", "fy", "cx", "cy")
+    )
+    same_pose = all(np.allclose(x, y, rtol=_SAME_CAMERA, atol=1e-6) for x, y in zip(a.pose, b.pose, strict=True))
+    if not (same_camera and same_pose) or a.quality["unit"] != b.quality["unit"]:
+        raise InputError(
+            f"{first.name} and {second.name} were not taken from the same place with the same camera and unit, expected two "
+            "results of one station; `malus assess --reference SCAN.ply` compares surfaces from anywhere"
+        )
+    nearer = a.raster("fused/depth.tif") - b.raster("fused/depth.tif")
+    known = nearer[np.isfinite(nearer)]
+    if not known.size:
+        raise DataError(f"{first.name} and {second.name} have no pixel in common")
+    limit = max(float(np.percentile(np.abs(known), 98)), 1e-9)
+    return {
+        "picture": _picture(reduced(nearer, step_for(nearer.shape, _SIDE_PX)), limit),
+        "limit": limit,
+        "mean": float(known.mean()),
+        "rms": float(np.sqrt(np.mean(np.square(known, dtype=float)))),
+        "median": float(np.median(known)),
+        "unit": str(a.quality["unit"]),
+    }
+
+
+def profile(folder: Path, start: tuple[float, float], end: tuple[float, float]) -> dict[str, Any]:
+    """A section through prior and fused surface between two pixels: place along it and height above its chord, in the unit.
+
+    One sample a pixel; heights are depths towards the camera, null where there is no surface.
+    """
+    workspace = Workspace(folder)
+    depths = {name: workspace.raster(f"{name}/depth.tif") for name in ("prior", "fused")}
+    height, width = depths["fused"].shape
+    if not all(0 <= u < width and 0 <= v < height for u, v in (start, end)):
+        raise InputError(f"the profile from {start} to {end} leaves the picture of {width} x {height} pixels")
+    length = float(np.hypot(end[0] - start[0], end[1] - start[1]))
+    if length < 2:
+        raise InputError("the profile is shorter than 2 pixels, expected two places apart")
+    share = np.linspace(0, 1, int(length) + 1)
+    u, v = (np.rint(start[c] + share * (end[c] - start[c])).astype(int) for c in (0, 1))
+    sections = {name: -depth[v, u].astype(float) for name, depth in depths.items()}
+    known = np.nonzero(np.isfinite(sections["fused"]))[0]
+    if known.size < 2:
+        raise DataError("the profile meets no surface")
+    first, last = known[[0, -1]]
+    fused = sections["fused"]
+    chord = fused[first] + (fused[last] - fused[first]) * (share - share[first]) / (share[last] - share[first])
+    return {
+        "unit": str(workspace.quality["unit"]),
+        "along": (share * length * float(workspace.quality["gsd"])).tolist(),
+        **{
+            name: [None if not np.isfinite(x) else float(x) for x in section - chord]
+            for name, section in sections.items()
+        },
+    }

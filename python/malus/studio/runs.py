@@ -1,0 +1,164 @@
+"""Runs that Studio has started, one at a time: each a `malus run` of its own process, which no closed page ends."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+#: Lines of a run's log that are kept.
+_LOG_LINES = 2000
+_ENDED = ("done", "failed", "canceled")
+
+
+@dataclass
+class Run:
+    """One run, waiting, running or ended."""
+
+    number: int
+    station: Path
+    work: Path
+    fusion: str
+    state: str = "waiting"
+    fraction: float = 0.0
+    seconds_left: float | None = None
+    step: str = ""
+    message: str = ""
+    steps: dict[str, float] = field(default_factory=dict)
+    log: list[str] = field(default_factory=list)
+    error: str = ""
+    process: subprocess.Popen[str] | None = None
+
+    def note(self, line: str) -> None:
+        """Keep a line of the log."""
+        self.log.append(line)
+        del self.log[:-_LOG_LINES]
+
+    def take(self, event: Mapping[str, Any]) -> None:
+        """Take over what a line of `malus run --json` says."""
+        if event.get("event") == "log":
+            self.note(f"{event['level']}: {event['message']}")
+            return
+        if event.get("event") != "progress":
+            return
+        if event["step"] != self.step or event["fraction"] >= 1:
+            self.note(f"{event['step']} {100 * event['fraction']:.0f} % {event['message']}".rstrip())
+        self.step, self.message = event["step"], event["message"]
+        self.steps[self.step] = event["fraction"]
+        self.fraction, self.seconds_left = event["overall"], event["seconds_left"]
+
+
+class Runs:
+    """The queue; a thread works it off."""
+
+    def __init__(self) -> None:
+        self._runs: list[Run] = []
+        self._changed = threading.Condition()
+        self._closing = False
+        self._worker = threading.Thread(target=self._work, name="runs", daemon=True)
+        self._worker.start()
+
+    def all(self) -> list[Run]:
+        """Every run, the oldest first."""
+        with self._changed:
+            return list(self._runs)
+
+    def add(self, station: Path, work: Path, fusion: str) -> Run:
+        """Queue a run; one that waits or runs for the same results is returned instead."""
+        with self._changed:
+            for run in self._runs:
+                if run.work == work and run.state not in _ENDED:
+                    return run
+            run = Run(len(self._runs) + 1, station, work, fusion)
+            self._runs.append(run)
+            self._changed.notify_all()
+            return run
+
+    def cancel(self, number: int) -> None:
+        """End a run as Ctrl-C does: what finished steps left stays."""
+        with self._changed:
+            for run in self._runs:
+                if run.number != number or run.state in _ENDED:
+                    continue
+                run.state = "canceled"
+                if run.process is not None:
+                    run.process.send_signal(signal.SIGINT)
+
+    def close(self) -> None:
+        """End everything and wait for it."""
+        self._closing = True
+        for run in self.all():
+            self.cancel(run.number)
+        with self._changed:
+            self._changed.notify_all()
+        self._worker.join(timeout=10)
+
+    def _next(self) -> Run | None:
+        with self._changed:
+            while not self._closing:
+                for run in self._runs:
+                    if run.state == "waiting":
+                        run.state = "running"
+                        return run
+                self._changed.wait()
+        return None
+
+    def _work(self) -> None:
+        while (run := self._next()) is not None:
+            self._follow(run)
+
+    def _follow(self, run: Run) -> None:
+        command = [sys.executable, "-m", "malus", "run", str(run.station), "-o", str(run.work)]
+        command += ["--json", "--fusion", run.fusion]
+        try:
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                # Ctrl-C in Studio's terminal ends Studio, which then ends its runs.
+                start_new_session=True,
+            )
+        except OSError as error:
+            run.state, run.error = "failed", f"malus could not be started ({error})"
+            return
+        with self._changed:
+            run.process = process
+            if run.state == "canceled":
+                process.send_signal(signal.SIGINT)
+        errors = threading.Thread(target=_read_errors, args=(process, run))
+        errors.start()
+        assert process.stdout is not None
+        for line in process.stdout:
+            try:
+                run.take(json.loads(line))
+            except (json.JSONDecodeError, KeyError, TypeError):
+                run.note(line.rstrip())
+        code = process.wait()
+        errors.join()
+        with self._changed:
+            if run.state == "running":
+                run.state = "done" if code == 0 else "failed"
+            if run.state == "failed" and not run.error:
+                run.error = f"malus ended with code {code}"
+
+
+def _read_errors(process: subprocess.Popen[str], run: Run) -> None:
+    assert process.stderr is not None
+    for line in process.stderr:
+        run.note(line.rstrip())
+        if line.startswith("malus: "):
+            run.error = line.removeprefix("malus: ").rstrip()
+
+
+def described(run: Run) -> dict[str, Any]:
+    """A run for the page, without its log."""
+    names = ("number", "fusion", "state", "fraction", "seconds_left", "step", "message", "steps", "error")
+    return {name: getattr(run, name) for name in names}

@@ -1,0 +1,54 @@
+// Talking to Studio's server, and small helpers for building the page.
+const pageToken = document.querySelector('meta[name="malus-page"]').content;
+
+async function answerOf(response) {
+  const type = response.headers.get('Content-Type') || '';
+  if (response.ok) return type.includes('json') ? response.json() : response.blob();
+  const said = type.includes('json') ? await response.json() : { error: await response.text() };
+  throw Object.assign(new Error(said.error), { field: said.field });
+}
+
+const reach = async (address, options) => {
+  let response;
+  try {
+    response = await fetch(address, options);
+  } catch {
+    throw new Error('Malus Studio does not answer; it may have been ended. Runs that it had started have ended with it.');
+  }
+  return answerOf(response);
+};
+
+export const addressOf = (name, query = {}) => `/api/${name}?${new URLSearchParams(query)}`;
+export const ask = (name, query) => reach(addressOf(name, query));
+export const tell = (name, body) => reach(`/api/${name}`, { method: 'POST', headers: { 'X-Malus-Page': pageToken }, body: JSON.stringify(body) });
+export const send = (method, name, query, body) => reach(addressOf(name, query), { method, headers: { 'X-Malus-Page': pageToken }, body });
+
+// An element with attributes (functions become listeners) and children.
+export function make(tag, attributes = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (typeof value === 'function') element.addEventListener(key, value);
+    else if (value === true) element.setAttribute(key, '');
+    else if (value !== false && value !== null && value !== undefined) element.setAttribute(key, value);
+  }
+  element.append(...children.filter((child) => child !== null && child !== undefined));
+  return element;
+}
+
+export const byId = (id) => document.getElementById(id);
+const message = byId('message');
+export const say = (text) => { message.textContent = text || ''; };
+
+// A listener that shows what goes wrong, and clears what went wrong before.
+export const doing = (work) => async (event) => {
+  event?.preventDefault?.();
+  say('');
+  try {
+    return await work(event);
+  } catch (error) {
+    say(error.message);
+  }
+};
+
+export const duration = (seconds) => seconds === null ? '' : seconds < 90 ? `${Math.max(5, 5 * Math.round(seconds / 5))} s`
+  : seconds < 5400 ? `${Math.round(seconds / 60)} min` : `${(seconds / 3600).toFixed(1)} h`;

@@ -1,0 +1,348 @@
+// Drawing on the image: the object's mask, labels of reflection, flat patches, profiles, and the ends of known distances.
+import { addressOf, ask, byId, doing, make, say, send, tell } from './api.js';
+import { LABELS, Layer } from './layer.js';
+import { change, state, take } from './studio.js';
+import { ImageView } from './view.js';
+
+const stage = byId('draw-stage');
+const what = byId('draw-what');
+const image = byId('draw-image');
+let view = null;
+let layer = null;
+let shown = { image: null, what: null, station: null };
+let tool = 'move';
+let label = null;
+let width = 24;
+let tolerance = 18;
+let points = [];      // of the shape or stroke that is being drawn, in image pixels
+let cursor = null;    // of the keyboard, in image pixels
+let pressed = false;
+let end = { distance: 0, name: 'a' };
+
+const painted = () => what.value in LABELS;
+const TOOLS = {
+  paint: [['move', 'Move'], ['brush', 'Brush'], ['erase', 'Erase'], ['polygon', 'Polygon'], ['similar', 'Similar color']],
+  patch: [['move', 'Move'], ['box', 'Draw a box']], profile: [['move', 'Move'], ['line', 'Draw a line']], scale: [['move', 'Move'], ['mark', 'Set the mark']],
+};
+
+export async function showDrawing() {
+  view ??= makeView();
+  const list = what.value === 'scale' ? await photos() : state.station.images;
+  image.replaceChildren(...list.map((path) => make('option', { value: path, selected: path === shown.image }, path)));
+  if (!list.length) throw new Error(what.value === 'scale' ? 'Known distances are marked in the photographs; name their folder under Station first.' : 'The station has no image that can be shown.');
+  await showImage();
+}
+
+async function photos() {
+  const folder = state.station.values.photos?.folder;
+  if (!folder) return [];
+  const base = state.station.path.split('/').slice(0, -1).join('/');
+  return (await ask('folder', { path: base ? `${base}/${folder}` : folder })).images.map((entry) => entry.path);
+}
+
+async function showImage() {
+  if (layer?.changed && (shown.what !== what.value || shown.station !== state.station.path)) await saveLayer();
+  if (shown.image !== image.value) {
+    await view.open(addressOf('picture', { path: image.value }));
+    cursor = null;
+  }
+  const fresh = shown.what !== what.value || shown.station !== state.station.path;
+  shown = { image: image.value, what: what.value, station: state.station.path };
+  if (fresh) {
+    points = [];
+    tool = 'move';
+    layer = painted() ? await loadLayer() : null;
+    label = painted() ? LABELS[what.value][0] : null;
+  }
+  drawTools();
+  drawSide();
+  view.redraw();
+}
+
+async function loadLayer() {
+  const loaded = new Layer(view.size.x, view.size.y, what.value);
+  const file = what.value === 'mask' ? state.station.mask : labelFile();
+  if (file) await loaded.load(await ask('mask', { path: file }), { remember: false });
+  return loaded;
+}
+
+function labelFile() {
+  const said = state.station.values.optics?.reflection;
+  if (!said || ['auto', 'diffuse', 'specular'].includes(said)) return null;
+  const base = state.station.path.split('/').slice(0, -1).join('/');
+  return base ? `${base}/${said}` : said;
+}
+
+// ---- tools ----
+
+function button(text, onClick, attributes = {}) {
+  return make('button', { type: 'button', click: doing(async () => { await onClick(); view.redraw(); }), ...attributes }, text);
+}
+
+function drawTools() {
+  const tools = TOOLS[painted() ? 'paint' : what.value].map(([name, text]) => button(text, () => { tool = name; points = []; drawTools(); }, { 'aria-pressed': String(tool === name), 'data-tool': name }));
+  const extra = [button('−', () => view.zoom(1 / 1.5), { 'aria-label': 'Zoom out' }), button('+', () => view.zoom(1.5), { 'aria-label': 'Zoom in' })];
+  if (painted()) {
+    const number = (text, value, low, high, set) => make('label', {}, `${text} `, make('input', { type: 'number', min: low, max: high, value, change: (event) => set(Number(event.target.value)) }));
+    if (LABELS[what.value].length > 1) {
+      extra.unshift(make('label', {}, 'label ', make('select', { change: (event) => { label = LABELS[what.value][event.target.selectedIndex]; } }, ...LABELS[what.value].map((kind) => make('option', { selected: kind === label }, kind.name)))));
+    }
+    extra.unshift(number('width [px]', width, 1, 2000, (value) => { width = value; }), number('tolerance', tolerance, 0, 255, (value) => { tolerance = value; }));
+    extra.push(button('Undo', () => layer.undo()), button('Redo', () => layer.redo()), button('Clear', () => layer.edit(layer.whole, (context) => context.clearRect(...layer.whole))));
+    if (what.value === 'mask') {
+      extra.push(button('Find the edge', cutOut, { title: 'GrabCut: finds the edge of what is roughly painted' }), button("Prior's outline", outline),
+        button('Invert', invert));
+    }
+    extra.push(button('Save', saveLayer, { class: 'main' }));
+  }
+  byId('tools').replaceChildren(...tools, ...extra);
+}
+
+function invert() {
+  layer.edit(layer.whole, (context) => {
+    context.globalCompositeOperation = 'xor';
+    context.fillStyle = `rgb(${label.color})`;
+    context.fillRect(...layer.whole);
+  });
+}
+
+// GrabCut: what is painted is probably the object, far from it is background.
+async function cutOut() {
+  const near = layer.box(0.12);
+  if (!near) throw new Error('Paint roughly over the object first; the edge is then found around it.');
+  byId('draw-state').textContent = 'Finding the edge …';
+  const hints = await layer.png((kind, x, y) => kind ? 3 : x > near[0] && y > near[1] && x < near[2] && y < near[3] ? 2 : 0);
+  await layer.load(await send('POST', 'cut', { image: image.value }, hints));
+  byId('draw-state').textContent = 'The edge was found by color. Correct it with brush and eraser, or find it again.';
+}
+
+async function outline() {
+  byId('draw-state').textContent = 'Projecting the prior …';
+  await layer.load(await ask('outline', { path: state.station.path }));
+  byId('draw-state').textContent = 'The mask is what the prior covers.';
+}
+
+async function similar([u, v]) {
+  const found = await tell('similar', { image: image.value, u: Math.round(u), v: Math.round(v), tolerance });
+  await layer.load(found, { add: true, as: label });
+}
+
+async function saveLayer() {
+  if (!layer) return;
+  const values = await layer.png();
+  if (!layer.box(0)) throw new Error('Nothing is painted; a mask without an object cannot be saved.');
+  take(await send('PUT', 'mask', { path: state.station.path, kind: shown.what, digest: state.station.digest }, values));
+  layer.changed = false;
+  byId('draw-state').textContent = `Saved, and named in ${state.station.path}.`;
+}
+
+const boxOf = (list, margin) => [Math.min(...list.map((p) => p[0])) - margin, Math.min(...list.map((p) => p[1])) - margin, Math.max(...list.map((p) => p[0])) + margin + 1, Math.max(...list.map((p) => p[1])) + margin + 1];
+
+// The layer's canvas counts from its corner, points from the middle of the first pixel.
+function trace(context, list) {
+  context.beginPath();
+  list.forEach(([u, v], index) => context[index ? 'lineTo' : 'moveTo'](u + 0.5, v + 0.5));
+}
+
+function stroke(context) {
+  trace(context, points.length > 1 ? points : [points[0], points[0]]);
+  context.lineWidth = width;
+  context.lineCap = context.lineJoin = 'round';
+  context.strokeStyle = `rgb(${label.color})`;
+  if (tool === 'erase') context.globalCompositeOperation = 'destination-out';
+  context.stroke();
+}
+
+function endPolygon() {
+  if (points.length > 2) {
+    layer.edit(boxOf(points, 1), (context) => {
+      trace(context, points);
+      context.fillStyle = `rgb(${label.color})`;
+      context.fill();
+    });
+  }
+  points = [];
+}
+
+// ---- pointer and keyboard: press, move, release at image pixels ----
+
+async function press(at) {
+  if (tool === 'polygon') {
+    const first = points.length > 2 ? view.toStage(points[0]) : null;
+    const here = view.toStage(at);
+    if (first && Math.hypot(first[0] - here[0], first[1] - here[1]) < 10) endPolygon();
+    else points.push(at);
+  } else if (tool === 'similar') await similar(at);
+  else if (tool === 'mark') await setMark(at);
+  else if (tool !== 'move') { points = [at, at]; pressed = true; }
+}
+
+function move(at) {
+  if (!pressed) return;
+  if (tool === 'brush' || tool === 'erase') points.push(at);
+  else points[1] = at;
+}
+
+async function release() {
+  if (!pressed) return;
+  pressed = false;
+  const drawn = points;
+  if (tool === 'brush' || tool === 'erase') layer.edit(boxOf(points, width / 2 + 1), stroke);
+  points = [];
+  if (tool === 'box' || tool === 'line') await addShape(drawn);
+}
+
+function makeView() {
+  const made = new ImageView(stage);
+  const viewer = made.viewer;
+  const act = (work) => doing(async (event) => { await work(made.toImage(event.position)); made.redraw(); });
+  viewer.addHandler('canvas-press', act(press));
+  viewer.addHandler('canvas-drag', (event) => {
+    if (tool === 'move' || tool === 'polygon') return;
+    event.preventDefaultAction = true;
+    move(made.toImage(event.position));
+    made.redraw();
+  });
+  viewer.addHandler('canvas-release', doing(async () => { await release(); made.redraw(); }));
+  viewer.addHandler('canvas-double-click', () => { if (tool === 'polygon') { endPolygon(); made.redraw(); } });
+  made.paint = paint;
+  return made;
+}
+
+const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+stage.addEventListener('keydown', doing(async (event) => {
+  if (!view?.size || event.target !== stage) return;
+  cursor ??= [Math.round(view.size.x / 2), Math.round(view.size.y / 2)];
+  if (event.key in ARROWS) {
+    const step = event.shiftKey ? 1 : Math.max(1, Math.round(view.size.x / 60));
+    cursor = cursor.map((value, axis) => Math.min(Math.max(value + step * ARROWS[event.key][axis], 0), (axis ? view.size.y : view.size.x) - 1));
+    move(cursor);
+  } else if (event.key === 'Enter') await (pressed ? release() : press(cursor));
+  else if (event.key === 'Escape') { if (tool === 'polygon') endPolygon(); points = []; pressed = false; }
+  else if (event.key === '+') view.zoom(1.5);
+  else if (event.key === '-') view.zoom(1 / 1.5);
+  else if (event.key === 'z' && event.ctrlKey) layer?.undo();
+  else if (event.key === 'y' && event.ctrlKey) layer?.redo();
+  byId('draw-state').textContent = `Crosshair at ${cursor[0]}, ${cursor[1]}${pressed ? ', pressed' : ''}`;
+  view.redraw();
+}));
+stage.addEventListener('keydown', (event) => { if (event.key in ARROWS) event.preventDefault(); }, true);
+
+// ---- what lies over the image ----
+
+function paint(context) {
+  if (layer) {
+    context.globalAlpha = 0.45;
+    view.inImage(context, () => { context.imageSmoothingEnabled = false; context.drawImage(layer.canvas, 0, 0); });
+    context.globalAlpha = 1;
+    if (points.length && (tool === 'brush' || tool === 'erase')) view.inImage(context, () => { if (tool === 'erase') { context.globalAlpha = 0.5; context.globalCompositeOperation = 'source-over'; } paintStroke(context); });
+    if (points.length && tool === 'polygon') outlined(context, points.map((p) => view.toStage(p)), true);
+  }
+  for (const entry of state.station?.values.patch ?? []) if (what.value === 'patch') outlined(context, corners(entry.box), true, entry.name);
+  for (const entry of state.station?.values.profile ?? []) if (what.value === 'profile') outlined(context, [entry.from, entry.to].map((p) => view.toStage(p)), false, entry.name);
+  if (what.value === 'scale') for (const [text, at] of marksHere()) cross(context, view.toStage(at), text);
+  if (tool === 'box' && points.length) outlined(context, corners([...points[0], ...points[1]]), true);
+  if (tool === 'line' && points.length) outlined(context, points.map((p) => view.toStage(p)), false);
+  if (cursor) cross(context, view.toStage(cursor), '');
+}
+
+function paintStroke(context) {
+  trace(context, points.length > 1 ? points : [points[0], points[0]]);
+  context.lineWidth = width;
+  context.lineCap = context.lineJoin = 'round';
+  context.strokeStyle = tool === 'erase' ? '#ffffff' : `rgba(${label.color}, 0.6)`;
+  context.stroke();
+}
+
+const corners = ([x0, y0, x1, y1]) => [[x0 - 0.5, y0 - 0.5], [x1 + 0.5, y0 - 0.5], [x1 + 0.5, y1 + 0.5], [x0 - 0.5, y1 + 0.5]].map((p) => view.toStage(p));
+
+function outlined(context, list, closed, text) {
+  for (const [color, thick] of [['#fff', 4], ['#c22f43', 2]]) {
+    context.beginPath();
+    list.forEach(([x, y], index) => context[index ? 'lineTo' : 'moveTo'](x, y));
+    if (closed) context.closePath();
+    context.strokeStyle = color;
+    context.lineWidth = thick;
+    context.stroke();
+  }
+  if (text) written(context, text, list[0]);
+}
+
+function written(context, text, [x, y]) {
+  context.font = '600 14px system-ui, sans-serif';
+  context.fillStyle = '#c22f43';
+  context.fillRect(x + 4, y + 4, context.measureText(text).width + 10, 20);
+  context.fillStyle = '#fff';
+  context.fillText(text, x + 9, y + 19);
+}
+
+function cross(context, [x, y], text) {
+  for (const [color, thick] of [['#fff', 4], ['#c22f43', 1.5]]) {
+    context.beginPath();
+    for (const [dx, dy] of [[10, 0], [0, 10]]) { context.moveTo(x - dx, y - dy); context.lineTo(x + dx, y + dy); }
+    context.strokeStyle = color;
+    context.lineWidth = thick;
+    context.stroke();
+  }
+  if (text) written(context, text, [x, y]);
+}
+
+// ---- lists beside the image: patches, profiles, distances ----
+
+const entries = (list) => structuredClone(state.station.values[list] ?? []);
+const store = async (list, all) => { await change([{ list, entries: all }]); drawSide(); view.redraw(); };
+
+async function addShape([[u0, v0], [u1, v1]]) {
+  if (Math.hypot(u1 - u0, v1 - v0) < 2) return;
+  const list = what.value;
+  const all = entries(list);
+  const round = [u0, v0, u1, v1].map((value, at) => Math.min(Math.max(Math.round(value), 0), (at % 2 ? view.size.y : view.size.x) - 1));
+  const names = new Set(all.map((entry) => entry.name));
+  let name = all.length + 1;
+  while (names.has(String(name))) name += 1;
+  all.push(list === 'patch' ? { name: String(name), box: [Math.min(round[0], round[2]), Math.min(round[1], round[3]), Math.max(round[0], round[2]), Math.max(round[1], round[3])] }
+    : { name: String(name), from: round.slice(0, 2), to: round.slice(2) });
+  await store(list, all);
+}
+
+function drawSide() {
+  const side = byId('draw-side');
+  if (painted()) side.replaceChildren(make('p', { class: 'note' }, what.value === 'mask'
+    ? 'Paint what is the object. “Find the edge” looks for it around what is painted; “Similar color” adds what is connected and looks alike.' : 'Blue: diffuse. Orange: specular. What is not painted is decided by the program.'));
+  else if (what.value === 'scale') side.replaceChildren(...scaleSide());
+  else side.replaceChildren(...shapeSide(what.value));
+}
+
+function shapeSide(list) {
+  const all = entries(list);
+  const keys = list === 'patch' ? ['box'] : ['from', 'to'];
+  const row = (entry, at) => make('fieldset', {}, make('legend', {}, `${list} ${entry.name ?? at + 1}`),
+    make('label', {}, 'name ', make('input', { value: entry.name ?? '', change: doing((event) => { entry.name = event.target.value; return store(list, all); }) })),
+    ...keys.map((key) => make('label', {}, `${key} [px] `, make('input', { value: entry[key].join(', '), change: doing((event) => { entry[key] = event.target.value.split(/[,;\s]+/).map(Number); return store(list, all); }) }))),
+    button('Remove', () => store(list, all.filter((other) => other !== entry))));
+  return [...all.map(row), button(`Add one by numbers`, () => addShape([[0.4 * view.size.x, 0.4 * view.size.y], [0.6 * view.size.x, 0.6 * view.size.y]]))];
+}
+
+const here = () => image.value.split('/').pop();
+const marksHere = () => entries('scale').flatMap((entry, at) => ['a', 'b'].flatMap((name) => (entry[name] ?? []).filter((mark) => mark.image === here()).map((mark) => [`${at + 1}${name}`, [mark.x, mark.y]])));
+
+async function setMark([x, y]) {
+  const all = entries('scale');
+  const entry = all[end.distance];
+  if (!entry) throw new Error('Add a known distance first, and choose which of its ends is marked.');
+  entry[end.name] = [...(entry[end.name] ?? []).filter((mark) => mark.image !== here()), { image: here(), x: Math.round(10 * x) / 10, y: Math.round(10 * y) / 10 }];
+  await store('scale', all);
+}
+
+function scaleSide() {
+  const all = entries('scale');
+  const row = (entry, at) => make('fieldset', {}, make('legend', {}, `distance ${at + 1}`),
+    make('label', {}, `length [${state.station.values.station?.unit ?? 'mm'}] `, make('input', { type: 'number', step: 'any', value: entry.distance, change: doing((event) => { entry.distance = Number(event.target.value); return store('scale', all); }) })),
+    ...['a', 'b'].map((name) => make('p', {}, button(`Mark end ${name}`, () => { end = { distance: at, name }; tool = 'mark'; drawTools(); drawSide(); stage.focus(); }, { 'aria-pressed': String(tool === 'mark' && end.distance === at && end.name === name) }),
+      ` in ${(entry[name] ?? []).length} photos: ${(entry[name] ?? []).map((mark) => mark.image).join(', ') || 'none yet, two or more are needed'}`)),
+    button('Remove', () => store('scale', all.filter((other) => other !== entry))));
+  return [...all.map(row), button('Add a known distance', () => store('scale', [...all, { distance: 100, a: [], b: [] }]))];
+}
+
+what.addEventListener('change', doing(() => showDrawing()));
+image.addEventListener('change', doing(async () => { say(''); await showImage(); }));

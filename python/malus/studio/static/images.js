@@ -1,0 +1,113 @@
+// Folders with thumbnails, and the table that makes a new station of some images.
+import { addressOf, ask, byId, doing, make, tell } from './api.js';
+import { openStation, showPage, state, take } from './studio.js';
+
+let folder = null;
+let shots = [];
+const form = byId('new-station');
+
+export async function showFolder(_, path = folder?.path ?? '') {
+  folder = await ask('folder', { path });
+  byId('crumbs').replaceChildren(...crumbs(folder.path));
+  byId('folder-list').replaceChildren(...[cards(folder.stations.map(stationCard), 'Stations'), cards(folder.folders.map(folderCard), 'Folders'), imageCards()].flat());
+  shots = folder.images.map((image) => ({ ...image, use: true, angle: null, exposure: null }));
+  form.hidden = shots.length < 3;
+  if (form.hidden) return;
+  form.elements.name.value = folder.home;
+  const home = folder.parent === null ? '' : folder.parent;
+  const beside = await ask('folder', { path: home });
+  const free = ['station', folder.name, ...Array.from({ length: 99 }, (_, at) => `station_${at + 2}`)].map((name) => `${home && home !== '.' ? `${home}/` : ''}${name}.toml`);
+  form.elements.path.value = free.find((name) => !beside.stations.includes(name));
+  byId('preview').replaceChildren();
+  drawTable();
+  await fill();
+}
+
+function crumbs(path) {
+  const parts = path === '.' ? [] : path.split('/');
+  const all = [['opened folder', '.'], ...parts.map((part, index) => [part, parts.slice(0, index + 1).join('/')])];
+  return all.map(([text, to]) => make('button', { type: 'button', class: 'link', click: doing(() => showFolder(null, to)) }, text));
+}
+
+const cards = (items, title) => items.length ? [make('h3', {}, title), make('ul', { class: 'cards' }, ...items)] : [];
+const stationCard = (path) => make('li', { class: 'card' }, make('button', { type: 'button', class: 'main', click: doing(() => openStation(path)) }, `Open ${path.split('/').pop()}`));
+const folderCard = (entry) => make('li', { class: 'card' }, make('button', { type: 'button', click: doing(() => entry.is_work ? showPage('results') : showFolder(null, entry.path)) },
+  `${entry.name}${entry.is_work ? ' (results)' : entry.images ? ` (${entry.images} images)` : ''}`));
+
+function imageCards() {
+  return cards(folder.images.map((image) => make('li', { class: 'card' },
+    make('img', { src: addressOf('thumbnail', { path: image.path }), alt: `Thumbnail of ${image.name}`, loading: 'lazy' }),
+    make('span', {}, image.name))), 'Images');
+}
+
+function drawTable() {
+  byId('angles').tBodies[0].replaceChildren(...shots.map((shot) => make('tr', {},
+    make('td', {}, make('input', { type: 'checkbox', checked: shot.use, 'aria-label': `${shot.name} is polarized`, change: (event) => { shot.use = event.target.checked; preview(); } })),
+    make('td', {}, shot.name),
+    make('td', {}, make('input', { type: 'number', step: 'any', value: shot.angle ?? '', 'aria-label': `Angle of ${shot.name}`, change: (event) => { shot.angle = event.target.value === '' ? null : Number(event.target.value); preview(); } })),
+    make('td', {}, shot.taken ?? 'not said'))));
+}
+
+const used = () => shots.filter((shot) => shot.use && shot.angle !== null);
+
+// Angles by the chosen source; what it cannot say is left to be typed.
+async function fill() {
+  const source = form.elements.source.value;
+  if (source === 'typed') return preview();
+  const images = shots.filter((shot) => shot.use).map((shot) => shot.path);
+  try {
+    const found = await tell('angles', { folder: folder.path, source, images, first: form.elements.first.value, step: form.elements.step.value });
+    for (const { image, angle, exposure } of found) Object.assign(shots.find((shot) => shot.path === image) ?? {}, { angle, exposure: exposure ?? null });
+  } catch (error) {
+    byId('preview').replaceChildren(make('p', { class: 'warning' }, error.message));
+    return undefined;
+  }
+  drawTable();
+  return preview();
+}
+
+let asked = 0;
+async function preview() {
+  const chosen = used();
+  const place = byId('preview');
+  if (new Set(chosen.map((shot) => ((shot.angle % 180) + 180) % 180)).size < 3) {
+    place.replaceChildren(make('p', { class: 'note' }, 'Three angles that differ give a preview of intensity, degree and phase.'));
+    return;
+  }
+  const number = ++asked;
+  place.replaceChildren(make('p', { class: 'note' }, 'Computing a preview …'));
+  try {
+    const maps = await tell('preview', { ...scale(), images: chosen.map((shot) => shot.path), angles_deg: chosen.map((shot) => shot.angle) });
+    if (number === asked) place.replaceChildren(...previewParts(maps));
+  } catch (error) {
+    if (number === asked) place.replaceChildren(make('p', { class: 'error' }, error.message));
+  }
+}
+
+function previewParts(maps) {
+  const figure = (name, alt, text) => make('figure', {}, make('img', { src: maps[name], alt }), make('figcaption', {}, text));
+  return [make('div', { class: 'maps' },
+    figure('intensity', 'Unpolarized intensity of the object', 'Intensity without polarization'),
+    figure('degree', 'Degree of polarization in colors', `Degree of polarization, 0 to ${maps.degree_top.toFixed(2)} (yellow); half of the image below ${maps.degree_median.toFixed(3)}`),
+    figure('phase', 'Phase in a circle of colors', 'Phase, 0° to 180° in a circle of colors: on a round object the colors run once around and back')),
+  ...maps.findings.map((finding) => make('p', { class: finding.severity === 'note' ? 'note' : finding.severity }, `${finding.message}. ${finding.suggestion}`)),
+  make('p', { class: 'note' }, `Preview made in ${maps.seconds.toFixed(1)} s. Direction and zero of the scale are checked against the prior when the station runs.`)];
+}
+
+const scale = () => ({ angle_direction: form.elements.angle_direction.value, angle_zero_deg: Number(form.elements.angle_zero_deg.value), response: form.elements.response.value });
+
+form.elements.source.addEventListener('change', () => { byId('taken-fields').hidden = form.elements.source.value !== 'taken'; });
+byId('fill-angles').addEventListener('click', doing(fill));
+for (const name of ['angle_direction', 'angle_zero_deg', 'response']) form.elements[name].addEventListener('change', preview);
+
+form.addEventListener('submit', doing(async () => {
+  const chosen = used();
+  const without = shots.filter((shot) => shot.use && shot.angle === null);
+  if (without.length) throw new Error(`${without.map((shot) => shot.name).join(', ')}: no angle; type it, or do not use the image`);
+  const exposures = chosen.map((shot) => shot.exposure);
+  const differ = new Set(exposures.filter((exposure) => exposure !== null)).size > 1;
+  const raw = chosen.some((shot) => /\.(3fr|arw|cr2|cr3|crw|dng|iiq|nef|nrw|orf|pef|raf|rw2|sr2|srw)$/i.test(shot.name));
+  take(await tell('create', { ...scale(), ...(raw ? { response: null } : {}), path: form.elements.path.value, name: form.elements.name.value, unit: form.elements.unit.value,
+    images: chosen.map((shot) => shot.path), angles_deg: chosen.map((shot) => shot.angle), exposure_s: differ ? exposures : null }));
+  await openStation(state.station.path);
+}));

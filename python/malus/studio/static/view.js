@@ -1,0 +1,71 @@
+// An image that is zoomed and moved by OpenSeadragon, and a canvas over it to draw on in image pixels.
+/* global OpenSeadragon */
+export class ImageView {
+  constructor(stage) {
+    this.stage = stage;
+    const holder = document.createElement('div');
+    holder.style.cssText = 'position:absolute;inset:0';
+    this.canvas = document.createElement('canvas');
+    this.canvas.className = 'over';
+    stage.replaceChildren(holder, this.canvas);
+    const still = matchMedia('(prefers-reduced-motion: reduce)').matches;
+    this.viewer = OpenSeadragon({ element: holder, showNavigationControl: false, showNavigator: false, maxZoomPixelRatio: 24, imageSmoothingEnabled: true, drawer: 'canvas',
+      animationTime: still ? 0 : 0.35, gestureSettingsMouse: { clickToZoom: false, dblClickToZoom: false }, gestureSettingsTouch: { clickToZoom: false }, keyboardNavEnabled: false });
+    for (const element of holder.querySelectorAll('[tabindex]')) element.tabIndex = -1;  // The stage has the focus.
+    this.paint = () => {};
+    this.viewer.addHandler('update-viewport', () => this.redraw());
+    new ResizeObserver(() => this.redraw()).observe(stage);
+  }
+
+  open(address) {
+    return new Promise((resolve, reject) => {
+      this.viewer.addOnceHandler('open', () => { this.size = this.viewer.world.getItemAt(0).getContentSize(); resolve(); });
+      this.viewer.addOnceHandler('open-failed', () => reject(new Error('The image cannot be shown.')));
+      this.viewer.open({ type: 'image', url: address });
+    });
+  }
+
+  // Pixels of the image (0, 0 = middle of the first one) at a place of the stage, and back. OpenSeadragon counts from its corner.
+  toImage(point) {
+    const at = this.viewer.world.getItemAt(0).viewerElementToImageCoordinates(point);
+    return [at.x - 0.5, at.y - 0.5];
+  }
+
+  toStage([u, v]) {
+    const at = this.viewer.world.getItemAt(0).imageToViewerElementCoordinates(new OpenSeadragon.Point(u + 0.5, v + 0.5));
+    return [at.x, at.y];
+  }
+
+  // Draws with coordinates of the image's pixels, counted from its corner.
+  inImage(context, draw) {
+    const [x0, y0] = this.toStage([-0.5, -0.5]);
+    const [x1] = this.toStage([this.size.x - 0.5, -0.5]);
+    const scale = (x1 - x0) / this.size.x;
+    context.save();
+    context.translate(x0, y0);
+    context.scale(scale, scale);
+    draw(scale);
+    context.restore();
+  }
+
+  zoom(factor) {
+    this.viewer.viewport.zoomBy(factor);
+    this.viewer.viewport.applyConstraints();
+  }
+
+  redraw() {
+    if (!this.size || !this.viewer.world.getItemCount()) return;
+    const { clientWidth: width, clientHeight: height } = this.stage;
+    const dense = window.devicePixelRatio || 1;
+    if (this.canvas.width !== Math.round(width * dense) || this.canvas.height !== Math.round(height * dense)) {
+      this.canvas.width = Math.round(width * dense);
+      this.canvas.height = Math.round(height * dense);
+    }
+    const context = this.canvas.getContext('2d');
+    context.setTransform(dense, 0, 0, dense, 0, 0);
+    context.clearRect(0, 0, width, height);
+    context.save();
+    this.paint(context);
+    context.restore();
+  }
+}

@@ -1,0 +1,347 @@
+"""Studio: who may talk to it, what it writes, and the whole way from a folder to the report in a real browser."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from http.client import HTTPConnection
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+
+from conftest import EXAMPLE
+
+pytestmark = pytest.mark.skipif(
+    any(find_spec(name) is None for name in ("starlette", "uvicorn", "tomlkit")),
+    reason="the extra studio is not installed",
+)
+
+CHROMIUM = next((path for path in (os.environ.get("MALUS_CHROMIUM"), shutil.which("chromium"), shutil.which("google-chrome")) if path), None)  # fmt: skip
+needs_browser = pytest.mark.skipif(
+    CHROMIUM is None or find_spec("playwright") is None or find_spec("axe_playwright_python") is None,
+    reason="Chromium, playwright or axe-playwright-python is not installed",
+)
+#: Where the browser's pictures go, to be looked at.
+PICTURES = Path(os.environ.get("MALUS_PICTURES", ""))
+
+
+@dataclass
+class Served:
+    """A Studio that runs for a folder."""
+
+    folder: Path
+    entrance: str
+
+    @property
+    def host(self) -> str:
+        return urlsplit(self.entrance).netloc
+
+    def ask(
+        self, method: str, address: str, headers: dict[str, str], body: str = ""
+    ) -> tuple[int, dict[str, str], str]:
+        with closing(HTTPConnection(self.host, timeout=30)) as connection:
+            connection.putrequest(method, address, skip_host=True)
+            for name, value in {"Host": self.host, "Content-Length": str(len(body)), **headers}.items():
+                connection.putheader(name, value)
+            connection.endheaders(body.encode())
+            response = connection.getresponse()
+            said = {name.lower(): value for name, value in response.getheaders()}
+            return response.status, said, response.read().decode(errors="replace")
+
+    def cookie(self) -> str:
+        _, headers, _ = self.ask("GET", "/?" + urlsplit(self.entrance).query, {})
+        return headers["set-cookie"].split(";")[0]
+
+    def page_token(self, cookie: str) -> str:
+        found = re.search(r'name="malus-page" content="([^"]+)"', self.ask("GET", "/", {"Cookie": cookie})[2])
+        assert found
+        return found[1]
+
+
+def start(folder: Path) -> tuple[subprocess.Popen[str], Served]:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "malus", "studio", str(folder), "--no-browser"], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    for line in process.stdout:
+        if "token=" in line:
+            return process, Served(folder, line.strip())
+    raise AssertionError("malus studio printed no address")
+
+
+def stop(process: subprocess.Popen[str]) -> int:
+    process.send_signal(signal.SIGINT)
+    assert process.stdout is not None
+    process.stdout.close()
+    return process.wait(timeout=30)
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    folder = tmp_path_factory.mktemp("studio") / "museum"
+    shutil.copytree(EXAMPLE, folder)
+    (folder / "station.toml").unlink()
+    (folder / "README.md").unlink()
+    (folder.parent / "secret.png").write_bytes((folder / "pol" / "pol_000.png").read_bytes())
+    (folder / "way_out").symlink_to(folder.parent)
+    process, studio = start(folder)
+    yield studio
+    assert stop(process) == 0
+
+
+# ---- who may talk to it ----
+
+
+def test_nothing_is_served_without_the_key(served: Served) -> None:
+    for address in ("/", "/api/folder?path=", "/static/studio.js", "/?token=wrong"):
+        assert served.ask("GET", address, {})[0] == 403
+    assert served.ask("GET", "/api/folder?path=", {"Cookie": served.cookie()})[0] == 200
+
+
+def test_other_names_of_this_computer_are_refused(served: Served) -> None:
+    port = served.host.split(":")[1]
+    for host in (f"evil.example:{port}", "127.0.0.1", f"127.0.0.1.evil.example:{port}"):
+        assert served.ask("GET", "/", {"Host": host, "Cookie": served.cookie()})[0] == 421
+
+
+def test_changes_need_the_own_page(served: Served) -> None:
+    cookie = served.cookie()
+    token = served.page_token(cookie)
+    own = {"Cookie": cookie, "Origin": f"http://{served.host}", "X-Malus-Page": token}
+    body = '{"path": "other.toml", "images": [], "angles_deg": []}'
+    for wrong in ({"Origin": "http://evil.example"}, {"Origin": "null"}, {"X-Malus-Page": "x"}, {"Cookie": "x=y"}):
+        assert served.ask("POST", "/api/create", {**own, **wrong}, body)[0] == 403
+        assert not (served.folder / "other.toml").exists()
+    assert served.ask("POST", "/api/create", own, body)[0] == 200
+    (served.folder / "other.toml").unlink()
+
+
+@pytest.mark.parametrize(
+    "path", ["../secret.png", "/etc/passwd", "way_out/secret.png", "pol/../../secret.png", "a%00b"]
+)
+def test_nothing_outside_the_folder_is_shown(served: Served, path: str) -> None:
+    status, _, text = served.ask("GET", f"/api/thumbnail?path={path}", {"Cookie": served.cookie()})
+    assert status == 400
+    assert "outside the folder" in text or "no file name has" in text
+
+
+def test_pages_may_load_nothing_from_elsewhere(served: Served) -> None:
+    policy = served.ask("GET", "/", {"Cookie": served.cookie()})[1]["content-security-policy"]
+    assert "default-src 'self'" in policy and "frame-ancestors 'self'" in policy
+    assert served.ask("GET", "/report/guess/index.html", {})[0] == 404
+
+
+def test_only_this_computer_is_listened_to(served: Served) -> None:
+    assert urlsplit(served.entrance).hostname == "127.0.0.1"
+    port = int(served.host.split(":")[1])
+    listening = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    places = {
+        fields[1].split(":")[0]
+        for fields in listening
+        if int(fields[1].split(":")[1], 16) == port and fields[3] == "0A"
+    }
+    assert places == {"0100007F"}
+
+
+# ---- what it writes ----
+
+
+def test_comments_stay_and_only_what_changed_changes(tmp_path: Path) -> None:
+    from malus.studio.document import StationDocument
+
+    path = tmp_path / "station.toml"
+    text = '# The bust.\n[station]\nname = "bust"  # of Nero\n\n[polarized]\nimages = [  # in order\n  "a.png",\n  "b.png",\n]\nangles_deg = [0, 45]\n\n[[patch]]\n# the plinth\nname = "1"\nbox = [1, 2, 3, 4]\n'  # fmt: skip
+    path.write_text(text)
+    document = StationDocument.read(path)
+    document.set("station", "name", "head")
+    document.set("polarized", "images", ["a.png", "b.png"])
+    document.set("polarized", "mask", "mask.png")
+    document.set_list("patch", [{"name": "1", "box": [1, 2, 3, 9]}, {"name": "2", "box": [5, 5, 6, 6]}])
+    document.write(document.digest)
+    written = path.read_text()
+    for kept in ("# The bust.", "# of Nero", "# in order", "# the plinth"):
+        assert kept in written
+    assert written.startswith(
+        '# The bust.\n[station]\nname = "head"  # of Nero\n\n[polarized]\nimages = [  # in order\n  "a.png",\n'
+    )
+    values = StationDocument.read(path).values
+    assert values["polarized"]["mask"] == "mask.png"
+    assert values["patch"] == [{"name": "1", "box": [1, 2, 3, 9]}, {"name": "2", "box": [5, 5, 6, 6]}]
+
+
+def test_a_file_that_changed_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
+    from malus import InputError
+    from malus.studio.document import StationDocument
+
+    path = tmp_path / "station.toml"
+    path.write_text("[station]\n")
+    document = StationDocument.read(path)
+    path.write_text("[station]\n# mine\n")
+    document.set("station", "name", "x")
+    with pytest.raises(InputError, match="changed by another program"):
+        document.write(document.digest)
+    assert path.read_text() == "[station]\n# mine\n"
+    with pytest.raises(InputError, match="exists already"):
+        document.write(None)
+
+
+# ---- the whole way in a browser ----
+
+
+@pytest.fixture(scope="module")
+def page(served: Served) -> Iterator[Any]:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        shown = browser.new_context(viewport={"width": 1280, "height": 900}).new_page()
+        problems: list[str] = []
+        shown.on("pageerror", lambda error: problems.append(str(error)))
+        shown.on(
+            "console",
+            lambda line: problems.append(line.text) if line.type == "error" and "400" not in line.text else None,
+        )
+        shown.set_default_timeout(120000)
+        shown.goto(served.entrance)
+        yield shown
+        assert not problems
+        browser.close()
+
+
+def go(page: Any, name: str) -> None:
+    page.get_by_role("banner").get_by_role("button", name=name, exact=True).click()
+
+
+def pictured(page: Any, name: str) -> None:
+    if PICTURES.name:
+        page.screenshot(path=PICTURES / f"{name}.png")
+
+
+def require_accessible(page: Any) -> None:
+    from axe_playwright_python.sync_playwright import Axe
+
+    found = [v for v in Axe().run(page).response["violations"] if v["impact"] in ("serious", "critical")]
+    assert not found, [(v["id"], [node["html"] for node in v["nodes"]][:3]) for v in found]
+
+
+@needs_browser
+def test_from_a_folder_to_the_report(served: Served, page: Any) -> None:
+    station = served.folder / "station.toml"
+    page.get_by_role("button", name="pol (6 images)").click()
+    page.get_by_alt_text("Phase in a circle of colors").wait_for()
+    assert [page.locator(f"#angles tbody tr:nth-child({k}) input[type=number]").input_value() for k in (1, 2, 6)] == [
+        "0",
+        "30",
+        "150",
+    ]
+    require_accessible(page)
+    pictured(page, "images")
+    page.get_by_role("button", name="Create the station").click()
+    page.locator("#station").wait_for(state="visible")
+    page.get_by_label("Camera: COLMAP model").select_option("sparse")
+    page.get_by_label("This station's name in the model").select_option("station.jpg")
+    page.get_by_label("Coarse surface (cloud)").select_option("dense/cloud.ply")
+    page.locator("#plan", has_text="Ready").wait_for()
+    page.get_by_role("button", name="Show the prior over the image").click()
+    page.locator("#overlay-note:not(:empty)").filter(has_not_text="Projecting").wait_for()
+    assert "Yellow is near" in page.locator("#overlay-note").inner_text()
+    require_accessible(page)
+    pictured(page, "station")
+    assert 'cloud = "dense/cloud.ply"' in station.read_text()
+    draw_a_mask(page)
+    assert 'mask = "station_mask.png"' in station.read_text()
+    run_and_show(page)
+    assert (served.folder / "station_work" / "report" / "index.html").is_file()
+
+
+def draw_a_mask(page: Any) -> None:
+    go(page, "Draw")
+    page.locator("[data-tool=polygon]").click()
+    box = page.locator("#draw-stage").bounding_box()
+    assert box
+    width = min(box["width"], box["height"] * 720 / 480)
+    height = width * 480 / 720
+    for x, y in ((-0.45, -0.45), (0.45, -0.45), (0.45, 0.45), (-0.45, 0.45), (-0.45, -0.45)):
+        page.mouse.click(box["x"] + box["width"] / 2 + x * width, box["y"] + box["height"] / 2 + y * height)
+    page.get_by_role("button", name="Undo").click()
+    page.get_by_role("button", name="Redo").click()
+    pictured(page, "mask")
+    require_accessible(page)
+    page.get_by_role("button", name="Save", exact=True).click()
+    page.locator("#draw-state", has_text="Saved").wait_for()
+
+
+def run_and_show(page: Any) -> None:
+    go(page, "Run")
+    page.get_by_label("Fusion").select_option("grid")
+    page.get_by_role("button", name="Add to the queue").click()
+    page.locator("p[data-state]", has_text="left").wait_for()
+    page.get_by_role("button", name="Cancel").click()
+    page.get_by_role("button", name="Resume").wait_for()
+    page.get_by_role("button", name="Resume").click()
+    pictured(page, "run")
+    require_accessible(page)
+    page.get_by_role("button", name="Show the report").wait_for(timeout=300000)
+    page.get_by_role("button", name="Show the report").click()
+    report = page.frame_locator("iframe")
+    report.get_by_text("Confidence").first.wait_for()
+    pictured(page, "report")
+    page.get_by_role("button", name="Profile").first.click()
+    page.locator("svg.profile").first.wait_for()
+    require_accessible(page)
+    pictured(page, "profile")
+
+
+@needs_browser
+def test_patches_by_keyboard_alone(served: Served, page: Any) -> None:
+    go(page, "Draw")
+    page.locator("#draw-what").select_option("patch")
+    page.locator("[data-tool=box]").focus()
+    page.keyboard.press("Enter")
+    page.locator("#draw-stage").focus()
+    for key in ("ArrowLeft", "Enter", "ArrowRight", "ArrowRight", "ArrowDown", "Shift+ArrowDown", "Enter"):
+        page.keyboard.press(key)
+    page.get_by_role("group", name="patch 1").wait_for()
+    assert "box = [348, 240, 372, 253]" in (served.folder / "station.toml").read_text()
+    pictured(page, "patch")
+
+
+@needs_browser
+def test_large_type_and_dark_colors(page: Any) -> None:
+    page.emulate_media(color_scheme="dark")
+    page.set_viewport_size({"width": 640, "height": 450})  # what 200 % leaves of 1280 x 900
+    for name in ("Images", "Station", "Draw", "Run", "Results"):
+        go(page, name)
+        time.sleep(0.5)
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), name
+        require_accessible(page)
+    pictured(page, "dark")
+
+
+@needs_browser
+def test_a_closed_page_ends_no_run(served: Served, page: Any) -> None:
+    other = page.context.new_page()
+    other.set_default_timeout(120000)
+    other.goto(served.entrance)
+    other.get_by_role("button", name="Open station.toml").click()
+    go(other, "Run")
+    other.get_by_label("Results go to").fill("second_work")
+    other.get_by_label("Fusion").select_option("grid")
+    other.get_by_role("button", name="Add to the queue").click()
+    other.locator("p[data-state]", has_text="left").first.wait_for()
+    other.close()
+    deadline = time.monotonic() + 300
+    while not (served.folder / "second_work" / "report" / "index.html").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.5)
