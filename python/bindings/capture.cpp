@@ -4,9 +4,9 @@
 #include "arrays.h"
 #include "bindings.h"
 #include "interruptible.h"
-#include "malus/capture/mosaic.h"
+#include "malus/capture/mosaic_internal.h"
 #include "malus/capture/registration.h"
-#include "malus/capture/select_object.h"
+#include "malus/capture/select_object_internal.h"
 #include "malus/station/options.h"
 
 namespace malus::python {

@@ -5,8 +5,8 @@
 #include <limits>
 #include <numeric>
 
-#include "malus/core/ranked_values.h"
-#include "malus/core/robust_spread.h"
+#include "malus/core/ranked_values_internal.h"
+#include "malus/core/robust_spread_internal.h"
 
 namespace malus {
 namespace {

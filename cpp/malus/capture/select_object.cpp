@@ -1,9 +1,8 @@
-#include "malus/capture/select_object.h"
-
 #include <algorithm>
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
 
+#include "malus/capture/select_object_internal.h"
 #include "malus/core/opencv_threads_internal.h"
 
 namespace malus {

@@ -5,7 +5,7 @@
 
 #include "malus/evidence/alignment_cue_internal.h"
 #include "malus/evidence/smoothing_internal.h"
-#include "malus/polarization/phase_weight.h"
+#include "malus/polarization/phase_weight_internal.h"
 #include "malus/polarization/ray_frame.h"
 
 namespace malus {

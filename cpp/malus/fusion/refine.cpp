@@ -8,20 +8,20 @@
 #include <span>
 
 #include "malus/core/depth_normals.h"
-#include "malus/core/even_choice.h"
-#include "malus/core/median.h"
-#include "malus/core/parallel.h"
-#include "malus/fusion/coarse_level.h"
-#include "malus/fusion/masked_blur.h"
-#include "malus/fusion/refinement_verdict.h"
-#include "malus/fusion/refinement_weights.h"
-#include "malus/fusion/reflection_fit.h"
-#include "malus/fusion/reflection_labels.h"
-#include "malus/fusion/region_choice.h"
-#include "malus/fusion/surface_evidence.h"
-#include "malus/fusion/surface_sigma.h"
-#include "malus/fusion/surroundings_fit.h"
-#include "malus/fusion/tile_solver.h"
+#include "malus/core/even_choice_internal.h"
+#include "malus/core/median_internal.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/fusion/coarse_level_internal.h"
+#include "malus/fusion/masked_blur_internal.h"
+#include "malus/fusion/refinement_verdict_internal.h"
+#include "malus/fusion/refinement_weights_internal.h"
+#include "malus/fusion/reflection_fit_internal.h"
+#include "malus/fusion/reflection_labels_internal.h"
+#include "malus/fusion/region_choice_internal.h"
+#include "malus/fusion/surface_evidence_internal.h"
+#include "malus/fusion/surface_sigma_internal.h"
+#include "malus/fusion/surroundings_fit_internal.h"
+#include "malus/fusion/tile_solver_internal.h"
 
 namespace malus {
 namespace {
@@ -298,8 +298,9 @@ class Refiner {
       const Size part = strip.field.size();
       // Without evidence there is no map of trust: then all is the refined surface's.
       const Image<std::uint8_t> trust =
-          report_.trust.empty() ? Image<std::uint8_t>(part, 1, 255)
-                                : cropped(report_.trust, {0, strip.first_row, part.width, strip.first_row + part.height});
+          report_.trust.empty()
+              ? Image<std::uint8_t>(part, 1, 255)
+              : cropped(report_.trust, {0, strip.first_row, part.width, strip.first_row + part.height});
       const Image<float> sigma = surface_sigma(strip.field, trust, prior.smoothing_px, context_);
       parallel_rows(context_, tiles.rows.end - tiles.rows.begin, [&](int row) {
         const int v = tiles.rows.begin + row, strip_v = v - strip.first_row;

@@ -1,11 +1,10 @@
-#include "malus/fusion/refinement_verdict.h"
-
 #include <algorithm>
 #include <cmath>
 #include <sstream>
 #include <string>
 
-#include "malus/core/percent.h"
+#include "malus/core/percent_internal.h"
+#include "malus/fusion/refinement_verdict_internal.h"
 
 namespace malus {
 namespace {

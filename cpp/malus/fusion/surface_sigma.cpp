@@ -1,14 +1,13 @@
-#include "malus/fusion/surface_sigma.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <utility>
 
-#include "malus/core/parallel.h"
-#include "malus/core/square.h"
-#include "malus/fusion/masked_blur.h"
-#include "malus/fusion/refinement_weights.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/core/square_internal.h"
+#include "malus/fusion/masked_blur_internal.h"
+#include "malus/fusion/refinement_weights_internal.h"
+#include "malus/fusion/surface_sigma_internal.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/io/atomic_file.h"
-
 #include <fcntl.h>
 #include <unistd.h>
 
@@ -8,6 +6,7 @@
 #include <system_error>
 #include <utility>
 
+#include "malus/io/atomic_file_internal.h"
 #include "malus/io/utf8_name_internal.h"
 
 namespace malus {

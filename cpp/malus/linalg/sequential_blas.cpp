@@ -1,5 +1,3 @@
-#include "malus/linalg/sequential_blas.h"
-
 #include <omp.h>
 #include <sys/mman.h>
 
@@ -9,6 +7,7 @@
 #include <vector>
 
 #include "malus/core/error.h"
+#include "malus/linalg/sequential_blas_internal.h"
 
 extern "C" {
 int openblas_get_num_threads();

@@ -1,11 +1,10 @@
-#include "malus/polarization/phase_coherence.h"
-
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <complex>
 
-#include "malus/polarization/phase_weight.h"
+#include "malus/polarization/phase_coherence_internal.h"
+#include "malus/polarization/phase_weight_internal.h"
 
 namespace malus {
 namespace {

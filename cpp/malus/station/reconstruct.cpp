@@ -2,8 +2,8 @@
 
 #include <algorithm>
 
-#include "malus/io/input_file.h"
-#include "malus/io/sha256.h"
+#include "malus/io/input_file_internal.h"
+#include "malus/io/sha256_internal.h"
 #include "malus/station/json_fields_internal.h"
 #include "malus/station/step_runner_internal.h"
 

@@ -1,9 +1,8 @@
-#include "malus/capture/select_object.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 
+#include "malus/capture/select_object_internal.h"
 #include "malus/core/error.h"
 
 namespace malus {

@@ -1,9 +1,9 @@
-#include "malus/fusion/refinement_verdict.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <limits>
+
+#include "malus/fusion/refinement_verdict_internal.h"
 
 namespace malus {
 namespace {

@@ -1,11 +1,10 @@
-#include "malus/fusion/surface_sigma.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 
-#include "malus/fusion/refinement_image.h"
-#include "malus/fusion/refinement_weights.h"
+#include "malus/fusion/refinement_image_internal.h"
+#include "malus/fusion/refinement_weights_internal.h"
+#include "malus/fusion/surface_sigma_internal.h"
 #include "synthetic_station.h"
 
 namespace malus {

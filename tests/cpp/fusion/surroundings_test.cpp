@@ -8,10 +8,10 @@
 #include <memory>
 #include <random>
 
-#include "malus/fusion/fresnel_factors.h"
+#include "malus/fusion/fresnel_factors_internal.h"
 #include "malus/fusion/refine.h"
 #include "malus/fusion/reflection_model.h"
-#include "malus/fusion/surroundings_fit.h"
+#include "malus/fusion/surroundings_fit_internal.h"
 #include "synthetic_station.h"
 
 namespace malus {
