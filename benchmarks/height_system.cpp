@@ -11,7 +11,7 @@
 #include <string>
 
 #include "height_like_system.h"
-#include "malus/linalg/grid_solver.h"
+#include "malus/linalg/grid_solver_internal.h"
 
 using namespace malus;
 

@@ -2,8 +2,6 @@
 // nothing else to do), peak memory of the process, what came of the points.
 //   visible_points MILLION_POINTS WIDTH HEIGHT THREADS
 // A wavy surface seen at random pixels, with noise of a GSD, steps that hide what is behind them, and stray points.
-#include "malus/prior/visible_points.h"
-
 #include <sys/resource.h>
 
 #include <chrono>
@@ -11,6 +9,8 @@
 #include <iostream>
 #include <random>
 #include <string>
+
+#include "malus/prior/visible_points_internal.h"
 
 using namespace malus;
 

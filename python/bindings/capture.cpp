@@ -4,7 +4,7 @@
 #include "arrays.h"
 #include "bindings.h"
 #include "interruptible.h"
-#include "malus/capture/mosaic.h"
+#include "malus/capture/mosaic_internal.h"
 #include "malus/capture/registration.h"
 #include "malus/station/options.h"
 

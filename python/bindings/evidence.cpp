@@ -9,10 +9,10 @@
 #include "clouds.h"
 #include "interruptible.h"
 #include "malus/core/fields.h"
-#include "malus/evidence/before_fusion.h"
-#include "malus/evidence/image_order.h"
-#include "malus/evidence/object_size.h"
-#include "malus/evidence/response_check.h"
+#include "malus/evidence/before_fusion_internal.h"
+#include "malus/evidence/image_order_internal.h"
+#include "malus/evidence/object_size_internal.h"
+#include "malus/evidence/response_check_internal.h"
 
 namespace malus::python {
 namespace {

@@ -3,7 +3,7 @@
 
 #include "arrays.h"
 #include "bindings.h"
-#include "malus/io/angles_of_names.h"
+#include "malus/io/angles_of_names_internal.h"
 #include "malus/io/image_file.h"
 #include "malus/io/point_cloud_file.h"
 

@@ -8,11 +8,11 @@
 #include "cameras.h"
 #include "interruptible.h"
 #include "malus/io/colmap_model.h"
-#include "malus/photogrammetry/feature_matching.h"
-#include "malus/photogrammetry/lens_refit.h"
-#include "malus/photogrammetry/model_refinement.h"
-#include "malus/photogrammetry/scale_adjustment.h"
-#include "malus/photogrammetry/target_detection.h"
+#include "malus/photogrammetry/feature_matching_internal.h"
+#include "malus/photogrammetry/lens_refit_internal.h"
+#include "malus/photogrammetry/model_refinement_internal.h"
+#include "malus/photogrammetry/scale_adjustment_internal.h"
+#include "malus/photogrammetry/target_detection_internal.h"
 #include "malus/station/options.h"
 
 namespace malus::python {

@@ -7,7 +7,7 @@
 #include "clouds.h"
 #include "interruptible.h"
 #include "malus/core/length_unit.h"
-#include "malus/io/sha256.h"
+#include "malus/io/sha256_internal.h"
 #include "malus/io/workspace_internal.h"
 #include "malus/station/check.h"
 #include "malus/station/options.h"

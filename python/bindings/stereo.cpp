@@ -10,7 +10,7 @@
 #include "cameras.h"
 #include "clouds.h"
 #include "interruptible.h"
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/station/options.h"
 #include "malus/stereo/surface_sweep.h"
 

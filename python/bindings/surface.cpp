@@ -10,8 +10,8 @@
 #include "malus/io/glb_file.h"
 #include "malus/io/point_cloud_file.h"
 #include "malus/station/options.h"
-#include "malus/surface/dem_file.h"
-#include "malus/surface/display_image.h"
+#include "malus/surface/dem_file_internal.h"
+#include "malus/surface/display_image_internal.h"
 #include "malus/surface/mesh.h"
 
 namespace malus::python {

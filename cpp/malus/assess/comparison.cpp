@@ -5,8 +5,8 @@
 #include <cmath>
 #include <limits>
 
-#include "malus/assess/reference_surface.h"
-#include "malus/core/parallel.h"
+#include "malus/assess/reference_surface_internal.h"
+#include "malus/core/parallel_internal.h"
 
 namespace malus {
 namespace {

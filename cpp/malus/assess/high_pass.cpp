@@ -1,12 +1,11 @@
-#include "malus/assess/high_pass.h"
-
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <vector>
 
-#include "malus/core/parallel.h"
-#include "malus/core/simd.h"
+#include "malus/assess/high_pass_internal.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/core/simd_internal.h"
 
 namespace malus {
 namespace {

@@ -2,8 +2,8 @@
 
 #include <cmath>
 
-#include "malus/assess/high_pass.h"
-#include "malus/surface/plane.h"
+#include "malus/assess/high_pass_internal.h"
+#include "malus/surface/plane_internal.h"
 
 namespace malus {
 namespace {

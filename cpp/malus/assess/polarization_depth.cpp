@@ -1,9 +1,8 @@
-#include "malus/assess/polarization_depth.h"
-
 #include <Eigen/Core>
 #include <cmath>
 
-#include "malus/core/parallel.h"
+#include "malus/assess/polarization_depth_internal.h"
+#include "malus/core/parallel_internal.h"
 
 namespace malus {
 

@@ -5,9 +5,9 @@
 #include <limits>
 #include <sstream>
 
-#include "malus/assess/high_pass.h"
+#include "malus/assess/high_pass_internal.h"
 #include "malus/assess/statistics.h"
-#include "malus/surface/plane.h"
+#include "malus/surface/plane_internal.h"
 
 namespace malus {
 namespace {

@@ -7,10 +7,10 @@
 #include <limits>
 #include <numbers>
 
-#include "malus/assess/high_pass.h"
-#include "malus/assess/polarization_depth.h"
-#include "malus/core/parallel.h"
-#include "malus/core/ranked_values.h"
+#include "malus/assess/high_pass_internal.h"
+#include "malus/assess/polarization_depth_internal.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/core/ranked_values_internal.h"
 
 namespace malus {
 namespace {

@@ -1,10 +1,9 @@
-#include "malus/assess/reference_surface.h"
-
 #include <Eigen/Eigenvalues>
 #include <cmath>
 #include <numbers>
 
-#include "malus/assess/box_tree.h"
+#include "malus/assess/box_tree_internal.h"
+#include "malus/assess/reference_surface_internal.h"
 
 namespace malus {
 

@@ -5,7 +5,7 @@
 #include <limits>
 #include <numeric>
 
-#include "malus/core/ranked_values.h"
+#include "malus/core/ranked_values_internal.h"
 
 namespace malus {
 namespace {

@@ -7,11 +7,11 @@
 #include <numbers>
 #include <utility>
 
-#include "malus/capture/mosaic.h"
-#include "malus/capture/noise.h"
+#include "malus/capture/mosaic_internal.h"
+#include "malus/capture/noise_internal.h"
 #include "malus/capture/resampling.h"
-#include "malus/capture/response.h"
-#include "malus/core/parallel.h"
+#include "malus/capture/response_internal.h"
+#include "malus/core/parallel_internal.h"
 
 namespace malus {
 namespace {

@@ -54,7 +54,7 @@ CaptureInput capture_input(const PolarizedSpec& polarized, const std::optional<L
 
 /// Station images → registered, undistorted, linear images, one a polarizer position, in the order of the input.
 ///
-/// Response, levels and channel: response.h. A mosaic gives four images, in the order of its cell. Registration to the
+/// Levels, response and channel come first. A mosaic gives four images, in the order of its cell. Registration to the
 /// first image and undistortion are one resampling (resampling.h). Several images at one angle stay separate, as the
 /// sinusoid fit averages them, unless exposure_s states different exposures: these are merged by inverse variance,
 /// without what is saturated, at the level of the shortest. Angles: a = ±(reading − angle_zero), minus for "cw"; empty

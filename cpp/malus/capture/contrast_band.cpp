@@ -6,7 +6,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "malus/capture/contrast_band_internal.h"
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 
 namespace malus {
 namespace {

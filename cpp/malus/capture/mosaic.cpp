@@ -1,5 +1,3 @@
-#include "malus/capture/mosaic.h"
-
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
@@ -7,7 +5,8 @@
 #include <string_view>
 #include <vector>
 
-#include "malus/core/parallel.h"
+#include "malus/capture/mosaic_internal.h"
+#include "malus/core/parallel_internal.h"
 
 namespace malus {
 namespace {

@@ -1,8 +1,8 @@
-#include "malus/capture/noise.h"
-
 #include <algorithm>
 #include <cmath>
 #include <vector>
+
+#include "malus/capture/noise_internal.h"
 
 namespace malus {
 namespace {

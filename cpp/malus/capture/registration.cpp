@@ -12,7 +12,7 @@
 #include "malus/capture/contrast_band_internal.h"
 #include "malus/capture/registration_rows_internal.h"
 #include "malus/core/opencv_threads_internal.h"
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 
 namespace malus {
 namespace {

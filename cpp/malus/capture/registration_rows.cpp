@@ -2,7 +2,7 @@
 #include <cmath>
 
 #include "malus/capture/registration_rows_internal.h"
-#include "malus/core/simd.h"
+#include "malus/core/simd_internal.h"
 
 namespace malus {
 namespace {

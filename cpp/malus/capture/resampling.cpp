@@ -3,7 +3,7 @@
 #include <cmath>
 #include <limits>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/capture/response.h"
-
 #include <algorithm>
 #include <charconv>
 #include <cmath>
@@ -8,7 +6,8 @@
 #include <optional>
 #include <sstream>
 
-#include "malus/core/parallel.h"
+#include "malus/capture/response_internal.h"
+#include "malus/core/parallel_internal.h"
 
 namespace malus {
 namespace {

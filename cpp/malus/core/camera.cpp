@@ -5,7 +5,7 @@
 #include <cmath>
 #include <sstream>
 
-#include "malus/core/pixel_rect.h"
+#include "malus/core/pixel_rect_internal.h"
 
 namespace malus {
 namespace {

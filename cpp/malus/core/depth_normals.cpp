@@ -5,7 +5,7 @@
 #include <limits>
 #include <vector>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 
 namespace malus {
 namespace {

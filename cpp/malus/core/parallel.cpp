@@ -1,5 +1,3 @@
-#include "malus/core/parallel.h"
-
 #include <pthread.h>
 #include <tbb/global_control.h>
 #include <tbb/parallel_for.h>
@@ -11,6 +9,8 @@
 #include <mutex>
 #include <thread>
 #include <utility>
+
+#include "malus/core/parallel_internal.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/core/ranked_values.h"
-
 #include <algorithm>
 #include <array>
 #include <bit>
@@ -9,7 +7,8 @@
 #include <numeric>
 #include <utility>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/core/ranked_values_internal.h"
 
 namespace malus {
 namespace {

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "malus/core/image.h"
-#include "malus/evidence/reduced_view.h"
+#include "malus/evidence/reduced_view_internal.h"
 
 namespace malus {
 

@@ -4,7 +4,7 @@
 #include <functional>
 
 #include "malus/evidence/alignment_search_internal.h"
-#include "malus/evidence/prior_alignment.h"
+#include "malus/evidence/prior_alignment_internal.h"
 
 namespace malus {
 

@@ -2,7 +2,7 @@
 #include <cmath>
 #include <numbers>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/evidence/alignment_search_internal.h"
 
 namespace malus {

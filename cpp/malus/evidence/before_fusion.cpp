@@ -1,10 +1,9 @@
-#include "malus/evidence/before_fusion.h"
-
 #include <cmath>
 #include <utility>
 
 #include "malus/core/depth_normals.h"
-#include "malus/evidence/object_size.h"
+#include "malus/evidence/before_fusion_internal.h"
+#include "malus/evidence/object_size_internal.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/evidence/image_order.h"
-
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -7,6 +5,7 @@
 #include <sstream>
 
 #include "malus/core/error.h"
+#include "malus/evidence/image_order_internal.h"
 #include "malus/evidence/pixel_samples_internal.h"
 
 namespace malus {

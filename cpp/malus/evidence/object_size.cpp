@@ -1,5 +1,3 @@
-#include "malus/evidence/object_size.h"
-
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -9,6 +7,7 @@
 
 #include "malus/core/error.h"
 #include "malus/core/length_unit.h"
+#include "malus/evidence/object_size_internal.h"
 
 namespace malus {
 namespace {

@@ -10,7 +10,7 @@
 #include "malus/core/camera.h"
 #include "malus/core/geometry.h"
 #include "malus/core/pose.h"
-#include "malus/evidence/reduced_view.h"
+#include "malus/evidence/reduced_view_internal.h"
 
 namespace malus {
 

@@ -1,12 +1,11 @@
-#include "malus/evidence/phase_agreement.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <numbers>
 #include <sstream>
 
-#include "malus/polarization/phase_cells.h"
+#include "malus/evidence/phase_agreement_internal.h"
+#include "malus/polarization/phase_cells_internal.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/evidence/prior_alignment.h"
-
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -12,7 +10,8 @@
 #include "malus/core/opencv_threads_internal.h"
 #include "malus/evidence/alignment_place_internal.h"
 #include "malus/evidence/other_inputs_internal.h"
-#include "malus/evidence/reduced_view.h"
+#include "malus/evidence/prior_alignment_internal.h"
+#include "malus/evidence/reduced_view_internal.h"
 
 namespace malus {
 namespace {

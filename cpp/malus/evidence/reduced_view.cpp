@@ -1,5 +1,3 @@
-#include "malus/evidence/reduced_view.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -7,7 +5,8 @@
 #include <vector>
 
 #include "malus/core/depth_normals.h"
-#include "malus/core/median.h"
+#include "malus/core/median_internal.h"
+#include "malus/evidence/reduced_view_internal.h"
 #include "malus/evidence/smoothing_internal.h"
 
 namespace malus {

@@ -1,11 +1,10 @@
-#include "malus/evidence/response_check.h"
-
 #include <Eigen/QR>
 #include <array>
 #include <cmath>
 
 #include "malus/core/error.h"
 #include "malus/evidence/pixel_samples_internal.h"
+#include "malus/evidence/response_check_internal.h"
 
 namespace malus {
 namespace {

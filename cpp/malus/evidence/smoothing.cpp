@@ -3,7 +3,7 @@
 #include <opencv2/imgproc.hpp>
 #include <vector>
 
-#include "malus/core/median.h"
+#include "malus/core/median_internal.h"
 #include "malus/evidence/smoothing_internal.h"
 
 namespace malus {

@@ -1,10 +1,9 @@
-#include "malus/fusion/coarse_level.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/fusion/coarse_level_internal.h"
 
 namespace malus {
 namespace {

@@ -1,6 +1,6 @@
-#include "malus/fusion/connected_sets.h"
-
 #include <utility>
+
+#include "malus/fusion/connected_sets_internal.h"
 
 namespace malus {
 

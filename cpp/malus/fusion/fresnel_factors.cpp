@@ -1,7 +1,7 @@
-#include "malus/fusion/fresnel_factors.h"
-
 #include <algorithm>
 #include <cmath>
+
+#include "malus/fusion/fresnel_factors_internal.h"
 
 namespace malus {
 

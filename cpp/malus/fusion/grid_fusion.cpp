@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "malus/core/depth_normals.h"
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/height/height.h"
 
 namespace malus {

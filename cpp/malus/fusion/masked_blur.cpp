@@ -1,11 +1,10 @@
-#include "malus/fusion/masked_blur.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <vector>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/fusion/masked_blur_internal.h"
 
 namespace malus {
 

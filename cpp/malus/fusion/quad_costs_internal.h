@@ -7,7 +7,7 @@
 #include <memory>
 #include <vector>
 
-#include "malus/fusion/refinement_field.h"
+#include "malus/fusion/refinement_field_internal.h"
 
 namespace malus {
 

@@ -8,19 +8,19 @@
 #include <span>
 
 #include "malus/core/depth_normals.h"
-#include "malus/core/even_choice.h"
-#include "malus/core/median.h"
-#include "malus/core/parallel.h"
-#include "malus/fusion/coarse_level.h"
-#include "malus/fusion/masked_blur.h"
-#include "malus/fusion/refinement_weights.h"
-#include "malus/fusion/reflection_fit.h"
-#include "malus/fusion/reflection_labels.h"
-#include "malus/fusion/region_choice.h"
-#include "malus/fusion/surface_evidence.h"
-#include "malus/fusion/surface_sigma.h"
-#include "malus/fusion/surroundings_fit.h"
-#include "malus/fusion/tile_solver.h"
+#include "malus/core/even_choice_internal.h"
+#include "malus/core/median_internal.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/fusion/coarse_level_internal.h"
+#include "malus/fusion/masked_blur_internal.h"
+#include "malus/fusion/refinement_weights_internal.h"
+#include "malus/fusion/reflection_fit_internal.h"
+#include "malus/fusion/reflection_labels_internal.h"
+#include "malus/fusion/region_choice_internal.h"
+#include "malus/fusion/surface_evidence_internal.h"
+#include "malus/fusion/surface_sigma_internal.h"
+#include "malus/fusion/surroundings_fit_internal.h"
+#include "malus/fusion/tile_solver_internal.h"
 
 namespace malus {
 namespace {

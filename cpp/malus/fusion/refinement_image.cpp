@@ -1,9 +1,8 @@
-#include "malus/fusion/refinement_image.h"
-
 #include <cmath>
 #include <limits>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/fusion/refinement_image_internal.h"
 
 namespace malus {
 namespace {

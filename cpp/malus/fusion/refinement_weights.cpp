@@ -1,16 +1,15 @@
-#include "malus/fusion/refinement_weights.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <vector>
 
-#include "malus/core/even_choice.h"
-#include "malus/core/median.h"
-#include "malus/core/parallel.h"
-#include "malus/fusion/fresnel_factors.h"
-#include "malus/fusion/masked_blur.h"
+#include "malus/core/even_choice_internal.h"
+#include "malus/core/median_internal.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/fusion/fresnel_factors_internal.h"
+#include "malus/fusion/masked_blur_internal.h"
 #include "malus/fusion/quad_costs_internal.h"
+#include "malus/fusion/refinement_weights_internal.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/fusion/reflection_fit.h"
-
 #include <ceres/ceres.h>
 
 #include <Eigen/Dense>
@@ -7,9 +5,10 @@
 #include <cmath>
 #include <memory>
 
-#include "malus/core/even_choice.h"
-#include "malus/core/median.h"
-#include "malus/fusion/fresnel_factors.h"
+#include "malus/core/even_choice_internal.h"
+#include "malus/core/median_internal.h"
+#include "malus/fusion/fresnel_factors_internal.h"
+#include "malus/fusion/reflection_fit_internal.h"
 #include "malus/polarization/fresnel.h"
 
 namespace malus {

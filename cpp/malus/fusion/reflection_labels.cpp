@@ -1,11 +1,10 @@
-#include "malus/fusion/reflection_labels.h"
-
 #include <algorithm>
 #include <limits>
 
-#include "malus/core/parallel.h"
-#include "malus/fusion/connected_sets.h"
-#include "malus/fusion/masked_blur.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/fusion/connected_sets_internal.h"
+#include "malus/fusion/masked_blur_internal.h"
+#include "malus/fusion/reflection_labels_internal.h"
 
 namespace malus {
 namespace {

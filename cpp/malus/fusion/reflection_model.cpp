@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "malus/fusion/fresnel_factors.h"
+#include "malus/fusion/fresnel_factors_internal.h"
 #include "malus/fusion/surroundings.h"
 
 namespace malus {

@@ -1,14 +1,13 @@
-#include "malus/fusion/region_choice.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <vector>
 
-#include "malus/core/median.h"
-#include "malus/core/parallel.h"
-#include "malus/fusion/connected_sets.h"
-#include "malus/fusion/masked_blur.h"
+#include "malus/core/median_internal.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/fusion/connected_sets_internal.h"
+#include "malus/fusion/masked_blur_internal.h"
+#include "malus/fusion/region_choice_internal.h"
 
 namespace malus {
 namespace {

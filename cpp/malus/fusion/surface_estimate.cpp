@@ -1,4 +1,4 @@
-#include "malus/fusion/surface_estimate.h"
+#include "malus/fusion/surface_estimate_internal.h"
 
 namespace malus {
 

@@ -1,10 +1,9 @@
-#include "malus/fusion/surface_evidence.h"
-
 #include <algorithm>
 #include <cmath>
 
-#include "malus/core/parallel.h"
-#include "malus/fusion/masked_blur.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/fusion/masked_blur_internal.h"
+#include "malus/fusion/surface_evidence_internal.h"
 
 namespace malus {
 namespace {

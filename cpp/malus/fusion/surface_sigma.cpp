@@ -1,12 +1,11 @@
-#include "malus/fusion/surface_sigma.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
 
-#include "malus/core/parallel.h"
-#include "malus/fusion/masked_blur.h"
-#include "malus/fusion/refinement_weights.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/fusion/masked_blur_internal.h"
+#include "malus/fusion/refinement_weights_internal.h"
+#include "malus/fusion/surface_sigma_internal.h"
 
 namespace malus {
 namespace {

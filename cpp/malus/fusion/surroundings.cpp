@@ -4,8 +4,8 @@
 #include <cmath>
 #include <numbers>
 
-#include "malus/core/parallel.h"
-#include "malus/fusion/fresnel_factors.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/fusion/fresnel_factors_internal.h"
 
 namespace malus {
 namespace {

@@ -1,12 +1,11 @@
-#include "malus/fusion/surroundings_fit.h"
-
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
 
-#include "malus/core/median.h"
-#include "malus/core/parallel.h"
-#include "malus/fusion/fresnel_factors.h"
+#include "malus/core/median_internal.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/fusion/fresnel_factors_internal.h"
+#include "malus/fusion/surroundings_fit_internal.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/fusion/tile_solver.h"
-
 #include <ceres/ceres.h>
 
 #include <algorithm>
@@ -9,9 +7,10 @@
 #include <numeric>
 #include <span>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/fusion/quad_costs_internal.h"
-#include "malus/linalg/sequential_blas.h"
+#include "malus/fusion/tile_solver_internal.h"
+#include "malus/linalg/sequential_blas_internal.h"
 
 namespace malus {
 namespace {

@@ -7,8 +7,8 @@
 #include <string>
 #include <vector>
 
-#include "malus/core/parallel.h"
-#include "malus/core/tiled_axis.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/core/tiled_axis_internal.h"
 #include "malus/height/height_problem_internal.h"
 
 namespace malus {

@@ -2,7 +2,7 @@
 #include <cmath>
 #include <limits>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/height/height_data_internal.h"
 #include "malus/polarization/fresnel.h"
 

@@ -2,7 +2,7 @@
 
 #include <optional>
 
-#include "malus/core/pixel_rect.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/height/height.h"
 
 namespace malus {

@@ -1,7 +1,7 @@
 #include <cmath>
 #include <numbers>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/height/height_problem_internal.h"
 #include "malus/polarization/fresnel.h"
 

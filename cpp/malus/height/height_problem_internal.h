@@ -5,8 +5,8 @@
 
 #include "malus/core/context.h"
 #include "malus/height/height_data_internal.h"
-#include "malus/linalg/grid_solver.h"
-#include "malus/linalg/grid_system.h"
+#include "malus/linalg/grid_solver_internal.h"
+#include "malus/linalg/grid_system_internal.h"
 #include "malus/polarization/ray_frame.h"
 
 namespace malus {

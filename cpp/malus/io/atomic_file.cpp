@@ -1,5 +1,3 @@
-#include "malus/io/atomic_file.h"
-
 #include <fcntl.h>
 #include <unistd.h>
 
@@ -7,6 +5,8 @@
 #include <cerrno>
 #include <system_error>
 #include <utility>
+
+#include "malus/io/atomic_file_internal.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/io/colmap_workspace.h"
-
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -7,6 +5,7 @@
 
 #include "malus/core/error.h"
 #include "malus/io/colmap_model.h"
+#include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/point_cloud_file.h"
 
 namespace malus {

@@ -1,5 +1,3 @@
-#include "malus/io/geotiff_file.h"
-
 #include <tiffio.h>
 
 #include <algorithm>
@@ -7,7 +5,8 @@
 #include <cstdint>
 #include <string_view>
 
-#include "malus/io/atomic_file.h"
+#include "malus/io/atomic_file_internal.h"
+#include "malus/io/geotiff_file_internal.h"
 #include "malus/io/image_codecs_internal.h"
 
 namespace malus {

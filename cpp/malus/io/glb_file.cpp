@@ -12,7 +12,7 @@
 #include <vector>
 
 #include "malus/core/version.h"
-#include "malus/io/atomic_file.h"
+#include "malus/io/atomic_file_internal.h"
 #include "malus/io/image_codecs_internal.h"
 #include "malus/io/record_writer_internal.h"
 

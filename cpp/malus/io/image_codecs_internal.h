@@ -10,7 +10,7 @@
 
 #include "malus/core/error.h"
 #include "malus/core/image.h"
-#include "malus/io/atomic_file.h"
+#include "malus/io/atomic_file_internal.h"
 #include "malus/io/image_file.h"
 
 struct tiff;  // libtiff's TIFF

@@ -8,9 +8,9 @@
 #include <stdexcept>
 #include <string_view>
 
-#include "malus/io/atomic_file.h"
+#include "malus/io/atomic_file_internal.h"
 #include "malus/io/image_codecs_internal.h"
-#include "malus/io/input_file.h"
+#include "malus/io/input_file_internal.h"
 
 namespace malus {
 namespace {

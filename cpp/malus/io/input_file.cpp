@@ -1,5 +1,3 @@
-#include "malus/io/input_file.h"
-
 #include <fcntl.h>
 #include <unistd.h>
 
@@ -7,6 +5,8 @@
 #include <cerrno>
 #include <cstring>
 #include <system_error>
+
+#include "malus/io/input_file_internal.h"
 
 namespace malus {
 namespace {

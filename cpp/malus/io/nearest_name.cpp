@@ -1,8 +1,8 @@
-#include "malus/io/nearest_name.h"
-
 #include <algorithm>
 #include <cstddef>
 #include <numeric>
+
+#include "malus/io/nearest_name_internal.h"
 
 namespace malus {
 namespace {

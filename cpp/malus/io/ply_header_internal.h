@@ -9,7 +9,7 @@
 #include <string_view>
 #include <vector>
 
-#include "malus/io/input_file.h"
+#include "malus/io/input_file_internal.h"
 
 namespace malus {
 

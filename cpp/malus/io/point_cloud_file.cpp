@@ -12,9 +12,9 @@
 #include <sstream>
 #include <utility>
 
-#include "malus/core/parallel.h"
-#include "malus/io/atomic_file.h"
-#include "malus/io/input_file.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/io/atomic_file_internal.h"
+#include "malus/io/input_file_internal.h"
 #include "malus/io/ply_header_internal.h"
 #include "malus/io/record_writer_internal.h"
 

@@ -11,7 +11,7 @@
 #include <span>
 
 #include "malus/core/error.h"
-#include "malus/io/angles_of_names.h"
+#include "malus/io/angles_of_names_internal.h"
 #include "malus/io/image_file.h"
 #include "malus/io/polarized_files_internal.h"
 

@@ -4,8 +4,8 @@
 #include <cstring>
 
 #include "malus/core/large_allocator.h"
-#include "malus/core/parallel.h"
-#include "malus/io/atomic_file.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/io/atomic_file_internal.h"
 
 namespace malus {
 

@@ -1,5 +1,3 @@
-#include "malus/io/sha256.h"
-
 #include <openssl/evp.h>
 
 #include <algorithm>
@@ -9,7 +7,8 @@
 #include <stdexcept>
 #include <vector>
 
-#include "malus/io/input_file.h"
+#include "malus/io/input_file_internal.h"
+#include "malus/io/sha256_internal.h"
 
 namespace malus {
 namespace {

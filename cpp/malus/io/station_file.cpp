@@ -10,11 +10,11 @@
 #include <sstream>
 
 #include "malus/core/length_unit.h"
-#include "malus/io/angles_of_names.h"
+#include "malus/io/angles_of_names_internal.h"
 #include "malus/io/colmap_model.h"
-#include "malus/io/colmap_workspace.h"
+#include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/image_file.h"
-#include "malus/io/input_file.h"
+#include "malus/io/input_file_internal.h"
 #include "malus/io/polarized_files_internal.h"
 #include "malus/io/toml_document_internal.h"
 #include "malus/io/toml_table_internal.h"

@@ -3,7 +3,7 @@
 #include <string_view>
 
 #include "malus/core/error.h"
-#include "malus/io/input_file.h"
+#include "malus/io/input_file_internal.h"
 #include "malus/io/toml_document_internal.h"
 
 namespace malus {

@@ -1,8 +1,7 @@
-#include "malus/io/toml_json.h"
-
 #include <sstream>
 
 #include "malus/io/toml_document_internal.h"
+#include "malus/io/toml_json_internal.h"
 
 namespace malus {
 

@@ -2,8 +2,8 @@
 #include <cmath>
 #include <sstream>
 
-#include "malus/io/input_file.h"
-#include "malus/io/nearest_name.h"
+#include "malus/io/input_file_internal.h"
+#include "malus/io/nearest_name_internal.h"
 #include "malus/io/toml_table_internal.h"
 
 namespace malus {

@@ -9,10 +9,10 @@
 #include <ctime>
 #include <stdexcept>
 
-#include "malus/core/parallel.h"
-#include "malus/io/atomic_file.h"
-#include "malus/io/input_file.h"
-#include "malus/io/sha256.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/io/atomic_file_internal.h"
+#include "malus/io/input_file_internal.h"
+#include "malus/io/sha256_internal.h"
 #include "malus/io/workspace_internal.h"
 
 namespace malus {

@@ -8,8 +8,8 @@
 #include <numeric>
 #include <vector>
 
-#include "malus/core/parallel.h"
-#include "malus/core/robust_spread.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/core/robust_spread_internal.h"
 #include "malus/polarization/ray_frame.h"
 
 namespace malus {

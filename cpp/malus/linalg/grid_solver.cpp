@@ -1,12 +1,11 @@
-#include "malus/linalg/grid_solver.h"
-
 #include <Eigen/IterativeLinearSolvers>
 #include <cmath>
 #include <new>
 #include <string>
 #include <utility>
 
-#include "malus/linalg/nested_dissection.h"
+#include "malus/linalg/grid_solver_internal.h"
+#include "malus/linalg/nested_dissection_internal.h"
 
 namespace malus {
 namespace {

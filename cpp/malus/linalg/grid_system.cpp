@@ -1,7 +1,7 @@
-#include "malus/linalg/grid_system.h"
-
 #include <algorithm>
 #include <bit>
+
+#include "malus/linalg/grid_system_internal.h"
 
 namespace malus {
 

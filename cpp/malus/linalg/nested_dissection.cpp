@@ -1,6 +1,6 @@
-#include "malus/linalg/nested_dissection.h"
-
 #include <algorithm>
+
+#include "malus/linalg/nested_dissection_internal.h"
 
 namespace malus {
 namespace {

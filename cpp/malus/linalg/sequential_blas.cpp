@@ -1,8 +1,8 @@
-#include "malus/linalg/sequential_blas.h"
-
 #include <omp.h>
 
 #include <mutex>
+
+#include "malus/linalg/sequential_blas_internal.h"
 
 extern "C" {
 int openblas_get_num_threads();

@@ -1,12 +1,11 @@
-#include "malus/linalg/symmetric_solver.h"
-
 #include <cholmod.h>
 
 #include <cmath>
 #include <sstream>
 #include <string>
 
-#include "malus/linalg/sequential_blas.h"
+#include "malus/linalg/sequential_blas_internal.h"
+#include "malus/linalg/symmetric_solver_internal.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/photogrammetry/bundle_adjustment.h"
-
 #include <ceres/ceres.h>
 
 #include <Eigen/Geometry>
@@ -10,7 +8,8 @@
 #include <utility>
 
 #include "malus/core/error.h"
-#include "malus/core/robust_spread.h"
+#include "malus/core/robust_spread_internal.h"
+#include "malus/photogrammetry/bundle_adjustment_internal.h"
 
 namespace malus {
 namespace {

@@ -1,9 +1,8 @@
-#include "malus/photogrammetry/feature_matching.h"
-
 #include <algorithm>
 #include <cmath>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/photogrammetry/feature_matching_internal.h"
 
 namespace malus {
 namespace {

@@ -1,7 +1,7 @@
-#include "malus/photogrammetry/lens_refit.h"
-
 #include <Eigen/QR>
 #include <cmath>
+
+#include "malus/photogrammetry/lens_refit_internal.h"
 
 namespace malus {
 

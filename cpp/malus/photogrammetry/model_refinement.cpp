@@ -1,5 +1,3 @@
-#include "malus/photogrammetry/model_refinement.h"
-
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
@@ -8,9 +6,10 @@
 #include <set>
 
 #include "malus/core/error.h"
-#include "malus/core/median.h"
-#include "malus/core/robust_spread.h"
-#include "malus/photogrammetry/tie_points.h"
+#include "malus/core/median_internal.h"
+#include "malus/core/robust_spread_internal.h"
+#include "malus/photogrammetry/model_refinement_internal.h"
+#include "malus/photogrammetry/tie_points_internal.h"
 
 namespace malus {
 namespace {

@@ -1,10 +1,10 @@
-#include "malus/photogrammetry/scale_adjustment.h"
-
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+
+#include "malus/photogrammetry/scale_adjustment_internal.h"
 
 namespace malus {
 namespace {

@@ -1,11 +1,10 @@
-#include "malus/photogrammetry/target_detection.h"
-
 #include <Eigen/Geometry>
 #include <map>
 #include <opencv2/aruco.hpp>
 
 #include "malus/core/opencv_threads_internal.h"
-#include "malus/io/nearest_name.h"
+#include "malus/io/nearest_name_internal.h"
+#include "malus/photogrammetry/target_detection_internal.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/photogrammetry/tie_points.h"
-
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 #include <Eigen/LU>
@@ -8,7 +6,8 @@
 #include <cmath>
 #include <optional>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/photogrammetry/tie_points_internal.h"
 #include "malus/stereo/intensity_pyramid_internal.h"
 
 namespace malus {

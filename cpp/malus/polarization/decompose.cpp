@@ -8,7 +8,7 @@
 #include <sstream>
 #include <string>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/polarization/sinusoid_block_internal.h"
 
 namespace malus {

@@ -2,7 +2,7 @@
 
 // What images and surface together say of the polarizer's angles and exposures.
 
-#include "malus/polarization/frame_estimate.h"
+#include "malus/polarization/frame_estimate_internal.h"
 #include "malus/polarization/polarizer_calibration.h"
 #include "malus/polarization/polarizer_fit.h"
 

@@ -1,11 +1,10 @@
-#include "malus/polarization/frame_estimate.h"
-
 #include <algorithm>
 #include <cmath>
 #include <numbers>
 #include <vector>
 
-#include "malus/core/median.h"
+#include "malus/core/median_internal.h"
+#include "malus/polarization/frame_estimate_internal.h"
 #include "malus/polarization/frame_fit_internal.h"
 #include "malus/polarization/fresnel.h"
 

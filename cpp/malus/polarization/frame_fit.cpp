@@ -4,7 +4,7 @@
 #include <numbers>
 #include <utility>
 
-#include "malus/core/median.h"
+#include "malus/core/median_internal.h"
 #include "malus/polarization/frame_fit_internal.h"
 
 namespace malus {

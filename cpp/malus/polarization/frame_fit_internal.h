@@ -5,8 +5,8 @@
 #include <vector>
 
 #include "malus/core/context.h"
-#include "malus/polarization/phase_cells.h"
-#include "malus/polarization/stokes_frame.h"
+#include "malus/polarization/phase_cells_internal.h"
+#include "malus/polarization/stokes_frame_internal.h"
 
 namespace malus {
 

@@ -1,11 +1,10 @@
-#include "malus/polarization/interpolation_error.h"
-
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdlib>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/polarization/interpolation_error_internal.h"
 
 namespace malus {
 namespace {

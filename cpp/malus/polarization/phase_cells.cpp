@@ -1,10 +1,9 @@
-#include "malus/polarization/phase_cells.h"
-
 #include <algorithm>
 #include <cmath>
 #include <optional>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/polarization/phase_cells_internal.h"
 
 namespace malus {
 namespace {

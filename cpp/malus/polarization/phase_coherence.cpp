@@ -1,9 +1,9 @@
-#include "malus/polarization/phase_coherence.h"
-
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <complex>
+
+#include "malus/polarization/phase_coherence_internal.h"
 
 namespace malus {
 namespace {

@@ -10,8 +10,8 @@
 #include <numbers>
 #include <string>
 
-#include "malus/core/median.h"
-#include "malus/core/parallel.h"
+#include "malus/core/median_internal.h"
+#include "malus/core/parallel_internal.h"
 
 namespace malus {
 namespace {

@@ -1,10 +1,9 @@
-#include "malus/polarization/radial_limits.h"
-
 #include <algorithm>
 #include <cmath>
 #include <numbers>
 
 #include "malus/polarization/fresnel.h"
+#include "malus/polarization/radial_limits_internal.h"
 
 namespace malus {
 namespace {

@@ -7,7 +7,7 @@
 #include <sstream>
 #include <vector>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/polarization/ray_frame.h"
 
 namespace malus {

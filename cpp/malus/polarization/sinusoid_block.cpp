@@ -2,7 +2,7 @@
 #include <cmath>
 #include <limits>
 
-#include "malus/core/simd.h"
+#include "malus/core/simd_internal.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/polarization/sinusoid_block_internal.h"
 

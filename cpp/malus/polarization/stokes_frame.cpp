@@ -1,10 +1,9 @@
-#include "malus/polarization/stokes_frame.h"
-
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/polarization/stokes_frame_internal.h"
 
 namespace malus {
 

@@ -1,9 +1,8 @@
-#include "malus/polarization/unpolarized.h"
-
 #include <Eigen/QR>
 #include <cmath>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/polarization/unpolarized_internal.h"
 
 namespace malus {
 

@@ -1,12 +1,11 @@
-#include "malus/prior/choose_smoothing.h"
-
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <optional>
 
-#include "malus/core/parallel.h"
-#include "malus/core/robust_spread.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/core/robust_spread_internal.h"
+#include "malus/prior/choose_smoothing_internal.h"
 
 namespace malus {
 namespace {

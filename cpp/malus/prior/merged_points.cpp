@@ -11,8 +11,8 @@
 #include <vector>
 
 #include "malus/core/error.h"
-#include "malus/core/parallel.h"
-#include "malus/core/ranked_values.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/core/ranked_values_internal.h"
 #include "malus/prior/merged_points_internal.h"
 
 namespace malus {

@@ -8,7 +8,7 @@
 #include "malus/core/image.h"
 #include "malus/core/large_allocator.h"
 #include "malus/core/pose.h"
-#include "malus/prior/visible_points.h"
+#include "malus/prior/visible_points_internal.h"
 
 namespace malus {
 

@@ -7,7 +7,7 @@
 #include <numeric>
 #include <utility>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/prior/neighbor_search_internal.h"
 
 namespace malus {

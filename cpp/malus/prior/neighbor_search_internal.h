@@ -7,7 +7,7 @@
 
 #include "malus/core/context.h"
 #include "malus/core/large_allocator.h"
-#include "malus/prior/visible_points.h"
+#include "malus/prior/visible_points_internal.h"
 
 namespace malus {
 

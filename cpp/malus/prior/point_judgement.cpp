@@ -2,9 +2,9 @@
 #include <cmath>
 #include <numbers>
 
-#include "malus/core/median.h"
-#include "malus/core/parallel.h"
-#include "malus/core/robust_spread.h"
+#include "malus/core/median_internal.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/core/robust_spread_internal.h"
 #include "malus/prior/neighbor_search_internal.h"
 #include "malus/prior/point_judgement_internal.h"
 

@@ -16,15 +16,15 @@
 #include <vector>
 
 #include "malus/core/error.h"
-#include "malus/core/median.h"
+#include "malus/core/median_internal.h"
 #include "malus/core/opencv_threads_internal.h"
-#include "malus/core/parallel.h"
-#include "malus/core/robust_spread.h"
-#include "malus/core/tiled_axis.h"
-#include "malus/prior/choose_smoothing.h"
-#include "malus/prior/rasterize_mesh.h"
-#include "malus/prior/smoothing_spline.h"
-#include "malus/prior/visible_points.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/core/robust_spread_internal.h"
+#include "malus/core/tiled_axis_internal.h"
+#include "malus/prior/choose_smoothing_internal.h"
+#include "malus/prior/rasterize_mesh_internal.h"
+#include "malus/prior/smoothing_spline_internal.h"
+#include "malus/prior/visible_points_internal.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/prior/rasterize_mesh.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -7,7 +5,8 @@
 #include <vector>
 
 #include "malus/core/error.h"
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/prior/rasterize_mesh_internal.h"
 
 namespace malus {
 namespace {

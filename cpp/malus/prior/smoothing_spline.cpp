@@ -1,5 +1,3 @@
-#include "malus/prior/smoothing_spline.h"
-
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
@@ -9,9 +7,10 @@
 #include <random>
 
 #include "malus/core/error.h"
-#include "malus/core/median.h"
-#include "malus/core/parallel.h"
-#include "malus/linalg/nested_dissection.h"
+#include "malus/core/median_internal.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/linalg/nested_dissection_internal.h"
+#include "malus/prior/smoothing_spline_internal.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/prior/visible_points.h"
-
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -9,9 +7,10 @@
 #include <utility>
 
 #include "malus/core/error.h"
-#include "malus/core/ranked_values.h"
+#include "malus/core/ranked_values_internal.h"
 #include "malus/prior/merged_points_internal.h"
 #include "malus/prior/point_judgement_internal.h"
+#include "malus/prior/visible_points_internal.h"
 
 namespace malus {
 namespace {

@@ -10,9 +10,9 @@
 #include <sstream>
 
 #include "malus/capture/capture.h"
-#include "malus/evidence/object_size.h"
-#include "malus/evidence/prior_alignment.h"
-#include "malus/io/colmap_workspace.h"
+#include "malus/evidence/object_size_internal.h"
+#include "malus/evidence/prior_alignment_internal.h"
+#include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/point_cloud_file.h"
 #include "malus/station/step_internal.h"
 

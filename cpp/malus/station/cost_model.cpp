@@ -1,6 +1,6 @@
 #include <algorithm>
 
-#include "malus/fusion/tile_solver.h"
+#include "malus/fusion/tile_solver_internal.h"
 #include "malus/height/height.h"
 #include "malus/station/cost_model_internal.h"
 

@@ -3,8 +3,8 @@
 #include <utility>
 #include <variant>
 
-#include "malus/evidence/before_fusion.h"
-#include "malus/io/colmap_workspace.h"
+#include "malus/evidence/before_fusion_internal.h"
+#include "malus/io/colmap_workspace_internal.h"
 #include "malus/station/json_fields_internal.h"
 #include "malus/station/state_views_internal.h"
 #include "malus/station/step_functions_internal.h"

@@ -1,10 +1,10 @@
 #include <algorithm>
 #include <functional>
 
-#include "malus/core/parallel.h"
-#include "malus/io/atomic_file.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/io/atomic_file_internal.h"
 #include "malus/io/image_file.h"
-#include "malus/io/input_file.h"
+#include "malus/io/input_file_internal.h"
 #include "malus/station/keeper_internal.h"
 
 namespace malus {

@@ -1,7 +1,7 @@
 #include "malus/station/options.h"
 
-#include "malus/io/nearest_name.h"
-#include "malus/io/toml_json.h"
+#include "malus/io/nearest_name_internal.h"
+#include "malus/io/toml_json_internal.h"
 #include "malus/station/option_values_internal.h"
 
 namespace malus {

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "malus/io/sha256.h"
+#include "malus/io/sha256_internal.h"
 #include "malus/station/step_runner_internal.h"
 
 namespace malus {

@@ -1,6 +1,6 @@
 #include "malus/station/station.h"
 
-#include "malus/io/colmap_workspace.h"
+#include "malus/io/colmap_workspace_internal.h"
 #include "malus/station/json_fields_internal.h"
 
 namespace malus {

@@ -1,6 +1,6 @@
-#include "malus/core/parallel.h"
-#include "malus/io/colmap_workspace.h"
-#include "malus/io/sha256.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/io/colmap_workspace_internal.h"
+#include "malus/io/sha256_internal.h"
 #include "malus/station/station_inputs_internal.h"
 
 namespace malus {

@@ -5,7 +5,7 @@
 #endif
 
 #include "malus/core/version.h"
-#include "malus/io/sha256.h"
+#include "malus/io/sha256_internal.h"
 #include "malus/station/step_runner_internal.h"
 #include "malus/station/step_watch_internal.h"
 

@@ -3,7 +3,7 @@
 
 #include "malus/core/depth_normals.h"
 #include "malus/core/length_unit.h"
-#include "malus/io/colmap_workspace.h"
+#include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/glb_file.h"
 #include "malus/io/image_file.h"
 #include "malus/io/point_cloud_file.h"
@@ -12,8 +12,8 @@
 #include "malus/station/quality_json_internal.h"
 #include "malus/station/state_views_internal.h"
 #include "malus/station/step_functions_internal.h"
-#include "malus/surface/dem_file.h"
-#include "malus/surface/display_image.h"
+#include "malus/surface/dem_file_internal.h"
+#include "malus/surface/display_image_internal.h"
 
 namespace malus {
 namespace {

@@ -4,8 +4,8 @@
 #include <limits>
 #include <vector>
 
-#include "malus/core/median.h"
-#include "malus/core/parallel.h"
+#include "malus/core/median_internal.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/stereo/agreement_internal.h"
 #include "malus/stereo/regions_internal.h"
 

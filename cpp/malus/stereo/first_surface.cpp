@@ -6,7 +6,7 @@
 #include <utility>
 
 #include "malus/core/error.h"
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/prior/project_prior.h"
 #include "malus/stereo/first_surface_internal.h"
 

@@ -4,10 +4,10 @@
 #include <opencv2/imgproc.hpp>
 #include <vector>
 
-#include "malus/core/median.h"
+#include "malus/core/median_internal.h"
 #include "malus/core/opencv_threads_internal.h"
-#include "malus/core/parallel.h"
-#include "malus/core/robust_spread.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/core/robust_spread_internal.h"
 #include "malus/stereo/highlights_internal.h"
 #include "malus/stereo/intensity_pyramid_internal.h"
 #include "malus/stereo/surface_raster_internal.h"

@@ -3,7 +3,7 @@
 #include <cstdint>
 #include <utility>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/stereo/intensity_pyramid_internal.h"
 
 namespace malus {

@@ -2,7 +2,7 @@
 #include <cmath>
 #include <cstring>
 
-#include "malus/core/simd.h"
+#include "malus/core/simd_internal.h"
 #include "malus/stereo/match_rows_internal.h"
 
 namespace malus {

@@ -1,6 +1,6 @@
 #include <algorithm>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/stereo/photo_cells_internal.h"
 
 namespace malus {

@@ -6,8 +6,8 @@
 #include <utility>
 #include <vector>
 
-#include "malus/core/disjoint_sets.h"
-#include "malus/core/parallel.h"
+#include "malus/core/disjoint_sets_internal.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/stereo/regions_internal.h"
 
 namespace malus {

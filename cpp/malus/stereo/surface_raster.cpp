@@ -3,8 +3,8 @@
 #include <limits>
 #include <vector>
 
-#include "malus/core/parallel.h"
-#include "malus/core/simd.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/core/simd_internal.h"
 #include "malus/stereo/surface_raster_internal.h"
 
 namespace malus {

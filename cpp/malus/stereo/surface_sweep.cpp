@@ -10,9 +10,9 @@
 #include <utility>
 
 #include "malus/core/error.h"
-#include "malus/core/even_choice.h"
-#include "malus/core/median.h"
-#include "malus/core/parallel.h"
+#include "malus/core/even_choice_internal.h"
+#include "malus/core/median_internal.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/stereo/agreement_internal.h"
 #include "malus/stereo/first_surface_internal.h"
 #include "malus/stereo/highlights_internal.h"

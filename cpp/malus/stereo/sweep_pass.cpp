@@ -5,7 +5,7 @@
 #include <limits>
 #include <vector>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/stereo/semi_global_internal.h"
 #include "malus/stereo/sweep_pass_internal.h"
 

@@ -4,8 +4,8 @@
 #include <sstream>
 
 #include "malus/core/error.h"
-#include "malus/core/median.h"
-#include "malus/core/parallel.h"
+#include "malus/core/median_internal.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/stereo/intensity_pyramid_internal.h"
 #include "malus/stereo/view_choice_internal.h"
 

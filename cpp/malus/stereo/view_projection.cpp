@@ -2,7 +2,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "malus/core/simd.h"
+#include "malus/core/simd_internal.h"
 #include "malus/stereo/view_projection_internal.h"
 
 namespace malus {

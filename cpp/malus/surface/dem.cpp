@@ -9,9 +9,9 @@
 #include <span>
 #include <vector>
 
-#include "malus/core/parallel.h"
-#include "malus/core/ranked_values.h"
-#include "malus/surface/plane.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/core/ranked_values_internal.h"
+#include "malus/surface/plane_internal.h"
 
 namespace malus {
 namespace {

@@ -1,8 +1,7 @@
-#include "malus/surface/dem_file.h"
-
 #include <cstdio>
 
-#include "malus/io/geotiff_file.h"
+#include "malus/io/geotiff_file_internal.h"
+#include "malus/surface/dem_file_internal.h"
 
 namespace malus {
 namespace {

@@ -1,11 +1,10 @@
-#include "malus/surface/display_image.h"
-
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <vector>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/surface/display_image_internal.h"
 
 namespace malus {
 namespace {

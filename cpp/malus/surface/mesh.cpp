@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "malus/core/depth_normals.h"
-#include "malus/core/parallel.h"
-#include "malus/surface/display_image.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/surface/display_image_internal.h"
 
 namespace malus {
 namespace {

@@ -1,12 +1,11 @@
-#include "malus/surface/plane.h"
-
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
-#include "malus/core/parallel.h"
-#include "malus/core/robust_spread.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/core/robust_spread_internal.h"
+#include "malus/surface/plane_internal.h"
 
 namespace malus {
 namespace {

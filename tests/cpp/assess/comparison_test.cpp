@@ -4,7 +4,7 @@
 
 #include <random>
 
-#include "malus/assess/reference_surface.h"
+#include "malus/assess/reference_surface_internal.h"
 #include "malus/surface/mesh.h"
 #include "surface/scenes.h"
 

@@ -1,10 +1,10 @@
-#include "malus/assess/high_pass.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <limits>
 #include <numbers>
+
+#include "malus/assess/high_pass_internal.h"
 
 namespace malus {
 namespace {

@@ -6,7 +6,7 @@
 #include <random>
 #include <set>
 
-#include "malus/assess/polarization_depth.h"
+#include "malus/assess/polarization_depth_internal.h"
 #include "malus/surface/mesh.h"
 #include "surface/scenes.h"
 

@@ -7,7 +7,7 @@
 #include <thread>
 
 #include "capture/scenes.h"
-#include "malus/capture/noise.h"
+#include "malus/capture/noise_internal.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/capture/mosaic.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -8,6 +6,7 @@
 #include <string>
 
 #include "capture/scenes.h"
+#include "malus/capture/mosaic_internal.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/capture/response.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -7,6 +5,7 @@
 #include <limits>
 
 #include "capture/scenes.h"
+#include "malus/capture/response_internal.h"
 
 namespace malus {
 namespace {

@@ -8,7 +8,7 @@
 #include <thread>
 #include <vector>
 
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/core/parallel.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -7,6 +5,8 @@
 #include <chrono>
 #include <numeric>
 #include <thread>
+
+#include "malus/core/parallel_internal.h"
 
 namespace malus {
 namespace {

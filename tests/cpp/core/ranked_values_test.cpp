@@ -1,5 +1,3 @@
-#include "malus/core/ranked_values.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -7,6 +5,8 @@
 #include <cmath>
 #include <limits>
 #include <random>
+
+#include "malus/core/ranked_values_internal.h"
 
 namespace malus {
 namespace {

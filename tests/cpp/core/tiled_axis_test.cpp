@@ -1,6 +1,6 @@
-#include "malus/core/tiled_axis.h"
-
 #include <gtest/gtest.h>
+
+#include "malus/core/tiled_axis_internal.h"
 
 namespace malus {
 namespace {

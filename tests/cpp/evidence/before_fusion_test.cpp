@@ -1,9 +1,8 @@
-#include "malus/evidence/before_fusion.h"
-
 #include <gtest/gtest.h>
 
 #include "evidence_scene.h"
-#include "malus/evidence/object_size.h"
+#include "malus/evidence/before_fusion_internal.h"
+#include "malus/evidence/object_size_internal.h"
 
 namespace malus {
 namespace {

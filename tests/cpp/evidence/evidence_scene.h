@@ -9,7 +9,7 @@
 #include "malus/core/depth_normals.h"
 #include "malus/core/geometry.h"
 #include "malus/core/pose.h"
-#include "malus/evidence/prior_alignment.h"
+#include "malus/evidence/prior_alignment_internal.h"
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/polarization/ray_frame.h"

@@ -6,8 +6,8 @@
 #include <random>
 
 #include "malus/core/error.h"
-#include "malus/evidence/image_order.h"
-#include "malus/evidence/response_check.h"
+#include "malus/evidence/image_order_internal.h"
+#include "malus/evidence/response_check_internal.h"
 
 namespace malus {
 namespace {

@@ -1,10 +1,9 @@
-#include "malus/evidence/prior_alignment.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
 
 #include "evidence_scene.h"
+#include "malus/evidence/prior_alignment_internal.h"
 
 namespace malus {
 namespace {

@@ -1,9 +1,8 @@
-#include "malus/fusion/coarse_level.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 
+#include "malus/fusion/coarse_level_internal.h"
 #include "malus/fusion/refine.h"
 #include "synthetic_station.h"
 

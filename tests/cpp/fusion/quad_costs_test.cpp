@@ -5,7 +5,7 @@
 #include <random>
 
 #include "malus/fusion/quad_costs_internal.h"
-#include "malus/fusion/refinement_weights.h"
+#include "malus/fusion/refinement_weights_internal.h"
 #include "synthetic_station.h"
 
 namespace malus {

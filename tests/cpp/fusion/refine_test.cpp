@@ -7,8 +7,8 @@
 #include <limits>
 
 #include "malus/core/error.h"
-#include "malus/fusion/refinement_field.h"
-#include "malus/fusion/tile_solver.h"
+#include "malus/fusion/refinement_field_internal.h"
+#include "malus/fusion/tile_solver_internal.h"
 #include "synthetic_station.h"
 
 namespace malus {

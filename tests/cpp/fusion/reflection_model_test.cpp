@@ -8,9 +8,9 @@
 #include <numbers>
 #include <random>
 
-#include "malus/fusion/fresnel_factors.h"
+#include "malus/fusion/fresnel_factors_internal.h"
 #include "malus/fusion/ray_slopes.h"
-#include "malus/fusion/refinement_field.h"
+#include "malus/fusion/refinement_field_internal.h"
 #include "malus/polarization/fresnel.h"
 
 namespace malus {

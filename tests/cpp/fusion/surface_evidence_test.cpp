@@ -1,12 +1,11 @@
-#include "malus/fusion/surface_evidence.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <cmath>
 
 #include "malus/fusion/refine.h"
-#include "malus/fusion/refinement_weights.h"
+#include "malus/fusion/refinement_weights_internal.h"
+#include "malus/fusion/surface_evidence_internal.h"
 #include "synthetic_station.h"
 
 namespace malus {

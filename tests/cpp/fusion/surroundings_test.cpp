@@ -7,9 +7,9 @@
 #include <memory>
 #include <random>
 
-#include "malus/fusion/fresnel_factors.h"
+#include "malus/fusion/fresnel_factors_internal.h"
 #include "malus/fusion/reflection_model.h"
-#include "malus/fusion/surroundings_fit.h"
+#include "malus/fusion/surroundings_fit_internal.h"
 
 namespace malus {
 namespace {

@@ -4,7 +4,7 @@
 #include <random>
 
 #include "malus/core/depth_normals.h"
-#include "malus/fusion/fresnel_factors.h"
+#include "malus/fusion/fresnel_factors_internal.h"
 #include "malus/fusion/ray_slopes.h"
 #include "malus/fusion/reflection_model.h"
 #include "malus/polarization/polarization_state.h"

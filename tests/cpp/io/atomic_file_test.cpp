@@ -1,14 +1,13 @@
-#include "malus/io/atomic_file.h"
-
 #include <sys/mount.h>
 
 #include <algorithm>
 #include <string>
 
+#include "malus/io/atomic_file_internal.h"
 #include "malus/io/image_file.h"
-#include "malus/io/input_file.h"
+#include "malus/io/input_file_internal.h"
 #include "malus/io/record_writer_internal.h"
-#include "malus/io/sha256.h"
+#include "malus/io/sha256_internal.h"
 #include "temporary_folder.h"
 
 namespace malus {

@@ -5,7 +5,7 @@
 #include <cstring>
 #include <random>
 
-#include "malus/io/input_file.h"
+#include "malus/io/input_file_internal.h"
 #include "temporary_folder.h"
 
 namespace malus {

@@ -1,10 +1,9 @@
-#include "malus/io/colmap_workspace.h"
-
 #include <gtest/gtest.h>
 
 #include <fstream>
 
 #include "malus/io/colmap_model.h"
+#include "malus/io/colmap_workspace_internal.h"
 #include "temporary_folder.h"
 #include "thrown_error.h"
 

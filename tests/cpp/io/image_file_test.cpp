@@ -7,7 +7,7 @@
 #include <opencv2/imgcodecs.hpp>
 #include <random>
 
-#include "malus/io/input_file.h"
+#include "malus/io/input_file_internal.h"
 #include "temporary_folder.h"
 
 namespace malus {

@@ -6,7 +6,7 @@
 #include <limits>
 #include <random>
 
-#include "malus/io/input_file.h"
+#include "malus/io/input_file_internal.h"
 #include "temporary_folder.h"
 
 namespace malus {

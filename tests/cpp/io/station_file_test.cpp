@@ -3,7 +3,7 @@
 #include <cmath>
 #include <numbers>
 
-#include "malus/io/angles_of_names.h"
+#include "malus/io/angles_of_names_internal.h"
 #include "malus/io/colmap_model.h"
 #include "malus/io/image_file.h"
 #include "malus/io/polarized_files_internal.h"

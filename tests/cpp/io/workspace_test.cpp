@@ -4,8 +4,8 @@
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 
-#include "malus/io/input_file.h"
-#include "malus/io/sha256.h"
+#include "malus/io/input_file_internal.h"
+#include "malus/io/sha256_internal.h"
 #include "malus/io/workspace_internal.h"
 #include "temporary_folder.h"
 

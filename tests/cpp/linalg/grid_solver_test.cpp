@@ -1,11 +1,10 @@
-#include "malus/linalg/grid_solver.h"
-
 #include <gtest/gtest.h>
 
 #include <atomic>
 #include <cmath>
 
 #include "height_like_system.h"
+#include "malus/linalg/grid_solver_internal.h"
 #include "thrown_error.h"
 
 namespace malus {

@@ -2,7 +2,7 @@
 
 #include <cmath>
 
-#include "malus/linalg/grid_system.h"
+#include "malus/linalg/grid_system_internal.h"
 
 namespace malus {
 

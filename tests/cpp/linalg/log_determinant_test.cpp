@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "malus/core/error.h"
-#include "malus/linalg/symmetric_solver.h"
+#include "malus/linalg/symmetric_solver_internal.h"
 
 namespace malus {
 namespace {

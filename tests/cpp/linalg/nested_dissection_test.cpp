@@ -1,10 +1,9 @@
-#include "malus/linalg/nested_dissection.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
 
 #include "height_like_system.h"
+#include "malus/linalg/nested_dissection_internal.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/linalg/symmetric_solver.h"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/Dense>
@@ -7,8 +5,9 @@
 #include <atomic>
 #include <cmath>
 
-#include "malus/linalg/grid_system.h"
-#include "malus/linalg/nested_dissection.h"
+#include "malus/linalg/grid_system_internal.h"
+#include "malus/linalg/nested_dissection_internal.h"
+#include "malus/linalg/symmetric_solver_internal.h"
 
 namespace malus {
 namespace {

@@ -1,8 +1,8 @@
-#include "malus/photogrammetry/feature_matching.h"
-
 #include <gtest/gtest.h>
 
 #include <random>
+
+#include "malus/photogrammetry/feature_matching_internal.h"
 
 namespace malus {
 namespace {
@@ -40,7 +40,8 @@ TEST(MatchFeatures, LeavesOutWhatIsAmbiguousOrFar) {
 }
 
 TEST(MatchPairs, DoesNotDependOnThreads) {
-  const std::vector<Descriptors> photos{random_descriptors(90, 4), random_descriptors(70, 5), random_descriptors(80, 4)};
+  const std::vector<Descriptors> photos{random_descriptors(90, 4), random_descriptors(70, 5),
+                                        random_descriptors(80, 4)};
   const std::vector<std::pair<std::size_t, std::size_t>> pairs{{0, 1}, {0, 2}, {1, 2}};
   Context several;
   several.threads = 3;

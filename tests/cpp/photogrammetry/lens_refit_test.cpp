@@ -1,6 +1,6 @@
-#include "malus/photogrammetry/lens_refit.h"
-
 #include <gtest/gtest.h>
+
+#include "malus/photogrammetry/lens_refit_internal.h"
 
 namespace malus {
 namespace {

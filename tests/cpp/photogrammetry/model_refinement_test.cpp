@@ -1,5 +1,3 @@
-#include "malus/photogrammetry/model_refinement.h"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
@@ -11,7 +9,8 @@
 #include <vector>
 
 #include "looking_pose.h"
-#include "malus/photogrammetry/tie_points.h"
+#include "malus/photogrammetry/model_refinement_internal.h"
+#include "malus/photogrammetry/tie_points_internal.h"
 #include "thrown_error.h"
 
 namespace malus {

@@ -1,10 +1,10 @@
-#include "malus/photogrammetry/scale_adjustment.h"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
 #include <numbers>
 #include <random>
+
+#include "malus/photogrammetry/scale_adjustment_internal.h"
 
 namespace malus {
 namespace {

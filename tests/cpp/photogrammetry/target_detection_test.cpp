@@ -1,11 +1,10 @@
-#include "malus/photogrammetry/target_detection.h"
-
 #include <gtest/gtest.h>
 
 #include <opencv2/aruco.hpp>
 #include <opencv2/imgproc.hpp>
 
 #include "malus/core/error.h"
+#include "malus/photogrammetry/target_detection_internal.h"
 
 namespace malus {
 namespace {

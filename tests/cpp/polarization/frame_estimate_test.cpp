@@ -1,7 +1,6 @@
-#include "malus/polarization/frame_estimate.h"
-
 #include <gtest/gtest.h>
 
+#include "malus/polarization/frame_estimate_internal.h"
 #include "polarizer_scene.h"
 
 namespace malus {

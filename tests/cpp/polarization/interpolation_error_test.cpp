@@ -1,11 +1,10 @@
-#include "malus/polarization/interpolation_error.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <numbers>
 
 #include "malus/core/error.h"
+#include "malus/polarization/interpolation_error_internal.h"
 
 namespace malus {
 namespace {

@@ -1,9 +1,8 @@
-#include "malus/polarization/phase_coherence.h"
-
 #include <gtest/gtest.h>
 
 #include <random>
 
+#include "malus/polarization/phase_coherence_internal.h"
 #include "polarizer_scene.h"
 
 namespace malus {

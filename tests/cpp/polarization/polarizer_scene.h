@@ -9,7 +9,7 @@
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/polarizer_fit.h"
 #include "malus/polarization/ray_frame.h"
-#include "malus/polarization/stokes_frame.h"
+#include "malus/polarization/stokes_frame_internal.h"
 
 namespace malus {
 

@@ -1,7 +1,6 @@
-#include "malus/polarization/radial_limits.h"
-
 #include <gtest/gtest.h>
 
+#include "malus/polarization/radial_limits_internal.h"
 #include "polarizer_scene.h"
 
 namespace malus {

@@ -1,6 +1,6 @@
-#include "malus/polarization/stokes_frame.h"
-
 #include <gtest/gtest.h>
+
+#include "malus/polarization/stokes_frame_internal.h"
 
 namespace malus {
 namespace {

@@ -1,8 +1,8 @@
-#include "malus/polarization/unpolarized.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
+
+#include "malus/polarization/unpolarized_internal.h"
 
 namespace malus {
 namespace {

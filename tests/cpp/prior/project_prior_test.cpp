@@ -11,7 +11,7 @@
 #include <string>
 
 #include "malus/core/error.h"
-#include "malus/prior/rasterize_mesh.h"
+#include "malus/prior/rasterize_mesh_internal.h"
 #include "thrown_error.h"
 
 namespace malus {

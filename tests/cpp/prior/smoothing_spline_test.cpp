@@ -1,10 +1,10 @@
-#include "malus/prior/smoothing_spline.h"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/Core>
 #include <cmath>
 #include <vector>
+
+#include "malus/prior/smoothing_spline_internal.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/prior/visible_points.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -7,6 +5,7 @@
 #include <numbers>
 #include <vector>
 
+#include "malus/prior/visible_points_internal.h"
 #include "prior/cloud_scenes.h"
 
 namespace malus {

@@ -1,7 +1,7 @@
 #include <limits>
 
 #include "io/temporary_folder.h"
-#include "malus/io/input_file.h"
+#include "malus/io/input_file_internal.h"
 #include "malus/station/kept_results_internal.h"
 
 namespace malus {

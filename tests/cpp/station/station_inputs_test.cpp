@@ -1,5 +1,5 @@
 #include "io/temporary_folder.h"
-#include "malus/io/sha256.h"
+#include "malus/io/sha256_internal.h"
 #include "malus/station/station_inputs_internal.h"
 
 namespace malus {

@@ -5,8 +5,8 @@
 
 #include "io/temporary_folder.h"
 #include "malus/core/version.h"
-#include "malus/io/input_file.h"
-#include "malus/io/sha256.h"
+#include "malus/io/input_file_internal.h"
+#include "malus/io/sha256_internal.h"
 #include "malus/station/step_runner_internal.h"
 
 namespace malus {

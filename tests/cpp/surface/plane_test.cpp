@@ -1,11 +1,10 @@
-#include "malus/surface/plane.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <random>
 
 #include "malus/core/error.h"
+#include "malus/surface/plane_internal.h"
 
 namespace malus {
 namespace {

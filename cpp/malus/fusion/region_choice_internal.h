@@ -1,8 +1,8 @@
 #pragma once
 
 #include "malus/core/context.h"
-#include "malus/fusion/refinement_field.h"
-#include "malus/fusion/refinement_weights.h"
+#include "malus/fusion/refinement_field_internal.h"
+#include "malus/fusion/refinement_weights_internal.h"
 
 namespace malus {
 

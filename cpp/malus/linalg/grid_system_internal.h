@@ -9,8 +9,8 @@
 #include "malus/core/context.h"
 #include "malus/core/image.h"
 #include "malus/core/large_allocator.h"
-#include "malus/core/parallel.h"
-#include "malus/linalg/symmetric_solver.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/linalg/symmetric_solver_internal.h"
 
 namespace malus {
 

@@ -9,8 +9,8 @@
 #include "malus/core/geometry.h"
 #include "malus/core/image.h"
 #include "malus/core/pose.h"
-#include "malus/evidence/phase_agreement.h"
-#include "malus/evidence/prior_alignment.h"
+#include "malus/evidence/phase_agreement_internal.h"
+#include "malus/evidence/prior_alignment_internal.h"
 #include "malus/polarization/polarization_state.h"
 
 namespace malus {

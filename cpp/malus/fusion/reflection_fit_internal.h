@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "malus/core/context.h"
-#include "malus/fusion/refinement_image.h"
+#include "malus/fusion/refinement_image_internal.h"
 
 namespace malus {
 

@@ -6,7 +6,7 @@
 #include "malus/core/context.h"
 #include "malus/core/finding.h"
 #include "malus/core/image.h"
-#include "malus/polarization/phase_coherence.h"
+#include "malus/polarization/phase_coherence_internal.h"
 #include "malus/polarization/polarization_state.h"
 
 namespace malus {

@@ -5,7 +5,7 @@
 
 #include "malus/core/context.h"
 #include "malus/core/image.h"
-#include "malus/prior/smoothing_spline.h"
+#include "malus/prior/smoothing_spline_internal.h"
 
 namespace malus {
 

@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "malus/core/context.h"
-#include "malus/fusion/reflection_fit.h"
+#include "malus/fusion/reflection_fit_internal.h"
 #include "malus/fusion/surroundings.h"
 
 namespace malus {

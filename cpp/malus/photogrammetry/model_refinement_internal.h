@@ -9,7 +9,7 @@
 #include "malus/core/context.h"
 #include "malus/core/image.h"
 #include "malus/io/colmap_model.h"
-#include "malus/photogrammetry/bundle_adjustment.h"
+#include "malus/photogrammetry/bundle_adjustment_internal.h"
 #include "malus/photogrammetry/photos_options.h"
 
 namespace malus {

@@ -4,8 +4,8 @@
 #include <optional>
 
 #include "malus/core/context.h"
-#include "malus/linalg/grid_system.h"
-#include "malus/linalg/symmetric_solver.h"
+#include "malus/linalg/grid_system_internal.h"
+#include "malus/linalg/symmetric_solver_internal.h"
 
 namespace malus {
 

@@ -1,7 +1,7 @@
 #pragma once
 
 #include "malus/core/context.h"
-#include "malus/fusion/refinement_field.h"
+#include "malus/fusion/refinement_field_internal.h"
 
 namespace malus {
 

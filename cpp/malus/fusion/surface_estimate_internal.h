@@ -5,7 +5,7 @@
 
 #include "malus/core/camera.h"
 #include "malus/core/image.h"
-#include "malus/core/pixel_rect.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/fusion/ray_slopes.h"
 #include "malus/fusion/reflection_model.h"
 

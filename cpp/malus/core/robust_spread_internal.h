@@ -2,7 +2,7 @@
 
 #include <vector>
 
-#include "malus/core/median.h"
+#include "malus/core/median_internal.h"
 
 namespace malus {
 

@@ -3,7 +3,7 @@
 #include <array>
 #include <optional>
 
-#include "malus/capture/response.h"
+#include "malus/capture/response_internal.h"
 #include "malus/io/station_spec.h"
 #include "malus/polarization/noise_model.h"
 

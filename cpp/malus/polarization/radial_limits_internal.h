@@ -2,7 +2,7 @@
 
 #include <vector>
 
-#include "malus/polarization/phase_cells.h"
+#include "malus/polarization/phase_cells_internal.h"
 
 namespace malus {
 

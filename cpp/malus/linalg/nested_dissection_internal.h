@@ -2,7 +2,7 @@
 
 #include <vector>
 
-#include "malus/linalg/grid_system.h"
+#include "malus/linalg/grid_system_internal.h"
 
 namespace malus {
 

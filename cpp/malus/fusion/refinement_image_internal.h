@@ -3,7 +3,7 @@
 #include <memory>
 
 #include "malus/core/context.h"
-#include "malus/fusion/refinement_field.h"
+#include "malus/fusion/refinement_field_internal.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/prior/depth_prior.h"
 

@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "malus/core/context.h"
-#include "malus/core/parallel.h"
+#include "malus/core/parallel_internal.h"
 
 namespace malus {
 

@@ -9,9 +9,9 @@
 
 #include "malus/core/context.h"
 #include "malus/core/image.h"
-#include "malus/core/pixel_rect.h"
-#include "malus/linalg/symmetric_solver.h"
-#include "malus/prior/visible_points.h"
+#include "malus/core/pixel_rect_internal.h"
+#include "malus/linalg/symmetric_solver_internal.h"
+#include "malus/prior/visible_points_internal.h"
 
 namespace malus {
 

@@ -1,7 +1,7 @@
 #pragma once
 
 #include "malus/core/context.h"
-#include "malus/fusion/refinement_image.h"
+#include "malus/fusion/refinement_image_internal.h"
 
 namespace malus {
 

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "malus/fusion/surface_estimate.h"
+#include "malus/fusion/surface_estimate_internal.h"
 
 namespace malus {
 
