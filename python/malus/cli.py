@@ -285,6 +285,8 @@ def _batch(args: argparse.Namespace) -> None:
 
 
 def _run(arguments: Sequence[str] | None) -> None:
+    for text in sys.argv[1:] if arguments is None else arguments:
+        require_utf8(text)
     args = _parser().parse_args(arguments)
     if args.command == "options":
         for name, kind, default, meaning in malus.Options.describe():
@@ -297,8 +299,6 @@ def _run(arguments: Sequence[str] | None) -> None:
                 args.folder,
                 args.output,
                 table=args.table,
-    for text in sys.argv[1:] if arguments is None else arguments:
-        require_utf8(text)
                 pattern=args.pattern,
                 angles=_angles("--angles", args.angles, "angles in degrees: 0,45,90,135"),
                 mosaic=_angles("--mosaic", args.mosaic, "four angles in degrees: 90,45,135,0"),
