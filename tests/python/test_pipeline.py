@@ -374,7 +374,7 @@ def test_runs_that_end_before_the_assessment_say_confidence_and_warnings(small_s
     ):
         quiet, loud = command("--quiet"), command()
         assert quiet.code == loud.code == 0, quiet.err + loud.err
-        for said in (quiet.err, loud.out + loud.err.replace("\n", " ")):
+        for said in (quiet.err, loud.err.replace("\n", " ") + loud.out):
             assert f"{word}partial, not assessed yet" in said
             assert said.index(misfits) < said.index(word), "the warning at once, the verdict at the end"
             assert said.rindex(misfits) > said.index(word), "which names it among its reasons"
