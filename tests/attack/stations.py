@@ -1,0 +1,133 @@
+"""Attack on the pipeline: random stations with exact truth, right and wrong ones.
+
+Whatever they are, a run ends or raises MalusError, and a result of high confidence is within three of its own standard
+deviations of the truth, up to the share of pixels below.
+
+    stations.py --seconds N [--seed S]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
+
+import malus
+from malus import synthetic
+
+#: A normal distribution has 0.3 % beyond three sigma; sigma is known to a third, and edges of the relief are steeper than it says.
+LARGEST_SHARE_BEYOND = 0.05
+#: Pixels at the border, which have neighbors on one side only.
+BORDER = 8
+
+ANGLES = st.one_of(
+    st.sampled_from([(0, 45, 90, 135), (0, 60, 120), (0, 30, 60, 90, 120, 150)]),
+    st.lists(st.integers(0, 359), min_size=3, max_size=8, unique=True).map(tuple),
+)
+SENSORS = st.builds(
+    synthetic.Sensor,
+    angles_deg=ANGLES,
+    full_well_e=st.sampled_from([2000.0, 20000.0]),
+    frames_averaged=st.sampled_from([1, 16]),
+)
+#: Lines of the station file that are made wrong, or other than usual.
+CHANGES = st.sampled_from(
+    [
+        ("", ""),
+        ("", ""),
+        ('unit = "mm"', 'unit = "m"'),
+        ("angles_deg = [", 'angle_direction = "cw"\nangles_deg = ['),
+        ("angles_deg = [", "angle_zero_deg = 40.0\nangles_deg = ["),
+        ("[polarized]", '[polarized]\nmask = "gt/hole.png"'),
+    ]
+)
+OPTIONS = st.fixed_dictionaries(
+    {"fusion": st.sampled_from(["grid", "refined"])},
+    optional={"refine.evidence": st.booleans(), "evidence.refuse": st.booleans()},
+)
+
+found: Counter[str] = Counter()
+
+
+def write(folder: Path, width: int, height: int, prior: str, sensor: Any, number: int, change: tuple[str, str]) -> Path:
+    """A synthetic station, changed."""
+    station = synthetic.write_station(folder, width, height, prior=prior, sensor=sensor, seed=number)
+    hole = np.full((height, width), 255, np.uint8)
+    hole[height // 4 : height // 2, width // 4 : width // 2] = 0
+    synthetic._save(folder / "gt/hole.png", hole)
+    text = station.read_text(encoding="utf-8")
+    station.write_text(text.replace(*change, 1) if change[0] else text, encoding="utf-8")
+    return station
+
+
+def share_beyond(result: malus.Result, station: Path) -> float:
+    """Pixels farther from the truth than three standard deviations."""
+    truth = np.load(station.parent / "gt/depth_normal_mask.npz")["depth"].astype(float)
+    inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
+    assert result.depth is not None and result.sigma is not None
+    error, sigma = np.abs(result.depth - truth)[inner], result.sigma[inner]
+    known = np.isfinite(error) & np.isfinite(sigma)
+    return float(np.mean(error[known] > 3 * sigma[known]))
+
+
+@given(
+    st.integers(120, 260), st.integers(120, 200), st.sampled_from(["cloud", "depth"]), SENSORS, st.integers(0, 10**6),
+    CHANGES, OPTIONS,
+)  # fmt: skip
+def one_station(
+    width: int, height: int, prior: str, sensor: Any, number: int, change: tuple[str, str], options: dict[str, Any]
+) -> None:
+    """A run of one station."""
+    with tempfile.TemporaryDirectory(prefix="malus-attack-") as folder:
+        chosen = malus.Options(fusion=options["fusion"])
+        for name, value in options.items():
+            if name != "fusion":
+                chosen.set(f"{name}={str(value).lower()}")
+        try:
+            station = write(Path(folder) / "station", width, height, prior, sensor, number, change)
+            result = malus.reconstruct(malus.Station.load(station), chosen, threads=2)
+        except malus.MalusError as error:
+            found[f"exit code {error.exit_code}"] += 1
+            return
+        assert result.quality is not None
+        level = result.quality["confidence"]["level"]
+        found[f"confidence {level}"] += 1
+        if level == "high":
+            share = share_beyond(result, station)
+            assert share <= LARGEST_SHARE_BEYOND, f"high confidence, {share:.1%} of the pixels beyond 3 sigma"
+
+
+def main() -> int:
+    """Attack for so many seconds; the exit code is 1 if there were findings."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=120)
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    end = time.monotonic() + arguments.seconds
+    findings = rounds = 0
+    while time.monotonic() < end:
+        # A few at a time: hypothesis knows no clock.
+        attack = settings(
+            max_examples=3, deadline=None, database=None, print_blob=False, phases=[Phase.generate],
+            suppress_health_check=list(HealthCheck),
+        )(seed(arguments.seed + rounds)(one_station))  # fmt: skip
+        rounds += 1
+        try:
+            attack()
+        except Exception as error:
+            findings += 1
+            print(f"FINDING: {type(error).__name__}: {error}\n  {getattr(error, '__notes__', '')}", flush=True)
+    print(f"{sum(found.values())} stations: {dict(found)}; {findings} findings")
+    return 1 if findings else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,152 @@
+// libFuzzer over every parser of users' files. One program, a target for each of its names (fuzz_ply, fuzz_station, …):
+// whatever the bytes are, a parser returns or throws malus::Error, in time and memory that the file's size bounds.
+
+#include <unistd.h>
+
+#include <array>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "malus/core/error.h"
+#include "malus/io/angles_of_names.h"
+#include "malus/io/colmap_model.h"
+#include "malus/io/file_glob_internal.h"
+#include "malus/io/image_file.h"
+#include "malus/io/point_cloud_file.h"
+#include "malus/io/polarized_files_internal.h"
+#include "malus/io/station_file.h"
+#include "malus/io/toml_json.h"
+#include "malus/io/workspace_internal.h"
+
+namespace malus {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// Folder in memory for the files of one process.
+const fs::path& folder() {
+  static const fs::path path = [] {
+    std::string name = "/dev/shm/malus-fuzz-XXXXXX";
+    if (::mkdtemp(name.data()) == nullptr) std::abort();
+    std::atexit([] { fs::remove_all(folder()); });
+    return fs::path(name);
+  }();
+  return path;
+}
+
+fs::path write(const std::string& name, std::string_view bytes) {
+  const fs::path path = folder() / name;
+  std::ofstream(path, std::ios::binary).write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
+  return path;
+}
+
+/// The input's parts, which this line separates.
+std::vector<std::string_view> parts_of(std::string_view input) {
+  constexpr std::string_view separator = "\n=====\n";
+  std::vector<std::string_view> parts;
+  for (std::size_t end = 0; (end = input.find(separator)) != std::string_view::npos;) {
+    parts.push_back(input.substr(0, end));
+    input.remove_prefix(end + separator.size());
+  }
+  parts.push_back(input);
+  return parts;
+}
+
+/// Runs one way to read; every other exception than ours ends the program.
+template <class Read>
+void attempt(Read&& read) {
+  try {
+    read();
+  } catch (const Error&) {
+  }
+}
+
+void read_colmap(std::string_view input, const std::string& extension) {
+  const std::vector<std::string_view> parts = parts_of(input);
+  const std::array<std::string, 3> names{"cameras", "images", "points3D"};
+  for (std::size_t k = 0; k < names.size(); ++k) write(names[k] + extension, k < parts.size() ? parts[k] : "");
+  attempt([] { read_colmap_model(folder()); });
+}
+
+void read_images(std::string_view input) {
+  const fs::path path = write("image", input);
+  attempt([&] { read_image_size(path); });
+  attempt([&] { read_image(path); });
+  attempt([&] { read_float_raster(path); });
+  attempt([&] { read_labels(path); });
+  attempt([&] { read_mask(path); });
+}
+
+void read_station(std::string_view input) {
+  static const bool has_inputs = [] {
+    fs::create_directories(folder() / "pol");
+    for (const char* name : {"pol/pol_000.png", "pol/pol_060.png", "pol/pol_120.png", "mask.png"})
+      write_png(folder() / name, Image<std::uint8_t>({8, 6}, 1, 255));
+    write("cloud.ply", "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+                       "end_header\n0 0 1\n");
+    return true;
+  }();
+  static_cast<void>(has_inputs);
+  const fs::path path = write("station.toml", input);
+  attempt([&] { read_station_file(path); });
+}
+
+/// A pattern, and names that it is tried on.
+void read_names(std::string_view input) {
+  const std::vector<std::string_view> parts = parts_of(input);
+  const std::string pattern(parts[0]);
+  const std::vector<fs::path> names(parts.begin() + 1, parts.end());
+  for (const fs::path& name : names) {
+    attempt([&] { angle_of_name(name, pattern, "pattern"); });
+    natural_less(pattern, name.string());
+  }
+  if (!names.empty()) attempt([&] { angles_of_names(names, "images", "otherwise"); });
+  attempt([&] { match_files(folder(), pattern, "images"); });
+}
+
+struct Target {
+  std::string_view name;
+  void (*read)(std::string_view input);
+};
+
+constexpr std::array targets{
+    Target{"ply", [](std::string_view input) { attempt([&] { read_cloud_or_mesh(write("cloud.ply", input)); }); }},
+    Target{"xyz", [](std::string_view input) { attempt([&] { read_point_cloud(write("cloud.xyz", input)); }); }},
+    Target{"toml", [](std::string_view input) { attempt([&] { read_toml_as_json(write("o.toml", input)); }); }},
+    Target{"station", read_station},
+    Target{"colmap_text", [](std::string_view input) { read_colmap(input, ".txt"); }},
+    Target{"colmap_binary", [](std::string_view input) { read_colmap(input, ".bin"); }},
+    Target{"colmap_map", [](std::string_view input) { attempt([&] { read_colmap_array(write("map.bin", input)); }); }},
+    Target{"image", read_images},
+    Target{"manifest",
+           [](std::string_view input) {
+             write("manifest.json", input);
+             attempt([] { Workspace::read_manifest(folder()); });
+           }},
+    Target{"names", read_names},
+};
+
+const Target* target = nullptr;
+
+}  // namespace
+}  // namespace malus
+
+extern "C" int LLVMFuzzerInitialize(int*, char*** arguments) {
+  const std::string program = std::filesystem::path((*arguments)[0]).filename();
+  for (const malus::Target& candidate : malus::targets) {
+    if (program == "fuzz_" + std::string(candidate.name)) malus::target = &candidate;
+  }
+  if (malus::target != nullptr) return 0;
+  std::fprintf(stderr, "%s: no target has that name\n", program.c_str());
+  std::exit(2);
+}
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+  malus::target->read({reinterpret_cast<const char*>(data), size});
+  return 0;
+}
