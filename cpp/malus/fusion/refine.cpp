@@ -173,6 +173,11 @@ void judge(const RefineReport& report, FusedSurface& surface) {
         "The reflection model does not explain the measured polarization: the median residual is " +
         std::to_string(report.median_residual) + " standard deviations.");
   }
+  if (report.eta_undetermined)
+    surface.warnings.push_back(
+        "optics.refractive_index = \"auto\": the data do not determine it (it runs to the end of its range, or parts "
+        "of "
+        "the object disagree), so 1.5 was taken; give the material's index if it is known.");
 }
 
 /// Distance beyond which the prior is better known than the integral of slopes, which are wrong in the mean by about
@@ -421,6 +426,7 @@ class Refiner {
                                                         mirrored_terms(options_), context_);
     image_.reflection.eta = fit.eta;
     report_.eta_sigma = fit.sigma;
+    report_.eta_undetermined = !fit.determined;
   }
 
   /// Share of the polarization that the reflection explains at the prior's slopes, in cells; copies the prior if asked.

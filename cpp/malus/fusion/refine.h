@@ -121,6 +121,7 @@ struct RefineReport {
   ReflectionModel reflection;  ///< with eta
   Surroundings surroundings;   ///< without radiance if they are not the model
   double eta_sigma = 0;
+  bool eta_undetermined = false;  ///< it was asked for, but the data do not tell it
   std::array<double, EnvironmentProfile::node_count> environment_sigma{};
   double lobe_strength_sigma = 0, lobe_roughness_sigma = 0, light_sigma_rad = 0;
   double mirror_body_sigma = 0, mirror_environment_sigma = 0;
