@@ -15,8 +15,10 @@ namespace malus {
 Json refine_report_json(const RefineReport& report);
 
 /// The figures under the names of the Quality structs, with the station's name, the polarizer's angles and exposures,
-/// after a refinement its findings, and what the photogrammetry says of itself; null = there is none.
+/// the share of clamped zeniths, after a refinement its findings, and what the photogrammetry says of itself; null =
+/// there is none.
 Json quality_json(const std::string& name, const Quality& quality, const PolarizerCalibration& polarizer,
-                  const RefinementFindings* refinement, const Photogrammetry* photogrammetry);
+                  const ClampedZeniths* clamped, const RefinementFindings* refinement,
+                  const Photogrammetry* photogrammetry);
 
 }  // namespace malus
