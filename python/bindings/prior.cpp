@@ -11,6 +11,22 @@
 #include "malus/station/options.h"
 
 namespace malus::python {
+namespace {
+
+/// The prior of a cloud, mesh or depth map.
+template <class Source>
+DepthPrior project(const Source& source, const Pinhole& camera, const Pose& pose,
+                   const std::optional<Array<std::uint8_t>>& mask_array, const std::string& options_json, int threads) {
+  const Options options = options_from_json({}, options_json);
+  const Mask mask = mask_array ? to_image(*mask_array) : Mask(camera.size, 1, 255);
+  DepthPrior prior;
+  run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+    prior = project_prior(source, camera, pose, mask, options.prior, context);
+  });
+  return prior;
+}
+
+}  // namespace
 
 void bind_prior(py::module_& module) {
   py::class_<Pinhole>(module, "Pinhole")
@@ -45,18 +61,27 @@ void bind_prior(py::module_& module) {
       .def_readonly("filled_fraction", &DepthPrior::filled_fraction);
 
   module.def("project_points",
-             [](const Array<double>& points, const Pinhole& camera, const Eigen::Matrix3d& rotation,
-                const Eigen::Vector3d& translation, const std::optional<Array<std::uint8_t>>& mask_array,
-                const std::string& options_json, int threads) {
-               const Options options = options_from_json({}, options_json);
-               const PointCloud cloud = to_cloud(points);
-               const Mask mask = mask_array ? to_image(*mask_array) : Mask(camera.size, 1, 255);
-               DepthPrior prior;
-               run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-                 prior = project_prior(cloud, camera, {rotation, translation}, mask, options.prior, context);
-               });
-               return prior;
+             [](const Array<double>& points, const std::optional<Array<float>>& normals, const Pinhole& camera,
+                const Eigen::Matrix3d& rotation, const Eigen::Vector3d& translation,
+                const std::optional<Array<std::uint8_t>>& mask, const std::string& options_json, int threads) {
+               PointCloud cloud = to_cloud(points);
+               if (normals) {
+                 const auto view = normals->unchecked<2>();
+                 for (py::ssize_t i = 0; i < normals->shape(0); ++i)
+                   cloud.normals.emplace_back(view(i, 0), view(i, 1), view(i, 2));
+               }
+               return project(cloud, camera, {rotation, translation}, mask, options_json, threads);
              });
+  module.def(
+      "project_mesh", [](const Array<double>& vertices, const Array<std::uint32_t>& triangles, const Pinhole& camera,
+                         const Eigen::Matrix3d& rotation, const Eigen::Vector3d& translation,
+                         const std::optional<Array<std::uint8_t>>& mask, const std::string& options_json, int threads) {
+        return project(to_mesh(vertices, triangles), camera, {rotation, translation}, mask, options_json, threads);
+      });
+  module.def("project_depth",
+             [](const Array<float>& depth, const Pinhole& camera, const std::optional<Array<std::uint8_t>>& mask,
+                const std::string& options_json,
+                int threads) { return project(to_image(depth), camera, Pose(), mask, options_json, threads); });
 }
 
 }  // namespace malus::python

@@ -15,6 +15,7 @@ from malus.camera import Camera
 from malus.errors import DataError, ExternalError, InputError, MalusError, ResourceError
 from malus.exports import export
 from malus.options import Options
+from malus.paper import merge_campaign, write_paper
 from malus.reconstruction import Progress, Result, check, reconstruct
 from malus.report import open_report, write_report
 from malus.station import Station
@@ -42,6 +43,7 @@ __all__ = [
     "fusion",
     "height",
     "import_station",
+    "merge_campaign",
     "open_report",
     "photogrammetry",
     "polarization",
@@ -49,5 +51,6 @@ __all__ = [
     "reconstruct",
     "stereo",
     "surface",
+    "write_paper",
     "write_report",
 ]

@@ -14,6 +14,8 @@ version: str
 
 def option_schema() -> str: ...
 def default_options() -> str: ...
+def preset_options(name: str) -> str: ...
+def presets() -> list[tuple[str, str]]: ...
 def check_options(json: str) -> str: ...
 def set_option(json: str, assignment: str) -> str: ...
 def options_from_file(json: str, path: str) -> str: ...
@@ -198,6 +200,29 @@ class FusedSurface:
 
 def demosaic(mosaic: Float32, threads: int) -> list[Float32]: ...
 def demosaic_color(mosaic: Float32, colors: str, threads: int) -> tuple[list[Float32], list[Float32]]: ...
+def linearize(image: Float32, response: str, black: float, white: float) -> Float32: ...
+def undistort(image: Float32, camera: CameraValues, threads: int) -> Float32: ...
+def fit_polarizer(
+    images: Sequence[Float32],
+    nominal_rad: Sequence[float],
+    mask: Bytes | None,
+    full_well_e: float,
+    read_noise_e: float,
+    frames_averaged: int,
+    options: str,
+    threads: int,
+) -> dict[str, Any]: ...
+def estimate_light(
+    intensity: Float32, normals: Float32, mask: Bytes | None, camera: Pinhole | None, options: str, threads: int
+) -> dict[str, Any]: ...
+def light_from_polarization(
+    state: PolarizationState,
+    reflection: ReflectionMap,
+    direction: Float64 | None,
+    camera: Pinhole | None,
+    options: str,
+    threads: int,
+) -> dict[str, Any]: ...
 def register_images(
     images: Sequence[Float32], options: str, frames_averaged: int, full_well_e: float, read_noise_e: float, threads: int
 ) -> list[dict[str, Any]]: ...
@@ -266,6 +291,7 @@ def check_size(points_in_cam: Float64, camera: Pinhole, unit: str) -> dict[str, 
 def angles_of_names(files: Sequence[Any], where: str, instead: str) -> list[float]: ...
 def project_points(
     points: Float64,
+    normals: Float32 | None,
     camera: Pinhole,
     rotation: Float64,
     translation: Float64,
@@ -273,6 +299,17 @@ def project_points(
     options: str,
     threads: int,
 ) -> DepthPrior: ...
+def project_mesh(
+    vertices: Float64,
+    triangles: NDArray[np.uint32],
+    camera: Pinhole,
+    rotation: Float64,
+    translation: Float64,
+    mask: Bytes | None,
+    options: str,
+    threads: int,
+) -> DepthPrior: ...
+def project_depth(depth: Float32, camera: Pinhole, mask: Bytes | None, options: str, threads: int) -> DepthPrior: ...
 def solve_height(
     state: PolarizationState,
     reflection: ReflectionMap,
@@ -319,6 +356,23 @@ def write_glb(
     name: str,
     threads: int,
 ) -> None: ...
+def section(
+    start: tuple[float, float],
+    end: tuple[float, float],
+    surface: Float32,
+    prior: Float32 | None,
+    camera: Pinhole,
+    gsd: float,
+    options: str,
+) -> dict[str, Any]: ...
+def compare_with_reference(
+    surface: FusedSurface,
+    vertices: Float64,
+    triangles: NDArray[np.uint32] | None,
+    gsd: float,
+    options: str,
+    threads: int,
+) -> dict[str, Any]: ...
 def fit_patch(
     depth: Float32, camera: Pinhole, x0: int, y0: int, x1: int, y1: int, gsd: float
 ) -> dict[str, float] | None: ...

@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import Colormap, ListedColormap
 from matplotlib.figure import Figure as Drawing
@@ -41,6 +42,8 @@ class Figure:
     picture: NDArray[np.uint8]
     header: Sequence[str]
     rows: Sequence[Sequence[Any]]
+    #: What the picture was drawn from, if it is wanted for print.
+    drawing: Drawing | None = None
 
     def png(self) -> bytes:
         """Picture as PNG."""
@@ -49,6 +52,16 @@ class Figure:
     def webp(self) -> bytes:
         """Picture as WebP, a fifth of the size, for the page."""
         return encode(self.picture, "WEBP", quality=86, method=2)
+
+    def vector(self, kind: str) -> bytes:
+        """The drawing as "svg" or "pdf", for print; the same bytes for the same data."""
+        if self.drawing is None:
+            raise ValueError(f"{self.name} was not drawn for print, expected Plates(…, for_print=True)")
+        buffer = io.BytesIO()
+        undated = {"Date": None} if kind == "svg" else {"CreationDate": None}
+        with rc_context({"svg.hashsalt": self.name, "svg.fonttype": "none", "pdf.fonttype": 42}):
+            self.drawing.savefig(buffer, format=kind, metadata=undated)
+        return buffer.getvalue()
 
     def csv(self) -> str:
         """Numbers as CSV; missing ones are empty."""
@@ -141,7 +154,8 @@ def _draw(drawing: Drawing) -> NDArray[np.uint8]:
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
 
 
-def _style(axes: Any) -> None:
+def style(axes: Any) -> None:
+    """Thin axes with a light grid."""
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     axes.tick_params(labelsize=8, color="#8a8f96")
@@ -165,8 +179,10 @@ class _Map:
 class Plates:
     """Draws the figures of one workspace."""
 
-    def __init__(self, workspace: Workspace) -> None:
+    def __init__(self, workspace: Workspace, *, for_print: bool = False) -> None:
+        """for_print: figures keep what they were drawn from, so that they can be had as SVG and PDF, too."""
         self.workspace = workspace
+        self.for_print = for_print
         self.quality = workspace.quality
         self.unit = str(self.quality["unit"])
         self.gsd = float(self.quality["gsd"])
@@ -199,6 +215,18 @@ class Plates:
             slice(max(0, rows[0] - margin), rows[-1] + 1 + margin),
             slice(max(0, columns[0] - margin), columns[-1] + 1 + margin),
         )
+
+    def figure(
+        self,
+        name: str,
+        title: str,
+        caption: str,
+        drawing: Drawing,
+        header: Sequence[str],
+        rows: Sequence[Sequence[Any]],
+    ) -> Figure:
+        """A figure of a drawing."""
+        return Figure(name, title, caption, _draw(drawing), header, rows, drawing if self.for_print else None)
 
     # ---- maps ----
 
@@ -234,11 +262,11 @@ class Plates:
         summary += (
             [float(p) for p in np.percentile(finite, _PERCENTILES)] if finite.size else [None] * len(_PERCENTILES)
         )
-        return Figure(
+        return self.figure(
             how.name,
             how.title,
             how.caption,
-            _draw(drawing),
+            drawing,
             ["map", "unit", "pixels", "mean", *(f"p{p:02d}" for p in _PERCENTILES)],
             [summary],
         )
@@ -306,6 +334,16 @@ class Plates:
                 np.degrees(self.raster(folder + "zenith.tif")),
                 _Map("zenith", "Zenith from the degree", "Angle of normal and viewing ray by Eq 7 or 8.", "magma", "°"),
             )
+        if self.workspace.has(folder + "clamped.png"):
+            labeled = self.thinned(folder + "label.png") > 0
+            yield self._map(
+                np.where(labeled, self.thinned(folder + "clamped.png") / np.float32(255), np.float32(np.nan)),
+                _Map(
+                    "clamped", "Zenith clamped",
+                    "Where the degree is beyond what its reflection can give, so that the zenith is the largest.",
+                    ListedColormap(["#d9dde2", "#d1495b"]), limits=(0, 1), ticks={0.25: "as measured", 0.75: "clamped"},
+                ),
+            )  # fmt: skip
         yield self._map(
             self.raster(folder + "residual.tif"),
             _Map(
@@ -410,8 +448,8 @@ class Plates:
 
     # ---- plots ----
 
-    def profile_lines(self) -> Figure:
-        """Where the sections run, on the picture they were taken from (Fig. 11)."""
+    def on_image(self) -> tuple[Drawing, Any]:
+        """A drawing that is the unpolarized image, and its axes in pixels of `raster`, to draw over it."""
         intensity = self.raster("polarization/unpolarized.tif")
         width = 6.4
         drawing = Drawing(figsize=(width, width * intensity.shape[0] / intensity.shape[1]))
@@ -420,6 +458,11 @@ class Plates:
         axes.imshow(intensity, cmap="gray", vmin=low, vmax=high)
         axes.set_axis_off()
         axes.set(xlim=(-0.5, intensity.shape[1] - 0.5), ylim=(intensity.shape[0] - 0.5, -0.5))
+        return drawing, axes
+
+    def profile_lines(self) -> Figure:
+        """Where the sections run, on the picture they were taken from (Fig. 11)."""
+        drawing, axes = self.on_image()
         rows = []
         for profile in self.quality["profiles"]:
             (u0, v0), (u1, v1) = profile["from_px"], profile["to_px"]
@@ -431,9 +474,9 @@ class Plates:
                 profile["name"], line[0], xytext=(6, 6), textcoords="offset points", color="white", fontsize=10,
                 bbox={"boxstyle": "round,pad=0.25", "fc": "#d1495b", "ec": "none"},
             )  # fmt: skip
-        return Figure(
+        return self.figure(
             "profile_lines", "Where the profiles run", "On the unpolarized image; the number stands at the start.",
-            _draw(drawing), ["profile", "from_u_px", "from_v_px", "to_u_px", "to_v_px"], rows,
+            drawing, ["profile", "from_u_px", "from_v_px", "to_u_px", "to_v_px"], rows,
         )  # fmt: skip
 
     def profiles(self) -> Iterator[Figure]:
@@ -441,29 +484,29 @@ class Plates:
         for number, profile in enumerate(self.quality["profiles"], 1):
             drawing = Drawing(figsize=(9.6, 4.2), layout="constrained")
             above, below = drawing.subplots(2, 1, sharex=True, height_ratios=(5, 2))
-            along = _values(profile["position"])
+            along = numbers(profile["position"])
             present = [name for name in COLORS if profile[name]]
             for name in present:
                 above.plot(
-                    along, _values(profile[name]), color=COLORS[name], lw=1.5 if name == "fused" else 1.1, label=name
+                    along, numbers(profile[name]), color=COLORS[name], lw=1.5 if name == "fused" else 1.1, label=name
                 )
             above.set_ylabel(f"height [{self.unit}]", fontsize=9)
             above.margins(x=0.01)
             above.legend(fontsize=8, frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
             if profile["prior"] and profile["fused"]:
-                difference = (_values(profile["fused"]) - _values(profile["prior"])) / self.gsd
+                difference = (numbers(profile["fused"]) - numbers(profile["prior"])) / self.gsd
                 below.fill_between(along, difference, color=COLORS["fused"], alpha=0.25, lw=0)
                 below.plot(along, difference, color=COLORS["fused"], lw=0.9)
             below.set_ylabel("fused − prior\n[GSD]", fontsize=9)
             below.set_xlabel(f"along the profile [{self.unit}]", fontsize=9)
             for axes in (above, below):
-                _style(axes)
+                style(axes)
             columns = [profile["position"], *(profile[name] for name in present)]
-            yield Figure(
+            yield self.figure(
                 f"profile_{number}", f"Profile {profile['name']}",
                 "Height above the chord of the fused section, towards the camera; polarization alone has no absolute height. "
                 "Below, what fusion changed.",
-                _draw(drawing), [f"position_{self.unit}", *(f"{name}_{self.unit}" for name in present)],
+                drawing, [f"position_{self.unit}", *(f"{name}_{self.unit}" for name in present)],
                 list(zip(*columns, strict=True)),
             )  # fmt: skip
 
@@ -488,7 +531,7 @@ class Plates:
             axes.set_xlim(low - 0.05 * (high - low), high + 0.05 * (high - low))
         axes.set_xlabel(axis, fontsize=9)
         axes.set_ylabel("share of pixels [%]", fontsize=9)
-        _style(axes)
+        style(axes)
         if notes:
             axes.legend(fontsize=8, frameon=False)
         rows = [
@@ -502,12 +545,12 @@ class Plates:
             for k, n in enumerate(histogram["counts"])
         ]
         header = ["surface", "from_gsd", "to_gsd", "count"]
-        return Figure(name, title, "Share of the pixels in each class of distance.", _draw(drawing), header, rows)
+        return self.figure(name, title, "Share of the pixels in each class of distance.", drawing, header, rows)
 
     def patches(self) -> Iterator[Figure]:
-        """Distances of flat patches to their fitted planes, prior and fused (Fig. 15)."""
+        """Distances of flat patches to their fitted planes (Fig. 15)."""
         for number, patch in enumerate(self.quality["patches"], 1):
-            fits = {name: patch[name] for name in ("prior", "fused") if patch[name] is not None}
+            fits = {name: patch[name] for name in COLORS if patch[name] is not None}
             if fits:
                 yield self._histogram(
                     f"patch_{number}",
@@ -518,5 +561,6 @@ class Plates:
                 )
 
 
-def _values(values: Sequence[float | None]) -> NDArray[np.float64]:
+def numbers(values: Sequence[float | None]) -> NDArray[np.float64]:
+    """Numbers of quality.json, NaN where there is none."""
     return np.array([np.nan if value is None else value for value in values], dtype=float)

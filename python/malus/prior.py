@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_mask
+from malus._arrays import as_image, as_mask
 from malus._core import DepthPrior, Pinhole
 from malus.options import Options
 
-__all__ = ["DepthPrior", "Pinhole", "project_points"]
+__all__ = ["DepthPrior", "Pinhole", "project_depth", "project_mesh", "project_points"]
 
 
 def project_points(
     points: ArrayLike,
     camera: Pinhole,
     *,
+    normals: ArrayLike | None = None,
     rotation: ArrayLike | None = None,
     translation: ArrayLike | None = None,
     mask: ArrayLike | None = None,
@@ -25,19 +26,82 @@ def project_points(
 ) -> DepthPrior:
     """Depth and its standard deviation in a camera's view from a cloud.
 
-    points: N×3, world frame. rotation (3×3), translation (3): x_in_cam = R x + t; left out = the camera frame is the world.
+    points: N×3, world frame. normals: N×3, away from the object, or none. rotation (3×3), translation (3): x_in_cam = R x + t; left out = the camera frame is the world.
     mask: H×W, non-zero = object. Hidden points and outliers are removed; gaps are filled; the smoothing is chosen from the
     points' scatter. Returns `depth` and `sigma` (H×W float32, NaN outside the mask).
     """
     cloud = np.ascontiguousarray(points, dtype=np.float64)
     if cloud.ndim != 2 or cloud.shape[1] != 3:
         raise ValueError(f"points has shape {cloud.shape}, expected (N, 3)")
+    directions = None
+    if normals is not None:
+        directions = np.ascontiguousarray(normals, dtype=np.float32)
+        if directions.shape != cloud.shape:
+            raise ValueError(f"normals has shape {directions.shape}, expected {cloud.shape} as the points")
     return _core.project_points(
         cloud,
+        directions,
         camera,
-        np.asarray(np.eye(3) if rotation is None else rotation, dtype=np.float64),
-        np.asarray(np.zeros(3) if translation is None else translation, dtype=np.float64),
+        *_pose(rotation, translation),
         None if mask is None else as_mask(mask, (camera.height, camera.width)),
         (options or Options()).to_json(),
         threads,
+    )
+
+
+def project_mesh(
+    vertices: ArrayLike,
+    triangles: ArrayLike,
+    camera: Pinhole,
+    *,
+    rotation: ArrayLike | None = None,
+    translation: ArrayLike | None = None,
+    mask: ArrayLike | None = None,
+    options: Options | None = None,
+    threads: int = 1,
+) -> DepthPrior:
+    """The same of a mesh: vertices N×3 (world frame), triangles M×3 (indices). Holes are filled from their surroundings."""
+    corners = np.ascontiguousarray(vertices, dtype=np.float64)
+    faces = np.ascontiguousarray(triangles, dtype=np.int64)
+    for name, array in (("vertices", corners), ("triangles", faces)):
+        if array.ndim != 2 or array.shape[1] != 3:
+            raise ValueError(f"{name} has shape {array.shape}, expected (N, 3)")
+    if faces.size and not (faces.min() >= 0 and faces.max() < len(corners)):
+        raise ValueError(f"triangles has indices from {faces.min()} to {faces.max()}, expected 0 to {len(corners) - 1}")
+    return _core.project_mesh(
+        corners,
+        faces.astype(np.uint32),
+        camera,
+        *_pose(rotation, translation),
+        None if mask is None else as_mask(mask, (camera.height, camera.width)),
+        (options or Options()).to_json(),
+        threads,
+    )
+
+
+def project_depth(
+    depth: ArrayLike,
+    camera: Pinhole,
+    *,
+    mask: ArrayLike | None = None,
+    options: Options | None = None,
+    threads: int = 1,
+) -> DepthPrior:
+    """The same of a depth map (H×W, z in the camera, NaN = none), whose holes on the object are filled."""
+    raster = as_image(depth, "depth")
+    if raster.shape != (camera.height, camera.width):
+        raise ValueError(f"depth has shape {raster.shape}, expected {(camera.height, camera.width)} as the camera")
+    return _core.project_depth(
+        raster,
+        camera,
+        None if mask is None else as_mask(mask, (camera.height, camera.width)),
+        (options or Options()).to_json(),
+        threads,
+    )
+
+
+def _pose(rotation: ArrayLike | None, translation: ArrayLike | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return (
+        np.asarray(np.eye(3) if rotation is None else rotation, dtype=np.float64),
+        np.asarray(np.zeros(3) if translation is None else translation, dtype=np.float64),
     )
