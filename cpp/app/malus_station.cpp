@@ -24,6 +24,7 @@
 
 #include "malus/core/version.h"
 #include "malus/station/options.h"
+#include "malus/station/presets_internal.h"
 #include "malus/station/reconstruct.h"
 
 namespace {
@@ -35,7 +36,7 @@ std::atomic<bool> interrupted{false};
 static_assert(std::atomic<bool>::is_always_lock_free, "the signal handler sets this flag");
 
 struct Arguments {
-  std::string station, workspace, fusion, options_file, until, reference;
+  std::string station, workspace, fusion, preset, options_file, until, reference;
   std::vector<std::string> assignments;
   int threads = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
   bool json = false, quiet = false, replace = false;
@@ -84,7 +85,7 @@ class Reporter {
 };
 
 malus::Options read_options(const Arguments& arguments) {
-  malus::Options options;
+  malus::Options options = arguments.preset.empty() ? malus::Options() : malus::preset_options(arguments.preset);
   if (!arguments.options_file.empty()) options = malus::options_from_file(options, arguments.options_file);
   for (const std::string& assignment : arguments.assignments) malus::set_option(options, assignment);
   if (!arguments.fusion.empty()) malus::set_option(options, "fusion=" + arguments.fusion);
@@ -205,6 +206,7 @@ int main(int argc, char** argv) {
   app.add_option("-o,--output", arguments.workspace, "workspace folder")->required()->type_name("WORK");
   app.add_option("--fusion", arguments.fusion, "the paper's transfer, or the refinement (default)")
       ->check(CLI::IsMember({"grid", "refined"}));
+  app.add_option("--preset", arguments.preset, "start from a named set of options: paper")->type_name("NAME");
   app.add_option("--until", arguments.until, "the step to run, after those it needs")->type_name("STEP");
   app.add_option("--reference", arguments.reference, "compare with this cloud or mesh")->type_name("SCAN.ply");
   app.add_option("--set", arguments.assignments, "any option of any step")->type_name("SECTION.KEY=VALUE")->take_all();

@@ -1,11 +1,61 @@
+#include <pybind11/stl.h>
+
 #include "arrays.h"
 #include "bindings.h"
 #include "cameras.h"
+#include "clouds.h"
+#include "interruptible.h"
+#include "malus/assess/comparison.h"
 #include "malus/assess/patches.h"
+#include "malus/assess/profiles.h"
+#include "malus/station/options.h"
 
 namespace malus::python {
 
 void bind_assess(py::module_& module) {
+  module.def("section", [](const std::array<double, 2>& from, const std::array<double, 2>& to,
+                           const Array<float>& surface, const std::optional<Array<float>>& prior,
+                           const RasterView& view, double gsd, const std::string& options_json) {
+    const Options options = options_from_json({}, options_json);
+    const Image<float> before = prior ? to_image(*prior) : Image<float>();
+    const ProfileFigures profile =
+        section({"profile", from, to}, before, {}, to_image(surface), view.camera, gsd, options.assess, {});
+    py::dict result;
+    result["status"] = profile.status;
+    result["position"] = profile.position;
+    result["surface"] = profile.fused;
+    result["prior"] = profile.prior;
+    result["roughness_gsd"] = profile.roughness_fused_gsd;
+    result["difference_rms_gsd"] = profile.fused_minus_prior.rms_gsd;
+    return result;
+  });
+  module.def("compare_with_reference", [](const FusedSurface& surface, const Array<double>& vertices,
+                                          const std::optional<Array<std::uint32_t>>& triangles, double gsd,
+                                          const std::string& options_json, int threads) {
+    const Options options = options_from_json({}, options_json);
+    TriangleMesh reference;
+    if (triangles)
+      reference = to_mesh(vertices, *triangles);
+    else
+      reference.vertices = to_cloud(vertices);
+    ReferenceComparison comparison;
+    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+      comparison = compare_with_reference(surface, reference, gsd, options.assess, context);
+    });
+    py::dict result;
+    result["status"] = comparison.status;
+    result["compared_fraction"] = comparison.compared_fraction;
+    result["rmse_gsd"] = comparison.distance_gsd.rmse;
+    result["mad_gsd"] = comparison.distance_gsd.mad;
+    result["median_gsd"] = comparison.distance_gsd.median;
+    py::dict motion;
+    motion["scale"] = comparison.reference_from_surface.scale;
+    motion["rotation"] = comparison.reference_from_surface.rotation;
+    motion["translation"] = comparison.reference_from_surface.translation;
+    result["reference_from_surface"] = motion;
+    result["distance"] = to_array(std::move(comparison.distance));
+    return result;
+  });
   module.def("fit_patch",
              [](const Array<float>& depth_array, const RasterView& view, int x0, int y0, int x1, int y1,
                 double gsd) -> py::object {

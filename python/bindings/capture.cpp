@@ -3,15 +3,40 @@
 
 #include "arrays.h"
 #include "bindings.h"
+#include "cameras.h"
 #include "interruptible.h"
 #include "malus/capture/mosaic_internal.h"
 #include "malus/capture/registration.h"
+#include "malus/capture/resampling.h"
+#include "malus/capture/response_internal.h"
 #include "malus/capture/select_object_internal.h"
 #include "malus/station/options.h"
 
 namespace malus::python {
 
 void bind_capture(py::module_& module) {
+  module.def("linearize", [](const Array<float>& image, const std::string& response, double black, double white) {
+    RawImage raw{to_image(image), 32, true, white};
+    PolarizedSpec spec;
+    spec.black_level = black;
+    spec.white_level = white;
+    const Levels levels = levels_of(raw, spec, 1, "image");
+    return to_array(raw.pixels.channels() == 3 ? linearize_color(raw, response_curve(response, "response"), levels, {})
+                                               : linearize(std::move(raw), response_curve(response, "response"), levels,
+                                                           channel_weights(spec), "image", {})
+                                                     .intensity);
+  });
+  module.def("undistort", [](const Array<float>& array, const CameraValues& values, int threads) {
+    const LensCamera lens = to_camera(values, "camera").first;
+    const Image<float> image = to_image(array);
+    require_size(image, lens.size, "image");
+    Resampled flat;
+    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+      flat = resample(image, lens.size, ResamplingMap(lens, identity_affine()), Interpolation::bicubic, context);
+    });
+    return to_array(std::move(flat.image));
+  });
+
   module.def("demosaic", [](const Array<float>& mosaic, int threads) {
     const Image<float> image = to_image(mosaic);
     std::array<Image<float>, 4> channels;

@@ -7,9 +7,23 @@
 #include "bindings.h"
 #include "cameras.h"
 #include "interruptible.h"
+#include "malus/lighting/light_from_polarization_internal.h"
 #include "malus/station/options.h"
 
 namespace malus::python {
+namespace {
+
+py::dict light_to_dict(const LightEstimate& light) {
+  py::dict result;
+  result["status"] = std::string(enum_name(light.status));
+  result["light"] = light.coefficients;
+  result["rms"] = light.rms;
+  result["robust_sigma"] = light.robust_sigma;
+  result["pixels"] = light.pixels;
+  return result;
+}
+
+}  // namespace
 
 void bind_height(py::module_& module) {
   py::class_<HeightMap>(module, "HeightMap")
@@ -18,6 +32,30 @@ void bind_height(py::module_& module) {
       .def_readonly("light", &HeightMap::light)
       .def_readonly("status", &HeightMap::status)
       .def_readonly("residual_rms", &HeightMap::residual_rms);
+  module.def("estimate_light", [](const Array<float>& intensity, const Array<float>& normals,
+                                  const std::optional<Array<std::uint8_t>>& mask_array,
+                                  const std::optional<RasterView>& view, const std::string& options_json, int threads) {
+    const Options options = options_from_json({}, options_json);
+    const Image<float> image = to_image(intensity);
+    const Mask mask = mask_array ? to_image(*mask_array) : Mask(image.size(), 1, 255);
+    LightEstimate light;
+    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+      light = estimate_light(image, to_image(normals), mask, view ? &view->camera : nullptr, options.light, context);
+    });
+    return light_to_dict(light);
+  });
+  module.def("light_from_polarization", [](const PolarizationState& state, const ReflectionMap& reflection,
+                                           const std::optional<Eigen::Vector3d>& direction,
+                                           const std::optional<RasterView>& view, const std::string& options_json,
+                                           int threads) {
+    const Options options = options_from_json({}, options_json);
+    LightEstimate light;
+    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+      light =
+          light_from_polarization(state, reflection, direction, view ? &view->camera : nullptr, options.light, context);
+    });
+    return light_to_dict(light);
+  });
   module.def("solve_height",
              [](const PolarizationState& state, const ReflectionMap& reflection, const std::optional<RasterView>& view,
                 const std::optional<Eigen::Vector4d>& light, const std::optional<Array<float>>& normals_array,

@@ -6,6 +6,7 @@
 #include "interruptible.h"
 #include "malus/polarization/decompose.h"
 #include "malus/polarization/fresnel.h"
+#include "malus/polarization/polarizer_fit.h"
 #include "malus/polarization/reflection.h"
 #include "malus/station/options.h"
 
@@ -67,6 +68,28 @@ void bind_polarization(py::module_& module) {
       .def_property_readonly("exposures", [](const PolarizationState& s) { return s.exposures; });
   bind_decompose<float>(module, "decompose");
   bind_decompose<std::uint16_t>(module, "decompose_16_bit");
+
+  module.def("fit_polarizer",
+             [](const std::vector<Array<float>>& arrays, const std::vector<double>& nominal_rad,
+                const std::optional<Array<std::uint8_t>>& mask_array, double full_well_e, double read_noise_e,
+                int frames_averaged, const std::string& options_json, int threads) {
+               const Options options = options_from_json({}, options_json);
+               const NoiseModel noise{full_well_e, read_noise_e, 0, frames_averaged};
+               std::vector<Image<float>> images;
+               for (const auto& array : arrays) images.push_back(to_image(array));
+               const Mask mask = mask_array ? to_image(*mask_array) : Mask(images.at(0).size(), 1, 255);
+               PolarizerFit fit;
+               run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+                 fit = fit_polarizer(images, nominal_rad, noise, mask, {}, options.polarizer, context);
+               });
+               py::dict result;
+               result["angles_rad"] = fit.angles_rad;
+               result["gains"] = fit.gains;
+               result["residual_before"] = fit.residual_before;
+               result["residual_after"] = fit.residual_after;
+               result["improvement"] = fit.improvement();
+               return result;
+             });
 
   py::class_<ReflectionMap>(module, "ReflectionMap")
       .def_property_readonly("label", [](const ReflectionMap& r) { return copy_to_array(r.label); })

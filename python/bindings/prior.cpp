@@ -10,6 +10,22 @@
 #include "malus/station/options.h"
 
 namespace malus::python {
+namespace {
+
+/// The prior of a cloud, mesh or depth map.
+template <class Source>
+DepthPrior project(const Source& source, const RasterView& view, const std::optional<Array<std::uint8_t>>& mask_array,
+                   const std::string& options_json, int threads) {
+  const Options options = options_from_json({}, options_json);
+  const Mask mask = mask_array ? to_image(*mask_array) : Mask(view.camera.size, 1, 255);
+  DepthPrior prior;
+  run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+    prior = project_prior(source, view.camera, view.pose, mask, options.prior, context);
+  });
+  return prior;
+}
+
+}  // namespace
 
 void bind_prior(py::module_& module) {
   py::class_<DepthPrior>(module, "DepthPrior")
@@ -35,16 +51,24 @@ void bind_prior(py::module_& module) {
       .def_readonly("filled_fraction", &DepthPrior::filled_fraction);
 
   module.def("project_points",
-             [](const Array<double>& points, const RasterView& view,
-                const std::optional<Array<std::uint8_t>>& mask_array, const std::string& options_json, int threads) {
-               const Options options = options_from_json({}, options_json);
-               const PointCloud cloud = to_cloud(points);
-               const Mask mask = mask_array ? to_image(*mask_array) : Mask(view.camera.size, 1, 255);
-               DepthPrior prior;
-               run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-                 prior = project_prior(cloud, view.camera, view.pose, mask, options.prior, context);
-               });
-               return prior;
+             [](const Array<double>& points, const std::optional<Array<float>>& normals, const RasterView& view,
+                const std::optional<Array<std::uint8_t>>& mask, const std::string& options_json, int threads) {
+               PointCloud cloud = to_cloud(points);
+               if (normals) {
+                 const auto rows = normals->unchecked<2>();
+                 for (py::ssize_t i = 0; i < normals->shape(0); ++i)
+                   cloud.normals.emplace_back(rows(i, 0), rows(i, 1), rows(i, 2));
+               }
+               return project(cloud, view, mask, options_json, threads);
+             });
+  module.def("project_mesh",
+             [](const Array<double>& vertices, const Array<std::uint32_t>& triangles, const RasterView& view,
+                const std::optional<Array<std::uint8_t>>& mask, const std::string& options_json,
+                int threads) { return project(to_mesh(vertices, triangles), view, mask, options_json, threads); });
+  module.def("project_depth",
+             [](const Array<float>& depth, const RasterView& view, const std::optional<Array<std::uint8_t>>& mask,
+                const std::string& options_json, int threads) {
+               return project(to_image(depth), RasterView{view.camera, Pose()}, mask, options_json, threads);
              });
 }
 

@@ -11,6 +11,7 @@
 #include "malus/io/workspace_internal.h"
 #include "malus/station/check.h"
 #include "malus/station/options.h"
+#include "malus/station/presets_internal.h"
 #include "malus/station/reconstruct.h"
 
 namespace malus::python {
@@ -135,6 +136,13 @@ py::dict to_dict(const std::shared_ptr<Results>& run, const Pose& pose) {
 void bind_station(py::module_& module) {
   module.def("option_schema", &option_schema_json);
   module.def("default_options", [] { return options_to_json({}); });
+  module.def("preset_options", [](const std::string& name) { return options_to_json(preset_options(name)); });
+  module.def("presets", [] {
+    py::list all;
+    for (const Preset& preset : presets())
+      all.append(py::make_tuple(std::string(preset.name), std::string(preset.meaning)));
+    return all;
+  });
   module.def("check_options", [](const std::string& json) { return options_to_json(options_from_json({}, json)); });
   module.def("set_option", [](const std::string& json, const std::string& assignment) {
     Options options = options_from_json({}, json);

@@ -19,6 +19,7 @@ from malus.camera import Camera  # noqa: E402
 from malus.errors import DataError, ExternalError, InputError, MalusError, ResourceError  # noqa: E402
 from malus.exports import export  # noqa: E402
 from malus.options import Options  # noqa: E402
+from malus.paper import merge_campaign, write_paper  # noqa: E402
 from malus.reconstruction import Progress, check, reconstruct  # noqa: E402
 from malus.report import open_report, write_report  # noqa: E402
 from malus.result import Confidence, Result  # noqa: E402
@@ -48,6 +49,7 @@ __all__ = [
     "fusion",
     "height",
     "import_station",
+    "merge_campaign",
     "open_report",
     "photogrammetry",
     "polarization",
@@ -55,5 +57,6 @@ __all__ = [
     "reconstruct",
     "stereo",
     "surface",
+    "write_paper",
     "write_report",
 ]

@@ -1,14 +1,19 @@
-"""Figures that can be defended: plane fits on flat patches."""
+"""Figures that can be defended: plane fits on flat patches, sections, distances to a reference."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from malus import _core
 from malus._arrays import as_image
+from malus._core import FusedSurface
 from malus.camera import Camera
+from malus.options import Options
+from malus.threads import ALL_CORES
 
 
 def fit_patch(depth: ArrayLike, camera: Camera, box: Sequence[int], gsd: float) -> dict[str, float] | None:
@@ -20,3 +25,57 @@ def fit_patch(depth: ArrayLike, camera: Camera, box: Sequence[int], gsd: float) 
         raise ValueError(f"box has {len(box)} numbers, expected 4: x0, y0, x1, y1")
     x0, y0, x1, y1 = (int(value) for value in box)
     return _core.fit_patch(as_image(depth, "depth"), camera, x0, y0, x1, y1, gsd)
+
+
+def profile(
+    depth: ArrayLike,
+    camera: Camera,
+    start: Sequence[float],
+    end: Sequence[float],
+    gsd: float,
+    *,
+    prior: ArrayLike | None = None,
+    options: Options | None = None,
+) -> dict[str, Any]:
+    """Section through a depth map along a line of the image, pixels (u, v) to (u, v) (Fig. 12 and 13).
+
+    Returns `position` along the chord and heights of the `surface` and the `prior` above it (unit of depth, NaN = none; empty
+    without a prior), `roughness_gsd`, `difference_rms_gsd` to the prior, and `status`.
+    """
+    if len(start) != 2 or len(end) != 2:
+        raise ValueError(f"start and end have {len(start)} and {len(end)} numbers, expected 2: u, v")
+    return _core.section(
+        (float(start[0]), float(start[1])),
+        (float(end[0]), float(end[1])),
+        as_image(depth, "depth"),
+        None if prior is None else as_image(prior, "prior"),
+        camera,
+        gsd,
+        (options or Options()).to_json(),
+    )
+
+
+def compare(
+    surface: FusedSurface,
+    vertices: ArrayLike,
+    gsd: float,
+    *,
+    triangles: ArrayLike | None = None,
+    options: Options | None = None,
+    threads: int = ALL_CORES,
+) -> dict[str, Any]:
+    """Signed distances of a surface to a reference in the world frame: a cloud (N×3), or a mesh with its triangles (M×3).
+
+    Returns `distance` (H×W, unit of the surface, positive = in front of the reference, NaN = not compared), `rmse_gsd`, `mad_gsd`,
+    `median_gsd`, `compared_fraction`, `status`, and `reference_from_surface` (scale, rotation by rows, translation). `assess.alignment` moves the surface onto the reference first.
+    """
+    points = np.ascontiguousarray(vertices, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"vertices has shape {points.shape}, expected (N, 3)")
+    faces = None
+    if triangles is not None:
+        indices = np.ascontiguousarray(triangles, dtype=np.int64)
+        if indices.ndim != 2 or indices.shape[1] != 3 or indices.min() < 0 or indices.max() >= len(points):
+            raise ValueError(f"triangles has shape {indices.shape}, expected (M, 3) indices of the vertices")
+        faces = indices.astype(np.uint32)
+    return _core.compare_with_reference(surface, points, faces, gsd, (options or Options()).to_json(), threads)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
 from malus._arrays import as_image, as_images
+from malus.camera import Camera
 from malus.options import Options
 from malus.threads import ALL_CORES
 
@@ -41,6 +42,24 @@ def demosaic(mosaic: ArrayLike, *, colors: str | None = None, threads: int = ALL
     channels, ratios = _core.demosaic_color(image, colors, threads)
     factors = np.stack(ratios, axis=-1)
     return [channel[..., None] * factors for channel in channels]
+
+
+def linearize(
+    image: ArrayLike, *, response: str = "linear", black_level: float = 0.0, white_level: float = 1.0
+) -> NDArray[np.float32]:
+    """Linear intensities, [0, 1] of the white level, of digital numbers (H×W, or H×W×3, whose colours stay apart).
+
+    response: "linear", "srgb", "gamma:X", or the path of a lookup table (docs/station-file.md).
+    """
+    pixels = np.ascontiguousarray(image, dtype=np.float32)
+    if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3):
+        raise ValueError(f"image has shape {pixels.shape}, expected (H, W) or (H, W, 3)")
+    return _core.linearize(pixels, response, float(black_level), float(white_level))
+
+
+def undistort(image: ArrayLike, camera: Camera, *, threads: int = 1) -> NDArray[np.float32]:
+    """The image (H×W) as a camera of the same focal length without distortion sees it; NaN where it has nothing."""
+    return _core.undistort(as_image(image, "image"), camera.values(), threads)
 
 
 def register(

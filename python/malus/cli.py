@@ -15,7 +15,7 @@ import malus
 from malus import _core, batch, m3c2, studio
 from malus._files import require_utf8
 from malus.campaign import Campaign
-from malus.demo import example_station
+from malus.demo import EXAMPLES, example_station
 from malus.errors import InputError, ending_of
 from malus.exports import FORMATS, MESHES
 from malus.options import MAIN
@@ -67,6 +67,7 @@ def _parser() -> argparse.ArgumentParser:
     common.add_argument(
         "--fusion", choices=["grid", "refined"], help="the paper's transfer, or the refinement (default)"
     )
+    common.add_argument("--preset", metavar="NAME", help="start from a named set of options: paper")
     common.add_argument("--json", action="store_true", help="one JSON object a progress event on standard output")
     common.add_argument("--quiet", action="store_true", help="errors, warnings and a confidence that is not high only")
 
@@ -87,14 +88,33 @@ def _parser() -> argparse.ArgumentParser:
         )
 
     run = add("run", "the whole job: station file in, workspace with mesh, figures and report out")
-    demo = add("demo", "the same on the example that ships with malus", station=False, work=False)
+    demo = add("demo", "the same on an example that ships with malus", station=False, work=False)
+    demo.add_argument(
+        "example",
+        nargs="?",
+        default="relief",
+        choices=list(EXAMPLES),
+        help="default: relief",
+        metavar="|".join(EXAMPLES),
+    )
     work_of(demo, default=Path("malus-demo"), help="workspace folder, default: malus-demo")
+    paper = add(
+        "paper",
+        "the method of the paper as printed, with its figures and tables in WORK/paper",
+        station=False,
+        work=False,
+    )
+    paper.add_argument("station", nargs="?", type=Path, metavar="STATION.toml")
+    paper.add_argument(
+        "--campaign", nargs="+", type=Path, metavar="WORK", help="one table of these workspaces, in the folder of -o"
+    )
+    work_of(paper, required=True, help="workspace folder, or folder for the merged tables")
     add("check", "read everything, say what would be done, what it would take and what is wrong", work=False)
     steps = {name: add(name, text) for name, (_, _, text) in STEP_COMMANDS.items()}
     for name, (until, fusion, _) in STEP_COMMANDS.items():
         steps[name].formatter_class = argparse.RawDescriptionHelpFormatter
         steps[name].epilog = _leaves(until, fusion)
-    for command in (run, steps["assess"]):
+    for command in (run, paper, steps["assess"]):
         command.add_argument("--reference", type=Path, metavar="SCAN.ply", help="compare with this cloud or mesh")
         command.add_argument("--m3c2", action="store_true", help="compare with the reference by M3C2 too (py4dgeo)")
     report = add("report", "rebuild the report of a workspace", station=False, work=False)
@@ -143,6 +163,13 @@ def _parser() -> argparse.ArgumentParser:
     local.add_argument("--no-browser", action="store_true", help="print the address only")
     options = commands.add_parser("options", help="list every option with its default and meaning")
     options.add_argument("--main", action="store_true", help="only the dozen that matter most")
+    options.add_argument(
+        "--preset",
+        nargs="?",
+        const="",
+        metavar="NAME",
+        help="what a preset changes; without a name, what presets there are",
+    )
     options.set_defaults(json=False, quiet=False)
     return parser
 
@@ -161,7 +188,9 @@ def _view(args: argparse.Namespace) -> ProgressView:
 
 
 def _options(args: argparse.Namespace, start: malus.Options | None = None) -> malus.Options:
-    options = start or malus.Options()
+    if start is not None and args.preset:
+        raise InputError("--preset: a campaign's options stand in its file, [options]")
+    options = start or (malus.Options.preset(args.preset) if args.preset else malus.Options())
     if args.options:
         options.update_from_file(args.options)
     for assignment in args.set:
@@ -199,6 +228,9 @@ def _reconstruct(
             view.progress("m3c2", 0.0, "")
             m3c2.compare(args.output, args.reference)
             view.progress("m3c2", 1.0, "")
+        if args.command == "paper":
+            view.progress("paper", 0.0, "")
+            view.progress("paper", 1.0, str(malus.write_paper(args.output)))
         if until is None:
             view.progress("report", 0.0, "")
             page = malus.write_report(args.output)
@@ -284,14 +316,39 @@ def _batch(args: argparse.Namespace) -> None:
         raise failed
 
 
+def _list_options(preset: str | None, *, main_only: bool) -> None:
+    if preset == "":
+        for name, meaning in malus.Options.presets().items():
+            print(f"{name}\n    {meaning}")
+        return
+    values = (malus.Options() if preset is None else malus.Options.preset(preset)).to_dict()
+    defaults = malus.Options().to_dict()
+    if preset is not None and values["fusion"] != defaults["fusion"]:
+        print(f"fusion = {json.dumps(values['fusion'])}")
+    for name, kind, default, meaning in malus.Options.describe():
+        section, key = name.split(".")
+        value = values[section][key]
+        if (preset is None or value != defaults[section][key]) and (name in MAIN or not main_only):
+            print(f"{name} = {json.dumps(default if preset is None else value)}  ({kind})\n    {meaning}")
+
+
+def _paper(args: argparse.Namespace) -> None:
+    if (args.station is None) == (args.campaign is None):
+        raise InputError("malus paper: expected either STATION.toml or --campaign WORK…")
+    if args.campaign is not None:
+        for path in malus.merge_campaign(args.campaign, args.output):
+            print(path)
+        return
+    args.preset = args.preset or "paper"
+    _reconstruct(args, args.station)
+
+
 def _run(arguments: Sequence[str] | None) -> None:
     for text in sys.argv[1:] if arguments is None else arguments:
         require_utf8(text)
     args = _parser().parse_args(arguments)
     if args.command == "options":
-        for name, kind, default, meaning in malus.Options.describe():
-            if name in MAIN or not args.main:
-                print(f"{name} = {json.dumps(default)}  ({kind})\n    {meaning}")
+        _list_options(args.preset, main_only=args.main)
         return
     if args.command == "import":
         print(
@@ -338,7 +395,9 @@ def _run(arguments: Sequence[str] | None) -> None:
     elif args.command == "batch":
         _batch(args)
     elif args.command == "demo":
-        _reconstruct(args, example_station())
+        _reconstruct(args, example_station(args.example))
+    elif args.command == "paper":
+        _paper(args)
     else:
         _reconstruct(args, args.station, *STEP_COMMANDS.get(args.command, (None, None))[:2])
 

@@ -1,13 +1,21 @@
-"""Where the example station is that ships with the project."""
+"""Where the example stations are that ship with the project."""
 
 from pathlib import Path
 
 from malus.errors import InputError
 
+#: Examples by name, with what they are.
+EXAMPLES = {
+    "relief": "carved, textured stone in the sun",
+    "bust": "head of one colour in the sun",
+    "coin": "black-lacquered coin under a softbox",
+    "glass": "black glass with facets and engravings",
+}
 
-def example_station() -> Path:
-    """Path of the demo's station file, installed beside this module."""
-    path = Path(__file__).parent / "examples" / "relief" / "station.toml"
+
+def example_station(name: str = "relief") -> Path:
+    """Path of an example's station file, installed beside this module."""
+    path = Path(__file__).parent / "examples" / name / "station.toml"
     if not path.exists():
         raise InputError(f"{path}: the example is missing from this installation of malus")
     return path

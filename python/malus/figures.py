@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import Colormap, ListedColormap
 from matplotlib.figure import Figure as Drawing
@@ -48,6 +49,8 @@ class Figure:
     picture: NDArray[np.uint8]
     header: Sequence[str]
     rows: Sequence[Sequence[Any]]
+    #: What the picture was drawn from, if it is wanted for print.
+    drawing: Drawing | None = None
     #: What is seen, for those who do not see it; "" = title and caption say it.
     seen: str = ""
 
@@ -63,6 +66,16 @@ class Figure:
     def webp(self) -> bytes:
         """Picture as WebP, a fifth of the size, for the page."""
         return encode(self.picture, "WEBP", quality=86, method=2)
+
+    def vector(self, kind: str) -> bytes:
+        """The drawing as "svg" or "pdf", for print; the same bytes for the same data."""
+        if self.drawing is None:
+            raise ValueError(f"{self.name} was not drawn for print, expected Plates(…, for_print=True)")
+        buffer = io.BytesIO()
+        undated = {"Date": None} if kind == "svg" else {"CreationDate": None}
+        with rc_context({"svg.hashsalt": self.name, "svg.fonttype": "none", "pdf.fonttype": 42}):
+            self.drawing.savefig(buffer, format=kind, metadata=undated)
+        return buffer.getvalue()
 
     def csv(self) -> str:
         """Numbers as CSV; missing ones are empty."""
@@ -163,7 +176,8 @@ def _spread(values: NDArray[Any], label: str) -> str:
     return f" Nine tenths of the values lie between {low} and {high} {label}, half of them below {middle} {label}."
 
 
-def _style(axes: Any) -> None:
+def style(axes: Any) -> None:
+    """Thin axes with a light grid."""
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     axes.tick_params(labelsize=_LETTERS_PT, color="#8a8f96")
@@ -187,8 +201,10 @@ class _Map:
 class Plates:
     """Draws the figures of one workspace."""
 
-    def __init__(self, workspace: Workspace) -> None:
+    def __init__(self, workspace: Workspace, *, for_print: bool = False) -> None:
+        """for_print: figures keep what they were drawn from, so that they can be had as SVG and PDF, too."""
         self.workspace = workspace
+        self.for_print = for_print
         self.quality = workspace.quality
         self.unit = str(self.quality["unit"])
         self.gsd = float(self.quality["gsd"])
@@ -225,6 +241,19 @@ class Plates:
             slice(max(0, rows[0] - margin), rows[-1] + 1 + margin),
             slice(max(0, columns[0] - margin), columns[-1] + 1 + margin),
         )
+
+    def figure(
+        self,
+        name: str,
+        title: str,
+        caption: str,
+        drawing: Drawing,
+        header: Sequence[str],
+        rows: Sequence[Sequence[Any]],
+        seen: str = "",
+    ) -> Figure:
+        """A figure of a drawing; `seen`: what it shows, for those who do not see it."""
+        return Figure(name, title, caption, _draw(drawing), header, rows, drawing if self.for_print else None, seen)
 
     # ---- maps ----
 
@@ -264,11 +293,11 @@ class Plates:
         summary += (
             [float(p) for p in np.percentile(finite, _PERCENTILES)] if finite.size else [None] * len(_PERCENTILES)
         )
-        return Figure(
+        return self.figure(
             how.name,
             how.title,
             how.caption,
-            _draw(drawing),
+            drawing,
             ["map", "unit", "pixels", "mean", *(f"p{p:02d}" for p in _PERCENTILES)],
             [summary],
             how.caption + _spread(finite, how.label),
@@ -350,6 +379,16 @@ class Plates:
                 np.degrees(self.raster(folder + "zenith.tif")),
                 _Map("zenith", "Zenith from the degree", "Angle of normal and viewing ray by Eq 7 or 8.", "magma", "°"),
             )
+        if self.workspace.has(folder + "clamped.png"):
+            labeled = self.thinned(folder + "label.png") > 0
+            yield self._map(
+                np.where(labeled, self.thinned(folder + "clamped.png") / np.float32(255), np.float32(np.nan)),
+                _Map(
+                    "clamped", "Zenith clamped",
+                    "Where the degree is beyond what its reflection can give, so that the zenith is the largest.",
+                    ListedColormap(["#d9dde2", "#d1495b"]), limits=(0, 1), ticks={0.25: "as measured", 0.75: "clamped"},
+                ),
+            )  # fmt: skip
         yield self._map(
             self.raster(folder + "residual.tif"),
             _Map(
@@ -454,8 +493,8 @@ class Plates:
 
     # ---- plots ----
 
-    def profile_lines(self) -> Figure:
-        """Where the sections run, on the picture they were taken from (Fig. 11)."""
+    def on_image(self) -> tuple[Drawing, Any]:
+        """A drawing that is the unpolarized image, and its axes in pixels of `raster`, to draw over it."""
         intensity = self.raster("polarization/unpolarized.tif")
         drawing = Drawing(figsize=(_WIDTH_IN, _WIDTH_IN * intensity.shape[0] / intensity.shape[1]))
         axes = drawing.add_axes((0, 0, 1, 1))
@@ -464,6 +503,11 @@ class Plates:
         axes.set_axis_off()
         axes.set(xlim=(-0.5, intensity.shape[1] - 0.5), ylim=(intensity.shape[0] - 0.5, -0.5))
         self._scale_bar(axes, intensity.shape[1])
+        return drawing, axes
+
+    def profile_lines(self) -> Figure:
+        """Where the sections run, on the picture they were taken from (Fig. 11)."""
+        drawing, axes = self.on_image()
         rows = []
         for profile in self.quality["profiles"]:
             (u0, v0), (u1, v1) = profile["from_px"], profile["to_px"]
@@ -475,9 +519,9 @@ class Plates:
                 profile["name"], line[0], xytext=(6, 6), textcoords="offset points", color="white", fontsize=_LETTERS_PT,
                 bbox={"boxstyle": "round,pad=0.25", "fc": "#d1495b", "ec": "none"},
             )  # fmt: skip
-        return Figure(
+        return self.figure(
             "profile_lines", "Where the profiles run", "On the unpolarized image; the number stands at the start.",
-            _draw(drawing), ["profile", "from_u_px", "from_v_px", "to_u_px", "to_v_px"], rows,
+            drawing, ["profile", "from_u_px", "from_v_px", "to_u_px", "to_v_px"], rows,
         )  # fmt: skip
 
     def profiles(self) -> Iterator[Figure]:
@@ -487,19 +531,19 @@ class Plates:
         for number, profile in enumerate(self.quality["profiles"], 1):
             drawing = Drawing(figsize=(_WIDTH_IN, 6.2), layout="constrained")
             above, below = drawing.subplots(2, 1, sharex=True, height_ratios=(5, 4))
-            along = _values(profile["position"])
+            along = numbers(profile["position"])
             present = [name for name in COLORS if profile[name]]
             step = float(np.median(np.diff(along))) / self.gsd if len(along) > 1 else 1.0
             details = {
-                name: to_micrometers * without_form(_values(profile[name]), sigma_px / max(step, 1e-9))
+                name: to_micrometers * without_form(numbers(profile[name]), sigma_px / max(step, 1e-9))
                 for name in present
                 if name != "polarization"
             }
-            for axes, lines in ((above, {name: _values(profile[name]) for name in present}), (below, details)):
+            for axes, lines in ((above, {name: numbers(profile[name]) for name in present}), (below, details)):
                 for name, values in lines.items():
                     axes.plot(along, values, color=COLORS[name], lw=1.6 if name == "fused" else 1.2, label=name)
                 axes.margins(x=0.01)
-                _style(axes)
+                style(axes)
                 axes.yaxis.set_major_locator(MaxNLocator(5))
             above.set_ylabel(f"height [{self.unit}]", fontsize=_LETTERS_PT)
             above.legend(fontsize=_LETTERS_PT, frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0, 1),
@@ -508,11 +552,11 @@ class Plates:
             below.set_xlabel(f"along the profile [{self.unit}]", fontsize=_LETTERS_PT)
             columns = [profile["position"], *(profile[name] for name in present)]
             spread = ", ".join(f"{name} {np.nanstd(values):.2g} µm" for name, values in details.items())
-            yield Figure(
+            yield self.figure(
                 f"profile_{number}", f"Profile {profile['name']}",
                 "Above: height over the chord of the fused section, towards the camera; polarization alone has no absolute "
                 f"height. Below: what is finer than {sigma_px:g} px ({shown(sigma_px * self.gsd, self.unit)}), its form taken out.",
-                _draw(drawing), [f"position_{self.unit}", *(f"{name}_{self.unit}" for name in present)],
+                drawing, [f"position_{self.unit}", *(f"{name}_{self.unit}" for name in present)],
                 list(zip(*columns, strict=True)), f"A section of {along[-1] if len(along) else 0:.3g} {self.unit}. Spread of the detail: {spread}.",
             )  # fmt: skip
 
@@ -537,7 +581,7 @@ class Plates:
             axes.set_xlim(low - 0.05 * (high - low), high + 0.05 * (high - low))
         axes.set_xlabel(axis, fontsize=_LETTERS_PT)
         axes.set_ylabel("share of pixels [%]", fontsize=_LETTERS_PT)
-        _style(axes)
+        style(axes)
         if notes:
             axes.legend(fontsize=_LETTERS_PT, frameon=False, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
         rows = [
@@ -551,12 +595,12 @@ class Plates:
             for k, n in enumerate(histogram["counts"])
         ]
         header = ["surface", "from_gsd", "to_gsd", "count"]
-        return Figure(name, title, "Share of the pixels in each class of distance.", _draw(drawing), header, rows)
+        return self.figure(name, title, "Share of the pixels in each class of distance.", drawing, header, rows)
 
     def patches(self) -> Iterator[Figure]:
-        """Distances of flat patches to their fitted planes, prior and fused (Fig. 15)."""
+        """Distances of flat patches to their fitted planes (Fig. 15)."""
         for number, patch in enumerate(self.quality["patches"], 1):
-            fits = {name: patch[name] for name in ("prior", "fused") if patch[name] is not None}
+            fits = {name: patch[name] for name in COLORS if patch[name] is not None}
             if fits:
                 yield self._histogram(
                     f"patch_{number}",
@@ -590,5 +634,6 @@ def without_form(section: NDArray[np.float64], sigma: float) -> NDArray[np.float
     return np.where(known, section - form, np.nan)
 
 
-def _values(values: Sequence[float | None]) -> NDArray[np.float64]:
+def numbers(values: Sequence[float | None]) -> NDArray[np.float64]:
+    """Numbers of quality.json, NaN where there is none."""
     return np.array([np.nan if value is None else value for value in values], dtype=float)

@@ -2,17 +2,65 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from malus import _core
-from malus._arrays import as_image
+from malus._arrays import as_image, as_mask
 from malus._core import HeightMap, PolarizationState, ReflectionMap
 from malus.camera import Camera
 from malus.options import Options
 from malus.threads import ALL_CORES
 
-__all__ = ["HeightMap", "solve"]
+__all__ = ["HeightMap", "light", "light_from_polarization", "solve"]
+
+
+def light(
+    intensity: ArrayLike,
+    normals: ArrayLike,
+    *,
+    mask: ArrayLike | None = None,
+    camera: Camera | None = None,
+    options: Options | None = None,
+    threads: int = ALL_CORES,
+) -> dict[str, Any]:
+    """Light from shading (H×W) and known normals (H×W×3, camera frame): robust least squares, intensity = light[:3] · n + light[3].
+
+    Returns `light` (4), `status`, `rms`, `robust_sigma` (unit of the intensity) and `pixels`. camera None = orthographic.
+    """
+    image = as_image(intensity, "intensity")
+    return _core.estimate_light(
+        image,
+        as_image(normals, "normals", 3),
+        None if mask is None else as_mask(mask, image.shape),
+        camera,
+        (options or Options()).to_json(),
+        threads,
+    )
+
+
+def light_from_polarization(
+    state: PolarizationState,
+    reflection: ReflectionMap,
+    *,
+    direction: ArrayLike | None = None,
+    camera: Camera | None = None,
+    options: Options | None = None,
+    threads: int = ALL_CORES,
+) -> dict[str, Any]:
+    """Light of an object of one albedo from its polarization alone (after Smith et al. 2016); figures as of `light`.
+
+    A hollow lit from one side looks like a bump lit from the other: the object is taken to be convex in the whole, unless
+    `direction` (3, camera frame, towards the source) is given, of which only the strength is then found.
+    """
+    vector = None
+    if direction is not None:
+        vector = np.asarray(direction, dtype=np.float64)
+        if vector.shape != (3,) or not np.linalg.norm(vector) > 0:
+            raise ValueError(f"direction is {vector.tolist()}, expected three numbers that are not all zero")
+    return _core.light_from_polarization(state, reflection, vector, camera, (options or Options()).to_json(), threads)
 
 
 def solve(
@@ -28,10 +76,9 @@ def solve(
     """Solve the height system; `height` is H×W, in pixels (GSD), positive towards the camera, mean 0, NaN outside.
 
     camera None = orthographic. light: 4 numbers, i_un = light[:3] · n + light[3], n in the camera frame (x right, y down,
-    z forward, towards the camera); left out = estimated with prior_normals (H×W×3). `status` says how it ended.
+    z forward, towards the camera); left out = estimated with prior_normals (H×W×3), or without them from the polarization itself,
+    for an object of one albedo that is convex in the whole (of a hollow one the height comes upside down). `status` says how it ended.
     """
-    if light is None and prior_normals is None:
-        raise ValueError("light and prior_normals are both missing, expected one of them")
     vector = None
     if light is not None:
         vector = np.asarray(light, dtype=np.float64)

@@ -64,6 +64,18 @@ class Options:
         self._values: dict[str, Any] = json.loads(_core.default_options())
         self.update({"fusion": fusion, **sections})
 
+    @staticmethod
+    def preset(name: str) -> Options:
+        """The defaults with a named set of options; InputError lists the names. "paper": the method as printed."""
+        options = Options()
+        options._values = json.loads(_core.preset_options(name))
+        return options
+
+    @staticmethod
+    def presets() -> dict[str, str]:
+        """Meaning of each preset, by name."""
+        return dict(_core.presets())
+
     def update(self, changes: Mapping[str, Any]) -> None:
         """Set several options: ``{"section": {"key": value}}``."""
         merged = json.loads(json.dumps(self._values))

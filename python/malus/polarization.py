@@ -22,6 +22,7 @@ __all__ = [
     "PolarizationState",
     "ReflectionMap",
     "brewster_angle",
+    "calibrate",
     "decompose",
     "diffuse_degree",
     "diffuse_zenith",
@@ -29,6 +30,36 @@ __all__ = [
     "specular_degree",
     "specular_zenith",
 ]
+
+
+def calibrate(
+    images: Sequence[ArrayLike] | NDArray[Any],
+    angles_rad: Sequence[float] = (),
+    *,
+    mask: ArrayLike | None = None,
+    full_well_e: float = 20000.0,
+    read_noise_e: float = 8.0,
+    frames_averaged: int = 1,
+    options: Options | None = None,
+    threads: int = 1,
+) -> dict[str, Any]:
+    """Polarizer angles and relative exposures for which K registered linear images fit sinusoids best.
+
+    angles_rad: as read off the scale; empty = unknown, then five images or more. Returns `angles_rad`, `gains` (geometric mean 1),
+    `residual_before` and `residual_after` (RMS, in standard deviations of the noise) and `improvement` (share of what the squared
+    residuals have beyond noise). Images cannot tell the zero of the scale (docs/method.md, section 1).
+    """
+    stack = as_images(images, "images")
+    return _core.fit_polarizer(
+        stack,
+        [float(a) for a in angles_rad],
+        None if mask is None else as_mask(mask, stack[0].shape),
+        full_well_e,
+        read_noise_e,
+        frames_averaged,
+        (options or Options()).to_json(),
+        threads,
+    )
 
 
 def decompose(

@@ -6,34 +6,89 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from malus import _core
-from malus._arrays import as_mask
+from malus._arrays import as_image, as_mask
 from malus._core import DepthPrior
 from malus.camera import Camera
 from malus.options import Options
 from malus.threads import ALL_CORES
 
-__all__ = ["DepthPrior", "project_points"]
+__all__ = ["DepthPrior", "project_depth", "project_mesh", "project_points"]
 
 
 def project_points(
     points: ArrayLike,
     camera: Camera,
     *,
+    normals: ArrayLike | None = None,
     mask: ArrayLike | None = None,
     options: Options | None = None,
     threads: int = ALL_CORES,
 ) -> DepthPrior:
     """Depth and its standard deviation in a camera's view from a cloud.
 
-    points: N×3, world frame. camera: with its pose, without distortion.
+    points: N×3, world frame. normals: N×3, away from the object, or none. camera: with its pose, without distortion.
     mask: H×W, non-zero = object. Hidden points and outliers are removed; gaps are filled; the smoothing is chosen from the
     points' scatter. Returns `depth` and `sigma` (H×W float32, NaN outside the mask).
     """
     cloud = np.ascontiguousarray(points, dtype=np.float64)
     if cloud.ndim != 2 or cloud.shape[1] != 3:
         raise ValueError(f"points has shape {cloud.shape}, expected (N, 3)")
+    directions = None
+    if normals is not None:
+        directions = np.ascontiguousarray(normals, dtype=np.float32)
+        if directions.shape != cloud.shape:
+            raise ValueError(f"normals has shape {directions.shape}, expected {cloud.shape} as the points")
     return _core.project_points(
         cloud,
+        directions,
+        camera,
+        None if mask is None else as_mask(mask, (camera.height, camera.width)),
+        (options or Options()).to_json(),
+        threads,
+    )
+
+
+def project_mesh(
+    vertices: ArrayLike,
+    triangles: ArrayLike,
+    camera: Camera,
+    *,
+    mask: ArrayLike | None = None,
+    options: Options | None = None,
+    threads: int = ALL_CORES,
+) -> DepthPrior:
+    """The same of a mesh: vertices N×3 (world frame), triangles M×3 (indices). Holes are filled from their surroundings."""
+    corners = np.ascontiguousarray(vertices, dtype=np.float64)
+    faces = np.ascontiguousarray(triangles, dtype=np.int64)
+    for name, array in (("vertices", corners), ("triangles", faces)):
+        if array.ndim != 2 or array.shape[1] != 3:
+            raise ValueError(f"{name} has shape {array.shape}, expected (N, 3)")
+    if faces.size and not (faces.min() >= 0 and faces.max() < len(corners)):
+        raise ValueError(f"triangles has indices from {faces.min()} to {faces.max()}, expected 0 to {len(corners) - 1}")
+    return _core.project_mesh(
+        corners,
+        faces.astype(np.uint32),
+        camera,
+        None if mask is None else as_mask(mask, (camera.height, camera.width)),
+        (options or Options()).to_json(),
+        threads,
+    )
+
+
+def project_depth(
+    depth: ArrayLike,
+    camera: Camera,
+    *,
+    mask: ArrayLike | None = None,
+    options: Options | None = None,
+    threads: int = ALL_CORES,
+) -> DepthPrior:
+    """The same of a depth map (H×W, z in the camera, NaN = none), whose holes on the object are filled."""
+    raster = as_image(depth, "depth")
+    if raster.shape != (camera.height, camera.width):
+        raise ValueError(f"depth has shape {raster.shape}, expected {(camera.height, camera.width)} as the camera")
+    return _core.project_depth(
+        raster,
         camera,
         None if mask is None else as_mask(mask, (camera.height, camera.width)),
         (options or Options()).to_json(),

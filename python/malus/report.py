@@ -21,6 +21,8 @@ from malus.figures import Figure, Plates, encode, grey
 from malus.glossary import definitions
 from malus.lengths import shown
 from malus.options import Options
+from malus.paper import plates as paper_plates
+from malus.paper.tables import shown, table_1
 from malus.reconstruction import STEPS
 from malus.report_head import head_of
 from malus.result import Result
@@ -144,15 +146,25 @@ class _Quality:
 def _figures(plates: Plates) -> dict[str, list[Figure]]:
     quality = plates.quality
     profiles = [plates.profile_lines(), *plates.profiles()] if quality["profiles"] else []
+    of_paper = _plates_of_the_paper(plates)
     return {
         "relief": [*plates.shadings(), *plates.elevations()],
-        "polarization": list(plates.polarization()),
+        "polarization": [*plates.polarization(), *of_paper["polarization"]],
         "height": list(plates.height()),
         "profiles": profiles,
-        "patches": list(plates.patches()),
-        "uncertainty": list(plates.uncertainty()),
+        "patches": [*of_paper["patches"], *plates.patches()],
+        "uncertainty": [*of_paper["uncertainty"], *plates.uncertainty()],
         "reference": list(plates.reference()),
         "m3c2": list(plates.m3c2()),
+    }
+
+
+def _plates_of_the_paper(plates: Plates) -> dict[str, list[Figure]]:
+    """Fig. 1c, 9 and 14 of the paper, by the section that they belong to."""
+    return {
+        "polarization": list(paper_plates.sinusoids(plates)),
+        "uncertainty": list(paper_plates.cloud(plates)),
+        "patches": list(paper_plates.patch_boxes(plates)),
     }
 
 
@@ -254,6 +266,8 @@ def _write_in(workspace: Workspace) -> Path:
         relight=viewer.relighting(workspace),
         mesh=mesh,
         surfaces=SURFACES,
+        table_1=table_1(workspace),
+        shown=shown,
         sections=_sections(quality, figures),
         others=[(name, title) for name, title in _OTHERS if quality.get(name)],
         worst_registration=registration.index(max(registration)) if registration else None,

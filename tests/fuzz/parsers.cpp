@@ -13,14 +13,14 @@
 #include <vector>
 
 #include "malus/core/error.h"
-#include "malus/io/angles_of_names.h"
+#include "malus/io/angles_of_names_internal.h"
 #include "malus/io/colmap_model.h"
 #include "malus/io/file_glob_internal.h"
 #include "malus/io/image_file.h"
 #include "malus/io/point_cloud_file.h"
 #include "malus/io/polarized_files_internal.h"
 #include "malus/io/station_file.h"
-#include "malus/io/toml_json.h"
+#include "malus/io/toml_json_internal.h"
 #include "malus/io/workspace_internal.h"
 
 namespace malus {
@@ -87,8 +87,9 @@ void read_station(std::string_view input) {
     fs::create_directories(folder() / "pol");
     for (const char* name : {"pol/pol_000.png", "pol/pol_060.png", "pol/pol_120.png", "mask.png"})
       write_png(folder() / name, Image<std::uint8_t>({8, 6}, 1, 255));
-    write("cloud.ply", "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
-                       "end_header\n0 0 1\n");
+    write("cloud.ply",
+          "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+          "end_header\n0 0 1\n");
     return true;
   }();
   static_cast<void>(has_inputs);

@@ -122,9 +122,9 @@ def mean_normal_error_deg(height: np.ndarray, normal: np.ndarray, mask: np.ndarr
     [
         ("sphere_256_n0", 0.05),
         ("bumpy_256_n0", 0.1),
-        ("sphere_256_n0.005", 2.5),
-        ("bumpy_256_n0.005", 3.0),
-        ("spheretilt30y_128_n0.005", 2.5),
+        ("sphere_256_n0.005", 0.85),
+        ("bumpy_256_n0.005", 1.3),
+        ("spheretilt30y_128_n0.005", 0.8),
     ],
 )
 def test_height_from_polarization_alone(name: str, limit_deg: float) -> None:

@@ -356,6 +356,7 @@ class Refiner {
                                                         mirrored_terms(options_), context_);
     image_.reflection.eta = fit.eta;
     report_.eta_sigma = fit.sigma;
+    report_.eta_undetermined = !fit.determined;
   }
 
   /// How much of the polarization the reflection explains at the prior's slopes; copies the prior if asked.

@@ -119,9 +119,10 @@ struct RefineIteration {
 /// What the refinement found out beside the surface.
 struct RefineReport {
   std::vector<RefineIteration> iterations;
-  ReflectionModel reflection;  ///< with eta
-  Surroundings surroundings;   ///< without radiance if they are not the model
-  double eta_sigma = 0;        ///< 0 = the index is given, NaN = neither given nor estimated
+  ReflectionModel reflection;     ///< with eta
+  Surroundings surroundings;      ///< without radiance if they are not the model
+  double eta_sigma = 0;           ///< 0 = the index is given, NaN = neither given nor estimated
+  bool eta_undetermined = false;  ///< it was asked for, but the data do not tell it
   std::array<double, EnvironmentProfile::node_count> environment_sigma{};
   double lobe_strength_sigma = 0, lobe_roughness_sigma = 0, light_sigma_rad = 0;
   double mirror_body_sigma = 0, mirror_environment_sigma = 0;
@@ -158,8 +159,8 @@ struct RefineResult {
 /// The reflection model is either of two, whichever explains more at the prior's slopes: regions that are diffuse or
 /// specular, with an environment by zenith, or an object that is matt all over and mirrors its surroundings
 /// (surroundings.h). Where the model does not explain the polarization at the prior's slopes, the prior's surface stays
-/// (see surface_evidence_internal.h), which surface.confidence and report.trust tell. What the data cannot support otherwise is
-/// in surface.confidence and warnings; surface.status is the solver's ("converged", "not converged").
+/// (see surface_evidence_internal.h), which surface.confidence and report.trust tell. What the data cannot support
+/// otherwise is in surface.confidence and warnings; surface.status is the solver's ("converged", "not converged").
 RefineResult refine(const PolarizationState& state, const DepthPrior& prior, const RefineInput& input,
                     const RefineOptions& options, const Context& context);
 

@@ -3,6 +3,7 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <memory>
 
 #include "malus/core/even_choice_internal.h"
@@ -447,27 +448,66 @@ SpecularFit fit_specular(const std::vector<ReflectionSample>& samples, double et
   return fit;
 }
 
+namespace {
+
+constexpr double first_index = 1.3, index_step = 0.1;
+constexpr std::size_t index_tries = 6;
+using IndexCosts = std::array<double, index_tries>;
+
+IndexCosts costs_by_index(const std::vector<ReflectionSample>& diffuse, const std::vector<ReflectionSample>& specular,
+                          MirroredTerms terms, const Context& context) {
+  HighlightLobe start;
+  if (!diffuse.empty()) start.light = fit_shading(diffuse).light;
+  IndexCosts costs{};
+  for (std::size_t i = 0; i < index_tries; ++i) {
+    const double eta = first_index + index_step * static_cast<double>(i);
+    if (!diffuse.empty())
+      costs[i] += static_cast<double>(diffuse.size()) * fit_diffuse(diffuse, eta, terms, start, context).cost;
+    if (!specular.empty()) costs[i] += static_cast<double>(specular.size()) * fit_specular(specular, eta).cost;
+  }
+  return costs;
+}
+
+/// Least of the parabola through the lowest costs; an end of the range where they do not bend upwards.
+double index_of_least(const IndexCosts& costs) {
+  const auto lowest = static_cast<std::size_t>(std::min_element(costs.begin(), costs.end()) - costs.begin());
+  const std::size_t middle = std::clamp<std::size_t>(lowest, 1, index_tries - 2);
+  const double slope = 0.5 * (costs[middle + 1] - costs[middle - 1]);
+  const double curvature = costs[middle + 1] - 2 * costs[middle] + costs[middle - 1];
+  if (curvature <= 0) return first_index + index_step * static_cast<double>(lowest);
+  return std::clamp(first_index + index_step * (static_cast<double>(middle) - slope / curvature), first_index,
+                    first_index + index_step * (index_tries - 1));
+}
+
+}  // namespace
+
 RefractiveIndexFit fit_refractive_index(const std::vector<ReflectionSample>& diffuse,
                                         const std::vector<ReflectionSample>& specular, MirroredTerms terms,
                                         const Context& context) {
-  constexpr double first = 1.3, step = 0.1;
-  constexpr std::size_t tries = 6;
-  HighlightLobe start;
-  if (!diffuse.empty()) start.light = fit_shading(diffuse).light;
-  std::array<double, tries> cost{};
-  for (std::size_t i = 0; i < tries; ++i) {
-    const double eta = first + step * static_cast<double>(i);
-    cost[i] = static_cast<double>(diffuse.size()) * fit_diffuse(diffuse, eta, terms, start, context).cost +
-              static_cast<double>(specular.size()) * fit_specular(specular, eta).cost;
+  constexpr std::size_t parts = 8;
+  constexpr double margin = 0.01, largest_sigma = 0.15;
+  const auto run = [](const std::vector<ReflectionSample>& samples, std::size_t part) {
+    const auto at = [&](std::size_t k) {
+      return samples.begin() + static_cast<std::ptrdiff_t>(samples.size() * k / parts);
+    };
+    return std::vector<ReflectionSample>(at(part), at(part + 1));
+  };
+  double sum = 0, squares = 0;
+  for (std::size_t part = 0; part < parts; ++part) {
+    const double eta = index_of_least(costs_by_index(run(diffuse, part), run(specular, part), terms, context));
+    sum += eta;
+    squares += eta * eta;
   }
-  const auto lowest = static_cast<std::size_t>(std::min_element(cost.begin(), cost.end()) - cost.begin());
-  const std::size_t middle = std::clamp<std::size_t>(lowest, 1, tries - 2);
-  const double slope = 0.5 * (cost[middle + 1] - cost[middle - 1]);
-  const double curvature = cost[middle + 1] - 2 * cost[middle] + cost[middle - 1];
-  const double centre = first + step * static_cast<double>(middle);
-  if (curvature <= 0) return {first + step * static_cast<double>(lowest), step};
-  return {std::clamp(centre - step * slope / curvature, first, first + step * (tries - 1)),
-          step / std::sqrt(curvature)};
+  RefractiveIndexFit fit;
+  fit.eta = index_of_least(costs_by_index(diffuse, specular, terms, context));
+  fit.sigma = std::sqrt(std::max(squares - sum * sum / parts, 0.0) / (parts - 1) / parts);
+  constexpr double last_index = first_index + index_step * (index_tries - 1);
+  fit.determined = fit.eta > first_index + margin && fit.eta < last_index - margin && fit.sigma < largest_sigma;
+  if (!fit.determined) {
+    fit.eta = RefractiveIndexFit().eta;
+    fit.sigma = std::numeric_limits<double>::quiet_NaN();
+  }
+  return fit;
 }
 
 }  // namespace malus

@@ -64,11 +64,13 @@ SpecularFit fit_specular(const std::vector<ReflectionSample>& samples, double et
 
 struct RefractiveIndexFit {
   double eta = 1.5;
-  double sigma = 0;  ///< from the curvature of the cost; optimistic, as the slopes are taken as known
+  double sigma = 0;         ///< from how much parts of the samples differ, whose slopes are wrong in different ways
+  bool determined = false;  ///< within the range, and known to better than a third of it
 };
 
 /// Refractive index in [1.3, 1.8] for which the samples are explained best, every other parameter fitted to each try:
-/// least of a parabola through the lowest of a series of tries.
+/// least of a parabola through the lowest of a series of tries. Samples are in the order of the image: eight runs of
+/// them, which lie beside each other, say how far the index is known. One that the samples do not determine is 1.5.
 RefractiveIndexFit fit_refractive_index(const std::vector<ReflectionSample>& diffuse,
                                         const std::vector<ReflectionSample>& specular, MirroredTerms terms,
                                         const Context& context);

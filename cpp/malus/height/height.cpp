@@ -10,6 +10,7 @@
 #include "malus/core/parallel_internal.h"
 #include "malus/core/tiled_axis_internal.h"
 #include "malus/height/height_problem_internal.h"
+#include "malus/lighting/light_from_polarization_internal.h"
 
 namespace malus {
 namespace {
@@ -27,9 +28,6 @@ void validate(const HeightInput& input, const HeightOptions& options) {
   validate_fields(options, "height");
   const Size size = input.polarization.size();
   require_size(input.reflection.label, size, "reflection labels");
-  if (!input.light && !input.estimated_light && input.prior_normals == nullptr) {
-    throw input_error("height: neither a light nor prior normals to estimate it with");
-  }
   if (input.prior_normals != nullptr) require_size(*input.prior_normals, size, "prior normals");
   if (options.boundary == HeightBoundary::prior && input.prior_height == nullptr) {
     throw input_error("height.boundary = \"prior\" needs the height of the prior");
@@ -261,6 +259,19 @@ void solve_by_levels(const HeightData& data, const HeightOptions& options, const
 
 }  // namespace
 
+namespace {
+
+/// The light, from the best there is: an estimate, the prior's normals, or the polarization of a convex object.
+LightEstimate light_of(const HeightInput& input, const Mask& valid, const Pinhole* camera, const LightOptions& options,
+                       const Context& context) {
+  if (input.estimated_light) return *input.estimated_light;
+  if (input.prior_normals != nullptr)
+    return estimate_light(input.polarization.i_un, *input.prior_normals, valid, camera, options, context);
+  return light_from_polarization(input.polarization, input.reflection, std::nullopt, camera, options, context);
+}
+
+}  // namespace
+
 HeightMap solve_height(const HeightInput& input, const HeightOptions& options, const LightOptions& light_options,
                        const Context& context) {
   validate(input, options);
@@ -281,9 +292,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
     map.light = *input.light;
     tangential = tangential_light(map.light.head<3>(), camera, state.size());
   } else {
-    const LightEstimate light =
-        input.estimated_light ? *input.estimated_light
-                              : estimate_light(state.i_un, *input.prior_normals, valid, camera, light_options, context);
+    const LightEstimate light = light_of(input, valid, camera, light_options, context);
     if (light.status == LightStatus::too_few_pixels || light.status == LightStatus::normals_alike) {
       map.status = "light not found: " + std::string(enum_name(light.status));
       return map;

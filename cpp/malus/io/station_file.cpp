@@ -10,9 +10,11 @@
 #include <sstream>
 
 #include "malus/core/length_unit.h"
+#include "malus/core/refractive_index_internal.h"
 #include "malus/io/angles_of_names_internal.h"
 #include "malus/io/colmap_model.h"
 #include "malus/io/colmap_workspace_internal.h"
+#include "malus/io/given_scale_internal.h"
 #include "malus/io/image_file.h"
 #include "malus/io/input_file_internal.h"
 #include "malus/io/polarized_files_internal.h"
@@ -271,8 +273,12 @@ OpticsSpec read_optics(const TomlTable& table) {
   if (table.is_auto("refractive_index")) {
     spec.refractive_index.reset();
   } else {
-    spec.refractive_index = table.number("refractive_index", {1.05, 4}).value_or(*spec.refractive_index);
+    spec.refractive_index = table.number("refractive_index", {least_refractive_index, largest_refractive_index})
+                                .value_or(*spec.refractive_index);
   }
+  spec.light = table.numbers_exactly<3>("light");
+  if (spec.light && !(std::hypot((*spec.light)[0], (*spec.light)[1], (*spec.light)[2]) > 0 && (*spec.light)[2] < 0))
+    throw table.wrong("light", "a direction [x, y, z] towards the source with z < 0, on the camera's side");
   const std::string reflection = table.text("reflection").value_or("auto");
   const auto choice = enum_value<ReflectionChoice>(reflection);
   if (choice && *choice != ReflectionChoice::labels) {
@@ -427,7 +433,9 @@ PhotosSpec read_photos(const TomlTable& table) {
   return spec;
 }
 
-std::vector<ImageMark> read_marks(const TomlTable& table, std::string_view key, const PhotosSpec& photos) {
+/// Marks in photos; without them, in images of the camera's model.
+std::vector<ImageMark> read_marks(const TomlTable& table, std::string_view key,
+                                  const std::optional<PhotosSpec>& photos) {
   std::vector<ImageMark> marks;
   std::set<std::string> images;
   for (const toml::table* entry : tables(table, key, "a list of marks { image = \"…\", x = …, y = … }")) {
@@ -437,7 +445,7 @@ std::vector<ImageMark> read_marks(const TomlTable& table, std::string_view key, 
     result.image = mark.required(mark.text("image"), "image", "the name of a photo");
     result.x = mark.required(mark.number("x"), "x", "the column in pixels");
     result.y = mark.required(mark.number("y"), "y", "the row in pixels");
-    require_file(photos.folder / result.image, mark.where("image"));
+    if (photos) require_file(photos->folder / result.image, mark.where("image"));
     if (!images.insert(result.image).second) throw mark.wrong("image", "one mark a photo");
     marks.push_back(std::move(result));
   }
@@ -446,10 +454,22 @@ std::vector<ImageMark> read_marks(const TomlTable& table, std::string_view key, 
   return marks;
 }
 
-ScaleBar read_scale_bar(const TomlTable& table, const PhotosSpec& photos) {
+ScaleBar read_scale_bar(const TomlTable& table, const std::optional<PhotosSpec>& photos) {
   ScaleBar bar;
   bar.distance = table.required(table.number("distance", positive_range), "distance", "a length in the station's unit");
   bar.check = table.boolean("check").value_or(false);
+  for (const std::string_view key : {"a_xyz", "b_xyz"}) {
+    if (!table.has(key)) continue;
+    if (photos) throw table.error(key, "is a point of a given prior's frame; with [photos] mark it in them: a, b");
+    for (const std::string_view other : {"a", "b", "targets"})
+      if (table.has(other)) throw table.error(other, "cannot be given together with a_xyz and b_xyz");
+    bar.a_xyz = table.required(table.numbers_exactly<3>("a_xyz"), "a_xyz", "a point [x, y, z]");
+    bar.b_xyz = table.required(table.numbers_exactly<3>("b_xyz"), "b_xyz", "a point [x, y, z]");
+  }
+  if (bar.a_xyz) return bar;
+  if (table.has("targets") && !photos)
+    throw table.error("targets",
+                      "are found in [photos]; for a given prior mark the ends (a, b) or give a_xyz and b_xyz");
   if (table.has("targets")) {
     for (const std::string_view key : {"a", "b"}) {
       if (table.has(key)) throw table.error(key, "cannot be given together with targets");
@@ -468,6 +488,34 @@ ScaleBar read_scale_bar(const TomlTable& table, const PhotosSpec& photos) {
     bar.b = read_marks(table, "b", photos);
   }
   return bar;
+}
+
+/// All bars; those of a given prior make it and the camera's position metric.
+void read_scale_bars(const TomlTable& document, StationFile& station) {
+  const auto bars = tables(document, "scale", "tables [[scale]]");
+  if (bars.empty()) return;
+  if (station.photos && station.prior) {
+    throw document.error("scale",
+                         "would not be used: the surface is that of [prior], and [photos] only accompany it; leave "
+                         "[photos] out to scale the prior, or [prior] to make one from the photos");
+  }
+  if (!station.photos && !(station.prior && station.camera)) {
+    throw document.error("scale",
+                         "needs [photos], in which its ends are marked, or [prior] and [camera], which it scales");
+  }
+  for (std::size_t i = 0; i < bars.size(); ++i) {
+    const TomlTable table(*bars[i], station.path, "[[scale]] " + std::to_string(i + 1), keys_of(ScaleBar{}));
+    station.scale_bars.push_back(read_scale_bar(table, station.photos));
+  }
+  if (station.photos) return;
+  std::optional<ColmapModel> model;
+  const toml::table* camera = section(document, "camera");
+  if (const auto folder = camera != nullptr ? (*camera)["colmap_model"].value<std::string>() : std::nullopt)
+    model = read_colmap_model(document.resolve(*folder), ColmapParts::cameras_and_images);
+  GivenScale scale = given_scale(station.scale_bars, model ? &*model : nullptr, station.path.string() + ": [[scale]]");
+  station.prior_scale = scale.factor;
+  station.scale_errors = std::move(scale.errors);
+  station.camera->pose.translation *= scale.factor;
 }
 
 /// Name of a patch or profile, its number by default; no two alike.
@@ -548,7 +596,7 @@ StationFile read_station_file(const std::filesystem::path& given_path) {
                         "the section [polarized] with the images taken through the polarizer");
   station.polarized = read_polarized(polarized);
 
-  if (const auto table = optional_section("optics", {"refractive_index", "reflection"}))
+  if (const auto table = optional_section("optics", {"refractive_index", "reflection", "light"}))
     station.optics = read_optics(*table);
   if (const auto table = optional_section("photos", keys_of(PhotosSpec{}))) station.photos = read_photos(*table);
   if (const auto table = optional_section("prior", {"cloud", "mesh", "depth"})) station.prior = read_prior(*table);
@@ -578,15 +626,7 @@ StationFile read_station_file(const std::filesystem::path& given_path) {
     throw document.error("camera", "is missing, expected [camera], in whose view the prior is to be seen");
   }
 
-  const auto bars = tables(document, "scale", "tables [[scale]]");
-  if (!bars.empty() && !station.photos) {
-    throw document.error(
-        "scale", "needs [photos], in which its ends are marked; without them the camera and prior are metric already");
-  }
-  for (std::size_t i = 0; i < bars.size(); ++i) {
-    const TomlTable table(*bars[i], station.path, "[[scale]] " + std::to_string(i + 1), keys_of(ScaleBar{}));
-    station.scale_bars.push_back(read_scale_bar(table, *station.photos));
-  }
+  read_scale_bars(document, station);
 
   const Size size = polarized_size(station, polarized.where("images"));
   if (station.camera) check_camera_size(document, station.camera->lens, size, station.polarized.images.front());

@@ -107,12 +107,14 @@ struct OpticsSpec {
   std::optional<double> refractive_index = 1.5;  ///< nothing = "auto"
   ReflectionChoice reflection = ReflectionChoice::automatic;
   std::optional<std::filesystem::path> label_image;  ///< with `labels`: 1 = diffuse, 2 = specular, 0 = decide
+  std::optional<std::array<double, 3>> light;        ///< direction to the source, camera frame; nothing = estimated
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
     visit("refractive_index", self.refractive_index, own_form);
     visit("reflection", self.reflection, own_form);
     visit("label_image", self.label_image, own_form);
+    visit("light", self.light, own_form);
   }
 };
 
@@ -161,12 +163,13 @@ struct ImageMark {
   }
 };
 
-/// [[scale]]: a known distance between two marked points or two coded targets.
+/// [[scale]]: a known distance between two marked points, two coded targets, or two points of a given prior's frame.
 struct ScaleBar {
   double distance = 0;
   std::vector<ImageMark> a, b;
   std::optional<std::array<int, 2>> targets;
   std::string targets_dictionary;
+  std::optional<std::array<double, 3>> a_xyz, b_xyz;  ///< without [photos]; both or none
   bool check = false;
 
   template <class Self, class Visitor>
@@ -176,6 +179,8 @@ struct ScaleBar {
     visit("b", self.b, own_form);
     visit("targets", self.targets, own_form);
     visit("targets_dictionary", self.targets_dictionary, own_form);
+    visit("a_xyz", self.a_xyz, own_form);
+    visit("b_xyz", self.b_xyz, own_form);
     visit("check", self.check, any_value);
   }
 };
@@ -224,6 +229,8 @@ struct StationFile {
   std::optional<PriorFile> prior;
   std::optional<PhotosSpec> photos;
   std::vector<ScaleBar> scale_bars;
+  double prior_scale = 1;            ///< of a given prior, by the bars; the camera's position has it already
+  std::vector<double> scale_errors;  ///< of each bar then, station unit
   std::vector<PatchSpec> patches;
   std::vector<ProfileSpec> profiles;
 

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "malus/core/parallel_internal.h"
+#include "malus/core/refractive_index_internal.h"
 #include "malus/polarization/ray_frame.h"
 
 namespace malus {
@@ -109,9 +110,11 @@ bool exceeds_diffuse(const PolarizationState& state, const ReflectionOptions& op
 void validate(const PolarizationState& state, const Image<float>* prior_normals, const Image<std::uint8_t>* labels,
               const ReflectionOptions& options) {
   validate_fields(options, "optics");
-  if (!(options.refractive_index >= 1.05 && options.refractive_index <= 3)) {
+  const double eta = options.refractive_index;
+  if (!(eta >= least_refractive_index && eta <= largest_refractive_index)) {
     std::ostringstream message;
-    message << "optics.refractive_index = " << options.refractive_index << ", expected a value from 1.05 to 3";
+    message << "optics.refractive_index = " << eta << ", expected a value from " << least_refractive_index << " to "
+            << largest_refractive_index;
     throw input_error(message.str());
   }
   if (prior_normals != nullptr) {

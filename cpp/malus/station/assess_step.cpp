@@ -8,8 +8,8 @@
 namespace malus {
 
 QualityReport make_quality(const Job& job, const FusedSurface& surface, const CalibratedPolarization& polarization,
-                           const StationView& view, const DepthPrior& prior, const HeightMap* height,
-                           const RefinementFindings* refinement, const Warnings& warnings) {
+                           const StationView& view, const DepthPrior& prior, const ClampedZeniths* clamped,
+                           const HeightMap* height, const RefinementFindings* refinement, const Warnings& warnings) {
   const StationFile& station = job.station.file;
   std::optional<TriangleMesh> reference;
   if (job.run.reference) reference = read_cloud_or_mesh(*job.run.reference, job.context, "reference");
@@ -28,7 +28,7 @@ QualityReport make_quality(const Job& job, const FusedSurface& surface, const Ca
                           job.options.assess, job.context);
   report.quality.warnings = warnings.all;
   const auto& photogrammetry = job.station.photogrammetry;
-  report.json = quality_json(station, report.quality, polarization.polarizer, refinement,
+  report.json = quality_json(station, report.quality, polarization.polarizer, clamped, refinement,
                              photogrammetry ? &*photogrammetry : nullptr)
                     .dump(2) +
                 "\n";

@@ -25,6 +25,7 @@ void keep(MeasuredPolarization& result, Keeper& keeper) {
   keeper.value("weighting", state.weighting);
   keeper.value("polarizer", result.polarizer);
   keeper.value("polarizer_fitted", result.polarizer_fitted);
+  keeper.value("curves", result.curves);
 }
 
 void keep(StationView& result, Keeper& keeper) {
@@ -68,6 +69,10 @@ void keep(DepthPrior& result, Keeper& keeper) {
   keeper.value("filled_fraction", result.filled_fraction);
 }
 
+void keep(PriorPoints& result, Keeper& keeper) {
+  keeper.raster("prior/points.png", result.map);
+}
+
 void keep(InputEvidence& result, Keeper& keeper) {
   std::string json = fields_to_json(result.findings).dump(2) + "\n";
   keeper.text("evidence/findings.json", json);
@@ -80,6 +85,11 @@ void keep(ReflectionMap& result, Keeper& keeper) {
   keeper.value("refractive_index", result.refractive_index);
   keeper.value("specular_share", result.specular_share);
   keeper.value("clamped_share", result.clamped_share);
+}
+
+void keep(ClampedZeniths& result, Keeper& keeper) {
+  keeper.raster("polarization/clamped.png", result.map);
+  keeper.value("clamped_fraction", result.fraction);
 }
 
 void keep(HeightMap& result, Keeper& keeper) {

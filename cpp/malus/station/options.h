@@ -10,6 +10,7 @@
 #include "malus/core/fields.h"
 #include "malus/evidence/evidence_options.h"
 #include "malus/fusion/grid_fusion.h"
+#include "malus/fusion/grid_optimization_internal.h"
 #include "malus/fusion/refine.h"
 #include "malus/height/height.h"
 #include "malus/lighting/light.h"
@@ -46,6 +47,7 @@ struct Options {
   LightOptions light;
   HeightOptions height;
   GridFusionOptions grid;
+  OptimizeOptions optimize;
   RefineOptions refine;
   SurfaceOptions surface;
   AssessOptions assess;
@@ -63,6 +65,7 @@ struct Options {
     visit("light", self.light);
     visit("height", self.height);
     visit("grid", self.grid);
+    visit("optimize", self.optimize);
     visit("refine", self.refine);
     visit("surface", self.surface);
     visit("assess", self.assess);

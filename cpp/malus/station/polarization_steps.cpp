@@ -15,6 +15,7 @@
 #include "malus/polarization/decompose.h"
 #include "malus/polarization/frame_calibration_internal.h"
 #include "malus/polarization/interpolation_error_internal.h"
+#include "malus/polarization/pixel_curves_internal.h"
 #include "malus/polarization/unpolarized_internal.h"
 #include "malus/station/state_views_internal.h"
 #include "malus/station/step_functions_internal.h"
@@ -186,6 +187,7 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
     warn(caution_of_texture(*state));
   }
   warn(caution_of_misfits(*state));
+  measured.curves = pixel_curves(*state, stack.images, stack.angles_rad);
   measured.state = std::move(state);
   Scene scene;
   const bool has_surroundings = std::ranges::find(stack.mask, std::uint8_t{0}) != stack.mask.end();
@@ -205,8 +207,8 @@ CalibratedPolarization calibrate_polarization(const Job& job, const MeasuredPola
   return {std::move(state), std::move(calibrated.calibration)};
 }
 
-ReflectionMap find_zenith(const Job& job, const CalibratedPolarization& polarization, const StationView& view,
-                          const DepthPrior* prior) {
+std::tuple<ReflectionMap, ClampedZeniths> find_zenith(const Job& job, const CalibratedPolarization& polarization,
+                                                      const StationView& view, const DepthPrior* prior) {
   const StationFile& file = job.station.file;
   ReflectionOptions known = job.options.reflection;
   if (file.optics.refractive_index) known.refractive_index = *file.optics.refractive_index;
@@ -217,8 +219,16 @@ ReflectionMap find_zenith(const Job& job, const CalibratedPolarization& polariza
   if (prior != nullptr) normals = normals_from_depth(prior->depth, view.camera, job.context);
   // Without a camera the rays are taken for parallel.
   const Pinhole* camera = file.known_lens() ? &view.camera : nullptr;
-  return map_reflection(*polarization.state, camera, prior != nullptr ? &normals : nullptr,
-                        file.optics.label_image ? &labels : nullptr, known, job.context);
+  const PolarizationState& state = *polarization.state;
+  ReflectionMap map = map_reflection(state, camera, prior != nullptr ? &normals : nullptr,
+                                     file.optics.label_image ? &labels : nullptr, known, job.context);
+  ClampedZeniths clamped{Mask(state.size()), map.clamped_share};
+  const double largest = largest_diffuse_degree(map.refractive_index);  // Eq 8 reaches 1
+  for (std::size_t i = 0; i < clamped.map.count(); ++i) {
+    const bool is_diffuse = map.label[i] == static_cast<std::uint8_t>(Reflection::diffuse);
+    clamped.map[i] = is_diffuse && state.rho[i] > largest ? 255 : 0;
+  }
+  return {std::move(map), std::move(clamped)};
 }
 
 }  // namespace malus

@@ -57,11 +57,13 @@ Json refine_report_json(const RefineReport& report) {
 }
 
 Json quality_json(const StationFile& station, const Quality& quality, const PolarizerCalibration& polarizer,
-                  const RefinementFindings* refinement, const Photogrammetry* photogrammetry) {
+                  const ClampedZeniths* clamped, const RefinementFindings* refinement,
+                  const Photogrammetry* photogrammetry) {
   Json json = {{"name", station.name}, {"object", fields_to_json(station.object)}};
   if (photogrammetry != nullptr) json.update(Json::parse(photogrammetry->figures_json));
   json.update(fields_to_json(quality));
   json["polarizer"] = fields_to_json(polarizer);
+  json["zenith_clamped_fraction"] = clamped != nullptr ? Json(clamped->fraction) : Json(nullptr);
   if (refinement != nullptr) json["refinement"] = Json::parse(refinement->report_json);
   return json;
 }

@@ -14,9 +14,12 @@ namespace malus {
 /// Reflectance, light and convergence of the refinement, with standard deviations.
 Json refine_report_json(const RefineReport& report);
 
-/// The figures under the names of the Quality structs, with the station's name and [object], the polarizer's angles and exposures,
-/// after a refinement its findings, and what the photogrammetry says of itself; null = there is none.
+/// The figures under the names of the Quality structs, with the station's name and [object], the polarizer's angles and
+/// exposures,
+/// the share of clamped zeniths, after a refinement its findings, and what the photogrammetry says of itself; null =
+/// there is none.
 Json quality_json(const StationFile& station, const Quality& quality, const PolarizerCalibration& polarizer,
-                  const RefinementFindings* refinement, const Photogrammetry* photogrammetry);
+                  const ClampedZeniths* clamped, const RefinementFindings* refinement,
+                  const Photogrammetry* photogrammetry);
 
 }  // namespace malus

@@ -13,6 +13,7 @@
 #include "malus/core/image.h"
 #include "malus/fusion/fused_surface.h"
 #include "malus/height/height_map.h"
+#include "malus/polarization/pixel_curves_internal.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/polarization/polarizer_calibration.h"
 #include "malus/polarization/polarizer_fit.h"
@@ -27,8 +28,9 @@ namespace malus {
 /// What the images say, before any surface is known.
 struct MeasuredPolarization {
   std::shared_ptr<const PolarizationState> state;
-  PolarizerFit polarizer;         ///< angles and exposures that the Stokes vectors were computed with
-  bool polarizer_fitted = false;  ///< they come from the images, not from the station
+  PolarizerFit polarizer;            ///< angles and exposures that the Stokes vectors were computed with
+  bool polarizer_fitted = false;     ///< they come from the images, not from the station
+  std::vector<PixelCurve> curves{};  ///< of a few pixels, for people (Fig. 1c)
 };
 
 /// The camera of all rasters.
@@ -57,6 +59,18 @@ struct Scene {
 struct CalibratedPolarization {
   std::shared_ptr<const PolarizationState> state;  ///< that of the images if the surface corrects nothing
   PolarizerCalibration polarizer;
+};
+
+/// Where the points of the cloud are seen: 255 = on the prior's surface, 128 = behind or in front of it; empty if the
+/// prior is not made of points.
+struct PriorPoints {
+  Mask map;
+};
+
+/// Where the degree of polarization is beyond what its kind of reflection can give, so that the zenith is the largest.
+struct ClampedZeniths {
+  Mask map;             ///< 255 = clamped
+  double fraction = 0;  ///< of the labeled pixels
 };
 
 /// What all inputs together say of themselves before they are fused, most severe first.

@@ -129,7 +129,9 @@ Json StationInputs::prior() {
               {"shape", inputs.array("swept shape", swept.shape)}};
     }
   };
-  return std::visit(Source{*this}, station_.prior);
+  Json json = std::visit(Source{*this}, station_.prior);
+  if (station_.file.prior_scale != 1) json["scale"] = station_.file.prior_scale;
+  return json;
 }
 
 Json StationInputs::regions() {

@@ -18,8 +18,8 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
 CalibratedPolarization calibrate_polarization(const Job& job, const MeasuredPolarization& measured,
                                               const StationView& view, const DepthPrior* prior);
 /// Diffuse or specular, and the zenith that the degree then means.
-ReflectionMap find_zenith(const Job& job, const CalibratedPolarization& polarization, const StationView& view,
-                          const DepthPrior* prior);
+std::tuple<ReflectionMap, ClampedZeniths> find_zenith(const Job& job, const CalibratedPolarization& polarization,
+                                                      const StationView& view, const DepthPrior* prior);
 
 // evidence_step.cpp
 
@@ -30,12 +30,16 @@ InputEvidence check_inputs(const Job& job, const ImageFindings& of_images, const
 // surface_steps.cpp: what stereo and both together say.
 
 /// What stereo says, seen from the station.
-DepthPrior make_prior(const Job& job, const MeasuredPolarization& measured, const StationView& view);
-/// The paper's height from polarization alone (Eq 9 to 11).
+std::tuple<DepthPrior, PriorPoints> make_prior(const Job& job, const MeasuredPolarization& measured,
+                                               const StationView& view);
+/// The paper's height from polarization alone (Eq 9 to 11). Without a prior its light is the station's, or that of a
+/// convex object.
 HeightMap make_height(const Job& job, const CalibratedPolarization& polarization, const StationView& view,
-                      const DepthPrior& prior, const ReflectionMap& reflection);
-/// One surface of both: the paper's grid transfer (Eq 14 to 16). Nothing is fused before its inputs are checked.
+                      const DepthPrior* prior, const ReflectionMap& reflection);
+/// One surface of both: the paper's grid transfer (Eq 14 to 16), and all equations together from there on if asked for.
+/// Nothing is fused before its inputs are checked.
 FusedSurface fuse_by_grid(const Job& job, const HeightMap& height, const DepthPrior& prior,
+                          const CalibratedPolarization& polarization, const ReflectionMap& reflection,
                           const InputEvidence& evidence);
 /// The same by nonlinear refinement.
 std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,
@@ -50,7 +54,7 @@ void write_mesh(const Job& job, const FusedSurface& surface, const ObjectColor& 
 
 /// Every figure of quality.json.
 QualityReport make_quality(const Job& job, const FusedSurface& surface, const CalibratedPolarization& polarization,
-                           const StationView& view, const DepthPrior& prior, const HeightMap* height,
-                           const RefinementFindings* refinement, const Warnings& warnings);
+                           const StationView& view, const DepthPrior& prior, const ClampedZeniths* clamped,
+                           const HeightMap* height, const RefinementFindings* refinement, const Warnings& warnings);
 
 }  // namespace malus

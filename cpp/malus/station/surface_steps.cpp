@@ -1,3 +1,6 @@
+#include <algorithm>
+#include <cmath>
+#include <sstream>
 #include <stdexcept>
 #include <utility>
 
@@ -8,6 +11,7 @@
 #include "malus/io/image_file.h"
 #include "malus/io/point_cloud_file.h"
 #include "malus/lighting/light.h"
+#include "malus/lighting/light_from_polarization_internal.h"
 #include "malus/prior/project_prior.h"
 #include "malus/station/quality_json_internal.h"
 #include "malus/station/state_views_internal.h"
@@ -26,16 +30,73 @@ const CameraSpec& require_camera(const StationFile& file) {
       ": [camera] has no pose, expected a camera whose position is known (a COLMAP model, or qvec and tvec)");
 }
 
+/// Where the points of a cloud are seen, and whether they lie on the prior's surface.
+Mask seen_points(const PointCloud& cloud, const DepthPrior& prior) {
+  constexpr double tolerance_gsd = 3, tolerance_sigma = 3;
+  constexpr std::uint8_t on_surface = 255, off_surface = 128;
+  Mask map(prior.camera.size);
+  for (const Eigen::Vector3d& point : cloud.points) {
+    const Eigen::Vector3d in_cam = prior.pose.cam_from_world(point);
+    if (!(in_cam.z() > 0)) continue;
+    const Eigen::Vector2d pixel = (prior.camera.project(in_cam).array() + 0.5).floor();
+    if (!(pixel.minCoeff() >= 0 && pixel.x() < map.width() && pixel.y() < map.height())) continue;
+    const int u = static_cast<int>(pixel.x()), v = static_cast<int>(pixel.y());
+    const double off = std::abs(in_cam.z() - prior.depth(u, v));
+    const double allowed =
+        tolerance_gsd * prior.depth(u, v) / prior.camera.focal() + tolerance_sigma * prior.sigma(u, v);
+    map(u, v) = std::max(map(u, v), off <= allowed ? on_surface : off_surface);  // no surface: off
+  }
+  return map;
+}
+
+/// Bars that the scale of a given prior leaves wrong.
+void warn_of_scale(const StationFile& file, const Context& context) {
+  constexpr double worth_a_warning = 0.005;  // of the distance
+  for (std::size_t i = 0; i < file.scale_errors.size(); ++i) {
+    const ScaleBar& bar = file.scale_bars[i];
+    std::ostringstream message;
+    message << "[[scale]] " << i + 1 << (bar.check ? " (check)" : "") << ": " << bar.distance << " " << file.unit
+            << " known, off by " << file.scale_errors[i] << " " << file.unit;
+    const bool is_large = std::abs(file.scale_errors[i]) > worth_a_warning * bar.distance;
+    context.log(is_large ? LogLevel::warning : LogLevel::info, message.str());
+  }
+}
+
 /// The surface of each kind of source.
 struct PriorMaker {
   const Job& job;
   const Pinhole& camera;
   const Pose& pose;
   const Mask mask;
+  PriorPoints& points;
 
+  /// The source with its lengths in the station's unit.
+  template <class T>
+  T scaled(T source) const {
+    const double scale = job.station.file.prior_scale;
+    if (scale == 1) return source;
+    if constexpr (std::same_as<T, PointCloud>) {
+      for (Eigen::Vector3d& point : source.points) point *= scale;
+    } else if constexpr (std::same_as<T, TriangleMesh>) {
+      for (Eigen::Vector3d& point : source.vertices.points) point *= scale;
+    } else {
+      for (float& depth : source) depth = static_cast<float>(scale * depth);
+    }
+    return source;
+  }
+
+  DepthPrior operator()(const SweptDepth& swept) const {
+    return project_prior(swept, camera, pose, mask, job.options.prior, job.context);
+  }
   template <class T>
   DepthPrior operator()(const T& source) const {
-    return project_prior(source, camera, pose, mask, job.options.prior, job.context);
+    return project_prior(scaled(source), camera, pose, mask, job.options.prior, job.context);
+  }
+  DepthPrior operator()(const PointCloud& given) const {
+    const PointCloud cloud = scaled(given);
+    DepthPrior prior = project_prior(cloud, camera, pose, mask, job.options.prior, job.context);
+    points.map = seen_points(cloud, prior);
+    return prior;
   }
   DepthPrior operator()(std::monostate) const { throw std::logic_error("a prior is made of nothing"); }
   DepthPrior operator()(const CloudFile& file) const { return (*this)(read_cloud(file.path, job.context)); }
@@ -54,33 +115,71 @@ FusedSurface judged(FusedSurface surface, const InputEvidence& evidence, const C
 
 }  // namespace
 
-DepthPrior make_prior(const Job& job, const MeasuredPolarization& measured, const StationView& view) {
+std::tuple<DepthPrior, PriorPoints> make_prior(const Job& job, const MeasuredPolarization& measured,
+                                               const StationView& view) {
   const Pose& pose = require_camera(job.station.file).pose;
-  return std::visit(PriorMaker{job, view.camera, pose, object_mask(*measured.state)}, job.station.prior);
+  PriorPoints points;
+  warn_of_scale(job.station.file, job.context);
+  DepthPrior prior =
+      std::visit(PriorMaker{job, view.camera, pose, object_mask(*measured.state), points}, job.station.prior);
+  return {std::move(prior), std::move(points)};
 }
 
 HeightMap make_height(const Job& job, const CalibratedPolarization& polarization, const StationView& view,
-                      const DepthPrior& prior, const ReflectionMap& reflection) {
+                      const DepthPrior* prior, const ReflectionMap& reflection) {
   const Options& options = job.options;
   const PolarizationState& state = *polarization.state;
-  const Pinhole* camera = options.height.perspective ? &view.camera : nullptr;
-  // The normals are the largest of the maps, and only the light is asked of them.
-  const LightEstimate light = light_on_surface(state, normals_from_depth(prior.depth, view.camera, job.context), camera,
-                                               options.light, job.context);
-  const Image<float> height = height_from_depth(prior.depth, view.camera, options.height.perspective, job.context);
+  const StationFile& station = job.station.file;
+  // Without a camera the rays are taken for parallel.
+  const Pinhole* camera = options.height.perspective && station.known_lens() ? &view.camera : nullptr;
+  LightEstimate light;
+  if (prior == nullptr || station.optics.light) {
+    std::optional<Eigen::Vector3d> known;
+    if (station.optics.light) known = Eigen::Vector3d(station.optics.light->data());
+    light = light_from_polarization(state, reflection, known, camera, options.light, job.context);
+    if (!known)
+      job.context.log(
+          LogLevel::warning,
+          "the light comes from the polarization alone, for an object that is convex in the whole and of one "
+          "albedo; if it is hollow, the height is upside down: give [optics] light = [x, y, z]");
+  } else {
+    // The normals are the largest of the maps, and only the light is asked of them.
+    light = light_on_surface(state, normals_from_depth(prior->depth, view.camera, job.context), camera, options.light,
+                             job.context);
+  }
+  Image<float> height;
+  if (prior != nullptr) height = height_from_depth(prior->depth, view.camera, camera != nullptr, job.context);
   return solve_height({.polarization = state,
                        .reflection = reflection,
                        .camera = camera,
                        .light = std::nullopt,
                        .prior_normals = nullptr,
-                       .prior_height = &height,
+                       .prior_height = prior != nullptr ? &height : nullptr,
                        .estimated_light = light},
                       options.height, options.light, job.context);
 }
 
 FusedSurface fuse_by_grid(const Job& job, const HeightMap& height, const DepthPrior& prior,
+                          const CalibratedPolarization& polarization, const ReflectionMap& reflection,
                           const InputEvidence& evidence) {
-  return judged(fuse_grid(height, prior, job.options.grid, job.context), evidence, job.context);
+  FusedSurface surface = fuse_grid(height, prior, job.options.grid, job.context);
+  if (job.options.optimize.enabled && height.status == "converged") {
+    optimize_grid_surface(surface,
+                          {.polarization = *polarization.state,
+                           .reflection = reflection,
+                           .prior = prior,
+                           .light = height.light,
+                           .perspective = height.perspective,
+                           .cell_px = job.options.grid.grid_px},
+                          job.options.optimize, job.context);
+  }
+  if (!job.station.file.optics.refractive_index) {
+    std::ostringstream message;
+    message << "optics.refractive_index = \"auto\": only the refinement estimates it; zenith and height were made with "
+            << reflection.refractive_index;
+    surface.warnings.push_back(message.str());
+  }
+  return judged(std::move(surface), evidence, job.context);
 }
 
 std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,

@@ -65,6 +65,21 @@ TEST(LensCamera, BrownIsMeasuredToIdealWithImageYUp) {
   EXPECT_NEAR(shifted.pinhole().cy, 40, 1e-12);
 }
 
+TEST(LensCamera, BrownDecenteringByHand) {
+  // Eq 13 at x = 2 mm, y = −1 mm (up), r² = 5: p1 = .001 adds .001 · (5 + 2 · 4) = .013 to x and 2 · .001 · 2 · −1 =
+  // −.004 to y; p2 = .001 adds −.004 to x and .001 · (5 + 2 · 1) = .007 to y; p3 = .1 makes both 1.5 times as large.
+  struct Case {
+    double p1, p2, p3, x, y;
+  };
+  for (const Case& c : {Case{1e-3, 0, 0, 2.013, -1.004}, Case{0, 1e-3, 0, 1.996, -0.993},
+                        Case{1e-3, 0, 0.1, 2.0195, -1.006}, Case{0, 1e-3, 0.1, 1.994, -0.9895}}) {
+    const LensCamera lens{LensModel::brown, {101, 101}, {50, 0.1, 0, 0, 0, 0, 0, c.p1, c.p2, c.p3}};
+    const Eigen::Vector2d ideal = lens.undistort({70, 60});  // 20 px to the right, 10 px down
+    EXPECT_NEAR(ideal.x(), c.x / 50, 1e-12);
+    EXPECT_NEAR(ideal.y(), -c.y / 50, 1e-12);  // the camera's y points down
+  }
+}
+
 TEST(LensCamera, ValidateNamesTheProblem) {
   LensCamera lens{LensModel::opencv, {640, 480}, {500, 510, 320}};
   try {

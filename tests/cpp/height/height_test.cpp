@@ -7,6 +7,7 @@
 
 #include "height/height_scenes.h"
 #include "malus/core/depth_normals.h"
+#include "malus/lighting/light_from_polarization_internal.h"
 
 namespace malus {
 namespace {
@@ -137,6 +138,33 @@ TEST(Height, LightIsEstimatedWithThePriorsNormals) {
   EXPECT_LT(normal_error(scene, map), 2.5);
   input.prior_normals = nullptr;
   EXPECT_THROW(solve_height(input, {}, {}, {}), Error);
+}
+
+TEST(Height, NeedsNoPriorForAConvexObject) {
+  const Eigen::Vector4d oblique(0.3, 0.2, -0.6, 0);
+  for (const double noise : {0.0, 0.003}) {
+    const Scene scene = render(sphere(128), {128, 128}, nullptr, oblique, noise);
+    const HeightMap map =
+        solve_height({scene.state, scene.reflection, nullptr, std::nullopt, nullptr, nullptr}, {}, {}, {});
+    EXPECT_EQ(map.status, "converged");
+    const Eigen::Vector3d light = map.light.head<3>();
+    EXPECT_LT(std::acos(light.normalized().dot(oblique.head<3>().normalized())) / degree, noise > 0 ? 3 : 1);
+    EXPECT_NEAR(light.norm() / oblique.head<3>().norm(), 1, 0.03);
+    EXPECT_LT(normal_error(scene, map), noise > 0 ? 3 : 1);
+  }
+}
+
+TEST(Height, OfAKnownDirectionOnlyTheStrengthIsFound) {
+  // Bumps are neither convex nor hollow: the direction is what tells the two apart.
+  const Eigen::Vector4d oblique(0.35, -0.2, -0.6, 0);
+  const Scene scene = render(bumps(128), {128, 128}, nullptr, oblique, 0.002);
+  const LightEstimate light =
+      light_from_polarization(scene.state, scene.reflection, Eigen::Vector3d(2 * oblique.head<3>()), nullptr, {}, {});
+  EXPECT_EQ(light.status, LightStatus::estimated);
+  EXPECT_LT((light.coefficients - oblique).norm(), 0.02);
+  const HeightMap map =
+      solve_height({scene.state, scene.reflection, nullptr, std::nullopt, nullptr, nullptr, light}, {}, {}, {});
+  EXPECT_LT(normal_error(scene, map), 2.5);
 }
 
 TEST(Height, BridgesPixelsWithoutPolarization) {

@@ -167,7 +167,7 @@ TEST_F(StationFileTest, WrongTypesAndValuesNameFieldValueAndExpectation) {
     sections.rest = "[optics]\n" + line + "\n";
     rejects(sections, parts...);
   };
-  optics("refractive_index = 0.5", "refractive_index = 0.5", "from 1.05 to 4");
+  optics("refractive_index = 0.5", "refractive_index = 0.5", "from 1.05 to 3");
   optics("refractive_index = \"glass\"", "refractive_index", "a number");
   optics("reflection = \"shiny\"", "shiny", "\"diffuse\"");
 }
@@ -355,6 +355,10 @@ TEST_F(StationFileTest, PhotogrammetricCamera) {
   sections.camera = lens + "omega_phi_kappa_deg = [0, 0, 0]\ncenter = [1, 2, 100]\n";
   const StationFile station = read(sections);
   EXPECT_EQ(station.camera->lens.params, (std::vector<double>{20, 0.01, 0.01, 0, 1e-5, 0, 0, 0, 0, 0}));
+  Sections decentered;
+  decentered.camera = lens + "p1 = 1e-6\np2 = 2e-6\np3 = 3e-6\nomega_phi_kappa_deg = [0, 0, 0]\ncenter = [1, 2, 100]\n";
+  EXPECT_EQ(read(decentered).camera->lens.params,
+            (std::vector<double>{20, 0.01, 0.01, 0, 1e-5, 0, 0, 1e-6, 2e-6, 3e-6}));
   const Pose pose = station.camera->pose;
   EXPECT_LT((pose.centre() - Eigen::Vector3d(1, 2, 100)).norm(), 1e-12);
   const Eigen::Vector3d below = pose.cam_from_world({1, 2, 0}), right = pose.cam_from_world({3, 2, 0}),

@@ -91,7 +91,7 @@ MeasuredPolarization measured() {
   fit.residual_after = nan;
   fit.pixels = 1000;
   fit.largest_gain_change = 0.01;
-  return {std::make_shared<PolarizationState>(state()), fit, true};
+  return {std::make_shared<PolarizationState>(state()), fit, true, {{3, 2, {0, 45.5}, {0.1, 0.2}}}};
 }
 
 TEST(KeptResults, MeasuredPolarization) {
@@ -100,6 +100,7 @@ TEST(KeptResults, MeasuredPolarization) {
   EXPECT_EQ(back.state->i_un, state().i_un);
   EXPECT_TRUE(back.state->variance_factor.empty());
   EXPECT_TRUE(back.polarizer_fitted);
+  EXPECT_EQ(back.curves.at(0).intensities, (std::vector<double>{0.1, 0.2}));
   EXPECT_EQ(back.polarizer.largest_gain_change, 0.01);
   EXPECT_EQ(back.polarizer.image_information, measured().polarizer.image_information);
 
@@ -153,6 +154,9 @@ TEST(KeptResults, Surfaces) {
   const ReflectionMap reflection = expect_kept(ReflectionMap{labels(2), raster(0.5F), 1.7, 0.25, 0.125});
   EXPECT_EQ(reflection.refractive_index, 1.7);
   EXPECT_EQ(reflection.specular_share, 0.25);
+  EXPECT_EQ(expect_kept(PriorPoints{labels(128)}).map, labels(128));
+  EXPECT_TRUE(expect_kept(PriorPoints{}).map.empty());
+  EXPECT_EQ(expect_kept(ClampedZeniths{labels(255), 0.5}).fraction, 0.5);
   HeightMap height;
   height.height = raster(-1);
   height.perspective = false;

@@ -1,0 +1,10 @@
+"""The coin as rough metal: the dielectric formulas do not hold."""
+
+from . import coin
+
+
+def scene(style, rng, quality):
+    return coin.scene(style, rng, quality, dict(type="roughconductor", eta=0.25, k=3.4, alpha=0.18))
+
+
+STYLES = dict(coin.STYLES)

@@ -1,0 +1,114 @@
+"""Render stations with exact truth (or take those there are), run them, score them, write the tables of docs/method.md.
+
+    python benchmarks/rendered/run.py -o OUT --data DIR [--scenes relief coin …]     # DIR/SCENE as the renderer leaves it
+    python benchmarks/rendered/run.py -o OUT --render relief coin --python RENDERER_VENV/bin/python [--seed 5] [--size 200x150]
+
+Each scene's station.toml (--station names another) goes through `malus-station`, once with default options and once by the
+preset "paper"; --set adds options to both. OUT/SCENE-PRESET are the workspaces, OUT/figures.json every score, and
+OUT/tables.md the tables: prior → fused, and the paper's route by its stages. Scenes whose workspace is finished with the same
+inputs are not computed again. Needs numpy, scipy and tifffile; rendering needs renderer/requirements.txt.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+#: Runs of each scene: name in the tables, and what they add to the command line.
+RUNS: dict[str, list[str]] = {
+    "refined": [],
+    "paper": ["--preset", "paper"],
+    "paper, Eq 16": ["--preset", "paper", "--set", "optimize.enabled=false"],
+}
+FIGURES = {
+    "rmse_gsd": "RMSE",
+    "detail_rmse_gsd": "detail",
+    "detail_mad_gsd": "MAD",
+    "normal_median_deg": "normals [°]",
+}
+
+
+def render(scenes: list[str], python: str, output: Path, rest: list[str]) -> None:
+    for scene in scenes:
+        if (output / scene / "meta.json").exists():
+            continue
+        command = [python, str(HERE / "renderer" / "render.py"), "--scene", scene, "--out", str(output / scene), *rest]
+        subprocess.run(command, check=True)
+
+
+def score(scene: Path, work: Path) -> dict[str, float]:
+    command = [sys.executable, str(HERE / "score.py"), str(scene), str(work), "--json"]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    figures: dict[str, float] = json.loads(done.stdout)
+    return figures
+
+
+def run_scene(scene: Path, station: str, program: str, output: Path, options: list[str]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, added in RUNS.items():
+        work = output / f"{scene.name}-{name.replace(', ', '-').replace(' ', '')}"
+        command = [program, str(scene / station), "-o", str(work), "--quiet", *added, *options]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode != 0:
+            found[name] = {"exit code": done.returncode, "message": done.stderr.strip()}
+            continue
+        quality = json.loads((work / "quality.json").read_text(encoding="utf-8"))
+        found[name] = {**score(scene, work), "confidence": quality["confidence"]["level"]}
+    return found
+
+
+def table(name: str, figures: dict[str, dict[str, Any]]) -> str:
+    lines = [
+        f"Run: {name} (prior → fused; GSD)\n",
+        "| station | " + " | ".join(FIGURES.values()) + " | patch | 2 sigma |",
+    ]
+    lines.append("|---" * (len(FIGURES) + 3) + "|")
+    for scene, runs in figures.items():
+        row = runs[name]
+        if "exit code" in row:
+            lines.append(f"| {scene} | exit code {row['exit code']}: {row['message'][:120]} |")
+            continue
+        cells = [f"{row['prior_' + key]:.3g} → {row[key]:.3g}" for key in FIGURES]
+        patches = [f"{value:.3g}" for key, value in row.items() if key.startswith("patch_")]
+        lines.append(f"| {scene} | " + " | ".join([*cells, ", ".join(patches) or "–", f"{row['sigma_2']:.3f}"]) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("--data", type=Path, help="folder of rendered scenes")
+    where.add_argument("--render", nargs="+", metavar="SCENE", help="render these into OUT/scenes first")
+    parser.add_argument("--python", default=sys.executable, help="interpreter that has the renderer's packages")
+    parser.add_argument("--scenes", nargs="+", help="of --data; default: all that have the station file")
+    parser.add_argument("--station", default="station.toml")
+    parser.add_argument("--program", default=str(HERE.parents[1] / "build" / "malus-station"))
+    parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
+    args, for_renderer = parser.parse_known_args()
+    if for_renderer and not args.render:
+        parser.error(f"unknown arguments {' '.join(for_renderer)}; only --render passes others on, to render.py")
+    args.output.mkdir(parents=True, exist_ok=True)
+    data = args.data or args.output / "scenes"
+    if args.render:
+        render(args.render, args.python, data, for_renderer)
+    names = args.render or args.scenes or sorted(p.parent.name for p in data.glob(f"*/{args.station}"))
+    if not names:
+        parser.error(f"--data {data}: no folder in it has a {args.station}")
+    options = [word for assignment in args.set for word in ("--set", assignment)]
+    figures: dict[str, dict[str, Any]] = {}
+    for name in names:
+        figures[name] = run_scene(data / name, args.station, args.program, args.output, options)
+        print(name, json.dumps(figures[name]), flush=True)
+    (args.output / "figures.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    (args.output / "tables.md").write_text("\n".join(table(run, figures) for run in RUNS), encoding="utf-8")
+    print(args.output / "tables.md")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,107 @@
+"""Height from polarization alone, beside the linear system of Smith, Ramamoorthi and Tozza 2016.
+
+    python benchmarks/smith2016.py [DATA.npz …]
+
+Without files: a sphere (zenith to 60°) and a bumpy surface (to 40°), 256², six angles, refractive index 1.5, albedo 1, Gaussian
+noise of 0 and 0.5 %. A file has images (H, W, K), angles [rad], mask, light (x right, y up, z to the viewer), normal (same axes).
+Mean normal error in degrees by central differences: `likelihood` is the default, `literal` the linear system as printed
+there and in the paper, `no light` the default with the light taken from the polarization (convex objects only).
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import malus
+
+SIZE, ETA = 256, 1.5
+Data = dict[str, Any]
+
+
+def sphere() -> tuple[np.ndarray, np.ndarray]:
+    radius = SIZE / 2 - 2
+    v, u = np.mgrid[:SIZE, :SIZE]
+    x, y = u - (SIZE - 1) / 2, (SIZE - 1) / 2 - v
+    z = np.sqrt(np.maximum(radius**2 - x**2 - y**2, 0))
+    return z, z > radius / 2
+
+
+def bumps() -> tuple[np.ndarray, np.ndarray]:
+    v, u = np.mgrid[:SIZE, :SIZE]
+    k = 4 * np.pi / SIZE
+    z = 0.35 / k * (np.sin(k * u) + np.cos(0.8 * k * v) + 0.6 * np.sin(0.7 * k * (u + v)))
+    mask = np.zeros((SIZE, SIZE), bool)
+    mask[4:-4, 4:-4] = True
+    return z, mask
+
+
+def imaged(surface: tuple[np.ndarray, np.ndarray], noise: float) -> Data:
+    """The surface through a polarizer; axes x right, y up, z to the viewer."""
+    z, mask = surface
+    down, right = np.gradient(z)
+    normal = np.stack([-right, down, np.ones_like(z)], -1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    if mask.sum() < 0.9 * mask.size:  # the sphere's own normals, exact to its border
+        radius = SIZE / 2 - 2
+        v, u = np.mgrid[:SIZE, :SIZE]
+        normal = np.stack([u - (SIZE - 1) / 2, (SIZE - 1) / 2 - v, z], -1) / radius
+    light = np.array([0.2747, 0.0, 0.9615])
+    shading = np.maximum(normal @ light, 0.02)
+    zenith = np.arccos(np.clip(normal[..., 2], -1, 1))
+    degree = malus.polarization.diffuse_degree(zenith, ETA)
+    azimuth = np.arctan2(normal[..., 1], normal[..., 0])
+    angles = np.radians(np.arange(0, 180, 30))
+    images = shading[..., None] * (1 + degree[..., None] * np.cos(2 * (angles - azimuth[..., None])))
+    images += np.random.default_rng(5).normal(0, noise, images.shape)
+    return {"images": images, "angles": angles, "mask": mask, "light": light, "normal": normal}
+
+
+def normal_error_deg(height: np.ndarray, normal: np.ndarray, mask: np.ndarray) -> float:
+    """Mean, where both neighbors along both axes are on the object."""
+    inner = mask.copy()
+    inner[1:-1, 1:-1] &= mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
+    down, right = np.gradient(height)
+    found = np.stack([-right, down, np.ones_like(height)], -1)
+    found /= np.linalg.norm(found, axis=-1, keepdims=True)
+    return float(np.degrees(np.arccos(np.clip((found * normal).sum(-1), -1, 1)))[inner].mean())
+
+
+def errors(data: Data) -> dict[str, float]:
+    """Mean normal error by each method."""
+    mask = data["mask"].astype(bool)
+    images = [data["images"][..., k] for k in range(data["images"].shape[-1])]
+    state = malus.polarization.decompose(images, list(data["angles"]), mask=mask)
+    reflection = malus.polarization.map_reflection(state, reflection="diffuse")
+    x, y, z = data["light"]
+    result = {}
+    for name, method, light in (
+        ("likelihood", "likelihood", [x, -y, -z, 0.0]),
+        ("linear", "linear", [x, -y, -z, 0.0]),
+        ("literal", "literal", [x, -y, -z, 0.0]),
+        ("no light", "likelihood", None),
+    ):
+        options = malus.Options(height={"perspective": False, "method": method})
+        height = malus.height.solve(state, reflection, light=light, options=options, threads=2).height
+        result[name] = normal_error_deg(height.astype(float), data["normal"], mask)
+    return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("files", nargs="*", type=Path, metavar="DATA.npz")
+    args = parser.parse_args()
+    cases: dict[str, Data] = {path.stem: dict(np.load(path)) for path in args.files}
+    if not cases:
+        for name, surface in (("sphere", sphere()), ("bumpy", bumps())):
+            cases |= {f"{name}, {100 * noise:g} % noise": imaged(surface, noise) for noise in (0.0, 0.005)}
+    print("| surface | likelihood | linear | literal | no light |\n|---|---|---|---|---|")
+    for name, data in cases.items():
+        print(f"| {name} | " + " | ".join(f"{error:.2f}°" for error in errors(data).values()) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,295 @@
+#include <ceres/autodiff_cost_function.h>
+#include <ceres/problem.h>
+#include <ceres/solver.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <numbers>
+#include <vector>
+
+#include "malus/core/depth_normals.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/core/tiled_axis_internal.h"
+#include "malus/fusion/grid_optimization_internal.h"
+#include "malus/height/height.h"
+#include "malus/linalg/sequential_blas_internal.h"
+#include "malus/polarization/ray_frame.h"
+
+namespace malus {
+namespace {
+
+constexpr float none = std::numeric_limits<float>::quiet_NaN();
+constexpr int tile_px = 256, margin_px = 24;
+/// Pixels along a tile's cut that are held.
+constexpr int held_px = 2;
+
+/// Eq 9, Eq 11 and the zenith at one pixel, by the heights of the pixel and of the next ones along u and v.
+struct PixelEquations {
+  AffineSlopes slopes;
+  double sine, cosine;                                ///< of the azimuth
+  double light_right, light_up, light_view, shading;  ///< shares of the light's strength
+  double cosine_zenith;
+  const OptimizeOptions& options;
+
+  template <class T>
+  bool operator()(const T* here, const T* right, const T* below, T* residuals) const {
+    const T along_u = *right - *here, along_v = *below - *here;
+    const T p = slopes.constant.p + slopes.per_u.p * along_u + slopes.per_v.p * along_v;
+    const T q = slopes.constant.q + slopes.per_u.q * along_u + slopes.per_v.q * along_v;
+    const T facing = 1.0 / sqrt(1.0 + p * p + q * q);  // n · view
+    residuals[0] = options.phase_weight * facing * (sine * p - cosine * q);
+    residuals[1] = options.shading_weight * (facing * (light_right * p + light_up * q + light_view) - shading);
+    residuals[2] = options.zenith_weight * (facing - cosine_zenith);
+    return true;
+  }
+};
+
+/// Mean difference of some pixels' heights to the prior's.
+class CellMean final : public ceres::CostFunction {
+ public:
+  CellMean(std::size_t pixels, double prior_mean, double weight)
+      : share_(weight / static_cast<double>(pixels)), target_(weight * prior_mean) {
+    mutable_parameter_block_sizes()->assign(pixels, 1);
+    set_num_residuals(1);
+  }
+
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
+    const std::size_t pixels = parameter_block_sizes().size();
+    residuals[0] = -target_;
+    for (std::size_t i = 0; i < pixels; ++i) {
+      residuals[0] += share_ * parameters[i][0];
+      if (jacobians != nullptr && jacobians[i] != nullptr) jacobians[i][0] = share_;
+    }
+    return true;
+  }
+
+ private:
+  double share_, target_;
+};
+
+struct Box {
+  int u0, v0, u1, v1;  // ends not included
+};
+
+/// One tile of the problem.
+class Tile {
+ public:
+  Tile(const Image<float>& heights, const Image<float>& prior_heights, const Pinhole* camera,
+       const OptimizeInput& input, const OptimizeOptions& options, Box box)
+      : heights_(heights),
+        prior_heights_(prior_heights),
+        camera_(camera),
+        input_(input),
+        options_(options),
+        box_(box),
+        width_(box.u1 - box.u0),
+        values_(static_cast<std::size_t>(width_) * static_cast<std::size_t>(box.v1 - box.v0)),
+        reached_(values_.size(), false) {
+    for (int v = box.v0; v < box.v1; ++v)
+      for (int u = box.u0; u < box.u1; ++u) *at(u, v) = heights(u, v);
+  }
+
+  /// Whether it ended before its last step.
+  bool solve() {
+    for (int v = box_.v0; v + 1 < box_.v1; ++v)
+      for (int u = box_.u0; u + 1 < box_.u1; ++u) add_equations(u, v);
+    if (options_.prior_weight > 0) add_cells();
+    if (problem_.NumResidualBlocks() == 0) return true;
+    keep_unreached();
+    hold_surroundings();
+    ceres::Solver::Options how;
+    how.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
+    how.max_num_iterations = options_.iterations;
+    how.function_tolerance = 1e-4;
+    how.num_threads = 1;
+    how.logging_type = ceres::SILENT;
+    ceres::Solver::Summary summary;
+    const SequentialBlas sequential;  // tiles are the unit of parallelism
+    ceres::Solve(how, &problem_, &summary);
+    return summary.termination_type == ceres::CONVERGENCE;
+  }
+
+  double value(int u, int v) const { return values_[index(u, v)]; }
+
+ private:
+  std::size_t index(int u, int v) const {
+    return static_cast<std::size_t>(v - box_.v0) * static_cast<std::size_t>(width_) +
+           static_cast<std::size_t>(u - box_.u0);
+  }
+  double* at(int u, int v) { return &values_[index(u, v)]; }
+  bool has(int u, int v) const { return std::isfinite(heights_(u, v)); }
+
+  void add_equations(int u, int v) {
+    const Reflection kind = input_.reflection.at(u, v);
+    if (kind == Reflection::outside || !has(u, v) || !has(u + 1, v) || !has(u, v + 1)) return;
+    AffineSlopes slopes{{0, 0}, {-1, 0}, {0, 1}};
+    if (camera_ != nullptr) {
+      slopes = slopes_of_log_depth(*camera_, u, v);
+      const double scale = -1 / camera_->focal();
+      for (Slopes* part : {&slopes.per_u, &slopes.per_v}) *part = {scale * part->p, scale * part->q};
+    }
+    const RayFrame frame = ray_frame(camera_, u, v);
+    const double azimuth = input_.polarization.phi(u, v) + (kind == Reflection::specular ? std::numbers::pi / 2 : 0.0);
+    const double strength = input_.light.head<3>().norm();
+    const Eigen::Vector3d light = input_.light.head<3>() / strength;
+    const double shading = (input_.polarization.i_un(u, v) - input_.light[3]) / strength;
+    problem_.AddResidualBlock(
+        new ceres::AutoDiffCostFunction<PixelEquations, 3, 1, 1, 1>(new PixelEquations{
+            slopes, std::sin(azimuth), std::cos(azimuth), light.dot(frame.right), light.dot(frame.up),
+            light.dot(frame.view), shading, std::cos(input_.reflection.zenith(u, v)), options_}),
+        nullptr, at(u, v), at(u + 1, v), at(u, v + 1));
+    reached_[index(u, v)] = reached_[index(u + 1, v)] = reached_[index(u, v + 1)] = true;
+  }
+
+  void add_cells() {
+    const int cell = input_.cell_px;
+    // Cells are those of the whole image; a tile's first and last may be cut.
+    for (int v0 = box_.v0 / cell * cell; v0 < box_.v1; v0 += cell) {
+      for (int u0 = box_.u0 / cell * cell; u0 < box_.u1; u0 += cell) {
+        std::vector<double*> pixels;
+        double prior = 0;
+        for (int v = std::max(v0, box_.v0); v < std::min(v0 + cell, box_.v1); ++v) {
+          for (int u = std::max(u0, box_.u0); u < std::min(u0 + cell, box_.u1); ++u) {
+            if (!has(u, v)) continue;
+            pixels.push_back(at(u, v));
+            prior += prior_heights_(u, v);
+          }
+        }
+        if (pixels.empty()) continue;
+        const auto count = static_cast<double>(pixels.size());
+        problem_.AddResidualBlock(new CellMean(pixels.size(), prior / count, options_.prior_weight * std::sqrt(count)),
+                                  nullptr, pixels);
+      }
+    }
+  }
+
+  /// Pixels that no equation reaches (a corner of the image, what lies behind pixels without polarization) keep their
+  /// heights: the mean of a cell alone would let them run away.
+  void keep_unreached() {
+    for (int v = box_.v0; v < box_.v1; ++v) {
+      for (int u = box_.u0; u < box_.u1; ++u) {
+        if (!has(u, v) || reached_[index(u, v)]) continue;
+        problem_.AddResidualBlock(new CellMean(1, heights_(u, v), 1), nullptr, std::vector<double*>{at(u, v)});
+      }
+    }
+  }
+
+  void hold_surroundings() {
+    const Size size = heights_.size();
+    for (int v = box_.v0; v < box_.v1; ++v) {
+      for (int u = box_.u0; u < box_.u1; ++u) {
+        const bool is_held = (box_.u0 > 0 && u < box_.u0 + held_px) || (box_.v0 > 0 && v < box_.v0 + held_px) ||
+                             (box_.u1 < size.width && u >= box_.u1 - held_px) ||
+                             (box_.v1 < size.height && v >= box_.v1 - held_px);
+        if (is_held && problem_.HasParameterBlock(at(u, v))) problem_.SetParameterBlockConstant(at(u, v));
+      }
+    }
+  }
+
+  const Image<float>&heights_, &prior_heights_;
+  const Pinhole* camera_;
+  const OptimizeInput& input_;
+  const OptimizeOptions& options_;
+  const Box box_;
+  const int width_;
+  std::vector<double> values_;
+  std::vector<bool> reached_;  ///< by an equation
+  ceres::Problem problem_;
+};
+
+void validate(const FusedSurface& surface, const OptimizeInput& input, const OptimizeOptions& options) {
+  validate_fields(options, "optimize");
+  const Size size = surface.depth.size();
+  require_size(input.polarization.i_un, size, "polarization");
+  require_size(input.reflection.zenith, size, "zenith");
+  require_size(input.prior.depth, size, "prior depth");
+  if (!(input.light.head<3>().norm() > 0))
+    throw input_error("optimize.enabled = true needs the light that the polarization height was found with");
+}
+
+/// Heights of all tiles, blended across their cuts. Adds up the tiles that did not converge.
+Image<float> solve_tiles(const Image<float>& heights, const Image<float>& prior_heights, const Pinhole* camera,
+                         const OptimizeInput& input, const OptimizeOptions& options, int& unfinished,
+                         const Context& context) {
+  const auto axis = [](int extent) {
+    return TiledAxis(0, extent, std::max(1, (extent + tile_px / 2) / tile_px), margin_px, margin_px / 2);
+  };
+  const TiledAxis columns = axis(heights.width()), rows = axis(heights.height());
+  const int tiles = columns.tiles() * rows.tiles();
+  Image<float> result(heights.size(), 1, 0.0F);
+  std::vector<std::unique_ptr<Tile>> group(static_cast<std::size_t>(std::max(context.threads, 1)));
+  std::vector<char> converged(group.size());
+  for (int first = 0; first < tiles; first += static_cast<int>(group.size())) {
+    context.check_cancel();
+    context.progress("fuse", 0.2 + 0.8 * first / tiles, "all equations together");
+    const auto box_of = [&](int tile) {
+      const int column = tile % columns.tiles(), row = tile / columns.tiles();
+      return Box{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
+    };
+    parallel_for(context, group.size(), 1, [&](std::size_t i, std::size_t) {
+      const int tile = first + static_cast<int>(i);
+      group[i].reset();
+      if (tile >= tiles) return;
+      group[i] = std::make_unique<Tile>(heights, prior_heights, camera, input, options, box_of(tile));
+      converged[i] = group[i]->solve() ? 1 : 0;
+    });
+    for (std::size_t i = 0; i < group.size(); ++i) {
+      if (!group[i]) continue;
+      const int tile = first + static_cast<int>(i), column = tile % columns.tiles(), row = tile / columns.tiles();
+      const Box box = box_of(tile);
+      for (int v = box.v0; v < box.v1; ++v) {
+        for (int u = box.u0; u < box.u1; ++u) {
+          const double weight = columns.weight(column, u) * rows.weight(row, v);
+          if (weight > 0) result(u, v) += static_cast<float>(weight * group[i]->value(u, v));
+        }
+      }
+      unfinished += converged[i] == 0 ? 1 : 0;
+    }
+  }
+  return result;
+}
+
+}  // namespace
+
+void optimize_grid_surface(FusedSurface& surface, const OptimizeInput& input, const OptimizeOptions& options,
+                           const Context& context) {
+  validate(surface, input, options);
+  const Pinhole& camera = surface.camera;
+  const double focal = camera.focal();
+  const Pinhole* rays = input.perspective ? &camera : nullptr;
+  // Both about one origin, as the free constant of a height is not that of another.
+  double origin = 0, count = 0;
+  for (const float z : input.prior.depth) {
+    if (!std::isfinite(z)) continue;
+    origin += z;
+    ++count;
+  }
+  origin /= count;
+  const auto height_of = [&](float z) {
+    return static_cast<float>(input.perspective ? -focal * std::log(z / origin) : focal * (1 - z / origin));
+  };
+  const auto heights_of = [&](const Image<float>& depth) {
+    Image<float> heights(depth.size(), 1, none);
+    for (std::size_t i = 0; i < depth.count(); ++i)
+      if (std::isfinite(depth[i]) && std::isfinite(input.prior.depth[i])) heights[i] = height_of(depth[i]);
+    return heights;
+  };
+  const Image<float> start = heights_of(surface.depth), prior = heights_of(input.prior.depth);
+  int unfinished = 0;
+  const Image<float> heights = solve_tiles(start, prior, rays, input, options, unfinished, context);
+  for (std::size_t i = 0; i < heights.count(); ++i) {
+    if (!std::isfinite(start[i])) continue;
+    const double h = heights[i];
+    surface.depth[i] = static_cast<float>(input.perspective ? origin * std::exp(-h / focal) : origin * (1 - h / focal));
+  }
+  surface.normals = normals_from_depth(surface.depth, camera, context);
+  surface.status = unfinished == 0 ? "converged" : "iteration limit";
+  if (unfinished > 0)
+    surface.warnings.push_back(
+        "the optimization of all equations together ended at its iteration limit (optimize.iterations = " +
+        std::to_string(options.iterations) + ")");
+}
+
+}  // namespace malus

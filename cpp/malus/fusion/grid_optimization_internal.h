@@ -1,0 +1,57 @@
+#pragma once
+
+#include <Eigen/Core>
+
+#include "malus/core/context.h"
+#include "malus/core/fields.h"
+#include "malus/fusion/fused_surface.h"
+#include "malus/polarization/polarization_state.h"
+#include "malus/polarization/reflection.h"
+#include "malus/prior/depth_prior.h"
+
+namespace malus {
+
+struct OptimizeOptions {
+  bool enabled = false;
+  double phase_weight = 1;
+  double shading_weight = 1;
+  double zenith_weight = 1;
+  double prior_weight = 0.15;
+  int iterations = 15;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("enabled", self.enabled, any_value, "grid fusion: optimize the fused surface by all equations together");
+    visit("phase_weight", self.phase_weight, not_negative, "of Eq 9, for the unit normal");
+    visit("shading_weight", self.shading_weight, not_negative, "of Eq 11, in shares of the light");
+    visit("zenith_weight", self.zenith_weight, not_negative, "of the cosine of the zenith by Eq 7 or Eq 8");
+    visit("prior_weight", self.prior_weight, not_negative,
+          "of the difference to the prior, mean over a cell of the grid in GSD, a pixel of the cell");
+    visit("iterations", self.iterations, Range{1, 1000}, "largest number of steps in a tile");
+  }
+};
+
+/// What the equations say at each pixel. Rasters have the surface's size.
+struct OptimizeInput {
+  const PolarizationState& polarization;
+  const ReflectionMap& reflection;
+  const DepthPrior& prior;
+  Eigen::Vector4d light;    ///< HeightMap::light
+  bool perspective = true;  ///< HeightMap::perspective
+  int cell_px = 4;          ///< GridFusionOptions::grid_px
+};
+
+/// The "simultaneous optimization" that the paper names after Eq 16 without saying more; this is a reading of it.
+///
+/// Nonlinear least squares (Ceres) on one height a pixel, from the surface of the transfer on. Residuals of a pixel
+/// with usable polarization, n the unit normal by differences to the next pixel along u and v:
+///   Eq 9          n · (sin α · right − cos α · up), α the azimuth of the phase,
+///   Eq 11         (l · n + ambient − i_un) / |l|,
+///   Eq 7 or Eq 8  n · view − cos θ;
+/// and for each cell of the grid the mean difference to the prior. Tiles of 256 px with held surroundings bound the
+/// memory. Depth and normals of the surface are replaced; its status says how the tiles ended. Throws an input error
+/// for rasters of another size, or if there is no light.
+void optimize_grid_surface(FusedSurface& surface, const OptimizeInput& input, const OptimizeOptions& options,
+                           const Context& context);
+
+}  // namespace malus

@@ -1,0 +1,63 @@
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+
+#include "malus/core/error.h"
+#include "malus/io/given_scale_internal.h"
+
+namespace malus {
+namespace {
+
+/// Where the rays of the marks come nearest to each other.
+Eigen::Vector3d meeting_point(const std::vector<ImageMark>& marks, const ColmapModel& model, const std::string& where) {
+  constexpr double least_parallax = 1e-5;  // smallest over largest eigenvalue: rays within about half a degree
+  Eigen::Matrix3d matrix = Eigen::Matrix3d::Zero();
+  Eigen::Vector3d right = Eigen::Vector3d::Zero();
+  for (const ImageMark& mark : marks) {
+    const ColmapImage& image = model.image(mark.image, where);
+    const Eigen::Vector2d ideal = model.cameras.at(image.camera_id).undistort({mark.x, mark.y});
+    const Eigen::Vector3d ray =
+        (image.pose.rotation.transpose() * Eigen::Vector3d(ideal.x(), ideal.y(), 1)).normalized();
+    const Eigen::Matrix3d across = Eigen::Matrix3d::Identity() - ray * ray.transpose();
+    matrix += across;
+    right += across * image.pose.centre();
+  }
+  const Eigen::Vector3d values = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(matrix).eigenvalues();
+  if (!(values[0] > least_parallax * values[2]))
+    throw input_error(where + ": the rays of its marks are parallel, expected images from different sides");
+  return matrix.ldlt().solve(right);
+}
+
+double measured_distance(const ScaleBar& bar, const ColmapModel* model, const std::string& where) {
+  if (bar.a_xyz) {
+    const Eigen::Vector3d a(bar.a_xyz->data()), b(bar.b_xyz->data());
+    return (a - b).norm();
+  }
+  if (model == nullptr)
+    throw input_error(where +
+                      ": marks need the cameras of their images, expected [camera].colmap_model; or give a_xyz "
+                      "and b_xyz, points in the prior's frame");
+  return (meeting_point(bar.a, *model, where) - meeting_point(bar.b, *model, where)).norm();
+}
+
+}  // namespace
+
+GivenScale given_scale(const std::vector<ScaleBar>& bars, const ColmapModel* model, const std::string& where) {
+  std::vector<double> measured;
+  double product = 0, square = 0;
+  for (std::size_t i = 0; i < bars.size(); ++i) {
+    const std::string bar = where + " " + std::to_string(i + 1);
+    measured.push_back(measured_distance(bars[i], model, bar));
+    if (!(measured.back() > 0)) throw input_error(bar + ": its two ends are one point");
+    if (bars[i].check) continue;
+    product += bars[i].distance * measured.back();
+    square += measured.back() * measured.back();
+  }
+  if (square == 0)
+    throw input_error(where + ": every bar has check = true, expected at least one that gives the scale");
+  GivenScale scale;
+  scale.factor = product / square;
+  for (std::size_t i = 0; i < bars.size(); ++i) scale.errors.push_back(scale.factor * measured[i] - bars[i].distance);
+  return scale;
+}
+
+}  // namespace malus

@@ -1,0 +1,33 @@
+#include <algorithm>
+#include <cstddef>
+#include <numbers>
+
+#include "malus/polarization/pixel_curves_internal.h"
+
+namespace malus {
+
+std::vector<PixelCurve> pixel_curves(const PolarizationState& state, const std::vector<Image<float>>& images,
+                                     const std::vector<double>& angles_rad) {
+  constexpr double ranks[] = {0.1, 0.5, 0.9, 0.99};
+  constexpr std::size_t most_candidates = 100'000;
+  std::vector<std::size_t> valid;
+  const std::size_t stride = state.valid.count() / most_candidates + 1;
+  for (std::size_t i = 0; i < state.valid.count(); i += stride)
+    if (state.valid[i] == static_cast<std::uint8_t>(PixelState::valid)) valid.push_back(i);
+  std::sort(valid.begin(), valid.end(), [&](std::size_t a, std::size_t b) { return state.rho[a] < state.rho[b]; });
+  std::vector<PixelCurve> curves;
+  for (const double rank : ranks) {
+    if (valid.empty()) break;
+    const std::size_t pixel = valid[static_cast<std::size_t>(rank * static_cast<double>(valid.size() - 1))];
+    const auto width = static_cast<std::size_t>(state.size().width);
+    PixelCurve curve{static_cast<int>(pixel % width), static_cast<int>(pixel / width), {}, {}};
+    for (std::size_t k = 0; k < images.size(); ++k) {
+      curve.angles_deg.push_back(angles_rad[k] * 180 / std::numbers::pi);
+      curve.intensities.push_back(images[k][pixel]);
+    }
+    curves.push_back(std::move(curve));
+  }
+  return curves;
+}
+
+}  // namespace malus

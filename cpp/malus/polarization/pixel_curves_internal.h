@@ -1,0 +1,30 @@
+#pragma once
+
+#include <vector>
+
+#include "malus/core/image.h"
+#include "malus/polarization/polarization_state.h"
+
+namespace malus {
+
+/// Intensity of one pixel against the polarizer's angle (Fig. 1c).
+struct PixelCurve {
+  int u = 0, v = 0;
+  std::vector<double> angles_deg;  ///< one an image, as the fit used them
+  std::vector<double> intensities;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("u", self.u);
+    visit("v", self.v);
+    visit("angles_deg", self.angles_deg);
+    visit("intensities", self.intensities);
+  }
+};
+
+/// Curves of up to four valid pixels: those in the middle of the object's weakly, moderately, strongly and very
+/// strongly polarized ones (ranks 10, 50, 90 and 99 % of the degree).
+std::vector<PixelCurve> pixel_curves(const PolarizationState& state, const std::vector<Image<float>>& images,
+                                     const std::vector<double>& angles_rad);
+
+}  // namespace malus

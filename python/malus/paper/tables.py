@@ -1,0 +1,135 @@
+"""Tables 1 and 2 of the paper from a workspace's figures."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malus.figures import numbers
+from malus.workspace import Raster, Workspace
+
+#: The surfaces by their names in quality.json, and as the paper calls them.
+SURFACES = {"prior": "photogrammetry", "polarization": "polarization", "fused": "fusion"}
+
+
+@dataclass(frozen=True)
+class Table:
+    """One table: every cell is text, a number, or None for what cannot be said."""
+
+    name: str
+    title: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str | float | None]]
+
+    def csv(self) -> str:
+        """As CSV, numbers in full."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(self.header)
+        writer.writerows(["" if cell is None else cell for cell in row] for row in self.rows)
+        return text.getvalue()
+
+    def markdown(self) -> str:
+        """For documents: three digits."""
+        lines = [list(self.header), ["---"] * len(self.header), *([shown(cell) for cell in row] for row in self.rows)]
+        return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def shown(cell: str | float | None) -> str:
+    """A cell as people read it."""
+    if cell is None:
+        return "–"
+    return cell if isinstance(cell, str) else f"{cell:.3g}"
+
+
+def _known(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else float(value)
+
+
+def _sampled(raster: Raster, profile: Mapping[str, Any]) -> NDArray[np.float64]:
+    """Values of a raster at the pixels nearest to the samples of a profile."""
+    start, end = np.array(profile["from_px"], float), np.array(profile["to_px"], float)
+    along = np.array(profile["position_px"], float)
+    at = start + along[:, None] * (end - start) / np.linalg.norm(end - start)
+    columns, rows = np.rint(at).astype(int).T
+    return np.asarray(raster[rows, columns], dtype=np.float64)
+
+
+def _rms(values: NDArray[np.float64], *, about_mean: bool) -> float | None:
+    known = values[np.isfinite(values)]
+    if known.size == 0:
+        return None
+    return float(np.sqrt(np.mean((known - known.mean() if about_mean else known) ** 2)))
+
+
+def _errors(profile: Mapping[str, Any], reference_distance: Raster | None) -> dict[str, float | None]:
+    """RMSE of each surface to the reference along a profile; that of polarization about its mean, which is free."""
+    if reference_distance is None or not profile["fused"]:
+        return dict.fromkeys(SURFACES)
+    fused, error = numbers(profile["fused"]), _sampled(reference_distance, profile)
+    return {
+        name: _rms(error + numbers(profile[name]) - fused, about_mean=name == "polarization") if profile[name] else None
+        for name in SURFACES
+    }
+
+
+def table_1(workspace: Workspace) -> Table:
+    """Each surface on each profile: how much it differs from the fused one, how rough it is, and, with a reference scan,
+    how wrong.
+
+    `difference` is the RMS about the mean of the surface minus the fused one: for photogrammetry it is what the paper's
+    quadratic complement takes apart. `roughness` is the RMS of the section without its low frequencies. `error` is the RMSE to
+    the reference, whose distance is taken to be along the section's height.
+    """
+    quality = workspace.quality
+    unit, gsd = str(quality["unit"]), float(quality["gsd"])
+    distance = (
+        workspace.raster("fused/reference_distance.tif")
+        if quality["reference"] and workspace.has("fused/reference_distance.tif")
+        else None
+    )
+    rows: list[list[str | float | None]] = []
+    for profile in quality["profiles"]:
+        errors = _errors(profile, distance)
+        differences = {
+            "prior": profile["fused_minus_prior"]["rms_centered_gsd"],
+            "polarization": profile["fused_minus_polarization"]["rms_centered_gsd"]
+            if profile["polarization"]
+            else None,
+            "fused": None,
+        }
+        for name, called in SURFACES.items():
+            rough, difference, error = (
+                _known(profile[f"roughness_{name}_gsd"]), _known(differences[name]), _known(errors[name])
+            )  # fmt: skip
+            rows.append(
+                [str(quality["name"]), str(profile["name"]), called]
+                + [None if difference is None else difference * gsd, difference]
+                + [None if rough is None else rough * gsd, rough]
+                + [error, None if error is None else error / gsd]
+            )
+    columns = (f"{what} [{in_}]" for what in ("difference to fusion", "roughness", "error") for in_ in (unit, "GSD"))
+    return Table(
+        "table_1", "Table 1: sections through the surfaces", ["object", "profile", "surface", *columns], rows
+    )  # fmt: skip
+
+
+def table_2(workspace: Workspace) -> Table:
+    """Distances of flat patches from the planes that fit them, one patch of an object a row."""
+    quality = workspace.quality
+    unit, gsd = str(quality["unit"]), float(quality["gsd"])
+    rows: list[list[str | float | None]] = []
+    for patch in quality["patches"]:
+        row: list[str | float | None] = [str(quality["name"]), str(patch["name"]), gsd]
+        for name in SURFACES:
+            fit = patch[name]
+            row += [None, None] if fit is None else [_known(fit["rmse"]), _known(fit["rmse_gsd"])]
+        rows.append(row)
+    columns = (f"{called} {what}" for called in SURFACES.values() for what in (f"RMSE [{unit}]", "RMSE / GSD"))
+    return Table("table_2", "Table 2: flat patches", ["object", "patch", f"GSD [{unit}]", *columns], rows)

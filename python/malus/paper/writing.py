@@ -1,0 +1,101 @@
+"""What `malus paper` leaves: plates as PNG, SVG, PDF and CSV, and the tables."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from malus._files import write_bytes, write_text
+from malus.errors import InputError
+from malus.figures import Figure, Plates
+from malus.paper import plates as own
+from malus.paper.tables import Table, table_1, table_2
+from malus.workspace import Workspace
+
+TABLES = ("table_1", "table_2")
+
+
+def _numbered(plates: Plates) -> Iterator[tuple[str, Figure]]:
+    """Every figure with the paper's number of its like."""
+    quality = plates.quality
+    groups: list[tuple[str, Iterator[Figure]]] = [
+        ("01c", own.sinusoids(plates)),
+        ("05", plates.polarization()),
+        ("06", plates.height()),
+        ("08", plates.elevations()),
+        ("09", own.cloud(plates)),
+        ("10", plates.shadings()),
+        ("10", own.views(plates)),
+        ("11", iter([plates.profile_lines()] if quality["profiles"] else [])),
+        ("12", plates.profiles()),
+        ("13", own.section_detail(plates)),
+        ("14", own.patch_boxes(plates)),
+        ("15", plates.patches()),
+    ]
+    for number, figures in groups:
+        for figure in figures:
+            yield number, figure
+
+
+def write_paper(work: str | Path) -> Path:
+    """Write the plates and tables of a finished workspace to WORK/paper; returns that folder.
+
+    Each plate is fig_NN_name.png, .svg, .pdf and .csv, NN the number of its like in the paper; each table .csv and .md. Raises InputError
+    unless all that they show is as the steps left it.
+    """
+    workspace = Workspace(work)
+    plates = Plates(workspace, for_print=True)
+    tables = [table_1(workspace), table_2(workspace)]
+    with workspace.recording("paper") as files:
+        for number, figure in _numbered(plates):
+            name = f"paper/fig_{number}_{figure.name}"
+            for ending, content in (
+                ("png", figure.png()),
+                ("svg", figure.vector("svg")),
+                ("pdf", figure.vector("pdf")),
+                ("csv", figure.csv().encode()),
+            ):
+                write_bytes(workspace.folder / f"{name}.{ending}", content)
+                files.append(f"{name}.{ending}")
+        for table in tables:
+            files += [f"paper/{name}" for name in _write_table(workspace.folder / "paper", table)]
+    return workspace.folder / "paper"
+
+
+def _write_table(folder: Path, table: Table) -> list[str]:
+    write_text(folder / f"{table.name}.csv", table.csv())
+    write_text(folder / f"{table.name}.md", f"{table.title}\n\n{table.markdown()}")
+    return [f"{table.name}.csv", f"{table.name}.md"]
+
+
+def merge_campaign(works: Sequence[str | Path], output: str | Path) -> list[Path]:
+    """One Table 1 and one Table 2 of several workspaces, in their order, as OUTPUT/table_N.csv and .md; returns the paths.
+
+    Raises InputError for a workspace that `malus paper` has not finished, or for units that differ.
+    """
+    if not works:
+        raise InputError("--campaign: no workspace, expected at least one folder that `malus paper` left")
+    paths: list[Path] = []
+    for name in TABLES:
+        header: list[str] = []
+        rows: list[list[str | float | None]] = []
+        for work in works:
+            path = Workspace(work).path(f"paper/{name}.csv")
+            first, *others = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
+            if header and first != header:
+                raise InputError(f"{path}: columns {', '.join(first)}, expected {', '.join(header)} as in {works[0]}")
+            header = first
+            rows += [[_cell(cell) for cell in row] for row in others]
+        table = Table(name, f"Table {name[-1]} of {len(works)} objects", header, rows)
+        paths += [Path(output) / written for written in _write_table(Path(output), table)]
+    return paths
+
+
+def _cell(text: str) -> str | float | None:
+    if not text:
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        return text

@@ -1,0 +1,111 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <numbers>
+
+#include "malus/core/error.h"
+#include "malus/fusion/grid_optimization_internal.h"
+#include "malus/polarization/fresnel.h"
+#include "malus/polarization/ray_frame.h"
+#include "synthetic_station.h"
+
+namespace malus {
+namespace {
+
+/// The bumpy station without noise, of one albedo under one light, so that every equation holds at the truth.
+struct Scene {
+  SyntheticStation station;
+  ReflectionMap reflection;
+  Eigen::Vector4d light{0.3, -0.4, -0.8, 0.05};
+
+  explicit Scene(Reflection kind = Reflection::diffuse) {
+    station = make_station({});
+    const Size size = station.truth.size();
+    const Image<float> normals = normals_from_depth(station.truth, station.prior.camera, Context{});
+    reflection.label = Image<std::uint8_t>(size, 1, static_cast<std::uint8_t>(kind));
+    reflection.zenith = Image<float>(size);
+    for (int v = 0; v < size.height; ++v) {
+      for (int u = 0; u < size.width; ++u) {
+        const Eigen::Vector3d n(normals(u, v, 0), normals(u, v, 1), normals(u, v, 2));
+        const Slopes slopes = ray_frame(&station.prior.camera, u, v).slopes(n);
+        const double across = kind == Reflection::specular ? std::numbers::pi / 2 : 0;
+        const double phase = std::fmod(slopes.azimuth_rad() + across + 2 * std::numbers::pi, std::numbers::pi);
+        station.state.phi(u, v) = static_cast<float>(phase);
+        station.state.i_un(u, v) = static_cast<float>(light.head<3>().dot(n) + light[3]);
+        reflection.zenith(u, v) = static_cast<float>(std::atan(std::sqrt(slopes.tan2())));
+      }
+    }
+  }
+
+  FusedSurface start() const {
+    FusedSurface surface;
+    surface.camera = station.prior.camera;
+    surface.depth = station.prior.depth;
+    surface.sigma = station.prior.sigma;
+    return surface;
+  }
+  FusedSurface optimized(const OptimizeOptions& options, const Context& context = {}) const {
+    FusedSurface surface = start();
+    optimize_grid_surface(surface, {station.state, reflection, station.prior, light, true, 4}, options, context);
+    return surface;
+  }
+  double error(const FusedSurface& surface) const {
+    return rms_error_gsd(surface.depth, station.truth, station.prior.camera);
+  }
+};
+
+OptimizeOptions of_equations_only() {
+  OptimizeOptions options;
+  options.prior_weight = 1e-4;
+  options.iterations = 50;
+  return options;
+}
+
+TEST(GridOptimization, FindsTheSurfaceThatAllEquationsHoldAt) {
+  for (const Reflection kind : {Reflection::diffuse, Reflection::specular}) {
+    const Scene scene(kind);
+    const double before = scene.error(scene.start());
+    const FusedSurface after = scene.optimized(of_equations_only());
+    EXPECT_EQ(after.status, "converged");
+    EXPECT_TRUE(after.warnings.empty());
+    EXPECT_GT(before, 0.5);
+    EXPECT_LT(scene.error(after), 0.1 * before);
+    EXPECT_TRUE(std::isfinite(after.normals(10, 10, 0)));
+  }
+}
+
+TEST(GridOptimization, StrongPriorKeepsTheMeansOfItsCells) {
+  const Scene scene;
+  OptimizeOptions options;
+  options.prior_weight = 1e4;
+  const FusedSurface after = scene.optimized(options);
+  const double gsd = 500.0 / 900;
+  double sum = 0;
+  for (int v = 20; v < 24; ++v)
+    for (int u = 24; u < 28; ++u) sum += after.depth(u, v) - scene.station.prior.depth(u, v);
+  EXPECT_NEAR(sum / 16 / gsd, 0, 1e-3);
+}
+
+TEST(GridOptimization, SaysThatItEndedAtItsLimit) {
+  OptimizeOptions options = of_equations_only();
+  options.iterations = 1;
+  const FusedSurface after = Scene().optimized(options);
+  EXPECT_EQ(after.status, "iteration limit");
+  EXPECT_EQ(after.warnings.size(), 1U);
+}
+
+TEST(GridOptimization, OneAndTwoThreadsAgree) {
+  Context two;
+  two.threads = 2;
+  const Scene scene;
+  EXPECT_EQ(scene.optimized({}).depth, scene.optimized({}, two).depth);
+}
+
+TEST(GridOptimization, NeedsALight) {
+  Scene scene;
+  scene.light.setZero();
+  EXPECT_THROW(scene.optimized({}), Error);
+}
+
+}  // namespace
+}  // namespace malus
