@@ -41,7 +41,7 @@ def calibrate(
     read_noise_e: float = 8.0,
     frames_averaged: int = 1,
     options: Options | None = None,
-    threads: int = 1,
+    threads: int = ALL_CORES,
 ) -> dict[str, Any]:
     """Polarizer angles and relative exposures for which K registered linear images fit sinusoids best.
 
@@ -49,7 +49,7 @@ def calibrate(
     `residual_before` and `residual_after` (RMS, in standard deviations of the noise) and `improvement` (share of what the squared
     residuals have beyond noise). Images cannot tell the zero of the scale (docs/method.md, section 1).
     """
-    stack = as_images(images, "images")
+    stack = as_intensities(images, "images")
     return _core.fit_polarizer(
         stack,
         [float(a) for a in angles_rad],

@@ -22,7 +22,7 @@ from malus.glossary import definitions
 from malus.lengths import shown
 from malus.options import Options
 from malus.paper import plates as paper_plates
-from malus.paper.tables import shown, table_1
+from malus.paper.tables import cell_text, table_1
 from malus.reconstruction import STEPS
 from malus.report_head import head_of
 from malus.result import Result
@@ -267,7 +267,7 @@ def _write_in(workspace: Workspace) -> Path:
         mesh=mesh,
         surfaces=SURFACES,
         table_1=table_1(workspace),
-        shown=shown,
+        cell_text=cell_text,
         sections=_sections(quality, figures),
         others=[(name, title) for name, title in _OTHERS if quality.get(name)],
         worst_registration=registration.index(max(registration)) if registration else None,

@@ -12,7 +12,7 @@
 #include "malus/core/depth_normals.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/tiled_axis_internal.h"
-#include "malus/fusion/grid_optimization_internal.h"
+#include "malus/fusion/grid_optimization.h"
 #include "malus/height/height.h"
 #include "malus/linalg/sequential_blas_internal.h"
 #include "malus/polarization/ray_frame.h"

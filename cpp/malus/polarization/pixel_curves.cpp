@@ -2,7 +2,7 @@
 #include <cstddef>
 #include <numbers>
 
-#include "malus/polarization/pixel_curves_internal.h"
+#include "malus/polarization/pixel_curves.h"
 
 namespace malus {
 

@@ -10,7 +10,7 @@
 #include "malus/core/fields.h"
 #include "malus/evidence/evidence_options.h"
 #include "malus/fusion/grid_fusion.h"
-#include "malus/fusion/grid_optimization_internal.h"
+#include "malus/fusion/grid_optimization.h"
 #include "malus/fusion/refine.h"
 #include "malus/height/height.h"
 #include "malus/lighting/light.h"

@@ -15,7 +15,7 @@
 #include "malus/polarization/decompose.h"
 #include "malus/polarization/frame_calibration_internal.h"
 #include "malus/polarization/interpolation_error_internal.h"
-#include "malus/polarization/pixel_curves_internal.h"
+#include "malus/polarization/pixel_curves.h"
 #include "malus/polarization/unpolarized_internal.h"
 #include "malus/station/state_views_internal.h"
 #include "malus/station/step_functions_internal.h"

@@ -13,7 +13,7 @@
 #include "malus/core/image.h"
 #include "malus/fusion/fused_surface.h"
 #include "malus/height/height_map.h"
-#include "malus/polarization/pixel_curves_internal.h"
+#include "malus/polarization/pixel_curves.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/polarization/polarizer_calibration.h"
 #include "malus/polarization/polarizer_fit.h"

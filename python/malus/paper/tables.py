@@ -37,11 +37,15 @@ class Table:
 
     def markdown(self) -> str:
         """For documents: three digits."""
-        lines = [list(self.header), ["---"] * len(self.header), *([shown(cell) for cell in row] for row in self.rows)]
+        lines = [
+            list(self.header),
+            ["---"] * len(self.header),
+            *([cell_text(cell) for cell in row] for row in self.rows),
+        ]
         return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
-def shown(cell: str | float | None) -> str:
+def cell_text(cell: str | float | None) -> str:
     """A cell as people read it."""
     if cell is None:
         return "–"

@@ -4,7 +4,7 @@
 #include <numbers>
 
 #include "malus/core/error.h"
-#include "malus/fusion/grid_optimization_internal.h"
+#include "malus/fusion/grid_optimization.h"
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/ray_frame.h"
 #include "synthetic_station.h"
