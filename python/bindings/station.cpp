@@ -1,6 +1,8 @@
 #include <pybind11/eigen.h>
 #include <pybind11/stl.h>
 
+#include <algorithm>
+
 #include "arrays.h"
 #include "bindings.h"
 #include "cameras.h"
@@ -10,6 +12,7 @@
 #include "malus/io/sha256_internal.h"
 #include "malus/io/workspace_internal.h"
 #include "malus/station/check.h"
+#include "malus/station/check_picture_internal.h"
 #include "malus/station/options.h"
 #include "malus/station/presets_internal.h"
 #include "malus/station/reconstruct.h"
@@ -85,6 +88,14 @@ Station with_developed(const Station& station, const std::vector<std::string>& i
     spec.full_well_e = full_well_e;
     spec.read_noise_e = read_noise_e;
   }
+  return result;
+}
+
+/// The station with doubts about its files, as messages and suggestions.
+Station with_file_doubts(const Station& station, const std::vector<std::pair<std::string, std::string>>& doubts) {
+  Station result = station;
+  for (const auto& [message, suggestion] : doubts)
+    result.file_findings.push_back({"encoding", Severity::warning, message, suggestion, {}});
   return result;
 }
 
@@ -168,6 +179,7 @@ void bind_station(py::module_& module) {
                   py::arg("full_well_e"), py::arg("read_noise_e"))
       .def("describe", &describe_station_json)
       .def("with_developed", &with_developed, py::arg("images"), py::arg("full_well_e"), py::arg("read_noise_e"))
+      .def("with_file_doubts", &with_file_doubts, py::arg("doubts"))
       .def("with_cloud", &with_cloud, py::arg("points"), py::arg("normals"))
       .def("with_photogrammetry", &with_photogrammetry, py::arg("camera"), py::arg("prior_depth"),
            py::arg("prior_sigma"), py::arg("prior_shape"), py::arg("figures"), py::arg("times"), py::arg("warnings"));
@@ -226,6 +238,14 @@ void bind_station(py::module_& module) {
       plan = plan_to_json(check_station(station, options_from_json({}, options_json), context));
     });
     return plan;
+  });
+  module.def("check_picture", [](const Station& station, int threads) {
+    CheckPicture picture;
+    run_interruptible(threads, py::none(), py::none(),
+                      [&](const Context& context) { picture = check_picture(station, context); });
+    py::array_t<float> points({static_cast<py::ssize_t>(picture.points.size()), py::ssize_t{3}});
+    std::ranges::copy(picture.points, reinterpret_cast<Eigen::Vector3f*>(points.mutable_data()));
+    return py::make_tuple(to_array(std::move(picture.image)), to_array(std::move(picture.object)), points);
   });
 }
 

@@ -109,7 +109,13 @@ def _parser() -> argparse.ArgumentParser:
         "--campaign", nargs="+", type=Path, metavar="WORK", help="one table of these workspaces, in the folder of -o"
     )
     work_of(paper, required=True, help="workspace folder, or folder for the merged tables")
-    add("check", "read everything, say what would be done, what it would take and what is wrong", work=False)
+    check = add("check", "read everything, say what would be done, what it would take and what is wrong", work=False)
+    check.add_argument(
+        "--overlay",
+        type=Path,
+        metavar="FILE.png",
+        help="where to leave the picture of the cloud upon the image; default: STATION-check.png in the current folder",
+    )
     steps = {name: add(name, text) for name, (_, _, text) in STEP_COMMANDS.items()}
     for name, (until, fusion, _) in STEP_COMMANDS.items():
         steps[name].formatter_class = argparse.RawDescriptionHelpFormatter
@@ -280,7 +286,11 @@ def _print_summary(work: Path, quiet: bool) -> None:
 
 def _check(args: argparse.Namespace) -> None:
     station = malus.Station.load(args.station)
-    plan = malus.check(station, _options(args), threads=args.threads)
+    overlay = args.overlay
+    if overlay is None and os.access(".", os.W_OK):
+        overlay = Path(f"{args.station.stem}-check.png")
+    plan = malus.check(station, _options(args), overlay=overlay, threads=args.threads)
+    plan["overlay"] = overlay and str(overlay)
     if args.json:
         print(json.dumps(plan))
         return
@@ -290,6 +300,7 @@ def _check(args: argparse.Namespace) -> None:
     print(f"expected: {plan['seconds']:.0f} s, {plan['memory_mb']:.0f} MB")
     for warning in plan["warnings"]:
         print(f"warning: {warning}")
+    print(f"picture of the cloud upon the image: {overlay or 'none, this folder cannot be written to (--overlay)'}")
 
 
 def _batch(args: argparse.Namespace) -> None:

@@ -13,10 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from malus import _core, exif, photogrammetry, raw, scans
+from malus import _core, encoding, exif, photogrammetry, raw, scans
 from malus._files import require_utf8
 from malus.camera import Camera
+from malus.errors import DataError
 from malus.options import Options
+from malus.overlay import write_overlay
 from malus.result import Confidence, Result
 from malus.station import Station
 from malus.threads import ALL_CORES
@@ -135,6 +137,7 @@ def _readable(
         core = core.with_cloud(points, normals)
     images = [Path(path) for path in description["images"]]
     exif.require_alike(images, exposures_differ=description["exposure_s"] is not None)
+    core = core.with_file_doubts(encoding.doubts(images, description["response"]))
     if not images or not raw.is_raw(images[0]):
         return core
     developed = raw.develop(images, description["channel"], folder, progress)
@@ -269,16 +272,31 @@ def expected_times(
     return times
 
 
-def check(station: Station, options: Options | None = None, *, threads: int = ALL_CORES) -> dict[str, Any]:
-    """Read everything a station names and say what a run would do, its expected time and memory, and what is wrong."""
+def check(
+    station: Station, options: Options | None = None, *, overlay: str | Path | None = None, threads: int = ALL_CORES
+) -> dict[str, Any]:
+    """Read everything a station names and say what a run would do, its expected time and memory, and what is wrong.
+
+    overlay: a PNG file to write, the prior's points and the mask's outline upon the first polarized image; also where a
+    DataError says that they do not meet.
+    """
     settings = options or Options()
     with _folder(None, "raw") as folder:
         core = _readable(station, station._core, folder, lambda _, __: None)
-        plan: dict[str, Any] = json.loads(_core.check(core, settings.to_json(), threads))
+        picture = None if overlay is None else _core.check_picture(core, threads)
+        try:
+            plan: dict[str, Any] = json.loads(_core.check(core, settings.to_json(), threads))
+        except DataError as error:  # such as a cloud beside the object: then a picture says most
+            if overlay is not None and picture is not None:
+                write_overlay(Path(overlay), picture, station, [str(error)])
+            raise
     if _needs_photos(station, None):
         does, warnings, seconds = photogrammetry.plan(station.describe(), settings, threads)
         # After the polarization step, whose image is placed among the photos.
         plan["does"][1:1] = does
         plan["warnings"] += warnings
         plan["seconds"] += seconds
+    if overlay is not None and picture is not None:
+        said = [line.split(": ", 1)[1] for line in plan["does"] if line.startswith(("prior: ", "evidence: "))]
+        write_overlay(Path(overlay), picture, station, [*said, *plan["warnings"]])
     return plan

@@ -34,9 +34,11 @@ SURFACES = ("prior", "polarization", "fused")
 CHECKS = {
     "registration": "Registration of the images",
     "order": "Order of the images",
+    "encoding": "Encoding of the image files",
     "response": "Response of the camera",
     "misfits": "Agreement with the polarizer's sinusoid",
     "texture": "Texture finer than the mosaic",
+    "contrast": "Contrast against the cloud's colors",
     "size": "Size and distance",
     "phase": "Polarization against the prior's slopes",
     "prior": "Place of the prior in the images",

@@ -12,7 +12,7 @@ import pytest
 import tifffile
 
 from conftest import edit, half_written, malus, malus_station
-from malus import InputError, Station
+from malus import InputError, Station, _core
 
 IMAGES = "images = ["
 ANGLES = "angles_deg = [0, 30, 60, 90, 120, 150]"
@@ -209,3 +209,18 @@ def small_disk(tmp_path: Path):
 
 def test_disk_full(small_station: Path, small_disk: Path) -> None:
     expect(small_station, small_disk / "work", 5, "space")
+
+
+def test_a_cloud_that_shrinks_to_one_place_is_counted_by_places(small_station: Path, work: Path) -> None:
+    """As a cloud in metres before a camera in millimetres does: its points are many, the places they fall on are not."""
+    cloud = small_station.parent / "dense/cloud.ply"
+    x, y, z = np.median(_core.read_points(str(cloud)), axis=0)
+    header = [
+        "ply",
+        "format ascii 1.0",
+        "element vertex 100",
+        *(f"property float {axis}" for axis in "xyz"),
+        "end_header",
+    ]
+    cloud.write_text("\n".join([*header, *[f"{x} {y} {z}"] * 100, ""]))
+    expect(small_station, work, 3, "100 of 100 points are visible on the object, in only ", "places", "at least 30")

@@ -21,7 +21,7 @@ def findings(work: Path) -> dict[str, dict[str, Any]]:
 
 def test_right_inputs_leave_notes_only(finished_grid: Path) -> None:
     found = findings(finished_grid)
-    assert set(found) == {"order", "response", "size", "phase", "prior"}
+    assert set(found) == {"order", "response", "contrast", "size", "phase", "prior"}
     assert {finding["severity"] for finding in found.values()} == {"note"}
     assert found["order"]["figures"]["misfit_ratio"] < 2
     assert "mm wide" in found["size"]["message"]

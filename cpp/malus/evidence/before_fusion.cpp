@@ -3,6 +3,7 @@
 
 #include "malus/core/depth_normals.h"
 #include "malus/evidence/before_fusion_internal.h"
+#include "malus/evidence/contrast_check_internal.h"
 #include "malus/evidence/object_size_internal.h"
 
 namespace malus {
@@ -43,6 +44,7 @@ std::vector<Finding> findings_before_fusion(const BeforeFusion& input, const Con
   }
   findings.push_back(std::move(phase.finding));
   findings.push_back(place.finding);
+  findings.push_back(check_contrast(place.color, input.response, input.known_linear));
   return findings;
 }
 

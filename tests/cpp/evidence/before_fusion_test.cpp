@@ -2,6 +2,7 @@
 
 #include "evidence_scene.h"
 #include "malus/evidence/before_fusion_internal.h"
+#include "malus/evidence/contrast_check_internal.h"
 #include "malus/evidence/object_size_internal.h"
 
 namespace malus {
@@ -81,6 +82,10 @@ TEST(ObjectSize, SaysItInWords) {
   EXPECT_EQ(millimetres.finding.severity, Severity::warning);
   EXPECT_NE(millimetres.finding.suggestion.find("unit = \"mm\""), std::string::npos) << millimetres.finding.text();
 
+  const ObjectSize coin_in_metres = size_of(24, 300, "m");
+  EXPECT_EQ(coin_in_metres.finding.severity, Severity::warning) << coin_in_metres.finding.text();
+  EXPECT_NE(coin_in_metres.finding.suggestion.find("unit = \"mm\""), std::string::npos);
+
   const Pinhole wrong_lens{{1000, 800}, 500000, 500000, 500, 400};
   const ObjectSize narrow = object_size({{0, 0, 590}, {1, 1, 590}, {200, 3, 591}}, wrong_lens, "mm");
   EXPECT_NE(narrow.finding.suggestion.find("focal length"), std::string::npos) << narrow.finding.text();
@@ -91,14 +96,36 @@ TEST(BeforeFusion, ListsAllFindings) {
   const EvidenceScene scene;
   const auto findings = findings_before_fusion(
       {.images = scene.images(), .pose = scene.pose, .prior_depth = scene.depth, .cloud = &scene.cloud}, {});
-  ASSERT_EQ(findings.size(), 3u);
+  ASSERT_EQ(findings.size(), 4u);
   EXPECT_EQ(findings[0].check, "size");
   EXPECT_EQ(findings[1].check, "phase");
   EXPECT_EQ(findings[2].check, "prior");
+  EXPECT_EQ(findings[3].check, "contrast");
   for (const Finding& finding : findings) {
     EXPECT_EQ(finding.severity, Severity::note) << finding.text();
     EXPECT_FALSE(finding.figures.empty());
   }
+}
+
+TEST(ContrastCheck, TellsEncodedImagesByTheCloudsColors) {
+  const auto finding_of = [](double exponent, bool known_linear) {
+    EvidenceScene scene;
+    for (Image<float>* image : {&scene.everything, &scene.state.i_un})
+      for (float& value : *image) value = std::pow(value, static_cast<float>(exponent));
+    const PriorAlignment place = check_alignment(scene.cloud, scene.pose, scene.images(), {});
+    return check_contrast(place.color, "linear", known_linear);
+  };
+  const Finding right = finding_of(1, false);
+  EXPECT_EQ(right.severity, Severity::note) << right.text();
+  ASSERT_EQ(right.figures.size(), 1u) << right.text();
+  EXPECT_NEAR(right.figures[0].second, 2.2, 0.4);
+  const Finding encoded = finding_of(1 / 2.2, false);
+  EXPECT_EQ(encoded.severity, Severity::warning) << encoded.text();
+  EXPECT_NE(encoded.suggestion.find("srgb"), std::string::npos);
+  EXPECT_EQ(finding_of(1 / 2.2, true).severity, Severity::note);
+  const Finding decoded = finding_of(2.2, false);
+  EXPECT_EQ(decoded.severity, Severity::warning) << decoded.text();
+  EXPECT_NE(decoded.suggestion.find("linear"), std::string::npos);
 }
 
 }  // namespace
