@@ -214,16 +214,17 @@ Eigen::Vector3d mean_normal(const RefinementImage& image) {
   return sum.norm() > 0 ? Eigen::Vector3d(sum.normalized()) : Eigen::Vector3d(0, 0, -1);
 }
 
-/// How far the surface has left the prior's in the centre of a pixel, from the nodes around it: cubic, bilinear at the
-/// border. Means of the pixel's own four nodes alone would smooth the detail.
+/// How far the surface has left the prior's in the centre of a pixel. Of a diffuse body, whose polarization is weak and
+/// noisy, the mean of its four nodes; else, as that would smooth the detail, by cubics from the 4 × 4 nodes around it.
 double change_at(const RefinementField& field, int u, int v) {
   static constexpr std::array<double, 4> cubic{-1.0 / 16, 9.0 / 16, 9.0 / 16, -1.0 / 16};
   const auto change = [&](int i, int j) { return field.x(i, j) - field.x_prior(i, j); };
+  const double mean = 0.25 * (change(u, v) + change(u + 1, v) + change(u, v + 1) + change(u + 1, v + 1));
+  if (field.kind_at(u, v) == Reflection::diffuse && !field.reflection.mirrored) return mean;
   double sum = 0;
   for (int j = 0; j < 4; ++j) {
     for (int i = 0; i < 4; ++i) {
-      if (!field.is_object(u + i - 1, v + j - 1))
-        return 0.25 * (change(u, v) + change(u + 1, v) + change(u, v + 1) + change(u + 1, v + 1));
+      if (!field.is_object(u + i - 1, v + j - 1)) return mean;
       sum += cubic[static_cast<std::size_t>(i)] * cubic[static_cast<std::size_t>(j)] * change(u + i - 1, v + j - 1);
     }
   }
