@@ -29,50 +29,60 @@ void for_each_child(const Mask& counts, int column, int row, Visit&& visit) {
   }
 }
 
-/// x of a coarse pixel with at least one child on the object, in the coarse GSD.
-double coarse_x(const RefinementImage& fine, int column, int row) {
-  double x = 0;
+/// Value at a coarse node: that of the fine node at the same place, else the mean of those around it.
+template <class Value>
+double at_coarse_node(const RefinementImage& fine, int column, int row, Value&& value) {
+  if (fine.is_object(2 * column, 2 * row)) return value(2 * column, 2 * row);
+  double sum = 0;
   int count = 0;
-  for_each_child(fine.object, column, row, [&](int u, int v) {
-    x += fine.x(u, v);
-    ++count;
-  });
-  return x / count / 2;
+  for (int v = 2 * row - 1; v <= 2 * row + 1; ++v) {
+    for (int u = 2 * column - 1; u <= 2 * column + 1; ++u) {
+      if (!fine.is_object(u, v)) continue;
+      sum += value(u, v);
+      ++count;
+    }
+  }
+  return sum / count;
 }
 
-/// What a coarse pixel's children say; its place is on the object and usable where one of theirs is.
-PixelData coarse_pixel(const RefinementImage& fine, RefinementImage& coarse, int column, int row) {
-  double x_prior = 0, sigma = 0;
-  float s0 = 0, s1 = 0, s2 = 0, variance = 0;
-  int count = 0, usable = 0, specular = 0;
-  for_each_child(fine.object, column, row, [&](int u, int v) {
-    const PixelData pixel = fine.source->at(u, v);
-    x_prior += pixel.x_prior;
-    sigma += pixel.prior_sigma;
-    specular += fine.kind_at(u, v) == Reflection::specular;
-    ++count;
-    if (!fine.usable(u, v)) return;
-    s0 += pixel.s0;
-    s1 += pixel.s1;
-    s2 += pixel.s2;
-    variance += pixel.variance;
+/// x of a coarse node, in the coarse GSD.
+double coarse_x(const RefinementImage& fine, int column, int row) {
+  return at_coarse_node(fine, column, row, [&](int u, int v) { return fine.x(u, v); }) / 2;
+}
+
+/// What the children of a coarse pixel say of the light; the pixel is usable where one of theirs is.
+PixelData coarse_light(const RefinementImage& fine, RefinementImage& coarse, int column, int row) {
+  PixelData pixel;
+  int usable = 0;
+  for_each_child(fine.usable, column, row, [&](int u, int v) {
+    const PixelData child = fine.source->at(u, v);
+    pixel.s0 += child.s0;
+    pixel.s1 += child.s1;
+    pixel.s2 += child.s2;
+    pixel.variance += child.variance;
     ++usable;
   });
-  if (count == 0) return {};
-  coarse.object(column, row) = 255;
-  coarse.kind(column, row) =
-      static_cast<std::uint8_t>(2 * specular > count ? Reflection::specular : Reflection::diffuse);
-  PixelData pixel;
-  pixel.x_prior = x_prior / count / 2;
-  pixel.prior_sigma = static_cast<float>(sigma / count / 2);
   if (usable == 0) return pixel;
   coarse.usable(column, row) = 255;
   const float share = 1.0F / static_cast<float>(usable);
-  pixel.s0 = share * s0;
-  pixel.s1 = share * s1;
-  pixel.s2 = share * s2;
-  pixel.variance = share * share * variance;
+  pixel.s0 *= share;
+  pixel.s1 *= share;
+  pixel.s2 *= share;
+  pixel.variance *= share * share;
   return pixel;
+}
+
+/// Makes a coarse pixel of the object where one of its children is one.
+void add_coarse_pixel(const RefinementImage& fine, RefinementImage& coarse, int column, int row) {
+  int count = 0, specular = 0;
+  for_each_child(fine.pixels, column, row, [&](int u, int v) {
+    specular += fine.kind_at(u, v) == Reflection::specular;
+    ++count;
+  });
+  if (count == 0) return;
+  coarse.pixels(column, row) = 255;
+  coarse.kind(column, row) =
+      static_cast<std::uint8_t>(2 * specular > count ? Reflection::specular : Reflection::diffuse);
 }
 
 }  // namespace
@@ -84,15 +94,24 @@ RefinementImage coarsened(const RefinementImage& fine, const Context& context) {
   coarse.log_depth_origin = fine.log_depth_origin;
   coarse.reflection = fine.reflection;
   coarse.shading = fine.shading;
-  const Size size = coarse.camera.size;
-  coarse.object = coarse.usable = Mask(size);
+  const Size size{fine.size().width / 2 + 1, fine.size().height / 2 + 1};
+  coarse.pixels = coarse.usable = Mask(size);
   coarse.x = Image<double>(size, 1, std::numeric_limits<double>::quiet_NaN());
   coarse.kind = Image<std::uint8_t>(size);
   auto pixels = std::make_shared<CoarsePixels>(size);
   parallel_rows(context, size.height, [&](int row) {
+    for (int column = 0; column < size.width; ++column) add_coarse_pixel(fine, coarse, column, row);
+  });
+  coarse.object = nodes_of(coarse.pixels);
+  parallel_rows(context, size.height, [&](int row) {
     for (int column = 0; column < size.width; ++column) {
-      (*pixels)(column, row) = coarse_pixel(fine, coarse, column, row);
-      if (coarse.object(column, row)) coarse.x(column, row) = coarse_x(fine, column, row);
+      if (!coarse.object(column, row)) continue;
+      PixelData& pixel = (*pixels)(column, row) = coarse_light(fine, coarse, column, row);
+      pixel.x_prior =
+          at_coarse_node(fine, column, row, [&](int u, int v) { return fine.source->at(u, v).x_prior; }) / 2;
+      pixel.prior_sigma = static_cast<float>(
+          at_coarse_node(fine, column, row, [&](int u, int v) { return fine.source->at(u, v).prior_sigma; }) / 2);
+      coarse.x(column, row) = coarse_x(fine, column, row);
     }
   });
   coarse.source = std::move(pixels);
@@ -109,8 +128,8 @@ void take_over(RefinementImage& fine, const RefinementImage& coarse, const Conte
   parallel_rows(context, fine.size().height, [&](int v) {
     for (int u = 0; u < fine.size().width; ++u) {
       if (!fine.object(u, v)) continue;
-      const double at_u = (u - 0.5) / 2, at_v = (v - 0.5) / 2;
-      const int column = static_cast<int>(std::floor(at_u)), row = static_cast<int>(std::floor(at_v));
+      const double at_u = u / 2.0, at_v = v / 2.0;
+      const int column = u / 2, row = v / 2;
       double sum = 0, weights = 0;
       for (int k = 0; k < 4; ++k) {
         const int i = column + k % 2, j = row + k / 2;
@@ -119,7 +138,7 @@ void take_over(RefinementImage& fine, const RefinementImage& coarse, const Conte
         sum += weight * change(i, j);
         weights += weight;
       }
-      fine.x(u, v) += 2 * sum / weights;  // the pixel's own coarse one is always there
+      fine.x(u, v) += 2 * sum / weights;  // one of them is always there
     }
   });
   fine.reflection = coarse.reflection;

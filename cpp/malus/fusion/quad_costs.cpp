@@ -9,8 +9,12 @@ namespace {
 constexpr int quad_values = quad_px * quad_px;
 
 std::vector<QuadIndex> existing(const RefinementField& field, std::vector<QuadIndex> quads) {
-  std::erase_if(quads, [&](QuadIndex quad) { return !quad_has_object(field, quad); });
-  return quads;
+  std::vector<QuadIndex> unique;
+  for (const QuadIndex quad : quads) {
+    if (quad_has_object(field, quad) && std::find(unique.begin(), unique.end(), quad) == unique.end())
+      unique.push_back(quad);
+  }
+  return unique;
 }
 
 /// The pixels around a quad by their position relative to its first pixel, −2 … 3, with the parameters they live in.
@@ -52,36 +56,52 @@ class Neighbourhood {
   std::array<Entry, side * side> entries_;
 };
 
-/// One-sided difference along an axis, towards `step`: sign · (neighbour − centre).
-struct Difference {
-  bool exists = false;
-  double value = 0;
-  int step = 1;
+/// Slopes of a pixel from its four nodes, and their derivatives by these.
+class NodeSlopes {
+ public:
+  /// The pixel is at (du, dv) relative to the quad's first node.
+  NodeSlopes(const RefinementField& field, const Neighbourhood& around, int du, int dv)
+      : du_(du),
+        dv_(dv),
+        exists_(around.has(du, dv) && around.has(du + 1, dv) && around.has(du, dv + 1) && around.has(du + 1, dv + 1)),
+        frame_(field.frame_at(around.u(du), around.v(dv))),
+        slopes_(ray_slopes(field.camera, frame_, around.u(du), around.v(dv))) {
+    if (!exists_) return;
+    const double falling = around.value(du + 1, dv + 1) - around.value(du, dv);
+    const double rising = around.value(du + 1, dv) - around.value(du, dv + 1);
+    const double xu = 0.5 * (falling + rising), xv = 0.5 * (falling - rising);
+    p_ = slopes_.p(xu, xv);
+    q_ = slopes_.q(xu, xv);
+  }
+
+  bool exists() const { return exists_; }
+  const RayFrame& frame() const { return frame_; }
+  double p() const { return p_; }
+  double q() const { return q_; }
+
+  /// Adds the derivatives of a residual whose derivatives by the slopes are known.
+  void add(double** jacobians, int residual, double by_p, double by_q, const Neighbourhood& around) const {
+    const double by_u = 0.5 * (by_p * slopes_.pu + by_q * slopes_.qu),
+                 by_v = 0.5 * (by_p * slopes_.pv + by_q * slopes_.qv);
+    around.add(jacobians, residual, du_, dv_, -by_u - by_v);
+    around.add(jacobians, residual, du_ + 1, dv_, by_u - by_v);
+    around.add(jacobians, residual, du_, dv_ + 1, by_v - by_u);
+    around.add(jacobians, residual, du_ + 1, dv_ + 1, by_u + by_v);
+  }
+
+ private:
+  int du_, dv_;
+  bool exists_;
+  RayFrame frame_;
+  RaySlopes slopes_;
+  double p_ = 0, q_ = 0;
 };
 
-Difference difference(const Neighbourhood& around, int du, int dv, int step_u, int step_v) {
-  if (!around.has(du + step_u, dv + step_v)) return {};
-  const int step = step_u + step_v;
-  return {true, step * (around.value(du + step_u, dv + step_v) - around.value(du, dv)), step};
-}
-
-/// Central difference with weights of the one-sided ones: 1/2 each, or 1 for the only one, or none.
-struct CentralDifference {
-  double value = 0, weight_before = 0, weight_after = 0;
-};
-
-CentralDifference central_difference(const Neighbourhood& around, int du, int dv, int step_u, int step_v) {
-  const Difference after = difference(around, du, dv, step_u, step_v);
-  const Difference before = difference(around, du, dv, -step_u, -step_v);
-  const int count = static_cast<int>(after.exists) + static_cast<int>(before.exists);
-  if (count == 0) return {};
-  const double share = 1.0 / count;
-  return {share * (after.value + before.value), before.exists ? share : 0, after.exists ? share : 0};
-}
-
-/// The quad next to a pixel's own on the pixel's side, along one axis.
-int beside(int at) {
-  return at / quad_px + (at % quad_px == 0 ? -1 : 1);
+/// Quads that hold the nodes from a pixel's own to `reach` further on along both axes.
+std::vector<QuadIndex> quads_after(int u, int v, int reach) {
+  const int column = u / quad_px, row = v / quad_px;
+  const int last_column = (u + reach) / quad_px, last_row = (v + reach) / quad_px;
+  return {{column, row}, {last_column, row}, {column, last_row}, {last_column, last_row}};
 }
 
 }  // namespace
@@ -111,43 +131,19 @@ bool QuadCost::Evaluate(double const* const* parameters, double* residuals, doub
 }
 
 StokesCost::StokesCost(const RefinementField& field, int u, int v)
-    : QuadCost(field, {{u / quad_px, v / quad_px}, {beside(u), v / quad_px}, {u / quad_px, beside(v)}}, 8),
-      u_(u),
-      v_(v) {}
+    : QuadCost(field, quads_after(u, v, 1), 2), u_(u), v_(v) {}
 
 void StokesCost::evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
   const Neighbourhood around(field_, quads_.front(), quads_, parameters);
-  const int du = u_ % quad_px, dv = v_ % quad_px;
-  const std::array<Difference, 2> along_u{difference(around, du, dv, 1, 0), difference(around, du, dv, -1, 0)};
-  const std::array<Difference, 2> along_v{difference(around, du, dv, 0, 1), difference(around, du, dv, 0, -1)};
-  const double root = 0.5 * std::sqrt(static_cast<double>(field_.stokes_precision(u_, v_)));
-  const RayFrame frame = field_.frame_at(u_, v_);
-  const RaySlopes slopes = ray_slopes(field_.camera, frame, u_, v_);
-  const PixelReflection reflection = field_.reflection_at(u_, v_, frame);
-  int residual = 0;
-  for (const Difference& xu : along_u) {
-    for (const Difference& xv : along_v) {
-      if (xu.exists && xv.exists) {
-        const PredictedStokes m = reflection.predict(slopes.p(xu.value, xv.value), slopes.q(xu.value, xv.value));
-        residuals[residual] = root * (m.s1 - field_.s1(u_, v_));
-        residuals[residual + 1] = root * (m.s2 - field_.s2(u_, v_));
-        if (jacobians != nullptr) {
-          const std::array<double, 2> by_u{root * (m.s1_by_p * slopes.pu + m.s1_by_q * slopes.qu),
-                                           root * (m.s2_by_p * slopes.pu + m.s2_by_q * slopes.qu)};
-          const std::array<double, 2> by_v{root * (m.s1_by_p * slopes.pv + m.s1_by_q * slopes.qv),
-                                           root * (m.s2_by_p * slopes.pv + m.s2_by_q * slopes.qv)};
-          for (int component = 0; component < 2; ++component) {
-            const double a = xu.step * by_u[static_cast<std::size_t>(component)];
-            const double b = xv.step * by_v[static_cast<std::size_t>(component)];
-            around.add(jacobians, residual + component, du + xu.step, dv, a);
-            around.add(jacobians, residual + component, du, dv + xv.step, b);
-            around.add(jacobians, residual + component, du, dv, -a - b);
-          }
-        }
-      }
-      residual += 2;
-    }
-  }
+  const NodeSlopes slopes(field_, around, u_ % quad_px, v_ % quad_px);
+  if (!slopes.exists()) return;
+  const double root = std::sqrt(static_cast<double>(field_.stokes_precision(u_, v_)));
+  const PredictedStokes m = field_.reflection_at(u_, v_, slopes.frame()).predict(slopes.p(), slopes.q());
+  residuals[0] = root * (m.s1 - field_.s1(u_, v_));
+  residuals[1] = root * (m.s2 - field_.s2(u_, v_));
+  if (jacobians == nullptr) return;
+  slopes.add(jacobians, 0, root * m.s1_by_p, root * m.s1_by_q, around);
+  slopes.add(jacobians, 1, root * m.s2_by_p, root * m.s2_by_q, around);
 }
 
 void StokesLoss::Evaluate(double squared, double rho[3]) const {
@@ -195,6 +191,23 @@ void SmoothnessCost::evaluate(double const* const* parameters, double* residuals
   }
 }
 
+SlopeChangeCost::SlopeChangeCost(const RefinementField& field, int u, int v, double weight)
+    : QuadCost(field, quads_after(u, v, 1), 2), u_(u), v_(v), weight_(weight) {}
+
+void SlopeChangeCost::evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
+  const Neighbourhood around(field_, quads_.front(), quads_, parameters);
+  const int du = u_ % quad_px, dv = v_ % quad_px;
+  for (int residual = 0; residual < 2; ++residual) {
+    const int step_u = residual == 0 ? 1 : 0, step_v = 1 - step_u;
+    if (!around.has(du + step_u, dv + step_v)) continue;
+    const double prior = field_.x_prior(u_ + step_u, v_ + step_v) - field_.x_prior(u_, v_);
+    residuals[residual] = weight_ * (around.value(du + step_u, dv + step_v) - around.value(du, dv) - prior);
+    if (jacobians == nullptr) continue;
+    around.add(jacobians, residual, du + step_u, dv + step_v, weight_);
+    around.add(jacobians, residual, du, dv, -weight_);
+  }
+}
+
 LogShading log_shading(const Eigen::Vector4d& harmonics, const RayFrame& frame, double p, double q) {
   constexpr double darkest = 0.02;
   const Eigen::Vector3d direction = harmonics.tail<3>();
@@ -208,50 +221,27 @@ LogShading log_shading(const Eigen::Vector4d& harmonics, const RayFrame& frame, 
 }
 
 AlbedoCost::AlbedoCost(const RefinementField& field, int u, int v)
-    : QuadCost(field,
-               {{u / quad_px, v / quad_px}, {beside(u), v / quad_px}, {u / quad_px, beside(v)}, {beside(u), beside(v)}},
-               2),
-      u_(u),
-      v_(v) {}
+    : QuadCost(field, quads_after(u, v, 2), 2), u_(u), v_(v) {}
 
 void AlbedoCost::evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
   const Neighbourhood around(field_, quads_.front(), quads_, parameters);
   const int du = u_ % quad_px, dv = v_ % quad_px;
   const double root = std::sqrt(field_.albedo_weight);
-  const auto has_body = [&](int u, int v) { return field_.is_object(u, v) && std::isfinite(field_.log_body(u, v)); };
-  for (const Axis axis : {Axis::u, Axis::v}) {
-    const bool along_u = axis == Axis::u;
-    const int residual = along_u ? 0 : 1;
-    const int step_u = along_u ? 1 : 0, step_v = along_u ? 0 : 1;  // along; across is (step_v, step_u)
-    if (!has_body(u_ - step_u, v_ - step_v) || !has_body(u_ + step_u, v_ + step_v)) continue;
-    const CentralDifference across_here = central_difference(around, du, dv, step_v, step_u);
-    for (const int side : {-1, 1}) {
-      const int next_u = du + side * step_u, next_v = dv + side * step_v;
-      const double along = side * (around.value(next_u, next_v) - around.value(du, dv));
-      const CentralDifference across_next = central_difference(around, next_u, next_v, step_v, step_u);
-      const double across = 0.5 * (across_here.value + across_next.value);
-      const double at_u = u_ + 0.5 * side * step_u, at_v = v_ + 0.5 * side * step_v;
-      const RayFrame frame = ray_frame(&field_.camera, at_u, at_v);
-      const RaySlopes slopes = ray_slopes(field_.camera, frame, at_u, at_v);
-      const double xu = along_u ? along : across, xv = along_u ? across : along;
-      const LogShading shading = log_shading(field_.shading, frame, slopes.p(xu, xv), slopes.q(xu, xv));
-      const double log_body = 0.5 * field_.log_body(u_ + side * step_u, v_ + side * step_v);  // the pixel's own cancels
-      residuals[residual] += side * root * (log_body - shading.value);
-      if (jacobians == nullptr) continue;
-      const double by_xu = -side * root * (shading.by_p * slopes.pu + shading.by_q * slopes.qu);
-      const double by_xv = -side * root * (shading.by_p * slopes.pv + shading.by_q * slopes.qv);
-      const double by_along = side * (along_u ? by_xu : by_xv), by_across = 0.5 * (along_u ? by_xv : by_xu);
-      around.add(jacobians, residual, next_u, next_v, by_along);
-      around.add(jacobians, residual, du, dv, -by_along);
-      const auto add_across = [&](const CentralDifference& difference, int at_du, int at_dv) {
-        const double before = difference.weight_before, after = difference.weight_after;
-        if (after > 0) around.add(jacobians, residual, at_du + step_v, at_dv + step_u, by_across * after);
-        if (before > 0) around.add(jacobians, residual, at_du - step_v, at_dv - step_u, -by_across * before);
-        around.add(jacobians, residual, at_du, at_dv, by_across * (before - after));
-      };
-      add_across(across_here, du, dv);
-      add_across(across_next, next_u, next_v);
-    }
+  const NodeSlopes here(field_, around, du, dv);
+  if (!here.exists()) return;
+  const LogShading shading = log_shading(field_.shading, here.frame(), here.p(), here.q());
+  for (int residual = 0; residual < 2; ++residual) {
+    const int step_u = residual == 0 ? 1 : 0, step_v = 1 - step_u;
+    if (!field_.object.contains(u_ + step_u, v_ + step_v) || !std::isfinite(field_.log_body(u_ + step_u, v_ + step_v)))
+      continue;
+    const NodeSlopes next(field_, around, du + step_u, dv + step_v);
+    if (!next.exists()) continue;
+    const LogShading next_shading = log_shading(field_.shading, next.frame(), next.p(), next.q());
+    const double log_body = field_.log_body(u_ + step_u, v_ + step_v) - field_.log_body(u_, v_);
+    residuals[residual] = root * (log_body - next_shading.value + shading.value);
+    if (jacobians == nullptr) continue;
+    here.add(jacobians, residual, root * shading.by_p, root * shading.by_q, around);
+    next.add(jacobians, residual, -root * next_shading.by_p, -root * next_shading.by_q, around);
   }
 }
 

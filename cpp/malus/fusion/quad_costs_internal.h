@@ -51,8 +51,7 @@ class QuadCost : public ceres::CostFunction {
   const bool* finished_ = nullptr;
 };
 
-/// Stokes residuals of one pixel on its four one-sided difference pairs, a quarter of the weight each, in standard
-/// deviations. 8 residuals; quads: its own and the two that hold its neighbours.
+/// Stokes residuals of one pixel in standard deviations. 2 residuals; quads: those that hold its four nodes.
 class StokesCost final : public QuadCost {
  public:
   StokesCost(const RefinementField& field, int u, int v);
@@ -101,11 +100,21 @@ class SmoothnessCost final : public QuadCost {
   double weight_;
 };
 
-/// Albedo changes little along u and v: ln body − ln shading half a pixel before a pixel against half a pixel after it.
-/// Shading there comes from the one-sided slope along the axis and the mean of the two pixels' central slopes across,
-/// ln body is their mean. Central slopes of neighbouring pixels instead would join quads that are not neighbours, which
-/// makes the factor of the system four times as large. 2 residuals; quads: its own and the three that hold its
-/// neighbours.
+/// Slopes change little from the prior's: the differences of a node to its right and lower neighbours against the
+/// prior's. 2 residuals; quads: those that hold the three.
+class SlopeChangeCost final : public QuadCost {
+ public:
+  SlopeChangeCost(const RefinementField& field, int u, int v, double weight);
+
+ private:
+  void evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
+
+  int u_, v_;
+  double weight_;
+};
+
+/// Albedo changes little along u and v: ln body − ln shading of a pixel against those of its right and lower
+/// neighbours. 2 residuals; quads: those that hold the three pixels' nodes.
 class AlbedoCost final : public QuadCost {
  public:
   AlbedoCost(const RefinementField& field, int u, int v);

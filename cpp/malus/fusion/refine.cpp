@@ -52,14 +52,17 @@ void label_regions(RefinementImage& image, const RefineInput& input, const std::
       return;
     case ReflectionChoice::labels:
       label_reflection(image, strips, context);
-      require_size(input.labels, image.size(), "the label image");
-      for (std::size_t i = 0; i < input.labels.count(); ++i) {
-        if (input.labels[i] > 2) {
-          throw input_error("the label image has a pixel " + std::to_string(input.labels[i]) +
-                            ", expected 0 (not known), 1 (diffuse) or 2 (specular)");
+      require_size(input.labels, image.camera.size, "the label image");
+      for (int v = 0; v < input.labels.height(); ++v) {
+        for (int u = 0; u < input.labels.width(); ++u) {
+          const int label = input.labels(u, v);
+          if (label > 2) {
+            throw input_error("the label image has a pixel " + std::to_string(label) +
+                              ", expected 0 (not known), 1 (diffuse) or 2 (specular)");
+          }
+          if (label == 1) image.kind(u, v) = static_cast<std::uint8_t>(Reflection::diffuse);
+          if (label == 2) image.kind(u, v) = static_cast<std::uint8_t>(Reflection::specular);
         }
-        if (input.labels[i] == 1) image.kind[i] = static_cast<std::uint8_t>(Reflection::diffuse);
-        if (input.labels[i] == 2) image.kind[i] = static_cast<std::uint8_t>(Reflection::specular);
       }
       return;
   }
@@ -148,9 +151,14 @@ bool looks_like_metal(const RefinementImage& image) {
 
 /// Distance beyond which the prior is better known than the integral of slopes, which are wrong in the mean by about
 /// 0.25 degrees at best: noise over the square root of the points inside a Gaussian = slope × distance. 0 = not known.
+/// A prior that smooths over less than half of that is of a rough object: most of its error is the detail that it
+/// lacks, which averages out over longer distances than noise. A map of the surroundings has larger errors itself.
 double anchor_length_px(const DepthPrior& prior, const RefinementImage& image, double anchor) {
+  constexpr double longest = 1.6;
   const double gsd = image.depth_of(0) / image.focal;
-  return anchor * std::sqrt(std::max(prior.noise / gsd * prior.spacing_px, 0.0));
+  const double length = anchor * std::sqrt(std::max(prior.noise / gsd * prior.spacing_px, 0.0));
+  if (image.reflection.mirrored || prior.smoothing_px <= 0) return length;
+  return length * std::clamp(length / (2 * prior.smoothing_px), 1.0, longest);
 }
 
 bool has_usable(const RefinementImage& image) {
@@ -171,6 +179,23 @@ Eigen::Vector3d mean_normal(const RefinementImage& image) {
     }
   }
   return sum.norm() > 0 ? Eigen::Vector3d(sum.normalized()) : Eigen::Vector3d(0, 0, -1);
+}
+
+/// How far the surface has left the prior's in the centre of a pixel. Of a diffuse body, whose polarization is weak and
+/// noisy, the mean of its four nodes; else, as that would smooth the detail, by cubics from the 4 × 4 nodes around it.
+double change_at(const RefinementField& field, int u, int v) {
+  static constexpr std::array<double, 4> cubic{-1.0 / 16, 9.0 / 16, 9.0 / 16, -1.0 / 16};
+  const auto change = [&](int i, int j) { return field.x(i, j) - field.x_prior(i, j); };
+  const double mean = 0.25 * (change(u, v) + change(u + 1, v) + change(u, v + 1) + change(u + 1, v + 1));
+  if (field.kind_at(u, v) == Reflection::diffuse && !field.reflection.mirrored) return mean;
+  double sum = 0;
+  for (int j = 0; j < 4; ++j) {
+    for (int i = 0; i < 4; ++i) {
+      if (!field.is_object(u + i - 1, v + j - 1)) return mean;
+      sum += cubic[static_cast<std::size_t>(i)] * cubic[static_cast<std::size_t>(j)] * change(u + i - 1, v + j - 1);
+    }
+  }
+  return sum;
 }
 
 /// Part of the progress, 0 … 1.
@@ -263,7 +288,7 @@ class Refiner {
         if (!image_.object(u, v)) continue;
         const double share = between_cells(shares, ExplainedPolarization::cell_px, u, v);
         const double trust = std::clamp((share - least) / ramp, 0.0, 1.0);
-        report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(255 * trust));
+        if (image_.pixels(u, v)) report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(255 * trust));
         image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
       }
     });
@@ -283,7 +308,7 @@ class Refiner {
   /// The surface that was found, and what is reported of its pixels.
   FusedSurface finish(const DepthPrior& prior) {
     constexpr int margin = surface_sigma_reach_px + weights_reach_px;
-    const Size size = image_.size();
+    const Size size = image_.camera.size;
     FusedSurface surface;
     surface.camera = prior.camera;
     surface.pose = prior.pose;
@@ -292,7 +317,7 @@ class Refiner {
     report_.specular_share = specular_share(image_);
     report_.metal = looks_like_metal(image_);
     report_.label = report_.confidence = Image<std::uint8_t>(size);
-    ResidualSummary summary(size);
+    ResidualSummary summary(image_.size());
     for (const TileStrip& tiles : strips_) {
       const StripField strip = weighted_strip(tiles.rows, margin, weights(1, true), &summary);
       const Size part = strip.field.size();
@@ -302,11 +327,12 @@ class Refiner {
               ? Image<std::uint8_t>(part, 1, 255)
               : cropped(report_.trust, {0, strip.first_row, part.width, strip.first_row + part.height});
       const Image<float> sigma = surface_sigma(strip.field, trust, prior.smoothing_px, context_);
-      parallel_rows(context_, tiles.rows.end - tiles.rows.begin, [&](int row) {
+      parallel_rows(context_, std::min(tiles.rows.end, size.height) - tiles.rows.begin, [&](int row) {
         const int v = tiles.rows.begin + row, strip_v = v - strip.first_row;
         for (int u = 0; u < size.width; ++u) {
-          if (!image_.object(u, v)) continue;
-          surface.depth(u, v) = static_cast<float>(image_.depth_of(image_.x(u, v)));
+          if (!image_.pixels(u, v)) continue;
+          surface.depth(u, v) =
+              static_cast<float>(prior.depth(u, v) * std::exp(change_at(strip.field, u, strip_v) / image_.focal));
           surface.sigma(u, v) = sigma(u, strip_v);
           report_.label(u, v) = image_.kind(u, v);
           report_.confidence(u, v) =
@@ -315,6 +341,7 @@ class Refiner {
       });
     }
     image_.x = {};  // as much memory as the normals take
+    report_.trust = cropped(report_.trust, {0, 0, size.width, size.height});
     surface.normals = normals_from_depth(surface.depth, surface.camera, context_);
     const FitQuality quality = summary.quality();
     report_.tiles = static_cast<int>(tiles_.size());
@@ -430,11 +457,15 @@ class Refiner {
     // The shared parameters come from the prior's slopes at first: no far step with them.
     constexpr std::size_t careful_rounds = 2;
     const int steps = report_.iterations.size() < careful_rounds ? 1 : options_.steps;
+    TileOptions solver{steps, options_.smoothness};
+    solver.prior_robust_gsd = options_.prior_robust_gsd / binning_;
+    // What a map of hundreds of cells cannot explain it puts into slopes, unless they have a reason to move.
+    constexpr double slope_weight = 4;
+    if (image_.reflection.mirrored) solver.slope_weight = slope_weight;
     std::vector<Tile> in_strip = tiles;
     for (Tile& tile : in_strip) tile = {tile.core.from(0, strip.first_row), tile.outer.from(0, strip.first_row)};
     const std::vector<TileSolution> solutions = solve_tiles(
-        strip.field, in_strip, {steps, options_.smoothness, options_.prior_robust_gsd / binning_},
-        [&] { report_progress(++tiles_done_); }, context_);
+        strip.field, in_strip, solver, [&] { report_progress(++tiles_done_); }, context_);
     SolveStatistics statistics;
     for (std::size_t i = 0; i < tiles.size(); ++i) {
       statistics += solutions[i].statistics;

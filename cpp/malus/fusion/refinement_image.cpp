@@ -12,19 +12,17 @@ constexpr float none = std::numeric_limits<float>::quiet_NaN();
 /// Pixels of a station.
 class StationPixels final : public PixelSource {
  public:
-  StationPixels(const PolarizationState& state, const DepthPrior& prior, double log_depth_origin)
+  StationPixels(const PolarizationState& state, const DepthPrior& prior, Mask pixels, double log_depth_origin)
       : state_(state),
         prior_(prior),
+        pixels_(std::move(pixels)),
         focal_(prior.camera.focal()),
         log_depth_origin_(log_depth_origin),
         variances_(state) {}
 
   PixelData at(int u, int v) const override {
-    PixelData pixel;
-    const double depth = prior_.depth(u, v);
-    pixel.x_prior = focal_ * (std::log(depth) - log_depth_origin_);
-    const double sigma = prior_.sigma.empty() ? none : prior_.sigma(u, v);
-    if (std::isfinite(sigma)) pixel.prior_sigma = static_cast<float>(sigma / (depth / focal_));
+    PixelData pixel = node(u, v);
+    if (!pixels_(u, v)) return pixel;
     const Eigen::Vector3d stokes = state_.stokes(u, v);
     pixel.s0 = static_cast<float>(stokes[0]);
     pixel.s1 = static_cast<float>(stokes[1]);
@@ -34,18 +32,53 @@ class StationPixels final : public PixelSource {
   }
 
  private:
+  bool has(int u, int v) const { return pixels_.contains(u, v) && pixels_(u, v) != 0; }
+  double x_of(int u, int v) const {
+    return focal_ * (std::log(static_cast<double>(prior_.depth(u, v))) - log_depth_origin_);
+  }
+
+  /// The prior at a node: mean of what the object's pixels around it say of it, by their slopes at the border.
+  PixelData node(int u, int v) const {
+    double x = 0, sigma = 0;
+    int count = 0, known = 0;
+    const bool inside = has(u - 1, v - 1) && has(u, v - 1) && has(u - 1, v) && has(u, v);
+    for (int k = 0; k < 4; ++k) {
+      const int side_u = k % 2, side_v = k / 2, pu = u - side_u, pv = v - side_v;
+      if (!has(pu, pv)) continue;
+      const double here = x_of(pu, pv);
+      x += here;
+      ++count;
+      if (!inside) {
+        const int far_u = pu + (side_u == 0 ? 1 : -1), far_v = pv + (side_v == 0 ? 1 : -1);
+        if (has(far_u, pv)) x += 0.5 * (here - x_of(far_u, pv));
+        if (has(pu, far_v)) x += 0.5 * (here - x_of(pu, far_v));
+      }
+      const double known_sigma = prior_.sigma.empty() ? none : prior_.sigma(pu, pv);
+      if (!std::isfinite(known_sigma)) continue;
+      sigma += known_sigma / (prior_.depth(pu, pv) / focal_);
+      ++known;
+    }
+    PixelData data;
+    data.x_prior = x / count;
+    if (known > 0) data.prior_sigma = static_cast<float>(sigma / known);
+    return data;
+  }
+
   const PolarizationState& state_;
   const DepthPrior& prior_;
+  Mask pixels_;
   double focal_, log_depth_origin_;
   StokesVariances variances_;
 };
 
-double mean_log_depth(const Mask& object, const DepthPrior& prior) {
+double mean_log_depth(const Mask& pixels, const DepthPrior& prior) {
   double sum = 0, count = 0;
-  for (std::size_t i = 0; i < object.count(); ++i) {
-    if (!object[i]) continue;
-    sum += std::log(static_cast<double>(prior.depth[i]));
-    ++count;
+  for (int v = 0; v < prior.depth.height(); ++v) {
+    for (int u = 0; u < prior.depth.width(); ++u) {
+      if (!pixels(u, v)) continue;
+      sum += std::log(static_cast<double>(prior.depth(u, v)));
+      ++count;
+    }
   }
   if (count == 0) throw data_error("refine: the prior has a depth on no pixel of the object");
   return sum / count;
@@ -95,22 +128,24 @@ RefinementImage make_image(const PolarizationState& state, const DepthPrior& pri
   RefinementImage image;
   image.camera = prior.camera;
   image.focal = prior.camera.focal();
-  image.object = image.usable = Mask(size);
+  const Size nodes{size.width + 1, size.height + 1};
+  image.pixels = image.usable = Mask(nodes);
   parallel_rows(context, size.height, [&](int v) {
     for (int u = 0; u < size.width; ++u) {
       const bool known = state.valid(u, v) != static_cast<std::uint8_t>(PixelState::outside);
       if (!known || !(prior.depth(u, v) > 0) || !std::isfinite(prior.depth(u, v))) continue;
-      image.object(u, v) = 255;
+      image.pixels(u, v) = 255;
       const Eigen::Vector3d stokes = state.stokes(u, v);
       image.usable(u, v) = state.is_valid(u, v) && stokes[0] > 0 && stokes.allFinite() ? 255 : 0;
     }
   });
-  image.log_depth_origin = mean_log_depth(image.object, prior);
-  image.source = std::make_shared<StationPixels>(state, prior, image.log_depth_origin);
-  image.x = Image<double>::uninitialized(size);
-  image.kind = Image<std::uint8_t>(size);
-  parallel_rows(context, size.height, [&](int v) {
-    for (int u = 0; u < size.width; ++u)
+  image.object = nodes_of(image.pixels);
+  image.log_depth_origin = mean_log_depth(image.pixels, prior);
+  image.source = std::make_shared<StationPixels>(state, prior, image.pixels, image.log_depth_origin);
+  image.x = Image<double>::uninitialized(nodes);
+  image.kind = Image<std::uint8_t>(nodes);
+  parallel_rows(context, nodes.height, [&](int v) {
+    for (int u = 0; u < nodes.width; ++u)
       image.x(u, v) = image.object(u, v) ? image.source->at(u, v).x_prior : static_cast<double>(none);
   });
   return image;

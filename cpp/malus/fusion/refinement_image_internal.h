@@ -9,10 +9,11 @@
 
 namespace malus {
 
-/// What is known of a pixel of the object before anything is refined; s0 to variance only where it is usable.
+/// What is known of a pixel of the object and of its upper left node before anything is refined; s0 to variance only
+/// where it is usable.
 struct PixelData {
-  double x_prior = 0;     ///< [GSD]
-  float prior_sigma = 1;  ///< [GSD]
+  double x_prior = 0;     ///< of the node [GSD]
+  float prior_sigma = 1;  ///< of the node [GSD]
   float s0 = 0, s1 = 0, s2 = 0, variance = 0;
 };
 
@@ -26,6 +27,7 @@ class PixelSource {
 /// The image that is refined. A field of it takes 60 bytes a pixel and its weights while they are made as much again;
 /// only what the rounds change is kept of all pixels, and a field is made of the part that is worked on.
 struct RefinementImage : SurfaceEstimate {
+  Mask pixels;  ///< of the object, in the nodes' raster
   std::shared_ptr<const PixelSource> source;
 
   /// Field of a part at the present surface, without weights. The part's borders must be multiples of the prior blocks,

@@ -77,12 +77,12 @@ double label_reflection(RefinementImage& image, const std::vector<RowRange>& str
   return share;
 }
 
-double specular_share(const SurfaceEstimate& surface) {
+double specular_share(const RefinementImage& image) {
   double specular = 0, all = 0;
-  for (std::size_t i = 0; i < surface.object.count(); ++i) {
-    if (!surface.object[i]) continue;
+  for (std::size_t i = 0; i < image.pixels.count(); ++i) {
+    if (!image.pixels[i]) continue;
     ++all;
-    specular += surface.kind[i] == static_cast<std::uint8_t>(Reflection::specular);
+    specular += image.kind[i] == static_cast<std::uint8_t>(Reflection::specular);
   }
   return specular / all;
 }

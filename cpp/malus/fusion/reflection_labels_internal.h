@@ -13,6 +13,6 @@ namespace malus {
 double label_reflection(RefinementImage& image, const std::vector<RowRange>& strips, const Context& context);
 
 /// Share of object pixels labelled specular.
-double specular_share(const SurfaceEstimate& surface);
+double specular_share(const RefinementImage& image);
 
 }  // namespace malus

@@ -24,21 +24,10 @@ double cauchy(double squared, double scale) {
 double stokes_cost(const RefinementField& field, int u, int v) {
   const double precision = field.stokes_precision(u, v);
   if (precision <= 0) return 0;
-  const RaySlopes slopes = field.slopes_at(u, v);
-  const PixelReflection reflection = field.reflection_at(u, v);
-  double cost = 0;
-  for (const int step_u : {1, -1}) {
-    if (!field.is_object(u + step_u, v)) continue;
-    const double xu = step_u * (field.x(u + step_u, v) - field.x(u, v));
-    for (const int step_v : {1, -1}) {
-      if (!field.is_object(u, v + step_v)) continue;
-      const double xv = step_v * (field.x(u, v + step_v) - field.x(u, v));
-      const PredictedStokes m = reflection.predict(slopes.p(xu, xv), slopes.q(xu, xv));
-      cost += 0.25 * cauchy(precision * (square(m.s1 - field.s1(u, v)) + square(m.s2 - field.s2(u, v))),
-                            field.robust_scale_at(u, v));
-    }
-  }
-  return cost;
+  const Eigen::Vector2d slopes = central_slopes(field, u, v);
+  const PredictedStokes m = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
+  return cauchy(precision * (square(m.s1 - field.s1(u, v)) + square(m.s2 - field.s2(u, v))),
+                field.robust_scale_at(u, v));
 }
 
 /// Adds to every pixel its share of its prior block's cost.

@@ -2,14 +2,24 @@
 
 namespace malus {
 
+Mask nodes_of(const Mask& pixels) {
+  Mask nodes(pixels.size());
+  for (int v = 0; v + 1 < pixels.height(); ++v) {
+    for (int u = 0; u + 1 < pixels.width(); ++u) {
+      if (pixels(u, v)) nodes(u, v) = nodes(u + 1, v) = nodes(u, v + 1) = nodes(u + 1, v + 1) = 255;
+    }
+  }
+  return nodes;
+}
+
 Eigen::Vector2d central_gradient(const SurfaceEstimate& surface, int u, int v) {
-  const double centre = surface.x(u, v);
   const auto along = [&](int du, int dv) {
     double sum = 0;
     int count = 0;
-    for (const int side : {-1, 1}) {
-      if (!surface.is_object(u + side * du, v + side * dv)) continue;
-      sum += side * (surface.x(u + side * du, v + side * dv) - centre);
+    for (const int side : {0, 1}) {
+      const int u0 = u + side * dv, v0 = v + side * du;
+      if (!surface.is_object(u0, v0) || !surface.is_object(u0 + du, v0 + dv)) continue;
+      sum += surface.x(u0 + du, v0 + dv) - surface.x(u0, v0);
       ++count;
     }
     return count == 0 ? 0.0 : sum / count;

@@ -12,13 +12,16 @@
 namespace malus {
 
 /// The surface as the refinement has it at a time, and how it reflects; of an image or of a part of one. The unknown is
-/// x = f (ln z − origin), depth in GSD; it exists where `object` is set.
+/// x = f (ln z − origin), depth in GSD. It lives at the nodes, the pixels' corners: node (u, v) is the upper left
+/// corner of pixel (u, v), at (u − 1/2, v − 1/2) of the camera. A pixel's slopes follow from its own four nodes: they
+/// are not smoothed along themselves, and no side of the pixel is preferred. All rasters have the nodes' size, one more
+/// than the pixels along each axis; the last column and row have nodes only.
 struct SurfaceEstimate {
   Pinhole camera;
   double focal = 1;
   double log_depth_origin = 0;
-  Mask object;
-  Mask usable;  ///< non-zero = polarization may be used
+  Mask object;  ///< nodes of the object's pixels
+  Mask usable;  ///< pixels whose polarization may be used; all their nodes exist
   Image<double> x;
   Image<std::uint8_t> kind;  ///< Reflection
   ReflectionModel reflection;
@@ -33,10 +36,13 @@ struct SurfaceEstimate {
   double depth_of(double value) const { return std::exp(value / focal + log_depth_origin); }
 };
 
-/// Gradient of x by central differences, one-sided where only one neighbour is on the object, 0 where none is.
+/// Nodes of pixels, both in the nodes' raster.
+Mask nodes_of(const Mask& pixels);
+
+/// Gradient of x in a pixel from its four nodes, as far as they exist.
 Eigen::Vector2d central_gradient(const SurfaceEstimate& surface, int u, int v);
 
-/// Slopes (p, q) of the current surface at a pixel, from the central gradient.
+/// Slopes (p, q) of the current surface in the centre of a pixel.
 Eigen::Vector2d central_slopes(const SurfaceEstimate& surface, int u, int v);
 
 /// Unit normal of slopes (p, q) against a ray, camera frame.

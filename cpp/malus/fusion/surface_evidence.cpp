@@ -93,34 +93,25 @@ void anchor_to_prior(RefinementImage& image, const Image<double>& x_prior, doubl
   const double rest2 = length_px * length_px - 0.25 * cell_px * cell_px;
   if (rest2 <= 0) return;
   const Size size = image.size(), count = cells_over(size, cell_px);
-  Image<float> lack(count), weights(count), sigmas(count);
+  Image<float> lack(count), weights(count);
   parallel_rows(context, count.height, [&](int row) {
     for (int column = 0; column < count.width; ++column) {
-      double sum = 0, sigma = 0;
-      int pixels = 0;
+      double sum = 0, variance = 0;
+      int nodes = 0;
       for (int v = row * cell_px; v < std::min((row + 1) * cell_px, size.height); ++v) {
         for (int u = column * cell_px; u < std::min((column + 1) * cell_px, size.width); ++u) {
           if (!image.object(u, v)) continue;
           sum += x_prior(u, v) - image.x(u, v);
-          sigma += image.source->at(u, v).prior_sigma;
-          ++pixels;
+          variance += std::pow(image.source->at(u, v).prior_sigma, 2);
+          ++nodes;
         }
       }
-      if (pixels == 0) continue;
-      lack(column, row) = static_cast<float>(sum / pixels);
-      sigmas(column, row) = static_cast<float>(std::max(sigma / pixels, 1e-6));
-      weights(column, row) = static_cast<float>(pixels * std::pow(sigmas(column, row) * cell_px, -2));
+      if (nodes == 0) continue;
+      lack(column, row) = static_cast<float>(sum / nodes);
+      weights(column, row) = static_cast<float>(nodes / std::max(variance / nodes, 1e-12));
     }
   });
-  constexpr int rounds = 3;
-  Image<float> robust = weights, low;
-  for (int round = 0; round <= rounds; ++round) {
-    low = pooled(lack, robust, std::sqrt(rest2) / cell_px, context);
-    for (std::size_t i = 0; i < low.count(); ++i) {
-      if (weights[i] > 0)
-        robust[i] = static_cast<float>(weights[i] / (1 + std::pow((lack[i] - low[i]) / sigmas[i], 2)));
-    }
-  }
+  const Image<float> low = pooled(lack, weights, std::sqrt(rest2) / cell_px, context);
   parallel_rows(context, size.height, [&](int v) {
     for (int u = 0; u < size.width; ++u) {
       if (image.object(u, v)) image.x(u, v) += between_cells(low, cell_px, u, v);

@@ -43,8 +43,7 @@ double between_cells(const Image<float>& cells, int cell_px, int u, int v);
 
 /// Adds to the surface the low frequencies (Gaussian of `length_px`) of what it lacks of the prior. Errors of a
 /// reflection model add up over a distance, the noise of a prior's points averages out over it: beyond the distance
-/// where both are equal the prior is the better one. The prior counts by its variance, and little where it differs
-/// from its own low frequencies by more than its sigma: there it lacks detail, or has steps wrong.
+/// where both are equal the prior is the better one. The prior counts by its variance.
 void anchor_to_prior(RefinementImage& image, const Image<double>& x_prior, double length_px, const Context& context);
 
 }  // namespace malus

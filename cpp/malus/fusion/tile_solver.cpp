@@ -38,6 +38,7 @@ class TileProblem {
         tile_(tile),
         local_(tile.outer.grown(tile_ring_px, field.size())),
         prior_loss_(options.prior_robust_gsd),
+        slope_loss_(std::max(options.slope_weight * options.slope_change, 1e-9)),
         albedo_loss_(std::max(std::sqrt(field.albedo_weight) * field.albedo_contrast, 1e-9)) {
     columns_ = (local_.width() + 1) / quad_px;
     rows_ = (local_.height() + 1) / quad_px;
@@ -244,6 +245,8 @@ class TileProblem {
       for (int v = quad_px * quad.row; v < quad_px * (quad.row + 1); ++v) {
         for (int u = quad_px * quad.column; u < quad_px * (quad.column + 1); ++u) {
           if (!field_.is_object(u, v)) continue;
+          if (options.slope_weight > 0)
+            add(std::make_unique<SlopeChangeCost>(field_, u, v, options.slope_weight), &slope_loss_);
           if (field_.stokes_precision(u, v) > 0)
             add(std::make_unique<StokesCost>(field_, u, v), keep(std::make_unique<StokesLoss>(field_, u, v)));
           if (field_.albedo_weight > 0 && std::isfinite(field_.log_body(u, v)))
@@ -268,7 +271,7 @@ class TileProblem {
   int columns_ = 0, rows_ = 0;
   std::size_t unknowns_ = 0;
   std::vector<double> x_;  // quad by quad
-  ceres::CauchyLoss prior_loss_, albedo_loss_;
+  ceres::CauchyLoss prior_loss_, slope_loss_, albedo_loss_;
   SkipLastJacobian last_jacobian_;
   std::vector<std::unique_ptr<QuadCost>> costs_;
   std::vector<std::unique_ptr<ceres::LossFunction>> losses_;

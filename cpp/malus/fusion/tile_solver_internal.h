@@ -29,6 +29,8 @@ std::vector<TileStrip> divide_into_strips(const std::vector<Tile>& tiles, Size i
 struct TileOptions {
   int iterations = 1;           ///< accepted Gauss–Newton steps of one solve
   double smoothness = 0.05;     ///< weight of the second differences
+  double slope_weight = 0;      ///< weight of changes of the prior's slopes …
+  double slope_change = 0.1;    ///< … and the change that counts half
   double prior_robust_gsd = 2;  ///< scale of the Cauchy loss of the prior blocks
 };
 

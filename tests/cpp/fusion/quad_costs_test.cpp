@@ -127,6 +127,10 @@ TEST(QuadCosts, SmoothnessAndPriorDerivativesAreThoseOfTheResiduals) {
   auto costs = all_costs(field, [&](QuadIndex quad, auto& out) {
     out.push_back(std::make_unique<OutsideCost>(field, quad));
     for (const Axis axis : {Axis::u, Axis::v}) out.push_back(std::make_unique<SmoothnessCost>(field, quad, axis, 0.05));
+    for (int i = 0; i < 4; ++i) {
+      const int u = 2 * quad.column + i % 2, v = 2 * quad.row + i / 2;
+      if (field.is_object(u, v)) out.push_back(std::make_unique<SlopeChangeCost>(field, u, v, 4));
+    }
   });
   for (int row = 0; row < field.block_count().height; ++row) {
     for (int column = 0; column < field.block_count().width; ++column) {
@@ -134,6 +138,18 @@ TEST(QuadCosts, SmoothnessAndPriorDerivativesAreThoseOfTheResiduals) {
     }
   }
   EXPECT_LT(largest_difference(field, costs), 1e-8);
+}
+
+TEST(CentralSlopes, AreExactForAParaboloidAndBlindToACheckerboardOnly) {
+  RefinementField field = rough_field(Reflection::diffuse);
+  field.object.fill(255);
+  const auto height = [](double u, double v) { return 0.3 * u - 0.2 * v + 0.02 * u * u - 0.03 * u * v + 0.01 * v * v; };
+  for (int v = 0; v < field.size().height; ++v) {
+    for (int u = 0; u < field.size().width; ++u) field.x(u, v) = height(u - 0.5, v - 0.5) + ((u + v) % 2 == 0 ? 1 : -1);
+  }
+  const Eigen::Vector2d gradient = central_gradient(field, 12, 7);
+  EXPECT_NEAR(gradient[0], 0.3 + 0.04 * 12 - 0.03 * 7, 1e-12);
+  EXPECT_NEAR(gradient[1], -0.2 - 0.03 * 12 + 0.02 * 7, 1e-12);
 }
 
 TEST(StokesLoss, IsCauchyTimesTheRegionalWeight) {
