@@ -14,6 +14,7 @@ from malus._core import version as __version__
 from malus.camera import Camera
 from malus.errors import DataError, ExternalError, InputError, MalusError, ResourceError
 from malus.exports import export
+from malus.object import Object
 from malus.options import Options
 from malus.reconstruction import Progress, Result, check, reconstruct
 from malus.report import open_report, write_report
@@ -27,6 +28,7 @@ __all__ = [
     "ExternalError",
     "InputError",
     "MalusError",
+    "Object",
     "Options",
     "Progress",
     "ResourceError",
