@@ -21,6 +21,20 @@ void bind_io(py::module_& module) {
     std::memcpy(array.mutable_data(), cloud.points.data(), cloud.points.size() * sizeof(Eigen::Vector3d));
     return array;
   });
+  module.def("read_oriented_points", [](const std::string& path) -> std::pair<py::array_t<double>, py::object> {
+    const PointCloud cloud = read_point_cloud(path, {}, "prior.cloud");
+    const auto count = static_cast<py::ssize_t>(cloud.points.size());
+    py::array_t<double> points({count, py::ssize_t{3}});
+    std::memcpy(points.mutable_data(), cloud.points.data(), cloud.points.size() * sizeof(Eigen::Vector3d));
+    if (cloud.normals.empty()) return {points, py::none()};
+    py::array_t<double> normals({count, py::ssize_t{3}});
+    auto at = normals.mutable_unchecked<2>();
+    for (py::ssize_t k = 0; k < count; ++k) {
+      const Eigen::Vector3d unit = cloud.normals[static_cast<std::size_t>(k)].cast<double>().normalized();
+      for (py::ssize_t axis = 0; axis < 3; ++axis) at(k, axis) = unit[axis];
+    }
+    return {points, normals};
+  });
   module.def("write_float_tiff",
              [](const std::string& path, const Array<float>& image) { write_float_tiff(path, to_image(image)); });
   module.def("write_png16",

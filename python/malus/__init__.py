@@ -18,6 +18,7 @@ from malus._core import version as __version__  # noqa: E402
 from malus.camera import Camera  # noqa: E402
 from malus.errors import DataError, ExternalError, InputError, MalusError, ResourceError  # noqa: E402
 from malus.exports import export  # noqa: E402
+from malus.object import Object  # noqa: E402
 from malus.options import Options  # noqa: E402
 from malus.paper import merge_campaign, write_paper  # noqa: E402
 from malus.reconstruction import Progress, check, reconstruct  # noqa: E402
@@ -34,6 +35,7 @@ __all__ = [
     "ExternalError",
     "InputError",
     "MalusError",
+    "Object",
     "Options",
     "Progress",
     "ResourceError",

@@ -8,10 +8,10 @@ import hashlib
 import json
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from malus import _core
 from malus.errors import InputError, MalusError
@@ -19,6 +19,8 @@ from malus.options import Options
 from malus.station import Station
 
 _KEYS = {"": ("campaign", "options"), "campaign": ("name", "stations", "report")}
+
+_Value = TypeVar("_Value", str, bool, float)
 
 
 @dataclass(frozen=True)
@@ -86,31 +88,16 @@ class Campaign:
         `report` (false = no HTML report for each station). [options] is what `--options` takes: fusion, and a table a step.
         """
         file = Path(path)
-        try:
-            content = tomllib.loads(file.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(f"{file}: cannot be read ({error.strerror})") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-            raise InputError(f"{file}: is not valid TOML ({error})") from None
-        _check_keys(file, content, "")
+        content = read_tables(file, _KEYS)
         table = content.get("campaign")
         if not isinstance(table, dict):
             raise InputError(f"{file}: there is no table [campaign]")
-        _check_keys(file, table, "campaign")
-        name, report = table.get("name", file.stem), table.get("report", True)
-        if not isinstance(name, str):
-            raise InputError(f"{file}: campaign.name = {name!r}, expected a string")
-        if not isinstance(report, bool):
-            raise InputError(f"{file}: campaign.report = {report!r}, expected true or false")
-        options = Options()
-        changes = content.get("options", {})
-        if not isinstance(changes, dict):
-            raise InputError(f"{file}: options = {changes!r}, expected a table")
-        try:
-            options.update(changes)
-        except InputError as error:
-            raise InputError(f"{file}: [options]: {error}") from None
-        return Campaign(name, _stations(file, table.get("stations")), options, report)
+        return Campaign(
+            value_of(file, "campaign", table, "name", file.stem),
+            stations_of(file, "campaign", table),
+            options_of(file, content),
+            value_of(file, "campaign", table, "report", True),
+        )
 
     def tasks(self, output: str | Path, threads: int) -> list[Task]:
         """One task a station, with distinct names: the station file's folder, and its own name unless that is station."""
@@ -134,26 +121,67 @@ class Campaign:
         ]
 
 
-def _check_keys(file: Path, table: Mapping[str, Any], name: str) -> None:
-    for key in table:
-        if key in _KEYS[name]:
-            continue
-        where = f"{name}.{key}" if name else f"[{key}]"
-        near = difflib.get_close_matches(key, _KEYS[name], n=1)
-        hint = f"; did you mean {near[0]}?" if near else f", expected {', '.join(_KEYS[name])}"
-        raise InputError(f"{file}: unknown key {where}{hint}")
+def read_tables(file: Path, keys: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+    """Content of a TOML file whose tables and keys are known: `keys` of each table, those of "" being the tables."""
+    try:
+        content = tomllib.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror})") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(f"{file}: is not valid TOML ({error})") from None
+    _check_keys(file, content, "", keys[""])
+    for name, table in content.items():
+        if name in keys and isinstance(table, dict):
+            _check_keys(file, table, name, keys[name])
+    return content
 
 
-def _stations(file: Path, patterns: Any) -> tuple[Path, ...]:
+def value_of(file: Path, name: str, table: Mapping[str, Any], key: str, default: _Value) -> _Value:
+    """A key's value if it is of the default's type, or the default."""
+    value = table.get(key, default)
+    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if not isinstance(value, type(default)):
+        expected = {str: "a string", bool: "true or false", float: "a number"}[type(default)]
+        raise InputError(f"{file}: {name}.{key} = {value!r}, expected {expected}")
+    return value
+
+
+def options_of(file: Path, content: Mapping[str, Any]) -> Options:
+    """The options that all stations get, from the table [options]."""
+    options = Options()
+    changes = content.get("options", {})
+    if not isinstance(changes, dict):
+        raise InputError(f"{file}: options = {changes!r}, expected a table")
+    try:
+        options.update(changes)
+    except InputError as error:
+        raise InputError(f"{file}: [options]: {error}") from None
+    return options
+
+
+def stations_of(file: Path, name: str, table: Mapping[str, Any]) -> tuple[Path, ...]:
+    """The station files that `stations` of a table names, by their paths or by globs relative to the file."""
+    patterns = table.get("stations")
     if not isinstance(patterns, list) or not patterns or not all(isinstance(entry, str) for entry in patterns):
-        raise InputError(f"{file}: campaign.stations = {patterns!r}, expected a list of station files or globs")
+        raise InputError(f"{file}: {name}.stations = {patterns!r}, expected a list of station files or globs")
     found: dict[Path, None] = {}
     for pattern in patterns:
         if glob.has_magic(pattern):
             matches = sorted(glob.glob(pattern, root_dir=file.parent, recursive=True))
             if not matches:
-                raise InputError(f"{file}: campaign.stations: no file matches {pattern!r}")
+                raise InputError(f"{file}: {name}.stations: no file matches {pattern!r}")
         else:
             matches = [pattern]
         found.update(dict.fromkeys((file.parent / match).resolve() for match in matches))
     return tuple(found)
+
+
+def _check_keys(file: Path, table: Mapping[str, Any], name: str, known: Sequence[str]) -> None:
+    for key in table:
+        if key in known:
+            continue
+        where = f"{name}.{key}" if name else f"[{key}]"
+        near = difflib.get_close_matches(key, known, n=1)
+        hint = f"; did you mean {near[0]}?" if near else f", expected {', '.join(known)}"
+        raise InputError(f"{file}: unknown key {where}{hint}")

@@ -18,6 +18,9 @@ from malus.campaign import Campaign
 from malus.demo import EXAMPLES, example_station
 from malus.errors import InputError, ending_of
 from malus.exports import FORMATS, MESHES
+from malus.object import Object, run_object
+from malus.object.definition import is_object_file
+from malus.object.run import object_summary
 from malus.options import MAIN
 from malus.progress import BarProgress, JsonProgress, ProgressView, WarningsOnly
 from malus.reconstruction import expected_times
@@ -157,12 +160,17 @@ def _parser() -> argparse.ArgumentParser:
     start.add_argument("--unit", default="mm", help="unit of camera and cloud; default: mm")
     many = add("batch", "many stations: one merged table and page over all of them", station=False, work=False)
     many.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml")
-    many.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for all stations")
-    many.add_argument("--jobs", type=int, default=1, metavar="N", help="stations at a time on this machine")
-    many.add_argument("--scheduler", metavar="ADDRESS", help="run on the workers of this Dask scheduler instead")
-    many.add_argument(
-        "--shard", metavar="I/N", help="only every N-th station from the I-th on; default in a Slurm array job: its own"
-    )
+    whole = add("object", "many stations of one object: one surface of all of them", station=False, work=False)
+    whole.add_argument("object", type=Path, metavar="OBJECT.toml")
+    for command in (many, whole):
+        command.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for all stations")
+        command.add_argument("--jobs", type=int, default=1, metavar="N", help="stations at a time on this machine")
+        command.add_argument("--scheduler", metavar="ADDRESS", help="run on the workers of this Dask scheduler instead")
+        command.add_argument(
+            "--shard",
+            metavar="I/N",
+            help="only every N-th station from the I-th on; default in a Slurm array job: its own",
+        )
     local = commands.add_parser("studio", help="the whole way in the web browser, without writing files by hand")
     local.add_argument("folder", type=Path, nargs="?", default=Path(), metavar="FOLDER", help="default: this folder")
     local.add_argument("--port", type=int, default=0, help="default: any free one")
@@ -285,6 +293,20 @@ def _print_summary(work: Path, quiet: bool) -> None:
 
 
 def _check(args: argparse.Namespace) -> None:
+    if is_object_file(args.station):
+        thing = Object.load(args.station)
+        plans = thing.check(_options(args, thing.campaign.options), threads=args.threads)
+        if args.json:
+            print(
+                json.dumps({"name": thing.name, "stations": plans, "seconds": sum(plan["seconds"] for plan in plans)})
+            )
+            return
+        print(
+            f"object {thing.name}: {len(plans)} stations, {sum(plan['seconds'] for plan in plans):.0f} s one after another"
+        )
+        for plan in plans:
+            _print_plan(plan)
+        return
     station = malus.Station.load(args.station)
     overlay = args.overlay
     if overlay is None and os.access(".", os.W_OK):
@@ -293,14 +315,55 @@ def _check(args: argparse.Namespace) -> None:
     plan["overlay"] = overlay and str(overlay)
     if args.json:
         print(json.dumps(plan))
-        return
+    else:
+        _print_plan(plan)
+
+
+def _print_plan(plan: dict[str, Any]) -> None:
     print(f"station {plan['name']}: {plan['width']} x {plan['height']} px, {plan['object_pixels']} on the object")
     for line in plan["does"]:
         print(f"  {line}")
     print(f"expected: {plan['seconds']:.0f} s, {plan['memory_mb']:.0f} MB")
     for warning in plan["warnings"]:
         print(f"warning: {warning}")
-    print(f"picture of the cloud upon the image: {overlay or 'none, this folder cannot be written to (--overlay)'}")
+    if "overlay" in plan:
+        picture = plan["overlay"] or "none, this folder cannot be written to (--overlay)"
+        print(f"picture of the cloud upon the image: {picture}")
+
+
+def _object(args: argparse.Namespace) -> None:
+    thing = Object.load(args.object)
+    _options(args, thing.campaign.options)
+    shard = batch.parse_shard(args.shard) if args.shard else batch.shard_of_environment()
+    with _view(args) as view:
+        outcomes = run_object(
+            thing,
+            args.output,
+            jobs=args.jobs,
+            threads=args.threads,
+            scheduler=args.scheduler,
+            shard=shard,
+            progress=view.progress,
+        )
+    failed = batch.failure(outcomes)
+    if not args.json:
+        _print_object(args.output / "object", outcomes, args.quiet)
+    if failed is not None:
+        raise failed
+
+
+def _print_object(folder: Path, outcomes: Sequence[batch.Outcome], quiet: bool) -> None:
+    pending = sum(outcome["status"] == "pending" for outcome in outcomes)
+    if pending:
+        print(f"{pending} of {len(outcomes)} stations are not run yet; the surface is made when all are")
+        return
+    quality = json.loads((folder / "quality.json").read_text(encoding="utf-8"))
+    if quiet:  # nobody shall miss them
+        for warning in quality["warnings"]:
+            print(f"warning: {warning}", file=sys.stderr)
+        return
+    for line in object_summary(quality):
+        print(line)
 
 
 def _batch(args: argparse.Namespace) -> None:
@@ -381,7 +444,7 @@ def _run(arguments: Sequence[str] | None) -> None:
     if args.command == "studio":
         studio.serve(args.folder, port=args.port, browser=not args.no_browser)
         return
-    if args.threads is None and args.command != "batch":  # which shares the cores out by its jobs
+    if args.threads is None and args.command not in ("batch", "object"):  # which share the cores out by its jobs
         args.threads = ALL_CORES
     if args.threads is not None and args.threads < 1:
         raise InputError(f"--threads {args.threads}, expected at least 1")
@@ -405,6 +468,8 @@ def _run(arguments: Sequence[str] | None) -> None:
         )
     elif args.command == "batch":
         _batch(args)
+    elif args.command == "object":
+        _object(args)
     elif args.command == "demo":
         _reconstruct(args, example_station(args.example))
     elif args.command == "paper":

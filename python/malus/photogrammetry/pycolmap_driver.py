@@ -1,4 +1,4 @@
-"""The commands of the program `colmap` that the front end uses, done by the Python package pycolmap.
+"""The commands of the program `colmap` that malus uses, done by the Python package pycolmap.
 
 A program of its own, since some calls of pycolmap end the process:
 
@@ -47,6 +47,8 @@ _ADJUSTMENT = {
     f"BundleAdjustment.{name}": name
     for name in ("refine_focal_length", "refine_principal_point", "refine_extra_params")
 }
+
+_POISSON = {f"PoissonMeshing.{name}": name for name in ("point_weight", "depth", "trim", "num_threads")}
 
 
 class UsageError(Exception):
@@ -195,6 +197,14 @@ def adjust_bundle(colmap: Any, arguments: Arguments) -> None:
     model.write(target)
 
 
+def mesh_by_poisson(colmap: Any, arguments: Arguments) -> None:
+    """`poisson_mesher`: triangle mesh of a cloud with normals (PLY)."""
+    options = arguments.fill(colmap.PoissonMeshingOptions(), _POISSON)
+    paths = [arguments.take(name) for name in ("input_path", "output_path")]
+    arguments.finish()
+    colmap.poisson_meshing(*paths, options)
+
+
 def say_version(colmap: Any, arguments: Arguments) -> None:
     """`help`: which COLMAP it is."""
     arguments.finish()
@@ -210,6 +220,7 @@ COMMANDS: dict[str, Callable[[Any, Arguments], None]] = {
     "point_triangulator": triangulate_points,
     "point_filtering": filter_points,
     "bundle_adjuster": adjust_bundle,
+    "poisson_mesher": mesh_by_poisson,
 }
 
 

@@ -1,0 +1,107 @@
+// The mesh of an object: to turn, zoom and light, with its color or with what was measured.
+(async () => {
+  const root = document.getElementById('object');
+  const canvas = root.querySelector('canvas'), control = name => root.querySelector(`[name=${name}]`);
+  const probe = document.createElement('canvas').getContext('webgl2');
+  if (!probe || typeof DecompressionStream === 'undefined') {
+    root.classList.add('unavailable');
+    return;
+  }
+  probe.getExtension('WEBGL_lose_context')?.loseContext();
+
+  const data = unpack.block('object-data'), count = data.vertices;
+  // Planes of 16-bit numbers as the components of vertices.
+  async function attribute(packed, Type, size, value) {
+    const planes = await unpack.words(packed, Type), values = new Float32Array(size * count);
+    for (let i = 0; i < count; ++i) {
+      for (let c = 0; c < size; ++c) values[size * i + c] = value(planes[c * count + i], c);
+    }
+    return new THREE.BufferAttribute(values, size);
+  }
+  // 8-bit sRGB as three.js wants colors: linear.
+  const linear = value => Math.pow(value / 255, 2.2);
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute('position', await attribute(data.positions, Uint16Array, 3, (x, c) => x / 65535 * data.size - data.extent[c] / 2));
+  geometry.setAttribute('normal', await attribute(data.normals, Int16Array, 3, x => x / 32767));
+  geometry.setAttribute('uv', await attribute(data.uv, Uint16Array, 2, x => x / 65535));
+  geometry.setIndex(new THREE.BufferAttribute(await unpack.indices(data.indices), 1));
+  const paints = {
+    stations: await attribute(data.stations, Uint16Array, 3, linear), sigma: await attribute(data.sigma, Uint16Array, 3, linear)
+  };
+  const texture = new THREE.Texture(await unpack.picture(data.color, 'image/webp'));
+  texture.colorSpace = THREE.SRGBColorSpace;
+  texture.flipY = false;
+  texture.anisotropy = 4;
+  texture.needsUpdate = true;
+
+  const material = new THREE.MeshStandardMaterial({roughness: 0.85, metalness: 0, side: THREE.DoubleSide});
+  const scene = new THREE.Scene(), lamp = new THREE.DirectionalLight(0xffffff, 2.6);
+  scene.add(new THREE.Mesh(geometry, material), new THREE.AmbientLight(0xffffff, 0.7), lamp, lamp.target);
+  const renderer = new THREE.WebGLRenderer({canvas, antialias: true, alpha: true, preserveDrawingBuffer: true});
+  renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
+  const radius = Math.hypot(...data.extent) / 2;
+  const camera = new THREE.PerspectiveCamera(32, 1, radius / 100, radius * 100);
+  camera.up.set(...data.up);
+  camera.position.set(...data.eye).multiplyScalar(1.1 * radius / Math.tan(camera.fov * Math.PI / 360));
+  const controls = new THREE.OrbitControls(camera, canvas);
+  controls.enableDamping = false;
+
+  let waiting = false;
+  function draw() {
+    waiting = false;
+    const {clientWidth: w, clientHeight: h} = canvas, size = renderer.getPixelRatio();
+    if (canvas.width !== Math.floor(w * size) || canvas.height !== Math.floor(h * size)) {
+      renderer.setSize(w, h, false);
+      camera.aspect = w / h;
+      camera.updateProjectionMatrix();
+    }
+    // The lamp goes with the viewer, turned to the side and up.
+    const side = Number(control('side').value), height = Number(control('height').value);
+    const axis = k => new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, k);
+    lamp.position.copy(axis(2)).multiplyScalar(Math.cos(side) * Math.cos(height))
+        .addScaledVector(axis(0), Math.sin(side) * Math.cos(height)).addScaledVector(axis(1), Math.sin(height));
+    renderer.render(scene, camera);
+  }
+  function redraw() {
+    if (!waiting) requestAnimationFrame(draw);
+    waiting = true;
+  }
+  function paint() {
+    const chosen = control('paint').value;
+    material.map = chosen === 'color' ? texture : null;
+    material.vertexColors = chosen in paints;
+    if (chosen in paints) geometry.setAttribute('color', paints[chosen]);
+    material.color.set(chosen === 'plain' ? 0x9a958c : 0xffffff);
+    material.needsUpdate = true;
+    redraw();
+  }
+  // Turns the viewer about the object, angles in radians.
+  function turn(sideways, upwards) {
+    const axis = new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, 0);
+    camera.position.applyAxisAngle(camera.up, sideways).applyAxisAngle(axis, -upwards);
+    controls.update();
+    redraw();
+  }
+  canvas.addEventListener('keydown', event => {
+    const act = {
+      ArrowLeft: () => turn(-0.1, 0), ArrowRight: () => turn(0.1, 0), ArrowUp: () => turn(0, 0.1),
+      ArrowDown: () => turn(0, -0.1), '+': () => camera.position.multiplyScalar(0.8),
+      '=': () => camera.position.multiplyScalar(0.8), '-': () => camera.position.multiplyScalar(1.25)
+    }[event.key];
+    if (!act) return;
+    act();
+    redraw();
+    event.preventDefault();
+  });
+  // The wheel scrolls the page until the view has been chosen.
+  canvas.addEventListener('pointerdown', () => canvas.focus({preventScroll: true}));
+  canvas.addEventListener('wheel', event => {
+    if (document.activeElement !== canvas && !event.ctrlKey) event.stopImmediatePropagation();
+  }, {capture: true});
+  controls.addEventListener('change', redraw);
+  root.addEventListener('input', paint);
+  new ResizeObserver(redraw).observe(canvas);
+  controls.update();
+  paint();
+  root.classList.add('ready');
+})();

@@ -1,0 +1,177 @@
+"""What overlapping stations say of the same places: means weighted by what each knows, and how well they agree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malus._extra import extra
+from malus.object.views import LEAST_COSINE, Floats, View
+
+#: Surfaces whose normals differ by more (cosine) are different sides of something thin, or wrong.
+_LEAST_FACING = 0.5
+#: Two surfaces that lie further apart than this many of their standard deviations are not measurements of one.
+_MOST_RATIO = 4.0
+#: A place that one station alone sees must face it (cosine): nobody else tells whether it is a rim.
+_LEAST_COSINE_ALONE = 0.5
+#: A point is an outlier unless this share of so many neighbors continues its surface.
+_NEIGHBORS, _LEAST_TOGETHER = 8, 0.6
+#: Points of which another station is surer by this factor are left to that station.
+_SURER = 1.5
+
+
+@dataclass(frozen=True)
+class OrientedPoints:
+    """points, normals: N×3, world. sigma: N, one standard deviation along the normal. stations: N, how many saw the place;
+    0 for stereo's own points.
+    """
+
+    points: Floats
+    normals: Floats
+    sigma: Floats
+    stations: NDArray[np.int64]
+
+    def select(self, chosen: NDArray[np.bool_]) -> OrientedPoints:
+        """Some of the points."""
+        return OrientedPoints(self.points[chosen], self.normals[chosen], self.sigma[chosen], self.stations[chosen])
+
+
+def joined(parts: Sequence[OrientedPoints]) -> OrientedPoints:
+    """All points of several sets, in their order."""
+    empty = OrientedPoints(np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.empty(0, np.int64))
+    together = [empty, *parts]
+    return OrientedPoints(
+        np.concatenate([part.points for part in together]),
+        np.concatenate([part.normals for part in together]),
+        np.concatenate([part.sigma for part in together]),
+        np.concatenate([part.stations for part in together]),
+    )
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Distances of other stations' surfaces from one station's, along its normals.
+
+    view: the station. ratio: H×W, root mean square of distance over its stated standard deviation, NaN where no other looks.
+    distances, expected: N each, every single distance and its standard deviation.
+    """
+
+    view: str
+    ratio: Floats
+    distances: Floats
+    expected: Floats
+
+
+def combine(views: Sequence[View]) -> tuple[OrientedPoints, list[Agreement]]:
+    """The stations' surfaces as one set of points, each the mean of all stations that see it.
+
+    A station counts by the inverse of its variance and by the cosine under which it sees the place. The standard deviation of a
+    mean is the weighted mean of the variances: stations share a prior, so their errors do not average out. Points that
+    another station looks through are left out, and so are those that another one sees better.
+    """
+    parts, agreements = [], []
+    for view in views:
+        points, agreement = _mean_with_others(view, [other for other in views if other is not view])
+        parts.append(points)
+        agreements.append(agreement)
+    return joined(parts), agreements
+
+
+def _mean_with_others(view: View, others: Sequence[View]) -> tuple[OrientedPoints, Agreement]:
+    points, normals, sigma = (values[view.usable] for values in (view.points, view.normals, view.sigma))
+    own = view.cosine[view.usable] / sigma**2
+    total, best = own.copy(), own.copy()
+    moved = np.zeros(len(points))
+    variance = own * sigma**2
+    normal = normals * own[:, None]
+    seen = np.ones(len(points), np.int64)
+    squares, count = np.zeros(len(points)), np.zeros(len(points), np.int64)
+    contradicted = np.zeros(len(points), bool)
+    distances, expected = [], []
+    for other in others:
+        at = other.meet(points)
+        facing = (at.normals * normals).sum(-1)
+        apart = (at.normals * (at.points - points)).sum(-1) / np.maximum(facing, _LEAST_FACING)
+        spread = np.hypot(sigma, at.sigma)
+        same = (at.weight > 0) & (facing > _LEAST_FACING) & (other.facing(points, normals) > LEAST_COSINE)
+        near = same & (np.abs(apart) < np.maximum(_MOST_RATIO * spread, 2 * view.gsd))
+        # The one that sees a place better is right about what is not there.
+        contradicted |= other.in_front(points, _MOST_RATIO) & ~near & (at.weight > view.cosine[view.usable])
+        weight = np.where(near, at.weight / at.sigma**2, 0.0)
+        total += weight
+        moved += np.where(near, weight * apart, 0)
+        variance += np.where(near, weight * at.sigma**2, 0)
+        normal += np.where(near[:, None], weight[:, None] * at.normals, 0)
+        best = np.maximum(best, weight)
+        seen += near
+        counted = same & (np.abs(apart) < 3 * _MOST_RATIO * spread)
+        squares += np.where(counted, (apart / spread) ** 2, 0)
+        count += counted
+        distances.append(apart[counted])
+        expected.append(spread[counted])
+    ratio = np.full(view.depth.shape, np.nan)
+    with np.errstate(invalid="ignore"):
+        ratio[view.usable] = np.sqrt(squares / np.where(count > 0, count, np.nan))
+    mean = OrientedPoints(
+        points + normals * (moved / total)[:, None],
+        normal / np.linalg.norm(normal, axis=1, keepdims=True),
+        np.sqrt(variance / total),
+        seen,
+    )
+    believed = (seen > 1) | (view.cosine[view.usable] > _LEAST_COSINE_ALONE)
+    kept = mean.select(believed & ~contradicted & (_SURER * own >= best))
+    return kept, Agreement(view.name, ratio, np.concatenate(distances or [[]]), np.concatenate(expected or [[]]))
+
+
+def unseen_stereo(points: Floats, normals: Floats, sigma: float, views: Sequence[View]) -> OrientedPoints:
+    """Of a cloud's points (N×3, with normals) those where no station looks; `sigma`: their standard deviation.
+
+    Points that a station looks through are left out, and those that most stations see beside the object: the ground.
+    """
+    free = np.ones(len(points), bool)
+    votes = np.zeros(len(points), np.int64)
+    for view in views:
+        at = view.meet(points)
+        spread = np.hypot(at.sigma, sigma)
+        off = np.abs((at.normals * (at.points - points)).sum(-1))
+        seen = (at.weight > 0) & ((at.normals * normals).sum(-1) > _LEAST_FACING)
+        near = np.linalg.norm(at.points - points, axis=1) < _MOST_RATIO * spread / LEAST_COSINE
+        free &= ~(seen & near & (off < 2 * _MOST_RATIO * spread)) & ~view.in_front(points, _MOST_RATIO)
+        inside, within = view.placed(points)
+        votes += np.where(within, 1, -1) * inside
+    free &= votes > 0
+    count = int(free.sum())
+    return OrientedPoints(points[free], normals[free], np.full(count, sigma), np.zeros(count, np.int64))
+
+
+def without_outliers(points: OrientedPoints, gsd: float) -> OrientedPoints:
+    """The points that lie on a surface with most of their neighbors: nearly parallel, and in one plane to two GSD."""
+    if len(points.points) <= _NEIGHBORS:
+        return points
+    spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
+    near = spatial.cKDTree(points.points).query(points.points, _NEIGHBORS + 1, workers=1)[1][:, 1:]
+    parallel = (points.normals[near] * points.normals[:, None]).sum(-1) > _LEAST_FACING
+    across = ((points.points[near] - points.points[:, None]) * points.normals[:, None]).sum(-1)
+    together = parallel & (np.abs(across) < 2 * gsd)
+    return points.select(together.mean(1) >= _LEAST_TOGETHER)
+
+
+def agreement_figures(agreements: Sequence[Agreement], gsd: float) -> dict[str, float | None]:
+    """RMS of distance over standard deviation, share within two of them, and RMS and median distance in GSD.
+
+    Of all places that two stations see; None where there are none.
+    """
+    apart = np.concatenate([agreement.distances for agreement in agreements])
+    expected = np.concatenate([agreement.expected for agreement in agreements])
+    if not len(apart):
+        return dict.fromkeys(("rms_ratio", "within_two_sigma", "rms_gsd", "median_gsd"))
+    ratio = apart / expected
+    return {
+        "rms_ratio": float(np.sqrt((ratio**2).mean())),
+        "within_two_sigma": float((np.abs(ratio) < 2).mean()),
+        "rms_gsd": float(np.sqrt((apart**2).mean()) / gsd),
+        "median_gsd": float(np.median(np.abs(apart)) / gsd),
+    }

@@ -1,0 +1,150 @@
+"""One mesh of oriented points: screened Poisson reconstruction as COLMAP ships it, with what it says nothing about marked."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malus._extra import extra
+from malus.errors import DataError
+from malus.object.agreement import OrientedPoints
+from malus.object.ply import read_mesh, write_ply
+from malus.object.views import Bools, Floats
+from malus.photogrammetry.program import Colmap
+
+#: The finest cells of the octree have this size, in GSD.
+_CELL_GSD = 1.0
+#: Depth of the octree; memory grows fourfold with each.
+_LEAST_DEPTH, _MOST_DEPTH = 6, 13
+#: How strongly the surface is held at the points, against their normals (Kazhdan and Hoppe 2013).
+_POINT_WEIGHT = 4.0
+#: A vertex is measured if a point lies within as many times the points' own spacing there.
+_REACH = 2.0
+_SPACING_NEIGHBOR = 6
+#: Separate pieces with a smaller share of the triangles are crumbs.
+_LEAST_PIECE = 0.005
+
+
+@dataclass(frozen=True)
+class ObjectMesh:
+    """vertices, normals: N×3, world, station unit. triangles: M×3, counter-clockwise from outside. sigma: N, one standard
+    deviation across the surface. measured: N, whether points lie there; elsewhere the surface is a guess that closes it.
+    """
+
+    vertices: Floats
+    normals: Floats
+    triangles: NDArray[np.int64]
+    sigma: Floats
+    measured: Bools
+
+
+def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colmap) -> ObjectMesh:
+    """Closed mesh of oriented points; `folder` keeps the cloud, COLMAP's mesh and its log.
+
+    Cells are as fine as the GSD, but for objects of more than 8000 GSD. Raises DataError if there is no surface.
+    """
+    if len(points.points) < 100:
+        raise DataError(f"{len(points.points)} points of the stations agree, expected at least 100")
+    middle = points.points.mean(0)  # Single precision suffices about it.
+    local = (points.points - middle).astype(np.float32)
+    extent = float(np.ptp(local, axis=0).max())
+    depth = int(np.clip(math.ceil(math.log2(1.1 * extent / (_CELL_GSD * gsd))), _LEAST_DEPTH, _MOST_DEPTH))
+    cloud, raw = folder / "points.ply", folder / "poisson.ply"
+    properties = dict(zip(("x", "y", "z"), local.T, strict=True))
+    properties |= dict(zip(("nx", "ny", "nz"), points.normals.astype(np.float32).T, strict=True))
+    grey = np.zeros(len(local), np.uint8)  # COLMAP 3.8 wants colors.
+    write_ply(cloud, {**properties, "red": grey, "green": grey, "blue": grey}, None, "points of the object")
+    colmap.run(
+        "poisson_mesher",
+        {
+            "input_path": cloud, "output_path": raw, "PoissonMeshing.depth": depth, "PoissonMeshing.trim": 0,
+            "PoissonMeshing.point_weight": _POINT_WEIGHT, "PoissonMeshing.num_threads": colmap.threads,
+        },
+        folder / "poisson.log",
+    )  # fmt: skip
+    vertices, triangles = read_mesh(raw)
+    # COLMAP leaves a few vertices that are no numbers; what they held is closed up again.
+    triangles = triangles[np.asarray(np.isfinite(vertices).all(1))[triangles].all(1)]
+    vertices, triangles = closed_up(*without_crumbs(vertices + middle, triangles))
+    if not len(triangles):
+        raise DataError("Poisson reconstruction found no surface in the points that stations agree on")
+    return _with_uncertainty(vertices, triangles, points, gsd)
+
+
+def _with_uncertainty(vertices: Floats, triangles: NDArray[np.int64], points: OrientedPoints, gsd: float) -> ObjectMesh:
+    """Sigma and normals of the nearest points; where none is near, sigma grows with the distance."""
+    spatial = extra("scipy.spatial", "scipy", "the mesh of an object", "object")
+    tree = spatial.cKDTree(points.points)
+    spacing = tree.query(points.points, _SPACING_NEIGHBOR + 1, workers=1)[0][:, -1]
+    away, near = tree.query(vertices, 4, workers=1)
+    share = 1 / (away**2 + (0.1 * gsd) ** 2)
+    share /= share.sum(1, keepdims=True)
+    sigma = (share * points.sigma[near]).sum(1)
+    measured = away[:, 0] < np.maximum(_REACH * spacing[near[:, 0]], 2 * gsd)
+    normals = vertex_normals(vertices, triangles)
+    fine = (share[..., None] * points.normals[near]).sum(1)
+    length = np.linalg.norm(fine, axis=1)
+    agree = measured & (length > 0.5) & ((fine * normals).sum(1) > 0.5 * length)
+    normals = np.where(agree[:, None], fine / np.maximum(length, 0.5)[:, None], normals)
+    return ObjectMesh(vertices, normals, triangles, np.where(measured, sigma, np.hypot(sigma, away[:, 0])), measured)
+
+
+def vertex_normals(vertices: Floats, triangles: NDArray[np.int64]) -> Floats:
+    """Unit normals, means over the triangles about each vertex by their areas."""
+    corners = vertices[triangles]
+    faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    sums = np.stack(
+        [np.bincount(triangles.ravel(), np.repeat(faces[:, axis], 3), len(vertices)) for axis in range(3)], 1
+    )
+    return np.asarray(sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-30))
+
+
+def without_crumbs(vertices: Floats, triangles: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
+    """The mesh without small separate pieces, and without vertices that no triangle has."""
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
+    piece = _connected(edges, len(vertices))[triangles[:, 0]]
+    size = np.bincount(piece)
+    kept = triangles[size[piece] >= _LEAST_PIECE * len(triangles)]
+    used, renumbered = np.unique(kept, return_inverse=True)
+    return vertices[used], renumbered.reshape(-1, 3)
+
+
+def _connected(edges: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """The piece that each of `count` vertices belongs to."""
+    sparse = extra("scipy.sparse", "scipy", "the mesh of an object", "object")
+    graph = extra("scipy.sparse.csgraph", "scipy", "the mesh of an object", "object")
+    links = sparse.coo_matrix((np.ones(len(edges), np.int8), tuple(edges.T)), shape=(count, count))
+    return np.asarray(graph.connected_components(links, directed=False)[1], np.int64)
+
+
+def closed_up(vertices: Floats, triangles: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
+    """The mesh with every open border closed by a fan about its middle: Poisson's surface runs out of its box where nothing is known."""
+    count = len(vertices)
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    there, back = edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0]
+    border = edges[~np.isin(there, back)]
+    if not len(border):
+        return vertices, triangles
+    used, ends = np.unique(border, return_inverse=True)
+    ends = ends.reshape(-1, 2)
+    loop = _connected(ends, len(used))
+    sums = np.stack([np.bincount(loop, vertices[used, axis]) for axis in range(3)], 1)
+    middles = sums / np.bincount(loop)[:, None]
+    fans = np.stack([border[:, 1], border[:, 0], count + loop[ends[:, 0]]], 1)
+    return np.concatenate([vertices, middles]), np.concatenate([triangles, fans])
+
+
+def trimmed(mesh: ObjectMesh, most_sigma: float) -> ObjectMesh:
+    """The part of a mesh that was measured to within `most_sigma`: open where nobody looked."""
+    good = mesh.measured & (mesh.sigma <= most_sigma)
+    kept = mesh.triangles[good[mesh.triangles].all(1)]
+    if not len(kept):
+        raise DataError(f"no part of the surface has a standard deviation below {most_sigma:.3g}")
+    used, renumbered = np.unique(kept, return_inverse=True)
+    return ObjectMesh(
+        mesh.vertices[used], mesh.normals[used], renumbered.reshape(-1, 3), mesh.sigma[used], mesh.measured[used]
+    )

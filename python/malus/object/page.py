@@ -1,0 +1,111 @@
+"""The page of an object: its mesh to turn and light, which station sees what, how well stations agree, and their figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+from PIL import Image
+
+from malus import _core
+from malus._files import replacing, write_text
+from malus.object.agreement import Agreement
+from malus.object.meshing import ObjectMesh
+from malus.object.texture import TexturedMesh, encoded
+from malus.object.views import View
+from malus.viewer import base64_text, pack, pack_indices
+
+#: Longest side of the texture in the page.
+_TEXTURE_SIDE = 2048
+#: Distances of this many standard deviations, and beyond, have the last color of the map.
+_MOST_RATIO = 4.0
+
+
+def colors_of(shares: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Colors (…×3) of numbers 0 … 1, from blue over white to red; grey where there is none."""
+    known = np.isfinite(shares)
+    value = np.clip(np.where(known, shares, 0), 0, 1)[..., None]
+    low, middle, high = (np.array(color) for color in ((33.0, 102, 172), (247, 247, 247), (178, 24, 43)))
+    color = np.where(value < 0.5, low + (middle - low) * 2 * value, middle + (high - middle) * (2 * value - 1))
+    return np.asarray(np.where(known[..., None], np.rint(color), 128), dtype=np.uint8)
+
+
+def write_maps(folder: Path, agreements: Sequence[Agreement]) -> list[Path]:
+    """A PNG for each station: RMS of the other stations' distances over their standard deviation, blue 0 to red 4."""
+    paths = []
+    for agreement in agreements:
+        path = folder / f"{agreement.view}.png"
+        with replacing(path) as temporary:
+            Image.fromarray(colors_of(agreement.ratio / _MOST_RATIO)).save(temporary)
+        paths.append(path)
+    return paths
+
+
+def _turntable(
+    mesh: TexturedMesh, seen: NDArray[np.bool_], full: ObjectMesh, gsd: float, first: View
+) -> dict[str, Any]:
+    """Packed vertices, normals, texture coordinates and triangles, and colors for what was measured.
+
+    It opens as the `first` station sees the object.
+    """
+    to_eye = first.eye - (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
+    low, high = mesh.vertices.min(0), mesh.vertices.max(0)
+    size = float((high - low).max())
+    whole = np.rint((mesh.vertices - low) / size * 65535).astype(np.uint16)
+    count = seen[mesh.source].sum(1) / max(seen.shape[1], 1)
+    sigma = np.where(full.measured[mesh.source], full.sigma[mesh.source] / (2 * gsd), np.nan)
+    picture = Image.fromarray(mesh.color)
+    picture.thumbnail((_TEXTURE_SIDE, _TEXTURE_SIDE))
+    return {
+        "vertices": len(mesh.vertices),
+        "triangles": len(mesh.triangles),
+        "positions": pack(whole.T),
+        "normals": pack(np.rint(mesh.normals.T * 32767).astype(np.int16)),
+        "uv": pack(np.rint(np.clip(mesh.uv.T, 0, 1) * 65535).astype(np.uint16)),
+        "indices": pack_indices(mesh.triangles.astype(np.uint32)),
+        "stations": pack(colors_of(1 - count).T),
+        "sigma": pack(colors_of(sigma).T),
+        "size": size,
+        "extent": (high - low).tolist(),
+        "eye": (to_eye / np.linalg.norm(to_eye)).tolist(),
+        "up": (-first.rotation[1]).tolist(),
+        "color": base64_text(encoded(np.asarray(picture), "WEBP")),
+    }
+
+
+def write_page(
+    folder: Path,
+    quality: Mapping[str, Any],
+    mesh: TexturedMesh,
+    seen: NDArray[np.bool_],
+    full: ObjectMesh,
+    first: View,
+    *,
+    linked: bool,
+) -> Path:
+    """Write report/index.html in `folder` (self-contained but for the links to the stations' reports); returns its path."""
+
+    def asset(name: str) -> Markup:
+        return Markup(resources.files("malus").joinpath("assets", name).read_text(encoding="utf-8"))
+
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.globals.update(asset=asset)
+    template = environment.from_string(resources.files("malus").joinpath("templates/object.html.j2").read_text("utf-8"))
+    page = template.render(
+        quality=quality,
+        view=_turntable(mesh, seen, full, quality["gsd"], first),
+        maps={path.stem: base64_text(path.read_bytes()) for path in sorted((folder / "agreement").glob("*.png"))},
+        linked=linked,
+        version=_core.version,
+    )
+    path = folder / "report" / "index.html"
+    write_text(path, page)
+    return path

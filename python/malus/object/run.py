@@ -1,0 +1,246 @@
+"""From an object file to one surface: stations as a campaign, then their fusion, mesh, texture, figures and page."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malus import _core, batch, scans
+from malus._files import write_text
+from malus.batch import Outcome
+from malus.errors import DataError
+from malus.object import agreement, color, meshing, page, texture
+from malus.object.agreement import Agreement, OrientedPoints
+from malus.object.definition import Object
+from malus.object.meshing import ObjectMesh
+from malus.object.ply import write_ply
+from malus.object.views import LEAST_COSINE, Floats, View, load_view
+from malus.photogrammetry.folder import exclusive
+from malus.photogrammetry.program import Colmap
+from malus.station import Station
+from malus.workspace import Workspace
+
+#: What fusion tells of its course: how much of it is done, and with what it goes on.
+Progress = Callable[[float, str], None]
+
+
+def run_object(
+    thing: Object,
+    output: str | Path,
+    *,
+    jobs: int = 1,
+    threads: int | None = None,
+    scheduler: str | None = None,
+    shard: tuple[int, int] | None = None,
+    progress: Callable[[str, float, str], None] | None = None,
+) -> list[Outcome]:
+    """Run the stations of an object that are not done, and make one surface of all of them.
+
+    OUTPUT gets what malus.batch.run_campaign leaves, and object/: mesh.ply (full mesh, with sigma), mesh.glb (textured), agreement/
+    NAME.png, quality.json, report/index.html. jobs, threads, scheduler and shard: as there. The surface is made once no station is
+    pending, of those that are done, and not made again while they and the object file stay. progress: step, share done, message.
+    Returns the outcomes of the stations. Raises DataError if no station is done, and what malus.reconstruct raises.
+    """
+    say = progress or (lambda *_: None)
+    texture.require_packages()
+    colmap = Colmap(threads or 1)
+    outcomes = batch.run_campaign(
+        thing.campaign, output, jobs=jobs, threads=threads, scheduler=scheduler, shard=shard,
+        progress=lambda done, total, outcome: say("stations", done / total, f"{outcome['station']}: {outcome['status']}"),
+    )  # fmt: skip
+    if any(outcome["status"] == "pending" for outcome in outcomes):  # Another shard's; who ends last goes on.
+        return outcomes
+    done = [outcome for outcome in outcomes if outcome["status"] == "done"]
+    if not done:
+        raise batch.failure(outcomes) or DataError(f"{thing.name}: has no stations")
+    folder = Path(output) / "object"
+    key = _key(thing, done)
+    # Of two shards that end at once one makes the surface; the other is told so.
+    with exclusive(folder):
+        if not _is_made(folder, key):
+            _fuse(thing, outcomes, folder, key, colmap, lambda share, message: say("object", share, message))
+    say("object", 1.0, str(folder / "report" / "index.html"))
+    return outcomes
+
+
+def _key(thing: Object, done: Sequence[Outcome]) -> str:
+    """What the surface is made from."""
+    wanted = [thing.name, thing.unit, thing.closed, thing.max_sigma_gsd, thing.faces, thing.campaign.report]
+    stations = [[outcome["station"], outcome["manifest"]] for outcome in done]
+    return hashlib.sha256(json.dumps([_core.version, wanted, stations]).encode()).hexdigest()
+
+
+def _is_made(folder: Path, key: str) -> bool:
+    """Whether the surface with this key is there, every file as it was left."""
+    try:
+        quality = json.loads((folder / "quality.json").read_text(encoding="utf-8"))
+        return quality["key"] == key and all(
+            _core.sha256_of_file(str(folder / name)) == digest for name, digest in quality["files"].items()
+        )
+    except (OSError, ValueError, KeyError):
+        return False
+
+
+def _fuse(thing: Object, outcomes: Sequence[Outcome], folder: Path, key: str, colmap: Colmap, say: Progress) -> None:
+    start = time.monotonic()
+    done = [outcome for outcome in outcomes if outcome["status"] == "done"]
+    (folder / "quality.json").unlink(missing_ok=True)
+    say(0.0, "reading the stations")
+    views = [
+        load_view(outcome["station"], folder.parent / "stations" / outcome["station"], thing.max_sigma_gsd)
+        for outcome in done
+    ]
+    gsd = float(np.median([view.gsd for view in views]))
+    say(0.1, "combining what stations see")
+    points, agreements = agreement.combine(views)
+    stereo = _stereo(thing, done, views, folder.parent)
+    everything = agreement.without_outliers(agreement.joined([points, stereo]), gsd)
+    say(0.3, f"a mesh of {len(everything.points)} points")
+    closed = meshing.poisson_mesh(everything, gsd, folder, colmap)
+    mesh = closed if thing.closed else meshing.trimmed(closed, thing.max_sigma_gsd * gsd)
+    say(0.6, f"texture of {len(mesh.triangles)} triangles")
+    seen = seen_by(mesh, views)
+    baked = texture.textured(mesh, thing.faces, views, gsd)
+    say(0.9, "writing")
+    _write_mesh(folder / "mesh.ply", mesh, seen, views, thing)
+    texture.write_glb(folder / "mesh.glb", baked, thing.unit, thing.name)
+    maps = page.write_maps(folder / "agreement", agreements)
+    for name in ("points.ply", "poisson.ply"):
+        (folder / name).unlink()
+    quality = {
+        "name": thing.name, "unit": thing.unit, "version": _core.version, "key": key, "gsd": gsd,
+        "stations": _station_figures(outcomes, views, agreements, seen),
+        "points": {"stations": int((everything.stations > 0).sum()), "stereo": int((everything.stations == 0).sum())},
+        "mesh": mesh_figures(mesh, gsd), "agreement": agreement.agreement_figures(agreements, gsd),
+        "warnings": _warnings(outcomes, mesh, thing), "seconds": round(time.monotonic() - start, 1),
+    }  # fmt: skip
+    report = page.write_page(folder, quality, baked, seen, mesh, views[0], linked=thing.campaign.report)
+    files = [folder / "mesh.ply", folder / "mesh.glb", *maps, report]
+    quality["files"] = {str(path.relative_to(folder)): _core.sha256_of_file(str(path)) for path in files}
+    write_text(folder / "quality.json", json.dumps(quality, indent=1) + "\n")
+
+
+def seen_by(mesh: ObjectMesh, views: Sequence[View]) -> NDArray[np.bool_]:
+    """Which station (columns) sees which vertex (rows)."""
+    seen = np.zeros((len(mesh.vertices), len(views)), bool)
+    for k, view in enumerate(views):
+        at = view.meet(mesh.vertices)
+        off = np.abs((at.normals * (at.points - mesh.vertices)).sum(1))
+        facing = view.facing(mesh.vertices, mesh.normals) > LEAST_COSINE
+        seen[:, k] = (at.weight > 0) & facing & (off < 4 * np.hypot(at.sigma, view.gsd))
+    return seen
+
+
+def _stereo(thing: Object, done: Sequence[Outcome], views: Sequence[View], output: Path) -> OrientedPoints:
+    """Points with normals of the stations' clouds, where no station looks."""
+    parts = []
+    clouds: dict[str, str] = {}
+    for outcome in done:
+        cloud = Station.load(outcome["file"]).describe().get("prior_cloud")
+        if cloud is not None:
+            clouds.setdefault(cloud, outcome["station"])
+    for cloud, station in clouds.items():
+        points, normals = _read_cloud(Path(cloud), thing.unit)
+        noise = Workspace(output / "stations" / station).manifest["steps"]["prior"]["notes"]["noise"]
+        if normals is not None:
+            parts.append(agreement.unseen_stereo(points, normals, float(noise), views))
+    return agreement.joined(parts)
+
+
+def _read_cloud(path: Path, unit: str) -> tuple[Floats, Floats | None]:
+    """Points and unit normals of a station's cloud."""
+    if scans.is_scan(path):
+        points, normals = scans.read_scan(path, unit)
+        return points, None if normals is None else normals.astype(np.float64)
+    return _core.read_oriented_points(str(path))
+
+
+def _write_mesh(path: Path, mesh: ObjectMesh, seen: NDArray[np.bool_], views: Sequence[View], thing: Object) -> None:
+    paint = color.display(color.blended(mesh.vertices, mesh.normals, views))
+    # Coordinates far from the origin need more than single precision.
+    far = np.abs(mesh.vertices).max() > 1e4 * np.ptp(mesh.vertices, axis=0).max() / 1e3
+    values: dict[str, NDArray[Any]] = dict(
+        zip(("x", "y", "z"), mesh.vertices.T.astype(np.float64 if far else np.float32), strict=True)
+    )
+    values |= dict(zip(("nx", "ny", "nz"), mesh.normals.T.astype(np.float32), strict=True))
+    values |= dict(zip(("red", "green", "blue"), paint.T, strict=True))
+    values |= {"sigma": mesh.sigma.astype(np.float32), "measured": mesh.measured.astype(np.uint8)}
+    values["stations"] = seen.sum(1).astype(np.uint8)
+    write_ply(path, values, mesh.triangles, f"{thing.name}, lengths in {thing.unit}, world frame")
+
+
+def is_closed(triangles: NDArray[np.int64]) -> bool:
+    """Whether every edge has two triangles that run along it in opposite directions."""
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    one, many = np.unique(edges, axis=0, return_counts=True)
+    back = np.unique(edges[:, ::-1], axis=0)
+    return bool((many == 1).all()) and one.shape == back.shape and bool((one == back).all())
+
+
+def mesh_figures(mesh: ObjectMesh, gsd: float) -> dict[str, Any]:
+    """Size of the mesh, whether it is closed, how much of it was measured and how well."""
+    return {
+        "vertices": len(mesh.vertices),
+        "triangles": len(mesh.triangles),
+        "closed": is_closed(mesh.triangles),
+        "measured_fraction": float(mesh.measured.mean()),
+        "sigma_median_gsd": float(np.median(mesh.sigma[mesh.measured]) / gsd) if mesh.measured.any() else None,
+        "extent": np.ptp(mesh.vertices, axis=0).tolist(),
+    }
+
+
+def _station_figures(
+    outcomes: Sequence[Outcome], views: Sequence[View], agreements: Sequence[Agreement], seen: NDArray[np.bool_]
+) -> list[dict[str, Any]]:
+    known = {view.name: k for k, view in enumerate(views)}
+    rows = []
+    for outcome in outcomes:
+        row: dict[str, Any] = {"station": outcome["station"], "status": outcome["status"], "reason": outcome["reason"]}
+        if outcome["station"] in known:
+            k = known[outcome["station"]]
+            row |= {
+                "gsd": views[k].gsd,
+                "quality": outcome["figures"].get("quality"),
+                "seen_fraction": float(seen[:, k].mean()),
+                "alone_fraction": float((seen[:, k] & (seen.sum(1) == 1)).mean()),
+                "agreement": agreement.agreement_figures([agreements[k]], views[k].gsd),
+            }
+        rows.append(row)
+    return rows
+
+
+def _warnings(outcomes: Sequence[Outcome], mesh: ObjectMesh, thing: Object) -> list[str]:
+    """Every warning of every station, and the object's own."""
+    warnings = []
+    for outcome in outcomes:
+        if outcome["status"] != "done":
+            warnings.append(f"{outcome['station']}: is not in the surface: {outcome['reason']}")
+        elif outcome["figures"].get("warnings"):
+            warnings.append(f"{outcome['station']}: {outcome['figures']['warnings']}")
+    if thing.closed and not is_closed(mesh.triangles):
+        warnings.append("object: the mesh was to be closed, but it has open edges")
+    return warnings
+
+
+def object_summary(quality: Mapping[str, Any]) -> list[str]:
+    """The figures that matter first, a line each, for the terminal; the warnings last."""
+    mesh, met = quality["mesh"], quality["agreement"]
+    used = sum(row["status"] == "done" for row in quality["stations"])
+    lines = [
+        f"{quality['name']}: {used} of {len(quality['stations'])} stations, {mesh['triangles']} triangles, "
+        f"{'closed' if mesh['closed'] else 'open'}",
+        f"  GSD {quality['gsd']:.4g} {quality['unit']}, {100 * mesh['measured_fraction']:.1f} % of the surface measured",
+    ]
+    if met["rms_ratio"] is not None:
+        lines.append(
+            f"  stations off each other: median {met['median_gsd']:.3g} GSD, RMS {met['rms_ratio']:.3g} standard deviations, "
+            f"{100 * met['within_two_sigma']:.0f} % within two"
+        )
+    return lines + [f"  warning: {warning}" for warning in quality["warnings"]]
