@@ -8,6 +8,7 @@
 #include "cameras.h"
 #include "interruptible.h"
 #include "malus/io/colmap_model.h"
+#include "malus/photogrammetry/epipolar_line.h"
 #include "malus/photogrammetry/feature_matching.h"
 #include "malus/photogrammetry/lens_refit.h"
 #include "malus/photogrammetry/model_refinement.h"
@@ -177,6 +178,14 @@ void bind_photogrammetry(py::module_& module) {
     return py::make_tuple(to_values(refit.camera, pose), refit.rms_px);
   });
   module.def("pinhole_of", [](const CameraValues& values) { return to_camera(values, "camera").first.pinhole(); });
+  module.def("epipolar_line", [](const CameraValues& values, double u, double v, const CameraValues& other_values) {
+    const auto [camera, pose] = to_camera(values, "camera");
+    const auto [other, other_pose] = to_camera(other_values, "camera");
+    std::vector<std::pair<double, double>> line;
+    for (const Eigen::Vector2d& at : epipolar_line(camera, pose, {u, v}, other, other_pose))
+      line.emplace_back(at.x(), at.y());
+    return line;
+  });
   module.def("target_dictionaries", &target_dictionaries);
   module.def("detect_targets", [](const Array<std::uint8_t>& pixels, const std::string& dictionary) {
     std::vector<std::tuple<int, double, double>> found;
