@@ -8,6 +8,7 @@
 #include "cameras.h"
 #include "interruptible.h"
 #include "malus/io/colmap_model.h"
+#include "malus/photogrammetry/epipolar_line_internal.h"
 #include "malus/photogrammetry/feature_matching_internal.h"
 #include "malus/photogrammetry/lens_refit_internal.h"
 #include "malus/photogrammetry/model_refinement_internal.h"
@@ -179,6 +180,14 @@ void bind_photogrammetry(py::module_& module) {
   module.def("undistorted", [](const CameraValues& values) {
     const auto [camera, pose] = to_camera(values, "camera");
     return RasterView{camera.pinhole(), pose};
+  });
+  module.def("epipolar_line", [](const CameraValues& values, double u, double v, const CameraValues& other_values) {
+    const auto [camera, pose] = to_camera(values, "camera");
+    const auto [other, other_pose] = to_camera(other_values, "camera");
+    std::vector<std::pair<double, double>> line;
+    for (const Eigen::Vector2d& at : epipolar_line(camera, pose, {u, v}, other, other_pose))
+      line.emplace_back(at.x(), at.y());
+    return line;
   });
   module.def("target_dictionaries", &target_dictionaries);
   module.def("detect_targets", [](const Array<std::uint8_t>& pixels, const std::string& dictionary) {

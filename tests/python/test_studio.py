@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -18,10 +19,14 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
 
 from conftest import EXAMPLE
+from malus.photogrammetry.model import SparseModel
+from test_raw import ANGLES, scene, write_dng
 
+marks = pytest.importorskip("malus.studio.marks")
 pytestmark = pytest.mark.skipif(
     any(find_spec(name) is None for name in ("starlette", "uvicorn", "tomlkit")),
     reason="the extra studio is not installed",
@@ -34,6 +39,16 @@ needs_browser = pytest.mark.skipif(
 )
 #: Where the browser's pictures go, to be looked at.
 PICTURES = Path(os.environ.get("MALUS_PICTURES", ""))
+
+
+LAYER_SHARE = """window.layerShare = () => {
+  const canvas = document.querySelector('#draw-stage canvas.over');
+  const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+  let painted = 0;
+  for (let i = 3; i < pixels.length; i += 4) painted += pixels[i] > 60 && pixels[i] < 200;
+  const height = Math.min(canvas.height, canvas.width * 480 / 720);
+  return painted / (height * height * 720 / 480);
+};"""
 
 
 @dataclass
@@ -58,6 +73,13 @@ class Served:
             response = connection.getresponse()
             said = {name.lower(): value for name, value in response.getheaders()}
             return response.status, said, response.read().decode(errors="replace")
+
+    def tell(self, name: str, body: object, method: str = "POST") -> tuple[int, Any]:
+        """What a page of this Studio is answered."""
+        cookie = self.cookie()
+        own = {"Cookie": cookie, "Origin": f"http://{self.host}", "X-Malus-Page": self.page_token(cookie)}
+        status, _, text = self.ask(method, f"/api/{name}", own, body if isinstance(body, str) else json.dumps(body))
+        return status, json.loads(text) if text.startswith(("{", "[")) else text
 
     def cookie(self) -> str:
         _, headers, _ = self.ask("GET", "/?" + urlsplit(self.entrance).query, {})
@@ -196,6 +218,67 @@ def test_a_file_that_changed_meanwhile_is_not_overwritten(tmp_path: Path) -> Non
         document.write(None)
 
 
+# ---- what it answers ----
+
+
+def test_raw_files_become_a_station(served: Served) -> None:
+    pytest.importorskip("rawpy")
+    folder = served.folder / "raw"
+    folder.mkdir()
+    for angle in ANGLES:
+        write_dng(folder / f"IMG_{7300 + angle}.dng", scene(angle))
+    names = [f"raw/IMG_{7300 + angle}.dng" for angle in ANGLES]
+    listed = json.loads(served.ask("GET", "/api/folder?path=raw", {"Cookie": served.cookie()})[2])
+    assert [image["path"] for image in listed["images"]] == names
+    status, headers, _ = served.ask("GET", f"/api/thumbnail?path={names[0]}", {"Cookie": served.cookie()})
+    assert (status, headers["content-type"]) == (200, "image/jpeg")
+    status, said = served.tell("angles", {"folder": "raw", "source": "names", "images": names})
+    assert status == 400 and "IMG_7300.dng" in said["error"]  # a file's number is no angle
+    status, maps = served.tell("preview", {"images": names, "angles_deg": ANGLES, "response": "linear"})
+    assert status == 200 and maps["degree_median"] == pytest.approx(0.2, abs=0.01)
+    status, station = served.tell("create", {"path": "raw/station.toml", "images": names, "angles_deg": list(ANGLES)})
+    assert (status, station["error"], station["images"]) == (200, None, names)
+    checked = json.loads(served.ask("GET", "/api/check?path=raw/station.toml", {"Cookie": served.cookie()})[2])
+    assert "there is no [prior]" in checked["lines"][0]["message"] and checked["lines"][0]["field"] == "prior"
+    shutil.rmtree(folder)
+
+
+def test_wrong_requests_are_answered_in_words(served: Served) -> None:
+    for name, body, words in (
+        ("create", {"path": "a.txt", "images": [], "angles_deg": []}, "ends in .toml"),
+        ("create", {"path": "../a.toml", "images": [], "angles_deg": []}, "outside the folder"),
+        ("preview", {"images": ["pol/pol_000.png"], "angles_deg": [0]}, "angle"),
+        ("run", {"path": "nothing.toml", "work": "w"}, "no such file"),
+        ("set", "[]", "not what Studio expects"),
+    ):
+        status, said = served.tell(name, body)
+        assert status == 400 and words in said["error"], said
+
+
+def test_marks_are_judged_at_once(served: Served) -> None:
+    model = SparseModel.read(served.folder / "sparse")
+    cameras = {name: image.camera for name, image in model.images.items() if name.startswith("view")}
+    names = sorted(cameras)[:3]
+    ends = [point for point in np.percentile(model.points, [20, 80], axis=0)]
+
+    def seen(name: str, point: np.ndarray) -> dict[str, Any]:
+        fx, fy, cx, cy = cameras[name].params
+        rotation, translation = cameras[name].pose()
+        x, y, z = rotation @ point + translation
+        return {"image": name, "x": fx * x / z + cx, "y": fy * y / z + cy}
+
+    bar = {"distance": float(np.linalg.norm(ends[1] - ends[0])), **{end: [seen(n, p) for n in names] for end, p in zip("ab", ends, strict=True)}}  # fmt: skip
+    found = marks.examined(served.folder / "sparse", [bar], names[2], 0, "a")
+    assert not found["problem"] and len(found["lines"]) == 2
+    mark = bar["a"][2]
+    for line in found["lines"]:
+        assert min(np.hypot(x - mark["x"], y - mark["y"]) for x, y in line) < 20
+    assert found["fits"][1]["worst_px"] < 0.01
+    mark["x"] += 8
+    assert marks.examined(served.folder / "sparse", [bar], names[2], 0, "a")["fits"][1]["worst_px"] > 1
+    assert "not known yet" in marks.examined(None, [bar], names[2], 0, "a")["problem"]
+
+
 # ---- the whole way in a browser ----
 
 
@@ -213,6 +296,8 @@ def page(served: Served) -> Iterator[Any]:
             lambda line: problems.append(line.text) if line.type == "error" and "400" not in line.text else None,
         )
         shown.set_default_timeout(120000)
+        # What lies over the image is only in the drawing's memory: its color in the canvas over it tells.
+        shown.add_init_script(LAYER_SHARE)
         shown.goto(served.entrance)
         yield shown
         assert not problems
@@ -276,10 +361,26 @@ def draw_a_mask(page: Any) -> None:
         page.mouse.click(box["x"] + box["width"] / 2 + x * width, box["y"] + box["height"] / 2 + y * height)
     page.get_by_role("button", name="Undo").click()
     page.get_by_role("button", name="Redo").click()
+    polygon = painted_share(page)
+    assert polygon == pytest.approx(0.81, abs=0.01)
+    page.get_by_role("button", name="Find the edge").click()
+    page.locator("#draw-state", has_text="The edge was found").wait_for()
+    assert painted_share(page) != polygon
+    page.get_by_role("button", name="Undo").click()
+    assert painted_share(page) == polygon
+    page.locator("[data-tool=similar]").click()
+    page.mouse.click(box["x"] + box["width"] / 2 - 0.49 * width, box["y"] + box["height"] / 2)
+    page.wait_for_function("before => layerShare() > before", arg=polygon)
+    page.get_by_role("button", name="Undo").click()
     pictured(page, "mask")
     require_accessible(page)
     page.get_by_role("button", name="Save", exact=True).click()
     page.locator("#draw-state", has_text="Saved").wait_for()
+
+
+def painted_share(page: Any) -> float:
+    """Share of the image that is painted."""
+    return float(page.evaluate("layerShare()"))
 
 
 def run_and_show(page: Any) -> None:
@@ -335,6 +436,7 @@ def test_a_closed_page_ends_no_run(served: Served, page: Any) -> None:
     other.set_default_timeout(120000)
     other.goto(served.entrance)
     other.get_by_role("button", name="Open station.toml").click()
+    other.locator("#plan", has_text="Ready").wait_for()
     go(other, "Run")
     other.get_by_label("Results go to").fill("second_work")
     other.get_by_label("Fusion").select_option("grid")

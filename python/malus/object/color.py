@@ -62,4 +62,5 @@ def display(color: Floats) -> NDArray[np.uint8]:
     encoded: NDArray[np.uint8] = _core.display_image(
         np.ascontiguousarray(image[None], np.float32), np.ones((1, len(image)), np.float32), _WHITE_PERCENTILE
     )
-    return encoded[0]
+    colors: NDArray[np.uint8] = encoded[0]
+    return colors

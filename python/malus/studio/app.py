@@ -20,7 +20,7 @@ from starlette.staticfiles import StaticFiles
 
 import malus
 from malus.errors import InputError, MalusError
-from malus.studio import checks, folders, masks, pictures, preview, results, runs
+from malus.studio import checks, folders, marks, masks, pictures, preview, results, runs
 from malus.studio.access import REPORTS, Access, Guard, Root
 from malus.studio.document import StationDocument
 
@@ -64,6 +64,7 @@ class Studio:
         told: dict[str, Callable[[Json], Any]] = {
             "angles": lambda body: folders.angles(self.root, body["folder"], body["source"], body["images"], float(body.get("first", 0)), float(body.get("step", 45))),
             "preview": self._preview,
+            "marks": self._marks,
             "create": self._create,
             "set": self._set,
             "text": self._set_text,
@@ -178,6 +179,14 @@ class Studio:
             zero_deg=float(body.get("angle_zero_deg", 0)),
             response=body.get("response", "linear"),
         )
+
+    def _marks(self, body: Json) -> Json:
+        document = StationDocument.read(self.root.file(body["path"]))
+        works = [document.path.with_name(f"{document.path.stem}_work")]
+        works += [run.work for run in self.runs.all() if run.station == document.path]
+        model = marks.model_of(document.path, document.values.get("camera", {}), works)
+        bars = document.values.get("scale", [])
+        return marks.examined(model, bars, body["image"], int(body["distance"]), body["end"])
 
     def _similar(self, body: Json) -> Response:
         image = self.root.file(body["image"])

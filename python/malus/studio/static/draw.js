@@ -18,6 +18,7 @@ let points = [];      // of the shape or stroke that is being drawn, in image pi
 let cursor = null;    // of the keyboard, in image pixels
 let pressed = false;
 let end = { distance: 0, name: 'a' };
+let examined = { lines: [], fits: {}, problem: '' };  // of the known distances, as the server last said it
 
 const painted = () => what.value in LABELS;
 const TOOLS = {
@@ -54,9 +55,15 @@ async function showImage() {
     layer = painted() ? await loadLayer() : null;
     label = painted() ? LABELS[what.value][0] : null;
   }
+  await examine();
   drawTools();
   drawSide();
   view.redraw();
+}
+
+// Where the end that is being marked lies in this photo by its marks in others, and how well all distances fit.
+async function examine() {
+  if (what.value === 'scale') examined = await tell('marks', { path: state.station.path, image: here(), distance: end.distance, end: end.name });
 }
 
 async function loadLayer() {
@@ -240,6 +247,7 @@ function paint(context) {
   }
   for (const entry of state.station?.values.patch ?? []) if (what.value === 'patch') outlined(context, corners(entry.box), true, entry.name);
   for (const entry of state.station?.values.profile ?? []) if (what.value === 'profile') outlined(context, [entry.from, entry.to].map((p) => view.toStage(p)), false, entry.name);
+  if (what.value === 'scale') for (const line of examined.lines) if (line.length > 1) outlined(context, line.map((p) => view.toStage(p)), false);
   if (what.value === 'scale') for (const [text, at] of marksHere()) cross(context, view.toStage(at), text);
   if (tool === 'box' && points.length) outlined(context, corners([...points[0], ...points[1]]), true);
   if (tool === 'line' && points.length) outlined(context, points.map((p) => view.toStage(p)), false);
@@ -290,7 +298,7 @@ function cross(context, [x, y], text) {
 // ---- lists beside the image: patches, profiles, distances ----
 
 const entries = (list) => structuredClone(state.station.values[list] ?? []);
-const store = async (list, all) => { await change([{ list, entries: all }]); drawSide(); view.redraw(); };
+const store = async (list, all) => { await change([{ list, entries: all }]); await examine(); drawSide(); view.redraw(); };
 
 async function addShape([[u0, v0], [u1, v1]]) {
   if (Math.hypot(u1 - u0, v1 - v0) < 2) return;
@@ -338,10 +346,17 @@ function scaleSide() {
   const all = entries('scale');
   const row = (entry, at) => make('fieldset', {}, make('legend', {}, `distance ${at + 1}`),
     make('label', {}, `length [${state.station.values.station?.unit ?? 'mm'}] `, make('input', { type: 'number', step: 'any', value: entry.distance, change: doing((event) => { entry.distance = Number(event.target.value); return store('scale', all); }) })),
-    ...['a', 'b'].map((name) => make('p', {}, button(`Mark end ${name}`, () => { end = { distance: at, name }; tool = 'mark'; drawTools(); drawSide(); stage.focus(); }, { 'aria-pressed': String(tool === 'mark' && end.distance === at && end.name === name) }),
+    ...['a', 'b'].map((name) => make('p', {}, button(`Mark end ${name}`, async () => { end = { distance: at, name }; tool = 'mark'; await examine(); drawTools(); drawSide(); stage.focus(); }, { 'aria-pressed': String(tool === 'mark' && end.distance === at && end.name === name) }),
       ` in ${(entry[name] ?? []).length} photos: ${(entry[name] ?? []).map((mark) => mark.image).join(', ') || 'none yet, two or more are needed'}`)),
+    fitOf(at),
     button('Remove', () => store('scale', all.filter((other) => other !== entry))));
-  return [...all.map(row), button('Add a known distance', () => store('scale', [...all, { distance: 100, a: [], b: [] }]))];
+  return [make('p', { class: 'note' }, examined.problem || 'Red lines: where the end lies by its marks in the other photos.'), ...all.map(row), button('Add a known distance', () => store('scale', [...all, { distance: 100, a: [], b: [] }]))];
+}
+
+function fitOf(at) {
+  const fit = examined.fits[at + 1];
+  if (!fit) return null;
+  return make('p', { class: fit.worst_px > 2 ? 'warning' : 'note' }, `Marks fit to ${fit.rms_px.toFixed(2)} px (worst ${fit.worst_px.toFixed(2)} px in ${fit.worst_image}); the length is off by ${fit.residual.toPrecision(2)}.`);
 }
 
 what.addEventListener('change', doing(() => showDrawing()));

@@ -2,7 +2,7 @@
 export const LABELS = { mask: [{ value: 255, name: 'object', color: [53, 167, 160] }],
   labels: [{ value: 1, name: 'diffuse', color: [58, 124, 165] }, { value: 2, name: 'specular', color: [224, 161, 59] }] };
 // Pixels that undo may remember in all.
-const REMEMBERED = 2e8;
+const REMEMBERED = 8e7;
 
 const canvasOf = (width, height) => Object.assign(document.createElement('canvas'), { width, height });
 

@@ -1,0 +1,52 @@
+"""Marks of known distances while they are set: where the other photos allow them, and how well they agree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from malus import _core
+from malus.camera import Camera
+from malus.errors import MalusError
+from malus.options import Options
+from malus.photogrammetry.model import SparseModel
+from malus.photogrammetry.scale import adjust_scale
+
+
+def model_of(station: Path, camera: Mapping[str, Any], works: Sequence[Path]) -> Path | None:
+    """Folder of a model with the photos' cameras: the station's, or what a run of it has made; None if there is none."""
+    folders = [station.parent / camera["colmap_model"]] if "colmap_model" in camera else []
+    folders += [work / "prior" / "colmap" / "model" for work in works]
+    return next((folder for folder in folders if folder.is_dir()), None)
+
+
+def lines(cameras: Mapping[str, Camera], image: str, marks: Sequence[Mapping[str, Any]]) -> list[list[tuple[float, float]]]:  # fmt: skip
+    """For each mark of one end in another photo, the line in `image` on which that end lies (pixels)."""
+    if image not in cameras:
+        return []
+    return [
+        _core.epipolar_line(cameras[mark["image"]].values(), mark["x"], mark["y"], cameras[image].values())
+        for mark in marks
+        if mark["image"] != image and mark["image"] in cameras
+    ]
+
+
+def residuals(cameras: Mapping[str, Camera], bars: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """How the [[scale]] tables fit each other and the cameras, by their place in the list; what cannot be said, as a problem."""
+    filled = [{"targets": None, "check": False, "a": [], "b": [], **bar} for bar in bars]
+    try:
+        found = adjust_scale(filled, [], cameras, Options(), lambda _level, _message: None) if filled else None
+    except MalusError as error:
+        return {"problem": str(error), "fits": {}}
+    fits = {int(fit["name"].split()[-1]): fit for fit in found["distances"]} if found else {}
+    return {"problem": "", "fits": fits}
+
+
+def examined(model: Path | None, bars: Sequence[Mapping[str, Any]], image: str, distance: int, end: str) -> dict[str, Any]:  # fmt: skip
+    """Lines for the end that is being marked in `image`, and the residuals of all distances."""
+    if model is None:
+        return {"lines": [], "fits": {}, "problem": "The photos' cameras are not known yet; after the first run lines and residuals are shown here."}  # fmt: skip
+    cameras = {name: registered.camera for name, registered in SparseModel.read(model).images.items()}
+    marks = bars[distance].get(end, []) if 0 <= distance < len(bars) else []
+    return {"lines": lines(cameras, image, marks), **residuals(cameras, bars)}

@@ -1,0 +1,44 @@
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+
+#include "malus/photogrammetry/epipolar_line_internal.h"
+
+namespace malus {
+namespace {
+
+LensCamera lens() {
+  return {LensModel::opencv, {640, 480}, {700, 702, 319, 240, -0.12, 0.03, 0.001, -0.0005}};
+}
+
+Pose beside(double x, double turn_rad) {
+  Pose pose;
+  pose.rotation = Eigen::AngleAxisd(turn_rad, Eigen::Vector3d::UnitY()).toRotationMatrix();
+  pose.translation = pose.rotation * Eigen::Vector3d(-x, 0.1 * x, 0);
+  return pose;
+}
+
+TEST(EpipolarLine, RunsThroughWhereTheOtherPhotoShowsThePoint) {
+  const Pose first = beside(0, 0), second = beside(30, 0.15);
+  for (const Eigen::Vector3d& point : {Eigen::Vector3d(5, -20, 200), Eigen::Vector3d(-30, 25, 180)}) {
+    const auto seen = [&](const Pose& pose) { return lens().project(pose.rotation * point + pose.translation); };
+    const auto line = epipolar_line(lens(), first, seen(first), lens(), second);
+    ASSERT_GT(line.size(), 20U);
+    double nearest = 1e9;
+    for (std::size_t k = 1; k < line.size(); ++k) {
+      const Eigen::Vector2d along = line[k] - line[k - 1];
+      const double share =
+          std::clamp((seen(second) - line[k - 1]).dot(along) / std::max(along.squaredNorm(), 1e-12), 0.0, 1.0);
+      nearest = std::min(nearest, (line[k - 1] + share * along - seen(second)).norm());
+    }
+    EXPECT_LT(nearest, 0.05);
+  }
+}
+
+TEST(EpipolarLine, CamerasAtOnePlaceHaveNone) {
+  EXPECT_TRUE(epipolar_line(lens(), beside(0, 0), {100, 100}, lens(), beside(0, 0.1)).empty());
+}
+
+}  // namespace
+}  // namespace malus

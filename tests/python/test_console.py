@@ -1,0 +1,90 @@
+"""What the console says: overall progress and time left, closing lines, the options that matter."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+import malus
+from conftest import malus as run_malus
+from malus import progress
+from malus.options import MAIN
+from malus.progress import JsonProgress, Overall, duration
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    return now
+
+
+def test_steps_count_by_their_expected_time(clock: list[float]) -> None:
+    overall = Overall([("a", 10), ("b", 30)])
+    overall.update("a", 0.5)
+    overall.update("unknown", 1.0)
+    assert overall.fraction == pytest.approx(5 / 40)
+    overall.update("a", 1.0)
+    overall.update("b", 0.5)
+    assert overall.fraction == pytest.approx(25 / 40)
+
+
+def test_time_left_follows_the_speed_that_was_met(clock: list[float]) -> None:
+    overall = Overall([("kept", 1000), ("a", 1000), ("b", 1000)])
+    overall.update("kept", 1.0)
+    assert overall.seconds_left == pytest.approx(2000)
+    overall.update("a", 0.0)
+    clock[0] = 3000
+    overall.update("a", 1.0)
+    assert overall.seconds_left == pytest.approx(1000 * 3005 / 1005)
+
+
+def test_json_events_say_how_far_everything_is(capsys: pytest.CaptureFixture[str], clock: list[float]) -> None:
+    view = JsonProgress()
+    view.expect([("a", 1), ("b", 3)])
+    view.progress("a", 0.0, "")
+    view.progress("a", 1.0, "")
+    event = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (event["step"], event["overall"]) == ("a", 0.25)
+    assert event["seconds_left"] > 0
+
+
+@pytest.mark.parametrize(("seconds", "said"), [(0.2, "5 s"), (42, "40 s"), (150, "2 min"), (9000, "2.5 h")])
+def test_durations_as_people_say_them(seconds: float, said: str) -> None:
+    assert duration(seconds) == said
+
+
+def test_closing_lines_say_size_accuracy_and_warnings(finished_grid: Path) -> None:
+    quality = malus.Workspace(finished_grid).quality
+    lines = malus.report.summary_lines({**quality, "warnings": ["fuse: doubtful"]}, (59.2, 47.3))
+    assert "59.2 x 47.3 mm" in lines[0] and "one pixel is 296 µm" in lines[0]
+    assert lines[1].startswith("  accuracy: ") and lines[1].count("µm") == 2
+    assert lines[-1] == "  warning: fuse: doubtful"
+    assert not any("converged" in line for line in lines)
+
+
+def test_main_options_are_a_dozen_of_all() -> None:
+    listed = [
+        line.split(" = ")[0] for line in run_malus("options", "--main").out.splitlines() if not line.startswith(" ")
+    ]
+    assert sorted(listed) == sorted(MAIN) and len(listed) == 12
+
+
+def test_results_do_not_lie_among_the_inputs(small_station: Path) -> None:
+    outcome = run_malus("run", small_station, "-o", small_station.parent)
+    assert outcome.code == 2 and "station_work" in outcome.err
+    assert not (small_station.parent / "manifest.json").exists()
+
+
+def test_single_steps_say_what_they_left(finished_grid: Path, small_station: Path, tmp_path: Path) -> None:
+    outcome = run_malus("decompose", small_station, "-o", tmp_path / "work")
+    assert outcome.code == 0, outcome.err
+    assert "polarization/degree.tif" in outcome.out and "polarization/zenith.tif" in outcome.out
+
+
+def test_help_is_without_numbers_of_the_paper() -> None:
+    for command in ((), ("fuse",), ("height",), ("decompose",)):
+        assert not re.search(r"\b(Eq|Fig)\b", run_malus(*command, "--help").out)
