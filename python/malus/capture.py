@@ -31,8 +31,8 @@ def demosaic(mosaic: ArrayLike, *, colors: str | None = None, threads: int = ALL
     """Split a 2×2 polarizer mosaic (H×W, linear) into four images: cell top left, top right, bottom left, bottom right.
 
     Every image has the mosaic's pixels, so that all four show the same point at the same pixel: H×W, or H×W×3 for a
-    colour camera, whose `colors` is the Bayer pattern of the cells by rows, "RGGB"; all colours are taken to be polarized alike.
-    Sides are multiples of 2, in colour of 4.
+    color camera, whose `colors` is the Bayer pattern of the cells by rows, "RGGB"; all colors are taken to be polarized alike.
+    Sides are multiples of 2, in color of 4.
     """
     image = as_image(mosaic, "mosaic")
     if colors is None:
@@ -47,7 +47,7 @@ def demosaic(mosaic: ArrayLike, *, colors: str | None = None, threads: int = ALL
 def linearize(
     image: ArrayLike, *, response: str = "linear", black_level: float = 0.0, white_level: float = 1.0
 ) -> NDArray[np.float32]:
-    """Linear intensities, [0, 1] of the white level, of digital numbers (H×W, or H×W×3, whose colours stay apart).
+    """Linear intensities, [0, 1] of the white level, of digital numbers (H×W, or H×W×3, whose colors stay apart).
 
     response: "linear", "srgb", "gamma:X", or the path of a lookup table (docs/station-file.md).
     """

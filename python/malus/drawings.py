@@ -1,7 +1,7 @@
 """Line drawings of a surface: contour lines and sections, as DXF for CAD and drawing offices and as SVG for print.
 
 Contours lie in the plane of the elevation model; sections in their own: distance along the profile and height above its chord.
-Both are in the station's unit, one to one; an SVG states its size in millimetres.
+Both are in the station's unit, one to one; an SVG states its size in millimeters.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ def write_svg(path: Path, layers: list[Layer], unit: str, title: str) -> None:
     low, size = every.min(0), np.ptp(every, axis=0)
     margin = max(0.05 * float(size.max()), 1e-9)
     width, height = size + 2 * margin
-    scale = METRES[unit] * 1000  # millimetres
+    scale = METRES[unit] * 1000  # millimeters
     line_width = float(size.max()) / 1500
 
     def path_of(line: Line) -> str:

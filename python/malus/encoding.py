@@ -1,4 +1,4 @@
-"""What image files say of their response curve: colour profiles, PNG and EXIF entries, against the station file's `response`."""
+"""What image files say of their response curve: color profiles, PNG and EXIF entries, against the station file's `response`."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ def encoding_of(path: Path) -> Encoding | None:
         return _of_exponent(1 / info["gamma"], f"the PNG file says gamma {1 / info['gamma']:.2g}")
     if (gamma := _positive(tags.get(_GAMMA))) is not None:
         return _of_exponent(gamma, f"the EXIF data say gamma {gamma:.2g}")
-    # A camera's JPEG files are encoded, whatever else it writes; of other files a colour space alone says little.
+    # A camera's JPEG files are encoded, whatever else it writes; of other files a color space alone says little.
     if kind == "JPEG" and (tags.get(_COLOR_SPACE) == 1 or _MAKE in tags):
         return Encoding(False, "it is a JPEG file of a camera")
     return None
 
 
 def _of_profile(profile: bytes) -> Encoding | None:
-    """By the light that the profile gives a middle grey."""
+    """By the light that the profile gives a middle gray."""
     try:
         read = ImageCms.ImageCmsProfile(io.BytesIO(profile))
         mode = {"RGB": "RGB", "GRAY": "L"}.get(read.profile.xcolor_space.strip())

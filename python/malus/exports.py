@@ -1,6 +1,6 @@
 """The surface of a workspace for other programs: meshes, point clouds, elevation, maps for renderers.
 
-Meshes and clouds are in the world frame and the station's unit, but for GLB and E57, which are metres by their standards.
+Meshes and clouds are in the world frame and the station's unit, but for GLB and E57, which are meters by their standards.
 Maps (displacement, normal map) lie on the grid of the elevation model: the plane fitted to the object, seen straight on.
 """
 
@@ -82,7 +82,7 @@ class Exporter:
         return unit
 
     def simplified(self, faces: int | None) -> Mesh:
-        """The surface with at most `faces` triangles (quadric error metric); normals and colours from the full rasters."""
+        """The surface with at most `faces` triangles (quadric error metric); normals and colors from the full rasters."""
         mesh = self.mesh()
         if faces is None or len(mesh.triangles) <= faces:
             return mesh
@@ -194,7 +194,7 @@ def _write_orthophoto(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     per_metre = 1 / (dem.pixel * METRES[exporter.unit])
     with replacing(path) as temporary:
         Image.fromarray(picture).save(temporary, dpi=(per_metre * 0.0254,) * 2, pnginfo=told)
-    # World file: size of a pixel and the centre of the first, in the elevation model's own coordinates.
+    # World file: size of a pixel and the center of the first, in the elevation model's own coordinates.
     write_text(path.with_suffix(".pgw"), f"{dem.pixel:.12g}\n0\n0\n{-dem.pixel:.12g}\n0\n0\n")
 
 
@@ -369,13 +369,13 @@ def export(
 
     Without `output` it is WORK/export/…; a result in memory has no such folder and needs an output.
 
-    - obj, ply, glb, stl: mesh with texture (obj, glb), vertex colours (ply) or neither (stl); at most `faces` triangles if given.
+    - obj, ply, glb, stl: mesh with texture (obj, glb), vertex colors (ply) or neither (stl); at most `faces` triangles if given.
       glb: the catalogue's words and the origin in asset.extras; `y_up` turns a world whose z is up to glTF's convention.
     - normal-map: PNG or TIFF of 3 × 16 bits, OpenGL and Blender convention (red = right, green = up, blue = towards the
       viewer; 0 … 65535 for −1 … 1), or EXR of 3 floats in −1 … 1. displacement: float TIFF or EXR, elevation above the plane in the
       station's unit, 0 where there is none. Both on the grid of the elevation model, that is of `dem`, GeoTIFF. orthophoto: the object's
       picture on that grid, PNG with a world file, transparent where there is no surface.
-    - las: points with colour, normal and standard deviation, station unit. e57: points with colour, metres.
+    - las: points with color, normal and standard deviation, station unit. e57: points with color, meters.
     - contours (every `interval`, station unit; default: a round one) and sections (along every [[profile]]): SVG or DXF.
     - colmap: a dense workspace (folder) with depth and normal map of the station, for stereo_fusion and poisson_mesher.
     - rti: the object under any light, a polynomial texture map for RTI viewers.

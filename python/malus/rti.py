@@ -1,6 +1,6 @@
 """The object under any light for RTI viewers: a polynomial texture map (PTM 1.2, Malzbender, Gelb and Wolters 2001).
 
-RTIViewer and Relight read it. It is made of the measured normals and the colour without shading, not of photographs under many lights:
+RTIViewer and Relight read it. It is made of the measured normals and the color without shading, not of photographs under many lights:
 a matt object under a light from each direction, without cast shadows.
 """
 
@@ -45,7 +45,7 @@ def polynomial(normals: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def write_ptm(path: Path, coefficients: NDArray[np.float64], colors: NDArray[np.uint8]) -> None:
-    """Write an LRGB polynomial texture map: coefficients H×W×6 (brightness 1 = the colour itself), colors H×W×3."""
+    """Write an LRGB polynomial texture map: coefficients H×W×6 (brightness 1 = the color itself), colors H×W×3."""
     height, width = colors.shape[:2]
     low, high = coefficients.min((0, 1)), coefficients.max((0, 1))
     scale = np.maximum(high - low, 1e-6) / 255

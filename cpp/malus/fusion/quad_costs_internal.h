@@ -13,7 +13,7 @@ namespace malus {
 
 // Ceres sees the unknowns in quads, parameter blocks of 2 × 2 pixels (order: (0,0), (1,0), (0,1), (1,1)). One cost
 // function a quad instead of one a difference pair keeps Ceres' bookkeeping (cells, products, ordering) small beside
-// the arithmetic. Every cost joins neighbouring quads only, diagonal ones included (the prior's those of its block):
+// the arithmetic. Every cost joins neighboring quads only, diagonal ones included (the prior's those of its block):
 // the elimination order counts on it. Weights and log_body are read from the field, which must not change during a
 // solve.
 
@@ -100,7 +100,7 @@ class SmoothnessCost final : public QuadCost {
   double weight_;
 };
 
-/// Slopes change little from the prior's: the differences of a node to its right and lower neighbours against the
+/// Slopes change little from the prior's: the differences of a node to its right and lower neighbors against the
 /// prior's. 2 residuals; quads: those that hold the three.
 class SlopeChangeCost final : public QuadCost {
  public:
@@ -114,7 +114,7 @@ class SlopeChangeCost final : public QuadCost {
 };
 
 /// Albedo changes little along u and v: ln body − ln shading of a pixel against those of its right and lower
-/// neighbours. 2 residuals; quads: those that hold the three pixels' nodes.
+/// neighbors. 2 residuals; quads: those that hold the three pixels' nodes.
 class AlbedoCost final : public QuadCost {
  public:
   AlbedoCost(const RefinementField& field, int u, int v);

@@ -181,7 +181,7 @@ Eigen::Vector3d mean_normal(const RefinementImage& image) {
   return sum.norm() > 0 ? Eigen::Vector3d(sum.normalized()) : Eigen::Vector3d(0, 0, -1);
 }
 
-/// How far the surface has left the prior's in the centre of a pixel. Of a diffuse body, whose polarization is weak and
+/// How far the surface has left the prior's in the center of a pixel. Of a diffuse body, whose polarization is weak and
 /// noisy, the mean of its four nodes; else, as that would smooth the detail, by cubics from the 4 × 4 nodes around it.
 double change_at(const RefinementField& field, int u, int v) {
   static constexpr std::array<double, 4> cubic{-1.0 / 16, 9.0 / 16, 9.0 / 16, -1.0 / 16};

@@ -42,7 +42,7 @@ Mask nodes_of(const Mask& pixels);
 /// Gradient of x in a pixel from its four nodes, as far as they exist.
 Eigen::Vector2d central_gradient(const SurfaceEstimate& surface, int u, int v);
 
-/// Slopes (p, q) of the current surface in the centre of a pixel.
+/// Slopes (p, q) of the current surface in the center of a pixel.
 Eigen::Vector2d central_slopes(const SurfaceEstimate& surface, int u, int v);
 
 /// Unit normal of slopes (p, q) against a ray, camera frame.

@@ -25,7 +25,7 @@ double slope_variance(const RefinementField& field, int u, int v) {
   return std::min(1 / (weight * steepness + 1e-12), square(unknown_slope)) * stretch;
 }
 
-/// Squared curvature of the prior at a node [GSD² / px⁴]; 0 where its neighbours are missing.
+/// Squared curvature of the prior at a node [GSD² / px⁴]; 0 where its neighbors are missing.
 double squared_curvature(const RefinementField& field, int u, int v) {
   for (const auto& [du, dv] : {std::pair{1, 0}, {-1, 0}, {0, 1}, {0, -1}, {1, 1}}) {
     if (!field.is_object(u + du, v + dv)) return 0;

@@ -61,12 +61,12 @@ struct PriorOptions {
   }
 };
 
-/// Coarse surface from a point cloud (world frame, unit of the station): its visible points (see visible_points_internal.h),
-/// smoothed by a robust thin-plate spline over the mask (see smoothing_spline_internal.h) in log depth, whose smoothing is the
-/// restricted maximum likelihood estimate from the points' scatter. A cloud with normals gives the surface's slopes
-/// too, weighted by how well they agree, and every point counts by its distance across the surface. `mask` has the
-/// camera's size; depth and sigma are NaN outside. sigma² is the spline's posterior variance, which grows away from the
-/// points, plus the part of the noise that neighboring points share.
+/// Coarse surface from a point cloud (world frame, unit of the station): its visible points (see
+/// visible_points_internal.h), smoothed by a robust thin-plate spline over the mask (see smoothing_spline_internal.h)
+/// in log depth, whose smoothing is the restricted maximum likelihood estimate from the points' scatter. A cloud with
+/// normals gives the surface's slopes too, weighted by how well they agree, and every point counts by its distance
+/// across the surface. `mask` has the camera's size; depth and sigma are NaN outside. sigma² is the spline's posterior
+/// variance, which grows away from the points, plus the part of the noise that neighboring points share.
 ///
 /// Throws an input error for values that are not finite or a mask of another size, a data error that says where the
 /// points fell if fewer than `min_points` are visible on the object.
@@ -91,7 +91,7 @@ struct SweptDepth {
   Image<float> shape;  ///< z of the surface that it was measured about, all over the object; empty = no such surface
 };
 
-/// Coarse surface from a swept depth map: neighbouring pixels share most of their windows and so of their errors,
+/// Coarse surface from a swept depth map: neighboring pixels share most of their windows and so of their errors,
 /// therefore only every fourth pixel of every fourth row becomes a point of a cloud, which is smoothed as above. With a
 /// shape it is the difference from it that is smoothed, so that its detail stays and it goes on where there is no
 /// depth. `sigma` bounds that of the surface from below; pixels where it is not finite and positive count as without

@@ -28,7 +28,7 @@ _MOST_RATIO = 4.0
 
 
 def colors_of(shares: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Colors (…×3) of numbers 0 … 1, from blue over white to red; grey where there is none."""
+    """Colors (…×3) of numbers 0 … 1, from blue over white to red; gray where there is none."""
     known = np.isfinite(shares)
     value = np.clip(np.where(known, shares, 0), 0, 1)[..., None]
     low, middle, high = (np.array(color) for color in ((33.0, 102, 172), (247, 247, 247), (178, 24, 43)))

@@ -177,7 +177,7 @@ def encoded(image: NDArray[np.uint8], kind: str) -> bytes:
 
 
 def write_glb(path: Path, mesh: TexturedMesh, unit: str, name: str) -> None:
-    """Write a textured mesh as binary glTF 2.0: metres, with its origin at the middle of the object."""
+    """Write a textured mesh as binary glTF 2.0: meters, with its origin at the middle of the object."""
     middle = (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
     points = ((mesh.vertices - middle) * METRES[unit]).astype("<f4")
     arrays: list[tuple[str, NDArray[Any], int]] = [

@@ -108,9 +108,9 @@ def patch_boxes(plates: Plates) -> Iterator[Figure]:
 
 
 def oblique(relief: Raster, shade: Raster, tilt_deg: float = _TILT_DEG) -> NDArray[np.uint8]:
-    """A relief seen from below at an angle, grey with alpha: parallel rays, nearer parts hide farther ones.
+    """A relief seen from below at an angle, gray with alpha: parallel rays, nearer parts hide farther ones.
 
-    relief: H×W, in pixels, towards the viewer. Every pixel is drawn as a column down to its neighbour, so that slopes are closed.
+    relief: H×W, in pixels, towards the viewer. Every pixel is drawn as a column down to its neighbor, so that slopes are closed.
     """
     sine, cosine = np.sin(np.radians(tilt_deg)), np.cos(np.radians(tilt_deg))
     rows = np.arange(relief.shape[0])[:, None] * cosine - relief * sine

@@ -24,7 +24,7 @@ Bytes = NDArray[np.uint8]
 
 
 def decode(content: bytes, size: tuple[int, int] | None = None) -> Bytes:
-    """Pixels H×W of a grey PNG from the page; InputError unless it is one, of this width and height."""
+    """Pixels H×W of a gray PNG from the page; InputError unless it is one, of this width and height."""
     try:
         with Image.open(io.BytesIO(content), formats=["PNG"]) as image:
             if size is not None and image.size != size:
