@@ -9,7 +9,7 @@ the scene's station file, camera and prior those of that file:
     four      four images at 0°, 45°, 90°, 135°: what a mosaic would be if it missed nothing
     mosaic    one image of the cell [[90, 45], [135, 0]]
     bilinear  its four channels interpolated bilinearly, given as four images: what most software does
-    colour    one image of a colour camera (RGGB, cells of 4 × 4) of an object of one colour, red, green, blue as COLOR
+    color    one image of a color camera (RGGB, cells of 4 × 4) of an object of one color, red, green, blue as COLOR
     colour_bilinear  the same, each of its twelve channels bilinear
 
 All have the same frames averaged: a mosaic has a quarter of the photons of "four". Printed: the scores, one line each.
@@ -80,7 +80,7 @@ def capture(variant: str, scene: Path, folder: Path, args: argparse.Namespace) -
         return write_images(channels, folder)
     color = variant.startswith("colour")
     v, u = np.indices(cell.shape)
-    # Of a colour camera each color filter covers a 2 × 2 cell of polarizers.
+    # Of a color camera each color filter covers a 2 × 2 cell of polarizers.
     band = np.array(BAYER)[v // 2 % 2, u // 2 % 2] if color else np.ones_like(cell)
     factor = COLOR[band] if color else 1.0
     mosaic = captured(np.take_along_axis(images, cell[None], 0)[0] * factor, args.frames, random)

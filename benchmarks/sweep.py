@@ -187,7 +187,7 @@ def sgbm_depth(scene: Scene, pairs: int) -> Array:
         k1 = projection(malus.Camera("PINHOLE", camera.width, camera.height, camera.params))[:, :3]
         r1, t1 = camera.pose()
         turn = r1 @ r0.T
-        baseline = -turn.T @ (t1 - turn @ t0)  # the photo's centre in the station's frame
+        baseline = -turn.T @ (t1 - turn @ t0)  # the photo's center in the station's frame
         # Common orientation: x along the baseline to the right of whichever camera is left, z between both axes.
         forward = np.array([0, 0, 1.0]) + turn[2]
         across = baseline / np.linalg.norm(baseline)

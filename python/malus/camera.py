@@ -16,7 +16,7 @@ class Camera:
     """Lens camera and its pose.
 
     `model` is one of SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV, BROWN; `params` in COLMAP's
-    order, but with the principal point in the memory pixel convention (centre of the top-left pixel at (0, 0); COLMAP's
+    order, but with the principal point in the memory pixel convention (center of the top-left pixel at (0, 0); COLMAP's
     minus 0.5). `rotation` (3×3) and `translation` (3) take world points into the camera frame (x right, y down, z
     forward): x_in_cam = rotation @ x_in_world + translation. Left out, the camera frame is the world.
 

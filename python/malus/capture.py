@@ -30,8 +30,8 @@ def demosaic(mosaic: ArrayLike, *, colors: str | None = None, threads: int = ALL
     """Split a 2×2 polarizer mosaic (H×W, linear) into four images: cell top left, top right, bottom left, bottom right.
 
     Every image has the mosaic's pixels, so that all four show the same point at the same pixel: H×W, or H×W×3 for a
-    colour camera, whose `colors` is the Bayer pattern of the cells by rows, "RGGB"; all colours are taken to be polarized alike.
-    Sides are multiples of 2, in colour of 4.
+    color camera, whose `colors` is the Bayer pattern of the cells by rows, "RGGB"; all colors are taken to be polarized alike.
+    Sides are multiples of 2, in color of 4.
     """
     image = as_image(mosaic, "mosaic")
     if colors is None:

@@ -1,6 +1,6 @@
 """The surface of a workspace for other programs: meshes, point clouds, elevation, maps for renderers.
 
-Meshes and clouds are in the world frame and the station's unit, but for GLB and E57, which are metres by their standards.
+Meshes and clouds are in the world frame and the station's unit, but for GLB and E57, which are meters by their standards.
 Maps (displacement, normal map) lie on the grid of the elevation model: the plane fitted to the object, seen straight on.
 """
 
@@ -78,7 +78,7 @@ class Exporter:
         return unit
 
     def simplified(self, faces: int | None) -> Mesh:
-        """The surface with at most `faces` triangles (quadric error metric); normals and colours from the full rasters."""
+        """The surface with at most `faces` triangles (quadric error metric); normals and colors from the full rasters."""
         mesh = self.mesh()
         if faces is None or len(mesh.triangles) <= faces:
             return mesh
@@ -247,11 +247,11 @@ def export(
 
     Without `output` it is WORK/export/…; a result in memory has no such folder and needs an output.
 
-    - obj, ply, glb: mesh with texture (obj, glb) or vertex colours (ply); at most `faces` triangles if given.
+    - obj, ply, glb: mesh with texture (obj, glb) or vertex colors (ply); at most `faces` triangles if given.
     - normal-map: PNG or TIFF of 3 × 16 bits, OpenGL and Blender convention (red = right, green = up, blue = towards the
       viewer; 0 … 65535 for −1 … 1), or EXR of 3 floats in −1 … 1. displacement: float TIFF or EXR, elevation above the plane in the
       station's unit, 0 where there is none. Both on the grid of the elevation model, that is of `dem`, GeoTIFF.
-    - las: points with colour, normal and standard deviation, station unit. e57: points with colour, metres.
+    - las: points with color, normal and standard deviation, station unit. e57: points with color, meters.
 
     Raises malus.InputError, or ExternalError if the format needs a package that is not installed.
     """

@@ -20,14 +20,14 @@ from malus.workspace import Raster, Workspace
 
 #: Long side of the pictures' data in pixels: larger rasters are averaged down, a report is for looking.
 MAX_SIDE_PX = 1600
-#: Colours of the three surfaces in every plot.
+#: Colors of the three surfaces in every plot.
 COLORS = {"prior": "#b0702a", "polarization": "#2f7fb3", "fused": "#1d2733"}
 #: Figures of a map's values in its CSV file.
 _PERCENTILES = (0, 1, 5, 25, 50, 75, 95, 99, 100)
 _DPI = 150
 #: Sine of the angle beyond grazing light at which relief shading becomes black.
 _BEYOND_GRAZING = 0.342
-#: How dark relief shading makes the colours of a map that it lies over, at most.
+#: How dark relief shading makes the colors of a map that it lies over, at most.
 _SHADE_OPACITY = 0.8
 
 
@@ -61,7 +61,7 @@ class Figure:
 
 
 def encode(picture: NDArray[np.uint8], kind: str, **options: Any) -> bytes:
-    """Image file of a picture H×W, H×W×2 (grey, alpha), H×W×3 or H×W×4."""
+    """Image file of a picture H×W, H×W×2 (gray, alpha), H×W×3 or H×W×4."""
     mode = "LA" if picture.ndim == 3 and picture.shape[2] == 2 else None
     image = (
         Image.fromarray(np.ascontiguousarray(picture), mode) if mode else Image.fromarray(np.ascontiguousarray(picture))
@@ -104,7 +104,7 @@ def flattened(depth: Raster) -> Raster:
 
 
 def _slope(relief: Raster, axis: int) -> Raster:
-    """Mean of the differences to both neighbours along an axis, of the one that exists at borders, 0 without any."""
+    """Mean of the differences to both neighbors along an axis, of the one that exists at borders, 0 without any."""
     steps = np.diff(relief, axis=axis)
     empty = np.full_like(np.take(relief, [0], axis=axis), np.nan)
     before, after = np.concatenate([empty, steps], axis), np.concatenate([steps, empty], axis)
@@ -128,7 +128,7 @@ def hillshade(relief: Raster, pixel: float, azimuth_deg: float = 315, altitude_d
 
 
 def grey(shade: Raster) -> NDArray[np.uint8]:
-    """Shading 0 … 1 as grey with alpha, transparent where it is NaN."""
+    """Shading 0 … 1 as gray with alpha, transparent where it is NaN."""
     known = np.isfinite(shade)
     level = np.rint(255 * np.clip(np.where(known, shade, 0), 0, 1)).astype(np.uint8)
     return np.stack([level, np.where(known, 255, 0).astype(np.uint8)], -1)
@@ -209,13 +209,13 @@ class Plates:
             limits = tuple(np.percentile(finite, [1, 99])) if finite.size else (0.0, 1.0)
         shape = raster.shape
         width = 6.4
-        # Room for the colour bar below the picture.
+        # Room for the color bar below the picture.
         drawing = Drawing(figsize=(width, width * shape[0] / shape[1] + (0.55 if how.label or how.ticks else 0.0)))
         bar_height = 0.55 / drawing.get_figheight() if how.label or how.ticks else 0.0
         axes = drawing.add_axes((0, bar_height, 1, 1 - bar_height))
         picture = axes.imshow(raster, cmap=how.cmap, vmin=limits[0], vmax=limits[1], interpolation="antialiased")
         if shade is not None:
-            # Black of varying opacity over the colours: detail is far below what colours can tell apart.
+            # Black of varying opacity over the colors: detail is far below what colors can tell apart.
             axes.imshow(
                 np.dstack([np.zeros((*shade.shape, 3)), _SHADE_OPACITY * (1 - np.nan_to_num(shade, nan=1))]),
                 interpolation="antialiased",

@@ -47,7 +47,7 @@ def develop(
 ) -> Developed:
     """Develop RAW files into `folder`, one floating-point TIFF each; what is there already is kept.
 
-    Black and white level come from the files; no brightening, no white balance, no rotation, the camera's own colours;
+    Black and white level come from the files; no brightening, no white balance, no rotation, the camera's own colors;
     the Bayer pattern is interpolated linearly, so that all images of a station are treated alike. `channel` "red",
     "green" or "blue" keeps one plane, anything else all. LibRaw cuts off what noise puts below the black level.
     """
@@ -103,7 +103,7 @@ def _noise(path: Path) -> tuple[float | None, float | None]:
     profile = tags_of(path).get(_DNG_NOISE_PROFILE)
     if not isinstance(profile, tuple) or len(profile) < 2:
         return None, None
-    # Pairs (S, O), one a colour plane; green is the middle one of three.
+    # Pairs (S, O), one a color plane; green is the middle one of three.
     pair = 2 * (len(profile) // 4)
     slope, offset = float(profile[pair]), float(profile[pair + 1])
     if not (math.isfinite(slope) and slope > 0 and math.isfinite(offset) and offset >= 0):

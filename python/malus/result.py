@@ -92,7 +92,7 @@ class Result:
         return open_page(write_report(self, Path(tempfile.mkdtemp(prefix="malus-")) / f"{self.name}.html"))
 
     def pictures(self) -> dict[str, NDArray[np.uint8]]:
-        """Relief shading of prior and fused surface, as far as they exist: title → grey and alpha, at most 480 px wide or high."""
+        """Relief shading of prior and fused surface, as far as they exist: title → gray and alpha, at most 480 px wide or high."""
         from malus.figures import flattened, grey, hillshade, reduced, step_for
 
         pictures = {}

@@ -24,7 +24,7 @@ def is_scan(path: Path) -> bool:
 def read_scan(path: Path, unit: str) -> tuple[NDArray[np.float64], NDArray[np.float32] | None]:
     """Points (N×3, in `unit`) and their normals (N×3) if the file has them.
 
-    LAS has no unit: its coordinates are taken as they stand. E57 is in metres by its standard. All scans of an E57 file
+    LAS has no unit: its coordinates are taken as they stand. E57 is in meters by its standard. All scans of an E57 file
     are taken, each in the file's common frame. Raises InputError for a file that cannot be read or has no points.
     """
     try:

@@ -112,7 +112,7 @@ def _camera_lines(cameras_xml: Path, label: str) -> list[str]:
         )
     camera = cameras[names[0]]
     rotation, translation = camera.pose()
-    # COLMAP's convention in station files: the first pixel's centre is at 0.5.
+    # COLMAP's convention in station files: the first pixel's center is at 0.5.
     params = [value + 0.5 if 2 <= index < 4 else value for index, value in enumerate(camera.params)]
     return [
         f"[camera]  # {names[0]} of {cameras_xml.name}",

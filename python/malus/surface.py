@@ -30,7 +30,7 @@ class Mesh:
 class Dem:
     """Elevation above the plane fitted to a surface.
 
-    elevation: H×W float32, station unit, towards the camera, NaN = none. pixel: size of a pixel. The centre of the top-left
+    elevation: H×W float32, station unit, towards the camera, NaN = none. pixel: size of a pixel. The center of the top-left
     pixel lies at `origin` in the world; `right` and `up` (towards smaller rows) lie in the plane, `normal` points to the camera.
     """
 

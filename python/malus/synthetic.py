@@ -44,7 +44,7 @@ class Scene:
 
     @property
     def gsd(self) -> float:
-        """Ground sampling distance at the image's centre."""
+        """Ground sampling distance at the image's center."""
         return float(self.depth[self.depth.shape[0] // 2, self.depth.shape[1] // 2] / self.camera.params[0])
 
 

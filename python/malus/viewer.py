@@ -1,4 +1,4 @@
-"""What the report's interactive views need, packed small enough for one page: normal maps, colours, a mesh.
+"""What the report's interactive views need, packed small enough for one page: normal maps, colors, a mesh.
 
 Numbers travel as base64 of Deflate. A plane of 16-bit whole numbers is stored as differences to the value before it, low bytes
 first and then high bytes: smooth data shrink to about one byte a value. assets/unpack.js undoes it.
@@ -81,7 +81,7 @@ def _packed_normals(normals: NDArray[np.float64]) -> str:
 
 
 def albedo(picture: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Colour without the shading of the light it was taken under.
+    """Color without the shading of the light it was taken under.
 
     The shading is first-order in the normal, fitted to the picture's brightness by iteratively reweighted least squares (Cauchy), and
     kept above a fifth of its median, so that shadows are not blown up. picture: H×W×3, linear; normals: H×W×3, NaN = none.
@@ -106,7 +106,7 @@ def albedo(picture: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArra
 
 
 def relighting(workspace: Workspace) -> dict[str, Any]:
-    """Data of the relighting viewer: size, packed normals of both surfaces, colour with the object as alpha, mean slopes."""
+    """Data of the relighting viewer: size, packed normals of both surfaces, color with the object as alpha, mean slopes."""
     depth = workspace.raster("fused/depth.tif")
     window = _object_window(depth)
     fused = _normals_of(workspace.raster("fused/normals.tif"), window)
@@ -157,7 +157,7 @@ def mesh_view(workspace: Workspace) -> dict[str, Any]:
     u = camera.fx * in_camera[:, 0] / in_camera[:, 2] + camera.cx
     v = camera.fy * in_camera[:, 1] / in_camera[:, 2] + camera.cy
     window = _object_window(workspace.raster("fused/depth.tif"))
-    # The texture is the relighting viewer's colour image: its window of the pixel grid.
+    # The texture is the relighting viewer's color image: its window of the pixel grid.
     width = -(-(window.columns.stop - window.columns.start) // window.step) * window.step
     height = -(-(window.rows.stop - window.rows.start) // window.step) * window.step
     uv = np.stack([(u - window.columns.start + 0.5) / width, (v - window.rows.start + 0.5) / height])

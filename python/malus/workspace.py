@@ -96,7 +96,7 @@ class Workspace:
         return raster
 
     def color(self) -> Raster:
-        """Linear image of the object without polarization, H×W×3 if it was taken in colour, else H×W."""
+        """Linear image of the object without polarization, H×W×3 if it was taken in color, else H×W."""
         return self.raster(
             "polarization/color.tif" if self.has("polarization/color.tif") else "polarization/unpolarized.tif"
         )

@@ -43,7 +43,7 @@ SimilarityTransform compose(const SimilarityTransform& next, const SimilarityTra
   return result;
 }
 
-/// Small motion about a centre: rotation vector, translation and log of the scale, the latter two in units of `extent`.
+/// Small motion about a center: rotation vector, translation and log of the scale, the latter two in units of `extent`.
 SimilarityTransform small_motion(const Vector7& step, const Eigen::Vector3d& centre, double extent) {
   SimilarityTransform motion;
   motion.scale = std::exp(step[6]);

@@ -29,7 +29,7 @@ int mirrored(int index, int size) {
   return wrapped < size ? wrapped : 2 * size - 1 - wrapped;
 }
 
-/// Weighted sums over the neighbours of `count` consecutive values on either side, `stride` values apart. Compiled
+/// Weighted sums over the neighbors of `count` consecutive values on either side, `stride` values apart. Compiled
 /// without fused multiplications, so that processors agree to the bit.
 MALUS_SIMD_CLONES void blur_line(const float* centre, std::ptrdiff_t stride, const float* kernel, int radius, int count,
                                  float* sums) {

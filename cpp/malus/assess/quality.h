@@ -194,8 +194,8 @@ struct AssessInput {
   std::vector<std::string> doubts;  ///< why the inputs may be wrong, a sentence each
 };
 
-/// Depth / focal length at the image centre (median of the 5 × 5 pixels about it), or of the map's median depth where
-/// the centre is empty. Throws a data error if there is no depth at all.
+/// Depth / focal length at the image center (median of the 5 × 5 pixels about it), or of the map's median depth where
+/// the center is empty. Throws a data error if there is no depth at all.
 double ground_sampling_distance(const Image<float>& depth, const Pinhole& camera, const Context& context = {});
 
 /// Measures everything that the input allows. Throws an input error for a patch or profile outside of the image or

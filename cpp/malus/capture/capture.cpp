@@ -138,14 +138,14 @@ Exposures load_exposures(const CaptureInput& input, const ResponseCurve& curve, 
   return exposures;
 }
 
-/// One mosaic → the images of its four polarizers; of a colour camera the weighted sum of the colours, and their mean
+/// One mosaic → the images of its four polarizers; of a color camera the weighted sum of the colors, and their mean
 /// over the polarizers as `color`.
 /// `shared`: MosaicSplit::shared.
 void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>& color, Image<float>& shared,
                   const Context& context) {
   const Image<float> mosaic = std::move(exposures.images[0]);
   const std::string name = exposures.names[0];
-  // Samples that make a pixel: its neighbours twice, once through their smoothed contrasts; in colour those two
+  // Samples that make a pixel: its neighbors twice, once through their smoothed contrasts; in color those two
   // further.
   const Mask saturated = spread_flags(exposures.saturated[0], spec.mosaic_colors ? 4 : 3, context);
   exposures.images.assign(4, {});
@@ -168,7 +168,7 @@ void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>&
     }
     std::ranges::move(split.grey.channels, exposures.images.begin());
     shared = std::move(split.grey.shared);
-    // One colour is asked for because the colours are polarized differently.
+    // One color is asked for because the colors are polarized differently.
     const auto used = std::ranges::count_if(weights, [](double weight) { return weight != 0; });
     if (used == 1) {
       const auto c =
@@ -308,8 +308,8 @@ void fill_stack(Exposures& exposures, const CaptureInput& input, const std::vect
   }
 }
 
-/// Mean over the images (of the shortest exposure) of their linear colours; a second pass over the files keeps one
-/// colour image in memory.
+/// Mean over the images (of the shortest exposure) of their linear colors; a second pass over the files keeps one
+/// color image in memory.
 Image<float> mean_color(const CaptureInput& input, const ResponseCurve& curve, const CaptureOptions& options, Size size,
                         const std::vector<Affine>& maps, const Context& context) {
   Image<float> mean(size, 3);

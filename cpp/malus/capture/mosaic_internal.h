@@ -27,23 +27,23 @@ struct MosaicSplit {
 /// `name`.
 MosaicSplit demosaic(const Image<float>& mosaic, const std::string& name, const Context& context);
 
-/// Splits the mosaic of a colour polarization camera into one mosaic a colour (R, G, B), to be handed to `demosaic`.
-/// Each 2 × 2 cell of polarizers lies under one colour filter, and 2 × 2 cells make a Bayer pattern: `colors` are its
-/// letters by rows, such as "RGGB". Among the samples of one polarizer each colour is interpolated bilinearly: for the
-/// polarization of one colour alone, as texture passes for polarization.
+/// Splits the mosaic of a color polarization camera into one mosaic a color (R, G, B), to be handed to `demosaic`.
+/// Each 2 × 2 cell of polarizers lies under one color filter, and 2 × 2 cells make a Bayer pattern: `colors` are its
+/// letters by rows, such as "RGGB". Among the samples of one polarizer each color is interpolated bilinearly: for the
+/// polarization of one color alone, as texture passes for polarization.
 /// Width and height are multiples of 4.
 std::array<Image<float>, 3> split_colors(const Image<float>& mosaic, const std::string& colors, const std::string& name,
                                          const Context& context);
 
-/// A colour polarization camera's mosaic: intensities behind the polarizers in the order of the cell, free of colour,
-/// and the factor of each colour (R, G, B).
+/// A color polarization camera's mosaic: intensities behind the polarizers in the order of the cell, free of color,
+/// and the factor of each color (R, G, B).
 struct ColorMosaic {
   MosaicSplit grey;
   std::array<Image<float>, 3> ratios;
 };
 
-/// Splits a mosaic as split_colors describes it under the assumption that all colours are polarized alike. Colour
-/// varies less than brightness, as polarization does: the factor of each colour over its samples, smoothed (Gaussian, 2
+/// Splits a mosaic as split_colors describes it under the assumption that all colors are polarized alike. Color
+/// varies less than brightness, as polarization does: the factor of each color over its samples, smoothed (Gaussian, 2
 /// px), is divided out, and `demosaic` splits what is left at full resolution; three rounds.
 ColorMosaic demosaic_color(const Image<float>& mosaic, const std::string& colors, const std::string& name,
                            const Context& context);

@@ -17,7 +17,7 @@ std::optional<NoiseModel> estimate_noise(const Image<float>& intensity, const Ma
 
 /// Noise model of a station's linear images. Full well and read noise come from the station file, else from
 /// estimate_noise, else 20000 and 8 electrons. Added to them:
-///  - the weighted sum of colour channels, Σ w² of one channel's variance;
+///  - the weighted sum of color channels, Σ w² of one channel's variance;
 ///  - quantization behind a response curve that is not linear: its variance slope² step² / 12 grows about linearly with
 ///    the signal, so it is carried as additional shot noise (matched at half of white), plus a constant part at black.
 NoiseModel noise_model(const PolarizedSpec& spec, const ResponseCurve& curve, const Levels& levels,

@@ -16,7 +16,7 @@ struct PolarizedStack {
   NoiseModel noise;
   Mask mask;            ///< 255 = object and inside every image
   Mask saturated;       ///< 255 = at the white level in at least one image
-  Image<float> color;   ///< mean linear colour, 3 channels RGB, or empty for monochrome captures
+  Image<float> color;   ///< mean linear color, 3 channels RGB, or empty for monochrome captures
   Image<float> shared;  ///< of images interpolated from a mosaic: how many pixels share a measurement; else empty
   Pinhole camera;       ///< of these rasters
   /// Base pixel → pixel of image k before resampling (2 × 3 affine), identity for the base image.

@@ -45,7 +45,7 @@ Image<float> half_size(const Image<float>& image) {
   return half;
 }
 
-/// Displacement p(x) = (p0 + p2 x + p3 y, p1 + p4 x + p5 y), x and y from the centre in units of the width.
+/// Displacement p(x) = (p0 + p2 x + p3 y, p1 + p4 x + p5 y), x and y from the center in units of the width.
 Affine displaced(const Affine& map, const Vector6& p, Size size) {
   const double w = size.width, cu = 0.5 * (size.width - 1), cv = 0.5 * (size.height - 1);
   Eigen::Matrix2d linear = Eigen::Matrix2d::Identity();
@@ -65,7 +65,7 @@ std::array<Eigen::Vector2d, 5> corners_and_center(Size size) {
   return {{{0, 0}, {right, 0}, {0, bottom}, {right, bottom}, {0.5 * right, 0.5 * bottom}}};
 }
 
-/// Mean square of the displacement over corners and centre, for a covariance (or outer product) of the parameters.
+/// Mean square of the displacement over corners and center, for a covariance (or outer product) of the parameters.
 double mean_square_displacement(const Matrix6& covariance, Size size) {
   const double w = size.width;
   double sum = 0;
@@ -253,7 +253,7 @@ class Level {
     mean_row(rows.bands(row), rows.mean(row));
   }
 
-  /// The row with its neighbours; pixels outside the region do not count.
+  /// The row with its neighbors; pixels outside the region do not count.
   AlignedRow aligned_row(const Region& region, int v, int row, AlignedRows& rows) const {
     std::fill_n(rows.information(), BlockRow::length, 0.0F);
     std::copy(contrast_.information.row(v) + region.u0, contrast_.information.row(v) + region.u1,

@@ -50,8 +50,8 @@ struct ImageRegistration {
   RegistrationStatus status = RegistrationStatus::not_run;
   std::string message;                         ///< what happened, when it is not ok
   Affine image_from_base = identity_affine();  ///< pixel of the first image → pixel of this one
-  double displacement_px = 0;                  ///< RMS over the image's corners and centre
-  /// One standard deviation of the displacement, RMS over corners and centre, from the scatter of the normal equations
+  double displacement_px = 0;                  ///< RMS over the image's corners and center
+  /// One standard deviation of the displacement, RMS over corners and center, from the scatter of the normal equations
   /// between 96 parts of the image (sandwich estimate): holds what noise alone does not explain, such as edges whose
   /// polarization changes their contrast.
   double rms_px = 0;
@@ -71,7 +71,7 @@ struct ImageRegistration {
 std::vector<ImageRegistration> register_images(const std::vector<Image<float>>& images, const NoiseModel& noise,
                                                const RegistrationOptions& options, const Context& context);
 
-/// RMS displacement of an affine map from another over corners and centre of an image [px].
+/// RMS displacement of an affine map from another over corners and center of an image [px].
 double affine_distance_px(const Affine& a, const Affine& b, Size size);
 
 }  // namespace malus

@@ -18,7 +18,7 @@ constexpr int length = BlockRow::length;
   weights[3] = a * (f2 - f3);
 }
 
-/// Positions within their samples, which are neighbours too: linear along a run of pixels.
+/// Positions within their samples, which are neighbors too: linear along a run of pixels.
 struct Run {
   float fu, fu_step, fv, fv_step;
 };

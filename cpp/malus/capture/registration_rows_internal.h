@@ -15,16 +15,16 @@ struct BlockRow {
 };
 
 /// Bicubic values of `band` where the pixels (u, v), (u + 1, v), … of the first image lie in it. The 4 × 4 samples of
-/// each must exist. Near the identity the samples of neighbouring pixels are neighbours, and are loaded as such.
+/// each must exist. Near the identity the samples of neighboring pixels are neighbors, and are loaded as such.
 void resample_row(const Image<float>& band, const Affine& map, Interpolation interpolation, int u, int v,
                   std::span<float> values);
 
-/// A row in every image, aligned, and its neighbours in their mean. Each pointer is to BlockRow::length values.
+/// A row in every image, aligned, and its neighbors in their mean. Each pointer is to BlockRow::length values.
 struct AlignedRow {
   std::span<const float* const> bands;  ///< one an image
   const float *mean, *mean_above, *mean_below;
   const float* information;  ///< 1 / noise variance; 0 where a pixel does not count, first and last among them
-  float x;                   ///< of the first pixel, from the image's centre in units of its width …
+  float x;                   ///< of the first pixel, from the image's center in units of its width …
   float x_step;              ///< … and from pixel to pixel
 };
 

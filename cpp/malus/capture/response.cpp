@@ -77,7 +77,7 @@ class Linearizer {
   }
   bool saturated(double dn) const { return encoded(dn) >= levels_.saturation; }
 
-  /// Puts linear intensities in the place of a row of grey values; whether all of them are finite.
+  /// Puts linear intensities in the place of a row of gray values; whether all of them are finite.
   bool linearize_row(float* values, int count, std::uint8_t* saturated) const {
     // Copies, which the writing of bytes cannot change: these loops are vector code.
     const double black = levels_.black_dn, range = levels_.white_dn - black, saturation = levels_.saturation;

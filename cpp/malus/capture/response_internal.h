@@ -68,7 +68,7 @@ struct LinearImage {
 LinearImage linearize(RawImage raw, const ResponseCurve& curve, const Levels& levels,
                       const std::array<double, 3>& weights, const std::string& name, const Context& context);
 
-/// The three linear channels of a colour image.
+/// The three linear channels of a color image.
 Image<float> linearize_color(const RawImage& raw, const ResponseCurve& curve, const Levels& levels,
                              const Context& context);
 

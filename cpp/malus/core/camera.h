@@ -12,7 +12,7 @@ namespace malus {
 struct PixelRect;
 
 /// Camera without distortion, the camera of every raster after undistortion.
-/// In pixels, memory convention: the centre of the top-left pixel is (0, 0).
+/// In pixels, memory convention: the center of the top-left pixel is (0, 0).
 struct Pinhole {
   Size size;
   double fx = 1, fy = 1, cx = 0, cy = 0;
@@ -49,8 +49,8 @@ int parameter_count(LensModel model);
 ///   simple_pinhole f cx cy · pinhole fx fy cx cy · simple_radial f cx cy k · radial f cx cy k1 k2 ·
 ///   opencv fx fy cx cy k1 k2 p1 p2 · full_opencv … k1 k2 p1 p2 k3 k4 k5 k6.
 /// These models go from ideal to measured coordinates. `brown` (Eq 12 and 13) goes from measured to ideal:
-///   brown focal_mm pixel_mm x0_mm y0_mm k1 k2 k3 p1 p2 p3 — see docs/conventions.md; image centre at
-///   ((width-1)/2, (height-1)/2), image x to the right and image y up, in millimetres.
+///   brown focal_mm pixel_mm x0_mm y0_mm k1 k2 k3 p1 p2 p3 — see docs/conventions.md; image center at
+///   ((width-1)/2, (height-1)/2), image x to the right and image y up, in millimeters.
 struct LensCamera {
   LensModel model = LensModel::pinhole;
   Size size;

@@ -12,7 +12,7 @@ namespace malus {
 
 using Rgb = std::array<std::uint8_t, 3>;
 
-/// Points in one frame and unit; normals and colours are empty or one a point.
+/// Points in one frame and unit; normals and colors are empty or one a point.
 struct PointCloud {
   std::vector<Eigen::Vector3d> points;
   std::vector<Eigen::Vector3f> normals;
@@ -26,7 +26,7 @@ struct TriangleMesh {
 };
 
 /// Consecutive vertices and triangles of a mesh, from these on. Its triangles count vertices from the strip's first;
-/// behind its own vertices stand those of the next strip that they need, without normals and colours.
+/// behind its own vertices stand those of the next strip that they need, without normals and colors.
 struct MeshStrip {
   std::size_t first_vertex = 0, first_triangle = 0;
   std::size_t vertices = 0;  ///< its own
@@ -35,7 +35,7 @@ struct MeshStrip {
 
 /// A mesh that is not held in memory: its strips are made when they are asked for, by any number of threads.
 struct MeshInStrips {
-  enum class Parts { geometry, all };  ///< points and triangles; with normals and colours
+  enum class Parts { geometry, all };  ///< points and triangles; with normals and colors
 
   std::size_t vertices = 0, triangles = 0, strips = 0;
   bool has_colors = false;  ///< there are normals always

@@ -27,7 +27,7 @@ inline std::string to_string(Size size) {
 }
 
 /// A raster that owns its pixels: height × width × channels, row major, channels interleaved, no padding.
-/// Pixel coordinates are (u, v) = (column, row) with the centre of the top-left pixel at (0, 0).
+/// Pixel coordinates are (u, v) = (column, row) with the center of the top-left pixel at (0, 0).
 template <class T>
 class Image {
  public:

@@ -15,7 +15,7 @@ struct Pose {
   Eigen::Vector3d world_from_cam(const Eigen::Vector3d& x_in_cam) const {
     return rotation.transpose() * (x_in_cam - translation);
   }
-  /// Projection centre in the world.
+  /// Projection center in the world.
   Eigen::Vector3d centre() const { return -rotation.transpose() * translation; }
 };
 

@@ -44,7 +44,7 @@ bool is_likely(double width_m, double distance_m) {
   return width_m >= smallest_m && width_m <= largest_m && distance_m >= nearest_m && distance_m <= farthest_m;
 }
 
-/// A unit in which size and distance would be usual, millimetres and metres first.
+/// A unit in which size and distance would be usual, millimeters and meters first.
 std::optional<std::string> likelier_unit(double width, double distance, const std::string& unit) {
   for (const char* const name : {"mm", "m", "cm", "um"}) {
     const double metres = length_unit(name).metres;

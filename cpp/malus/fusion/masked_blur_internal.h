@@ -6,7 +6,7 @@
 namespace malus {
 
 /// Gaussian mean (standard deviation sigma_px, cut at 3 sigma) of the pixels where `mask` is set and the value is
-/// finite; NaN where the mask is not set. Pixels without such neighbours get 0.
+/// finite; NaN where the mask is not set. Pixels without such neighbors get 0.
 Image<float> masked_blur(const Image<float>& values, const Mask& mask, double sigma_px, const Context& context);
 
 }  // namespace malus

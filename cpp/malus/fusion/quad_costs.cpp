@@ -52,7 +52,7 @@ class Neighbourhood {
   std::array<Entry, side * side> entries_;
 };
 
-/// One-sided difference along an axis, towards `step`: sign · (neighbour − centre).
+/// One-sided difference along an axis, towards `step`: sign · (neighbor − center).
 struct Difference {
   bool exists = false;
   double value = 0;

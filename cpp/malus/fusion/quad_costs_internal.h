@@ -13,7 +13,7 @@ namespace malus {
 
 // Ceres sees the unknowns in quads, parameter blocks of 2 × 2 pixels (order: (0,0), (1,0), (0,1), (1,1)). One cost
 // function a quad instead of one a difference pair keeps Ceres' bookkeeping (cells, products, ordering) small beside
-// the arithmetic. Every cost joins neighbouring quads only, diagonal ones included (the prior's those of its block):
+// the arithmetic. Every cost joins neighboring quads only, diagonal ones included (the prior's those of its block):
 // the elimination order counts on it. Weights and log_body are read from the field, which must not change during a
 // solve.
 
@@ -52,7 +52,7 @@ class QuadCost : public ceres::CostFunction {
 };
 
 /// Stokes residuals of one pixel on its four one-sided difference pairs, a quarter of the weight each, in standard
-/// deviations. 8 residuals; quads: its own and the two that hold its neighbours.
+/// deviations. 8 residuals; quads: its own and the two that hold its neighbors.
 class StokesCost final : public QuadCost {
  public:
   StokesCost(const RefinementField& field, int u, int v);
@@ -103,9 +103,9 @@ class SmoothnessCost final : public QuadCost {
 
 /// Albedo changes little along u and v: ln body − ln shading half a pixel before a pixel against half a pixel after it.
 /// Shading there comes from the one-sided slope along the axis and the mean of the two pixels' central slopes across,
-/// ln body is their mean. Central slopes of neighbouring pixels instead would join quads that are not neighbours, which
+/// ln body is their mean. Central slopes of neighboring pixels instead would join quads that are not neighbors, which
 /// makes the factor of the system four times as large. 2 residuals; quads: its own and the three that hold its
-/// neighbours.
+/// neighbors.
 class AlbedoCost final : public QuadCost {
  public:
   AlbedoCost(const RefinementField& field, int u, int v);

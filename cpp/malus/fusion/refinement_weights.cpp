@@ -19,7 +19,7 @@ double square(double x) {
 }
 
 /// Body light of specular pixels: s0 less the mirror image of the usual surroundings, where that is a likely value; the
-/// neighbours' elsewhere, because steep slopes see other, darker surroundings.
+/// neighbors' elsewhere, because steep slopes see other, darker surroundings.
 void estimate_mirror_body(RefinementField& field, const Context& context) {
   const double likely = std::clamp(3.3 * field.reflection.mirror.body_spread, 0.25, 0.5);
   constexpr double blur_px = 4, few = 0.02;

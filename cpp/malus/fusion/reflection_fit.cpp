@@ -108,7 +108,7 @@ LinearFit fit_linear(const std::vector<LinearizedSample>& samples, const std::ve
       rhs[node_count] += w * column.dot(s.base);
     }
     const double smoothness = 1e-4 * normal.topLeftCorner(node_count, node_count).trace();
-    for (int j = 0; j + 1 < node_count; ++j) {  // empty zeniths follow their neighbours
+    for (int j = 0; j + 1 < node_count; ++j) {  // empty zeniths follow their neighbors
       normal(j, j) += smoothness;
       normal(j + 1, j + 1) += smoothness;
       normal(j, j + 1) -= smoothness;

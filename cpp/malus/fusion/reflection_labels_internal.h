@@ -12,7 +12,7 @@ namespace malus {
 /// rows, which cover the image, one after the other. Returns the share of specular evidence over the whole object.
 double label_reflection(RefinementImage& image, const std::vector<RowRange>& strips, const Context& context);
 
-/// Share of object pixels labelled specular.
+/// Share of object pixels labeled specular.
 double specular_share(const SurfaceEstimate& surface);
 
 }  // namespace malus

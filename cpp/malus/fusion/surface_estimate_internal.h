@@ -33,7 +33,7 @@ struct SurfaceEstimate {
   double depth_of(double value) const { return std::exp(value / focal + log_depth_origin); }
 };
 
-/// Gradient of x by central differences, one-sided where only one neighbour is on the object, 0 where none is.
+/// Gradient of x by central differences, one-sided where only one neighbor is on the object, 0 where none is.
 Eigen::Vector2d central_gradient(const SurfaceEstimate& surface, int u, int v);
 
 /// Slopes (p, q) of the current surface at a pixel, from the central gradient.

@@ -38,7 +38,7 @@ class ExplainedPolarization {
   Eigen::Vector3d mean_normal_;
 };
 
-/// Value of a raster of square cells at a pixel, bilinear between the centres of the cells.
+/// Value of a raster of square cells at a pixel, bilinear between the centers of the cells.
 double between_cells(const Image<float>& cells, int cell_px, int u, int v);
 
 /// Adds to the surface the low frequencies (Gaussian of `length_px`) of what it lacks of the prior. Errors of a

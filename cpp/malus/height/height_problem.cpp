@@ -99,7 +99,7 @@ void HeightProblem::for_each_pixel(Body&& body) {
 }
 
 /// Derivative along an axis at a pixel: central; at a border of the object one-sided and exact for parabolas; across
-/// two pixels if there are no more; count 0 if the pixel has no neighbour.
+/// two pixels if there are no more; count 0 if the pixel has no neighbor.
 HeightProblem::Difference HeightProblem::difference(int u, int v, int du, int dv) const {
   const int here = pixels_.at(u, v), after = pixels_.at(u + du, v + dv), before = pixels_.at(u - du, v - dv);
   if (after >= 0 && before >= 0) return {{after, before, 0}, {0.5, -0.5, 0}, 2};

@@ -42,7 +42,7 @@ struct ColmapPoint {
 };
 
 /// A COLMAP reconstruction by its ids. Pixels are in the memory convention: this file's functions are the only place
-/// that converts (COLMAP's pixel centres are at +0.5).
+/// that converts (COLMAP's pixel centers are at +0.5).
 struct ColmapModel {
   std::map<std::uint32_t, LensCamera> cameras;
   std::map<std::uint32_t, ColmapImage> images;

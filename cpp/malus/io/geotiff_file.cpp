@@ -114,7 +114,7 @@ void add_fields(TIFF* tiff) {
 void write_reference(TIFF* tiff, const PlaneReference& reference) {
   add_fields(tiff);
   const double scale[] = {reference.pixel, reference.pixel, 0};
-  // With pixels as areas the centre of the top-left one is (0.5, 0.5).
+  // With pixels as areas the center of the top-left one is (0.5, 0.5).
   const double tiepoint[] = {0.5, 0.5, 0, 0, 0, 0};
   TIFFSetField(tiff, tag_pixel_scale, 3, scale);
   TIFFSetField(tiff, tag_tiepoint, 6, tiepoint);

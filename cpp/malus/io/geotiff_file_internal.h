@@ -10,7 +10,7 @@
 
 namespace malus {
 
-/// How a raster lies in a plane of its own: x to the right and y up, the centre of its top-left pixel at (0, 0).
+/// How a raster lies in a plane of its own: x to the right and y up, the center of its top-left pixel at (0, 0).
 struct PlaneReference {
   double pixel = 1;   ///< size of a pixel in both directions, in `unit`
   LengthUnit unit;    ///< of the plane's coordinates and of the values

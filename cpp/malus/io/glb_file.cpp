@@ -85,7 +85,7 @@ Json accessor(int view, int component, const char* type, std::size_t count) {
 using Float2 = std::array<float, 2>;
 using Float3 = std::array<float, 3>;
 
-/// Positions in metres about the middle of their bounding box.
+/// Positions in meters about the middle of their bounding box.
 class Positions {
  public:
   Positions(const std::vector<Eigen::Vector3d>& points, double metres) : metres_(metres) {
@@ -103,7 +103,7 @@ class Positions {
     return {about.x(), about.y(), about.z()};
   }
 
-  Eigen::Vector3d middle;  ///< in metres
+  Eigen::Vector3d middle;  ///< in meters
   Float3 low, high;
 
  private:

@@ -13,7 +13,7 @@
 
 namespace malus {
 
-/// The photograph of a mesh: every vertex takes its colour from where this camera sees it.
+/// The photograph of a mesh: every vertex takes its color from where this camera sees it.
 struct ProjectedTexture {
   const Image<std::uint8_t>&
       image;  ///< sRGB, 1 or 3 channels, covers the whole view; may be smaller than the camera's size
@@ -21,7 +21,7 @@ struct ProjectedTexture {
   const Pose& pose;
 };
 
-/// Writes a mesh with a texture as binary glTF 2.0, atomically: one file, in metres (`unit` is the mesh's), in the
+/// Writes a mesh with a texture as binary glTF 2.0, atomically: one file, in meters (`unit` is the mesh's), in the
 /// mesh's own frame and therefore not turned to glTF's y up. Positions are 32-bit floats about the middle of the
 /// bounding box, which is the node's translation, so that a national grid loses nothing. UV = pixel grid of the camera;
 /// the texture is a JPEG, the material rough and not metallic. A second node carries the camera, to look from where the

@@ -17,7 +17,7 @@ struct RawImage {
 };
 
 /// Reads PNG (1 to 16 bits; up to 8 come out scaled to 8), TIFF (8 or 16 bits unsigned, 32 or 64 bits float) or JPEG
-/// (8 bits), grey or colour. The content decides, not the file name. An alpha channel is dropped; palettes are
+/// (8 bits), gray or color. The content decides, not the file name. An alpha channel is dropped; palettes are
 /// expanded. EXIF orientation is ignored: pixels come out in the order in which the sensor's file stores them, the same
 /// for all of a station's files. `what` names the file's purpose in messages.
 ///

@@ -11,7 +11,7 @@ namespace malus {
 /// Reads a point cloud, coordinates as they stand in the file.
 ///
 /// PLY, ASCII or binary of either byte order, properties in any order and of any type: x, y, z; optionally nx, ny, nz
-/// and red, green, blue (floating-point colours are taken as 0 to 1, 16-bit ones are scaled); everything else is passed
+/// and red, green, blue (floating-point colors are taken as 0 to 1, 16-bit ones are scaled); everything else is passed
 /// over. XYZ text: one point a line, separated by blanks, commas or semicolons; lines starting with #, // or % are
 /// comments, except that a first line with column names (x y z nx ny nz r g b, in any order) says what the columns are.
 /// Without names: x y z; six columns are x y z r g b if the first line's last three are whole numbers from 0 to 255 and
@@ -33,7 +33,7 @@ TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context
 TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context& context = {},
                                 const std::string& what = "cloud or mesh");
 
-/// Writes binary little-endian PLY, atomically (see AtomicFile): x, y, z, then normals (float) and colours (uchar)
+/// Writes binary little-endian PLY, atomically (see AtomicFile): x, y, z, then normals (float) and colors (uchar)
 /// where there are any. Coordinates are float unless rounding to float could move a point by more than a thousandth of
 /// the mean vertex spacing (diagonal of the bounding box / √count), as it does in a national grid; then they are
 /// double.

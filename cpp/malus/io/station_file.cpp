@@ -284,7 +284,7 @@ OpticsSpec read_optics(const TomlTable& table) {
 
 // ---- [camera] ----
 
-/// Lens in COLMAP's order and pixel convention (params), or photogrammetric (BROWN, millimetres).
+/// Lens in COLMAP's order and pixel convention (params), or photogrammetric (BROWN, millimeters).
 LensCamera read_lens(const TomlTable& table) {
   constexpr Range side{1, 65536};
   LensCamera lens;

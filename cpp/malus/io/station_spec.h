@@ -31,7 +31,7 @@ constexpr auto names_of(AngleDirection) {
   return std::to_array<std::string_view>({"ccw", "cw"});
 }
 
-/// What is taken of a colour image.
+/// What is taken of a color image.
 enum class ColorChannel { luminance, red, green, blue, mean };
 constexpr auto names_of(ColorChannel) {
   return std::to_array<std::string_view>({"luminance", "red", "green", "blue", "mean"});
@@ -45,7 +45,7 @@ struct PolarizedSpec {
   double angle_zero_deg = 0;  ///< what the scale reads when the axis is along image +x
   std::optional<std::array<double, 4>>
       mosaic;  ///< angles of the 2 × 2 cell: top left, top right, bottom left, bottom right
-  std::optional<std::string> mosaic_colors;  ///< of a colour camera's mosaic: Bayer pattern of the cells, "RGGB"
+  std::optional<std::string> mosaic_colors;  ///< of a color camera's mosaic: Bayer pattern of the cells, "RGGB"
   /// Exposure times [s] of the images, deliberately different: images of one angle are merged. Nothing = all alike.
   std::optional<std::vector<double>> exposure_s;
   ColorChannel channel = ColorChannel::luminance;

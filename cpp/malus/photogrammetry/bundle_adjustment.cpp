@@ -39,7 +39,7 @@ std::pair<Eigen::Matrix3d, Eigen::Matrix3d> exponential(const Eigen::Vector3d& w
   return {rotation, jacobian};
 }
 
-/// A pose as it is adjusted: a small rotation after the one at the start, and the projection centre.
+/// A pose as it is adjusted: a small rotation after the one at the start, and the projection center.
 struct PoseUnknowns {
   Eigen::Matrix3d start;
   std::array<double, 6> values{};

@@ -28,7 +28,7 @@ constexpr double least_sine = 0.34;
 /// Windows flatter than this, in intensities of [0, 1], hold nothing but noise.
 constexpr double least_contrast = 0.01;
 
-/// Position of a window in an image: pixel = shape · offset + centre.
+/// Position of a window in an image: pixel = shape · offset + center.
 struct Placement {
   Eigen::Matrix2d shape = Eigen::Matrix2d::Identity();
   Eigen::Vector2d centre = Eigen::Vector2d::Zero();

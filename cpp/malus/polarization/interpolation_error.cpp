@@ -16,7 +16,7 @@ constexpr float smallest_factor = 4;
 /// Variance of s1 and s2 over that of the residual: texture has less at the one frequency that looks like a residual
 /// (alternating along both axes) than at those that look like polarization (along one axis).
 constexpr float aliasing = 5;
-/// Residuals beyond are moved things or highlights: they do not speak for their neighbours.
+/// Residuals beyond are moved things or highlights: they do not speak for their neighbors.
 constexpr float largest = 30;
 
 }  // namespace

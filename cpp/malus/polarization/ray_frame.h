@@ -20,7 +20,7 @@ struct Slopes {
 
 /// Frame of one pixel's ray, in the camera frame: zenith and azimuth of a normal, and so the phase of polarization,
 /// refer to it and not to the optical axis. `right` is perpendicular to the ray and to the image's vertical, `up`
-/// points to the top of the image, `view` from the surface to the camera centre.
+/// points to the top of the image, `view` from the surface to the camera center.
 struct RayFrame {
   Eigen::Vector3d right{1, 0, 0};
   Eigen::Vector3d up{0, -1, 0};

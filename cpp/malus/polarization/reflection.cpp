@@ -42,7 +42,7 @@ Evidence evidence_at(const PolarizationState& state, const Pinhole* camera, cons
   return {weight, radial < 0 ? weight : 0};
 }
 
-/// Share of specular evidence around each pixel: cells of region_px, smoothed over their neighbours, interpolated.
+/// Share of specular evidence around each pixel: cells of region_px, smoothed over their neighbors, interpolated.
 class PooledEvidence {
  public:
   PooledEvidence(const PolarizationState& state, const Pinhole* camera, const Image<float>& normals,

@@ -19,7 +19,7 @@ struct DepthPrior {
   double points_total = 0;     ///< in the file
   double points_used = 0;      ///< visible, inliers
   double noise = 0;            ///< robust standard deviation of a point about the surface, station unit
-  double spacing_px = 0;       ///< mean distance of neighbouring used points in the view
+  double spacing_px = 0;       ///< mean distance of neighboring used points in the view
   double smoothing_px = 0;     ///< chosen smoothing length
   double filled_fraction = 0;  ///< share of object pixels farther than 2 · spacing from any point
 };

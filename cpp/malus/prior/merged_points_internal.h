@@ -20,7 +20,7 @@ struct MergedPoints {
 };
 
 /// Projects the cloud (world frame). Those of its points that are in front of the camera, on the object and face the
-/// camera are merged where they are of one pixel and one surface: neighbouring points of a dense cloud are hardly
+/// camera are merged where they are of one pixel and one surface: neighboring points of a dense cloud are hardly
 /// independent, and what follows stays within a few points a pixel. The others are added to the census. No points if
 /// there are none. Throws an input error for points that are not finite.
 MergedPoints project_and_merge(const PointCloud& cloud, const Pinhole& camera, const Pose& pose, const Mask& mask,

@@ -18,7 +18,7 @@ struct Neighbors {
   std::vector<std::uint64_t> keys;     ///< scratch
 };
 
-/// Nearest neighbours in the view by a grid of cells.
+/// Nearest neighbors in the view by a grid of cells.
 class NeighborSearch {
  public:
   /// Among points in row order, without those that are left out: one flag a point, or no flags. One is left at least.

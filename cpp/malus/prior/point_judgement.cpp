@@ -11,15 +11,15 @@
 namespace malus {
 namespace {
 
-/// What is asked of a point's neighbours.
+/// What is asked of a point's neighbors.
 class Judge {
  public:
   Judge(std::span<const ViewPoint> points, const VisibilityOptions& options)
       : points_(points), options_(options), max_slope_(std::tan(options.max_slope_deg * std::numbers::pi / 180)) {}
 
-  /// Where few neighbours are farther in height than is always allowed the questions need not be asked.
+  /// Where few neighbors are farther in height than is always allowed the questions need not be asked.
   struct Heights {
-    std::size_t nearer = 0, beside = 0;  ///< neighbours nearer than that, and within it
+    std::size_t nearer = 0, beside = 0;  ///< neighbors nearer than that, and within it
   };
   Heights heights(const ViewPoint& p, const std::vector<std::uint32_t>& neighbors) const {
     Heights counts;
@@ -31,7 +31,7 @@ class Judge {
     return counts;
   }
 
-  /// A point is hidden if a good part of its neighbours are nearer by more than the steepest visible slope explains,
+  /// A point is hidden if a good part of its neighbors are nearer by more than the steepest visible slope explains,
   /// and they surround it (beside an occluding edge the nearer points are on one side only).
   bool is_hidden(const ViewPoint& p, const std::vector<std::uint32_t>& neighbors, const Heights& heights) const {
     constexpr std::size_t least = 3;
@@ -50,7 +50,7 @@ class Judge {
     return nearer >= least && 4 * nearer >= neighbors.size() && direction.norm() < 0.6 * static_cast<double>(nearer);
   }
 
-  /// Whether the height is far from the median of the neighbourhood, measured by the neighbourhood's own spread.
+  /// Whether the height is far from the median of the neighborhood, measured by the neighborhood's own spread.
   bool is_outlier(const ViewPoint& p, const std::vector<std::uint32_t>& neighbors, const Heights& heights,
                   std::vector<double>& scratch) const {
     // With the point itself most of them are beside it: so is their median.

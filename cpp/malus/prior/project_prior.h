@@ -91,7 +91,7 @@ struct SweptDepth {
   Image<float> shape;  ///< z of the surface that it was measured about, all over the object; empty = no such surface
 };
 
-/// Coarse surface from a swept depth map: neighbouring pixels share most of their windows and so of their errors,
+/// Coarse surface from a swept depth map: neighboring pixels share most of their windows and so of their errors,
 /// therefore only every fourth pixel of every fourth row becomes a point of a cloud, which is smoothed as above. With a
 /// shape it is the difference from it that is smoothed, so that its detail stays and it goes on where there is no
 /// depth. `sigma` bounds that of the surface from below; pixels where it is not finite and positive count as without

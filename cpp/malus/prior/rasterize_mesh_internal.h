@@ -8,7 +8,7 @@
 
 namespace malus {
 
-/// Depth (z in the camera) of the nearest triangle at each pixel's centre, NaN where there is none; 1 / z is linear in
+/// Depth (z in the camera) of the nearest triangle at each pixel's center, NaN where there is none; 1 / z is linear in
 /// a triangle's image, which makes the interpolation perspective-correct. Triangles of either orientation count; those
 /// that reach behind the camera are left out. Throws an input error for vertices that are not finite or triangles that
 /// name a vertex the mesh does not have.

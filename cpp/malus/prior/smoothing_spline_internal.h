@@ -64,7 +64,7 @@ class SmoothingSpline {
   double evaluate(double u, double v) const;
   Eigen::Vector2d evaluate_slope(double u, double v) const;
   /// Variance of f for unit noise variance, one value a cell (columns × rows, 0 where inactive): the posterior of the
-  /// last solve by `samples` draws, smoothed over neighbouring cells.
+  /// last solve by `samples` draws, smoothed over neighboring cells.
   Image<float> variance(int samples, std::uint64_t seed);
 
   double cell_px() const { return cell_px_; }
@@ -106,7 +106,7 @@ class SmoothingSpline {
   Eigen::Matrix<double, 9, 9> stiffness_;  ///< of any cell
   std::vector<float> tilt_;                ///< factor that turns a cell's bending into that of the surface
   std::vector<float> softening_;           ///< factor of λ², a cell
-  std::vector<std::int32_t> slots_;        ///< 13 a column: where the lower neighbours' entries are
+  std::vector<std::int32_t> slots_;        ///< 13 a column: where the lower neighbors' entries are
   double lambda_ = 0, kappa_ = 0;
   Eigen::VectorXd coefficients_;
   SymmetricSolver::Matrix matrix_;  ///< lower triangle

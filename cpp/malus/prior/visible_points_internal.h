@@ -45,7 +45,7 @@ struct PointCensus {
 struct VisiblePoints {
   LargeVector<ViewPoint> points;  ///< at most a few a pixel, in row order
   double reference_depth = 0;     ///< median depth
-  double spacing_px = 0;          ///< of neighbouring points, median over the points
+  double spacing_px = 0;          ///< of neighboring points, median over the points
   PointCensus census;
 };
 
@@ -59,7 +59,7 @@ struct VisibilityOptions {
 
 /// Points of a cloud (world frame) that the station sees on the object: projected by the collinearity equations
 /// (Eq 12, into the undistorted view), in front of the camera, inside the mask, facing the camera where the cloud has
-/// normals, not hidden behind nearer points around them, and not outliers among their nearest neighbours in the view.
+/// normals, not hidden behind nearer points around them, and not outliers among their nearest neighbors in the view.
 /// Points of one pixel at the same depth are averaged, with their normals. Throws an input error for values that are
 /// not finite or normals that do not match the points.
 VisiblePoints visible_points(const PointCloud& cloud, const Pinhole& camera, const Pose& pose, const Mask& mask,

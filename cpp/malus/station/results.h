@@ -41,7 +41,7 @@ struct ImageFindings {
   std::vector<Finding> findings;
 };
 
-/// Mean linear colour of the images, empty for monochrome ones.
+/// Mean linear color of the images, empty for monochrome ones.
 struct ObjectColor {
   Image<float> image;
 };

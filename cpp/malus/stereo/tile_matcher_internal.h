@@ -66,7 +66,7 @@ class TileMatcher {
   const std::vector<float>& seen() const { return count_; }
   /// Whether both halves see a pixel.
   bool halves_see(std::size_t pixel) const { return half_count_[0][pixel] > 0 && half_count_[1][pixel] > 0; }
-  /// Prepares for offsets of ln z in [centre − half_range, centre + half_range], over which a pixel's path through a
+  /// Prepares for offsets of ln z in [center − half_range, center + half_range], over which a pixel's path through a
   /// photo is taken as a parabola.
   void prepare(float centre, float half_range);
   /// By several threads at once, each with scores of its own.

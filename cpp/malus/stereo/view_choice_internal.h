@@ -39,7 +39,7 @@ class ViewChoice {
     double parallax = 0;     ///< px of the station's image a unit of ln z, median
     double resolution = 1;   ///< px of the photo a px of the station
     double quality = 0;      ///< 0 = not used
-    double azimuth_rad = 0;  ///< of the camera's centre about the station's axis
+    double azimuth_rad = 0;  ///< of the camera's center about the station's axis
     int subset = 0;
   };
 

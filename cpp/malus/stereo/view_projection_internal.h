@@ -20,7 +20,7 @@ class ViewProjection {
   void project_row(double u0, double v, double spacing, const float* z, std::size_t count, float* x, float* y) const;
   /// The same for one point, in double precision.
   Eigen::Vector2d project(double u, double v, double z) const;
-  /// Centre of the photo's camera in the station's frame.
+  /// Center of the photo's camera in the station's frame.
   const Eigen::Vector3d& centre_in_station() const { return centre_in_station_; }
   double focal() const { return 0.5 * (fx_ + fy_); }
   /// Distance of a station point from the photo's camera along its axis.

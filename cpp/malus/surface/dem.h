@@ -14,7 +14,7 @@ struct Dem {
   Image<float> elevation;  ///< station unit, positive towards the camera; NaN = none
   double pixel = 0;        ///< size of a pixel in both directions, station unit
   /// Frame of the raster in the world: `right` and `up` lie in the plane (up = towards smaller rows), `normal` towards
-  /// the camera; right × up = normal. `origin` is the centre of the top-left pixel, on the plane.
+  /// the camera; right × up = normal. `origin` is the center of the top-left pixel, on the plane.
   Eigen::Vector3d origin = Eigen::Vector3d::Zero();
   Eigen::Vector3d right = Eigen::Vector3d::UnitX();
   Eigen::Vector3d up = Eigen::Vector3d::UnitY();

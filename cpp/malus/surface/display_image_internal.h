@@ -9,7 +9,7 @@
 
 namespace malus {
 
-/// The linear colour image of a surface as people look at it: sRGB (IEC 61966-2-1), 8 bit. One factor for all channels
+/// The linear color image of a surface as people look at it: sRGB (IEC 61966-2-1), 8 bit. One factor for all channels
 /// takes the `white_percentile` of the values where `depth` is finite and positive to white; NaN becomes black. `color`
 /// has 1 or 3 channels and the size of `depth`, and must outlive this; throws an input error otherwise.
 class DisplayColors {

@@ -22,7 +22,7 @@ bool usable(float depth) {
   return std::isfinite(depth) && depth > 0;
 }
 
-/// Whether a depth discontinuity separates `here` from `there`, neighbours between `before` and `after` on one line.
+/// Whether a depth discontinuity separates `here` from `there`, neighbors between `before` and `after` on one line.
 bool is_step(float before, float here, float there, float after, double focal, const SurfaceOptions& options) {
   const double step = std::abs(static_cast<double>(there) - here);
   if (!(step * focal > options.min_step_gsd * std::min(here, there))) return false;
@@ -32,7 +32,7 @@ bool is_step(float before, float here, float there, float after, double focal, c
   return step > options.step_ratio * around;
 }
 
-/// For the pixels of some rows, whether the way to their right and lower neighbour is cut (discontinuity or missing
+/// For the pixels of some rows, whether the way to their right and lower neighbor is cut (discontinuity or missing
 /// depth).
 class Cuts {
  public:
@@ -62,7 +62,7 @@ class Cuts {
   Mask cuts_;
 };
 
-/// Corners of a grid cell, and the triangle at each corner (the corner and its two neighbours), counter-clockwise as
+/// Corners of a grid cell, and the triangle at each corner (the corner and its two neighbors), counter-clockwise as
 /// displayed: 0 top left, 1 top right, 2 bottom left, 3 bottom right.
 constexpr std::array<std::array<std::size_t, 3>, 4> corner_triangles{{{0, 2, 1}, {1, 0, 3}, {2, 3, 0}, {3, 1, 2}}};
 /// The triangles (bits) that have each corner.
@@ -223,7 +223,7 @@ class StripMaker {
     std::vector<std::size_t> vertices(strips), triangles(strips);
     std::vector<Eigen::AlignedBox3d> boxes(strips);
     parallel_for(context, strips, 1, [&](std::size_t k, std::size_t) {
-      // Their own, since threads that write to neighbouring places wait for each other.
+      // Their own, since threads that write to neighboring places wait for each other.
       std::size_t used = 0, faces = 0;
       Eigen::AlignedBox3d box;
       for (int j = grid_.first_row(k); j < grid_.last_row(k); ++j) {

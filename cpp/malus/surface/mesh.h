@@ -42,13 +42,13 @@ struct SurfaceOptions {
 ///
 /// Every cell of the pixel grid becomes two triangles (split along its shorter diagonal in space), one, or none: a
 /// triangle needs three finite depths, must not be flatter to the ray than max_incidence_deg, and must not cross a
-/// depth discontinuity. Two neighbouring pixels are separated by one if their depth step exceeds min_step_gsd GSD
+/// depth discontinuity. Two neighboring pixels are separated by one if their depth step exceeds min_step_gsd GSD
 /// (depth / focal) and step_ratio times the larger of the two steps that continue it on either side, so that steep
-/// relief, whose neighbours are steep too, stays whole, and an occlusion edge does not. With subsample > 1 these
+/// relief, whose neighbors are steep too, stays whole, and an occlusion edge does not. With subsample > 1 these
 /// tests still see every pixel. Vertices without a triangle are dropped.
 ///
 /// Vertex normals are the fused normals (or differences of the depth if the surface has none). `color` is linear, 1 or
-/// 3 channels of the surface's size, or empty for a mesh without colours; one factor for all channels takes its
+/// 3 channels of the surface's size, or empty for a mesh without colors; one factor for all channels takes its
 /// white_percentile (of the values on the surface) to white, and values are sRGB-encoded to 8 bit.
 ///
 /// Throws an input error if rasters disagree in size or options are out of range, a data error if no triangle is left.

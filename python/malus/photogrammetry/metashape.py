@@ -50,7 +50,7 @@ def _similarity(parent: ElementTree.Element, where: str) -> _Similarity | None:
 def _lens(sensor: ElementTree.Element, where: str) -> tuple[str, int, int, list[float]]:
     """Metashape's frame camera, which like OpenCV goes from ideal to measured coordinates:
     x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) + p1 (r² + 2x²) + 2 p2 x y, u = w/2 + cx + f x' + b1 x' + b2 y'. Its pixel
-    centres are at +0.5.
+    centers are at +0.5.
     """
     if sensor.get("type", "frame") != "frame":
         raise InputError(f'{where}: camera type {sensor.get("type")!r}, expected "frame"')

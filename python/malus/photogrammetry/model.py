@@ -70,7 +70,7 @@ class SparseModel:
 
 
 def colmap_params(camera: Camera) -> NDArray[np.float64]:
-    """A camera's parameters in COLMAP's pixel convention (the first pixel's centre at 0.5, 0.5)."""
+    """A camera's parameters in COLMAP's pixel convention (the first pixel's center at 0.5, 0.5)."""
     params = np.array(camera.params, dtype=np.float64)
     first = 1 if camera.model in ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL") else 2
     params[first : first + 2] += 0.5

@@ -112,7 +112,7 @@ TEST(Mosaic, texture_makes_less_polarization_than_by_bilinear_channels) {
   EXPECT_LT(error, 0.03);
 }
 
-/// Mosaic of a colour camera: tint by the colour filter over each cell.
+/// Mosaic of a color camera: tint by the color filter over each cell.
 constexpr std::array<double, 3> tints{0.5, 1.0, 0.8};
 
 Image<float> color_mosaic(Size size, const std::string& colors) {
@@ -152,7 +152,7 @@ TEST(Mosaic, a_color_mosaic_is_split_nearly_as_well_as_a_grey_one) {
   const double grey = polarization_error(demosaic(mosaic_of(size), "m.png", two_threads()).channels);
   for (const std::string colors : {"RGGB", "GBRG"}) {
     const ColorMosaic split = demosaic_color(color_mosaic(size, colors), colors, "m.png", two_threads());
-    // A colour's samples are twice as far apart as the polarizers'.
+    // A color's samples are twice as far apart as the polarizers'.
     EXPECT_LT(polarization_error(split.grey.channels), 5 * grey) << colors;
     EXPECT_LT(polarization_error(split.grey.channels), 0.012) << colors;
     for (int v = 16; v < size.height - 16; v += 8) {

@@ -91,7 +91,7 @@ struct AnalyticScene {
   }
 };
 
-/// Rotation about the image centre, scale and shift.
+/// Rotation about the image center, scale and shift.
 inline Affine similarity(Size size, double turn_rad, double scale, double shift_u, double shift_v) {
   Affine map;
   map.leftCols<2>() << scale * std::cos(turn_rad), -scale * std::sin(turn_rad), scale * std::sin(turn_rad),

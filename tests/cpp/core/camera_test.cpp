@@ -56,10 +56,10 @@ TEST(LensCamera, PinholeProjectsLikeTheLensWithoutDistortion) {
 TEST(LensCamera, BrownIsMeasuredToIdealWithImageYUp) {
   // A lens with k1 > 0 in the measured → ideal direction moves the ideal point outwards.
   const LensCamera lens{LensModel::brown, {101, 101}, {50, 0.1, 0, 0, 1e-3, 0, 0, 0, 0, 0}};
-  const Eigen::Vector2d ideal = lens.undistort({60, 50});  // 1 mm to the right of the centre
+  const Eigen::Vector2d ideal = lens.undistort({60, 50});  // 1 mm to the right of the center
   EXPECT_NEAR(ideal.x(), (1 + 1e-3) / 50, 1e-12);
   EXPECT_NEAR(ideal.y(), 0, 1e-12);
-  // x0, y0 are in millimetres, y up: a positive y0 lies above the image centre, at smaller v.
+  // x0, y0 are in millimeters, y up: a positive y0 lies above the image center, at smaller v.
   const LensCamera shifted{LensModel::brown, {101, 101}, {50, 0.1, 0.5, 1.0, 0, 0, 0, 0, 0, 0}};
   EXPECT_NEAR(shifted.pinhole().cx, 55, 1e-12);
   EXPECT_NEAR(shifted.pinhole().cy, 40, 1e-12);

@@ -131,7 +131,7 @@ TEST(Evidence, CellsAreInterpolatedBetweenTheirCentres) {
   cells(0, 0) = 1;
   cells(1, 0) = 3;
   cells(2, 0) = 7;
-  EXPECT_DOUBLE_EQ(between_cells(cells, 4, 0, 0), 1);  // before the first centre
+  EXPECT_DOUBLE_EQ(between_cells(cells, 4, 0, 0), 1);  // before the first center
   EXPECT_NEAR(between_cells(cells, 4, 3, 1), 1 + 2 * (3.5 / 4 - 0.5), 1e-9);
   EXPECT_NEAR(between_cells(cells, 4, 9, 2), 3 + 4 * (9.5 / 4 - 1.5), 1e-9);
   EXPECT_DOUBLE_EQ(between_cells(cells, 4, 11, 3), 7);  // behind the last one

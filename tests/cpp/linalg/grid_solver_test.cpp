@@ -12,7 +12,7 @@ namespace {
 
 constexpr double relative_ridge = 1e-11;
 
-/// Solves by conjugate gradients, and compares with the direct solution: the RMS difference between neighbours' steps
+/// Solves by conjugate gradients, and compares with the direct solution: the RMS difference between neighbors' steps
 /// over the RMS step. The constant, which the ridge alone holds, is left out.
 void expect_direct_solution(const GridSystem& system, double difference, int most_iterations) {
   const PixelIndex& pixels = system.pixels();

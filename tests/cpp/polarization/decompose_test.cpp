@@ -262,8 +262,8 @@ TEST(Decompose, SixteenBitImagesAreReadAsTheyAre) {
 }
 
 TEST(Decompose, ResidualsOfAnyNumberOfImages) {
-  // Images are fitted in groups; what only fills up the last group must not count. With hardly any polarization all have
-  // the same noise, and the weighted fit, which is in double precision, is the same.
+  // Images are fitted in groups; what only fills up the last group must not count. With hardly any polarization all
+  // have the same noise, and the weighted fit, which is in double precision, is the same.
   const Size size{40, 30};
   for (const int count : {4, 5, 6, 7, 13}) {
     const auto angles = even_angles(count);

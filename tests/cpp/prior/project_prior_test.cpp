@@ -357,7 +357,7 @@ TEST(PriorOfDepthMap, KeepsPixelsAndFillsHoles) {
 }
 
 TEST(PriorOfDepthMap, SmoothsWhatWasMeasuredOverWindows) {
-  // Noise that neighbours share, as windows of 5 px leave it, and gaps.
+  // Noise that neighbors share, as windows of 5 px leave it, and gaps.
   const Size size = test_camera().size;
   std::mt19937 generator(4);
   std::normal_distribution<double> normal(0, 5 * gsd_mm);
