@@ -163,6 +163,11 @@ double angle_of_name(const std::filesystem::path& file, const std::string& patte
   constexpr std::size_t longest_shown = 200;
   std::string shown = where;
   shown.append(" = \"").append(pattern, 0, longest_shown).append(pattern.size() > longest_shown ? "…\"" : "\"");
+  constexpr std::size_t longest_pattern = 1000;
+  if (pattern.size() > longest_pattern) {
+    throw input_error(shown + " has " + std::to_string(pattern.size()) + " bytes, expected at most " +
+                      std::to_string(longest_pattern));
+  }
   const re2::RE2 expression(pattern, by_bytes(false));
   if (!expression.ok()) {
     throw input_error(shown + " is not a regular expression of RE2's kind (" +
