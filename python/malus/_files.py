@@ -65,7 +65,8 @@ def write_text(path: Path, text: str) -> None:
 
 def write_record(path: Path, record: Mapping[str, Any]) -> None:
     """Write a JSON object with a checksum, by which `read_record` knows that nobody changed it."""
-    write_text(path, json.dumps({**record, "checksum": _checksum(record)}, indent=1) + "\n")
+    as_read = json.loads(json.dumps(record))  # keys that are numbers become text
+    write_text(path, json.dumps({**as_read, "checksum": _checksum(as_read)}, indent=1) + "\n")
 
 
 def read_record(path: Path) -> dict[str, Any] | None:
