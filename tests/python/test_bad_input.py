@@ -214,7 +214,11 @@ def test_disk_full(small_station: Path, small_disk: Path) -> None:
 def test_a_cloud_that_shrinks_to_one_place_is_counted_by_places(small_station: Path, work: Path) -> None:
     """As a cloud in metres before a camera in millimetres does: its points are many, the places they fall on are not."""
     cloud = small_station.parent / "dense/cloud.ply"
-    x, y, z = np.median(_core.read_points(str(cloud)), axis=0)
+    station = Station.load(small_station)
+    camera, depth = station.describe()["camera"], float(np.median(_core.check_picture(station._core, 1)[2][:, 2]))
+    fx, fy, cx, cy = camera["params"]
+    in_camera = np.array([(100 - cx) / fx, (80 - cy) / fy, 1]) * depth
+    x, y, z = (in_camera - camera["translation"]) @ np.array(camera["rotation"])
     header = [
         "ply",
         "format ascii 1.0",

@@ -107,25 +107,34 @@ TEST(BeforeFusion, ListsAllFindings) {
   }
 }
 
-TEST(ContrastCheck, TellsEncodedImagesByTheCloudsColors) {
-  const auto finding_of = [](double exponent, bool known_linear) {
+TEST(ContrastCheck, TheRatioFollowsTheExponent) {
+  const auto color_of = [](float exponent) {
     EvidenceScene scene;
-    for (Image<float>* image : {&scene.everything, &scene.state.i_un})
-      for (float& value : *image) value = std::pow(value, static_cast<float>(exponent));
-    const PriorAlignment place = check_alignment(scene.cloud, scene.pose, scene.images(), {});
-    return check_contrast(place.color, "linear", known_linear);
+    for (float& value : scene.everything) value = std::pow(value, exponent);
+    return check_alignment(scene.cloud, scene.pose, scene.images(), {}).color;
   };
-  const Finding right = finding_of(1, false);
-  EXPECT_EQ(right.severity, Severity::note) << right.text();
-  ASSERT_EQ(right.figures.size(), 1u) << right.text();
-  EXPECT_NEAR(right.figures[0].second, 2.2, 0.4);
-  const Finding encoded = finding_of(1 / 2.2, false);
-  EXPECT_EQ(encoded.severity, Severity::warning) << encoded.text();
-  EXPECT_NE(encoded.suggestion.find("srgb"), std::string::npos);
-  EXPECT_EQ(finding_of(1 / 2.2, true).severity, Severity::note);
-  const Finding decoded = finding_of(2.2, false);
-  EXPECT_EQ(decoded.severity, Severity::warning) << decoded.text();
-  EXPECT_NE(decoded.suggestion.find("linear"), std::string::npos);
+  const AlignmentEvidence linear = color_of(1), encoded = color_of(1 / 2.2F);
+  EXPECT_GT(linear.contrast, 1.35);  // shading is the images' alone, so that it is more than 2.2
+  EXPECT_NEAR(encoded.contrast / linear.contrast, 1 / 2.2, 0.08);
+}
+
+TEST(ContrastCheck, WarnsOfImagesThatAreNotLinear) {
+  const auto finding_of = [](double contrast, double explained, bool known_linear) {
+    AlignmentEvidence color;
+    color.available = true;
+    color.at_best = explained;
+    color.contrast = contrast;
+    return check_contrast(color, "linear", known_linear);
+  };
+  EXPECT_EQ(finding_of(2.2, 0.6, false).severity, Severity::note);
+  const Finding encoded = finding_of(1, 0.6, false), decoded = finding_of(4.8, 0.6, false);
+  EXPECT_EQ(encoded.severity, Severity::warning);
+  EXPECT_NE(encoded.suggestion.find("srgb"), std::string::npos) << encoded.text();
+  EXPECT_EQ(decoded.severity, Severity::warning);
+  EXPECT_NE(decoded.suggestion.find("\"linear\""), std::string::npos) << decoded.text();
+  EXPECT_EQ(finding_of(1, 0.6, true).severity, Severity::note);
+  EXPECT_EQ(finding_of(1, 0.2, false).severity, Severity::note);
+  EXPECT_TRUE(finding_of(1, 0.2, false).figures.empty());
 }
 
 }  // namespace
