@@ -88,6 +88,14 @@ Station with_developed(const Station& station, const std::vector<std::string>& i
   return result;
 }
 
+/// The station with doubts about its files, as messages and suggestions.
+Station with_file_doubts(const Station& station, const std::vector<std::pair<std::string, std::string>>& doubts) {
+  Station result = station;
+  for (const auto& [message, suggestion] : doubts)
+    result.file_findings.push_back({"encoding", Severity::warning, message, suggestion, {}});
+  return result;
+}
+
 /// The maps of a run by the names of malus.Result, None for what was not made, and `results`, to be given to another
 /// run.
 py::dict to_dict(const std::shared_ptr<Results>& run) {
@@ -149,6 +157,7 @@ void bind_station(py::module_& module) {
                   py::arg("full_well_e"), py::arg("read_noise_e"))
       .def("describe", &describe_station_json)
       .def("with_developed", &with_developed, py::arg("images"), py::arg("full_well_e"), py::arg("read_noise_e"))
+      .def("with_file_doubts", &with_file_doubts, py::arg("doubts"))
       .def("with_cloud", &with_cloud, py::arg("points"), py::arg("normals"))
       .def("with_photogrammetry", &with_photogrammetry, py::arg("camera"), py::arg("prior_depth"),
            py::arg("prior_sigma"), py::arg("prior_shape"), py::arg("figures"), py::arg("times"), py::arg("warnings"));

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from malus import _core, exif, photogrammetry, raw, scans
+from malus import _core, encoding, exif, photogrammetry, raw, scans
 from malus._files import require_utf8
 from malus.camera import Camera
 from malus.options import Options
@@ -143,6 +143,7 @@ def _readable(station: Station, folder: Path, progress: Callable[[float, str], N
         core = core.with_cloud(points, normals)
     images = [Path(path) for path in description["images"]]
     exif.require_alike(images, exposures_differ=description["exposure_s"] is not None)
+    core = core.with_file_doubts(encoding.doubts(images, description["response"]))
     if not images or not raw.is_raw(images[0]):
         return core
     developed = raw.develop(images, description["channel"], folder, progress)

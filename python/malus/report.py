@@ -26,7 +26,9 @@ SURFACES = ("prior", "polarization", "fused")
 #: What the checks of the inputs look at, by the names in evidence/findings.json.
 CHECKS = {
     "order": "Order of the images",
+    "encoding": "Encoding of the image files",
     "response": "Response of the camera",
+    "contrast": "Contrast against the cloud's colors",
     "size": "Size and distance",
     "phase": "Polarization against the prior's slopes",
     "prior": "Place of the prior in the images",

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import markupsafe
 import pytest
 import tifffile
 
@@ -21,7 +22,7 @@ def findings(work: Path) -> dict[str, dict[str, Any]]:
 
 def test_right_inputs_leave_notes_only(finished_grid: Path) -> None:
     found = findings(finished_grid)
-    assert set(found) == {"order", "response", "size", "phase", "prior"}
+    assert set(found) == {"order", "response", "contrast", "size", "phase", "prior"}
     assert {finding["severity"] for finding in found.values()} == {"note"}
     assert found["order"]["figures"]["misfit_ratio"] < 2
     assert "mm wide" in found["size"]["message"]
@@ -31,7 +32,7 @@ def test_report_has_every_finding(finished_grid: Path) -> None:
     page = (finished_grid / "report/index.html").read_text()
     assert '<section id="checks">' in page
     for finding in Workspace(finished_grid).findings:
-        assert finding["message"][1:] in page
+        assert markupsafe.escape(finding["message"][1:]) in page
 
 
 def test_a_warning_is_said_and_lowers_confidence(small_station: Path, tmp_path: Path) -> None:

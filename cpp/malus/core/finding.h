@@ -20,7 +20,7 @@ constexpr auto names_of(Severity) {
 
 /// What a check of the input concluded, in words that a person who is no programmer can act on.
 struct Finding {
-  std::string check;  ///< what was looked at: "phase", "prior", "size", "response", "order"
+  std::string check;  ///< what was looked at: "phase", "prior", "size", "encoding", "response", "contrast", "order"
   Severity severity = Severity::note;
   std::string message;
   std::string suggestion;                               ///< what to do; empty = nothing

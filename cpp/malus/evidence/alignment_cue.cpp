@@ -185,6 +185,11 @@ double AlignmentCue::correlation2(const TemplatePixels& pixels, const Similarity
   return product > 0 ? std::norm(m.covariance) / product : 0;
 }
 
+double AlignmentCue::contrast(const TemplatePixels& pixels, const Similarity& moved) const {
+  const Moments m = moments(sample(pixels, moved));
+  return m.var_template > 0 ? std::sqrt(m.var_image / m.var_template) : 0;
+}
+
 /// Σ w (|f|² − |f − a t|²) of each block over Σ w |f|² of all; their sum is the squared correlation.
 std::vector<double> AlignmentCue::explained_by_block(const TemplatePixels& pixels, const Similarity& at) const {
   const Samples samples = sample(pixels, at);

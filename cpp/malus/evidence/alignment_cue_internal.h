@@ -46,6 +46,9 @@ class AlignmentCue {
   /// Squared correlation of the template, moved, with the image.
   double correlation2(const TemplatePixels& pixels, const Similarity& moved) const;
 
+  /// Spread of the image's values over that of the template's, moved.
+  double contrast(const TemplatePixels& pixels, const Similarity& moved) const;
+
   /// How much more of the image the template explains in one place than in another: the difference of the squared
   /// correlations in standard deviations, by the scatter between the blocks.
   double gain_sigmas(const TemplatePixels& pixels, const Similarity& from, const Similarity& to) const;

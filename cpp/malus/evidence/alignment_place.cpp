@@ -37,6 +37,7 @@ AlignmentEvidence evidence_of(const AlignmentCue& cue, const TemplatePixels& pix
   evidence.at_best = cue.correlation2(pixels, best);
   for (const Similarity& place : places_far_away(pixels.extent))
     evidence.unrelated = std::max(evidence.unrelated, cue.correlation2(pixels, place));
+  evidence.contrast = cue.contrast(pixels, best);
   evidence.signal_sigmas = cue.signal_sigmas(pixels, best);
   evidence.gain_sigmas = cue.gain_sigmas(pixels, {}, best);
   evidence.informative =

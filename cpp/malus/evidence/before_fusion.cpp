@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "malus/core/depth_normals.h"
+#include "malus/evidence/contrast_check.h"
 #include "malus/evidence/object_size.h"
 
 namespace malus {
@@ -44,6 +45,7 @@ std::vector<Finding> findings_before_fusion(const BeforeFusion& input, const Con
   }
   findings.push_back(std::move(phase.finding));
   findings.push_back(place.finding);
+  findings.push_back(check_contrast(place.color, input.response, input.known_linear));
   return findings;
 }
 

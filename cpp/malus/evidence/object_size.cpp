@@ -13,7 +13,7 @@
 namespace malus {
 namespace {
 
-constexpr double smallest_m = 1e-3, largest_m = 100, nearest_m = 5e-3, farthest_m = 1000;
+constexpr double smallest_m = 1e-3, largest_m = 100, nearest_m = 5e-3, farthest_m = 200;
 /// Of objects and distances that are usual before a camera.
 constexpr double usual_smallest_m = 5e-3, usual_largest_m = 20;
 constexpr double narrowest_deg = 0.3, widest_deg = 140;

@@ -18,7 +18,7 @@ struct ObjectSize {
 };
 
 /// points_in_cam: of the object, camera frame; at least one. Unlikely are objects of less than 1 mm or more than 100 m,
-/// distances of less than 5 mm or more than 1 km, and views of less than 0.3° or more than 140°.
+/// distances of less than 5 mm or more than 200 m, and views of less than 0.3° or more than 140°.
 ObjectSize object_size(const std::vector<Eigen::Vector3d>& points_in_cam, const Pinhole& camera,
                        const std::string& unit);
 

@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <functional>
 #include <sstream>
 
 #include "malus/core/length_unit.h"
@@ -10,30 +9,17 @@
 namespace malus {
 namespace {
 
-/// Pixel of the image as it came that shows what the image as it would be has at (u, v).
-using PixelOf = std::function<std::pair<int, int>(int u, int v)>;
-
 template <class T>
-Image<T> moved(const Image<T>& image, const PixelOf& pixel_of) {
+Image<T> undone(const Image<T>& image, const ImageTurn& turn) {
   Image<T> result(image.size(), image.channels());
   for (int v = 0; v < image.height(); ++v) {
     for (int u = 0; u < image.width(); ++u) {
-      const auto [from_u, from_v] = pixel_of(u, v);
-      result(u, v) = image(from_u, from_v);
+      const int from_u = turn.exchanges ? v : u, from_v = turn.exchanges ? u : v;
+      result(u, v) = image(turn.flips_u ? image.width() - 1 - from_u : from_u,
+                           turn.flips_v ? image.height() - 1 - from_v : from_v);
     }
   }
   return result;
-}
-
-/// Polarization stays as it is: exp(4i phase), which is compared, is the same after a quarter turn.
-SceneView moved(const SceneView& scene, const PixelOf& pixel_of) {
-  return {scene.factor,
-          moved(scene.brightness, pixel_of),
-          moved(scene.seen, pixel_of),
-          moved(scene.s1, pixel_of),
-          moved(scene.s2, pixel_of),
-          moved(scene.variance, pixel_of),
-          moved(scene.object, pixel_of)};
 }
 
 constexpr std::size_t sampled_points = 5000;
@@ -74,69 +60,63 @@ Eigen::Affine3d linear(const Eigen::Matrix3d& matrix) {
   return affine;
 }
 
-/// Some thousand of the points, so that each of many ideas takes a millisecond.
-PointCloud sample_of(const PointCloud& cloud) {
-  PointCloud sample;
-  const std::size_t stride = cloud.points.size() / sampled_points + 1;
-  for (std::size_t i = 0; i < cloud.points.size(); i += stride) sample.points.push_back(cloud.points[i]);
-  return sample;
-}
-
 }  // namespace
 
-std::vector<TurnedScene> turned_scenes(const SceneView& scene) {
-  const int right = scene.size().width - 1, bottom = scene.size().height - 1;
-  std::vector<TurnedScene> result;
-  const auto add = [&](const std::string& what, const std::string& remedy, const PixelOf& pixel_of) {
-    result.push_back({what, remedy, moved(scene, pixel_of)});
-  };
-  add("the images are turned by 180°", "turn the polarized images and the mask by 180°",
-      [=](int u, int v) { return std::pair(right - u, bottom - v); });
-  add("images and prior are mirrored against each other, left to right",
-      "mirror the polarized images and the mask, or export the prior with its axes as they are",
-      [=](int u, int v) { return std::pair(right - u, v); });
-  add("images and prior are mirrored against each other, top to bottom",
-      "mirror the polarized images and the mask, or export the prior with its axes as they are",
-      [=](int u, int v) { return std::pair(u, bottom - v); });
-  if (right != bottom) return result;
-  add("the images are turned by 90° clockwise", "turn the polarized images and the mask by 90° counter-clockwise",
-      [=](int u, int v) { return std::pair(right - v, u); });
-  add("the images are turned by 90° counter-clockwise", "turn the polarized images and the mask by 90° clockwise",
-      [=](int u, int v) { return std::pair(v, bottom - u); });
-  return result;
+std::vector<ImageTurn> image_turns(Size size) {
+  const std::string mirrored =
+      "mirror the polarized images and the mask, or export the prior with its axes as they are";
+  std::vector<ImageTurn> turns{
+      {"the images are turned by 180°", "turn the polarized images and the mask by 180°", false, true, true},
+      {"images and prior are mirrored against each other, left to right", mirrored, false, true, false},
+      {"images and prior are mirrored against each other, top to bottom", mirrored, false, false, true}};
+  if (size.width != size.height) return turns;
+  turns.push_back({"the images are turned by 90° clockwise",
+                   "turn the polarized images and the mask by 90° counter-clockwise", true, true, false});
+  turns.push_back({"the images are turned by 90° counter-clockwise",
+                   "turn the polarized images and the mask by 90° clockwise", true, false, true});
+  return turns;
 }
 
-CloudCoverage cloud_coverage(const PointCloud& cloud, const Pinhole& camera, const Eigen::Affine3d& cam_from_cloud,
-                             const Mask& object) {
-  CloudCoverage coverage;
-  if (cloud.points.empty()) return coverage;
-  const int cell_px = std::max(1, std::max(camera.size.width, camera.size.height) / cells_per_side);
-  const Size cells{camera.size.width / cell_px + 1, camera.size.height / cell_px + 1};
-  Mask has_point(cells), has_object(cells);
+SceneView undone(const SceneView& scene, const ImageTurn& turn) {
+  return {scene.factor,           undone(scene.brightness, turn), undone(scene.seen, turn),  undone(scene.s1, turn),
+          undone(scene.s2, turn), undone(scene.variance, turn),   undone(scene.object, turn)};
+}
+
+CoverageCounter::CoverageCounter(const Pinhole& camera, const Mask& object)
+    : camera_(camera),
+      object_(object),
+      cell_px_(std::max(1, std::max(camera.size.width, camera.size.height) / cells_per_side)),
+      cells_with_object_({camera.size.width / cell_px_ + 1, camera.size.height / cell_px_ + 1}) {
   for (int v = 0; v < object.height(); ++v)
     for (int u = 0; u < object.width(); ++u)
-      if (object(u, v) != 0) has_object(u / cell_px, v / cell_px) = 1;
+      if (object(u, v) != 0) cells_with_object_(u / cell_px_, v / cell_px_) = 1;
+}
+
+CloudCoverage CoverageCounter::operator()(const PointCloud& cloud, const Eigen::Affine3d& cam_from_cloud) const {
+  CloudCoverage coverage;
+  if (cloud.points.empty()) return coverage;
+  Mask cells_with_point(cells_with_object_.size());
   const std::size_t stride = cloud.points.size() / sampled_points + 1;
   double points = 0;
   for (std::size_t i = 0; i < cloud.points.size(); i += stride) {
     ++points;
     const Eigen::Vector3d x = cam_from_cloud * cloud.points[i];
     if (!(x.z() > 0)) continue;
-    const Eigen::Vector2d pixel = camera.project(x);
-    if (!(pixel.minCoeff() > -0.5 && pixel.x() < camera.size.width - 0.5 && pixel.y() < camera.size.height - 0.5))
+    const Eigen::Vector2d pixel = camera_.project(x);
+    if (!(pixel.minCoeff() > -0.5 && pixel.x() < camera_.size.width - 0.5 && pixel.y() < camera_.size.height - 0.5))
       continue;
     ++coverage.in_view;
     const auto u = static_cast<int>(std::lround(pixel.x())), v = static_cast<int>(std::lround(pixel.y()));
-    if (object(u, v) == 0) continue;
+    if (object_(u, v) == 0) continue;
     ++coverage.on_object;
-    has_point(u / cell_px, v / cell_px) = 1;
+    cells_with_point(u / cell_px_, v / cell_px_) = 1;
   }
   coverage.in_view /= points;
   coverage.on_object /= points;
   double objects = 0, hit = 0;
-  for (std::size_t i = 0; i < has_object.count(); ++i) {
-    objects += has_object[i];
-    hit += has_object[i] * has_point[i];
+  for (std::size_t i = 0; i < cells_with_object_.count(); ++i) {
+    objects += cells_with_object_[i];
+    hit += cells_with_object_[i] * cells_with_point[i];
   }
   coverage.covered = objects > 0 ? hit / objects : 0;
   return coverage;
@@ -149,8 +129,8 @@ Eigen::Affine3d affine_of(const Pose& pose) {
   return affine;
 }
 
-std::vector<MovedCloud> moved_clouds(const PointCloud& cloud, const Pose& pose, const Pinhole& camera,
-                                     const Mask& object, const std::string& unit, std::size_t most) {
+std::vector<MovedCloud> moved_clouds(const PointCloud& cloud, const Pose& pose, const CoverageCounter& coverage_of,
+                                     const std::string& unit, std::size_t most) {
   const Eigen::Affine3d given = affine_of(pose);
   std::vector<MovedCloud> result;
   for (const LengthUnit& other : length_units) {
@@ -169,8 +149,7 @@ std::vector<MovedCloud> moved_clouds(const PointCloud& cloud, const Pose& pose, 
     result.push_back({name + ", for example (x, y, z) for " + words_of(axes), "export the cloud with the camera's axes",
                       given * linear(axes)});
   }
-  const PointCloud sample = sample_of(cloud);
-  for (MovedCloud& idea : result) idea.coverage = cloud_coverage(sample, camera, idea.cam_from_cloud, object);
+  for (MovedCloud& idea : result) idea.coverage = coverage_of(cloud, idea.cam_from_cloud);
   std::ranges::stable_sort(result, std::ranges::greater{}, &MovedCloud::rank);
   result.resize(std::min(most, result.size()));
   return result;

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "malus/evidence/pixel_samples_internal.h"
+#include "malus/polarization/polarizer_fit.h"
 
 namespace malus {
 namespace {
@@ -12,19 +13,16 @@ constexpr float darkest = 0.02F, brightest = 0.9F;
 
 }  // namespace
 
-Eigen::MatrixX3d sinusoid_rows(const std::vector<double>& angles_rad) {
-  Eigen::MatrixX3d rows(static_cast<Eigen::Index>(angles_rad.size()), 3);
-  for (Eigen::Index k = 0; k < rows.rows(); ++k) {
-    const double twice = 2 * angles_rad[static_cast<std::size_t>(k)];
-    rows.row(k) << 0.5, 0.5 * std::cos(twice), 0.5 * std::sin(twice);
-  }
-  return rows;
+Eigen::Matrix3Xd stokes_of_intensities(const std::vector<double>& angles_rad) {
+  const Eigen::MatrixXd rows = polarizer_rows(angles_rad, std::vector<double>(angles_rad.size(), 1.0));
+  return rows.completeOrthogonalDecomposition().pseudoInverse();
 }
 
 Eigen::MatrixXd residual_projection(const std::vector<double>& angles_rad) {
-  const Eigen::MatrixXd rows = sinusoid_rows(angles_rad);
-  return Eigen::MatrixXd::Identity(rows.rows(), rows.rows()) -
-         rows * rows.completeOrthogonalDecomposition().pseudoInverse();
+  const std::vector<double> gains(angles_rad.size(), 1.0);
+  const auto count = static_cast<Eigen::Index>(angles_rad.size());
+  return Eigen::MatrixXd::Identity(count, count) -
+         polarizer_rows(angles_rad, gains) * stokes_of_intensities(angles_rad);
 }
 
 PixelSamples pixel_samples(const std::vector<Image<float>>& images, const Mask& mask) {

@@ -7,8 +7,8 @@
 
 namespace malus {
 
-/// Rows (1, cos 2a, sin 2a) / 2 of the sinusoid.
-Eigen::MatrixX3d sinusoid_rows(const std::vector<double>& angles_rad);
+/// (s0, s1, s2) by least squares from intensities at these angles.
+Eigen::Matrix3Xd stokes_of_intensities(const std::vector<double>& angles_rad);
 
 /// What is left of values at these angles after the least-squares sinusoid: a projection.
 Eigen::MatrixXd residual_projection(const std::vector<double>& angles_rad);

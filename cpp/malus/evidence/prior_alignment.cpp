@@ -5,12 +5,14 @@
 #include <functional>
 #include <map>
 #include <numbers>
-#include <optional>
 #include <sstream>
 #include <utility>
 
+#include "malus/core/opencv_threads_internal.h"
 #include "malus/evidence/alignment_place_internal.h"
+#include "malus/evidence/mask_coverage_internal.h"
 #include "malus/evidence/other_inputs_internal.h"
+#include "malus/evidence/outline_place_internal.h"
 #include "malus/evidence/reduced_view.h"
 
 namespace malus {
@@ -26,16 +28,19 @@ constexpr double gain_sigmas = 3, loss_sigmas = -2;
 struct Tolerance {
   double shift, turn_deg, scale;
 };
-constexpr Tolerance by_texture{0.012, 0.6, 0.035}, by_edges{0.04, 3, 0.08};
+constexpr Tolerance by_texture{0.012, 0.6, 0.035}, by_edges{0.04, 3, 0.08}, by_outline{0.03, 0, 0.02};
 
 /// Shares of the object that a prior covers: below the first, nothing can be made of it; below the second, a person
 /// should look.
-constexpr double hardly_covered = 0.02, inverted_covers = 0.2;
+constexpr double hardly_covered = 0.02;
 /// Below this, what little of the object the prior has says nothing about the rest.
 constexpr double too_little_covered = 0.1;
-/// Coverage by a cloud that was moved, or beside an inverted mask, from which that is taken for the cause.
-constexpr double moved_covers = 0.3, well_covered = 0.5;
+/// Coverage by a cloud that was moved from which that is taken for the cause.
+constexpr double moved_covers = 0.3;
 constexpr std::size_t ideas_tried = 6;
+/// Squared correlations below which colors and phases of prior and images have nothing in common, and the step of
+/// depths across the mask's outline, in pixels of the reduced view, below which it is no outline of the prior.
+constexpr double common_color = 0.03, common_phase = 0.12, common_step = 1.5;
 /// What an other idea of the input must explain, and how many times what the input as given does.
 constexpr double least_explained = 0.1, explains_times = 3;
 
@@ -124,6 +129,7 @@ void add_figures(PriorAlignment& found) {
   figures = {{"points_in_view", found.points_in_view},
              {"points_on_object", found.points_on_object},
              {"object_covered", found.object_covered},
+             {"outline_step_gsd", found.outline_step_gsd},
              {"right_px", found.right_px},
              {"down_px", found.down_px},
              {"clockwise_deg", found.clockwise_deg},
@@ -139,6 +145,9 @@ void add_figures(PriorAlignment& found) {
     figures.emplace_back(name + "_signal_sigmas", cue.signal_sigmas);
     figures.emplace_back(name + "_gain_sigmas", cue.gain_sigmas);
   };
+  figures.emplace_back("outline_as_given", found.outline_as_given);
+  figures.emplace_back("outline_at_best", found.outline_at_best);
+  figures.emplace_back("outline_gain_sigmas", found.outline_gain_sigmas);
   add("color", found.color);
   add("phase", found.phase);
   add("edges", found.edges);
@@ -169,20 +178,18 @@ void judge_place(const AlignmentPlace& place, const std::string& unit, PriorAlig
   say(found, Severity::note, text.str(), "");
 }
 
-/// What the images would be, if one of the ideas explains much more than what was given.
-std::optional<std::pair<std::string, std::string>> better_idea(
-    const AlignmentPlace& given, const std::vector<TurnedScene>& ideas,
-    const std::function<AlignmentPlace(std::size_t)>& place) {
-  std::optional<std::size_t> best;
+/// Of what the input might be instead, the idea that explains most, if it explains much more than what was given.
+template <class Idea, class PlaceOf>
+const Idea* best_idea(const std::vector<Idea>& ideas, const AlignmentPlace& given, const PlaceOf& place_of) {
+  const Idea* best = nullptr;
   double most = std::max(least_explained, explains_times * given.explained());
-  for (std::size_t i = 0; i < ideas.size(); ++i) {
-    const AlignmentPlace found = place(i);
-    if (!found.is_informative() || !(found.explained() > most)) continue;
-    most = found.explained();
-    best = i;
+  for (const Idea& idea : ideas) {
+    const AlignmentPlace place = place_of(idea);
+    if (!place.is_informative() || !(place.explained() > most)) continue;
+    most = place.explained();
+    best = &idea;
   }
-  if (!best) return std::nullopt;
-  return std::pair(ideas[*best].what, ideas[*best].remedy);
+  return best;
 }
 
 /// Views at the few sizes that are asked for, each made once.
@@ -205,56 +212,26 @@ Views<SceneView> views_of(const AlignmentScene& scene) {
   return Views<SceneView>([&scene](int factor) { return scene_view(scene.state, scene.scene, scene.object, factor); });
 }
 
-/// Shares of the object, and of what is beside it, that a prior covers; and of the image's border that is object.
-struct Covered {
-  double object = 0, beside = 0, border = 0;
-
-  /// A mask leaves the surroundings out, which are what an image has at its border.
-  bool is_mask_inverted() const { return object < inverted_covers && beside > well_covered && border > 0.5; }
-  /// Stereo sees the surroundings where they are, but not an object of black glass.
-  bool has_surroundings() const { return beside > well_covered; }
-};
-
-Covered covered_by(const PriorView& prior, const SceneView& scene) {
-  double object = 0, beside = 0;
-  Covered covered;
-  for (std::size_t i = 0; i < prior.seen.count(); ++i) {
-    const bool is_object = scene.object[i] != 0, is_seen = prior.seen[i] != 0;
-    (is_object ? object : beside) += 1;
-    (is_object ? covered.object : covered.beside) += is_seen ? 1 : 0;
-  }
-  const Size size = scene.object.size();
-  for (int u = 0; u < size.width; ++u)
-    covered.border += (scene.object(u, 0) != 0) + (scene.object(u, size.height - 1) != 0);
-  for (int v = 0; v < size.height; ++v)
-    covered.border += (scene.object(0, v) != 0) + (scene.object(size.width - 1, v) != 0);
-  covered.border /= 2.0 * (size.width + size.height);
-  covered.object /= std::max(object, 1.0);
-  covered.beside /= std::max(beside, 1.0);
-  return covered;
-}
-
 /// A prior against the images as they are and as they would be if they had been turned.
 AlignmentPlace compare(Views<PriorView>& priors, const AlignmentScene& scene, Views<SceneView>& scenes,
                        PriorAlignment& found, const Context& context) {
-  const auto problem_with = [&](const std::function<SceneView(int)>& scene_at) {
-    return [&scene, &priors, scene_at](int factor) {
-      return AlignmentProblem(priors.at(factor), scene_at(factor), reduced_camera(scene.camera, factor));
-    };
-  };
   const Size size = scene.state.size();
-  const AlignmentPlace place =
-      find_place(problem_with([&](int factor) { return scenes.at(factor); }), size, false, context);
+  const auto problem_at = [&](int factor) {
+    return AlignmentProblem(priors.at(factor), scenes.at(factor), reduced_camera(scene.camera, factor));
+  };
+  const AlignmentPlace place = find_place(problem_at, size, false, context);
   take(place, found);
   if (!place.usable) return place;
-  const std::vector<TurnedScene> ideas = turned_scenes(scenes.at(coarse_factor(size)));
-  const auto idea = better_idea(place, ideas, [&](std::size_t i) {
-    return find_place(problem_with([&, i](int factor) { return turned_scenes(scenes.at(factor))[i].scene; }), size,
-                      true, context);
+  const std::vector<ImageTurn> turns = image_turns(size);
+  const ImageTurn* const turn = best_idea(turns, place, [&](const ImageTurn& idea) {
+    const auto turned_problem_at = [&](int factor) {
+      return AlignmentProblem(priors.at(factor), undone(scenes.at(factor), idea), reduced_camera(scene.camera, factor));
+    };
+    return find_place(turned_problem_at, size, true, context);
   });
-  if (idea) {
-    found.instead = idea->first;
-    say(found, Severity::warning, idea->first + ": only then does the prior fit them", idea->second);
+  if (turn != nullptr) {
+    found.instead = turn->what;
+    say(found, Severity::warning, turn->what + ": only then does the prior fit them", turn->remedy);
   } else {
     judge_place(place, scene.unit, found);
   }
@@ -262,40 +239,72 @@ AlignmentPlace compare(Views<PriorView>& priors, const AlignmentScene& scene, Vi
 }
 
 /// Tries other units, axes and poses of a cloud that does not fit as it is.
-void try_other_clouds(const PointCloud& cloud, const Pose& pose, const AlignmentScene& scene, Views<SceneView>& scenes,
-                      const AlignmentPlace& place, PriorAlignment& found, const Context& context) {
-  const auto ideas = moved_clouds(cloud, pose, scene.camera, scene.object, scene.unit, ideas_tried);
-  const MovedCloud* best = nullptr;
-  double most = std::max(least_explained, explains_times * place.explained());
-  for (const MovedCloud& idea : ideas) {
-    if (idea.coverage.covered < moved_covers) continue;
+void try_other_clouds(const PointCloud& cloud, const Pose& pose, const AlignmentScene& scene,
+                      const CoverageCounter& coverage_of, Views<SceneView>& scenes, const AlignmentPlace& place,
+                      PriorAlignment& found, const Context& context) {
+  auto ideas = moved_clouds(cloud, pose, coverage_of, scene.unit, ideas_tried);
+  std::erase_if(ideas, [](const MovedCloud& idea) { return idea.coverage.covered < moved_covers; });
+  const MovedCloud* best = best_idea(ideas, place, [&](const MovedCloud& idea) {
     const auto problem_at = [&](int factor) {
       const Pinhole camera = reduced_camera(scene.camera, factor);
       return AlignmentProblem(prior_view(cloud, camera, idea.cam_from_cloud), scenes.at(factor), camera);
     };
-    const AlignmentPlace other = find_place(problem_at, scene.state.size(), true, context);
-    if (!other.is_informative() || !(other.explained() > most)) continue;
-    most = other.explained();
-    best = &idea;
-  }
+    return find_place(problem_at, scene.state.size(), true, context);
+  });
   // Without anything to compare, a cloud that misses the object where another one would cover it says enough.
-  if (best == nullptr && found.object_covered < hardly_covered && !ideas.empty() &&
-      ideas.front().coverage.covered > moved_covers)
-    best = &ideas.front();
+  if (best == nullptr && found.object_covered < hardly_covered && !ideas.empty()) best = &ideas.front();
   if (best == nullptr) return;
   found.instead = best->what;
   say(found, found.object_covered < hardly_covered ? Severity::error : Severity::warning,
       best->what + ": only then does it fit the images", best->remedy);
 }
 
-void judge_coverage(const Covered& covered, const std::string& what, PriorAlignment& found) {
+/// Prior and mask against each other, where the prior knows what is around the object, too.
+void judge_outline(const PriorView& prior, const SceneView& view, const AlignmentScene& scene,
+                   const MaskCoverage& covered, PriorAlignment& found) {
+  if (covered.object < PriorAlignment::poorly_covered || !covered.has_surroundings()) return;
+  const OutlinePlace outline = find_outline(prior, view, reduced_camera(scene.camera, view.factor));
+  found.outline_as_given = outline.as_given;
+  found.outline_at_best = outline.at_best;
+  found.outline_gain_sigmas = outline.gain_sigmas;
+  // Colors and phases know better: edges of a right prior may lie some percent beside the object's.
+  if (found.color.informative || found.phase.informative || !outline.is_offset()) return;
+  if (!found.instead.empty() || found.finding.severity != Severity::note) return;
+  found.object_px = outline.extent * view.factor;
+  found.right_px = outline.place.du * view.factor;
+  found.down_px = outline.place.dv * view.factor;
+  found.clockwise_deg = 0;
+  found.scale = std::exp(outline.place.log_scale);
+  say(found, Severity::warning,
+      "the prior's outline does not lie on the mask's: against the mask, the prior seems " +
+          offset_in_words(found, by_outline, scene.unit),
+      "are mask and [camera] those of these images, and is the prior in the same frame?");
+}
+
+/// Colors of the same object go with its brightness even where reflections differ, and those of black lacquer, which do
+/// not, belong to an object whose outline the mask has.
+void judge_relation(const MaskCoverage& covered, PriorAlignment& found) {
+  if (!found.instead.empty() || found.finding.severity != Severity::note ||
+      covered.object < PriorAlignment::poorly_covered || !found.color.available)
+    return;
+  if (found.color.informative || found.phase.informative || found.color.as_given > common_color ||
+      found.phase.as_given > common_phase || covered.outline_step > common_step)
+    return;
+  say(found, Severity::warning,
+      "the images show nothing of what the prior shows: neither its colors nor its slopes nor its outline",
+      "are they images of this object, in the order of their angles, and the prior's frame that of [camera]?");
+}
+
+void judge_coverage(const MaskCoverage& covered, const std::string& what, PriorAlignment& found) {
   if (!found.instead.empty()) return;
   const std::string share = rounded(100 * covered.object, covered.object < 0.01 ? 1 : 0);
   if (covered.is_mask_inverted()) {
     found.instead = "the mask is inverted";
     say(found, covered.object < hardly_covered ? Severity::error : Severity::warning,
-        "the " + what + " covers " + share + " % of what is white in the mask, and " +
-            rounded(100 * covered.beside, 0) + " % of what is black",
+        covered.is_object_behind()
+            ? "what is white in the mask reaches the border of the image and lies behind what is black"
+            : "the " + what + " covers " + share + " % of what is white in the mask, and " +
+                  rounded(100 * covered.beside, 0) + " % of what is black",
         "is the mask inverted? White is expected where the object is");
   } else if (covered.object < hardly_covered && !covered.has_surroundings()) {
     say(found, Severity::error,
@@ -318,28 +327,34 @@ void judge_coverage(const Covered& covered, const std::string& what, PriorAlignm
 
 std::string why_cloud_misses(const PointCloud& cloud, const Pose& pose, const Pinhole& camera, const Mask& object,
                              const std::string& unit) {
-  const auto ideas = moved_clouds(cloud, pose, camera, object, unit, 1);
+  const auto ideas = moved_clouds(cloud, pose, CoverageCounter(camera, object), unit, 1);
   if (ideas.empty() || ideas.front().coverage.covered < moved_covers) return "";
   return "it would if " + ideas.front().what + "; " + ideas.front().remedy;
 }
 
 PriorAlignment check_alignment(const PointCloud& cloud, const Pose& pose, const AlignmentScene& scene,
                                const Context& context) {
+  const OpenCvThreads opencv_threads(context.threads);
   PriorAlignment found;
   const Eigen::Affine3d given = affine_of(pose);
-  const CloudCoverage coverage = cloud_coverage(cloud, scene.camera, given, scene.object);
+  const CoverageCounter coverage_of(scene.camera, scene.object);
+  const CloudCoverage coverage = coverage_of(cloud, given);
   found.points_in_view = coverage.in_view;
   found.points_on_object = coverage.on_object;
   Views<SceneView> scenes = views_of(scene);
   Views<PriorView> priors([&](int factor) { return prior_view(cloud, reduced_camera(scene.camera, factor), given); });
   const int factor = coarse_factor(scene.state.size());
-  const Covered covered = covered_by(priors.at(factor), scenes.at(factor));
+  const MaskCoverage covered =
+      mask_coverage(priors.at(factor), scenes.at(factor), reduced_camera(scene.camera, factor));
   found.object_covered = covered.object;
+  found.outline_step_gsd = covered.outline_step * factor;
   found.gsd = priors.at(factor).median_depth / scene.camera.focal();
   AlignmentPlace place;
   if (covered.object >= too_little_covered) place = compare(priors, scene, scenes, found, context);
   if (found.instead.empty() && (covered.object < PriorAlignment::poorly_covered || !place.is_informative()))
-    try_other_clouds(cloud, pose, scene, scenes, place, found, context);
+    try_other_clouds(cloud, pose, scene, coverage_of, scenes, place, found, context);
+  judge_outline(priors.at(factor), scenes.at(factor), scene, covered, found);
+  judge_relation(covered, found);
   judge_coverage(covered, "cloud", found);
   add_figures(found);
   return found;
@@ -347,14 +362,18 @@ PriorAlignment check_alignment(const PointCloud& cloud, const Pose& pose, const 
 
 PriorAlignment check_alignment(const Image<float>& depth, const AlignmentScene& scene, const Context& context) {
   require_size(depth, scene.state.size(), "depth map of the prior");
+  const OpenCvThreads opencv_threads(context.threads);
   PriorAlignment found;
   Views<SceneView> scenes = views_of(scene);
   Views<PriorView> priors([&](int factor) { return prior_view(depth, scene.camera, factor, context); });
   const int factor = coarse_factor(scene.state.size());
-  const Covered covered = covered_by(priors.at(factor), scenes.at(factor));
+  const MaskCoverage covered =
+      mask_coverage(priors.at(factor), scenes.at(factor), reduced_camera(scene.camera, factor));
   found.object_covered = covered.object;
+  found.outline_step_gsd = covered.outline_step * factor;
   found.gsd = priors.at(factor).median_depth / scene.camera.focal();
   if (covered.object >= too_little_covered) compare(priors, scene, scenes, found, context);
+  judge_outline(priors.at(factor), scenes.at(factor), scene, covered, found);
   judge_coverage(covered, "prior", found);
   add_figures(found);
   return found;

@@ -17,6 +17,7 @@ struct AlignmentEvidence {
   bool available = false;            ///< prior and image both have it
   double as_given = 0, at_best = 0;  ///< squared correlation of the prior where it is, and where it fits best
   double unrelated = 0;              ///< the largest of 24 displacements far away: a permutation null
+  double contrast = 0;               ///< spread of the image's values over that of the prior's, where it fits best
   double signal_sigmas = 0;          ///< how much it explains where it fits best
   double gain_sigmas = 0;            ///< how much more than where it is
   bool informative = false;          ///< says clearly more where it fits best than anywhere far away
@@ -31,8 +32,13 @@ struct PriorAlignment {
   double points_in_view = 1;    ///< share of the cloud's points that project into the image
   double points_on_object = 1;  ///< share of them that project onto the mask
   double object_covered = 0;    ///< share of the mask that the prior covers
-  double object_px = 0;         ///< larger side of the prior's pixels on the object, in the image
-  double gsd = 0;               ///< station unit a pixel, at the prior's median depth
+  /// By how much the prior is nearer just inside the mask's outline than just outside it, the median along the outline.
+  double outline_step_gsd = 0;
+  /// How well the prior's steps of depth lie on the mask's outline, from −1 to 1, where it is and where it fits best;
+  /// 0 for a prior that does not know what is around the object.
+  double outline_as_given = 0, outline_at_best = 0, outline_gain_sigmas = 0;
+  double object_px = 0;  ///< larger side of the prior's pixels on the object, in the image
+  double gsd = 0;        ///< station unit a pixel, at the prior's median depth
   /// The best place: move the prior right and down [px], turn it clockwise as displayed, scale it about its middle.
   double right_px = 0, down_px = 0, clockwise_deg = 0, scale = 1;
   /// Standard deviations of the best place as independent pixels would have it; what view-dependent reflections make of
@@ -61,8 +67,11 @@ struct AlignmentScene {
 ///
 /// An offset is doubtful if one of the cues gains 3 standard deviations by it, none that has a signal loses by it, and
 /// it is beyond what view-dependent reflections make of right priors: 1.2 % of the object, 0.6°, 3.5 % in size. Edges
-/// follow the light: 4 %, 3° and 8 %. All of it at reduced sizes: the time does not depend on that of the images,
-/// but for one pass.
+/// follow the light: 4 %, 3° and 8 %. Where neither colors nor phases say anything, a prior is doubtful whose steps of
+/// depth gain 2 standard deviations by lying on the mask's outline, moved by more than 3 % of the object or 2 % in
+/// size. Doubtful, too, is a colored cloud that has nothing in common with the images: squared correlations of at most
+/// 0.03 with the colors and 0.12 with the phases, and no step of depths at the mask's outline. All of it at reduced
+/// sizes: the time does not depend on that of the images, but for one pass.
 PriorAlignment check_alignment(const PointCloud& cloud, const Pose& pose, const AlignmentScene& scene,
                                const Context& context);
 

@@ -145,17 +145,17 @@ PriorView prior_view(const PointCloud& cloud, const Pinhole& camera, const Eigen
   if (!cloud.colors.empty()) view.brightness = Image<float>(camera.size, 1, none);
   const double sigma = cloud.normals.empty() ? depth_sigma_px : splat_sigma_px;
   smooth(sums, sigma);
-  Image<float> depth(camera.size, 1, none);
+  view.depth = Image<float>(camera.size, 1, none);
   for (std::size_t i = 0; i < view.seen.count(); ++i) {
     const float* const sum = sums.data() + 6 * i;
     if (!(sum[0] > least_density)) continue;
     view.seen[i] = 255;
-    depth[i] = sum[1] / sum[0];
+    view.depth[i] = sum[1] / sum[0];
     if (!cloud.colors.empty()) view.brightness[i] = sum[2] / sum[0];
     const Eigen::Vector3f normal = Eigen::Vector3f(sum[3], sum[4], sum[5]).normalized();
     for (int c = 0; c < 3; ++c) view.normals[3 * i + static_cast<std::size_t>(c)] = normal[c];
   }
-  if (cloud.normals.empty()) view.normals = normals_from_depth(depth, camera, {});
+  if (cloud.normals.empty()) view.normals = normals_from_depth(view.depth, camera, {});
   return view;
 }
 
@@ -164,7 +164,7 @@ PriorView prior_view(const Image<float>& depth, const Pinhole& camera, int facto
   const Pinhole reduced = reduced_camera(camera, factor);
   PriorView view;
   view.seen = Mask(reduced.size);
-  Image<float> means(reduced.size, 1, none);
+  view.depth = Image<float>(reduced.size, 1, none);
   std::vector<float> depths;
   for (int row = 0; row < reduced.size.height; ++row) {
     for (int column = 0; column < reduced.size.width; ++column) {
@@ -179,12 +179,12 @@ PriorView prior_view(const Image<float>& depth, const Pinhole& camera, int facto
       }
       if (2 * count <= factor * factor) continue;
       view.seen(column, row) = 255;
-      means(column, row) = static_cast<float>(sum / count);
-      depths.push_back(means(column, row));
+      view.depth(column, row) = static_cast<float>(sum / count);
+      depths.push_back(view.depth(column, row));
     }
   }
   view.median_depth = median_in_place(depths);
-  view.normals = normals_from_depth(means, reduced, context);
+  view.normals = normals_from_depth(view.depth, reduced, context);
   return view;
 }
 

@@ -31,6 +31,7 @@ struct PriorView {
   Image<float> normals;     ///< 3 channels, unit, camera frame, towards the camera; NaN = none
   Image<float> brightness;  ///< ln of its color's mean, NaN = none; empty = the surface has no colors
   Mask seen;                ///< 255 = there is a surface
+  Image<float> depth;       ///< z, NaN = none
   double median_depth = 0;
 };
 

@@ -1,6 +1,6 @@
 #include "malus/evidence/response_check.h"
 
-#include <Eigen/QR>
+#include <algorithm>
 #include <array>
 #include <cmath>
 
@@ -24,8 +24,7 @@ struct Sums {
 /// Σ r · h and Σ h · h by parts of the image, each pixel over its intensity.
 std::array<Sums, PixelSamples::part_count> sums_of(const PixelSamples& samples, const std::vector<double>& angles_rad) {
   const Eigen::MatrixXd projection = residual_projection(angles_rad);
-  const Eigen::MatrixXd inverse =
-      Eigen::MatrixXd(sinusoid_rows(angles_rad)).completeOrthogonalDecomposition().pseudoInverse();
+  const Eigen::Matrix3Xd inverse = stokes_of_intensities(angles_rad);
   std::array<Sums, PixelSamples::part_count> sums;
   Eigen::VectorXd bent(static_cast<Eigen::Index>(angles_rad.size()));
   for (std::size_t i = 0; i < samples.values.size(); ++i) {
@@ -91,6 +90,25 @@ ResponseCheck check_response(const std::vector<Image<float>>& images, const std:
     finding.message = "the images are linear in the light, as far as the sinusoid tells";
   }
   return result;
+}
+
+Finding response_finding(const Finding& as_read, const Finding& fitted) {
+  if (as_read.severity == fitted.severity) return fitted;
+  Finding finding;
+  finding.check = "response";
+  finding.message =
+      "whether the images are linear could not be checked: what bends the sinusoid is a response curve or wrong "
+      "angles";
+  const auto bend_of = [](const Finding& of) { return of.figures.empty() ? 0.0 : of.figures.front().second; };
+  finding.figures = {{"bend_as_read", bend_of(as_read)}, {"bend_fitted", bend_of(fitted)}};
+  return finding;
+}
+
+bool says_linear(const Finding& finding) {
+  return finding.check == "response" && finding.severity == Severity::note &&
+         std::ranges::any_of(finding.figures, [](const auto& figure) {
+           return figure.first == "bend_sigma" && figure.second <= largest_sigma;
+         });
 }
 
 }  // namespace malus

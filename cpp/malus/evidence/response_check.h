@@ -25,4 +25,11 @@ struct ResponseCheck {
 ResponseCheck check_response(const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
                              const Mask& mask, const std::string& response, const Context& context);
 
+/// What two such checks say together: of the angles as they were read, which may be wrong, and of those that fit the
+/// images, which may fit a response curve. Where the two differ nothing can be said.
+Finding response_finding(const Finding& as_read, const Finding& fitted);
+
+/// Whether that check found the images linear; false: it found them bent, or could not tell.
+bool says_linear(const Finding& finding);
+
 }  // namespace malus

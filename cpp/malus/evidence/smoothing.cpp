@@ -3,7 +3,7 @@
 #include <opencv2/imgproc.hpp>
 #include <vector>
 
-#include "malus/core/median.h"
+#include "malus/core/robust_spread.h"
 #include "malus/evidence/smoothing_internal.h"
 
 namespace malus {
@@ -36,7 +36,7 @@ Image<float> band_inside(const Image<float>& image, const Mask& mask, double fin
     band[i] = fine[2 * i] / fine[2 * i + 1] - coarse[2 * i] / coarse[2 * i + 1];
     sizes.push_back(std::abs(band[i]));
   }
-  const float limit = static_cast<float>(clip_sigmas * 1.4826) * median_in_place(sizes);
+  const float limit = static_cast<float>(clip_sigmas * deviation_per_median) * median_in_place(sizes);
   for (float& value : band) value = std::clamp(value, -limit, limit);
   return band;
 }

@@ -46,11 +46,13 @@ void require_points(const VisiblePoints& visible, const PriorOptions& options) {
   const PointCensus& census = visible.census;
   if (visible.points.size() >= static_cast<std::size_t>(options.min_points)) return;
   std::ostringstream message;
-  message << "prior cloud: " << census.used << " of " << census.total
-          << " points are visible on the object, expected at least " << options.min_points << " (" << census.behind
-          << " behind the camera, " << census.outside << " outside the image, " << census.off_object
-          << " outside the mask, " << census.facing_away << " facing away, " << census.hidden << " hidden, "
-          << census.outliers << " outliers): check that cloud and camera pose are in one frame and unit";
+  message << "prior cloud: " << census.used << " of " << census.total << " points are visible on the object";
+  if (census.used > visible.points.size())
+    message << ", in only " << visible.points.size() << " different places of the image";
+  message << ", expected at least " << options.min_points << " (" << census.behind << " behind the camera, "
+          << census.outside << " outside the image, " << census.off_object << " outside the mask, "
+          << census.facing_away << " facing away, " << census.hidden << " hidden, " << census.outliers
+          << " outliers): check that cloud and camera pose are in one frame and unit";
   throw data_error(message.str());
 }
 

@@ -155,6 +155,7 @@ Plan check_station(const Station& station, const Options& options, const Context
   plan.object_pixels =
       static_cast<double>(std::ranges::count_if(object, [](std::uint8_t value) { return value != 0; }));
   read_images(station, object, plan, context);
+  for (const Finding& finding : station.file_findings) plan.warnings.push_back(finding.text());
   Details details{{"polarization", describe_images(station)}};
   std::optional<Station> with_photos;
   if (station.has_prior()) {

@@ -4,6 +4,7 @@
 #include <variant>
 
 #include "malus/evidence/before_fusion.h"
+#include "malus/evidence/response_check.h"
 #include "malus/io/colmap_workspace.h"
 #include "malus/station/json_fields_internal.h"
 #include "malus/station/state_views_internal.h"
@@ -13,7 +14,7 @@ namespace malus {
 namespace {
 
 std::vector<Finding> compare_with_prior(const Job& job, const PolarizationState& state, const StationView& view,
-                                        const Scene& scene, const DepthPrior& prior) {
+                                        const Scene& scene, const DepthPrior& prior, const ImageFindings& of_images) {
   std::optional<PointCloud> read;
   if (const auto* file = std::get_if<CloudFile>(&job.station.prior)) read = read_cloud(file->path, job.context);
   const PointCloud* cloud = read ? &*read : std::get_if<PointCloud>(&job.station.prior);
@@ -21,7 +22,9 @@ std::vector<Finding> compare_with_prior(const Job& job, const PolarizationState&
   return findings_before_fusion({.images = {state, scene.image, object, view.camera, job.station.file.unit},
                                  .pose = prior.pose,
                                  .prior_depth = prior.depth,
-                                 .cloud = cloud},
+                                 .cloud = cloud,
+                                 .known_linear = std::ranges::any_of(of_images.findings, says_linear),
+                                 .response = job.station.file.polarized.response},
                                 job.context);
 }
 
@@ -39,7 +42,7 @@ InputEvidence check_inputs(const Job& job, const ImageFindings& of_images, const
                            const StationView& view, const Scene& scene, const DepthPrior* prior) {
   InputEvidence evidence{of_images.findings, ""};
   if (prior != nullptr)
-    std::ranges::move(compare_with_prior(job, *polarization.state, view, scene, *prior),
+    std::ranges::move(compare_with_prior(job, *polarization.state, view, scene, *prior, of_images),
                       std::back_inserter(evidence.findings));
   std::ranges::stable_sort(evidence.findings, std::ranges::greater(), &Finding::severity);
   for (const Finding& finding : evidence.findings) {

@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -148,10 +149,25 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
   // Angles that are found from the images have the images' order.
   if (polarized.angles_deg)
     of_images.findings.push_back(check_image_order(stack.images, stack.angles_rad, stack.mask, context).finding);
+  const auto check_linear = [&] {
+    return check_response(stack.images, stack.angles_rad, stack.mask, polarized.response, context).finding;
+  };
+  std::optional<Finding> as_read;
+  if (polarized.angles_deg) as_read = check_linear();
   MeasuredPolarization measured;
   fit_polarizer_of(stack, polarized, options.polarizer, measured, context);
-  of_images.findings.push_back(
-      check_response(stack.images, stack.angles_rad, stack.mask, polarized.response, context).finding);
+  Finding response = check_linear();
+  if (as_read) response = response_finding(*as_read, response);
+  of_images.findings.push_back(response);
+  for (Finding finding : job.station.file_findings) {
+    // What the light says counts for more than what a program wrote into a file.
+    if (says_linear(response)) {
+      finding.severity = Severity::note;
+      finding.message += "; the light says that this is right";
+      finding.suggestion.clear();
+    }
+    of_images.findings.push_back(std::move(finding));
+  }
   auto state = std::make_shared<PolarizationState>(decompose(stack.images, stack.angles_rad, stack.noise, stack.mask,
                                                              stack.saturated, options.polarization, context));
   if (!stack.shared.empty()) {

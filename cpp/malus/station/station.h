@@ -6,6 +6,7 @@
 #include <variant>
 #include <vector>
 
+#include "malus/core/finding.h"
 #include "malus/core/geometry.h"
 #include "malus/core/image.h"
 #include "malus/io/station_file.h"
@@ -34,6 +35,7 @@ struct Station {
   std::optional<Mask> mask;
   PriorSource prior;
   std::optional<Photogrammetry> photogrammetry;
+  std::vector<Finding> file_findings;  ///< what the images' files say of themselves that the station file contradicts
 
   bool in_memory() const { return !images.empty(); }
   bool has_prior() const { return !std::holds_alternative<std::monostate>(prior); }

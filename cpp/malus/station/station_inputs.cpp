@@ -81,6 +81,7 @@ Json StationInputs::polarized() {
   if (spec.mask) json["mask"] = file(*spec.mask);
   if (station_.mask) json["mask"] = array("mask", *station_.mask);
   json["has_photos"] = station_.file.photos.has_value();
+  if (!station_.file_findings.empty()) json["file_findings"] = fields_to_json(station_.file_findings);
   return json;
 }
 

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include "evidence_scene.h"
+#include "malus/evidence/contrast_check.h"
 #include "malus/evidence/object_size.h"
 
 namespace malus {
@@ -82,6 +83,10 @@ TEST(ObjectSize, SaysItInWords) {
   EXPECT_EQ(millimetres.finding.severity, Severity::warning);
   EXPECT_NE(millimetres.finding.suggestion.find("unit = \"mm\""), std::string::npos) << millimetres.finding.text();
 
+  const ObjectSize coin_in_metres = size_of(24, 300, "m");
+  EXPECT_EQ(coin_in_metres.finding.severity, Severity::warning) << coin_in_metres.finding.text();
+  EXPECT_NE(coin_in_metres.finding.suggestion.find("unit = \"mm\""), std::string::npos);
+
   const Pinhole wrong_lens{{1000, 800}, 500000, 500000, 500, 400};
   const ObjectSize narrow = object_size({{0, 0, 590}, {1, 1, 590}, {200, 3, 591}}, wrong_lens, "mm");
   EXPECT_NE(narrow.finding.suggestion.find("focal length"), std::string::npos) << narrow.finding.text();
@@ -92,14 +97,45 @@ TEST(BeforeFusion, ListsAllFindings) {
   const EvidenceScene scene;
   const auto findings = findings_before_fusion(
       {.images = scene.images(), .pose = scene.pose, .prior_depth = scene.depth, .cloud = &scene.cloud}, {});
-  ASSERT_EQ(findings.size(), 3u);
+  ASSERT_EQ(findings.size(), 4u);
   EXPECT_EQ(findings[0].check, "size");
   EXPECT_EQ(findings[1].check, "phase");
   EXPECT_EQ(findings[2].check, "prior");
+  EXPECT_EQ(findings[3].check, "contrast");
   for (const Finding& finding : findings) {
     EXPECT_EQ(finding.severity, Severity::note) << finding.text();
     EXPECT_FALSE(finding.figures.empty());
   }
+}
+
+TEST(ContrastCheck, TheRatioFollowsTheExponent) {
+  const auto color_of = [](float exponent) {
+    EvidenceScene scene;
+    for (float& value : scene.everything) value = std::pow(value, exponent);
+    return check_alignment(scene.cloud, scene.pose, scene.images(), {}).color;
+  };
+  const AlignmentEvidence linear = color_of(1), encoded = color_of(1 / 2.2F);
+  EXPECT_GT(linear.contrast, 1.35);  // shading is the images' alone, so that it is more than 2.2
+  EXPECT_NEAR(encoded.contrast / linear.contrast, 1 / 2.2, 0.08);
+}
+
+TEST(ContrastCheck, WarnsOfImagesThatAreNotLinear) {
+  const auto finding_of = [](double contrast, double explained, bool known_linear) {
+    AlignmentEvidence color;
+    color.available = true;
+    color.at_best = explained;
+    color.contrast = contrast;
+    return check_contrast(color, "linear", known_linear);
+  };
+  EXPECT_EQ(finding_of(2.2, 0.6, false).severity, Severity::note);
+  const Finding encoded = finding_of(1, 0.6, false), decoded = finding_of(4.8, 0.6, false);
+  EXPECT_EQ(encoded.severity, Severity::warning);
+  EXPECT_NE(encoded.suggestion.find("srgb"), std::string::npos) << encoded.text();
+  EXPECT_EQ(decoded.severity, Severity::warning);
+  EXPECT_NE(decoded.suggestion.find("\"linear\""), std::string::npos) << decoded.text();
+  EXPECT_EQ(finding_of(1, 0.6, true).severity, Severity::note);
+  EXPECT_EQ(finding_of(1, 0.2, false).severity, Severity::note);
+  EXPECT_TRUE(finding_of(1, 0.2, false).figures.empty());
 }
 
 }  // namespace

@@ -48,8 +48,8 @@ struct EvidenceScene {
   Image<float> everything;  ///< intensity
   PointCloud cloud;         ///< world frame
 
-  explicit EvidenceScene(bool has_texture = true) {
-    const Waves bumps(1, 25, 80), texture(2, 6, 30);
+  explicit EvidenceScene(bool has_texture = true, unsigned seed = 1) {
+    const Waves bumps(seed, 25, 80), texture(seed + 1, 6, 30);
     for (int v = 0; v < camera.size.height; ++v) {
       for (int u = 0; u < camera.size.width; ++u) {
         depth(u, v) = static_cast<float>(100 + 0.8 * bumps(u, v));
@@ -95,7 +95,8 @@ struct EvidenceScene {
     cloud.points.push_back(pose.world_from_cam(depth(u, v) * camera.ray(u, v)));
     cloud.normals.push_back((pose.rotation.transpose() * normal).cast<float>());
     if (!has_colors) return;
-    const auto grey = static_cast<std::uint8_t>(std::clamp(250 * albedo, 0.0, 255.0));
+    // As a display shows it.
+    const auto grey = static_cast<std::uint8_t>(std::clamp(255 * std::pow(albedo, 1 / 2.2), 0.0, 255.0));
     cloud.colors.push_back({grey, grey, grey});
   }
 };

@@ -84,6 +84,20 @@ TEST(ResponseCheck, TellsLinearFromEncodedAndDecoded) {
   }
 }
 
+TEST(ResponseCheck, AnglesThatFitAResponseCurveDoNotHideIt) {
+  Finding linear, bent;
+  linear.check = bent.check = "response";
+  linear.figures = {{"bend", 0.01}, {"bend_sigma", 0.003}};
+  bent.figures = {{"bend", 0.13}, {"bend_sigma", 0.003}};
+  bent.severity = Severity::warning;
+  EXPECT_TRUE(says_linear(response_finding(linear, linear)));
+  EXPECT_EQ(response_finding(bent, bent).severity, Severity::warning);
+  const Finding unknown = response_finding(bent, linear);
+  EXPECT_EQ(unknown.severity, Severity::note);
+  EXPECT_FALSE(says_linear(unknown));
+  EXPECT_EQ(unknown.figures.front().second, 0.13);
+}
+
 TEST(ResponseCheck, SaysThatThreeAnglesCannotTell) {
   const std::vector<double> angles = every(60, 3);
   const ResponseCheck found = check_response(images_at(angles), angles, {}, "linear", {});

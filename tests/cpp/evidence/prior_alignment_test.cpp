@@ -132,6 +132,43 @@ TEST(PriorAlignment, FindsInvertedMasks) {
   EXPECT_EQ(found.instead, "the mask is inverted") << found.finding.text();
 }
 
+/// The scene's object before a wall, both in the cloud, which has neither colors nor normals.
+EvidenceScene before_a_wall() {
+  EvidenceScene scene(false);
+  for (int v = 0; v < scene.object.height(); ++v)
+    for (int u = 0; u < scene.object.width(); ++u)
+      if (scene.object(u, v) == 0)
+        scene.cloud.points.push_back(scene.pose.world_from_cam(110 * scene.camera.ray(u, v)));
+  scene.cloud.normals.clear();
+  return scene;
+}
+
+TEST(PriorAlignment, TheOutlineTellsWhereNeitherColorsNorPhasesDo) {
+  EvidenceScene scene = before_a_wall();
+  for (float& rho : scene.state.rho) rho = 0;
+  const PriorAlignment right = check(scene, scene.cloud);
+  EXPECT_EQ(right.finding.severity, Severity::note) << right.finding.text();
+  EXPECT_GT(right.outline_as_given, 0.8);
+  const PriorAlignment shifted = check(scene, scene.moved(motion(12, 0)));
+  EXPECT_EQ(shifted.finding.severity, Severity::warning) << shifted.finding.text();
+  EXPECT_NE(shifted.finding.message.find("too far right"), std::string::npos) << shifted.finding.message;
+  EXPECT_NEAR(shifted.right_px, -12, 4);  // to a pixel of the reduced view
+  const PriorAlignment larger = check(scene, scene.moved(motion(0, 0, 0, 1.07)));
+  EXPECT_EQ(larger.finding.severity, Severity::warning) << larger.finding.text();
+  EXPECT_NE(larger.finding.message.find("% too large"), std::string::npos) << larger.finding.message;
+}
+
+TEST(PriorAlignment, FindsInvertedMasksWhereTheCloudCoversTheBackgroundToo) {
+  EvidenceScene scene = before_a_wall();
+  const PriorAlignment right = check(scene, scene.cloud);
+  EXPECT_NE(right.instead, "the mask is inverted") << right.finding.text();
+  EXPECT_NEAR(right.outline_step_gsd, 50, 15);  // 60 but for the smoothing of what a pixel of the reduced view sees
+  for (std::uint8_t& pixel : scene.object) pixel = pixel != 0 ? 0 : 255;
+  const PriorAlignment found = check(scene, scene.cloud);
+  EXPECT_EQ(found.finding.severity, Severity::warning);
+  EXPECT_EQ(found.instead, "the mask is inverted") << found.finding.text();
+}
+
 TEST(PriorAlignment, AnObjectThatOnlyStereoMissesIsNoMistake) {
   const EvidenceScene scene;
   PointCloud around;
@@ -145,6 +182,14 @@ TEST(PriorAlignment, AnObjectThatOnlyStereoMissesIsNoMistake) {
   EXPECT_EQ(found.finding.severity, Severity::note) << found.finding.text();
   EXPECT_NE(found.finding.message.find("could not be checked: the cloud covers only"), std::string::npos)
       << found.finding.text();
+}
+
+TEST(PriorAlignment, ImagesOfAnotherObjectHaveNothingInCommon) {
+  const EvidenceScene scene, other(true, 100);
+  const PriorAlignment found = check(scene, other.cloud);
+  EXPECT_EQ(found.finding.severity, Severity::warning) << found.finding.text();
+  EXPECT_NE(found.finding.message.find("nothing of what the prior shows"), std::string::npos) << found.finding.text();
+  EXPECT_LT(found.color.as_given, 0.03);
 }
 
 TEST(PriorAlignment, SaysThatNothingCanBeChecked) {

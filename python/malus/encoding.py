@@ -1,0 +1,112 @@
+"""What image files say of their response curve: colour profiles, PNG and EXIF entries, against the station file's `response`."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from PIL import Image, ImageCms, UnidentifiedImageError
+
+from malus import raw
+from malus.exif import tags_of
+
+_ICC_PROFILE, _MAKE, _COLOR_SPACE, _GAMMA = 34675, 271, 40961, 42240
+_MIDDLE_GREY = 128
+#: Exponent of encoded values → light from which a file is encoded for a display, and below which it is linear.
+_ENCODED, _LINEAR = 1.5, 1.15
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """Whether the file's numbers follow the light, and what says so."""
+
+    is_linear: bool
+    source: str
+
+
+def encoding_of(path: Path) -> Encoding | None:
+    """What a file says of its response curve; None: nothing, or something between linear and a display's."""
+    if raw.is_raw(path):
+        return Encoding(True, "RAW files are linear")
+    tags = tags_of(path)
+    try:
+        with Image.open(path) as image:
+            info, kind = dict(image.info), image.format
+    except (OSError, UnidentifiedImageError, ValueError, SyntaxError):
+        info, kind = {}, "TIFF"  # of a kind that Pillow does not read; its tags were read all the same
+    profile = info.get("icc_profile") or tags.get(_ICC_PROFILE)
+    if isinstance(profile, bytes):
+        return _of_profile(profile)
+    if "srgb" in info:
+        return Encoding(False, "the PNG file says sRGB")
+    if isinstance(info.get("gamma"), float) and info["gamma"] > 0:
+        return _of_exponent(1 / info["gamma"], f"the PNG file says gamma {1 / info['gamma']:.2g}")
+    if (gamma := _positive(tags.get(_GAMMA))) is not None:
+        return _of_exponent(gamma, f"the EXIF data say gamma {gamma:.2g}")
+    # A camera's JPEG files are encoded, whatever else it writes; of other files a colour space alone says little.
+    if kind == "JPEG" and (tags.get(_COLOR_SPACE) == 1 or _MAKE in tags):
+        return Encoding(False, "it is a JPEG file of a camera")
+    return None
+
+
+def _of_profile(profile: bytes) -> Encoding | None:
+    """By the light that the profile gives a middle grey."""
+    try:
+        read = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        mode = {"RGB": "RGB", "GRAY": "L"}.get(read.profile.xcolor_space.strip())
+        if mode is None:
+            return None
+        to_lab = ImageCms.buildTransform(
+            read, ImageCms.createProfile("LAB"), mode, "LAB", ImageCms.Intent.RELATIVE_COLORIMETRIC
+        )
+        grey = Image.new("L", (1, 1), _MIDDLE_GREY).convert(mode)
+        lightness = ImageCms.applyTransform(grey, to_lab).getpixel((0, 0))[0] * 100 / 255  # type: ignore[union-attr, index]
+    except (ImageCms.PyCMSError, OSError, ValueError, TypeError):
+        return None
+    light = ((lightness + 16) / 116) ** 3
+    name = (read.profile.profile_description or "without a name").strip()
+    return _of_exponent(math.log(light) / math.log(_MIDDLE_GREY / 255), f'its colour profile is "{name}"')
+
+
+def _of_exponent(exponent: float, source: str) -> Encoding | None:
+    if exponent > _ENCODED:
+        return Encoding(False, source)
+    return Encoding(True, source) if 1 / _LINEAR < exponent < _LINEAR else None
+
+
+def _positive(value: Any) -> float | None:
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if math.isfinite(number) and number > 0 else None
+
+
+def doubts(images: Sequence[Path], response: str) -> list[tuple[str, str]]:
+    """Message and suggestion where files say of their response the opposite of what the station file says; else none."""
+    exponent = {"linear": 1.0, "srgb": 2.2}.get(response)
+    if exponent is None and response.startswith("gamma:"):
+        exponent = _positive(response.removeprefix("gamma:"))
+    taken = None if exponent is None else _of_exponent(exponent, "")
+    if taken is None:  # a table, or a curve that no file would name
+        return []
+    against = [
+        (path, said) for path in images if (said := encoding_of(path)) is not None and said.is_linear != taken.is_linear
+    ]
+    if not against:
+        return []
+    path, said = against[0]
+    files = path.name if len(against) == 1 else f"{path.name} and {len(against) - 1} more"
+    if taken.is_linear:
+        return [
+            (f"images are encoded for a display by what their files say ({files}: {said.source}), but response = \"{response}\" leaves them so",
+             'is response = "srgb" right, or can the camera\'s RAW files be developed linearly?')
+        ]  # fmt: skip
+    return [
+        (f"images are linear by what their files say ({files}: {said.source}), but response = \"{response}\" bends them",
+         'is response = "linear" right?')
+    ]  # fmt: skip

@@ -1,0 +1,115 @@
+"""What image files say of their response curve, against what the station file says."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image, ImageCms, PngImagePlugin
+
+from conftest import edit, malus
+from malus.encoding import doubts, encoding_of
+
+PIXELS = np.arange(256, dtype=np.uint8).reshape(16, 16)
+
+
+def profile_of_exponent(exponent: float) -> bytes:
+    """A grey ICC profile of version 2 whose curve is a power."""
+    curve = b"curv\0\0\0\0" + (1).to_bytes(4, "big") + round(exponent * 256).to_bytes(2, "big") + b"\0\0"
+    white = b"XYZ \0\0\0\0" + b"".join(round(x * 65536).to_bytes(4, "big") for x in (0.9642, 1.0, 0.8249))
+    text = b"grey of a power\0"
+    words = b"desc\0\0\0\0" + len(text).to_bytes(4, "big") + text + bytes(4 + 4 + 2 + 1 + 67)
+    tags, body = b"", b""
+    start = 128 + 4 + 3 * 12
+    for name, content in ((b"desc", words), (b"wtpt", white), (b"kTRC", curve)):
+        content += bytes(-len(content) % 4)
+        tags += name + (start + len(body)).to_bytes(4, "big") + len(content).to_bytes(4, "big")
+        body += content
+    head = bytearray(128)
+    head[0:4] = (start + len(body)).to_bytes(4, "big")
+    head[8:12], head[12:24], head[36:40] = b"\x02\x40\0\0", b"mntrGRAYXYZ ", b"acsp"
+    head[68:80] = b"".join(round(x * 65536).to_bytes(4, "big") for x in (0.9642, 1.0, 0.8249))
+    return bytes(head) + (3).to_bytes(4, "big") + tags + body
+
+
+def srgb() -> bytes:
+    return bytes(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
+
+
+def saved(path: Path, **how: object) -> Path:
+    Image.fromarray(np.stack([PIXELS] * 3, -1) if how.pop("color", False) else PIXELS).save(path, **how)
+    return path
+
+
+def test_profiles_say_whether_files_follow_the_light(tmp_path: Path) -> None:
+    encoded = encoding_of(saved(tmp_path / "a.jpg", color=True, icc_profile=srgb()))
+    assert encoded is not None and not encoded.is_linear and "sRGB" in encoded.source
+    linear = encoding_of(saved(tmp_path / "b.png", icc_profile=profile_of_exponent(1.0)))
+    assert linear is not None and linear.is_linear and "grey of a power" in linear.source
+    assert encoding_of(saved(tmp_path / "c.png", icc_profile=profile_of_exponent(1.3))) is None
+    assert encoding_of(saved(tmp_path / "d.png", icc_profile=b"no profile")) is None
+    tifffile.imwrite(tmp_path / "e.tif", PIXELS.astype(np.uint16), iccprofile=profile_of_exponent(1.0))
+    developed = encoding_of(tmp_path / "e.tif")
+    assert developed is not None and developed.is_linear
+
+
+def test_entries_without_a_profile(tmp_path: Path) -> None:
+    gamma = PngImagePlugin.PngInfo()
+    gamma.add(b"gAMA", (100000).to_bytes(4, "big"))
+    linear = encoding_of(saved(tmp_path / "a.png", pnginfo=gamma))
+    assert linear is not None and linear.is_linear
+    exif = Image.Exif()
+    exif[271] = "Camera"
+    camera = encoding_of(saved(tmp_path / "b.jpg", exif=exif))
+    assert camera is not None and not camera.is_linear
+    raw = encoding_of(tmp_path / "c.NEF")
+    assert raw is not None and raw.is_linear
+
+
+def test_files_that_say_nothing(tmp_path: Path) -> None:
+    for name in ("a.jpg", "b.png", "c.tif"):
+        assert encoding_of(saved(tmp_path / name)) is None
+    assert encoding_of(tmp_path / "missing.png") is None
+    (tmp_path / "text.png").write_text("no image")
+    assert encoding_of(tmp_path / "text.png") is None
+
+
+def test_doubts_where_file_and_station_file_disagree(tmp_path: Path) -> None:
+    encoded = [saved(tmp_path / f"{k}.jpg", color=True, icc_profile=srgb()) for k in range(3)]
+    linear = [saved(tmp_path / "linear.png", icc_profile=profile_of_exponent(1.0))]
+    ((message, suggestion),) = doubts(encoded, "linear")
+    assert "0.jpg and 2 more" in message and "sRGB" in message and 'response = "srgb"' in suggestion
+    for response in ("srgb", "gamma:2.2"):
+        assert doubts(encoded, response) == []
+        ((message, suggestion),) = doubts(linear, response)
+        assert "linear.png" in message and 'response = "linear"' in suggestion
+    assert doubts(linear, "linear") == doubts(linear, "curve.csv") == doubts(encoded, "gamma:1.3") == []
+
+
+@pytest.fixture
+def with_profile(small_station: Path) -> Path:
+    """The station's images say that they are encoded for a display, which they are not."""
+    for path in (small_station.parent / "pol").iterdir():
+        tifffile.imwrite(path, tifffile.imread(path), iccprofile=profile_of_exponent(2.2))
+    return small_station
+
+
+def test_check_says_it(with_profile: Path, tmp_path: Path) -> None:
+    outcome = malus("check", with_profile, cwd=tmp_path)
+    assert outcome.code == 0, outcome.err
+    assert "images are encoded for a display by what their files say" in outcome.out
+    edit(with_profile, "[polarized]", '[polarized]\nresponse = "gamma:2.2"')
+    assert "encoded for a display" not in malus("check", with_profile, cwd=tmp_path).out
+
+
+def test_a_profile_does_not_outdo_what_the_light_says(with_profile: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    outcome = malus("run", with_profile, "-o", work, "--fusion", "grid")
+    assert outcome.code == 0, outcome.err
+    findings = (work / "evidence/findings.json").read_text()
+    assert "images are encoded for a display by what their files say" in findings
+    assert "the light says that this is right" in findings
+    assert "encoded for a display" not in io.StringIO(outcome.err).read()
