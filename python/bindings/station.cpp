@@ -1,6 +1,8 @@
 #include <pybind11/eigen.h>
 #include <pybind11/stl.h>
 
+#include <algorithm>
+
 #include "arrays.h"
 #include "bindings.h"
 #include "cameras.h"
@@ -10,6 +12,7 @@
 #include "malus/io/sha256.h"
 #include "malus/io/workspace_internal.h"
 #include "malus/station/check.h"
+#include "malus/station/check_picture.h"
 #include "malus/station/describe.h"
 #include "malus/station/options.h"
 #include "malus/station/reconstruct.h"
@@ -197,6 +200,14 @@ void bind_station(py::module_& module) {
       plan = plan_to_json(check_station(station, options_from_json({}, options_json), context));
     });
     return plan;
+  });
+  module.def("check_picture", [](const Station& station, int threads) {
+    CheckPicture picture;
+    run_interruptible(threads, py::none(), py::none(),
+                      [&](const Context& context) { picture = check_picture(station, context); });
+    py::array_t<float> points({static_cast<py::ssize_t>(picture.points.size()), py::ssize_t{3}});
+    std::ranges::copy(picture.points, reinterpret_cast<Eigen::Vector3f*>(points.mutable_data()));
+    return py::make_tuple(to_array(std::move(picture.image)), to_array(std::move(picture.object)), points);
   });
 }
 

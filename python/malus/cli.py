@@ -84,7 +84,13 @@ def _parser() -> argparse.ArgumentParser:
     run = add("run", "the whole job: station file in, workspace with mesh, figures and report out")
     demo = add("demo", "the same on the example that ships with malus", station=False, work=False)
     work_of(demo, default=Path("malus-demo"), help="workspace folder, default: malus-demo")
-    add("check", "read everything, say what would be done, what it would take and what is wrong", work=False)
+    check = add("check", "read everything, say what would be done, what it would take and what is wrong", work=False)
+    check.add_argument(
+        "--overlay",
+        type=Path,
+        metavar="FILE.png",
+        help="where to leave the picture of the cloud upon the image; default: STATION-check.png in the current folder",
+    )
     steps = {name: add(name, text) for name, (_, _, text) in STEP_COMMANDS.items()}
     for name, (until, fusion, _) in STEP_COMMANDS.items():
         steps[name].formatter_class = argparse.RawDescriptionHelpFormatter
@@ -208,7 +214,11 @@ def _print_summary(work: Path, quiet: bool) -> None:
 
 def _check(args: argparse.Namespace) -> None:
     station = malus.Station.load(args.station)
-    plan = malus.check(station, _options(args), threads=args.threads)
+    overlay = args.overlay
+    if overlay is None and os.access(".", os.W_OK):
+        overlay = Path(f"{args.station.stem}-check.png")
+    plan = malus.check(station, _options(args), overlay=overlay, threads=args.threads)
+    plan["overlay"] = overlay and str(overlay)
     if args.json:
         print(json.dumps(plan))
         return
@@ -218,6 +228,7 @@ def _check(args: argparse.Namespace) -> None:
     print(f"expected: {plan['seconds']:.0f} s, {plan['memory_mb']:.0f} MB")
     for warning in plan["warnings"]:
         print(f"warning: {warning}")
+    print(f"picture of the cloud upon the image: {overlay or 'none, this folder cannot be written to (--overlay)'}")
 
 
 def _batch(args: argparse.Namespace) -> None:
@@ -245,6 +256,8 @@ def _batch(args: argparse.Namespace) -> None:
 
 
 def _run(arguments: Sequence[str] | None) -> None:
+    for text in sys.argv[1:] if arguments is None else arguments:
+        require_utf8(text)
     args = _parser().parse_args(arguments)
     if args.command == "options":
         for name, kind, default, meaning in malus.Options.describe():
@@ -256,8 +269,6 @@ def _run(arguments: Sequence[str] | None) -> None:
                 args.folder,
                 args.output,
                 table=args.table,
-    for text in sys.argv[1:] if arguments is None else arguments:
-        require_utf8(text)
                 pattern=args.pattern,
                 angles=_angles("--angles", args.angles, "angles in degrees: 0,45,90,135"),
                 mosaic=_angles("--mosaic", args.mosaic, "four angles in degrees: 90,45,135,0"),

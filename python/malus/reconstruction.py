@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from malus import _core, encoding, exif, photogrammetry, raw, scans
 from malus._files import require_utf8
 from malus.camera import Camera
+from malus.errors import DataError
 from malus.options import Options
+from malus.overlay import write_overlay
 from malus.station import Station
 
 #: The steps in their order, as they stand in manifest.json.
@@ -251,16 +253,31 @@ def _fused_of(description: dict[str, Any], images: dict[str, Any], options: Opti
     }
 
 
-def check(station: Station, options: Options | None = None, *, threads: int = 1) -> dict[str, Any]:
-    """Read everything a station names and say what a run would do, its expected time and memory, and what is wrong."""
+def check(
+    station: Station, options: Options | None = None, *, overlay: str | Path | None = None, threads: int = 1
+) -> dict[str, Any]:
+    """Read everything a station names and say what a run would do, its expected time and memory, and what is wrong.
+
+    overlay: a PNG file to write, the prior's points and the mask's outline upon the first polarized image; also where a
+    DataError says that they do not meet.
+    """
     settings = options or Options()
     with _folder(None, "raw") as folder:
         core = _readable(station, folder, lambda _, __: None)
-        plan: dict[str, Any] = json.loads(_core.check(core, settings.to_json(), threads))
+        picture = None if overlay is None else _core.check_picture(core, threads)
+        try:
+            plan: dict[str, Any] = json.loads(_core.check(core, settings.to_json(), threads))
+        except DataError as error:  # such as a cloud beside the object: then a picture says most
+            if overlay is not None and picture is not None:
+                write_overlay(Path(overlay), picture, station, [str(error)])
+            raise
     if _needs_photos(station, None):
         does, warnings, seconds = photogrammetry.plan(station.describe(), settings, threads)
         # After the polarization step, whose image is placed among the photos.
         plan["does"][1:1] = does
         plan["warnings"] += warnings
         plan["seconds"] += seconds
+    if overlay is not None and picture is not None:
+        said = [line.split(": ", 1)[1] for line in plan["does"] if line.startswith(("prior: ", "evidence: "))]
+        write_overlay(Path(overlay), picture, station, [*said, *plan["warnings"]])
     return plan

@@ -12,7 +12,7 @@ import pytest
 import tifffile
 
 from conftest import edit, half_written, malus, malus_station
-from malus import InputError, Station
+from malus import InputError, Station, _core
 
 IMAGES = "images = ["
 ANGLES = "angles_deg = [0, 30, 60, 90, 120, 150]"
@@ -209,3 +209,22 @@ def small_disk(tmp_path: Path):
 
 def test_disk_full(small_station: Path, small_disk: Path) -> None:
     expect(small_station, small_disk / "work", 5, "space")
+
+
+def test_a_cloud_that_shrinks_to_one_place_is_counted_by_places(small_station: Path, work: Path) -> None:
+    """As a cloud in metres before a camera in millimetres does: its points are many, the places they fall on are not."""
+    cloud = small_station.parent / "dense/cloud.ply"
+    station = Station.load(small_station)
+    camera, depth = station.describe()["camera"], float(np.median(_core.check_picture(station._core, 1)[2][:, 2]))
+    fx, fy, cx, cy = camera["params"]
+    in_camera = np.array([(100 - cx) / fx, (80 - cy) / fy, 1]) * depth
+    x, y, z = (in_camera - camera["translation"]) @ np.array(camera["rotation"])
+    header = [
+        "ply",
+        "format ascii 1.0",
+        "element vertex 100",
+        *(f"property float {axis}" for axis in "xyz"),
+        "end_header",
+    ]
+    cloud.write_text("\n".join([*header, *[f"{x} {y} {z}"] * 100, ""]))
+    expect(small_station, work, 3, "100 of 100 points are visible on the object, in only ", "places", "at least 30")

@@ -186,8 +186,8 @@ def test_killed_run_goes_on_and_leaves_no_child(
     assert set(after) == {"mapper"}, "finished stages were repeated"
 
 
-def test_check_says_what_would_be_done(photo_station: Path, fake_colmap: Path) -> None:
-    outcome = malus("check", photo_station)
+def test_check_says_what_would_be_done(photo_station: Path, fake_colmap: Path, tmp_path: Path) -> None:
+    outcome = malus("check", photo_station, cwd=tmp_path)
     assert outcome.code == 0, outcome
     for words in ("4 with 1 self-calibrated lens", "6 pairs", "COLMAP 3.8", "no [[scale]]", "EXIF"):
         assert words in outcome.out, words

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import shutil
@@ -21,6 +22,7 @@ from PIL import Image
 import malus
 from conftest import edit, half_written, malus_station, run_program
 from conftest import malus as run_malus
+from malus.overlay import draw_overlay
 
 RASTERS = [
     "polarization/unpolarized.tif",
@@ -385,8 +387,8 @@ def test_decompose_needs_no_prior(small_station: Path, tmp_path: Path) -> None:
     assert run_malus("run", small_station, "-o", tmp_path / "work", "--quiet").code == 2
 
 
-def test_check_says_what_would_be_done(small_station: Path) -> None:
-    outcome = run_malus("check", small_station, "--json")
+def test_check_says_what_would_be_done(small_station: Path, tmp_path: Path) -> None:
+    outcome = run_malus("check", small_station, "--json", cwd=tmp_path)
     assert outcome.code == 0, outcome.err
     plan = json.loads(outcome.out)
     assert (plan["width"], plan["height"], plan["object_pixels"]) == (200, 160, 32000)
@@ -395,8 +397,37 @@ def test_check_says_what_would_be_done(small_station: Path) -> None:
     assert not any("memory" in line for line in plan["warnings"])
 
 
-def test_check_says_when_memory_will_not_do(small_station: Path) -> None:
-    outcome = run_malus("check", small_station, "--json", "--threads", "100000")
+def test_check_leaves_a_picture_of_cloud_and_image(small_station: Path, tmp_path: Path) -> None:
+    outcome = run_malus("check", small_station, cwd=tmp_path)
+    assert outcome.code == 0, outcome.err
+    assert "picture of the cloud upon the image: station-check.png" in outcome.out
+    right = np.asarray(Image.open(tmp_path / "station-check.png"))
+    assert right.ndim == 3 and min(right.shape[:2]) > 400
+    image, mask, points = malus._core.check_picture(malus.Station.load(small_station)._core, 1)
+    assert image.shape == mask.shape == (160, 200)
+    assert points.shape[1] == 3 and points[:, 0].min() > -0.5 and points[:, 1].max() < 159.5
+    half = draw_overlay(image, mask, points[points[:, 0] < 100], "half", "mm", ["Said."])
+    whole = draw_overlay(image, mask, points, "half", "mm", ["Said."])
+
+    def colored(png: bytes) -> int:
+        pixels = np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
+        return int((np.ptp(pixels, axis=-1) > 40).sum())
+
+    assert 0.3 * colored(whole) < colored(half) < 0.75 * colored(whole)  # half of the points, and the scale
+
+
+def test_check_leaves_the_picture_of_a_cloud_that_misses_the_object_too(small_station: Path, tmp_path: Path) -> None:
+    mask = np.zeros((160, 200), np.uint8)
+    mask[0, 0] = 255
+    Image.fromarray(mask).save(small_station.parent / "mask.png")
+    edit(small_station, "white_level = 16383", 'white_level = 16383\nmask = "mask.png"')
+    outcome = run_malus("check", small_station, "--overlay", tmp_path / "seen.png")
+    assert outcome.code == 3 and "points fall on the object" in outcome.err
+    assert (tmp_path / "seen.png").exists()
+
+
+def test_check_says_when_memory_will_not_do(small_station: Path, tmp_path: Path) -> None:
+    outcome = run_malus("check", small_station, "--json", "--threads", "100000", cwd=tmp_path)
     assert outcome.code == 0, outcome.err
     assert any("GB of memory, of which this machine has" in line for line in json.loads(outcome.out)["warnings"])
 

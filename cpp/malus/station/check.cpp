@@ -2,7 +2,6 @@
 
 #include <unistd.h>
 
-#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -14,6 +13,7 @@
 #include "malus/evidence/prior_alignment.h"
 #include "malus/io/colmap_workspace.h"
 #include "malus/io/point_cloud_file.h"
+#include "malus/station/check_inputs_internal.h"
 #include "malus/station/step_internal.h"
 
 namespace malus {
@@ -23,10 +23,6 @@ std::string with_count(double count, const std::string& noun) {
   std::ostringstream text;
   text << static_cast<long long>(count) << ' ' << noun;
   return text.str();
-}
-
-Size size_of_images(const Station& station) {
-  return station.in_memory() ? station.images.front().size() : read_image_size(station.file.polarized.images.front());
 }
 
 /// Reads every image; warns of those that are clipped or dark on the object.
@@ -61,25 +57,12 @@ void read_images(const Station& station, const Mask& object, Plan& plan, const C
   }
 }
 
-Mask read_object(const Station& station, Size size) {
-  if (station.mask) return *station.mask;
-  if (!station.file.polarized.mask) return Mask(size, 1, 255);
-  Mask mask = read_mask(*station.file.polarized.mask);
-  require_size(mask, size, station.file.polarized.mask->string());
-  return mask;
-}
-
 /// Those of the cloud's points that fall on the object, in the camera frame.
 std::vector<Eigen::Vector3d> points_on_object(const PointCloud& cloud, const CameraSpec& camera, const Mask& object) {
   std::vector<Eigen::Vector3d> found;
-  for (const Eigen::Vector3d& point : cloud.points) {
-    const Eigen::Vector3d x = camera.pose.cam_from_world(point);
-    if (!(x.z() > 0)) continue;
-    const Eigen::Vector2d pixel = camera.lens.distort(x.hnormalized());
-    const double u = std::round(pixel.x()), v = std::round(pixel.y());
-    if (u >= 0 && v >= 0 && u < object.width() && v < object.height() &&
-        object(static_cast<int>(u), static_cast<int>(v)) != 0)
-      found.push_back(x);
+  for (const SeenPoint& point : seen_points(cloud.points, camera, object.size())) {
+    if (object(static_cast<int>(std::lround(point.u)), static_cast<int>(std::lround(point.v))) != 0)
+      found.push_back(point.in_cam);
   }
   return found;
 }
@@ -150,8 +133,8 @@ void warn_of_memory(Plan& plan) {
 Plan check_station(const Station& station, const Options& options, const Context& context) {
   Plan plan;
   plan.name = station.file.name;
-  plan.size = size_of_images(station);
-  const Mask object = read_object(station, plan.size);
+  plan.size = captured_size(station);
+  const Mask object = captured_object(station, plan.size);
   plan.object_pixels =
       static_cast<double>(std::ranges::count_if(object, [](std::uint8_t value) { return value != 0; }));
   read_images(station, object, plan, context);

@@ -1,0 +1,33 @@
+#include <Eigen/Geometry>
+#include <cmath>
+
+#include "malus/io/image_file.h"
+#include "malus/station/check_inputs_internal.h"
+
+namespace malus {
+
+Size captured_size(const Station& station) {
+  return station.in_memory() ? station.images.front().size() : read_image_size(station.file.polarized.images.front());
+}
+
+Mask captured_object(const Station& station, Size size) {
+  if (station.mask) return *station.mask;
+  if (!station.file.polarized.mask) return Mask(size, 1, 255);
+  Mask mask = read_mask(*station.file.polarized.mask);
+  require_size(mask, size, station.file.polarized.mask->string());
+  return mask;
+}
+
+std::vector<SeenPoint> seen_points(const std::vector<Eigen::Vector3d>& points, const CameraSpec& camera, Size image) {
+  std::vector<SeenPoint> found;
+  for (const Eigen::Vector3d& point : points) {
+    const Eigen::Vector3d x = camera.pose.cam_from_world(point);
+    if (!(x.z() > 0)) continue;
+    const Eigen::Vector2d pixel = camera.lens.distort(x.hnormalized());
+    if (pixel.minCoeff() > -0.5 && pixel.x() < image.width - 0.5 && pixel.y() < image.height - 0.5)
+      found.push_back({x, pixel.x(), pixel.y()});
+  }
+  return found;
+}
+
+}  // namespace malus

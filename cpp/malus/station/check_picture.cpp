@@ -1,0 +1,66 @@
+#include "malus/station/check_picture.h"
+
+#include <variant>
+
+#include "malus/io/colmap_workspace.h"
+#include "malus/io/image_file.h"
+#include "malus/io/point_cloud_file.h"
+#include "malus/station/check_inputs_internal.h"
+
+namespace malus {
+namespace {
+
+constexpr std::size_t most_points = 100000;
+
+/// The prior's points in the world frame; a depth map's lie in the undistorted view.
+struct PriorPoints {
+  const CameraSpec& camera;
+  const Context& context;
+
+  using Points = std::vector<Eigen::Vector3d>;
+
+  Points operator()(std::monostate) const { return {}; }
+  Points operator()(const CloudFile& file) const { return read_cloud(file.path, context).points; }
+  Points operator()(const MeshFile& file) const { return read_mesh(file.path, context).vertices.points; }
+  Points operator()(const DepthFile& file) const { return (*this)(read_float_raster(file.path)); }
+  Points operator()(const PointCloud& cloud) const { return cloud.points; }
+  Points operator()(const SweptDepth& swept) const { return (*this)(swept.depth); }
+  Points operator()(const Image<float>& depth) const {
+    const Pinhole pinhole = camera.lens.pinhole();
+    Points points;
+    for (int v = 0; v < depth.height(); ++v)
+      for (int u = 0; u < depth.width(); ++u)
+        if (depth(u, v) > 0) points.push_back(camera.pose.world_from_cam(depth(u, v) * pinhole.ray(u, v)));
+    return points;
+  }
+};
+
+Image<float> mean_of_channels(const Image<float>& image) {
+  Image<float> mean(image.size());
+  const auto channels = static_cast<std::size_t>(image.channels());
+  for (std::size_t i = 0; i < mean.count(); ++i) {
+    for (std::size_t c = 0; c < channels; ++c) mean[i] += image[i * channels + c] / static_cast<float>(channels);
+  }
+  return mean;
+}
+
+}  // namespace
+
+CheckPicture check_picture(const Station& station, const Context& context) {
+  CheckPicture picture;
+  picture.image = mean_of_channels(station.in_memory() ? station.images.front()
+                                                       : read_image(station.file.polarized.images.front()).pixels);
+  picture.object = captured_object(station, picture.image.size());
+  if (!station.file.camera) return picture;
+  const CameraSpec& camera = *station.file.camera;
+  const auto points = std::visit(PriorPoints{camera, context}, station.prior);
+  const std::vector<SeenPoint> seen = seen_points(points, camera, picture.image.size());
+  for (std::size_t i = 0; i < seen.size(); i += seen.size() / most_points + 1) {
+    const SeenPoint& point = seen[i];
+    picture.points.emplace_back(static_cast<float>(point.u), static_cast<float>(point.v),
+                                static_cast<float>(point.in_cam.z()));
+  }
+  return picture;
+}
+
+}  // namespace malus

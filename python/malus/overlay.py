@@ -1,0 +1,116 @@
+"""The picture that `malus check` leaves: the coarse surface and the mask upon the polarized image, before anything is computed."""
+
+from __future__ import annotations
+
+import io
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import patheffects
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from malus._files import write_bytes
+from malus.figures import reduced, step_for
+from malus.station import Station
+
+_LONG_SIDE_PX, _DPI, _PANEL_INCHES, _HEAD_INCHES, _MARGIN_INCHES = 1000, 130, 6.4, 0.35, 1.2
+_OUTLINE = "#ff3fd0"
+_CAPTION = (
+    "Left: the first polarized image. Right: the coarse surface's points where the camera of the station file sees them, "
+    "colored by their distance. Edges and steps of the points should lie on those of the image, and the mask's outline on the object's."
+)
+
+
+def draw_overlay(
+    image: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    points: NDArray[np.float32],
+    name: str,
+    unit: str,
+    words: Sequence[str],
+) -> bytes:
+    """PNG of the image with the mask's outline, and of the same with the points upon it.
+
+    image: H×W, any linear scale; mask: H×W, non-zero = object; points: N×3, u, v [px] and distance z [unit]; words: what
+    is said below.
+    """
+    height, width = image.shape
+    beside = height > 0.6 * width  # one above the other where they are wide
+    panel_width = _PANEL_INCHES if beside else 1.8 * _PANEL_INCHES
+    panel_height = panel_width * height / width
+    rows, columns = (1, 2) if beside else (2, 1)
+    wide = columns * panel_width + _MARGIN_INCHES
+    lines = [line for word in [*words, _CAPTION] for line in textwrap.wrap(word, int(11 * wide))]
+    foot = 0.2 * len(lines) + 0.3
+    high = rows * (panel_height + _HEAD_INCHES) + foot
+    drawing = Figure(figsize=(wide, high), dpi=_DPI)
+    FigureCanvasAgg(drawing)
+    panels = []
+    for number, title in enumerate((f"{name}: image and mask", "the coarse surface's points upon it")):
+        left = 0.1 + number * (panel_width + 0.1) * beside
+        bottom = foot + (1 - number) * (panel_height + _HEAD_INCHES) * (not beside)
+        panels.append(drawing.add_axes((left / wide, bottom / high, panel_width / wide, panel_height / high)))
+        panels[-1].set_title(title, fontsize=9)
+        _show_image(panels[-1], image, mask)
+    if len(points):
+        shown = _show_points(panels[1], points, image.shape)
+        bar = drawing.add_axes(((wide - 0.85) / wide, foot / high, 0.15 / wide, panel_height / high))
+        drawing.colorbar(shown, cax=bar).set_label(f"distance from the camera [{unit}]", fontsize=8)
+        bar.tick_params(labelsize=7)
+    drawing.text(0.1 / wide, (foot - 0.15) / high, "\n".join(lines), fontsize=8, va="top", linespacing=1.4)
+    buffer = io.BytesIO()
+    drawing.savefig(buffer, format="png")
+    return buffer.getvalue()
+
+
+def _show_image(axes: Any, image: NDArray[np.float32], mask: NDArray[np.uint8]) -> None:
+    height, width = image.shape
+    step = step_for(image.shape, _LONG_SIDE_PX)
+    small = reduced(image, step)
+    low, high = np.percentile(image[mask != 0], (0.5, 99.5)) if mask.any() else (image.min(), image.max())
+    grey = np.clip((small - low) / max(float(high - low), 1e-12), 0, 1) ** (1 / 2.2)
+    extent = (-0.5, width - 0.5, height - 0.5, -0.5)
+    axes.imshow(grey, cmap="gray", vmin=0, vmax=1, extent=extent)
+    object_share = reduced(np.where(mask != 0, np.float32(1), np.float32(0)), step)
+    if 0 < object_share.min() + object_share.max() < 2:
+        rows, columns = (np.linspace(step / 2 - 0.5, side * step - step / 2 - 0.5, side) for side in object_share.shape)
+        outline = axes.contour(columns, rows, object_share, levels=[0.5], colors=_OUTLINE, linewidths=1.4)
+        outline.set_path_effects([patheffects.withStroke(linewidth=2.6, foreground="black")])
+    axes.set_xticks([])
+    axes.set_yticks([])
+
+
+def _show_points(axes: Any, points: NDArray[np.float32], shape: tuple[int, ...]) -> Any:
+    """The nearest point in each cell of the image, in cells so large that most of a dense cloud's have one."""
+    height, width = shape
+    cell = max(1.0, max(shape) / _LONG_SIDE_PX, 1.3 * (height * width / len(points)) ** 0.5)
+    nearest = np.full((int(height / cell) + 1, int(width / cell) + 1), np.inf, np.float32)
+    row, column = (np.maximum((points[:, k] + 0.5) / cell, 0).astype(int) for k in (1, 0))
+    np.minimum.at(
+        nearest, (np.minimum(row, nearest.shape[0] - 1), np.minimum(column, nearest.shape[1] - 1)), points[:, 2]
+    )
+    near, far = np.percentile(nearest[np.isfinite(nearest)], (1, 99))
+    extent = (-0.5, nearest.shape[1] * cell - 0.5, nearest.shape[0] * cell - 0.5, -0.5)
+    distances = np.ma.masked_invalid(nearest)
+    colored = axes.imshow(
+        distances, cmap="turbo_r", vmin=near, vmax=max(far, near * (1 + 1e-6)), alpha=0.55, extent=extent
+    )
+    axes.set_xlim(-0.5, width - 0.5)
+    axes.set_ylim(height - 0.5, -0.5)
+    return colored
+
+
+def write_overlay(
+    path: Path,
+    picture: tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.float32]],
+    station: Station,
+    words: Sequence[str],
+) -> None:
+    """The picture of a station (image, mask, points) as a PNG file, with what was said of them."""
+    sentences = [f"{text[0].upper()}{text[1:]}" for text in words]
+    write_bytes(path, draw_overlay(*picture, station.name, station.unit, sentences))
