@@ -152,9 +152,9 @@ struct RefineResult {
 
 /// Refines the prior with the polarization: nonlinear least squares on log-depth with Ceres, docs/method.md section 4.
 ///
-/// Unknown: x = f (ln z − mean) of every pixel with a finite prior and a known Stokes vector. Residuals: (s1, s2)
-/// against the forward model on the four one-sided difference pairs, neighboring albedos in diffuse regions, block
-/// means of the prior, small second differences. Reflection parameters, light and robust weights are fitted between
+/// Unknown: x = f (ln z − mean) at the corners of every pixel with a finite prior and a known Stokes vector. Residuals:
+/// (s1, s2) against the forward model, neighboring albedos in diffuse regions, block means of the prior, small second
+/// differences. Reflection parameters, light and robust weights are fitted between
 /// solves. Throws an input error for sizes and options that do not fit, a data error when nothing is left to refine.
 /// The reflection model is either of two, whichever explains more at the prior's slopes: regions that are diffuse or
 /// specular, with an environment by zenith, or an object that is matt all over and mirrors its surroundings
