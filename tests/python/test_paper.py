@@ -16,6 +16,7 @@ import malus
 from conftest import ROOT, edit
 from conftest import malus as run_malus
 from malus import _core
+from malus.demo import example_station
 from malus.paper.plates import high_pass, oblique
 from malus.paper.tables import table_2
 
@@ -54,7 +55,7 @@ def test_every_item_of_the_paper_is_left_for_print(paper_work: Path) -> None:
     for name in plates:
         for ending in ("png", "svg", "pdf", "csv"):
             path = f"paper/{name}.{ending}"
-            assert path in recorded and (paper_work / path).stat().st_size > 50, path
+            assert path in recorded and (paper_work / path).stat().st_size > 20, path
     page = (paper_work / "report/index.html").read_text()
     for title in ("Intensity against polarizer angle", "Cloud in the station", "Table 1", "Zenith clamped"):
         assert title in page, title
@@ -205,7 +206,17 @@ def test_every_stage_against_the_truth(tmp_path: Path) -> None:
     """Eq 1 to 16 and what comes after them on the coin; limits are a fifth above what was measured (docs/paper.md)."""
     station = small_coin(tmp_path / "coin")
     by_eq_16, together = stages(station, False), stages(station, True)
-    print(by_eq_16, together)
+    assert by_eq_16["phase_deg"] < 3.0  # 2.5: where the normal is tilted by more than 8°
+    # The light that comes out of the body dilutes the degree: Eq 8 then reads too small a zenith.
+    assert by_eq_16["zenith_bias_deg"] == pytest.approx(-3.0, abs=0.6)
+    assert by_eq_16["height_normals_deg"] < 3.9  # 3.3
+    assert by_eq_16["prior_mad"] == pytest.approx(0.099, abs=0.02)
+    assert by_eq_16["fused_mad"] == pytest.approx(0.133, abs=0.03)  # the printed transfer is rougher than its prior
+    assert by_eq_16["fused_normals_deg"] < 2.9  # 2.4
+    # Eq 9 for the unit normal, whose error counts less where the surface is flat, is what helps.
+    assert together["fused_mad"] < 0.093  # 0.077
+    assert together["fused_normals_deg"] < 1.8  # 1.5, the prior 1.9
+    assert together["phase_deg"] == by_eq_16["phase_deg"], "the stages before are the same"
 
 
 def test_high_pass_takes_the_slow_part_out() -> None:
@@ -279,11 +290,11 @@ def test_height_without_a_prior(small_station: Path, tmp_path: Path) -> None:
     small_station.write_text(text)
     outcome = run_malus("height", small_station, "-o", tmp_path / "free", "--threads", "2")
     assert outcome.code == 0, outcome.err
-    assert "upside down" in outcome.err
+    assert "upside down" in " ".join(outcome.err.split())
     assert (tmp_path / "free/height/height.tif").exists()
     small_station.write_text(text + "[optics]\nlight = [0.5, -0.4, -0.7]\n")
     outcome = run_malus("height", small_station, "-o", tmp_path / "known", "--threads", "2")
-    assert outcome.code == 0 and "upside down" not in outcome.err
+    assert outcome.code == 0 and "upside down" not in " ".join(outcome.err.split())
     light = json.loads((tmp_path / "known/manifest.json").read_text())["steps"]["height"]["notes"]["light"][:3]
     np.testing.assert_allclose(
         np.array(light) / np.linalg.norm(light), np.array([0.5, -0.4, -0.7]) / 0.9**0.5, atol=1e-6
@@ -303,4 +314,4 @@ def test_index_that_grid_fusion_does_not_estimate_is_said(small_station: Path, t
 def test_examples_can_be_checked(name: str) -> None:
     outcome = run_malus("check", ROOT / "examples" / name / "station.toml")
     assert outcome.code == 0, outcome.err
-    assert malus.demo.example_station(name).name == "station.toml"
+    assert example_station(name).name == "station.toml"

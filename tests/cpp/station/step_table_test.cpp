@@ -77,8 +77,8 @@ TEST(StepTable, ZenithAndHeightCanBeLeftOut) {
             (Names{"polarization", "prior", "polarizer", "evidence", "zenith", "height", "fuse", "mesh", "assess"}));
 }
 
-TEST(StepTable, WithoutAPriorThereArePolarizationMapsOnly) {
-  EXPECT_EQ(names_of_run({}, {}), (Names{"polarization", "polarizer", "evidence", "zenith"}));
+TEST(StepTable, WithoutAPriorThereArePolarizationAndItsHeightOnly) {
+  EXPECT_EQ(names_of_run({}, {}), (Names{"polarization", "polarizer", "evidence", "zenith", "height"}));
   EXPECT_EQ(names_of_run({}, {}, "zenith"), (Names{"polarization", "polarizer", "zenith"}));
   EXPECT_TRUE(names_of_run({}, {}, "fuse").empty());
   for (const bool all : {true, false}) {
