@@ -55,11 +55,11 @@ def _log_gains(weights: Floats, colors: Floats) -> Floats:
 
 def display(color: Floats) -> NDArray[np.uint8]:
     """8-bit sRGB (N×3) of linear color (N×C); what has none takes the median."""
-    known = np.isfinite(color).all(axis=1)
+    known = np.asarray(np.isfinite(color).all(axis=1))
     missing = np.median(color[known], axis=0) if known.any() else np.full(color.shape[1], 0.5)
     filled = np.where(known[:, None], color, missing)
     image = np.repeat(filled, 3, axis=1) if filled.shape[1] == 1 else filled
     encoded: NDArray[np.uint8] = _core.display_image(
         np.ascontiguousarray(image[None], np.float32), np.ones((1, len(image)), np.float32), _WHITE_PERCENTILE
     )
-    return encoded[0]
+    return np.asarray(encoded[0], np.uint8)
