@@ -62,5 +62,4 @@ def display(color: Floats) -> NDArray[np.uint8]:
     encoded: NDArray[np.uint8] = _core.display_image(
         np.ascontiguousarray(image[None], np.float32), np.ones((1, len(image)), np.float32), _WHITE_PERCENTILE
     )
-    colors: NDArray[np.uint8] = encoded[0]
-    return colors
+    return np.asarray(encoded[0], np.uint8)

@@ -68,7 +68,8 @@ def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colma
     )  # fmt: skip
     vertices, triangles = read_mesh(raw)
     # COLMAP leaves a few vertices that are no numbers; what they held is closed up again.
-    triangles = triangles[np.asarray(np.isfinite(vertices).all(1))[triangles].all(1)]
+    numbers = np.asarray(np.isfinite(vertices).all(axis=1))
+    triangles = triangles[numbers[triangles].all(1)]
     vertices, triangles = closed_up(*without_crumbs(vertices + middle, triangles))
     if not len(triangles):
         raise DataError("Poisson reconstruction found no surface in the points that stations agree on")

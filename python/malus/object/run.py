@@ -179,9 +179,9 @@ def _write_mesh(path: Path, mesh: ObjectMesh, seen: NDArray[np.bool_], views: Se
 def is_closed(triangles: NDArray[np.int64]) -> bool:
     """Whether every edge has two triangles that run along it in opposite directions."""
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    one, many = np.unique(edges, axis=0, return_counts=True)
-    back = np.unique(edges[:, ::-1], axis=0)
-    return bool((many == 1).all()) and one.shape == back.shape and bool((one == back).all())
+    count = int(triangles.max()) + 1
+    there, back = (np.sort(edges[:, k] * count + edges[:, 1 - k]) for k in (0, 1))
+    return bool((there[1:] != there[:-1]).all() and (there == back).all())
 
 
 def mesh_figures(mesh: ObjectMesh, gsd: float) -> dict[str, Any]:
