@@ -26,7 +26,7 @@ Options preset_options(std::string_view name) {
     known.push_back(preset.name);
   }
   std::string message = "there is no preset \"" + std::string(name) + "\", expected one of";
-  for (const std::string_view other : known) message += " " + std::string(other);
+  for (const std::string_view other : known) message.append(" ").append(other);
   throw input_error(message);
 }
 

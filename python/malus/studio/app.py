@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import secrets
 from collections.abc import Awaitable, Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
-from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
@@ -27,6 +28,9 @@ from malus.studio.document import StationDocument
 #: Bodies of requests: a mask of a hundred megapixels is far smaller.
 _MAX_BODY = 64_000_000
 _STATIC = Path(str(resources.files("malus").joinpath("studio", "static")))
+
+#: Threads that compute. The interpreter waits for them before it ends: the C++ library must not be cut off in the middle.
+_WORKERS = ThreadPoolExecutor(thread_name_prefix="studio")
 
 Json = Mapping[str, Any]
 
@@ -271,7 +275,7 @@ async def _body(request: Request) -> bytes:
 async def _answer(function: Callable[[], Any]) -> Response:
     """What a function returns, computed on another thread, or its error in the page's form."""
     try:
-        result = await run_in_threadpool(function)
+        result = await asyncio.get_running_loop().run_in_executor(_WORKERS, function)
     except MalusError as error:
         return JSONResponse({"error": str(error), "field": checks.field_of(str(error))}, 400)
     except (KeyError, ValueError, TypeError, AttributeError) as error:

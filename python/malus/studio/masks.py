@@ -17,7 +17,7 @@ from malus.figures import encode, step_for
 from malus.studio.pictures import displayed
 
 #: Long side of the picture in which GrabCut works: seconds, also for large images.
-_CUT_SIDE_PX = 900
+_CUT_SIDE_PX = 640
 _CUT_ITERATIONS = 4
 
 Bytes = NDArray[np.uint8]

@@ -14,6 +14,8 @@ from typing import Any
 
 #: Lines of a run's log that are kept.
 _LOG_LINES = 2000
+#: Seconds that an interrupted run has to end by itself.
+_PATIENCE_S = 30
 _ENDED = ("done", "failed", "canceled")
 
 
@@ -97,7 +99,11 @@ class Runs:
             self.cancel(run.number)
         with self._changed:
             self._changed.notify_all()
-        self._worker.join(timeout=10)
+        self._worker.join(timeout=_PATIENCE_S)
+        for run in self.all():
+            if run.process is not None and run.process.poll() is None:
+                run.process.kill()
+        self._worker.join()
 
     def _next(self) -> Run | None:
         with self._changed:
