@@ -244,8 +244,18 @@ def _batch(args: argparse.Namespace) -> None:
         raise failed
 
 
+def _require_utf8(args: argparse.Namespace) -> None:
+    """InputError for paths that nothing could record; the C++ library says it of those that it finds itself."""
+    for value in vars(args).values():
+        try:
+            str(value).encode()
+        except UnicodeEncodeError:
+            raise InputError(f"{str(value)!a}: the name is not UTF-8; rename the file or folder") from None
+
+
 def _run(arguments: Sequence[str] | None) -> None:
     args = _parser().parse_args(arguments)
+    _require_utf8(args)
     if args.command == "options":
         for name, kind, default, meaning in malus.Options.describe():
             print(f"{name} = {json.dumps(default)}  ({kind})\n    {meaning}")
