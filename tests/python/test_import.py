@@ -180,7 +180,7 @@ def test_camera_and_cloud_of_a_metashape_project(folder: Path, tmp_path: Path) -
     [
         ({}, [], "no images, expected PNG, TIFF, JPEG or RAW"),
         ({"a.png": None}, [], "do not say the polarizer's angles beyond doubt: a.png"),
-        ({"a.png": None}, ["--pattern", "b(\\d)"], "no angle in its name"),
+        ({"a.png": None}, ["--pattern", "b(\\d)"], "no angle in the name"),
         ({"a.png": None, "b.png": None}, ["--angles", "0"], "1 angles for 2 images (a.png, b.png)"),
         ({"a.png": None}, ["--angles", "0,x"], "--angles 0,x, expected angles in degrees"),
         ({"a.png": None}, ["--angles", "0", "--pattern", "(a)"], "--angles and --pattern are both given"),

@@ -148,7 +148,7 @@ def test_a_damaged_manifest_is_said(small_station: Path, tmp_path: Path, what: s
     path = tmp_path / "work/manifest.json"
     if what == "deep":
         path.write_text('{"format": ' + "[" * 200_000 + "]" * 200_000 + "}")
-        for outcome in run_both(*arguments):
+        for outcome in run_both(small_station, "-o", tmp_path / "work", "--quiet"):
             assert (outcome.code, "manifest.json is damaged" in outcome.err) == (2, True), outcome
         return
     notes = path.read_text()
