@@ -173,7 +173,7 @@ Eigen::Vector3d mean_normal(const RefinementImage& image) {
     for (int u = 0; u < image.size().width; ++u) {
       const auto pixel =
           static_cast<std::size_t>(v) * static_cast<std::size_t>(image.size().width) + static_cast<std::size_t>(u);
-      if (!image.object(u, v) || !is_chosen(pixel, share)) continue;
+      if (!image.pixels(u, v) || !is_chosen(pixel, share)) continue;
       const Eigen::Vector2d slopes = central_slopes(image, u, v);
       sum += normal_of(image.frame_at(u, v), slopes[0], slopes[1]);
     }

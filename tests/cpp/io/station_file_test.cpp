@@ -443,7 +443,7 @@ TEST_F(StationFileTest, PhotosAndScale) {
   rejects_scale("distance = 1\ntargets = [3, 4]\n", "targets_dictionary", "is missing");
   Sections without = {};
   without.rest = "[[scale]]\ndistance = 1\n" + a + b;
-  rejects(without, "scale", "needs [photos]");
+  rejects(without, "scale", "marks need the cameras of their images");
 }
 
 TEST_F(StationFileTest, PatchesAndProfilesLieInTheImage) {
