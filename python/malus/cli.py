@@ -251,15 +251,18 @@ def _reconstruct(
             view.progress("report", 1.0, str(page))
     if args.json:
         return
-    if until is None or until == "assess":
-        _print_summary(args.output, args.quiet)
-    elif not args.quiet:
+    if until not in (None, "assess") and not args.quiet:
         _print_files(args.output, until)
+    _print_summary(args.output, args.quiet)
 
 
 def _require_own_folder(work: Path, station: Path) -> None:
     """Results do not lie among the inputs, which a later clearing would take along."""
-    if work.resolve() == station.resolve().parent:
+    try:
+        is_input = work.resolve() == station.resolve().parent
+    except (OSError, RuntimeError):  # a loop of links: who opens it says so
+        return
+    if is_input:
         raise InputError(
             f"-o {work}: is the folder of the station's inputs, expected one of its own for the results, such as "
             f"-o {work / (station.stem + '_work')}"

@@ -27,7 +27,8 @@ def expect(station: Path, work: Path, code: int, *words: str, arguments: tuple[s
         for word in words:
             assert word in outcome.err, f"{program.__name__}: {word!r} is not in {outcome.err!r}"
         assert "Traceback" not in outcome.err
-        assert len(outcome.err.strip().splitlines()) == 1, outcome.err
+        errors = [line for line in outcome.err.strip().splitlines() if not line.startswith("warning: ")]
+        assert len(errors) == 1, outcome.err
         assert not (work / "fused" / "depth.tif").exists()
         assert not (work / "quality.json").exists()
         assert not half_written(work)

@@ -142,7 +142,8 @@ def test_figures_lie_beside_the_page_with_their_numbers(work: Path) -> None:
 def test_first_come_photograph_size_accuracy_and_gain(work: Path) -> None:
     text = (work / "report/index.html").read_text()
     places = [
-        text.index(part) for part in ("Photograph of", "<dt>Size", "<dt>Accuracy", "Confidence: ", "over stereo alone")
+        text.index(part)
+        for part in ("Photograph of", "<dt>Size", "<dt>Accuracy", 'class="verdict', "over stereo alone")
     ]
     assert places == sorted(places)
     quality = json.loads((work / "quality.json").read_text())

@@ -80,9 +80,11 @@ class Object:
 def is_object_file(path: str | Path) -> bool:
     """Whether a file is an object file rather than a station file; False also if it cannot be read."""
     try:
-        return "object" in tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        table = tomllib.loads(Path(path).read_text(encoding="utf-8")).get("object")
+    except (OSError, ValueError, RecursionError):
         return False
+    # A station file has a table of this name, too: what the catalogue says.
+    return isinstance(table, dict) and "stations" in table
 
 
 def _common_unit(file: Path, stations: Sequence[Path], expected: str) -> str:
