@@ -38,15 +38,40 @@ def read_scan(path: Path, unit: str) -> tuple[NDArray[np.float64], NDArray[np.fl
 
 def _read_las(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float32] | None]:
     library = extra("laspy", "laspy", f"{path}: LAS")
+    _require_possible_records(path)
     try:
         content = library.read(path)
-    except library.errors.LaspyException as error:
+    except (MemoryError, OSError):
+        raise
+    except Exception as error:  # a damaged file makes laspy raise whatever its content leads to
         raise ValueError(error) from None
     names = _NORMALS[".las"]
     normals = None
     if set(names) <= set(content.point_format.dimension_names):
         normals = np.stack([np.asarray(content[name], dtype=np.float32) for name in names], axis=1)
     return np.ascontiguousarray(content.xyz, dtype=np.float64), normals
+
+
+def _require_possible_records(path: Path) -> None:
+    """ValueError for a LAS header that counts more records than the file has room for; laspy would try to read them all."""
+    with path.open("rb") as file:
+        header = file.read(375)
+    # Offsets and least lengths of variable length records and, since version 1.4, extended ones.
+    for offset, length in ((100, 54), (243, 60)):
+        if len(header) < offset + 4 or (offset == 243 and header[25] < 4):
+            continue
+        count = int.from_bytes(header[offset : offset + 4], "little")
+        if count * length > path.stat().st_size:
+            raise ValueError(f"its header counts {count} records, more than the file has room for")
+    if len(header) < 111:
+        return
+    points = int.from_bytes(header[107:111], "little")
+    if len(header) >= 255 and header[25] >= 4:
+        points = max(points, int.from_bytes(header[247:255], "little"))
+    # A compressed point (LAZ) takes a fraction of a byte at least.
+    least = 1e-3 if header[104] & 0x80 else max(int.from_bytes(header[105:107], "little"), 1)
+    if points * least > path.stat().st_size:
+        raise ValueError(f"its header counts {points} points, more than the file has room for")
 
 
 def _read_e57(path: Path, unit: str) -> tuple[NDArray[np.float64], NDArray[np.float32] | None]:

@@ -256,6 +256,8 @@ def _rows_of(table: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
         rows = list(csv.reader(lines[first:], delimiter=delimiter, skipinitialspace=True, strict=True))
     except csv.Error as error:
         raise InputError(f"{table}: cannot be read as a table ({error})") from None
+    if not rows:
+        raise InputError(f"{table}: empty, expected column names in the first line")
     names = [name.strip() for name in rows[0]]
     result = []
     for line, row in enumerate(rows[1:], start=first + 2):

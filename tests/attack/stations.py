@@ -78,10 +78,6 @@ def share_beyond(result: malus.Result, station: Path) -> float:
     return float(np.mean(error[known] > 3 * sigma[known]))
 
 
-@given(
-    st.integers(120, 260), st.integers(120, 200), st.sampled_from(["cloud", "depth"]), SENSORS, st.integers(0, 10**6),
-    CHANGES, OPTIONS,
-)  # fmt: skip
 def one_station(
     width: int, height: int, prior: str, sensor: Any, number: int, change: tuple[str, str], options: dict[str, Any]
 ) -> None:
@@ -115,10 +111,14 @@ def main() -> int:
     findings = rounds = 0
     while time.monotonic() < end:
         # A few at a time: hypothesis knows no clock.
+        random_stations = given(
+            st.integers(120, 260), st.integers(120, 200), st.sampled_from(["cloud", "depth"]), SENSORS,
+            st.integers(0, 10**6), CHANGES, OPTIONS,
+        )(one_station)  # fmt: skip
         attack = settings(
             max_examples=3, deadline=None, database=None, print_blob=False, phases=[Phase.generate],
             suppress_health_check=list(HealthCheck),
-        )(seed(arguments.seed + rounds)(one_station))  # fmt: skip
+        )(seed(arguments.seed + rounds)(random_stations))  # fmt: skip
         rounds += 1
         try:
             attack()

@@ -193,6 +193,7 @@ def test_camera_and_cloud_of_a_metashape_project(folder: Path, tmp_path: Path) -
         ({"a.png": None, "b.png": None, "t.csv": "file;angle\na.png;1\n"}, [], "b.png of"),
         ({"a.png": None, "t.csv": "file;angle\na.png;1\na.png;2\n"}, [], "a.png stands there more than once"),
         ({"a.png": None, "t.csv": "\n\n"}, [], "t.csv: empty"),
+        ({"a.png": None, "t.csv": "sep=;\n"}, [], "t.csv: empty"),
         ({"a_1.png": None}, ["--pattern", "a_\\d"], "one group"),
         ({"a_1.png": None}, ["--pattern", "a_(\\d"], "not a regular expression"),
         ({"a_1.png": None, "t.csv": "file,angle\nb.png,3\n"}, [], "t.csv, line 2: no file 'b.png'"),

@@ -74,6 +74,20 @@ def test_a_damaged_file_is_named(tmp_path: Path, name: str) -> None:
         read_scan(tmp_path / name, "mm")
 
 
+def test_las_headers_that_count_more_than_the_file_holds_are_refused(
+    tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]
+) -> None:
+    """Billions of records or points are neither read nor given memory."""
+    write_las(tmp_path / "cloud.las", *cloud)
+    whole = bytearray((tmp_path / "cloud.las").read_bytes())
+    for offset, word in ((100, "records"), (107, "points")):
+        damaged = whole.copy()
+        damaged[offset : offset + 4] = b"\xff\xff\xff\xff"
+        (tmp_path / "damaged.las").write_bytes(damaged)
+        with pytest.raises(malus.InputError, match=f"counts 4294967295 {word}"):
+            read_scan(tmp_path / "damaged.las", "mm")
+
+
 def test_a_station_with_a_las_prior_equals_that_with_its_ply(small_station: Path, tmp_path: Path) -> None:
     pytest.importorskip("laspy")
     text = small_station.read_text()
