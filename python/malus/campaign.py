@@ -164,7 +164,8 @@ def stations_of(file: Path, name: str, table: Mapping[str, Any]) -> tuple[Path, 
     """The station files that `stations` of a table names, by their paths or by globs relative to the file."""
     patterns = table.get("stations")
     if not isinstance(patterns, list) or not patterns or not all(isinstance(entry, str) for entry in patterns):
-        raise InputError(f"{file}: {name}.stations = {patterns!r}, expected a list of station files or globs")
+        said = f"= {patterns!r}" if "stations" in table else "is missing"
+        raise InputError(f"{file}: {name}.stations {said}, expected a list of station files or globs")
     found: dict[Path, None] = {}
     for pattern in patterns:
         if glob.has_magic(pattern):

@@ -323,7 +323,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _print_plan(plan: dict[str, Any]) -> None:
-    print(f"station {plan['name']}: {plan['width']} x {plan['height']} px, {plan['object_pixels']} on the object")
+    print(f"station {plan['name']}: {plan['width']} x {plan['height']} px, {plan['object_pixels']:.0f} on the object")
     for line in plan["does"]:
         print(f"  {line}")
     print(f"expected: {plan['seconds']:.0f} s, {plan['memory_mb']:.0f} MB")

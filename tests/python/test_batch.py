@@ -163,6 +163,7 @@ def test_array_job_takes_its_shard_from_slurm(monkeypatch: pytest.MonkeyPatch) -
     [
         ("stations =", "station =", "unknown key campaign.station; did you mean stations?"),
         ('["objects/*/station.toml"]', "[]", "expected a list of station files or globs"),
+        ('stations = ["objects/*/station.toml"]', "", "campaign.stations is missing"),
         ("objects/*/", "things/*/", "no file matches"),
         ("iterations = 2", "iteration = 2", "height.iteration"),
         ("report = false", "report = 3", "expected true or false"),
