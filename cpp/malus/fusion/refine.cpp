@@ -260,7 +260,9 @@ class Refiner {
     } else {
       constexpr int rounds_with_estimate = 3;
       // A graduated start needs one round more, and so does an index that is found as the surface is.
-      const int first_rounds = options_.iterations + (mirrors_ ? 1 : 0) + (estimate_index ? 1 : 0);
+      const int first_rounds = image_.reflection.mirrored
+                                   ? options_.surroundings_iterations
+                                   : options_.iterations + (mirrors_ ? 1 : 0) + (estimate_index ? 1 : 0);
       rounds_ = first_rounds + (searches_ ? search_rounds + heal_rounds : 0);
       for (int i = 0; i < first_rounds; ++i) {
         if (estimate_index && i < rounds_with_estimate) estimate_refractive_index();
@@ -282,12 +284,15 @@ class Refiner {
     const ExplainedPolarization at_prior = explained(&x_prior);
     const Image<float> beyond_plane = at_prior.shares(true, context_);
     const Image<float> shares = image_.reflection.mirrored ? beyond_plane : at_prior.shares(false, context_);
-    const double least = options_.explained_least, ramp = std::max(options_.explained_enough - least, 1e-6);
+    const Image<float> after = image_.reflection.mirrored ? explained_by_result() : Image<float>();
     parallel_rows(context_, size.height, [&](int v) {
       for (int u = 0; u < size.width; ++u) {
         if (!image_.object(u, v)) continue;
-        const double share = between_cells(shares, ExplainedPolarization::cell_px, u, v);
-        const double trust = std::clamp((share - least) / ramp, 0.0, 1.0);
+        const auto share = [&](const Image<float>& cells) {
+          return between_cells(cells, ExplainedPolarization::cell_px, u, v);
+        };
+        const double trust =
+            after.empty() ? trust_of(share(shares)) : trust_with_surroundings(share(shares), share(after));
         if (image_.pixels(u, v)) report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(255 * trust));
         image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
       }
@@ -356,6 +361,20 @@ class Refiner {
   static constexpr std::array search_widenings{4.0, 2.0, 1.0};
   static constexpr int search_rounds = search_widenings.size(), heal_rounds = 2;
 
+  /// Share of the refined surface in the result, by the share that is explained at the prior's slopes.
+  double trust_of(double at_prior) const {
+    const double ramp = std::max(options_.explained_enough - options_.explained_least, 1e-6);
+    return std::clamp((at_prior - options_.explained_least) / ramp, 0.0, 1.0);
+  }
+
+  /// The same with a map of the surroundings: what it leaves over at the result decides, if it explains anything of the
+  /// relief at the prior's slopes.
+  static double trust_with_surroundings(double at_prior, double after) {
+    constexpr double least = 0.65, enough = 0.95, something = 0.2;
+    return std::min(std::clamp((after - least) / (enough - least), 0.0, 1.0),
+                    std::clamp(at_prior / something, 0.0, 1.0));
+  }
+
   WeightOptions weights(double widening, bool regional) const {
     WeightOptions weights;
     weights.robust_scale = options_.robust_scale;
@@ -398,6 +417,17 @@ class Refiner {
         std::copy_n(strip.field.x.row(v), image_.size().width, x_prior->row(strip.first_row + v));
     }
     return explained;
+  }
+
+  /// Share of the polarization that a map of the surroundings explains at the surface as it is, cell by cell.
+  Image<float> explained_by_result() const {
+    ExplainedByResult explained(image_.size());
+    for (const TileStrip& tiles : strips_) {
+      StripField strip = strip_field(image_, tiles.rows, whole_blocks(weights_reach_px), context_);
+      update_weights(strip.field, weights(1, false), context_);
+      explained.add(strip.field, strip.rows, strip.first_row, context_);
+    }
+    return explained.shares(context_);
   }
 
   double mean_over_object(const Image<float>& cells) const {
@@ -454,10 +484,10 @@ class Refiner {
   }
 
   SolveStatistics solve_strip(const StripField& strip, const std::vector<Tile>& tiles, BlendedTiles& blended) {
-    // The shared parameters come from the prior's slopes at first: no far step with them.
+    // The shared parameters come from the prior's slopes at first: no far step with them. A map changes every round.
     constexpr std::size_t careful_rounds = 2;
-    const int steps = report_.iterations.size() < careful_rounds ? 1 : options_.steps;
-    TileOptions solver{steps, options_.smoothness};
+    const bool careful = image_.reflection.mirrored || report_.iterations.size() < careful_rounds;
+    TileOptions solver{careful ? 1 : options_.steps, options_.smoothness};
     solver.prior_robust_gsd = options_.prior_robust_gsd / binning_;
     // What a map of hundreds of cells cannot explain it puts into slopes, unless they have a reason to move.
     constexpr double slope_weight = 4;

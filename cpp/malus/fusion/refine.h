@@ -27,6 +27,7 @@ struct RefineInput {
 
 struct RefineOptions {
   int iterations = 2;
+  int surroundings_iterations = 10;
   int fine_iterations = 2;
   int more_iterations = 3;
   int steps = 2;
@@ -58,6 +59,8 @@ struct RefineOptions {
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
     visit("iterations", self.iterations, Range{1, 50}, "rounds of: fit reflection, weigh residuals, solve");
+    visit("surroundings_iterations", self.surroundings_iterations, Range{1, 50},
+          "such rounds, of one step each, with a map of the surroundings: map and surface find each other slowly");
     visit("fine_iterations", self.fine_iterations, Range{1, 50}, "such rounds after those at half the resolution");
     visit("coarsest_px", self.coarsest_px, Range{16, 1e9},
           "where a search is worth it, objects are refined at half the resolution first, down to this width and "
@@ -92,11 +95,11 @@ struct RefineOptions {
     visit("regional_weights", self.regional_weights, any_value, "down-weigh regions that fit badly");
     visit("surroundings", self.surroundings, any_value,
           "where that explains more of the polarization, take the object as matt and mirroring its surroundings");
-    visit(
-        "evidence", self.evidence, any_value,
-        "keep the prior's surface where the reflection model does not explain the polarization at the prior's slopes");
+    visit("evidence", self.evidence, any_value,
+          "keep the prior's surface where the reflection model does not explain the polarization");
     visit("explained_least", self.explained_least, Range{-1, 1},
-          "share of the polarization, explained at the prior's slopes, up to which the prior's surface is kept …");
+          "share of the polarization, explained at the prior's slopes, up to which the prior's surface is kept …; with "
+          "a map of the surroundings other limits hold");
     visit("explained_enough", self.explained_enough, Range{-1, 1}, "… and from which on the refined one is");
     visit("anchor", self.anchor, not_negative,
           "the prior's low frequencies are kept beyond this times the square root of its points' noise (GSD) times "

@@ -86,8 +86,8 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
   }
   if (is_the_prior(report)) {
     warn(ConfidenceLevel::partial,
-         "The surface is the prior's: at its slopes the reflection model does not explain the measured polarization, "
-         "so that nothing finer can be known from it. Metal, lamps close to the object or a misplaced prior do that.",
+         "The surface is the prior's: the reflection model does not explain the measured polarization, so that nothing "
+         "finer can be known from it. Metal, lamps close to the object or a misplaced prior do that.",
          surface);
     return;
   }

@@ -1,6 +1,8 @@
 #include <algorithm>
 #include <cmath>
+#include <vector>
 
+#include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/masked_blur_internal.h"
 #include "malus/fusion/surface_evidence_internal.h"
@@ -72,6 +74,42 @@ Image<float> ExplainedPolarization::shares(bool beyond_a_plane, const Context& c
     weights[i] = static_cast<float>(cell.pixels) / full;
   }
   return pooled(shares, weights, pool_cells, context);
+}
+
+ExplainedByResult::ExplainedByResult(Size image)
+    : shares_(cells_over(image, ExplainedPolarization::cell_px)), weights_(shares_.size()) {}
+
+void ExplainedByResult::add(const RefinementField& part, RowRange rows, int first_row, const Context& context) {
+  constexpr int cell_px = ExplainedPolarization::cell_px;
+  constexpr std::size_t fewest = 20;
+  const int first_cell = (first_row + rows.begin) / cell_px, last_cell = (first_row + rows.end - 1) / cell_px;
+  parallel_rows(context, last_cell - first_cell + 1, [&](int i) {
+    const int row = first_cell + i;
+    const int begin = std::max(row * cell_px - first_row, rows.begin);
+    const int end = std::min((row + 1) * cell_px - first_row, rows.end);
+    std::vector<double> rests, all;
+    for (int column = 0; column < shares_.width(); ++column) {
+      rests.clear();
+      all.clear();
+      for (int v = begin; v < end; ++v) {
+        for (int u = column * cell_px; u < std::min((column + 1) * cell_px, part.size().width); ++u) {
+          if (!part.object(u, v) || !part.usable(u, v)) continue;
+          const Eigen::Vector2d slopes = central_slopes(part, u, v);
+          const PredictedStokes model = part.reflection_at(u, v).predict(slopes[0], slopes[1]);
+          rests.push_back(std::hypot(part.s1(u, v) - model.s1, part.s2(u, v) - model.s2));
+          all.push_back(std::hypot(part.s1(u, v), part.s2(u, v)));
+        }
+      }
+      if (rests.size() < fewest) continue;
+      shares_(column, row) = static_cast<float>(1 - median_in_place(rests) / std::max(median_in_place(all), 1e-12));
+      weights_(column, row) = 1;
+    }
+  });
+}
+
+Image<float> ExplainedByResult::shares(const Context& context) const {
+  constexpr double fill_cells = 0.5;
+  return pooled(shares_, weights_, fill_cells, context);
 }
 
 double between_cells(const Image<float>& cells, int cell_px, int u, int v) {

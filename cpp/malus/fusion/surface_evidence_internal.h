@@ -7,7 +7,7 @@ namespace malus {
 
 /// How much of the measured polarization the reflection model explains at the *prior's* slopes, region by region.
 ///
-/// The residual after the refinement says nothing about whether its surface is true: two slopes a pixel fit two Stokes
+/// The residual after the refinement says little about whether its surface is true: two slopes a pixel fit two Stokes
 /// components of any model. The prior's slopes were not made to fit. They lack detail, but over cells of 16 px they are
 /// known well enough that a model that holds explains most of the mean (s1, s2), and a wrong one does not. Each cell
 /// counts by 1 − 2 r² / (r² + t²), with r what the model leaves of its mean Stokes vector at the prior's slopes and t
@@ -36,6 +36,25 @@ class ExplainedPolarization {
   };
   Image<Cell> cells_;
   Eigen::Vector3d mean_normal_;
+};
+
+/// What a map of the surroundings leaves of the polarization at the *refined* surface, cell by cell of 16 px.
+///
+/// Each pixel has two Stokes components and one depth of its own, so that a surface cannot take up all errors of a
+/// model. A share of 1 − median |r| / median |s| of a cell's pixels near one means that the model held while the
+/// surface moved; half of the polarization left over means that the slopes took up what they could of a wrong one.
+class ExplainedByResult {
+ public:
+  explicit ExplainedByResult(Size image);
+
+  /// Adds some of a part's rows. The part is at the refined surface, and its weights are of it.
+  void add(const RefinementField& part, RowRange rows, int first_row, const Context& context);
+
+  /// Shares up to 1, a cell each; cells without usable pixels follow those around them.
+  Image<float> shares(const Context& context) const;
+
+ private:
+  Image<float> shares_, weights_;
 };
 
 /// Value of a raster of square cells at a pixel, bilinear between the centers of the cells.

@@ -157,6 +157,31 @@ TEST(Evidence, SharesAreOneForWhatIsPredictedAndBelowZeroForTheOpposite) {
   EXPECT_LT(shares(9, 4), -0.55);  // of r = 2 s: 1 - 2 · 4 / 5 = -0.6
 }
 
+TEST(Evidence, WhatIsLeftAtTheResultIsCountedByItsMiddlePixelInEachCell) {
+  const SyntheticStation station = make_station(scene_under_a_sky());
+  RefinementImage image = make_image(station.state, station.prior, Context{});
+  image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+  image.reflection = scene_under_a_sky().model;
+  RefinementField field = image.part(image.everything(), Context{});
+  for (int v = 0; v < field.size().height; ++v) {
+    for (int u = 0; u < field.size().width; ++u) {
+      const Eigen::Vector2d slopes = central_slopes(field, u, v);
+      const PredictedStokes model = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
+      // The left part is explained but for one pixel in nine, of the right one a fifth of the measurement is left.
+      const float wild = u % 3 == 0 && v % 3 == 0 ? 5.0F : 1.0F;
+      const float factor = u < 80 ? wild : 1.25F;
+      field.s1(u, v) = factor * static_cast<float>(model.s1);
+      field.s2(u, v) = factor * static_cast<float>(model.s2);
+    }
+  }
+  ExplainedByResult explained(field.size());
+  explained.add(field, {0, 48}, 0, Context{});
+  explained.add(field, {48, 129}, 0, Context{});
+  const Image<float> shares = explained.shares(Context{});
+  EXPECT_NEAR(shares(1, 4), 1, 0.01);
+  EXPECT_NEAR(shares(8, 4), 0.8, 0.02);
+}
+
 TEST(Evidence, CellsAreInterpolatedBetweenTheirCentres) {
   Image<float> cells({3, 1});
   cells(0, 0) = 1;

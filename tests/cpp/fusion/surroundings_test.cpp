@@ -125,7 +125,9 @@ TEST(Surroundings, LeaveNoIndexToBeEstimated) {
   const SyntheticStation station = make_station(scene);
   RefineInput input;
   input.refractive_index.reset();
-  const RefineResult result = refine(station.state, station.prior, input, {}, Context{});
+  RefineOptions options;
+  options.surroundings_iterations = 1;
+  const RefineResult result = refine(station.state, station.prior, input, options, Context{});
   ASSERT_TRUE(result.report.reflection.mirrored) << "the model must be the map";
   EXPECT_EQ(result.report.reflection.eta, 1.5);
   EXPECT_TRUE(std::isnan(result.report.eta_sigma)) << "not that of the model which was rejected";
