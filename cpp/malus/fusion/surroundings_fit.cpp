@@ -69,10 +69,12 @@ SurroundingsFit fit(const std::vector<ReflectionSample>& samples, const Cells& c
   std::vector<double> squares(samples.size());
   double cost = 0;
   for (int round = 0; round < irls_rounds; ++round) {
-    const Eigen::MatrixXf weighted = weights.replicate(2, 1).asDiagonal() * system.rows;
-    Eigen::MatrixXf normal = weighted.transpose() * system.rows;
+    const Eigen::VectorXf both = weights.replicate(2, 1);
+    Eigen::MatrixXf normal = Eigen::MatrixXf::Zero(system.rows.cols(), system.rows.cols());
+    normal.selfadjointView<Eigen::Lower>().rankUpdate((both.cwiseSqrt().asDiagonal() * system.rows).transpose());
+    normal.triangularView<Eigen::StrictlyUpper>() = normal.transpose();
     normal.diagonal().array() += ridge * normal.trace() / static_cast<float>(normal.rows()) + 1e-12F;
-    solve_nonnegative(normal, weighted.transpose() * system.values, radiances);
+    solve_nonnegative(normal, system.rows.transpose() * both.cwiseProduct(system.values), radiances);
     const Eigen::VectorXf rest = system.values - system.rows * radiances;
     cost = 0;
     for (Eigen::Index i = 0; i < count; ++i) {
