@@ -406,7 +406,8 @@ def _list_options(preset: str | None, *, main_only: bool) -> None:
         section, key = name.split(".")
         value = values[section][key]
         if (preset is None or value != defaults[section][key]) and (name in MAIN or not main_only):
-            print(f"{name} = {json.dumps(default if preset is None else value)}  ({kind})\n    {meaning}")
+            title = f"{MAIN[name]}: " if main_only else ""
+            print(f"{name} = {json.dumps(default if preset is None else value)}  ({kind})\n    {title}{meaning}")
 
 
 def _paper(args: argparse.Namespace) -> None:

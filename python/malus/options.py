@@ -12,21 +12,21 @@ from malus import _core
 _SCHEMA: dict[str, dict[str, dict[str, Any]]] = json.loads(_core.option_schema())
 
 
-#: The options that a user is likely to need, for a list that can be read.
-MAIN = (
-    "capture.registration",
-    "polarizer.calibrate_angles",
-    "polarizer.angle_sigma_deg",
-    "photos.backend",
-    "photos.max_side_px",
-    "sweep.again",
-    "prior.smoothing_px",
-    "evidence.refuse",
-    "refine.prior_weight",
-    "surface.subsample",
-    "surface.dem_pixel",
-    "assess.alignment",
-)
+#: The options that a user is likely to need, for a list that can be read, each with its title.
+MAIN = {
+    "capture.registration": "Align the images to each other",
+    "polarizer.calibrate_angles": "Correct the angles of the polarizer",
+    "polarizer.angle_sigma_deg": "How well the scale was read [°]",
+    "photos.backend": "Program for the photographs",
+    "photos.max_side_px": "Largest side of the photographs [px]",
+    "sweep.again": "Stereo a second time, about the fused surface",
+    "prior.smoothing_px": "Smoothing of the coarse surface [px]",
+    "evidence.refuse": "Stop where an input is certainly wrong",
+    "refine.prior_weight": "Trust in the coarse surface",
+    "surface.subsample": "Coarser mesh",
+    "surface.dem_pixel": "Pixel of the elevation model",
+    "assess.alignment": "Move onto the reference first",
+}
 
 
 class Section:
