@@ -85,8 +85,12 @@ def _show_image(axes: Any, image: NDArray[np.float32], mask: NDArray[np.uint8]) 
     axes.set_yticks([])
 
 
-def _show_points(axes: Any, points: NDArray[np.float32], shape: tuple[int, ...]) -> Any:
-    """The nearest point in each cell of the image, in cells so large that most of a dense cloud's have one."""
+def nearest_points(points: NDArray[np.float32], shape: tuple[int, ...]) -> tuple[NDArray[np.float32], float]:
+    """The distance of the nearest point in each cell of the image (NaN = none), and the side of a cell in pixels: so large
+    that most cells of a dense cloud have a point.
+
+    points: N×3, u, v [px] and distance; shape: of the image.
+    """
     height, width = shape
     cell = max(1.0, max(shape) / _LONG_SIDE_PX, 1.3 * (height * width / len(points)) ** 0.5)
     nearest = np.full((int(height / cell) + 1, int(width / cell) + 1), np.inf, np.float32)
@@ -94,7 +98,14 @@ def _show_points(axes: Any, points: NDArray[np.float32], shape: tuple[int, ...])
     np.minimum.at(
         nearest, (np.minimum(row, nearest.shape[0] - 1), np.minimum(column, nearest.shape[1] - 1)), points[:, 2]
     )
-    near, far = np.percentile(nearest[np.isfinite(nearest)], (1, 99))
+    return np.where(np.isfinite(nearest), nearest, np.float32(np.nan)), cell
+
+
+def _show_points(axes: Any, points: NDArray[np.float32], shape: tuple[int, ...]) -> Any:
+    """The nearest point in each cell of the image."""
+    height, width = shape
+    nearest, cell = nearest_points(points, shape)
+    near, far = np.nanpercentile(nearest, (1, 99))
     extent = (-0.5, nearest.shape[1] * cell - 0.5, nearest.shape[0] * cell - 0.5, -0.5)
     distances = np.ma.masked_invalid(nearest)
     colored = axes.imshow(

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from malus import _core, encoding, exif, photogrammetry, raw, scans
 from malus._files import require_utf8
@@ -270,6 +271,16 @@ def expected_times(
         fixed, per_megapixel = _REPORT_SECONDS
         times.append(("report", fixed + per_megapixel * width * height / 1e6))
     return times
+
+
+def prior_upon_image(
+    station: Station, *, threads: int = ALL_CORES
+) -> tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.float32]]:
+    """The first polarized image as taken (H×W, linear), its mask (H×W, non-zero = object), and the prior's points where the
+    camera sees them: N×3, u, v [px] and distance [station's unit]; none without a camera or a prior.
+    """
+    with _folder(None, "raw") as folder:
+        return _core.check_picture(_readable(station, station._core, folder, lambda _, __: None), threads)
 
 
 def check(

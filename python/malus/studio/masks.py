@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
@@ -14,6 +15,8 @@ from malus import _core
 from malus._files import write_bytes
 from malus.errors import DataError, InputError
 from malus.figures import encode, step_for
+from malus.overlay import nearest_points
+from malus.reconstruction import prior_upon_image
 from malus.studio.pictures import displayed
 
 #: Long side of the picture in which GrabCut works: seconds, also for large images.
@@ -92,16 +95,16 @@ def _has_distortion(station: malus.Station) -> bool:
     return camera is not None and camera["model"] not in ("PINHOLE", "SIMPLE_PINHOLE")
 
 
-def overlay_of_prior(station: malus.Station, threads: int) -> tuple[bytes, bool]:
-    """PNG of the prior's depth in colors, transparent where there is none, and whether the image must be undistorted for it."""
-    import matplotlib as mpl
-
-    depth = _prior_in_view(station, threads)
-    known = np.isfinite(depth)
-    if not known.any():
-        raise DataError("the prior covers no pixel of the polarized image")
-    near, far = np.percentile(depth[known], [1, 99])
-    colors = mpl.colormaps["viridis"](np.clip((far - np.nan_to_num(depth)) / max(far - near, 1e-9), 0, 1))
+def overlay_of_prior(station: malus.Station, threads: int) -> tuple[bytes, float, tuple[float, float]]:
+    """PNG of the prior's points in the image as taken, colored by distance and transparent where there is none; the side of
+    one of its pixels in pixels of the image; and the nearest and farthest distance that colors show.
+    """
+    image, _, points = prior_upon_image(station, threads=threads)
+    if not len(points):
+        raise DataError("the coarse surface covers no pixel of the polarized image, or there is none yet")
+    distance, cell = nearest_points(points, image.shape)
+    near, far = (float(p) for p in np.nanpercentile(distance, [1, 99]))
+    colors = mpl.colormaps["viridis"](np.clip((far - np.nan_to_num(distance)) / max(far - near, 1e-9), 0, 1))
     picture = np.rint(255 * colors).astype(np.uint8)
-    picture[..., 3] = np.where(known, 255, 0)
-    return encode(picture, "PNG", compress_level=3), _has_distortion(station)
+    picture[..., 3] = np.where(np.isfinite(distance), 255, 0)
+    return encode(picture, "PNG", compress_level=3), cell, (near, far)
