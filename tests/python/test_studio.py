@@ -101,12 +101,14 @@ def stop(process: subprocess.Popen[str]) -> int:
 
 
 @pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+def served(tmp_path_factory: pytest.TempPathFactory, small_station_source: Path) -> Iterator[Served]:
     folder = tmp_path_factory.mktemp("studio") / "museum"
-    shutil.copytree(EXAMPLE, folder)
+    shutil.copytree(small_station_source, folder)
     (folder / "station.toml").unlink()
-    (folder / "README.md").unlink()
-    (folder.parent / "secret.png").write_bytes((folder / "pol" / "pol_000.png").read_bytes())
+    (folder / "views").mkdir()
+    for name in ("view_00.jpg", "view_04.jpg", "view_08.jpg"):
+        shutil.copy(EXAMPLE / "views" / name, folder / "views")
+    (folder.parent / "secret.png").write_bytes((EXAMPLE / "pol" / "pol_000.png").read_bytes())
     (folder / "way_out").symlink_to(folder.parent)
     process, studio = start(folder)
     yield studio
@@ -238,7 +240,7 @@ def test_wrong_requests_are_answered_in_words(served: Served) -> None:
     for name, body, words in (
         ("create", {"path": "a.txt", "images": [], "angles_deg": []}, "ends in .toml"),
         ("create", {"path": "../a.toml", "images": [], "angles_deg": []}, "outside the folder"),
-        ("preview", {"images": ["pol/pol_000.png"], "angles_deg": [0]}, "angle"),
+        ("preview", {"images": ["pol/pol_000.tif"], "angles_deg": [0]}, "angle"),
         ("run", {"path": "nothing.toml", "work": "w"}, "no such file"),
         ("set", "[]", "not what Studio expects"),
     ):
@@ -286,7 +288,7 @@ def page(served: Served) -> Iterator[Any]:
             "console",
             lambda line: problems.append(line.text) if line.type == "error" and "400" not in line.text else None,
         )
-        shown.set_default_timeout(120000)
+        shown.set_default_timeout(60000)
         shown.goto(served.entrance)
         yield shown
         assert not problems
@@ -309,34 +311,35 @@ def require_accessible(page: Any) -> None:
     assert not found, [(v["id"], [node["html"] for node in v["nodes"]][:3]) for v in found]
 
 
+def ask(served: Served, address: str) -> Any:
+    return json.loads(served.ask("GET", f"/api/{address}", {"Cookie": served.cookie()})[2])
+
+
 @needs_browser
 def test_from_a_folder_to_the_report(served: Served, page: Any) -> None:
     station = served.folder / "station.toml"
     page.get_by_role("button", name="pol (6 images)").click()
     page.get_by_alt_text("Phase in a circle of colors").wait_for()
-    assert [page.locator(f"#angles tbody tr:nth-child({k}) input[type=number]").input_value() for k in (1, 2, 6)] == [
-        "0",
-        "30",
-        "150",
-    ]
+    angles = [page.locator(f"#angles tbody tr:nth-child({k}) input[type=number]").input_value() for k in (1, 2, 6)]
+    assert angles == ["0", "30", "150"]
     require_accessible(page)
     pictured(page, "images")
     page.get_by_role("button", name="Create the station").click()
     page.locator("#station").wait_for(state="visible")
-    page.get_by_label("Camera: COLMAP model").select_option("sparse")
-    page.get_by_label("This station's name in the model").select_option("station.jpg")
-    page.get_by_label("Coarse surface (cloud)").select_option("dense/cloud.ply")
+    page.get_by_role("button", name="Use them").click()
     page.locator("#plan", has_text="Ready").wait_for()
-    page.get_by_role("button", name="Show the prior over the image").click()
-    page.locator("#overlay-note:not(:empty)").filter(has_not_text="Projecting").wait_for()
-    assert "Yellow is near" in page.locator("#overlay-note").inner_text()
+    assert page.get_by_label("This station's name in the model").input_value() == "station.jpg"
+    assert 'cloud = "dense/cloud.ply"' in station.read_text()
+    page.get_by_role("button", name="Show the coarse surface upon the image").click()
+    page.locator("#overlay-note", has_text="Yellow is near").wait_for()
     require_accessible(page)
     pictured(page, "station")
-    assert 'cloud = "dense/cloud.ply"' in station.read_text()
     draw_a_mask(page)
     assert 'mask = "station_mask.png"' in station.read_text()
+    set_options(page, served.folder)
     run_and_show(page)
-    assert (served.folder / "station_work" / "report" / "index.html").is_file()
+    manifest = json.loads((served.folder / "station_work" / "manifest.json").read_text())
+    assert manifest["options"]["surface"]["subsample"] == 2
 
 
 def draw_a_mask(page: Any) -> None:
@@ -344,19 +347,35 @@ def draw_a_mask(page: Any) -> None:
     page.locator("[data-tool=polygon]").click()
     box = page.locator("#draw-stage").bounding_box()
     assert box
-    width = min(box["width"], box["height"] * 720 / 480)
-    height = width * 480 / 720
+    width = min(box["width"], box["height"] * 200 / 160)
+    height = width * 160 / 200
     for x, y in ((-0.45, -0.45), (0.45, -0.45), (0.45, 0.45), (-0.45, 0.45), (-0.45, -0.45)):
         page.mouse.click(box["x"] + box["width"] / 2 + x * width, box["y"] + box["height"] / 2 + y * height)
-    page.get_by_role("button", name="Undo").click()
-    page.get_by_role("button", name="Redo").click()
-    page.get_by_role("button", name="Find the edge").click()
+    tools = page.locator("#tools")
+    tools.get_by_role("button", name="Undo").click()
+    tools.get_by_role("button", name="Redo").click()
+    tools.get_by_role("button", name="Find the edge").click()
     page.locator("#draw-state", has_text="The edge was found").wait_for()
-    page.get_by_role("button", name="Undo").click()
+    tools.get_by_role("button", name="Undo").click()
     pictured(page, "mask")
     require_accessible(page)
-    page.get_by_role("button", name="Save", exact=True).click()
+    tools.get_by_role("button", name="Save", exact=True).click()
     page.locator("#draw-state", has_text="Saved").wait_for()
+
+
+def set_options(page: Any, folder: Path) -> None:
+    go(page, "Options")
+    mesh = page.get_by_label("Coarser mesh")
+    mesh.fill("0")
+    mesh.press("Tab")
+    page.locator("#option-surface-subsample-wrong", has_text="expected").wait_for()
+    assert not (folder / "station_options.toml").exists()
+    mesh.fill("2")
+    mesh.press("Tab")
+    page.get_by_role("button", name="Coarser mesh: back to the default").wait_for()
+    assert (folder / "station_options.toml").read_text() == "[surface]\nsubsample = 2\n"
+    require_accessible(page)
+    pictured(page, "options")
 
 
 def run_and_show(page: Any) -> None:
@@ -365,23 +384,29 @@ def run_and_show(page: Any) -> None:
     page.get_by_role("button", name="Add to the queue").click()
     page.locator("p[data-state]", has_text="left").wait_for()
     page.get_by_role("button", name="Cancel").click()
-    page.get_by_role("button", name="Resume").wait_for()
     page.get_by_role("button", name="Resume").click()
     pictured(page, "run")
     require_accessible(page)
-    page.get_by_role("button", name="Show the report").wait_for(timeout=300000)
     page.get_by_role("button", name="Show the report").click()
-    report = page.frame_locator("iframe")
-    report.get_by_text("Confidence").first.wait_for()
+    page.frame_locator("iframe").get_by_text("Confidence").first.wait_for()
     pictured(page, "report")
     page.get_by_role("button", name="Profile").first.click()
     page.locator("svg.profile").first.wait_for()
+    picture = page.locator(".picked img")
+    picture.evaluate("image => image.decode()")
+    box = picture.bounding_box()
+    assert box
+    for x in (0.25, 0.75):
+        picture.click(position={"x": x * box["width"], "y": 0.5 * box["height"]})
+    page.locator(".picked path").first.wait_for(state="attached")
+    assert abs(int(page.get_by_label("to x").input_value()) - 150) <= 1
     require_accessible(page)
     pictured(page, "profile")
 
 
 @needs_browser
-def test_patches_by_keyboard_alone(served: Served, page: Any) -> None:
+def test_patches_by_keyboard_alone_and_undone(served: Served, page: Any) -> None:
+    station = served.folder / "station.toml"
     go(page, "Draw")
     page.locator("#draw-what").select_option("patch")
     page.locator("[data-tool=box]").focus()
@@ -390,36 +415,77 @@ def test_patches_by_keyboard_alone(served: Served, page: Any) -> None:
     for key in ("ArrowLeft", "Enter", "ArrowRight", "ArrowRight", "ArrowDown", "Shift+ArrowDown", "Enter"):
         page.keyboard.press(key)
     page.get_by_role("group", name="patch 1").wait_for()
-    assert "box = [348, 240, 372, 253]" in (served.folder / "station.toml").read_text()
+    assert "box = [97, 80, 103, 84]" in station.read_text()
     pictured(page, "patch")
+    page.get_by_role("button", name="Undo the last change").click()
+    page.get_by_role("group", name="patch 1").wait_for(state="detached")
+    assert "patch" not in station.read_text()
+    page.get_by_role("button", name="Redo the change").click()
+    page.get_by_role("group", name="patch 1").wait_for()
+    assert "box = [97, 80, 103, 84]" in station.read_text()
+
+
+@needs_browser
+def test_labels_and_distances_are_drawn(served: Served, page: Any) -> None:
+    go(page, "Draw")
+    what, stage = page.locator("#draw-what"), page.locator("#draw-stage")
+    what.select_option("labels")
+    page.locator("[data-tool=brush]").click()
+    stage.drag_to(stage, source_position={"x": 200, "y": 200}, target_position={"x": 260, "y": 220})
+    page.locator("#tools").get_by_role("button", name="Save", exact=True).click()
+    page.locator("#draw-state", has_text="Saved").wait_for()
+    assert 'reflection = "station_labels.png"' in (served.folder / "station.toml").read_text()
+    what.select_option("scale")
+    page.get_by_role("button", name="Add a known distance").click()
+    for name in ("views/view_00.jpg", "views/view_04.jpg"):
+        page.locator("#draw-image").select_option(name)
+        page.get_by_role("button", name="Mark end a").click()
+        stage.click(position={"x": 300, "y": 250})
+        page.get_by_text(re.compile(rf"in \d photos: .*{name[6:]}")).wait_for()
+    # The mark in the first photo makes a line in the second one.
+    found = served.tell("marks", {"path": "station.toml", "image": "view_04.jpg", "distance": 0, "end": "a"})[1]
+    assert len(found["lines"]) == 1
+    pictured(page, "scale")
+
+
+@needs_browser
+def test_several_stations_are_queued_and_two_results_compared(served: Served, page: Any) -> None:
+    text = (served.folder / "station.toml").read_text()
+    for name in ("first.toml", "second.toml"):
+        (served.folder / name).write_text(text.split("[[scale]]")[0])
+    other = page.context.new_page()
+    other.set_default_timeout(60000)
+    other.goto(served.entrance)
+    go(other, "Run")
+    other.get_by_label("Run station.toml").uncheck()
+    other.get_by_label("Fusion").select_option("grid")
+    for name in ("first.toml", "second.toml"):
+        other.get_by_label(f"Run {name}").check()
+    other.get_by_role("button", name="Add to the queue").click()
+    other.locator("p[data-state]", has_text="left").first.wait_for()
+    other.close()  # which ends no run
+    deadline = time.monotonic() + 120
+    while not (served.folder / "second_work" / "report" / "index.html").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
+    go(page, "Results")
+    for name in ("first_work", "second_work"):
+        page.get_by_label(f"Compare {name}").check()
+    page.get_by_role("button", name="Compare the two that are ticked").click()
+    page.get_by_text("RMS").wait_for()
+    require_accessible(page)
+    pictured(page, "compared")
+    said = ask(served, "difference?a=first_work&b=second_work")
+    assert said["rms"] == 0 and said["unit"] == "mm"
 
 
 @needs_browser
 def test_large_type_and_dark_colors(page: Any) -> None:
     page.emulate_media(color_scheme="dark")
     page.set_viewport_size({"width": 640, "height": 450})  # what 200 % leaves of 1280 x 900
-    for name in ("Images", "Station", "Draw", "Run", "Results"):
+    for name in ("Images", "Station", "Draw", "Options", "Run", "Results"):
         go(page, name)
-        time.sleep(0.5)
+        page.wait_for_load_state("networkidle")
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), name
         require_accessible(page)
-    pictured(page, "dark")
-
-
-@needs_browser
-def test_a_closed_page_ends_no_run(served: Served, page: Any) -> None:
-    other = page.context.new_page()
-    other.set_default_timeout(120000)
-    other.goto(served.entrance)
-    other.get_by_role("button", name="Open station.toml").click()
-    other.locator("#plan", has_text="Ready").wait_for()
-    go(other, "Run")
-    other.get_by_label("Results go to").fill("second_work")
-    other.get_by_label("Fusion").select_option("grid")
-    other.get_by_role("button", name="Add to the queue").click()
-    other.locator("p[data-state]", has_text="left").first.wait_for()
-    other.close()
-    deadline = time.monotonic() + 300
-    while not (served.folder / "second_work" / "report" / "index.html").exists():
-        assert time.monotonic() < deadline
-        time.sleep(0.5)
+        pictured(page, f"dark_{name}")

@@ -110,9 +110,13 @@ class Root:
         if "\0" in name:
             raise InputError("the path has a character that no file name has")
         path = (self.folder / name).resolve()
-        if not path.is_relative_to(self.folder):
+        if not self.holds(path):
             raise InputError(f"{name}: lies outside the folder that Studio has opened, {self.folder}")
         return path
+
+    def holds(self, path: Path) -> bool:
+        """Whether a path lies in the folder, links followed."""
+        return path.resolve().is_relative_to(self.folder)
 
     def file(self, name: str) -> Path:
         """The path of a file that is there."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import json
 import os
 import secrets
@@ -20,8 +21,9 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 import malus
+from malus import lengths
 from malus.errors import InputError, MalusError
-from malus.studio import checks, folders, marks, masks, pictures, preview, results, runs
+from malus.studio import checks, folders, marks, masks, pictures, preview, results, runs, settings
 from malus.studio.access import REPORTS, Access, Guard, Root
 from malus.studio.document import StationDocument
 
@@ -58,8 +60,10 @@ class Studio:
             "log": lambda q: {"lines": next((r.log for r in self.runs.all() if r.number == int(q["number"])), [])},
             "results": self._results,
             "difference": lambda q: results.difference(self.root.directory(q["a"]), self.root.directory(q["b"])),
+            "photos": self._photos,
+            "options": self._options,
             "thumbnail": lambda q: Response(pictures.thumbnail(self.root.file(q["path"])), media_type="image/jpeg"),
-            "picture": lambda q: Response(pictures.picture(self.root.file(q["path"])), media_type="image/jpeg"),
+            "tile": lambda q: Response(pictures.tile(self.root.file(q["path"]), *(int(q[key]) for key in ("halvings", "column", "row"))), media_type="image/jpeg"),
             "mask": lambda q: Response(masks.read(self.root.file(q["path"])), media_type="image/png"),
             "relief": lambda q: Response(results.relief(self.root.directory(q["path"])), media_type="image/png"),
             "overlay": self._overlay,
@@ -72,6 +76,7 @@ class Studio:
             "create": self._create,
             "set": self._set,
             "text": self._set_text,
+            "option": self._set_option,
             "similar": self._similar,
             "run": self._run,
             "cancel": lambda body: self.runs.cancel(int(body["number"])),
@@ -173,6 +178,16 @@ class Studio:
         document.write(body["digest"])
         return self._shown(document)
 
+    def _options(self, query: Json) -> Json:
+        station = self.root.file(query["path"])
+        file = self.root.name(settings.file_of(station))  # a link that leads elsewhere is refused here
+        return {"file": file, "options": settings.listed(station)}
+
+    def _set_option(self, body: Json) -> Json:
+        before = self._options(body)
+        settings.change(self.root.file(body["path"]), str(body["name"]), body["value"])
+        return {**before, "options": settings.listed(self.root.file(body["path"]))}
+
     # ---- images, masks ----
 
     def _preview(self, body: Json) -> Json:
@@ -183,6 +198,10 @@ class Studio:
             zero_deg=float(body.get("angle_zero_deg", 0)),
             response=body.get("response", "linear"),
         )
+
+    def _photos(self, query: Json) -> list[str]:
+        path = self.root.file(query["path"])
+        return folders.photos_of(self.root, path, StationDocument.read(path).values)
 
     def _marks(self, body: Json) -> Json:
         document = StationDocument.read(self.root.file(body["path"]))
@@ -229,10 +248,12 @@ class Studio:
 
         return await _answer(write)
 
-    def _overlay(self, query: Json) -> Response:
+    def _overlay(self, query: Json) -> Json:
         station = malus.Station.load(self.root.file(query["path"]))
-        picture, undistorted = masks.overlay_of_prior(station, self._threads)
-        return Response(picture, media_type="image/png", headers={"X-Undistorted": str(int(undistorted))})
+        picture, cell, (near, far) = masks.overlay_of_prior(station, self._threads)
+        address = "data:image/png;base64," + base64.b64encode(picture).decode()
+        near_far = {"near": lengths.shown(near, station.unit, 3), "far": lengths.shown(far, station.unit, 3)}
+        return {"picture": address, "cell": cell, **near_far}
 
     # ---- runs, results ----
 

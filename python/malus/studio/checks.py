@@ -8,9 +8,11 @@ from typing import Any
 
 import malus
 from malus.errors import MalusError
+from malus.studio.settings import options_of
 
 #: Words of messages and the field of the page that they concern, the first that fits.
 _FIELDS = (
+    ("object", r"\[object\]"),
     ("mask", r"\bmask\b"),
     ("angles", r"angle|polarizer|order of the images|direction"),
     ("response", r"white_level|black_level|response|saturated|linear|gamma"),
@@ -37,7 +39,7 @@ def check(path: Path, threads: int) -> dict[str, Any]:
     """The plan of a run and everything that is wrong or doubtful, as lines with severity, field and message."""
     try:
         station = malus.Station.load(path)
-        plan = malus.check(station, threads=threads)
+        plan = malus.check(station, options_of(path), threads=threads)
     except MalusError as error:
         return {"lines": [{"severity": "error", "field": field_of(_without_path(str(error), path)), "message": str(error)}]}  # fmt: skip
     lines = [{"severity": "warning", "field": field_of(text), "message": text} for text in plan["warnings"]]

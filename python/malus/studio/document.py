@@ -18,7 +18,7 @@ from malus.errors import InputError
 #: Tables of a station file that stand any number of times.
 LISTS = ("scale", "patch", "profile")
 #: Tables that stand once, with their keys, so that the page can be told of misprints early.
-TABLES = ("station", "polarized", "optics", "camera", "prior", "photos")
+TABLES = ("station", "object", "polarized", "optics", "camera", "prior", "photos")
 
 
 class StationDocument:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,10 @@ _IMAGES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg"})
 #: Folders and files that are looked through for clouds and models, at most.
 _SEARCHED = 5000
 _SEARCH_DEPTH = 4
+#: TIFF tags, and the value that floating-point pixels have.
+_SAMPLES, _SAMPLE_FORMAT, _FLOATING = 277, 339, 3
+#: Bytes in which the header of a PLY file ends.
+_PLY_HEADER = 8192
 
 
 def _is_image(path: Path) -> bool:
@@ -39,7 +43,7 @@ def listing(root: Root, name: str) -> dict[str, Any]:
     """A folder for the page: its folders, images, station files and tables, in natural order."""
     folder = root.directory(name)
     entries = sorted((path for path in folder.iterdir() if not path.name.startswith(".")), key=_natural)
-    inside = [path for path in entries if path.resolve().is_relative_to(root.folder)]
+    inside = [path for path in entries if root.holds(path)]
     folders = [path for path in inside if path.is_dir()]
     files = [path for path in inside if path.is_file()]
     return {
@@ -96,9 +100,12 @@ def angles(root: Root, folder: str, source: str, names: Sequence[str], first: fl
     return [{"image": root.name(shot.image), "angle": shot.angle_deg, "exposure": shot.exposure_s} for shot in shots]
 
 
-def candidates(root: Root) -> dict[str, list[str]]:
-    """Files and folders that the station file may name: clouds, models of COLMAP, folders of images, masks."""
-    clouds, models, images = [], [], []
+def candidates(root: Root) -> dict[str, list[Any]]:
+    """What the station file may name, and the stations there are: `priors` as {kind, path}, the kinds being the keys of [prior];
+    `models` of COLMAP, folders of `images`, and `stations`, as paths.
+    """
+    priors: list[dict[str, str]] = []
+    models, images, stations = [], [], []
     seen = 0
     for place, folders, files in os.walk(root.folder):
         here = Path(place)
@@ -113,12 +120,54 @@ def candidates(root: Root) -> dict[str, list[str]]:
         names = set(files)
         if names & {"cameras.txt", "cameras.bin"} and names & {"images.txt", "images.bin"}:
             models.append(root.name(here))
-        clouds += [root.name(here / f) for f in sorted(files) if Path(f).suffix.lower() in (".ply", ".xyz") or is_scan(Path(f))]  # fmt: skip
-        if any(_is_image(Path(f)) for f in files):
+        inside = [here / f for f in sorted(files, key=lambda name: _natural(Path(name))) if root.holds(here / f)]
+        priors += [{"kind": kind, "path": root.name(path)} for path in inside if (kind := _kind_of_prior(path))]
+        stations += [root.name(path) for path in inside if _is_station(path)]
+        if any(_is_image(path) for path in inside):
             images.append(root.name(here))
-    return {"clouds": clouds, "models": models, "images": images}
+    return {"priors": priors, "models": models, "images": images, "stations": stations}
+
+
+def _kind_of_prior(path: Path) -> str | None:
+    """As what [prior] may name a file: cloud, mesh, depth; None for one that is no surface."""
+    kind = path.suffix.lower()
+    if kind in (".tif", ".tiff"):
+        tags = exif.tags_of(path)
+        return "depth" if _first(tags.get(_SAMPLE_FORMAT)) == _FLOATING and tags.get(_SAMPLES, 1) == 1 else None
+    if kind == ".ply":
+        try:
+            with path.open("rb") as file:
+                header = file.read(_PLY_HEADER).partition(b"end_header")[0]
+        except OSError:
+            return None
+        return "mesh" if re.search(rb"element face [1-9]", header) else "cloud"
+    return "cloud" if kind == ".xyz" or is_scan(path) else None
+
+
+def _first(value: object) -> object:
+    return value[0] if isinstance(value, tuple) and value else value
 
 
 def images_of_model(path: Path) -> list[str]:
     """Names of the images of a COLMAP model."""
     return sorted(_core.ColmapModel.read(str(path)).images())
+
+
+def photos_of(root: Root, station: Path, values: Mapping[str, Any]) -> list[str]:
+    """The photos in which a station's known distances are marked: those of [photos], or else those of its COLMAP model,
+    from the folder that has most of them.
+    """
+    folder = values.get("photos", {}).get("folder")
+    if isinstance(folder, str):
+        place = root.directory(str(station.parent / folder))
+        return [
+            root.name(path) for path in sorted(place.iterdir(), key=_natural) if _is_image(path) and root.holds(path)
+        ]
+    camera = values.get("camera", {})
+    if "colmap_model" not in camera:
+        return []
+    # The station's own picture need not show what its polarized images show.
+    names = set(images_of_model(root.directory(str(station.parent / camera["colmap_model"])))) - {camera.get("image")}
+    found = {here: sorted(name for name in names if (root.path(here) / name).is_file()) for here in candidates(root)["images"]}  # fmt: skip
+    best = max(found, key=lambda here: len(found[here]), default=None)
+    return [] if best is None else [root.name(root.path(best) / name) for name in sorted(found[best], key=lambda name: _natural(Path(name)))]  # fmt: skip

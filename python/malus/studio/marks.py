@@ -33,13 +33,18 @@ def lines(cameras: Mapping[str, Camera], image: str, marks: Sequence[Mapping[str
 
 
 def residuals(cameras: Mapping[str, Camera], bars: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """How the [[scale]] tables fit each other and the cameras, by their place in the list; what cannot be said, as a problem."""
+    """How the [[scale]] tables whose ends are both marked in two photos or more fit each other and the cameras, by their place
+    in the list, from 1; what cannot be said, as a problem.
+    """
     filled = [{"targets": None, "check": False, "a": [], "b": [], **bar} for bar in bars]
+    marked = [place for place, bar in enumerate(filled) if all(sum(mark["image"] in cameras for mark in bar[end]) > 1 for end in "ab")]  # fmt: skip
+    if not marked:
+        return {"problem": "Mark both ends of a distance in two photos or more; how well they fit is then shown here.", "fits": {}}  # fmt: skip
     try:
-        found = adjust_scale(filled, [], cameras, Options(), lambda _level, _message: None) if filled else None
+        found = adjust_scale([filled[place] for place in marked], [], cameras, Options(), lambda _level, _message: None)
     except MalusError as error:
         return {"problem": str(error), "fits": {}}
-    fits = {int(fit["name"].split()[-1]): fit for fit in found["distances"]} if found else {}
+    fits = {marked[int(fit["name"].split()[-1]) - 1] + 1: fit for fit in found["distances"]} if found else {}
     return {"problem": "", "fits": fits}
 
 

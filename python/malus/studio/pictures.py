@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+import threading
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,10 @@ from malus.figures import encode, reduced, step_for
 #: Of the full scale or brighter: what is shown white.
 _WHITE_PERCENTILE = 99.5
 THUMBNAIL_SIDE_PX = 320
+#: Side of the squares in which large images are sent.
+TILE_PX = 512
+
+Made = TypeVar("Made")
 
 
 def linear_or_encoded(path: Path, *, half_size: bool = False) -> tuple[NDArray[np.float32], bool]:
@@ -33,6 +39,12 @@ def linear_or_encoded(path: Path, *, half_size: bool = False) -> tuple[NDArray[n
 
 def displayed(path: Path, side_px: int | None = None) -> NDArray[np.uint8]:
     """An image for the eye, H×W×3 in 8 bits; with `side_px` averaged until no side is longer."""
+    toned = _toned(path, side_px)
+    return np.ascontiguousarray(np.broadcast_to(toned, (*toned.shape[:2], 3)))
+
+
+def _toned(path: Path, side_px: int | None = None) -> NDArray[np.uint8]:
+    """As displayed(), with as many channels as the file has."""
     pixels, linear = linear_or_encoded(path, half_size=side_px is not None)
     if pixels.ndim == 2:
         pixels = pixels[..., None]
@@ -42,23 +54,25 @@ def displayed(path: Path, side_px: int | None = None) -> NDArray[np.uint8]:
     if linear:
         white = max(float(np.percentile(pixels[:: 1 + pixels.shape[0] // 500, :: 1 + pixels.shape[1] // 500], _WHITE_PERCENTILE)), 1e-6)  # fmt: skip
         pixels = np.clip(pixels / white, 0, 1) ** np.float32(1 / 2.2)
-    bytes_of = np.rint(255 * np.clip(pixels, 0, 1)).astype(np.uint8)
-    return np.ascontiguousarray(np.broadcast_to(bytes_of, (*bytes_of.shape[:2], 3)))
+    return np.rint(255 * np.clip(pixels, 0, 1)).astype(np.uint8)
 
 
-def _cached(make: Callable[[Path], bytes], size: int) -> Callable[[Path], bytes]:
+def _cached(make: Callable[[Path], Made], size: int) -> Callable[[Path], Made]:
     """Keeps what was made of a file until the file changes."""
+    # Two tiles that are asked for at once shall not read the image twice.
+    lock = threading.Lock()
 
     @lru_cache(maxsize=size)
-    def made(path: Path, _changed_ns: int) -> bytes:
+    def made(path: Path, _changed_ns: int) -> Made:
         return make(path)
 
-    def current(path: Path) -> bytes:
+    def current(path: Path) -> Made:
         try:
             changed = path.stat().st_mtime_ns
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
-        return made(path, changed)
+        with lock:
+            return made(path, changed)
 
     return current
 
@@ -77,9 +91,34 @@ def _thumbnail(path: Path) -> bytes:
     return encode(displayed(path, THUMBNAIL_SIDE_PX), "JPEG", quality=85)
 
 
-#: JPEG of an image, small and whole.
+def _pyramid(path: Path) -> list[Image.Image]:
+    """The image, and then always the half of it (rounded up) until it is one tile."""
+    pixels = _toned(path)
+    levels = [Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else np.ascontiguousarray(pixels[..., :3]))]
+    while max(levels[-1].size) > TILE_PX:
+        levels.append(levels[-1].reduce(2))
+    return levels
+
+
+#: JPEG of an image, small.
 thumbnail = _cached(_thumbnail, 400)
-picture = _cached(lambda path: encode(displayed(path), "JPEG", quality=90), 12)
+#: Images are large: those of the station in turn, and one beside.
+_pyramid_of = _cached(_pyramid, 3)
+
+
+def tile(path: Path, halvings: int, column: int, row: int) -> bytes:
+    """JPEG of one square of an image whose sides were halved so many times."""
+    levels = _pyramid_of(path)
+    if not 0 <= halvings < len(levels):
+        raise InputError(f"{path}: has {len(levels)} levels, expected one of them")
+    level = levels[halvings]
+    left, top = column * TILE_PX, row * TILE_PX
+    if not (0 <= left < level.width and 0 <= top < level.height):
+        raise InputError(f"{path}: has no tile {column}, {row}")
+    part = level.crop((left, top, min(left + TILE_PX, level.width), min(top + TILE_PX, level.height)))
+    buffer = io.BytesIO()
+    part.save(buffer, "JPEG", quality=88)
+    return buffer.getvalue()
 
 
 def size_of(path: Path) -> tuple[int, int]:

@@ -28,7 +28,7 @@ def works(root: Root) -> list[str]:
     found = set()
     for depth in range(_SEARCH_DEPTH):
         for path in root.folder.glob("/".join(["*"] * depth + ["manifest.json"])):
-            if path.resolve().is_relative_to(root.folder):  # a link may lead elsewhere, or back
+            if root.holds(path):  # a link may lead elsewhere, or back
                 found.add(root.name(path.parent))
     return sorted(found)
 

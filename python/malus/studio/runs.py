@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from malus.studio import settings
+
 #: Lines of a run's log that are kept.
 _LOG_LINES = 2000
 #: Seconds that an interrupted run has to end by itself.
@@ -61,6 +63,7 @@ class Runs:
 
     def __init__(self) -> None:
         self._runs: list[Run] = []
+        self._number = 0
         self._changed = threading.Condition()
         self._closing = False
         self._worker = threading.Thread(target=self._work, name="runs", daemon=True)
@@ -72,12 +75,14 @@ class Runs:
             return list(self._runs)
 
     def add(self, station: Path, work: Path, fusion: str) -> Run:
-        """Queue a run; one that waits or runs for the same results is returned instead."""
+        """Queue a run; one that waits or runs for the same results is returned instead, one that has ended is forgotten."""
         with self._changed:
             for run in self._runs:
                 if run.work == work and run.state not in _ENDED:
                     return run
-            run = Run(len(self._runs) + 1, station, work, fusion)
+            self._runs = [run for run in self._runs if run.work != work]
+            self._number += 1
+            run = Run(self._number, station, work, fusion)
             self._runs.append(run)
             self._changed.notify_all()
             return run
@@ -122,6 +127,8 @@ class Runs:
     def _follow(self, run: Run) -> None:
         command = [sys.executable, "-m", "malus", "run", str(run.station), "-o", str(run.work)]
         command += ["--json", "--fusion", run.fusion]
+        if (options := settings.file_of(run.station)).is_file():
+            command += ["--options", str(options)]
         try:
             process = subprocess.Popen(
                 command,

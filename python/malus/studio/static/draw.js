@@ -1,7 +1,7 @@
 // Drawing on the image: the object's mask, labels of reflection, flat patches, profiles, and the ends of known distances.
-import { addressOf, ask, byId, doing, make, say, send, tell } from './api.js';
+import { ask, byId, doing, make, say, send, tell } from './api.js';
 import { LABELS, Layer } from './layer.js';
-import { change, state, take } from './studio.js';
+import { change, redo, state, take, undo } from './studio.js';
 import { ImageView } from './view.js';
 
 const stage = byId('draw-stage');
@@ -28,23 +28,30 @@ const TOOLS = {
 
 export async function showDrawing() {
   view ??= makeView();
-  const list = what.value === 'scale' ? await photos() : state.station.images;
-  image.replaceChildren(...list.map((path) => make('option', { value: path, selected: path === shown.image }, path)));
-  if (!list.length) throw new Error(what.value === 'scale' ? 'Known distances are marked in the photographs; name their folder under Station first.' : 'The station has no image that can be shown.');
-  await showImage();
+  const list = what.value === 'scale' ? await ask('photos', { path: state.station.path }) : state.station.images;
+  const known = [...image.options].map((option) => option.value);
+  if (known.length !== list.length || known.some((path, at) => path !== list[at])) image.replaceChildren(...list.map((path) => make('option', { value: path, selected: path === shown.image }, path)));
+  for (const part of [image.parentElement, byId('tools'), byId('draw-stage')]) part.hidden = !list.length;
+  byId('tools').replaceChildren();
+  byId('draw-side').replaceChildren();
+  if (list.length) await showImage();
+  else byId('draw-side').replaceChildren(make('p', { class: 'note' }, what.value === 'scale' ? 'Known distances are marked in photographs. There are none yet: choose their folder, or the cameras that a COLMAP model has of them, under Station.' : 'The station has no image that can be shown.'));
 }
 
-async function photos() {
-  const folder = state.station.values.photos?.folder;
-  if (!folder) return [];
-  const base = state.station.path.split('/').slice(0, -1).join('/');
-  return (await ask('folder', { path: base ? `${base}/${folder}` : folder })).images.map((entry) => entry.path);
+// Keeps what is painted before something else is shown. What was painted and undone leaves nothing to keep.
+export async function leaveDrawing() {
+  if (layer?.changed && shown.station === state.station.path && layer.box(0)) await saveLayer();
 }
+
+window.addEventListener('beforeunload', (event) => { if (layer?.changed) event.preventDefault(); });
 
 async function showImage() {
-  if (layer?.changed && (shown.what !== what.value || shown.station !== state.station.path)) await saveLayer();
+  if (shown.what !== what.value) {
+    await leaveDrawing();
+    byId('draw-state').textContent = '';
+  }
   if (shown.image !== image.value) {
-    await view.open(addressOf('picture', { path: image.value }));
+    await view.open(image.value);
     cursor = null;
   }
   const fresh = shown.what !== what.value || shown.station !== state.station.path;
@@ -228,8 +235,8 @@ stage.addEventListener('keydown', doing(async (event) => {
   else if (event.key === 'Escape') { if (tool === 'polygon') endPolygon(); points = []; pressed = false; }
   else if (event.key === '+') view.zoom(1.5);
   else if (event.key === '-') view.zoom(1 / 1.5);
-  else if (event.key === 'z' && event.ctrlKey) layer?.undo();
-  else if (event.key === 'y' && event.ctrlKey) layer?.redo();
+  else if (event.key === 'z' && event.ctrlKey) await (layer ? layer.undo() : undo());
+  else if (event.key === 'y' && event.ctrlKey) await (layer ? layer.redo() : redo());
   byId('draw-state').textContent = `Crosshair at ${cursor[0]}, ${cursor[1]}${pressed ? ', pressed' : ''}`;
   view.redraw();
 }));
@@ -348,9 +355,24 @@ function scaleSide() {
     make('label', {}, `length [${state.station.values.station?.unit ?? 'mm'}] `, make('input', { type: 'number', step: 'any', value: entry.distance, change: doing((event) => { entry.distance = Number(event.target.value); return store('scale', all); }) })),
     ...['a', 'b'].map((name) => make('p', {}, button(`Mark end ${name}`, async () => { end = { distance: at, name }; tool = 'mark'; await examine(); drawTools(); drawSide(); stage.focus(); }, { 'aria-pressed': String(tool === 'mark' && end.distance === at && end.name === name) }),
       ` in ${(entry[name] ?? []).length} photos: ${(entry[name] ?? []).map((mark) => mark.image).join(', ') || 'none yet, two or more are needed'}`)),
-    fitOf(at),
+    at === end.distance ? offTheLines() : null, fitOf(at),
     button('Remove', () => store('scale', all.filter((other) => other !== entry))));
   return [make('p', { class: 'note' }, examined.problem || 'Red lines: where the end lies by its marks in the other photos.'), ...all.map(row), button('Add a known distance', () => store('scale', [...all, { distance: 100, a: [], b: [] }]))];
+}
+
+// How far the mark in this photo lies from the lines that the other photos allow.
+function offTheLines() {
+  const mark = (entries('scale')[end.distance]?.[end.name] ?? []).find((one) => one.image === here());
+  const away = mark ? examined.lines.filter((line) => line.length > 1).map((line) => Math.min(...line.slice(1).map((to, at) => distanceTo(line[at], to, [mark.x, mark.y])))) : [];
+  if (!away.length) return null;
+  const worst = Math.max(...away);
+  return make('p', { class: worst > 3 ? 'warning' : 'note' }, `End ${end.name} lies ${worst.toFixed(1)} px from ${away.length > 1 ? 'the farthest of its lines' : 'its line'} in this photo.`);
+}
+
+function distanceTo([x0, y0], [x1, y1], [x, y]) {
+  const [dx, dy] = [x1 - x0, y1 - y0];
+  const share = Math.min(Math.max(((x - x0) * dx + (y - y0) * dy) / (dx * dx + dy * dy || 1), 0), 1);
+  return Math.hypot(x - x0 - share * dx, y - y0 - share * dy);
 }
 
 function fitOf(at) {

@@ -1,8 +1,7 @@
 // Finished results: their figures, two beside each other, profiles picked on a surface, and the report.
-import { addressOf, ask, byId, doing, make, tell } from './api.js';
+import { addressOf, ask, byId, doing, length, make, tell } from './api.js';
 import { change, state } from './studio.js';
 
-const number = (value, digits = 3) => value === null || value === undefined ? '–' : Number(value).toPrecision(digits);
 let all = [];
 const place = byId('result-view');
 
@@ -13,7 +12,7 @@ export async function showResults() {
     return;
   }
   const chosen = new Set();
-  const compare = make('button', { type: 'button', disabled: true, click: doing(() => showBoth([...chosen])) }, 'Compare the two that are ticked');
+  const compare = make('button', { type: 'button', class: 'compare', disabled: true, click: doing(() => showBoth([...chosen])) }, 'Compare the two that are ticked');
   const tick = (path) => (event) => { if (event.target.checked) chosen.add(path); else chosen.delete(path); compare.disabled = chosen.size !== 2; };
   byId('result-list').replaceChildren(make('div', { class: 'scroll' }, make('table', {}, make('caption', {}, 'Results in the opened folder'),
     make('thead', {}, make('tr', {}, ...['compare', 'folder', 'object', 'confidence', 'accuracy', 'coverage', 'warnings', 'show'].map((text) => make('th', { scope: 'col' }, text)))),
@@ -22,7 +21,7 @@ export async function showResults() {
 
 function line(result, tick) {
   const cells = result.problem ? [make('td', { colspan: 6 }, result.problem)] : [
-    make('td', {}, result.name), make('td', {}, result.confidence.level), make('td', {}, result.sigma_gsd === null ? '–' : `${number(result.sigma_gsd * result.gsd)} ${result.unit}`),
+    make('td', {}, result.name), make('td', {}, result.confidence.level), make('td', {}, result.sigma_gsd === null ? '–' : length(result.sigma_gsd * result.gsd, result.unit)),
     make('td', {}, `${(100 * result.coverage).toFixed(1)} %`), make('td', {}, String(result.warnings.length)),
     make('td', {}, result.report ? make('button', { type: 'button', click: () => showReport(result.path, result.report) }, 'Report') : null, ' ',
       make('button', { type: 'button', click: doing(() => showProfile(result)) }, 'Profile'))];
@@ -36,11 +35,13 @@ export function showReport(work, address) {
 
 async function showBoth([a, b]) {
   const figure = (path) => make('figure', {}, make('img', { src: addressOf('relief', { path }), alt: `Relief shading of the surface in ${path}` }), make('figcaption', {}, path));
-  place.replaceChildren(make('h3', {}, `${a} and ${b}`), make('div', { class: 'pair' }, figure(a), figure(b)));
+  place.replaceChildren(make('h3', { tabindex: -1 }, `${a} and ${b}`), make('div', { class: 'pair' }, figure(a), figure(b)));
   try {
     const said = await ask('difference', { a, b });
-    place.append(make('figure', {}, make('img', { src: said.picture, alt: `Difference of the two surfaces; blue where ${b} is nearer to the camera, red where it is farther`, style: 'max-width:100%' }),
-      make('figcaption', {}, `Blue: ${b} lies nearer to the camera than ${a}, up to ${number(said.limit)} ${said.unit}; red: farther. Mean ${number(said.mean)}, median ${number(said.median)}, RMS ${number(said.rms)} ${said.unit}.`)));
+    const shown = (value) => length(value, said.unit);
+    place.append(make('figure', {}, make('img', { src: said.picture, alt: `Difference of the two surfaces; blue where ${b} is nearer to the camera, red where it is farther`, style: 'max-width:100%' })),
+      make('div', { class: 'legend' }), make('p', {}, make('span', {}, `${shown(said.limit)} farther`), make('span', {}, 'alike'), make('span', {}, `${shown(said.limit)} nearer`)),
+      make('p', {}, `${b} against ${a}: nearer to the camera by ${shown(said.mean)} on average (median ${shown(said.median)}); RMS ${shown(said.rms)}.`));
   } catch (error) {
     place.append(make('p', { class: 'warning' }, error.message));
   }
@@ -50,24 +51,34 @@ async function showProfile(result) {
   const start = [0.2 * result.width, 0.5 * result.height].map(Math.round), stop = [0.8 * result.width, 0.5 * result.height].map(Math.round);
   const inputs = [...start, ...stop].map((value, at) => make('input', { type: 'number', value, min: 0, 'aria-label': ['from x', 'from y', 'to x', 'to y'][at] }));
   const picture = make('img', { src: addressOf('relief', { path: result.path }), alt: `Relief shading of ${result.path}; press two places to take a profile between them, or type their pixels below`, draggable: 'false' });
+  const line = drawn('svg', { viewBox: `-0.5 -0.5 ${result.width} ${result.height}`, preserveAspectRatio: 'none', 'aria-hidden': 'true' });
+  const picked = make('div', { class: 'picked' }, picture, line);
   const chart = make('div');
   const ends = () => { const values = inputs.map((input) => Number(input.value)); return { from: values.slice(0, 2), to: values.slice(2) }; };
-  const draw = doing(async () => { chart.replaceChildren(...plots(await tell('profile', { path: result.path, ...ends() }))); });
+  const marked = (toSecond) => {
+    const { from: [x1, y1], to: [x2, y2] } = ends();
+    const strokes = [['#fff', 5], ['#c22f43', 2.5]].map(([stroke, thick]) => ({ stroke, 'stroke-width': thick, 'vector-effect': 'non-scaling-stroke', fill: 'none' }));
+    const dot = (x, y) => strokes.map((look) => drawn('circle', { cx: x, cy: y, r: result.width / 120, ...look }));
+    line.replaceChildren(...(toSecond ? strokes.map((look) => drawn('path', { d: `M${x1} ${y1}L${x2} ${y2}`, ...look })) : []), ...dot(x1, y1), ...(toSecond ? dot(x2, y2) : []));
+  };
+  const draw = doing(async () => { marked(true); chart.replaceChildren(...plots(await tell('profile', { path: result.path, ...ends() }))); });
   let second = false;
   picture.addEventListener('click', (event) => {
     const box = picture.getBoundingClientRect();
-    inputs[second ? 2 : 0].value = Math.round((event.clientX - box.left) / box.width * result.width - 0.5);
-    inputs[second ? 3 : 1].value = Math.round((event.clientY - box.top) / box.height * result.height - 0.5);
-    if (second) draw();
+    const pixel = (share, count) => Math.min(Math.max(Math.floor(share * count), 0), count - 1);
+    inputs[second ? 2 : 0].value = pixel((event.clientX - box.left) / box.width, result.width);
+    inputs[second ? 3 : 1].value = pixel((event.clientY - box.top) / box.height, result.height);
     second = !second;
+    if (second) marked(false);
+    else draw();
   });
   const keep = make('button', { type: 'button', disabled: !state.station, click: doing(async () => {
     const profiles = structuredClone(state.station.values.profile ?? []);
     await change([{ list: 'profile', entries: [...profiles, { name: `picked ${profiles.length + 1}`, ...ends() }] }]);
     keep.textContent = `Kept in ${state.station.path}; the next run reports it`;
   }) }, 'Keep it in the open station');
-  place.replaceChildren(make('h3', {}, `Profile on ${result.path}`), make('div', { class: 'pair' }, picture, make('div', {}, make('p', { class: 'note' }, 'Press two places of the picture, or type their pixels.'),
-    make('p', { class: 'row' }, ...inputs, make('button', { type: 'button', click: draw }, 'Draw'), keep), chart)));
+  place.replaceChildren(make('h3', {}, `Profile on ${result.path}`), make('div', { class: 'pair' }, picked, make('div', {}, make('p', { class: 'note' }, 'Press two places of the picture, or type their pixels.'),
+    make('p', { class: 'row' }, ...inputs.map((input) => make('label', {}, input.getAttribute('aria-label'), input)), make('button', { type: 'button', click: draw }, 'Draw'), keep), chart)));
   await draw();
 }
 
@@ -86,15 +97,25 @@ function drawn(tag, attributes, ...children) {
   return element;
 }
 
+// Round places on an axis: 1, 2 or 5 times a power of ten apart.
+function ticks(low, high, most) {
+  const power = 10 ** Math.floor(Math.log10((high - low) / most));
+  const step = [1, 2, 5, 10].map((factor) => factor * power).find((one) => (high - low) / one <= most);
+  const first = Math.ceil(low / step);
+  return Array.from({ length: Math.floor(high / step) - first + 1 }, (_, at) => (first + at) * step);
+}
+
 function chartOf(section, lines, title) {
-  const [width, height, left, low] = [640, 220, 84, 34];
+  const [width, height, left, low] = [640, 230, 74, 34];
   const known = lines.flatMap(([values]) => values).filter((value) => value !== null);
-  const [bottom, top, far] = [Math.min(...known), Math.max(...known), section.along.at(-1)];
-  const x = (value) => left + value / far * (width - left - 10), y = (value) => height - low - (value - bottom) / (top - bottom || 1) * (height - low - 14);
+  const far = section.along.at(-1);
+  const [bottom, top] = [Math.min(...known), Math.max(...known)];
+  const x = (value) => left + value / far * (width - left - 14), y = (value) => height - low - (value - bottom) / (top - bottom || 1) * (height - low - 14);
   const path = (values) => values.map((value, at) => value === null ? '' : `${at && values[at - 1] !== null ? 'L' : 'M'}${x(section.along[at]).toFixed(1)} ${y(value).toFixed(1)}`).join('');
   const text = (attributes, words) => drawn('text', attributes, words);
-  return make('figure', {}, make('figcaption', {}, title), drawn('svg', { class: 'profile', viewBox: `0 0 ${width} ${height}`, role: 'img', 'aria-label': `${title}, from ${number(bottom)} to ${number(top)} ${section.unit} along ${number(far)} ${section.unit}` },
-    ...lines.map(([values, stroke, dashes]) => drawn('path', { d: path(values), fill: 'none', stroke, 'stroke-width': 1.6, 'stroke-dasharray': dashes })),
-    text({ x: 4, y: 22 }, `${number(top)} ${section.unit}`), text({ x: 4, y: height - low }, `${number(bottom)} ${section.unit}`),
-    text({ x: left, y: height - 8 }, '0'), text({ x: width - 10, y: height - 8, 'text-anchor': 'end' }, `${number(far)} ${section.unit}`)));
+  const shown = (value) => value === 0 ? '0' : length(value, section.unit, 3);
+  return make('figure', {}, make('figcaption', {}, title), drawn('svg', { class: 'profile', viewBox: `0 0 ${width} ${height}`, role: 'img', 'aria-label': `${title}, from ${shown(bottom)} to ${shown(top)} along ${shown(far)}` },
+    ...(top > bottom ? ticks(bottom, top, 5) : []).flatMap((value) => [drawn('line', { x1: left, x2: width - 14, y1: y(value), y2: y(value) }), text({ x: left - 6, y: y(value) + 4, 'text-anchor': 'end' }, shown(value))]),
+    ...ticks(0, far, 6).map((value) => text({ x: x(value), y: height - 10, 'text-anchor': 'middle' }, shown(value))),
+    ...lines.map(([values, stroke, dashes]) => drawn('path', { d: path(values), fill: 'none', stroke, 'stroke-width': 1.6, 'stroke-dasharray': dashes }))));
 }

@@ -4,19 +4,21 @@ import { showPage } from './studio.js';
 import { showReport } from './results.js';
 
 const form = byId('start-run');
-let station = null;
 let timer = null;
-const STATES = { waiting: 'waiting', running: 'running', done: 'done', failed: 'stopped by an error', canceled: 'canceled; it goes on where it was when it is started again' };
+const STATES = { waiting: 'waiting for its turn', running: 'running', done: 'done', failed: 'stopped by an error', canceled: 'canceled; it goes on where it was when it is started again' };
 
 export async function showRuns(state) {
-  station = state.station?.path ?? null;
-  form.hidden = !station;
-  if (station && form.dataset.station !== station) {
-    form.dataset.station = station;
-    form.elements.work.value = station.replace(/\.toml$/, '_work');
-  }
+  const { stations } = await ask('candidates');
+  form.hidden = !stations.length;
+  const typed = Object.fromEntries(rows().map((row) => [row.dataset.station, row.querySelector('[name=work]').value]));
+  byId('queueable').tBodies[0].replaceChildren(...stations.map((path) => make('tr', { 'data-station': path },
+    make('td', {}, make('input', { type: 'checkbox', checked: path === (state.station?.path ?? stations[0]), 'aria-label': `Run ${path}` })),
+    make('th', { scope: 'row' }, path),
+    make('td', {}, make('input', { name: 'work', size: 30, value: typed[path] ?? path.replace(/\.toml$/, '_work'), 'aria-label': `Results of ${path} go to` })))));
   await refresh();
 }
+
+const rows = () => [...byId('queueable').tBodies[0].rows];
 
 async function refresh() {
   clearTimeout(timer);
@@ -28,9 +30,11 @@ async function refresh() {
     if (!old) list.prepend(card(run));
     else update(old, run);
   }
+  const known = new Set(runs.map((run) => String(run.number)));
+  for (const old of list.querySelectorAll('[data-run]')) if (!known.has(old.dataset.run)) old.remove();
   const order = [...list.children].sort((a, b) => b.dataset.run - a.dataset.run);
   if (order.some((element, at) => list.children[at] !== element)) list.append(...order);
-  if (!runs.length) list.replaceChildren(make('p', { class: 'note' }, station ? 'Nothing has been run yet.' : 'Open a station to run it.'));
+  if (!runs.length) list.replaceChildren(make('p', { class: 'note' }, form.hidden ? 'There is no station in the opened folder yet; make one under Images.' : 'Nothing has been run yet.'));
   else list.querySelector('p.note')?.remove();
   if (runs.some((run) => run.state === 'waiting' || run.state === 'running')) timer = setTimeout(() => refresh().catch(() => { timer = setTimeout(refresh, 3000); }), 700);
 }
@@ -64,6 +68,11 @@ function update(element, run) {
 const cancel = (run) => make('button', { type: 'button', click: doing(async () => { await tell('cancel', { number: run.number }); await refresh(); }) }, 'Cancel');
 
 form.addEventListener('submit', doing(async () => {
-  await tell('run', { path: station, work: form.elements.work.value, fusion: form.elements.fusion.value });
-  await refresh();
+  const chosen = rows().filter((row) => row.querySelector('input[type=checkbox]').checked);
+  if (!chosen.length) throw new Error('Tick the stations that shall run.');
+  try {
+    for (const row of chosen) await tell('run', { path: row.dataset.station, work: row.querySelector('[name=work]').value, fusion: form.elements.fusion.value });
+  } finally {
+    await refresh();
+  }
 }));

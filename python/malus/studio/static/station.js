@@ -1,9 +1,9 @@
-// The station's fields with what the checks say beside each, the prior over the image, and the file itself.
-import { addressOf, ask, byId, doing, duration, make, tell } from './api.js';
-import { change, state, take } from './studio.js';
+// The station's fields with what the checks say beside each, the coarse surface over the image, and the file itself.
+import { ask, byId, doing, duration, make, tell } from './api.js';
+import { change, showPage, state, take } from './studio.js';
 import { ImageView } from './view.js';
 
-let candidates = { clouds: [], models: [], images: [] };
+let candidates = { priors: [], models: [], images: [] };
 let modelImages = [];
 
 export async function showStation() {
@@ -30,60 +30,112 @@ async function draw() {
   } catch {
     modelImages = [];  // The check below says what is wrong with it.
   }
-  const controls = () => [...byId('fields').querySelectorAll('input, select')];
+  const controls = () => [...byId('fields').querySelectorAll('input, select, button')];
   const focused = controls().indexOf(document.activeElement);
-  byId('fields').replaceChildren(...fields());
+  const open = byId('catalog')?.open;
+  byId('fields').replaceChildren(...groups());
+  byId('catalog').open = open ?? false;
   if (focused >= 0) controls()[focused]?.focus();
+  await propose();
   await check();
+}
+
+// What lies in the folder and is beyond doubt, to be taken over at once.
+async function propose() {
+  const place = byId('proposal');
+  place.hidden = true;
+  if (state.station.values.camera || state.station.values.prior || candidates.models.length !== 1) return;
+  const model = candidates.models[0];
+  const priors = candidates.priors.filter(({ kind }) => kind !== 'depth');
+  const { images } = await ask('model', { path: model });
+  const own = new Set(['station', ...state.station.images.map((path) => path.split('/').pop().replace(/\.\w+$/, ''))]);
+  const views = images.filter((name) => own.has(name.split('/').pop().replace(/\.\w+$/, '')));
+  const changes = [{ table: 'camera', key: 'colmap_model', value: model, is_path: true }];
+  const words = [`the cameras in ${model}`];
+  if (views.length === 1) {
+    changes.push({ table: 'camera', key: 'image', value: views[0] });
+    words.push(`this station as ${views[0]} among them`);
+  }
+  if (priors.length === 1) {
+    changes.push({ table: 'prior', key: priors[0].kind, value: priors[0].path, is_path: true });
+    words.push(`the coarse surface ${priors[0].path}`);
+  }
+  place.hidden = false;
+  place.replaceChildren(make('p', {}, `Found in this folder: ${words.join(', ')}.`), make('p', {}, make('button', { type: 'button', class: 'main', click: () => set(changes) }, 'Use them')));
 }
 
 const says = (field) => make('div', { class: 'says', 'data-says': field });
 let serial = 0;
-const row = (field, title, control) => {
+const row = (field, title, control, help = '') => {
   control.id ||= `field-${++serial}`;
-  return make('div', { class: 'field' }, make('label', { for: control.id }, title), control, says(field));
+  if (help) control.setAttribute('aria-describedby', `${control.id}-help`);
+  return make('div', { class: 'field' }, make('label', { for: control.id }, title), control, help ? make('div', { class: 'help', id: `${control.id}-help` }, help) : null, says(field));
 };
+// What stands in the file but is drawn: with the way there.
+const drawn = (field, title, said, what) => row(field, title, make('output', {}, said, ' ', make('button', { type: 'button', class: 'link', click: () => { byId('draw-what').value = what; showPage('draw'); } }, 'draw')));
 
 const set = (changes) => {
   byId('plan').textContent = 'Saving …';
   return doing(async () => { await change(changes); await draw(); })();
 };
-const text = (field, title, table, key, kind = 'text') => row(field, title, make('input', { type: kind, step: 'any', value: under(table, key) ?? '',
-  change: (event) => set([{ table, key, value: event.target.value === '' ? null : kind === 'number' ? Number(event.target.value) : event.target.value }]) }));
+const text = (field, title, table, key, { kind = 'text', help = '', placeholder = '' } = {}) => row(field, title, make('input', { type: kind, step: 'any', value: under(table, key) ?? '', placeholder,
+  change: (event) => set([{ table, key, value: event.target.value === '' ? null : kind === 'number' ? Number(event.target.value) : event.target.value }]) }), help);
 
 // A choice; the present value stays choosable even if it is not among the options.
-function choice(field, title, present, options, onChange) {
+function choice(field, title, present, options, onChange, help = '') {
   const values = options.map(([value]) => value);
   const all = values.includes(present) ? options : [[present, present], ...options];
   return row(field, title, make('select', { change: (event) => onChange(event.target.value) },
-    ...all.map(([value, shown]) => make('option', { value, selected: value === present }, shown))));
+    ...all.map(([value, shown]) => make('option', { value, selected: value === present }, shown))), help);
 }
 
-function fields() {
-  const images = (under('polarized', 'images') ?? []);
+const group = (title, ...rows) => make('fieldset', {}, make('legend', {}, title), ...rows.filter(Boolean));
+
+function groups() {
+  return [objectGroup(), imagesGroup(), surfaceGroup(), group('What is assessed',
+    drawn('patch', 'Flat patches', namesOf('patch'), 'patch'), drawn('profile', 'Profiles', namesOf('profile'), 'profile'))];
+}
+
+const CATALOG = [['identifier', 'Inventory number'], ['title', 'Title'], ['maker', 'Maker'], ['date', 'Date'], ['place', 'Place'], ['material', 'Material'], ['collection', 'Collection'],
+  ['recorded_by', 'Recorded by'], ['recorded_on', 'Recorded on'], ['rights', 'Rights'], ['license', 'License']];
+
+function objectGroup() {
+  return group('The object', text('station', 'Name of the object', 'station', 'name'),
+    choice('scale', 'Unit of lengths', under('station', 'unit') ?? 'mm', ['mm', 'um', 'cm', 'm', 'in', 'ft'].map((unit) => [unit, unit]), (value) => set([{ table: 'station', key: 'unit', value }]), 'Of every length in the files and in the results.'),
+    make('details', { id: 'catalog' }, make('summary', {}, 'For the catalog (goes into the results)'), ...CATALOG.map(([key, title]) => text('object', title, 'object', key))));
+}
+
+function imagesGroup() {
+  const images = under('polarized', 'images') ?? [];
+  const index = under('optics', 'refractive_index');
+  const setReflection = (value) => set([{ table: 'optics', key: 'reflection', value }]);
+  return group('The polarized images',
+    row('images', 'Images', make('output', {}, Array.isArray(images) ? images.join(', ') : String(images))),
+    row('angles', 'Angles [°]', make('input', { value: [under('polarized', 'angles_deg') ?? []].flat().join(', '), placeholder: 'from the names',
+      change: (event) => doing(() => set([{ table: 'polarized', key: 'angles_deg', value: anglesOf(event.target.value) }]))() }), 'What the filter\'s scale reads for each image; “auto” if nobody noted it.'),
+    choice('angles', 'Scale counts', under('polarized', 'angle_direction') ?? 'ccw', [['ccw', 'counter-clockwise, as the camera sees it'], ['cw', 'clockwise (read from behind the filter)']], (value) => set([{ table: 'polarized', key: 'angle_direction', value }])),
+    text('angles', 'Zero of the scale [°]', 'polarized', 'angle_zero_deg', { kind: 'number', placeholder: '0', help: 'What the scale reads when the filter\'s axis is horizontal.' }),
+    choice('response', 'Pixel values', under('polarized', 'response') ?? 'linear', [['linear', 'linear (RAW, scientific)'], ['srgb', 'sRGB (camera JPEG)'], ['gamma:2.2', 'gamma 2.2']], (value) => set([{ table: 'polarized', key: 'response', value }])),
+    text('response', 'White level', 'polarized', 'white_level', { kind: 'number', placeholder: 'full scale', help: 'Pixel value at which the sensor saturates, if it is not the full scale of the file.' }),
+    drawn('mask', 'Mask', under('polarized', 'mask') ?? 'none: the whole image is the object', 'mask'),
+    text('optics', 'Refractive index', 'optics', 'refractive_index', { kind: typeof index === 'string' ? 'text' : 'number', placeholder: '1.5', help: 'About 1.5 for stone, glaze, varnish, glass and most plastics.' }),
+    choice('optics', 'Reflection', under('optics', 'reflection') ?? 'auto', [['auto', 'decided for each region'], ['diffuse', 'diffuse (matt)'], ['specular', 'specular (glossy)']], setReflection, 'Regions can be painted under Draw.'));
+}
+
+const PRIORS = { cloud: 'point cloud', mesh: 'mesh', depth: 'depth map' };
+
+function surfaceGroup() {
   const path = (table, key) => (value) => set([{ table, key, value: value || null, is_path: true }]);
   const paths = (list) => [['', 'none'], ...list.map((name) => [name, name])];
-  const index = under('optics', 'refractive_index');
-  return [
-    text('station', 'Name of the object', 'station', 'name'),
-    choice('scale', 'Unit of lengths', under('station', 'unit') ?? 'mm', ['mm', 'um', 'cm', 'm', 'in', 'ft'].map((unit) => [unit, unit]), (value) => set([{ table: 'station', key: 'unit', value }])),
-    row('images', 'Polarized images', make('output', {}, Array.isArray(images) ? images.join(', ') : String(images))),
-    row('angles', 'Angles [°]', make('input', { value: [under('polarized', 'angles_deg') ?? []].flat().join(', '), placeholder: 'from the names', change: (event) => set([{ table: 'polarized', key: 'angles_deg', value: anglesOf(event.target.value) }]) })),
-    choice('angles', 'Scale counts', under('polarized', 'angle_direction') ?? 'ccw', [['ccw', 'counter-clockwise, as the camera sees it'], ['cw', 'clockwise']], (value) => set([{ table: 'polarized', key: 'angle_direction', value }])),
-    text('angles', 'Zero of the scale [°]', 'polarized', 'angle_zero_deg', 'number'),
-    text('response', 'Response', 'polarized', 'response'),
-    text('response', 'White level [DN]', 'polarized', 'white_level', 'number'),
-    row('mask', 'Mask', make('output', {}, under('polarized', 'mask') ?? 'none: the whole image is the object; draw one under Draw')),
-    text('optics', 'Refractive index', 'optics', 'refractive_index', typeof index === 'string' ? 'text' : 'number'),
-    choice('optics', 'Reflection', under('optics', 'reflection') ?? 'auto', [['auto', 'decided by region'], ['diffuse', 'diffuse'], ['specular', 'specular']], (value) => set([{ table: 'optics', key: 'reflection', value }])),
-    choice('camera', 'Camera: COLMAP model', named(under('camera', 'colmap_model')), paths(candidates.models), path('camera', 'colmap_model')),
-    modelImages.length ? choice('camera', "This station's name in the model", under('camera', 'image') ?? '', [['', 'choose'], ...modelImages.map((name) => [name, name])], (value) => set([{ table: 'camera', key: 'image', value: value || null }])) : null,
-    choice('prior', 'Coarse surface (cloud)', named(under('prior', 'cloud')), paths(candidates.clouds), path('prior', 'cloud')),
-    choice('photos', 'Photographs from all around', named(under('photos', 'folder')), paths(candidates.images), path('photos', 'folder')),
-    row('patch', 'Flat patches', make('output', {}, namesOf('patch'))),
-    row('profile', 'Profiles', make('output', {}, namesOf('profile'))),
-    row('scale', 'Known distances', make('output', {}, String((state.station.values.scale ?? []).length))),
-  ].filter(Boolean);
+  const kind = Object.keys(PRIORS).find((key) => under('prior', key));
+  const setPrior = (chosen) => set(Object.keys(PRIORS).map((key) => ({ table: 'prior', key, value: chosen.startsWith(`${key}:`) ? chosen.slice(key.length + 1) : null, is_path: true })));
+  const withImage = (name) => set([{ table: 'camera', key: 'image', value: name || null }]);
+  return group('Camera and coarse surface',
+    choice('camera', 'Cameras (COLMAP model)', named(under('camera', 'colmap_model')), paths(candidates.models), path('camera', 'colmap_model'), 'A folder with cameras and images of COLMAP. Left out when the cameras are to be found from photographs.'),
+    modelImages.length ? choice('camera', "This station's name in the model", under('camera', 'image') ?? '', [['', 'choose'], ...modelImages.map((name) => [name, name])], withImage) : null,
+    choice('prior', 'Coarse surface (prior)', kind ? `${kind}:${named(under('prior', kind))}` : '', [['', 'none'], ...candidates.priors.map((found) => [`${found.kind}:${found.path}`, `${found.path} (${PRIORS[found.kind]})`])], setPrior, 'From photogrammetry or a scanner, in the frame of the cameras. Left out when it is to be made from photographs.'),
+    choice('photos', 'Photographs from all around', named(under('photos', 'folder')), paths(candidates.images), path('photos', 'folder'), 'Only if there is no coarse surface yet: cameras and surface are then made from them.'),
+    drawn('scale', 'Known distances', String((state.station.values.scale ?? []).length), 'scale'));
 }
 
 const namesOf = (list) => (state.station.values[list] ?? []).map((entry, at) => entry.name ?? at + 1).join(', ') || 'none';
@@ -109,25 +161,33 @@ export async function check() {
   }
   const wrong = said.lines.filter((line) => line.severity === 'error').length;
   byId('plan').textContent = wrong ? 'The station cannot run yet; see below.'
-    : `Ready: ${said.plan.width} × ${said.plan.height} px, about ${duration(said.plan.seconds)} and ${(said.plan.memory_mb / 1000).toFixed(1)} GB expected${said.lines.length ? `; ${said.lines.length} to look at` : ''}. ${said.plan.does.join('; ')}.`;
+    : `Ready: ${said.plan.width} × ${said.plan.height} px, about ${duration(said.plan.seconds)} and ${(said.plan.memory_mb / 1000).toFixed(1)} GB expected${said.lines.length ? `; ${said.lines.length} to look at` : ''}.`;
   byId('plan').className = wrong ? 'error' : said.lines.length ? 'warning' : 'good';
+  byId('plan-steps').hidden = Boolean(wrong);
+  byId('plan-steps').querySelector('ul').replaceChildren(...(said.plan?.does ?? []).map((line) => make('li', {}, line)));
+  byId('overlay').hidden = !state.station.values.prior;
 }
 
 let view = null;
 byId('show-overlay').addEventListener('click', doing(async () => {
   const note = byId('overlay-note');
-  note.textContent = 'Projecting the prior …';
+  note.textContent = 'Looking where the surface lies in the image …';
   try {
-    const picture = await createImageBitmap(await ask('overlay', { path: state.station.path }));
+    const said = await ask('overlay', { path: state.station.path });
+    const picture = Object.assign(new Image(), { src: said.picture });
+    await picture.decode();
     byId('overlay-stage').hidden = false;
     view ??= new ImageView(byId('overlay-stage'));
-    await view.open(addressOf('picture', { path: state.station.images[0] }));
+    await view.open(state.station.images[0]);
     view.paint = (context) => {
       context.globalAlpha = Number(byId('overlay-strength').value);
-      view.inImage(context, () => context.drawImage(picture, 0, 0));
+      view.inImage(context, () => {
+        context.imageSmoothingEnabled = false;
+        context.drawImage(picture, 0, 0, picture.width * said.cell, picture.height * said.cell);
+      });
     };
     view.redraw();
-    note.textContent = 'Yellow is near, violet is far; where nothing lies over the image the prior has no surface.';
+    note.textContent = `Yellow is near (${said.near}), violet is far (${said.far}). Edges and steps of the colors should lie on those of the image.`;
   } catch (error) {
     note.textContent = error.message;
   }

@@ -2,16 +2,24 @@
 import { ask, byId, doing, say, tell } from './api.js';
 import { showFolder } from './images.js';
 import { showStation } from './station.js';
-import { showDrawing } from './draw.js';
+import { leaveDrawing, showDrawing } from './draw.js';
+import { showOptions } from './options.js';
 import { showRuns } from './runs.js';
 import { showResults } from './results.js';
 
-const pages = { images: showFolder, station: showStation, draw: showDrawing, runs: showRuns, results: showResults };
+const pages = { images: showFolder, station: showStation, draw: showDrawing, options: showOptions, runs: showRuns, results: showResults };
+const OF_A_STATION = ['station', 'draw', 'options'];
+let current = 'images';
 
 // The open station as the server last said it: path, text, digest, values, images, mask, error.
 export const state = { station: null };
+// Earlier and later states of its file, for undo and redo.
+let past = [];
+let future = [];
 
-export function showPage(name, focus = true) {
+export async function showPage(name, focus = true) {
+  if (current === 'draw' && name !== 'draw') await doing(leaveDrawing)();
+  current = name;
   for (const page of Object.keys(pages)) byId(page).hidden = page !== name;
   for (const button of document.querySelectorAll('[data-page]')) {
     if (button.dataset.page === name) button.setAttribute('aria-current', 'step');
@@ -24,11 +32,35 @@ export function showPage(name, focus = true) {
 
 // Takes over what the server says of the open station after opening or changing it.
 export function take(station) {
+  const before = state.station;
+  if (before?.path !== station.path) [past, future] = [[], []];
+  else if (before.text !== station.text) {
+    past.push(before.text);
+    future = [];
+  }
+  return show(station);
+}
+
+function show(station) {
   state.station = station;
   byId('open-station').textContent = station.path;
-  for (const page of ['station', 'draw']) document.querySelector(`[data-page="${page}"]`).disabled = false;
+  byId('history').hidden = false;
+  byId('undo').disabled = !past.length;
+  byId('redo').disabled = !future.length;
+  for (const page of OF_A_STATION) document.querySelector(`[data-page="${page}"]`).disabled = false;
   return station;
 }
+
+// The file as it was before its last change, or after the change that was undone last.
+export async function step(from, to) {
+  const text = from().pop();
+  if (text === undefined) return;
+  to().push(state.station.text);
+  show(await tell('text', { path: state.station.path, digest: state.station.digest, text }));
+  await pages[current](state);
+}
+export const undo = () => step(() => past, () => future);
+export const redo = () => step(() => future, () => past);
 
 export async function openStation(path) {
   take(await ask('station', { path }));
@@ -43,5 +75,7 @@ export function change(changes) {
   return made;
 }
 
-for (const button of document.querySelectorAll('[data-page]')) button.addEventListener('click', () => { say(''); showPage(button.dataset.page); });
+byId('undo').addEventListener('click', doing(undo));
+byId('redo').addEventListener('click', doing(redo));
+for (const button of document.querySelectorAll('[data-page], [data-to]')) button.addEventListener('click', () => { say(''); showPage(button.dataset.page ?? button.dataset.to); });
 showPage('images', false);

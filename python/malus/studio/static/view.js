@@ -1,5 +1,10 @@
 // An image that is zoomed and moved by OpenSeadragon, and a canvas over it to draw on in image pixels.
 /* global OpenSeadragon */
+import { addressOf, ask } from './api.js';
+
+// Side of the squares, as in pictures.py.
+const TILE = 512;
+
 export class ImageView {
   constructor(stage) {
     this.stage = stage;
@@ -17,11 +22,15 @@ export class ImageView {
     new ResizeObserver(() => this.redraw()).observe(stage);
   }
 
-  open(address) {
+  // Shows an image of the opened folder, in squares of as many pixels as the screen can show.
+  async open(path) {
+    const { width, height } = await ask('size', { path });
+    const maxLevel = Math.max(0, Math.ceil(Math.log2(Math.max(width, height) / TILE)));
+    const getTileUrl = (level, column, row) => addressOf('tile', { path, halvings: maxLevel - level, column, row });
     return new Promise((resolve, reject) => {
-      this.viewer.addOnceHandler('open', () => { this.size = this.viewer.world.getItemAt(0).getContentSize(); resolve(); });
+      this.viewer.addOnceHandler('open', () => { this.size = { x: width, y: height }; resolve(); });
       this.viewer.addOnceHandler('open-failed', () => reject(new Error('The image cannot be shown.')));
-      this.viewer.open({ type: 'image', url: address });
+      this.viewer.open({ width, height, tileSize: TILE, minLevel: 0, maxLevel, getTileUrl });
     });
   }
 

@@ -1,0 +1,41 @@
+// The options that matter most, with what each means and what it may be; only what differs from the default is written.
+import { ask, byId, doing, make, tell } from './api.js';
+import { state } from './studio.js';
+
+export async function showOptions() {
+  draw(await ask('options', { path: state.station.path }));
+}
+
+function draw({ options, file }) {
+  byId('options-file').textContent = `What differs from the defaults is kept in ${file}, which every run of this station reads.`;
+  byId('option-list').replaceChildren(...options.map(row));
+}
+
+function row(option) {
+  const id = `option-${option.name.replace('.', '-')}`;
+  const says = make('p', { class: 'error', id: `${id}-wrong` });
+  const changed = option.value !== option.default;
+  const set = async (value) => {
+    try {
+      draw(await tell('option', { path: state.station.path, name: option.name, value }));
+      byId(id).focus();
+    } catch (error) {
+      says.textContent = error.message;
+    }
+  };
+  const control = controlOf(option, { id, 'aria-describedby': `${id}-help ${id}-wrong` }, (value) => set(value === option.default ? null : value));
+  return make('div', { class: `field${changed ? ' changed' : ''}` }, make('label', { for: id }, option.title),
+    make('div', { class: 'row' }, control, changed ? make('button', { type: 'button', 'aria-label': `${option.title}: back to the default`, click: doing(() => set(null)) }, 'Back to the default') : null),
+    make('div', { class: 'says' }, make('p', { class: 'note', id: `${id}-help` }, make('code', {}, option.name), `: ${option.meaning.replace(/ …$/, '')}. Default: ${option.default}.`), says));
+}
+
+// A choice where the values are named, else text: numbers as numbers.
+function controlOf({ kind, value }, attributes, set) {
+  const named = kind === 'true or false' ? ['true', 'false'] : /^("\w+"( \| )?)+$/.test(kind) ? kind.split(' | ').map((word) => word.slice(1, -1)) : null;
+  if (named) {
+    return make('select', { ...attributes, change: (event) => set(kind === 'true or false' ? event.target.value === 'true' : event.target.value) },
+      ...named.map((word) => make('option', { value: word, selected: word === String(value) }, word)));
+  }
+  const typed = (text) => text.trim() === '' ? null : Number.isNaN(Number(text)) ? text.trim() : Number(text);
+  return make('input', { ...attributes, value, change: (event) => set(typed(event.target.value)) });
+}
