@@ -377,7 +377,13 @@ class Plates:
         if self.workspace.has(folder + "zenith.tif"):
             yield self._map(
                 np.degrees(self.raster(folder + "zenith.tif")),
-                _Map("zenith", "Zenith from the degree", "Angle of normal and viewing ray by Eq 7 or 8.", "magma", "°"),
+                _Map(
+                    "zenith",
+                    "Zenith from the degree",
+                    "Angle of normal and viewing ray, from the degree by Fresnel's equations.",
+                    "magma",
+                    "°",
+                ),
             )
         if self.workspace.has(folder + "clamped.png"):
             labeled = self.thinned(folder + "label.png") > 0
