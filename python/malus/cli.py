@@ -274,7 +274,7 @@ def _print_files(work: Path, step: str) -> None:
     workspace = malus.Workspace(work)
     folders = {Path(name).parts[0] for name in workspace.manifest["steps"].get(step, {}).get("outputs", {})}
     files = [name for name in workspace.outputs if Path(name).parts[0] in folders]
-    print(f"{work} has {', '.join(files)}")
+    print(f"{work} has", *files, sep="\n  ")
 
 
 def _print_summary(work: Path, quiet: bool) -> None:
