@@ -168,9 +168,16 @@ def images_of(folder: Path, mask: Path | None) -> list[Path]:
 
 
 def shots_of(
-    folder: Path, mask: Path | None, table: str | Path | None, pattern: str | None, angles: Sequence[float] | None
+    folder: Path,
+    mask: Path | None,
+    table: str | Path | None,
+    pattern: str | None,
+    angles: Sequence[float] | None,
+    instead: str = "--angles A,B,…, one for each in this order, --pattern REGEX or a table (--table FILE.csv)",
 ) -> list[Shot]:
-    """Images and angles of a folder, by the first source that there is (see `import_station`)."""
+    """Images and angles of a folder, by the first source that there is (see `import_station`); `instead`: what is expected
+    where there is none.
+    """
     given = [
         name for name, value in (("--angles", angles), ("--pattern", pattern), ("--table", table)) if value is not None
     ]
@@ -194,11 +201,8 @@ def shots_of(
     shots = _shots_of_sidecars(folder)
     if shots:
         return shots
-    instead = "expected --angles A,B,…, one for each in this order, --pattern REGEX or a table (--table FILE.csv)"
-    return [
-        Shot(path, angle)
-        for path, angle in zip(images, _core.angles_of_names(images, str(folder), instead), strict=True)
-    ]
+    found = _core.angles_of_names(images, str(folder), f"expected {instead}")
+    return [Shot(path, angle) for path, angle in zip(images, found, strict=True)]
 
 
 def _all_once(shots: list[Shot], images: list[Path], table: Path) -> list[Shot]:

@@ -18,6 +18,8 @@ _IMAGES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg"})
 #: Folders and files that are looked through for clouds and models, at most.
 _SEARCHED = 5000
 _SEARCH_DEPTH = 4
+#: What the page offers where nothing says the angles.
+_INSTEAD = "another source above, or the angles typed into the table"
 #: TIFF tags, and the value that floating-point pixels have.
 _SAMPLES, _SAMPLE_FORMAT, _FLOATING = 277, 339, 3
 #: Bytes in which the header of a PLY file ends.
@@ -93,9 +95,9 @@ def angles(root: Root, folder: str, source: str, names: Sequence[str], first: fl
     if source.startswith("table:"):
         shots = station_import.shots_of(directory, None, root.file(source.removeprefix("table:")), None, None)
     elif set(images) == set(station_import.images_of(directory, station_import.mask_of(directory))):
-        shots = station_import.shots_of(directory, station_import.mask_of(directory), None, None, None)
+        shots = station_import.shots_of(directory, station_import.mask_of(directory), None, None, None, _INSTEAD)
     else:
-        found = _core.angles_of_names(images, str(directory), "expected them typed into the table")
+        found = _core.angles_of_names(images, directory.name, f"expected {_INSTEAD}")
         shots = [station_import.Shot(path, angle) for path, angle in zip(images, found, strict=True)]
     return [{"image": root.name(shot.image), "angle": shot.angle_deg, "exposure": shot.exposure_s} for shot in shots]
 

@@ -14,6 +14,9 @@ export async function showFolder(_, path = folder?.path ?? '') {
   form.hidden = shots.length < 3;
   if (form.hidden) return;
   form.elements.name.value = folder.home;
+  form.elements.response.value = 'linear';
+  form.elements.source.value = 'names';
+  byId('taken-fields').hidden = true;
   const home = folder.parent === null ? '' : folder.parent;
   const beside = await ask('folder', { path: home });
   const free = ['station', folder.name, ...Array.from({ length: 99 }, (_, at) => `station_${at + 2}`)].map((name) => `${home && home !== '.' ? `${home}/` : ''}${name}.toml`);
@@ -45,7 +48,7 @@ function drawTable() {
     make('td', {}, make('input', { type: 'checkbox', checked: shot.use, 'aria-label': `${shot.name} is polarized`, change: (event) => { shot.use = event.target.checked; preview(); } })),
     make('td', {}, shot.name),
     make('td', {}, make('input', { type: 'number', step: 'any', value: shot.angle ?? '', 'aria-label': `Angle of ${shot.name}`, change: (event) => { shot.angle = event.target.value === '' ? null : Number(event.target.value); preview(); } })),
-    make('td', {}, shot.taken ?? 'not said'))));
+    make('td', {}, shot.taken?.replace(/^(\d+):(\d+):/, '$1-$2-') ?? 'not said'))));
 }
 
 const used = () => shots.filter((shot) => shot.use && shot.angle !== null);
@@ -60,6 +63,11 @@ async function fill() {
     for (const { image, angle, exposure } of found) Object.assign(shots.find((shot) => shot.path === image) ?? {}, { angle, exposure: exposure ?? null });
   } catch (error) {
     byId('preview').replaceChildren(make('p', { class: 'warning' }, error.message));
+    if (source === 'names' && shots.every((shot) => shot.taken)) {
+      form.elements.source.value = 'taken';
+      byId('taken-fields').hidden = false;
+      byId('preview').replaceChildren(make('p', { class: 'warning' }, 'Neither the names nor a file beside the images say the angles. If the filter was turned by the same step from image to image, set the first angle and the step above and press “Fill in”; else type the angles into the table.'));
+    }
     return undefined;
   }
   drawTable();
@@ -90,7 +98,7 @@ function previewParts(maps) {
     figure('intensity', 'Unpolarized intensity of the object', 'Intensity without polarization'),
     figure('degree', 'Degree of polarization in colors', `Degree of polarization, 0 to ${maps.degree_top.toFixed(2)} (yellow); half of the image below ${maps.degree_median.toFixed(3)}`),
     figure('phase', 'Phase in a circle of colors', 'Phase, 0° to 180° in a circle of colors: on a round object the colors run once around and back')),
-  ...maps.findings.map((finding) => make('p', { class: finding.severity === 'note' ? 'note' : finding.severity }, `${finding.message}. ${finding.suggestion}`)),
+  ...maps.findings.map((finding) => make('p', { class: finding.severity === 'note' ? 'note' : finding.severity }, `${finding.message[0].toUpperCase()}${finding.message.slice(1)}. ${finding.suggestion}`)),
   make('p', { class: 'note' }, `Preview made in ${maps.seconds.toFixed(1)} s. Direction and zero of the scale are checked against the prior when the station runs.`)];
 }
 
