@@ -152,7 +152,9 @@ def test_nothing_outside_the_folder_is_shown(served: Served, path: str) -> None:
 
 
 def test_pages_may_load_nothing_from_elsewhere(served: Served) -> None:
-    policy = served.ask("GET", "/", {"Cookie": served.cookie()})[1]["content-security-policy"]
+    headers = served.ask("GET", "/", {"Cookie": served.cookie()})[1]
+    policy = headers["content-security-policy"]
+    assert headers["cross-origin-resource-policy"] == "same-origin"
     assert "default-src 'self'" in policy and "frame-ancestors 'self'" in policy
     assert served.ask("GET", "/report/guess/index.html", {})[0] == 404
 
@@ -243,9 +245,57 @@ def test_wrong_requests_are_answered_in_words(served: Served) -> None:
         ("preview", {"images": ["pol/pol_000.tif"], "angles_deg": [0]}, "angle"),
         ("run", {"path": "nothing.toml", "work": "w"}, "no such file"),
         ("set", "[]", "not what Studio expects"),
+        ("set", "[" * 100000, "not what Studio expects"),
     ):
         status, said = served.tell(name, body)
         assert status == 400 and words in said["error"], said
+
+
+def test_results_go_to_a_folder_of_their_own(served: Served) -> None:
+    (served.folder / "mine.toml").write_text('[polarized]\nimages = "pol"\n')
+    for work, words in ((".", "holds the inputs"), ("pol", "holds other files"), ("../out", "outside the folder")):
+        status, said = served.tell("run", {"path": "mine.toml", "work": work})
+        assert status == 400 and words in said["error"], said
+    (served.folder / "mine.toml").unlink()
+
+
+@pytest.mark.parametrize("name", ["options", "candidates", "photos", "tile", "relief", "mask", "overlay", "results"])
+def test_nothing_is_told_without_the_cookie(served: Served, name: str) -> None:
+    assert served.ask("GET", f"/api/{name}?path=pol/pol_000.tif", {"Cookie": "malus_studio=x"})[0] == 403
+
+
+def test_options_outside_the_folder_are_not_read(served: Served) -> None:
+    (served.folder.parent / "elsewhere.toml").write_text("[surface]\nsubsample = 3\n")
+    (served.folder / "linked.toml").write_text('[polarized]\nimages = "pol"\n')
+    (served.folder / "linked_options.toml").symlink_to(served.folder.parent / "elsewhere.toml")
+    status, said = served.tell("option", {"path": "linked.toml", "name": "surface.subsample", "value": 2})
+    assert status == 400 and "outside the folder" in said["error"]
+    assert (served.folder.parent / "elsewhere.toml").read_text() == "[surface]\nsubsample = 3\n"
+    for name in ("linked.toml", "linked_options.toml"):
+        (served.folder / name).unlink()
+
+
+def test_tiles_make_up_the_image(tmp_path: Path) -> None:
+    import io
+
+    import tifffile
+    from PIL import Image
+
+    from malus import InputError
+    from malus.studio import pictures
+
+    path = tmp_path / "large.tif"
+    tifffile.imwrite(path, np.tile(np.linspace(0, 255, 1300, dtype=np.uint8), (600, 1)))
+    sizes = [
+        Image.open(io.BytesIO(pictures.tile(path, *place))).size
+        for place in ((0, 0, 0), (0, 2, 1), (1, 1, 0), (2, 0, 0))
+    ]
+    assert sizes == [(512, 512), (276, 88), (138, 300), (325, 150)]
+    last = np.asarray(Image.open(io.BytesIO(pictures.tile(path, 0, 2, 1))))
+    assert abs(int(last[40, -1]) - 255) <= 2 and abs(int(last[40, 0]) - 255 * 1024 // 1299) <= 2
+    for place in ((3, 0, 0), (0, 3, 0), (0, -1, 0)):
+        with pytest.raises(InputError):
+            pictures.tile(path, *place)
 
 
 def test_marks_are_judged_at_once(served: Served) -> None:

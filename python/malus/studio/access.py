@@ -90,6 +90,8 @@ class Guard:
                 headers = MutableHeaders(scope=message)
                 report = scope["path"].startswith(REPORTS)
                 headers["Content-Security-Policy"] = _REPORT_POLICY if report else _POLICY
+                if not report:  # a page of another port has the cookie too, but may not show what it brings
+                    headers["Cross-Origin-Resource-Policy"] = "same-origin"
                 headers["X-Content-Type-Options"] = "nosniff"
                 headers["Referrer-Policy"] = "no-referrer"
                 headers["Cache-Control"] = "no-store"

@@ -269,6 +269,8 @@ class Studio:
         station, work = self.root.file(body["path"]), self.root.path(body["work"])
         if work == self.root.folder or work == station.parent:
             raise InputError(f"{body['work']}: holds the inputs, expected a folder of its own for the results: {station.stem}_work")  # fmt: skip
+        if work.is_dir() and any(work.iterdir()) and not (work / "manifest.json").is_file():
+            raise InputError(f"{body['work']}: holds other files, expected a new folder or one with results of this station")  # fmt: skip
         fusion = body.get("fusion", "refined")
         if fusion not in ("grid", "refined"):
             raise InputError(f"fusion = {fusion!r}, expected grid or refined")
@@ -299,7 +301,7 @@ async def _answer(function: Callable[[], Any]) -> Response:
         result = await asyncio.get_running_loop().run_in_executor(_WORKERS, function)
     except MalusError as error:
         return JSONResponse({"error": str(error), "field": checks.field_of(str(error))}, 400)
-    except (KeyError, ValueError, TypeError, AttributeError) as error:
+    except (KeyError, ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         return JSONResponse({"error": f"the request is not what Studio expects ({type(error).__name__}: {error})"}, 400)
     except OSError as error:
         return JSONResponse({"error": f"{error.filename or 'a file'}: {error.strerror or error}"}, 400)

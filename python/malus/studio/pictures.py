@@ -86,7 +86,7 @@ def _thumbnail(path: Path) -> bytes:
                 buffer = io.BytesIO()
                 image.convert("RGB").save(buffer, "JPEG", quality=85)
                 return buffer.getvalue()
-        except (OSError, UnidentifiedImageError) as error:
+        except (OSError, UnidentifiedImageError, Image.DecompressionBombError) as error:
             raise InputError(f"{path}: cannot be read as an image ({error})") from None
     return encode(displayed(path, THUMBNAIL_SIDE_PX), "JPEG", quality=85)
 
