@@ -285,14 +285,17 @@ class Refiner {
     const Image<float> beyond_plane = at_prior.shares(true, context_);
     const Image<float> shares = image_.reflection.mirrored ? beyond_plane : at_prior.shares(false, context_);
     const Image<float> after = image_.reflection.mirrored ? explained_by_result() : Image<float>();
+    // A metal's slopes are not those that a dielectric's formulas give, however well these fit.
+    const bool is_metal = looks_like_metal(image_);
     parallel_rows(context_, size.height, [&](int v) {
       for (int u = 0; u < size.width; ++u) {
         if (!image_.object(u, v)) continue;
         const auto share = [&](const Image<float>& cells) {
           return between_cells(cells, ExplainedPolarization::cell_px, u, v);
         };
-        const double trust =
-            after.empty() ? trust_of(share(shares)) : trust_with_surroundings(share(shares), share(after));
+        const double trust = is_metal        ? 0
+                             : after.empty() ? trust_of(share(shares))
+                                             : trust_with_surroundings(share(shares), share(after));
         if (image_.pixels(u, v)) report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(255 * trust));
         image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
       }

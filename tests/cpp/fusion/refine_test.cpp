@@ -186,6 +186,7 @@ TEST(Refine, WarnsOfMetal) {
   EXPECT_TRUE(std::ranges::any_of(result.surface.confidence.reasons, [](const std::string& reason) {
     return reason.find("bare metal") != std::string::npos;
   }));
+  EXPECT_EQ(result.report.trusted_share, 0) << "the prior stays";
 }
 
 TEST(Refine, EstimatesTheRefractiveIndex) {
