@@ -21,6 +21,7 @@ from conftest import ROOT
 sys.path.insert(0, str(ROOT / "benchmarks"))
 harm: Any = importlib.import_module("harm")
 random_stations: Any = importlib.import_module("random_stations")
+smith2016: Any = importlib.import_module("smith2016")
 station_variants: Any = importlib.import_module("station_variants")
 Variant = station_variants.Variant
 
@@ -330,3 +331,10 @@ def test_material_is_drawn_for_dielectrics_and_metals_keep_theirs() -> None:
     metal["meshes"][0]["bsdf"] = dict(type="roughconductor", alpha=0.1)
     assert random_stations.draw_material(metal, np.random.default_rng(0)) == dict(metal=True)
     assert metal["meshes"][0]["bsdf"] == dict(type="roughconductor", alpha=0.1)
+
+
+@pytest.mark.parametrize(("surface", "printed_deg"), [("sphere", 0.78), ("bumps", 1.21)])
+def test_height_from_polarization_alone_has_the_printed_figures(surface: str, printed_deg: float) -> None:
+    """docs/method.md, section 2: six angles, 0.5 % noise; Smith et al. 2016 have 4.3 and 7.7 degrees there."""
+    data = smith2016.imaged(getattr(smith2016, surface)(), 0.005)
+    assert smith2016.errors(data, ["likelihood"])["likelihood"] == pytest.approx(printed_deg, abs=0.06)
