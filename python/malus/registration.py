@@ -84,7 +84,7 @@ def place_reference(surface: ArrayLike, towards_camera: ArrayLike, reference: Ar
     next_best = max(others, default=0.0)
     least_left = _MOST_OF_NEXT * (1 - next_best)
     if best is None or best.correlation < _LEAST_CORRELATION or 1 - best.correlation + _OF_GRIDS > least_left:
-        found = 0.0 if best is None else best.correlation
+        found = 0.0 if best is None else max(best.correlation, 0.0)
         raise DataError(
             f"no place of the reference stands out: its elevations correlate by {found:.2f} at best (expected more than "
             f"{_LEAST_CORRELATION}) and by {next_best:.2f} at another place. It is another object or in another unit, or its shape "
