@@ -11,6 +11,7 @@ there and in the paper, `no light` the default with the light taken from the pol
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ import numpy as np
 import malus
 
 SIZE, ETA = 256, 1.5
+#: Columns of the table.
+COLUMNS = ("likelihood", "linear", "literal", "no light")
 Data = dict[str, Any]
 
 
@@ -70,20 +73,16 @@ def normal_error_deg(height: np.ndarray, normal: np.ndarray, mask: np.ndarray) -
     return float(np.degrees(np.arccos(np.clip((found * normal).sum(-1), -1, 1)))[inner].mean())
 
 
-def errors(data: Data) -> dict[str, float]:
-    """Mean normal error by each method."""
+def errors(data: Data, columns: Sequence[str] = COLUMNS) -> dict[str, float]:
+    """Mean normal error of some of the columns."""
     mask = data["mask"].astype(bool)
     images = [data["images"][..., k] for k in range(data["images"].shape[-1])]
     state = malus.polarization.decompose(images, list(data["angles"]), mask=mask)
     reflection = malus.polarization.map_reflection(state, reflection="diffuse")
     x, y, z = data["light"]
     result = {}
-    for name, method, light in (
-        ("likelihood", "likelihood", [x, -y, -z, 0.0]),
-        ("linear", "linear", [x, -y, -z, 0.0]),
-        ("literal", "literal", [x, -y, -z, 0.0]),
-        ("no light", "likelihood", None),
-    ):
+    for name in columns:
+        method, light = ("likelihood", None) if name == "no light" else (name, [x, -y, -z, 0.0])
         options = malus.Options(height={"perspective": False, "method": method})
         height = malus.height.solve(state, reflection, light=light, options=options, threads=2).height
         result[name] = normal_error_deg(height.astype(float), data["normal"], mask)
@@ -98,7 +97,7 @@ def main() -> None:
     if not cases:
         for name, surface in (("sphere", sphere()), ("bumpy", bumps())):
             cases |= {f"{name}, {100 * noise:g} % noise": imaged(surface, noise) for noise in (0.0, 0.005)}
-    print("| surface | likelihood | linear | literal | no light |\n|---|---|---|---|---|")
+    print("| surface | " + " | ".join(COLUMNS) + " |" + "\n|---|---|---|---|---|")
     for name, data in cases.items():
         print(f"| {name} | " + " | ".join(f"{error:.2f}°" for error in errors(data).values()) + " |", flush=True)
 

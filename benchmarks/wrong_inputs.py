@@ -202,7 +202,9 @@ def run(inputs: Inputs, until: str) -> Said:
             quality = json.loads((work / "quality.json").read_text())
             return Said(f"{quality['status']}, {quality['confidence']['level']}", warnings)
         found = json.loads((work / "evidence/findings.json").read_text())
-        return Said("low" if any(finding["severity"] in ("warning", "error") for finding in found) else "goes on", warnings)
+        return Said(
+            "low" if any(finding["severity"] in ("warning", "error") for finding in found) else "goes on", warnings
+        )
 
 
 def mistakes_on(inputs: Inputs, others: Sequence[Inputs]) -> dict[str, Inputs]:

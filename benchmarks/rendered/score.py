@@ -3,8 +3,8 @@
 
     python score.py SCENE WORK [--align none|similarity] [--json]
 
-SCENE   a folder with meta.json and gt/depth_normal_mask.npz (see shared/data/README.md)
-WORK    a workspace as INTERFACES.md describes it (fused/depth.tif, fused/camera.txt, prior/depth.tif, ...)
+SCENE   a folder with meta.json and gt/depth_normal_mask.npz, as renderer/render.py leaves it
+WORK    a workspace (fused/depth.tif, fused/camera.txt, prior/depth.tif, ...)
 
 Everything is measured on the pixels of the object, 6 px away from its border, where the fused depth is finite:
   coverage          share of those object pixels that have a depth

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import malus
-from malus import _core, batch, m3c2, studio
+from malus import _core, batch, m3c2, registration, studio
 from malus._files import require_utf8
 from malus.campaign import Campaign
 from malus.demo import EXAMPLES, example_station
@@ -125,6 +125,9 @@ def _parser() -> argparse.ArgumentParser:
         steps[name].epilog = _leaves(until, fusion)
     for command in (run, paper, steps["assess"]):
         command.add_argument("--reference", type=Path, metavar="SCAN.ply", help="compare with this cloud or mesh")
+        command.add_argument(
+            "--register", action="store_true", help="find where the reference belongs, wherever it lies; then align"
+        )
         command.add_argument("--m3c2", action="store_true", help="compare with the reference by M3C2 too (py4dgeo)")
     report = add("report", "rebuild the report of a workspace", station=False, work=False)
     report.add_argument("work", type=Path, metavar="WORK")
@@ -220,27 +223,41 @@ def _reconstruct(
     options = _options(args)
     if fusion is not None and options.fusion != fusion:
         raise InputError(f"fusion = {options.fusion}, but `malus {args.command}` is {fusion}; use `malus fuse`")
-    if getattr(args, "m3c2", False) and args.reference is None:
-        raise InputError("--m3c2 compares with a reference, expected --reference SCAN.ply")
+    reference: Path | None = getattr(args, "reference", None)
+    register: bool = getattr(args, "register", False)
+    for flag in ("m3c2", "register"):
+        if getattr(args, flag, False) and reference is None:
+            raise InputError(f"--{flag} needs a reference, expected --reference SCAN.ply")
+    if register and options.assess.alignment == "none":
+        options.assess.alignment = "rigid"  # what is found is right to a few pixels
     _require_own_folder(args.output, station_path)
     station = malus.Station.load(station_path)
     with _view(args) as view:
         view.expect(expected_times(station, options, until=until, threads=args.threads))
-        malus.reconstruct(
-            station,
-            options,
-            workspace=args.output,
-            replace=args.replace,
-            until=until,
-            reference=getattr(args, "reference", None),
-            keep_maps=False,
-            threads=args.threads,
-            progress=lambda p: view.progress(p.step, p.fraction, p.message),
-            log=view.log,
-        )
-        if getattr(args, "m3c2", False):
+
+        def reconstruct(until: str | None) -> None:
+            malus.reconstruct(
+                station,
+                options,
+                workspace=args.output,
+                replace=args.replace,
+                until=until,
+                reference=reference,
+                keep_maps=False,
+                threads=args.threads,
+                progress=lambda p: view.progress(p.step, p.fraction, p.message),
+                log=view.log,
+            )
+
+        if register and reference is not None:
+            reconstruct("fuse")
+            view.progress("register", 0.0, "")
+            reference = registration.register_reference(args.output, reference)
+            view.progress("register", 1.0, str(reference))
+        reconstruct(until)
+        if getattr(args, "m3c2", False) and reference is not None:
             view.progress("m3c2", 0.0, "")
-            m3c2.compare(args.output, args.reference)
+            m3c2.compare(args.output, reference)
             view.progress("m3c2", 1.0, "")
         if args.command == "paper":
             view.progress("paper", 0.0, "")

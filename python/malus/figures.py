@@ -31,8 +31,8 @@ COLORS = {"prior": "#b0702a", "polarization": "#2f7fb3", "fused": "#1d2733"}
 _PERCENTILES = (0, 1, 5, 25, 50, 75, 95, 99, 100)
 _DPI = 150
 #: Inches that a figure is wide, and points of its letters: 11 pixels still where a telephone shows it 356 pixels wide.
-_WIDTH_IN = 6.4
-_LETTERS_PT = 14.5
+WIDTH_IN = 6.4
+LETTERS_PT = 14.5
 #: Sine of the angle beyond grazing light at which relief shading becomes black.
 _BEYOND_GRAZING = 0.342
 #: How dark relief shading makes the colors of a map that it lies over, at most.
@@ -180,7 +180,7 @@ def style(axes: Any) -> None:
     """Thin axes with a light grid."""
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
-    axes.tick_params(labelsize=_LETTERS_PT, color="#8a8f96")
+    axes.tick_params(labelsize=LETTERS_PT, color="#8a8f96")
     axes.grid(color="#e3e6ea", lw=0.6)
     axes.set_axisbelow(True)
 
@@ -263,7 +263,7 @@ class Plates:
         if limits is None:
             limits = tuple(np.percentile(finite, [1, 99])) if finite.size else (0.0, 1.0)
         shape = raster.shape
-        width = _WIDTH_IN
+        width = WIDTH_IN
         # Room for the color bar below the picture.
         drawing = Drawing(figsize=(width, width * shape[0] / shape[1] + (0.66 if how.label or how.ticks else 0.0)))
         bar_height = 0.66 / drawing.get_figheight() if how.label or how.ticks else 0.0
@@ -281,14 +281,14 @@ class Plates:
             bar_axes = drawing.add_axes((0.15, bar_height * 0.72, 0.65, bar_height * 0.2))
             bar = drawing.colorbar(picture, cax=bar_axes, orientation="horizontal")
             bar.outline.set_linewidth(0.4)
-            bar_axes.tick_params(labelsize=_LETTERS_PT, length=2)
+            bar_axes.tick_params(labelsize=LETTERS_PT, length=2)
             if how.ticks:
                 bar.set_ticks(list(how.ticks), labels=list(how.ticks.values()))
             else:
                 bar.locator = MaxNLocator(4)
                 bar.update_ticks()
             if how.label:
-                bar_axes.text(1.03, 0.5, how.label, transform=bar_axes.transAxes, fontsize=_LETTERS_PT, va="center")
+                bar_axes.text(1.03, 0.5, how.label, transform=bar_axes.transAxes, fontsize=LETTERS_PT, va="center")
         summary: list[Any] = [how.title, how.label, finite.size, finite.mean() if finite.size else None]
         summary += (
             [float(p) for p in np.percentile(finite, _PERCENTILES)] if finite.size else [None] * len(_PERCENTILES)
@@ -313,7 +313,7 @@ class Plates:
                 [left, left + length / (width_px * pixel)], [low, low], color=color, lw=width, solid_capstyle="butt",
                 transform=axes.transAxes, zorder=5,
             )  # fmt: skip
-        text = axes.text(left, low + 0.015, label, color="white", fontsize=_LETTERS_PT, transform=axes.transAxes)
+        text = axes.text(left, low + 0.015, label, color="white", fontsize=LETTERS_PT, transform=axes.transAxes)
         text.set_path_effects([withStroke(linewidth=2.5, foreground="black")])
 
     def shadings(self) -> Iterator[Figure]:
@@ -502,7 +502,7 @@ class Plates:
     def on_image(self) -> tuple[Drawing, Any]:
         """A drawing that is the unpolarized image, and its axes in pixels of `raster`, to draw over it."""
         intensity = self.raster("polarization/unpolarized.tif")
-        drawing = Drawing(figsize=(_WIDTH_IN, _WIDTH_IN * intensity.shape[0] / intensity.shape[1]))
+        drawing = Drawing(figsize=(WIDTH_IN, WIDTH_IN * intensity.shape[0] / intensity.shape[1]))
         axes = drawing.add_axes((0, 0, 1, 1))
         low, high = np.nanpercentile(intensity, [1, 99])
         axes.imshow(intensity, cmap="gray", vmin=low, vmax=high)
@@ -522,7 +522,7 @@ class Plates:
             axes.plot(*line.T, color="white", lw=3, solid_capstyle="round")
             axes.plot(*line.T, color="#d1495b", lw=1.6, solid_capstyle="round")
             axes.annotate(
-                profile["name"], line[0], xytext=(6, 6), textcoords="offset points", color="white", fontsize=_LETTERS_PT,
+                profile["name"], line[0], xytext=(6, 6), textcoords="offset points", color="white", fontsize=LETTERS_PT,
                 bbox={"boxstyle": "round,pad=0.25", "fc": "#d1495b", "ec": "none"},
             )  # fmt: skip
         return self.figure(
@@ -535,7 +535,7 @@ class Plates:
         sigma_px = float(self.workspace.manifest["options"]["assess"]["detail_sigma_px"])
         to_micrometers = 1e6 * METRES[self.unit]
         for number, profile in enumerate(self.quality["profiles"], 1):
-            drawing = Drawing(figsize=(_WIDTH_IN, 6.2), layout="constrained")
+            drawing = Drawing(figsize=(WIDTH_IN, 6.2), layout="constrained")
             above, below = drawing.subplots(2, 1, sharex=True, height_ratios=(5, 4))
             along = numbers(profile["position"])
             present = [name for name in COLORS if profile[name]]
@@ -551,11 +551,11 @@ class Plates:
                 axes.margins(x=0.01)
                 style(axes)
                 axes.yaxis.set_major_locator(MaxNLocator(5))
-            above.set_ylabel(f"height [{self.unit}]", fontsize=_LETTERS_PT)
-            above.legend(fontsize=_LETTERS_PT, frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0, 1),
+            above.set_ylabel(f"height [{self.unit}]", fontsize=LETTERS_PT)
+            above.legend(fontsize=LETTERS_PT, frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0, 1),
                          borderaxespad=0, columnspacing=1, handlelength=1.2)  # fmt: skip
-            below.set_ylabel("detail [µm]", fontsize=_LETTERS_PT)
-            below.set_xlabel(f"along the profile [{self.unit}]", fontsize=_LETTERS_PT)
+            below.set_ylabel("detail [µm]", fontsize=LETTERS_PT)
+            below.set_xlabel(f"along the profile [{self.unit}]", fontsize=LETTERS_PT)
             columns = [profile["position"], *(profile[name] for name in present)]
             spread = ", ".join(f"{name} {np.nanstd(values):.2g} µm" for name, values in details.items())
             yield self.figure(
@@ -569,7 +569,7 @@ class Plates:
     def _histogram(
         self, name: str, title: str, axis: str, bins: Mapping[str, Mapping[str, Any]], notes: Mapping[str, str]
     ) -> Figure:
-        drawing = Drawing(figsize=(_WIDTH_IN, 4.4), layout="constrained")
+        drawing = Drawing(figsize=(WIDTH_IN, 4.4), layout="constrained")
         axes = drawing.subplots()
         low, high = np.inf, -np.inf
         for surface, histogram in bins.items():
@@ -585,11 +585,11 @@ class Plates:
                 low, high = min(low, edges[used[0]]), max(high, edges[used[-1] + 1])
         if low < high:
             axes.set_xlim(low - 0.05 * (high - low), high + 0.05 * (high - low))
-        axes.set_xlabel(axis, fontsize=_LETTERS_PT)
-        axes.set_ylabel("share of pixels [%]", fontsize=_LETTERS_PT)
+        axes.set_xlabel(axis, fontsize=LETTERS_PT)
+        axes.set_ylabel("share of pixels [%]", fontsize=LETTERS_PT)
         style(axes)
         if notes:
-            axes.legend(fontsize=_LETTERS_PT, frameon=False, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
+            axes.legend(fontsize=LETTERS_PT, frameon=False, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
         rows = [
             [
                 surface,

@@ -44,17 +44,6 @@ def _spacing(points: NDArray[np.float64], area: float) -> float:
     return float(np.sqrt(area / max(len(points), 1)))
 
 
-def _grid_points(workspace: Workspace) -> NDArray[np.float64]:
-    """World points of all pixels, H×W×3, NaN where there is no depth."""
-    camera, (rotation, translation) = workspace.camera, workspace.pose
-    depth = workspace.raster("fused/depth.tif").astype(float)
-    v, u = np.indices(depth.shape)
-    x = (u - camera.cx) / camera.fx * depth
-    y = (v - camera.cy) / camera.fy * depth
-    points: NDArray[np.float64] = (np.stack([x, y, depth], -1) - translation) @ rotation
-    return points
-
-
 def _aligned(points: NDArray[np.float64], comparison: dict[str, Any] | None) -> NDArray[np.float64]:
     """Points where the alignment of `malus assess` put them in the reference's frame; as they are without one."""
     if not comparison:
@@ -111,7 +100,7 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
     workspace = Workspace(work)
     gsd = float(workspace.quality["gsd"])
     scan = _core.read_points(str(reference))
-    grid = _aligned(_grid_points(workspace), workspace.quality["reference"])
+    grid = _aligned(workspace.points(), workspace.quality["reference"])
     known: NDArray[np.bool_] = np.asarray(np.isfinite(grid).all(-1))
     step = int(max(1, np.ceil(np.sqrt(known.sum() / CORE_POINTS))))
     core = known[::step, ::step]

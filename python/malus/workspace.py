@@ -95,6 +95,15 @@ class Workspace:
         raster: Raster = _core.read_raster(str(self.path(name)))
         return raster
 
+    def points(self) -> NDArray[np.float64]:
+        """World points of all pixels of the fused surface, H×W×3, NaN where there is no depth."""
+        camera, (rotation, translation) = self.camera, self.pose
+        depth = self.raster("fused/depth.tif").astype(float)
+        v, u = np.indices(depth.shape)
+        in_camera = np.stack([(u - camera.cx) / camera.fx * depth, (v - camera.cy) / camera.fy * depth, depth], -1)
+        points: NDArray[np.float64] = (in_camera - translation) @ rotation
+        return points
+
     def color(self) -> Raster:
         """Linear image of the object without polarization, H×W×3 if it was taken in color, else H×W."""
         return self.raster(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import subprocess
 import sys
 import tomllib
 from collections import Counter
@@ -21,6 +22,7 @@ from conftest import ROOT
 sys.path.insert(0, str(ROOT / "benchmarks"))
 harm: Any = importlib.import_module("harm")
 random_stations: Any = importlib.import_module("random_stations")
+smith2016: Any = importlib.import_module("smith2016")
 station_variants: Any = importlib.import_module("station_variants")
 Variant = station_variants.Variant
 
@@ -330,3 +332,51 @@ def test_material_is_drawn_for_dielectrics_and_metals_keep_theirs() -> None:
     metal["meshes"][0]["bsdf"] = dict(type="roughconductor", alpha=0.1)
     assert random_stations.draw_material(metal, np.random.default_rng(0)) == dict(metal=True)
     assert metal["meshes"][0]["bsdf"] == dict(type="roughconductor", alpha=0.1)
+
+
+@pytest.mark.parametrize(("surface", "printed_deg"), [("sphere", 0.78), ("bumps", 1.21)])
+def test_height_from_polarization_alone_has_the_printed_figures(surface: str, printed_deg: float) -> None:
+    """docs/method.md, section 2: six angles, 0.5 % noise; Smith et al. 2016 have 4.3 and 7.7 degrees there."""
+    data = smith2016.imaged(getattr(smith2016, surface)(), 0.005)
+    assert smith2016.errors(data, ["likelihood"])["likelihood"] == pytest.approx(printed_deg, abs=0.06)
+
+
+#: In place of malus-station: the truth with a step of one GSD, half as high in the prior; Eq 16 alone is refused.
+_PROGRAM = """#!{python}
+import json, sys
+from pathlib import Path
+import numpy as np
+import tifffile
+if "optimize.enabled=false" in sys.argv:
+    sys.exit("no light")
+scene, work = Path(sys.argv[1]).parent, Path(sys.argv[3])
+truth = np.load(scene / "gt/depth_normal_mask.npz")["depth"]
+step = np.where(np.indices(truth.shape)[1] < truth.shape[1] // 2, {gsd} / 2, -{gsd} / 2)
+for name, share in (("fused", 1), ("prior", 0.5)):
+    (work / name).mkdir(parents=True)
+    tifffile.imwrite(work / name / "depth.tif", (truth + share * step).astype(np.float32))
+tifffile.imwrite(work / "fused/sigma.tif", np.full(truth.shape, {gsd}, np.float32))
+k = json.loads((scene / "meta.json").read_text())["station"]["K"]
+(work / "fused/camera.txt").write_text(
+    "1 PINHOLE %d %d %r %r %r %r" % (*truth.shape[::-1], k[0][0], k[1][1], k[0][2] + 0.5, k[1][2] + 0.5)
+)
+(work / "quality.json").write_text(json.dumps({{"confidence": {{"level": "high"}}}}))
+"""
+
+
+def test_rendered_scenes_are_run_scored_and_tabled(station: Path, tmp_path: Path) -> None:
+    truth = dict(np.load(station / "gt/depth_normal_mask.npz"))
+    np.savez(station / "gt/depth_normal_mask.npz", **truth, mask=np.ones((HEIGHT, WIDTH), bool))
+    program = tmp_path / "program"
+    program.write_text(_PROGRAM.format(python=sys.executable, gsd=GSD))
+    program.chmod(0o755)
+    command = [sys.executable, ROOT / "benchmarks/rendered/run.py", "-o", tmp_path / "out", "--data", tmp_path]
+    done = subprocess.run([*command, "--program", program], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    (figures,) = json.loads((tmp_path / "out/figures.json").read_text()).values()
+    assert figures["refined"]["rmse_gsd"] == pytest.approx(0.5, abs=0.01)
+    assert figures["paper"]["prior_rmse_gsd"] == pytest.approx(0.25, abs=0.01)
+    assert figures["refined"]["sigma_2"] == 1 and figures["refined"]["confidence"] == "high"
+    assert figures["paper, Eq 16"] == {"exit code": 1, "message": "no light"}
+    tables = (tmp_path / "out/tables.md").read_text()
+    assert "| rendered | 0.25 → 0.5 |" in tables and "| rendered | exit code 1: no light |" in tables

@@ -1,3 +1,5 @@
+#include "malus/fusion/grid_optimization.h"
+
 #include <ceres/autodiff_cost_function.h>
 #include <ceres/problem.h>
 #include <ceres/solver.h>
@@ -12,7 +14,6 @@
 #include "malus/core/depth_normals.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/tiled_axis_internal.h"
-#include "malus/fusion/grid_optimization.h"
 #include "malus/height/height.h"
 #include "malus/linalg/sequential_blas_internal.h"
 #include "malus/polarization/ray_frame.h"
@@ -24,24 +25,40 @@ constexpr float none = std::numeric_limits<float>::quiet_NaN();
 constexpr int tile_px = 256, margin_px = 24;
 /// Pixels along a tile's cut that are held.
 constexpr int held_px = 2;
+/// Of the difference of both slopes to the prior's. The equations are bounded, so that where they contradict each other
+/// (a zenith of 90°, a wrong branch) a pixel could leave the surface at no cost.
+constexpr double slope_weight = 0.1;
 
-/// Eq 9, Eq 11 and the zenith at one pixel, by the heights of the pixel and of the next ones along u and v.
+/// What the equations say at one pixel.
 struct PixelEquations {
   AffineSlopes slopes;
   double sine, cosine;                                ///< of the azimuth
   double light_right, light_up, light_view, shading;  ///< shares of the light's strength
   double cosine_zenith;
+};
+
+/// Eq 9, Eq 11, the zenith and the prior's slopes at one pixel, by its height and those of its neighbors on one side
+/// along u and along v.
+struct SideEquations {
+  PixelEquations pixel;
+  double side;   ///< 1: the next pixels, −1: the ones before
+  double share;  ///< of the residuals, 1 / √2 where the pixel has both sides
+  Slopes prior;
   const OptimizeOptions& options;
 
   template <class T>
-  bool operator()(const T* here, const T* right, const T* below, T* residuals) const {
-    const T along_u = *right - *here, along_v = *below - *here;
-    const T p = slopes.constant.p + slopes.per_u.p * along_u + slopes.per_v.p * along_v;
-    const T q = slopes.constant.q + slopes.per_u.q * along_u + slopes.per_v.q * along_v;
+  bool operator()(const T* here, const T* beside_u, const T* beside_v, T* residuals) const {
+    const T along_u = side * (*beside_u - *here), along_v = side * (*beside_v - *here);
+    const AffineSlopes& s = pixel.slopes;
+    const T p = s.constant.p + s.per_u.p * along_u + s.per_v.p * along_v;
+    const T q = s.constant.q + s.per_u.q * along_u + s.per_v.q * along_v;
     const T facing = 1.0 / sqrt(1.0 + p * p + q * q);  // n · view
-    residuals[0] = options.phase_weight * facing * (sine * p - cosine * q);
-    residuals[1] = options.shading_weight * (facing * (light_right * p + light_up * q + light_view) - shading);
-    residuals[2] = options.zenith_weight * (facing - cosine_zenith);
+    const T lit = facing * (pixel.light_right * p + pixel.light_up * q + pixel.light_view);
+    residuals[0] = share * options.phase_weight * facing * (pixel.sine * p - pixel.cosine * q);
+    residuals[1] = share * options.shading_weight * (lit - pixel.shading);
+    residuals[2] = share * options.zenith_weight * (facing - pixel.cosine_zenith);
+    residuals[3] = share * slope_weight * (p - prior.p);
+    residuals[4] = share * slope_weight * (q - prior.q);
     return true;
   }
 };
@@ -93,8 +110,8 @@ class Tile {
 
   /// Whether it ended before its last step.
   bool solve() {
-    for (int v = box_.v0; v + 1 < box_.v1; ++v)
-      for (int u = box_.u0; u + 1 < box_.u1; ++u) add_equations(u, v);
+    for (int v = box_.v0; v < box_.v1; ++v)
+      for (int u = box_.u0; u < box_.u1; ++u) add_equations(u, v);
     if (options_.prior_weight > 0) add_cells();
     if (problem_.NumResidualBlocks() == 0) return true;
     keep_unreached();
@@ -123,7 +140,7 @@ class Tile {
 
   void add_equations(int u, int v) {
     const Reflection kind = input_.reflection.at(u, v);
-    if (kind == Reflection::outside || !has(u, v) || !has(u + 1, v) || !has(u, v + 1)) return;
+    if (kind == Reflection::outside || !has(u, v)) return;
     AffineSlopes slopes{{0, 0}, {-1, 0}, {0, 1}};
     if (camera_ != nullptr) {
       slopes = slopes_of_log_depth(*camera_, u, v);
@@ -135,12 +152,34 @@ class Tile {
     const double strength = input_.light.head<3>().norm();
     const Eigen::Vector3d light = input_.light.head<3>() / strength;
     const double shading = (input_.polarization.i_un(u, v) - input_.light[3]) / strength;
-    problem_.AddResidualBlock(
-        new ceres::AutoDiffCostFunction<PixelEquations, 3, 1, 1, 1>(new PixelEquations{
-            slopes, std::sin(azimuth), std::cos(azimuth), light.dot(frame.right), light.dot(frame.up),
-            light.dot(frame.view), shading, std::cos(input_.reflection.zenith(u, v)), options_}),
-        nullptr, at(u, v), at(u + 1, v), at(u, v + 1));
-    reached_[index(u, v)] = reached_[index(u + 1, v)] = reached_[index(u, v + 1)] = true;
+    const PixelEquations pixel{slopes,
+                               std::sin(azimuth),
+                               std::cos(azimuth),
+                               light.dot(frame.right),
+                               light.dot(frame.up),
+                               light.dot(frame.view),
+                               shading,
+                               std::cos(input_.reflection.zenith(u, v))};
+    // The slopes of one side alone are those half a pixel aside.
+    const bool after = has_sides(u, v, 1), before = has_sides(u, v, -1);
+    const double share = after && before ? std::numbers::sqrt2 / 2 : 1;
+    if (after) add_side(pixel, u, v, 1, share);
+    if (before) add_side(pixel, u, v, -1, share);
+  }
+
+  bool has_sides(int u, int v, int side) const {
+    const bool in_box = u + side >= box_.u0 && u + side < box_.u1 && v + side >= box_.v0 && v + side < box_.v1;
+    return in_box && has(u + side, v) && has(u, v + side);
+  }
+
+  void add_side(const PixelEquations& pixel, int u, int v, int side, double share) {
+    const double along_u = side * (prior_heights_(u + side, v) - prior_heights_(u, v));
+    const double along_v = side * (prior_heights_(u, v + side) - prior_heights_(u, v));
+    const Slopes prior = pixel.slopes(along_u, along_v);
+    problem_.AddResidualBlock(new ceres::AutoDiffCostFunction<SideEquations, 5, 1, 1, 1>(
+                                  new SideEquations{pixel, static_cast<double>(side), share, prior, options_}),
+                              nullptr, at(u, v), at(u + side, v), at(u, v + side));
+    reached_[index(u, v)] = reached_[index(u + side, v)] = reached_[index(u, v + side)] = true;
   }
 
   void add_cells() {

@@ -44,10 +44,13 @@ struct OptimizeInput {
 /// The "simultaneous optimization" that the paper names after Eq 16 without saying more; this is a reading of it.
 ///
 /// Nonlinear least squares (Ceres) on one height a pixel, from the surface of the transfer on. Residuals of a pixel
-/// with usable polarization, n the unit normal by differences to the next pixel along u and v:
+/// with usable polarization, n the unit normal by differences to the next pixels along u and v, and again by those to
+/// the pixels before it, so that it prefers no side:
 ///   Eq 9          n · (sin α · right − cos α · up), α the azimuth of the phase,
 ///   Eq 11         (l · n + ambient − i_un) / |l|,
-///   Eq 7 or Eq 8  n · view − cos θ;
+///   Eq 7 or Eq 8  n · view − cos θ,
+///   prior         a tenth of the difference of both slopes to the prior's, as the three above are bounded (decision
+///   45);
 /// and for each cell of the grid the mean difference to the prior. Tiles of 256 px with held surroundings bound the
 /// memory. Depth and normals of the surface are replaced; its status says how the tiles ended. Throws an input error
 /// for rasters of another size, or if there is no light.

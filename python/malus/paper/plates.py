@@ -1,8 +1,8 @@
-"""The paper's figures that the report's sections do not have: sinusoids, the cloud, patches, oblique views, sections' detail."""
+"""The paper's figures that the report's own sections do not have: sinusoids, the cloud, patches, oblique views."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -10,12 +10,13 @@ from matplotlib.figure import Figure as Drawing
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from malus.figures import COLORS, Figure, Plates, flattened, grey, hillshade, numbers, style
-from malus.units import METRES
+from malus.figures import LETTERS_PT, WIDTH_IN, Figure, Plates, flattened, grey, hillshade, style
 from malus.workspace import Raster
 
 #: Long side of the oblique views' data, and how far the object is tilted back in them.
 _VIEW_PX, _TILT_DEG = 700, 50.0
+#: What lies farther out than these percentiles of a relief, plus a tenth of what is between them, is cut off in them.
+_RELIEF_PERCENTILES = (0.2, 99.8)
 #: Points drawn at most, evenly chosen.
 _MOST_POINTS = 40_000
 _CURVE_COLORS = ("#2f7fb3", "#35a7a0", "#b0702a", "#d1495b")
@@ -30,7 +31,7 @@ def sinusoids(plates: Plates) -> Iterator[Figure]:
         name: plates.workspace.raster(f"polarization/measured/{name}.tif")
         for name in ("unpolarized", "degree", "phase")
     }
-    drawing = Drawing(figsize=(6.4, 3.6), layout="constrained")
+    drawing = Drawing(figsize=(WIDTH_IN, 4.6), layout="constrained")
     axes = drawing.subplots()
     angles = np.linspace(0, 180, 181)
     rows: list[list[Any]] = []
@@ -43,15 +44,16 @@ def sinusoids(plates: Plates) -> Iterator[Figure]:
 
         axes.plot(angles, fitted(angles), color=color, lw=1.2)
         turned = np.mod(curve["angles_deg"], 180)
-        axes.plot(turned, curve["intensities"], "o", ms=4, color=color, label=f"({u}, {v}): ρ {degree:.3f}")
+        axes.plot(turned, curve["intensities"], "o", ms=4, color=color, label=f"pixel ({u}, {v}): ρ {degree:.3f}")
         rows += [
             [u, v, angle, intensity, float(fitted(angle)), degree, float(np.degrees(phase))]
             for angle, intensity in zip(curve["angles_deg"], curve["intensities"], strict=True)
         ]
-    axes.set_xlabel("polarizer angle [°]", fontsize=9)
-    axes.set_ylabel("intensity [of white]", fontsize=9)
+    axes.set_xlabel("polarizer angle [°]", fontsize=LETTERS_PT)
+    axes.set_ylabel("intensity [of white]", fontsize=LETTERS_PT)
     axes.set_xticks(range(0, 181, 30))
-    axes.legend(fontsize=8, frameon=False, title="pixel", title_fontsize=8)
+    axes.legend(fontsize=0.75 * LETTERS_PT, frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0, 1),
+                borderaxespad=0, columnspacing=1, handlelength=1)  # fmt: skip
     style(axes)
     yield plates.figure(
         "sinusoids", "Intensity against polarizer angle",
@@ -74,8 +76,10 @@ def cloud(plates: Plates) -> Iterator[Figure]:
         v, u = np.nonzero(which)
         chosen = slice(None, None, max(1, -(-len(u) // _MOST_POINTS)))
         u, v = u[chosen], v[chosen]
-        look: dict[str, Any] = {"c": depth[v, u], "cmap": "viridis_r"} if which is on else {"c": "#d1495b"}
-        axes.scatter(u / plates.step, v / plates.step, s=1.2, marker=".", linewidths=0, rasterized=True, **look)
+        look: dict[str, Any] = (
+            {"c": depth[v, u], "cmap": "viridis_r", "s": 8} if which is on else {"c": "#d1495b", "s": 1.5}
+        )
+        axes.scatter(u / plates.step, v / plates.step, marker=".", linewidths=0, rasterized=True, **look)
     yield plates.figure(
         "cloud", "Cloud in the station's view",
         "Points of the cloud, projected into the unpolarized image: on the surface, by depth (bright is near), and red those "
@@ -98,7 +102,7 @@ def patch_boxes(plates: Plates) -> Iterator[Figure]:
         axes.add_patch(Rectangle(corner, *size, fill=False, ec="white", lw=3))
         axes.add_patch(Rectangle(corner, *size, fill=False, ec="#d1495b", lw=1.6))
         axes.annotate(
-            patch["name"], corner, xytext=(0, 5), textcoords="offset points", color="white", fontsize=9,
+            patch["name"], corner, xytext=(0, 5), textcoords="offset points", color="white", fontsize=LETTERS_PT,
             bbox={"boxstyle": "round,pad=0.2", "fc": "#d1495b", "ec": "none"},
         )  # fmt: skip
     yield plates.figure(
@@ -140,77 +144,19 @@ def views(plates: Plates) -> Iterator[Figure]:
             reliefs["polarization"] = ("Polarization alone", flattened(-raster), float(plates.step))
     for name, (title, relief, pixel) in reliefs.items():
         stride = max(1, -(-max(relief.shape) // _VIEW_PX))
-        thin = relief[::stride, ::stride]
+        low, high = (float(p) for p in np.nanpercentile(relief, _RELIEF_PERCENTILES))
+        room = 0.1 * (high - low)
+        thin = np.clip(relief[::stride, ::stride], low - room, high + room)
         picture = oblique(thin / (pixel * stride), hillshade(relief, pixel)[::stride, ::stride])
         rows = np.nonzero(picture[..., 1].any(1))[0]
         picture = picture[rows[0] : rows[-1] + 1]
-        width = 6.4
-        drawing = Drawing(figsize=(width, width * picture.shape[0] / picture.shape[1]))
+        drawing = Drawing(figsize=(WIDTH_IN, WIDTH_IN * picture.shape[0] / picture.shape[1]))
         axes = drawing.add_axes((0, 0, 1, 1))
         axes.imshow(np.where(picture[..., 1:] > 0, picture[..., :1], 255).repeat(3, 2), interpolation="antialiased")
         axes.set_axis_off()
-        low, high = (float(p) for p in np.nanpercentile(relief, [0.5, 99.5]))
         yield plates.figure(
             f"view_{name}", f"{title}, from below",
             f"The surface tilted back by {_TILT_DEG:.0f}°, light from the upper left.",
-            drawing, ["surface", "tilt_deg", "relief_p0.5", "relief_p99.5", "unit"],
+            drawing, ["surface", "tilt_deg", "relief_p0.2", "relief_p99.8", "unit"],
             [[name, _TILT_DEG, low, high, "GSD" if name == "polarization" else plates.unit]],
         )  # fmt: skip
-
-
-def high_pass(values: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
-    """Values along a line minus their Gaussian mean over what is known; sigma in samples."""
-    reach = int(np.ceil(3 * sigma))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    known = np.isfinite(values)
-    weight = np.convolve(known.astype(float), kernel, "same")
-    total = np.convolve(np.where(known, values, 0), kernel, "same")
-    # "same" follows the longer of both: a line that is shorter than the kernel keeps its own length.
-    start = (len(weight) - len(values)) // 2
-    mean = (total / np.maximum(weight, 1e-12))[start : start + len(values)]
-    return np.asarray(np.where(known, values - mean, np.nan))
-
-
-def section_detail(plates: Plates) -> Iterator[Figure]:
-    """Each section in full, and beside it its detail in micrometres (Fig. 12 and 13)."""
-    micrometres = METRES[plates.unit] * 1e6
-    sigma_px = float(plates.workspace.options().assess.detail_sigma_px)
-    for number, profile in enumerate(plates.quality["profiles"], 1):
-        yield _section(plates, number, profile, micrometres, sigma_px)
-
-
-def _section(plates: Plates, number: int, profile: Mapping[str, Any], micrometres: float, sigma_px: float) -> Figure:
-    drawing = Drawing(figsize=(9.6, 3.4), layout="constrained")
-    full, detail = drawing.subplots(1, 2, width_ratios=(1, 1))
-    along, along_px = numbers(profile["position"]), np.array(profile["position_px"], float)
-    step_px = float(np.median(np.diff(along_px))) if len(along_px) > 1 else 1.0
-    details: dict[str, NDArray[np.float64]] = {}
-    for name in (name for name in COLORS if profile[name]):
-        values = numbers(profile[name])
-        details[name] = micrometres * high_pass(values, sigma_px / step_px)
-        width = 1.3 if name == "fused" else 0.9
-        full.plot(along, values, color=COLORS[name], lw=width, label=name)
-        detail.plot(along, details[name], color=COLORS[name], lw=width)
-    metric = [numbers(profile[name]) for name in ("prior", "fused") if profile[name]]
-    if metric and np.isfinite(np.concatenate(metric)).any():
-        # Height from polarization alone may be many times as large: it shall not flatten the others.
-        low, high = np.nanmin(np.concatenate(metric)), np.nanmax(np.concatenate(metric))
-        full.set_ylim(low - 0.4 * (high - low), high + 0.4 * (high - low))
-        largest = max(np.nanpercentile(np.abs(details[name]), 99) for name in ("prior", "fused") if name in details)
-        detail.set_ylim(-2 * largest, 2 * largest)
-    full.set_ylabel(f"height [{plates.unit}]", fontsize=9)
-    detail.set_ylabel("detail [µm]", fontsize=9)
-    full.legend(fontsize=8, frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
-    for axes in (full, detail):
-        axes.set_xlabel(f"along the profile [{plates.unit}]", fontsize=9)
-        style(axes)
-    present = list(details)
-    columns = [profile["position"], *(profile[name] for name in present), *(details[name].tolist() for name in present)]
-    header = [
-        f"position_{plates.unit}", *(f"{name}_{plates.unit}" for name in present), *(f"{name}_detail_um" for name in present)
-    ]  # fmt: skip
-    return plates.figure(
-        f"section_{number}", f"Profile {profile['name']}, and its detail",
-        f"Left the full section, right what is finer than a Gaussian of {sigma_px:g} px.",
-        drawing, header, list(zip(*columns, strict=True)),
-    )  # fmt: skip

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from malus._files import write_bytes, write_text
 from malus.errors import InputError
-from malus.figures import Figure, Plates
+from malus.figures import Figure, Plates, encode
 from malus.paper import plates as own
+from malus.paper.contact_sheet import contact_sheet
 from malus.paper.tables import Table, table_1, table_2
 from malus.workspace import Workspace
 
@@ -29,7 +30,6 @@ def _numbered(plates: Plates) -> Iterator[tuple[str, Figure]]:
         ("10", own.views(plates)),
         ("11", iter([plates.profile_lines()] if quality["profiles"] else [])),
         ("12", plates.profiles()),
-        ("13", own.section_detail(plates)),
         ("14", own.patch_boxes(plates)),
         ("15", plates.patches()),
     ]
@@ -41,14 +41,16 @@ def _numbered(plates: Plates) -> Iterator[tuple[str, Figure]]:
 def write_paper(work: str | Path) -> Path:
     """Write the plates and tables of a finished workspace to WORK/paper; returns that folder.
 
-    Each plate is fig_NN_name.png, .svg, .pdf and .csv, NN the number of its like in the paper; each table .csv and .md. Raises InputError
-    unless all that they show is as the steps left it.
+    Each plate is fig_NN_name.png, .svg, .pdf and .csv, NN the number of its like in the paper; contact_sheet.png has all plates
+    on one page; each table is .csv and .md. Raises InputError unless all that they show is as the steps left it.
     """
     workspace = Workspace(work)
     plates = Plates(workspace, for_print=True)
     tables = [table_1(workspace), table_2(workspace)]
+    pictures = []
     with workspace.recording("paper") as files:
         for number, figure in _numbered(plates):
+            pictures.append((f"{number} {figure.name}", figure.picture))
             name = f"paper/fig_{number}_{figure.name}"
             for ending, content in (
                 ("png", figure.png()),
@@ -58,6 +60,8 @@ def write_paper(work: str | Path) -> Path:
             ):
                 write_bytes(workspace.folder / f"{name}.{ending}", content)
                 files.append(f"{name}.{ending}")
+        write_bytes(workspace.folder / "paper/contact_sheet.png", encode(contact_sheet(pictures), "PNG"))
+        files.append("paper/contact_sheet.png")
         for table in tables:
             files += [f"paper/{name}" for name in _write_table(workspace.folder / "paper", table)]
     return workspace.folder / "paper"

@@ -1,0 +1,96 @@
+"""A reference that lies anywhere is brought onto a surface, and what does not belong there is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import malus
+from conftest import malus as run_malus
+from malus.registration import place_reference
+
+CAMERA = np.array([0.0, 0.0, 1.0])
+
+
+def relief(seed: int, side: int = 90) -> np.ndarray:
+    """Bumps on a square of 60 × 40, seen from +z: N×3."""
+    random = np.random.default_rng(seed)
+    x, y = np.meshgrid(np.linspace(-30, 30, side), np.linspace(-20, 20, side))
+    z = np.zeros_like(x)
+    for _ in range(25):
+        u, v, height, width = random.uniform((-28, -18, -2, 2), (28, 18, 2, 6))
+        z += height * np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * width**2))
+    return np.stack([x, y, z], -1).reshape(-1, 3)
+
+
+def turned(points: np.ndarray, degrees: float, axis: tuple[float, float, float]) -> np.ndarray:
+    x, y, z = np.array(axis) / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    angle = np.radians(degrees)
+    rotation = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    return points @ rotation.T
+
+
+@pytest.mark.parametrize("axis", [(0, 0, 1), (1, 0, 0), (0.48, 0.6, 0.64)])
+def test_a_reference_turned_by_90_degrees_and_moved_by_its_size_is_found(axis: tuple[float, float, float]) -> None:
+    surface = relief(1)
+    scan = relief(1, 150)
+    moved = turned(scan, 90, axis) + np.array([60, -40, 60])
+    noisy = surface + np.random.default_rng(5).normal(0, 0.02, surface.shape)
+    found = place_reference(noisy, CAMERA, moved)
+    back = moved @ found.rotation.T + found.translation
+    # Cells of the last search are 0.5 wide; what follows in the comparison (ICP) makes it exact.
+    assert np.sqrt(((back - scan) ** 2).sum(1).mean()) < 0.25
+    assert found.correlation > 0.98 and np.linalg.det(found.rotation) == pytest.approx(1)
+
+
+def test_a_reference_that_is_larger_than_the_surface_is_found() -> None:
+    scan = relief(2, 200)
+    inside = (np.abs(scan[:, 0] - 5) < 20) & (np.abs(scan[:, 1] + 3) < 15)
+    moved = turned(scan, 130, (0.2, -0.5, 1)) + np.array([0, 500, 0])
+    found = place_reference(scan[inside][::3], CAMERA, moved)
+    assert np.sqrt(((moved @ found.rotation.T + found.translation - scan) ** 2).sum(1).mean()) < 0.4
+
+
+def test_another_object_is_refused() -> None:
+    with pytest.raises(malus.DataError, match="no place of the reference stands out"):
+        place_reference(relief(1), CAMERA, relief(3, 150))
+
+
+def test_a_shape_that_does_not_tell_turns_apart_is_refused() -> None:
+    x, y = np.meshgrid(np.linspace(-1, 1, 120), np.linspace(-1, 1, 120))
+    cap = np.stack([x, y, np.sqrt(4 - x**2 - y**2)], -1).reshape(-1, 3)[(x**2 + y**2 < 1).ravel()]
+    with pytest.raises(malus.DataError, match="does not tell turns apart"):
+        place_reference(cap, CAMERA, cap)
+
+
+def test_another_unit_is_refused() -> None:
+    with pytest.raises(malus.DataError, match="times as large as the surface"):
+        place_reference(relief(1), CAMERA, 1000 * relief(1))
+
+
+def test_arrays_of_a_wrong_shape_are_named() -> None:
+    with pytest.raises(ValueError, match=r"reference has shape \(3, 100\), expected \(N, 3\)"):
+        place_reference(relief(1), CAMERA, relief(1)[:100].T)
+
+
+def test_the_command_finds_the_place_of_a_scan(small_station: Path, tmp_path: Path) -> None:
+    """The fused surface itself, turned and moved away, comes back to where it was."""
+    work = tmp_path / "work"
+    assert run_malus("fuse", small_station, "-o", work, "--threads", "2", "--quiet").code == 0
+    points = malus.Workspace(work).points().reshape(-1, 3)
+    points = points[np.isfinite(points).all(1)]
+    scan = tmp_path / "scan.xyz"
+    np.savetxt(scan, turned(points, 90, (0.1, 0.2, 1)) + np.array([300, -200, 100]))
+    outcome = run_malus("assess", small_station, "-o", work, "--reference", scan, "--register", "--threads", "2")
+    assert outcome.code == 0, outcome.err
+    quality = json.loads((work / "quality.json").read_text())
+    assert quality["reference"]["compared_fraction"] > 0.99
+    assert quality["reference"]["distance_gsd"]["rmse"] < 0.05
+    found = json.loads((work / "reference/registration.json").read_text())
+    assert found["correlation"] > 0.99 and found["next_best"] < found["correlation"]
+    alone = run_malus("assess", small_station, "-o", work, "--register")
+    assert alone.code == 2 and "--register needs a reference" in alone.err
