@@ -28,6 +28,15 @@ def require_utf8(path: str | Path) -> None:
         raise InputError(f"{shown}: this name is not in UTF-8, expected a file and folders whose names are") from None
 
 
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file's bytes. InputError for one that cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
+
+
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
     """Turn failures of writing this file into errors that name it; makes its folder."""

@@ -8,10 +8,13 @@ import io
 import json
 import multiprocessing
 import os
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -28,6 +31,7 @@ from malus.reconstruction import reconstruct
 from malus.report import write_report
 from malus.station import Station
 from malus.threads import ALL_CORES
+from malus.workspace import Workspace
 
 Outcome = dict[str, Any]
 
@@ -155,13 +159,50 @@ def _killed(task: Task, reason: str) -> Outcome:
     return outcome
 
 
+def _end_with_parent() -> None:
+    """Ends this process when the one that started it ends, however it does: nobody would take its results, and it would
+    hold its station's workspace.
+    """
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        parent.join()
+        os._exit(ResourceError.exit_code)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes for stations. They end with this one, and at once if it is told to end, without the stations that wait."""
+    others = set(multiprocessing.active_children())
+    # Fresh processes, not forks: this one may hold threads and locks.
+    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_end_with_parent)
+    try:
+        yield pool
+    except (KeyboardInterrupt, GeneratorExit):
+        for process in set(multiprocessing.active_children()) - others:
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _submitted(pool: ProcessPoolExecutor, tasks: Sequence[Task]) -> list[Future[Outcome]]:
+    """The tasks as the pool's, in processes that are deaf to Ctrl-C, which a terminal sends to all: this one ends them."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        return [pool.submit(run_station, task) for task in tasks]
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _on_this_machine(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
     left = {task.identifier: task for task in tasks}
-    # Fresh processes, not forks: this one may hold threads and locks.
-    fresh = multiprocessing.get_context("spawn")
     try:
-        with ProcessPoolExecutor(min(jobs, len(tasks)), mp_context=fresh) as pool:
-            for future in as_completed([pool.submit(run_station, task) for task in tasks]):
+        with _processes(min(jobs, len(tasks))) as pool:
+            for future in as_completed(_submitted(pool, tasks)):
                 outcome = future.result()
                 del left[outcome["station"]]
                 yield outcome
@@ -169,8 +210,8 @@ def _on_this_machine(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
         # Somebody killed a process (memory, most often), and the pool does not say on which station. One at a time does.
         for task in left.values():
             try:
-                with ProcessPoolExecutor(1, mp_context=fresh) as pool:
-                    yield pool.submit(run_station, task).result()
+                with _processes(1) as pool:
+                    yield _submitted(pool, [task])[0].result()
             except BrokenProcessPool:
                 yield _killed(task, "its process was killed, perhaps out of memory (see malus check)")
 
@@ -198,14 +239,24 @@ def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[Outcome]:
 
 
 def _marker(task: Task) -> Outcome:
-    """How a station ended, if that still holds; otherwise pending."""
+    """How a station ended, if that still holds; otherwise pending. Of results the record is compared, and that its files
+    are there in their sizes: reading all of a campaign again would take longer than some stations.
+    """
     pending = {"station": task.identifier, "file": task.station, "status": "pending", "reason": "", "exit_code": 0}
     outcome = read_record(task.marker)
     if outcome is None or outcome.get("key") != task.key():
         return pending
-    if outcome["status"] == "done" and outcome.get("manifest") != _manifest(task):
+    if outcome["status"] == "done" and not (outcome.get("manifest") == _manifest(task) and _has_results(task)):
         return pending
     return outcome
+
+
+def _has_results(task: Task) -> bool:
+    try:
+        outputs = Workspace(task.workspace).outputs
+        return all((task.workspace / name).stat().st_size == output["size"] for name, output in outputs.items())
+    except (InputError, OSError):
+        return False
 
 
 def _manifest(task: Task) -> str | None:

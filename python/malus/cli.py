@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from io import TextIOWrapper
@@ -512,6 +513,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # a terminal that has not every sign shall not end a run
             stream.reconfigure(errors="backslashreplace")
+    # What a batch system, or a shell that closes, sends ends a run like Ctrl-C: programs that it has started end too.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         _run(arguments)
     except KeyboardInterrupt:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
+import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 
 from malus import _core
 from malus._extra import extra
-from malus._files import replacing
+from malus._files import replacing, sha256_of
 from malus.errors import InputError
 from malus.exif import tags_of
 
@@ -59,7 +61,8 @@ def is_raw(path: Path) -> bool:
 def develop(
     images: Sequence[Path], channel: str, folder: Path, progress: Callable[[float, str], None] = lambda _, __: None
 ) -> Developed:
-    """Develop RAW files into `folder`, one floating-point TIFF each; what is there already is kept.
+    """Develop RAW files into `folder`, one floating-point TIFF each; what is there already is kept, if it is as
+    it was left.
 
     Black and white level come from the files; no brightening, no white balance, no rotation, the camera's own colors;
     the Bayer pattern is interpolated linearly, so that all images of a station are treated alike. `channel` "red",
@@ -75,23 +78,35 @@ def develop(
             raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
         plane = _PLANES.get(channel)
         recipe = f"{_RECIPE} {library.__version__} {plane}".encode()
-        target = folder / f"{path.stem}_{hashlib.sha256(content + recipe).hexdigest()[:16]}.tif"
-        if not target.exists():
-            pixels = linear_image(path)
+        name = f"{path.stem}_{hashlib.sha256(content + recipe).hexdigest()[:16]}"
+        kept = next(
+            (file for file in folder.glob(f"{glob.escape(name)}_*.tif") if file == _named_by_content(file, name)), None
+        )
+        if kept is None:
+            pixels = linear_image(path, content)
             if plane is not None and pixels.ndim == 3:
                 pixels = pixels[..., plane]
-            with replacing(target) as temporary:
+            unnamed = folder / f"{name}.tif"
+            with replacing(unnamed) as temporary:
                 _core.write_float_tiff(str(temporary), np.ascontiguousarray(pixels))
-        developed.append(target)
+            kept = unnamed.replace(_named_by_content(unnamed, name))
+        developed.append(kept)
     full_well_e, read_noise_e = _noise(images[0])
     return Developed(developed, full_well_e, read_noise_e)
 
 
-def linear_image(path: Path, *, half_size: bool = False) -> NDArray[np.float32]:
-    """A RAW file's pixels, H×W or H×W×3, 1 = white level; half_size: one pixel for a cell of four, and fast."""
+def _named_by_content(file: Path, name: str) -> Path:
+    """What a developed image is called, so that one which was changed later is not taken for it."""
+    return file.with_name(f"{name}_{sha256_of(file)[:16]}.tif")
+
+
+def linear_image(path: Path, content: bytes | None = None, *, half_size: bool = False) -> NDArray[np.float32]:
+    """A RAW file's pixels, H×W or H×W×3, 1 = white level; content: its bytes if they are read already; half_size: one pixel
+    for a cell of four, and fast.
+    """
     library = extra("rawpy", "rawpy", "reading RAW files", "raw")
     try:
-        with library.imread(str(path)) as raw:
+        with library.imread(str(path) if content is None else io.BytesIO(content)) as raw:
             pixels = raw.postprocess(
                 half_size=half_size,
                 demosaic_algorithm=library.DemosaicAlgorithm.LINEAR,

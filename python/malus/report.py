@@ -287,9 +287,9 @@ def _write_in(workspace: Workspace) -> Path:
     with workspace.recording("report") as files:
         for figure in (figure for group in figures.values() for figure in group):
             name = f"report/figures/{figure.name}"
+            files += [f"{name}.png", f"{name}.csv"]
             write_bytes(workspace.folder / f"{name}.png", figure.png())
             write_text(workspace.folder / f"{name}.csv", figure.csv())
-            files += [f"{name}.png", f"{name}.csv"]
         files.append("report/index.html")
         write_text(workspace.folder / "report/index.html", page)
     return workspace.folder / "report/index.html"

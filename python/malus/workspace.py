@@ -82,13 +82,27 @@ class Workspace:
     @contextmanager
     def recording(self, step: str) -> Iterator[list[str]]:
         """Record a step that Python does: what an earlier run of it left is removed, and the files that are named in the list
-        are recorded at the end.
+        are recorded at the end. They are removed if that fails, such as when another run has changed meanwhile what they were
+        made from (InputError).
         """
         start = monotonic()
         _core.forget_step(str(self.folder), step)
+        made_from = {
+            name: record["key"]
+            for name, record in self.manifest["steps"].items()
+            if name != step and step not in record["after"]
+        }
         files: list[str] = []
-        yield files
-        _core.record_step(str(self.folder), step, files, monotonic() - start)
+        try:
+            yield files
+            steps = json.loads(_core.read_manifest(str(self.folder)))["steps"]
+            if {name: record["key"] for name, record in steps.items()} != made_from:
+                raise InputError(f"{self.folder}: was changed by another run meanwhile; run again")
+            _core.record_step(str(self.folder), step, files, monotonic() - start)
+        except BaseException:
+            for name in files:
+                (self.folder / name).unlink(missing_ok=True)
+            raise
 
     def raster(self, name: str) -> Raster:
         """Float TIFF or PNG of the workspace, H×W or H×W×3, float32."""

@@ -1,6 +1,8 @@
-"""Attack on a whole run of malus-station: kills at random moments, and limits of memory and of file size at many levels.
+"""Attack on whole runs: kills at random moments, limits of memory and of file size at many levels, disks that are full,
+read-only or forbidden at every step.
 
-After each the run is repeated without the attack, and must leave what an undisturbed run leaves, bit for bit.
+After each the run is repeated without the attack, and must leave what an undisturbed run leaves, bit for bit. Small disks
+and limits of a control group take root's rights; without them they are left out, which is said.
 
     programs.py PROGRAM FOLDER --seconds N [--seed S]
 """
@@ -8,98 +10,278 @@ After each the run is repeated without the attack, and must leave what an undist
 from __future__ import annotations
 
 import argparse
+import atexit
 import hashlib
+import os
 import random
 import resource
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-from malus import synthetic
+from malus import Options, _core, synthetic
 
 MB = 1 << 20
 #: Levels of address space and of the size of one file, from where the program just starts to where nothing is refused.
 ADDRESS_SPACE_MB = [60, 80, 100, 128, 160, 200, 240, 256, 272, 288, 304, 320, 340, 360, 380, 400, 430, 460, 500, 600]
 FILE_SIZE_KB = [0, 1, 4, 16, 32, 64, 96, 128, 256, 512, 1024]
+#: Of memory that is really used; the system kills what takes more.
+MEMORY_MB = [5, 10, 15, 20, 25, 30, 35, 40, 45, 50, 55, 60, 65, 70, 75, 80, 90, 100, 120, 150]
+#: Free space on a disk as a step begins.
+FREE_KB = [0, 4, 40, 200]
 #: The loader's own, before a program begins.
 NOT_LOADED = 127
-#: A run that takes longer has not ended by itself.
-LONGEST_S = 300
-
-
-class Findings(list[str]):
-    """What was not as promised; `expect` adds to it."""
-
-    def expect(self, holds: bool, what: str) -> None:
-        if not holds:
-            self.append(what)
-            print("FINDING:", what, flush=True)
+#: A run that takes longer has not ended by itself. A busy machine takes a hundred times as long as an idle one.
+LONGEST_S = 3600
+NOBODY = 65534
+#: What says when or where something was done, and differs from run to run.
+NOT_COMPARED = ("manifest.json", ".lock", "index.html")
 
 
 def state_of(work: Path) -> dict[str, str]:
-    """SHA-256 of everything that a run leaves, but the manifest, which says when."""
-    files = [path for path in work.rglob("*") if path.is_file() and path.name not in ("manifest.json", ".lock")]
-    return {str(path.relative_to(work)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    """SHA-256 of everything that a run leaves, but what says when."""
+    files = [path for path in work.rglob("*") if path.is_file() and path.name not in NOT_COMPARED]
+    return {
+        str(path.relative_to(work)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in files
+        if path.parent.name != "done"
+    }
+
+
+@contextmanager
+def small_disk(folder: Path, options: str) -> Iterator[Path]:
+    """A disk in memory, mounted with these options."""
+    folder.mkdir(exist_ok=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)], check=True)
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+        folder.rmdir()
+
+
+def may_mount(folder: Path) -> bool:
+    """Whether this process has root's rights, all of them: not in every container."""
+    try:
+        with small_disk(folder, "size=1m"):
+            return os.geteuid() == 0
+    except (OSError, subprocess.CalledProcessError):
+        return False
+
+
+def control_group() -> Path | None:
+    """A new control group whose memory can be limited, of version 2 or 1; None where there may be none."""
+    for parent, file in (
+        (Path("/sys/fs/cgroup"), "memory.max"),
+        (Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes"),
+    ):
+        group = parent / f"malus-attack-{os.getpid()}"
+        try:
+            group.mkdir()
+        except OSError:
+            continue
+        if (group / file).exists():
+            atexit.register(group.rmdir)
+            return group / file
+        group.rmdir()
+    return None
+
+
+def group_ended(group: int) -> bool:
+    """Whether all processes of a group end within a minute."""
+    for _ in range(600):
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.1)
+    return False
 
 
 class Attack:
-    """One station, the program, and what an undisturbed run of it leaves."""
+    """One way to work on a station, and what it leaves if nothing disturbs it."""
 
-    def __init__(self, program: Path, folder: Path) -> None:
-        self.station = synthetic.write_station(folder / "station", 160, 120)
-        self.program, self.folder = program, folder
-        self.findings = Findings()
+    def __init__(
+        self, name: str, folder: Path, command: Callable[[Path], list[str]], start: Path | None = None
+    ) -> None:
+        """`command` of a workspace; `start`: what lies in it before."""
+        self.name, self.folder, self.command, self.start = name, folder, command, start
+        self.findings: list[str] = []
         self.runs: Counter[str] = Counter()
+        work = self.new_folder("undisturbed")
         started = time.monotonic()
-        done = subprocess.run(self.command(folder / "undisturbed"), capture_output=True, text=True)
+        done = self.run(work)
         assert done.returncode == 0, done.stderr
         self.seconds = time.monotonic() - started
-        self.expected = state_of(folder / "undisturbed")
+        self.expected = state_of(work)
 
-    def command(self, work: Path) -> list[str]:
-        return [str(self.program), str(self.station), "-o", str(work), "--quiet", "--threads", "2"]
+    def expect(self, holds: bool, what: str) -> None:
+        """It is a finding unless it holds."""
+        if not holds:
+            self.findings.append(what)
+            print(f"FINDING: {self.name}: {what}", flush=True)
+
+    def new_folder(self, name: str) -> Path:
+        """A workspace as a run finds it."""
+        work = self.folder / name
+        if self.start is not None:
+            shutil.copytree(self.start, work)
+        return work
+
+    def run(self, work: Path, *more: str, before: Callable[[], None] | None = None) -> subprocess.CompletedProcess[str]:
+        """A run to its end; `before` is done in its process."""
+        return subprocess.run(
+            [*self.command(work), *more], capture_output=True, text=True, errors="replace", timeout=LONGEST_S,
+            preexec_fn=before,
+        )  # fmt: skip
 
     def resume(self, work: Path, after: str) -> None:
         """Run to the end: the result must be that of the undisturbed run, and nothing else may lie about."""
-        done = subprocess.run(self.command(work), capture_output=True, text=True, timeout=LONGEST_S)
-        self.findings.expect(done.returncode == 0, f"{after}: the next run ends with {done.returncode}: {done.stderr}")
+        done = self.run(work)
+        self.expect(done.returncode == 0, f"{after}: the next run ends with {done.returncode}: {done.stderr}")
         now = state_of(work)
         wrong = sorted(name for name in now.keys() | self.expected.keys() if now.get(name) != self.expected.get(name))
-        self.findings.expect(not wrong, f"{after}, then resumed: {', '.join(wrong)} differ")
+        self.expect(not wrong, f"{after}, then resumed: {', '.join(wrong)} differ")
 
-    def kill(self, work: Path, moment_s: float) -> None:
-        run = subprocess.Popen(self.command(work), stderr=subprocess.DEVNULL)
-        time.sleep(moment_s)
-        run.send_signal(signal.SIGKILL)
-        run.wait()
-        self.runs["kills"] += 1
-
-    def limit(self, work: Path, kind: int, value: int, name: str) -> None:
-        self.runs[name] += 1
-        what = f"{name} {value}"
+    def refused(self, work: Path, what: str, codes: tuple[int, ...], before: Callable[[], None] | None = None) -> None:
+        """A run that ends with one of these codes, or 0, and looks finished only then."""
         try:
-            done = subprocess.run(
-                self.command(work), capture_output=True, text=True, errors="replace", timeout=LONGEST_S,
-                preexec_fn=lambda: resource.setrlimit(kind, (value, value)),
-            )  # fmt: skip
+            done = self.run(work, before=before)
         except subprocess.TimeoutExpired:
-            self.findings.expect(False, f"{what}: did not end")
+            self.expect(False, f"{what}: did not end")
             return
-        allowed = (0, 5, NOT_LOADED) if kind == resource.RLIMIT_AS else (0, 5)
-        self.findings.expect(done.returncode in allowed, f"{what}: ends with {done.returncode}: {done.stderr}")
-        self.findings.expect(
+        self.expect(done.returncode in (0, *codes), f"{what}: ends with {done.returncode}: {done.stderr}")
+        self.expect("Traceback" not in done.stderr, f"{what}: {done.stderr}")
+        self.expect(
             done.returncode == 0 or not (work / "quality.json").exists(), f"{what}: looks finished after {done.stderr}"
         )
 
-    def in_new_folder(self, name: str, disturb: Callable[[Path], None]) -> None:
-        work = self.folder / f"work{sum(self.runs.values())}"
-        disturb(work)
-        self.resume(work, name)
-        subprocess.run(["rm", "-rf", str(work)], check=True)
+    def killed(self, moments_s: list[float]) -> None:
+        """Kills at these moments, one after the other."""
+        work = self.new_folder("work")
+        for moment in moments_s:
+            run = subprocess.Popen(
+                self.command(work), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+            )
+            time.sleep(moment)
+            run.send_signal(signal.SIGKILL)
+            run.wait()
+            self.runs["kills"] += 1
+            self.expect(group_ended(run.pid), f"killed after {moment} s: processes that it started go on")
+        self.resume(work, f"killed after {moments_s} s")
+        shutil.rmtree(work)
+
+    def limited(self, name: str, level: int, before: Callable[[], None], codes: tuple[int, ...]) -> None:
+        """A limit of the process."""
+        self.runs[name] += 1
+        work = self.new_folder("work")
+        self.refused(work, f"{name} {level}", codes, before)
+        self.resume(work, f"{name} {level}")
+        shutil.rmtree(work, ignore_errors=True)
+
+    def on_full_disk(self, step: str, free_kb: int) -> None:
+        """The disk is full but for so much once this step is done."""
+        self.runs["full disks"] += 1
+        what = f"{free_kb} KB left after {step}"
+        with small_disk(self.folder / "disk", "size=64m") as disk:
+            work = disk / "work"
+            self.run(work, "--until", step)
+            room = os.statvfs(disk)
+            (disk / "filler").write_bytes(bytes(max(room.f_bavail * room.f_frsize - free_kb * 1024, 0)))
+            self.refused(work, what, (5,))
+            (disk / "filler").unlink()
+            self.resume(work, what)
+
+    def on_read_only_disk(self, step: str) -> None:
+        """The disk can only be read once this step is done."""
+        self.runs["read-only disks"] += 1
+        what = f"read-only after {step}"
+        with small_disk(self.folder / "disk", "size=64m") as disk:
+            work = disk / "work"
+            self.run(work, "--until", step)
+            subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
+            self.refused(work, what, (2, 5))
+            subprocess.run(["mount", "-o", "remount,rw", str(disk)], check=True)
+            self.resume(work, what)
+
+    def without_permission(self, step: str) -> None:
+        """The workspace belongs to somebody else once this step is done."""
+        self.runs["no permission"] += 1
+        what = f"no permission after {step}"
+        work = self.new_folder("work")
+        self.run(work, "--until", step)
+        self.refused(work, what, (2,), lambda: os.setuid(NOBODY))
+        self.resume(work, what)
+        shutil.rmtree(work)
+
+
+def disturbances(attack: Attack) -> list[Callable[[], None]]:
+    """Everything that is done to malus-station once: limits at all levels, disks at all steps."""
+    tasks: list[Callable[[], None]] = []
+
+    def limit(name: str, kind: int, level: int, value: int, codes: tuple[int, ...]) -> None:
+        tasks.append(lambda: attack.limited(name, level, lambda: resource.setrlimit(kind, (value, value)), codes))
+
+    for level in ADDRESS_SPACE_MB:
+        limit("address space, MB", resource.RLIMIT_AS, level, level * MB, (5, NOT_LOADED))
+    for level in FILE_SIZE_KB:
+        limit("file size, KB", resource.RLIMIT_FSIZE, level, level << 10, (5,))
+    if not may_mount(attack.folder / "disk"):
+        print("disks, permissions and control groups take root's rights: left out")
+        return tasks
+    for step, _, _ in _core.describe_run(Options(fusion="grid").to_json(), None):
+        tasks.append(lambda step=step: attack.on_read_only_disk(step))  # type: ignore[misc]
+        tasks.append(lambda step=step: attack.without_permission(step))  # type: ignore[misc]
+        for free_kb in FREE_KB:
+            tasks.append(lambda step=step, free_kb=free_kb: attack.on_full_disk(step, free_kb))  # type: ignore[misc]
+    group = control_group()
+    if group is None:
+        print("no control group can be made: its limits of memory are left out")
+        return tasks
+
+    def in_group(level: int) -> None:
+        group.write_text(str(level * MB))
+        enter = group.parent / "cgroup.procs"
+        attack.limited("control group, MB", level, lambda: enter.write_text(str(os.getpid())) and None, (5, -signal.SIGKILL))  # fmt: skip
+
+    return tasks + [lambda level=level: in_group(level) for level in MEMORY_MB]  # type: ignore[misc]
+
+
+def attacks_on(program: Path, folder: Path) -> dict[str, Attack]:
+    """malus-station with both fusions, the report, and a campaign in two processes."""
+    # Where another user finds them too.
+    folder.chmod(0o755)
+    program = Path(shutil.copy(program, folder))
+    station = synthetic.write_station(folder / "station", 160, 120)
+    python = [sys.executable, "-m", "malus.cli"]
+    quiet = ["--quiet", "--threads", "2"]
+    attacks = {}
+    for fusion in ("grid", "refined"):
+        (folder / fusion).mkdir()
+        attacks[fusion] = Attack(
+            fusion, folder / fusion,
+            lambda work, fusion=fusion: [str(program), str(station), "-o", str(work), "--fusion", fusion, *quiet],  # type: ignore[misc]
+        )  # fmt: skip
+    (folder / "report").mkdir()
+    attacks["report"] = Attack(
+        "report", folder / "report", lambda work: [*python, "report", str(work)], folder / "grid" / "undisturbed"
+    )
+    for k in range(3):
+        synthetic.write_station(folder / "campaign" / f"o{k}", 120, 120, seed=k)
+    file = folder / "campaign" / "campaign.toml"
+    file.write_text('[campaign]\nstations = ["o*/station.toml"]\nreport = false\n[options]\nfusion = "grid"\n')
+    (folder / "batch").mkdir()
+    attacks["batch"] = Attack(
+        "batch", folder / "batch",
+        lambda work: [*python, "batch", str(file), "-o", str(work), "--jobs", "2", *quiet],
+    )  # fmt: skip
+    return attacks
 
 
 def main() -> int:
@@ -110,23 +292,21 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=120)
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
-    attack = Attack(arguments.program.resolve(), arguments.folder.resolve())
-    chance = random.Random(arguments.seed)
-    levels = [(resource.RLIMIT_AS, level * MB, "address space") for level in ADDRESS_SPACE_MB]
-    levels += [(resource.RLIMIT_FSIZE, level << 10, "file size") for level in FILE_SIZE_KB]
-    chance.shuffle(levels)
     end = time.monotonic() + arguments.seconds
+    attacks = attacks_on(arguments.program.resolve(), arguments.folder.resolve())
+    chance = random.Random(arguments.seed)
+    once = disturbances(attacks["grid"])
+    chance.shuffle(once)
     while time.monotonic() < end:
-        if levels:
-            kind, value, name = levels.pop()
-            attack.in_new_folder(f"{name} {value}", lambda work: attack.limit(work, kind, value, name))  # noqa: B023
-        moments = [chance.uniform(0, attack.seconds) for _ in range(chance.randint(1, 3))]
-        attack.in_new_folder(
-            f"killed after {moments} s",
-            lambda work: [attack.kill(work, moment) for moment in moments],  # noqa: B023
-        )
-    print(f"{dict(attack.runs)}; undisturbed {attack.seconds:.1f} s; {len(attack.findings)} findings")
-    return 1 if attack.findings else 0
+        if once:
+            once.pop()()
+        attack = chance.choice(list(attacks.values()))
+        attack.killed([chance.uniform(0, attack.seconds) for _ in range(chance.randint(1, 3))])
+    for name, attack in attacks.items():
+        print(f"{name}: {dict(attack.runs)}; undisturbed {attack.seconds:.1f} s")
+    findings = sum(len(attack.findings) for attack in attacks.values())
+    print(f"{len(once)} limits and disks not reached; {findings} findings")
+    return 1 if findings else 0
 
 
 if __name__ == "__main__":

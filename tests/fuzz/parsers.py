@@ -1,4 +1,4 @@
-"""atheris over what Python reads of users' files: EXIF, LAS, E57, tables and notes beside images, Metashape's cameras.
+"""atheris over what Python reads of users' files: EXIF, RAW, LAS, E57, tables and notes beside images, Metashape's cameras.
 
     parsers.py TARGET [CORPUS] [libFuzzer's options]
 
@@ -15,7 +15,7 @@ from pathlib import Path
 import atheris
 
 with atheris.instrument_imports(include=["malus", "PIL", "laspy", "pye57"]):
-    from malus import _files, campaign, exif, scans, station_import
+    from malus import _files, campaign, exif, raw, scans, station_import
     from malus.errors import MalusError
     from malus.photogrammetry import metashape
 
@@ -31,6 +31,7 @@ def _written(name: str, data: bytes) -> Path:
 #: Target → reader.
 TARGETS: dict[str, Callable[[bytes], object]] = {
     "exif": lambda data: exif.tags_of(_written("image", data)),
+    "raw": lambda data: raw.linear_image(_written("image.dng", data), data),
     "las": lambda data: scans.read_scan(_written("cloud.las", data), "mm"),
     "e57": lambda data: scans.read_scan(_written("cloud.e57", data), "mm"),
     "table": lambda data: station_import._rows_of(_written("table.csv", data)),

@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+import tifffile
 from PIL import Image
 
 from malus import _core, synthetic
@@ -51,6 +52,13 @@ def main(folder: Path) -> None:
         exif.get_ifd(34665).update({37386: 50.0, 41486: 1000.0, 41488: 2, 33434: 0.01})
         Image.fromarray(gray).save(work / "e.jpg", exif=exif)
         seed("exif", "tags", (work / "e.jpg").read_bytes())
+        mosaic = [
+            (50706, "B", 4, (1, 4, 0, 0), True),
+            (33421, "H", 2, (2, 2), True),
+            (33422, "B", 4, (0, 1, 1, 2), True),
+        ]
+        tifffile.imwrite(work / "r.dng", gray.astype(np.uint16), photometric=32803, extratags=mosaic, metadata=None)
+        seed("raw", "mosaic.dng", (work / "r.dng").read_bytes())
         done = subprocess.run(
             [sys.executable, "-m", "malus.cli", "decompose", station, "-o", work / "out", "--quiet"], check=False
         )

@@ -126,6 +126,10 @@ def test_done_holds_as_long_as_inputs_and_results_do(small_station_source: Path,
     assert run() == ["o00"], "written anew"
     shutil.rmtree(output / "stations/o01")
     assert run() == ["o01"]
+    os.truncate(output / "stations/o01/fused/depth.tif", 1000)
+    assert run() == ["o01"]
+    (output / "stations/o00/fused/normals.tif").unlink()
+    assert run() == ["o00"]
     (tmp_path / "objects/o01/station.toml").unlink()
     edit(file, "objects/*/station.toml", 'objects/o00/station.toml", "objects/o01/station.toml')
     assert [malus.batch._marker(task)["status"] for task in Campaign.load(file).tasks(output, 1)] == ["done", "pending"]
@@ -146,6 +150,54 @@ def test_merges_at_the_same_time_leave_whole_tables(three: tuple[Path, Path]) ->
         assert shard.returncode == 0, err
     assert (output / "campaign.json").read_text() == whole
     assert not half_written(output)
+
+
+def started_batch(file: Path, output: Path) -> subprocess.Popen[str]:
+    """`malus batch` with two processes, as soon as the first station has begun."""
+    run = subprocess.Popen(
+        [sys.executable, "-m", "malus.cli", "batch", file, "-o", output, "--jobs", "2", "--threads", "1", "--quiet"],
+        stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    while not list(output.glob("stations/*/manifest.json")):
+        assert run.poll() is None
+        time.sleep(0.02)
+    return run
+
+
+def workers_of(output: Path) -> list[str]:
+    """Command lines of processes that hold a workspace of the campaign's."""
+    held = []
+    for descriptors in Path("/proc").glob("[0-9]*/fd"):
+        try:
+            targets = [os.readlink(link) for link in descriptors.iterdir()]
+        except OSError:  # ended meanwhile, or another user's
+            continue
+        if any(target.startswith(str(output)) for target in targets):
+            held.append((descriptors.parent / "cmdline").read_text())
+    return held
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="needs Linux's /proc")
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_batch_that_is_ended_runs_no_further_station(
+    small_station_source: Path, tmp_path: Path, sent: signal.Signals
+) -> None:
+    """Nor does it leave processes behind, which would hold workspaces that the next batch needs."""
+    file = campaign_of(tmp_path, small_station_source, 12)
+    run = started_batch(file, tmp_path / "out")
+    if sent == signal.SIGINT:  # as a terminal does
+        os.killpg(run.pid, sent)
+    else:
+        run.send_signal(sent)
+    _, err = run.communicate(timeout=120)
+    assert run.returncode == (-sent if sent == signal.SIGKILL else 130), err
+    assert "Traceback" not in err
+    for _ in range(600):
+        if not workers_of(tmp_path / "out"):
+            break
+        time.sleep(0.1)
+    assert not workers_of(tmp_path / "out")
+    assert len(list((tmp_path / "out").glob("done/*.json"))) < 12
 
 
 def test_array_job_takes_its_shard_from_slurm(monkeypatch: pytest.MonkeyPatch) -> None:

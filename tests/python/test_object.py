@@ -207,6 +207,9 @@ def test_command_line_makes_one_surface_and_does_nothing_twice(pair: Path) -> No
     (output / "object/mesh.ply").write_bytes(b"spoiled")
     assert run_malus("object", pair, "-o", output, "--quiet").code == 0
     assert (output / "object/mesh.ply").read_bytes().startswith(b"ply")
+    edit(output / "object/quality.json", '"gsd": ', '"gsd": 1')
+    assert run_malus("object", pair, "-o", output, "--quiet").code == 0
+    assert json.loads((output / "object/quality.json").read_text())["gsd"] == quality["gsd"]
 
 
 def test_broken_station_is_told_and_the_others_are_joined(pair: Path) -> None:

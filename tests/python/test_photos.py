@@ -279,6 +279,7 @@ def test_journal_repeats_only_what_changed(tmp_path: Path) -> None:
 
 def test_journal_repeats_warnings_and_sees_flipped_bytes(tmp_path: Path) -> None:
     runs: list[str] = []
+    outputs = ["a.tif", "images.bin"]
 
     def run_once() -> list[str]:
         warned: list[str] = []
@@ -288,18 +289,45 @@ def test_journal_repeats_warnings_and_sees_flipped_bytes(tmp_path: Path) -> None
             runs.append("a")
             journal.log("info", "nothing")
             journal.log("warning", "blurred")
-            (tmp_path / "a.tif").write_bytes(b"1234")
+            for name in outputs:
+                (tmp_path / name).write_bytes(b"1234")
             return {"kept": 1}
 
-        assert journal.stage("a", {}, ["a.tif"], run) == {"kept": 1}
+        assert journal.stage("a", {}, outputs, run) == {"kept": 1}
         assert journal.seconds["a"] >= 0
         return warned
 
     assert run_once() == ["info nothing", "warning blurred"]
     assert run_once() == ["warning blurred"] and runs == ["a"]
-    (tmp_path / "a.tif").write_bytes(b"1294")
-    run_once()
-    assert runs == ["a", "a"]
+    for count, name in enumerate(outputs, start=2):
+        (tmp_path / name).write_bytes(b"1294")
+        run_once()
+        assert runs == ["a"] * count
+
+
+def test_journal_counts_no_stage_whose_photos_were_changed_meanwhile(tmp_path: Path) -> None:
+    photo = tmp_path / "photo.jpg"
+    photo.write_bytes(b"first")
+    runs: list[bytes] = []
+
+    def run_once(then: bytes) -> None:
+        journal = Journal(tmp_path / "work", print)
+        hashes = journal.watch({"photo": photo})
+
+        def run() -> dict[str, object]:
+            runs.append(photo.read_bytes())
+            photo.write_bytes(then)
+            (tmp_path / "work/model.bin").write_bytes(runs[-1])
+            return {}
+
+        journal.stage("a", hashes, ["model.bin"], run)
+
+    with pytest.raises(package.InputError, match="photo.jpg was changed while it was read"):
+        run_once(b"other")
+    photo.write_bytes(b"first")
+    run_once(b"first")
+    run_once(b"first")
+    assert runs == [b"first", b"first"], "what was read when the photo changed counts for neither"
 
 
 def test_photos_are_listed_naturally_and_excluded_by_pattern(tmp_path: Path) -> None:

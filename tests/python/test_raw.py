@@ -13,6 +13,7 @@ import tifffile
 import malus
 from conftest import malus as run_malus
 from conftest import malus_station
+from malus import raw
 
 BLACK, WHITE = 512, 16383
 ANGLES = (0, 45, 90, 135)
@@ -83,6 +84,25 @@ def test_development_is_kept_by_content(station: Path, tmp_path: Path) -> None:
     assert decompose() == before
     write_dng(tmp_path / "pol_000.dng", scene(0) * 0.999)
     assert len(set(decompose().items()) - set(before.items())) == 1
+
+
+@pytest.mark.parametrize("damage", ["flipped", "emptied"])
+def test_what_was_developed_is_not_taken_when_it_was_changed(station: Path, tmp_path: Path, damage: str) -> None:
+    pytest.importorskip("rawpy")
+    images = [tmp_path / f"pol_{angle:03d}.dng" for angle in ANGLES]
+    for _ in range(2):
+        image = raw.develop(images, "all", tmp_path / "raw").images[0]
+        content = image.read_bytes()
+        image.write_bytes(bytes([content[0], *(255 - byte for byte in content[1:])]) if damage == "flipped" else b"")
+    assert raw.develop(images, "all", tmp_path / "raw").images[0].read_bytes() == content
+
+
+def test_the_bytes_that_are_hashed_are_developed(station: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rawpy")
+    path = tmp_path / "pol_000.dng"
+    content, pixels = path.read_bytes(), raw.linear_image(path)
+    write_dng(path, scene(0) * 0.5)
+    np.testing.assert_array_equal(raw.linear_image(path, content), pixels)
 
 
 def test_noise_comes_from_the_file(station: Path, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from PIL import Image
 import malus
 from conftest import malus as run_malus
 from conftest import run_program
-from malus import figures, lengths, viewer
+from malus import _core, figures, lengths, viewer
 
 
 class Page(HTMLParser):
@@ -318,6 +318,21 @@ def test_report_and_view_say_what_is_missing(tmp_path: Path) -> None:
     assert outcome.code == 2 and "manifest.json" in outcome.err
     outcome = run_malus("view", tmp_path)
     assert outcome.code == 2 and "malus report" in outcome.err
+
+
+def test_a_page_whose_surface_changed_meanwhile_is_not_kept(work: Path, tmp_path: Path) -> None:
+    """Another run goes between reading the surface and recording the page."""
+    folder = shutil.copytree(work, tmp_path / "work")
+    workspace = malus.Workspace(folder)
+    with (
+        pytest.raises(malus.InputError, match="changed by another run meanwhile"),
+        workspace.recording("report") as files,
+    ):
+        (folder / "report/index.html").write_text("of the old surface")
+        files.append("report/index.html")
+        _core.forget_step(str(folder), "assess")
+    assert not (folder / "report/index.html").exists()
+    assert "report" not in malus.Workspace(folder).manifest["steps"]
 
 
 def test_view_opens_the_page(work: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus import _core, batch, scans
-from malus._files import write_text
+from malus._files import read_record, sha256_of, write_record
 from malus.batch import Outcome
-from malus.errors import DataError
+from malus.errors import DataError, InputError
 from malus.object import agreement, color, meshing, page, texture
 from malus.object.agreement import Agreement, OrientedPoints
 from malus.object.definition import Object
@@ -78,13 +78,15 @@ def _key(thing: Object, done: Sequence[Outcome]) -> str:
 
 
 def _is_made(folder: Path, key: str) -> bool:
-    """Whether the surface with this key is there, every file as it was left."""
+    """Whether the surface with this key is there, every file and figure as it was left."""
+    quality = read_record(folder / "quality.json")
     try:
-        quality = json.loads((folder / "quality.json").read_text(encoding="utf-8"))
-        return quality["key"] == key and all(
-            _core.sha256_of_file(str(folder / name)) == digest for name, digest in quality["files"].items()
+        return (
+            quality is not None
+            and quality["key"] == key
+            and all(sha256_of(folder / name) == digest for name, digest in quality["files"].items())
         )
-    except (OSError, ValueError, KeyError):
+    except (InputError, KeyError):
         return False
 
 
@@ -124,7 +126,7 @@ def _fuse(thing: Object, outcomes: Sequence[Outcome], folder: Path, key: str, co
     report = page.write_page(folder, quality, baked, seen, mesh, views[0], linked=thing.campaign.report)
     files = [folder / "mesh.ply", folder / "mesh.glb", *maps, report]
     quality["files"] = {str(path.relative_to(folder)): _core.sha256_of_file(str(path)) for path in files}
-    write_text(folder / "quality.json", json.dumps(quality, indent=1) + "\n")
+    write_record(folder / "quality.json", quality)
 
 
 def seen_by(mesh: ObjectMesh, views: Sequence[View]) -> NDArray[np.bool_]:

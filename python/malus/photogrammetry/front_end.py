@@ -98,6 +98,7 @@ def find_cameras(
     registered = {name: image.camera for name, image in placed.model.images.items() if name != STATION_IMAGE}
     bench.report("scale", 0.0, "scale from known distances")
     scale = adjust_scale(station["scale"], photos, registered, options, log)
+    journal.require_unchanged()
     factor = 1.0 if scale is None else float(scale["scale"])
     scale_model(placed.folder, folder / "model", factor)
     model = SparseModel.read(folder / "model")
@@ -243,6 +244,7 @@ def sweep_station(
     assert raster is not None
     view = replace(raster, rotation=cameras.station.rotation, translation=cameras.station.translation)
     journal = Journal(folder, log)
+    hashes = journal.watch({photo.name: photo.path for photo, _ in cameras.photos})
     settings = json.loads(options.to_json())["sweep"]
     again = settings.pop("again")
 
@@ -275,7 +277,7 @@ def sweep_station(
 
     inputs = {
         "view": repr(view.values()),
-        "photos": [(photo.name, repr(camera.values())) for photo, camera in cameras.photos],
+        "photos": [(photo.name, hashes[photo.name], repr(camera.values())) for photo, camera in cameras.photos],
         "image": hashlib.sha256(np.ascontiguousarray(unpolarized).tobytes() + mask.tobytes()).hexdigest(),
         "points": hashlib.sha256(cameras.model.points.tobytes()).hexdigest(),
         "options": settings,

@@ -11,23 +11,20 @@ from pathlib import Path
 from typing import Any
 
 from malus import _core
-from malus._files import read_record, write_record
+from malus._files import read_record, sha256_of, write_record
+from malus.errors import InputError
 from malus.photogrammetry import database
 
 Log = Callable[[str, str], None]
 
-
-def sha256_of(path: Path) -> str:
-    """SHA-256 of a file's bytes."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+_DATABASES = (".db", ".db-wal", ".db-shm")
 
 
 class Journal:
     """Marks of finished stages, `done/<stage>.json` below a folder.
 
     A stage's key is the hash of malus's version, of what it was given and of the key of the stage before it; it is done when its mark has
-    that key and its outputs are as it left them: by their sizes, and rasters, which the pipeline reads, by their hashes.
+    that key and its outputs are as it left them: by their hashes, and COLMAP's databases, which reading can change, by their sizes.
     """
 
     def __init__(self, folder: Path, log: Log) -> None:
@@ -39,6 +36,21 @@ class Journal:
         self._previous = ""
         self._log = log
         self._warnings: list[str] = []
+        self._watched: dict[Path, str] = {}
+
+    def watch(self, files: Mapping[str, Path]) -> dict[str, str]:
+        """Hashes of files that stages read, under the names given. From now on no stage counts as done during which one of
+        them was changed.
+        """
+        hashes = {name: sha256_of(path) for name, path in files.items()}
+        self._watched |= {path: hashes[name] for name, path in files.items()}
+        return hashes
+
+    def require_unchanged(self) -> None:
+        """InputError if a watched file is not what it was."""
+        for path, before in self._watched.items():
+            if sha256_of(path) != before:
+                raise InputError(f"{path} was changed while it was read; run again")
 
     def log(self, level: str, message: str) -> None:
         """Log a message; the warnings of a stage are repeated when it is not run again."""
@@ -74,6 +86,7 @@ class Journal:
             start = time.monotonic()
             self._warnings = []
             notes = run()
+            self.require_unchanged()
             done = {
                 "key": key,
                 "outputs": self._states(outputs),
@@ -93,7 +106,7 @@ class Journal:
             files = sorted(path.rglob("*")) if path.is_dir() else [path]
             for file in files:
                 if file.is_file():
-                    state = sha256_of(file) if file.suffix == ".tif" else file.stat().st_size
+                    state = file.stat().st_size if file.suffix in _DATABASES else sha256_of(file)
                     states[str(file.relative_to(self.folder))] = state
         return states
 

@@ -15,7 +15,6 @@ from malus.camera import Camera
 from malus.errors import DataError, InputError
 from malus.photogrammetry import database, diagnosis
 from malus.photogrammetry.bench import Bench
-from malus.photogrammetry.journal import sha256_of
 from malus.photogrammetry.model import SparseModel, colmap_params
 from malus.photogrammetry.photos import Photo, write_proxy
 from malus.photogrammetry.program import SearchStoppedError
@@ -95,7 +94,7 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
         raise DataError(diagnosis.too_few_photos(len(photos), MIN_PHOTOS))
     groups = group_by_camera(photos, known)
     stage = bench.journal.stage
-    hashes = {photo.name: sha256_of(photo.path) for photo in photos}
+    hashes = bench.journal.watch({photo.name: photo.path for photo in photos})
     stage("copies", {"photos": hashes, "colmap": bench.colmap.title}, ["images"], lambda: _copy(bench, photos))
     options = bench.options.photos
     features = stage(
