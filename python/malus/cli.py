@@ -15,6 +15,7 @@ import malus
 from malus import _core, batch, m3c2, studio
 from malus._files import require_utf8
 from malus.campaign import Campaign
+from malus.change import change_summary
 from malus.demo import EXAMPLES, example_station
 from malus.errors import InputError, ending_of
 from malus.exports import FORMATS, MESHES
@@ -137,6 +138,13 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("--interval", type=float, metavar="LENGTH", help="between contour lines; default: a round one")
     export.add_argument("--y-up", action="store_true", help="glb: turned from z up to glTF's y up")
     export.add_argument("-o", "--output", type=Path, metavar="PATH", help="default: in WORK/export/")
+    dates = add("compare", "what changed between two workspaces of one object", station=False, work=False)
+    dates.add_argument("before", type=Path, metavar="BEFORE", help="workspace of the earlier date")
+    dates.add_argument("after", type=Path, metavar="AFTER", help="workspace of the later date")
+    dates.add_argument(
+        "--same-frame", action="store_true", help="both stand in one frame already: the later surface is not moved"
+    )
+    dates.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for page and maps")
     start = commands.add_parser("import", help="station file for a folder of polarized images")
     start.add_argument("folder", type=Path, metavar="FOLDER")
     start.add_argument("-o", "--output", type=Path, required=True, metavar="STATION.toml")
@@ -369,6 +377,24 @@ def _print_object(folder: Path, outcomes: Sequence[batch.Outcome], quiet: bool) 
         print(line)
 
 
+def _compare(args: argparse.Namespace) -> None:
+    with _view(args) as view:
+        view.expect([("compare", 20.0)])
+        change = malus.compare(
+            args.before,
+            args.after,
+            args.output,
+            same_frame=args.same_frame,
+            threads=args.threads,
+            progress=lambda fraction, message: view.progress("compare", fraction, message),
+        )
+    if args.quiet:
+        for warning in change.figures["warnings"]:
+            print(f"warning: {warning}", file=sys.stderr)
+    elif not args.json:
+        print(*change_summary(change.figures), f"  page: {change.folder / 'index.html'}", sep="\n")
+
+
 def _batch(args: argparse.Namespace) -> None:
     campaign = Campaign.load(args.campaign)
     _options(args, campaign.options)
@@ -470,6 +496,8 @@ def _run(arguments: Sequence[str] | None) -> None:
                 threads=args.threads,
             )
         )
+    elif args.command == "compare":
+        _compare(args)
     elif args.command == "batch":
         _batch(args)
     elif args.command == "object":
