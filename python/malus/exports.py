@@ -9,9 +9,9 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,22 +19,40 @@ from numpy.typing import NDArray
 from malus import _core, archive, drawings
 from malus._extra import extra
 from malus._files import replacing, write_bytes, write_text, writing
+from malus.albedo import albedo_of
+from malus.chart import ColorCorrection
 from malus.colmap_export import write_colmap_workspace
 from malus.errors import InputError
+from malus.figures import flattened, grey, hillshade
+from malus.iiif import write_iiif
 from malus.raster import sample
 from malus.result import Result
 from malus.rti import write_rti
 from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
 from malus.threads import ALL_CORES
 from malus.units import METRES
-from malus.workspace import Workspace
+from malus.workspace import Raster, Workspace
+from malus.xmp import packet, save_png, tag_tiff
 
 
 class Exporter:
     """Makes what the formats need from a workspace, each thing once."""
 
-    def __init__(self, workspace: Workspace, threads: int = ALL_CORES) -> None:
+    def __init__(
+        self,
+        workspace: Workspace,
+        threads: int = ALL_CORES,
+        *,
+        albedo: bool = False,
+        chart: ColorCorrection | None = None,
+    ) -> None:
+        """albedo: colors are the object's own, without highlights and shading, instead of those of the photograph.
+
+        chart: what takes the camera's colors to sRGB; without it they are shown as they are, brightened by `surface.white_percentile`.
+        """
         self.workspace = workspace
+        self.albedo = albedo
+        self.chart = chart
         self.threads = threads
         self.unit = str(workspace.quality["unit"])
         self.name = str(workspace.quality["name"])
@@ -42,14 +60,31 @@ class Exporter:
         self.surface = workspace.surface()
         self.rotation, self.translation = workspace.pose
 
+    @cached_property
+    def color(self) -> Raster:
+        """Linear color of the object, H×W or H×W×3: as photographed, without polarization, or its albedo."""
+        return albedo_of(self.workspace) if self.albedo else self.workspace.color()
+
     def picture(self) -> NDArray[np.uint8]:
-        """The object without polarization, sRGB, H×W×3."""
-        color = self.workspace.color()
+        """The object's color, sRGB, H×W×3."""
+        color = self.color
+        if self.chart is not None:
+            if color.ndim != 3:
+                raise InputError(f"{self.workspace.folder}: was taken in gray, a color chart is for a station in color")
+            return self.chart.encoded(color)
         return _core.display_image(color, self.surface.depth, self.options.surface.white_percentile)
 
     def mesh(self) -> Mesh:
         """The surface at full size, as in fused/surface.ply."""
-        return mesh_from_depth(self.surface, color=self.workspace.color(), options=self.options, threads=self.threads)
+        mesh = mesh_from_depth(self.surface, color=self.color, options=self.options, threads=self.threads)
+        if self.chart is None:
+            return mesh
+        colors = np.rint(sample(self.picture(), self.pixels(mesh.vertices))).astype(np.uint8)
+        return replace(mesh, colors=colors)
+
+    def xmp(self) -> str:
+        """The catalogue's words for image files."""
+        return packet(self.name, self.workspace.quality.get("object") or {})
 
     def pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Where world points (…×3) are seen in the station's image, …×2."""
@@ -107,6 +142,7 @@ class Wishes:
     faces: int | None = None
     interval: float | None = None
     y_up: bool = False
+    url: str | None = None
 
 
 def _write_ply(exporter: Exporter, path: Path, wishes: Wishes) -> None:
@@ -165,22 +201,14 @@ def _write_stl(exporter: Exporter, path: Path, wishes: Wishes) -> None:
 
 
 def _write_orthophoto(exporter: Exporter, path: Path, wishes: Wishes) -> None:
-    from PIL import Image
-    from PIL.PngImagePlugin import PngInfo
-
     dem = exporter.dem()
     known = np.isfinite(dem.elevation)
     picture = np.zeros((*dem.elevation.shape, 4), np.uint8)
     colors = sample(exporter.picture(), exporter.pixels(dem.points()[known]))
     picture[known, :3] = np.rint(colors)
     picture[known, 3] = 255
-    told = PngInfo()
-    for key, value in {"Title": exporter.name, **(exporter.workspace.quality.get("object") or {})}.items():
-        if value:
-            told.add_itxt(key.replace("_", " ").capitalize(), str(value))
     per_metre = 1 / (dem.pixel * METRES[exporter.unit])
-    with replacing(path) as temporary:
-        Image.fromarray(picture).save(temporary, dpi=(per_metre * 0.0254,) * 2, pnginfo=told)
+    save_png(path, picture, exporter.xmp(), dpi=per_metre * 0.0254)
     # World file: size of a pixel and the center of the first, in the elevation model's own coordinates.
     write_text(path.with_suffix(".pgw"), f"{dem.pixel:.12g}\n0\n0\n{-dem.pixel:.12g}\n0\n0\n")
 
@@ -218,17 +246,34 @@ def _write_rti(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     write_rti(exporter.workspace, path)
 
 
+def _write_iiif(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+    gsd = float(exporter.workspace.quality["gsd"])
+    relief = grey(hillshade(flattened(exporter.surface.depth), gsd))[..., :1]
+    pictures = {
+        "photograph": ("Photograph, without polarized light", exporter.picture()),
+        "relief": ("Relief, light from the upper left", np.repeat(relief, 3, axis=-1)),
+    }
+    if exporter.workspace.has("fused/refinement.json"):
+        own = Exporter(exporter.workspace, exporter.threads, albedo=True, chart=exporter.chart)
+        pictures["albedo"] = ("Color without highlights and shading", own.picture())
+    write_iiif(
+        path,
+        pictures,
+        address=wishes.url or "http://localhost:8000",
+        name=exporter.name,
+        words=exporter.workspace.quality.get("object") or {},
+        summary=f"Surface from polarization and stereo, one pixel is {gsd:.4g} {exporter.unit}.",
+    )
+
+
 def _write_archive(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     archive.write_archive(exporter.workspace.folder, path)
 
 
 def _write_obj(exporter: Exporter, path: Path, wishes: Wishes) -> None:
-    from PIL import Image
-
     mesh = exporter.simplified(wishes.faces)
     texture, material = path.with_suffix(".png"), path.with_suffix(".mtl")
-    with replacing(texture) as temporary:
-        Image.fromarray(exporter.picture()).save(temporary)
+    save_png(texture, exporter.picture(), exporter.xmp())
     with replacing(material) as temporary:
         temporary.write_text(f"newmtl photograph\nKd 1 1 1\nKs 0 0 0\nmap_Kd {texture.name}\n", encoding="utf-8")
     # OBJ counts from 1.
@@ -245,6 +290,7 @@ def _write_obj(exporter: Exporter, path: Path, wishes: Wishes) -> None:
 def _write_dem(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     with replacing(path) as temporary:
         shutil.copyfile(exporter.workspace.path("fused/dem.tif"), temporary)
+        tag_tiff(temporary, exporter.xmp())
 
 
 def _write_exr(path: Path, channels: dict[str, NDArray[np.float32]]) -> None:
@@ -267,7 +313,10 @@ def _write_normal_map(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         return
     levels = np.rint((normals + 1) / 2 * 65535).astype(np.uint16)
     write = _core.write_png16 if path.suffix.lower() == ".png" else _core.write_tiff16
-    write(str(path), levels)
+    with replacing(path) as temporary:
+        write(str(temporary), levels)
+        if write is _core.write_tiff16:
+            tag_tiff(temporary, exporter.xmp())
 
 
 def _write_displacement(exporter: Exporter, path: Path, wishes: Wishes) -> None:
@@ -276,7 +325,9 @@ def _write_displacement(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     if path.suffix.lower() == ".exr":
         _write_exr(path, {"Y": elevation})
     else:
-        _core.write_float_tiff(str(path), elevation)
+        with replacing(path) as temporary:
+            _core.write_float_tiff(str(temporary), elevation)
+            tag_tiff(temporary, exporter.xmp())
 
 
 def _write_las(exporter: Exporter, path: Path, wishes: Wishes) -> None:
@@ -336,10 +387,13 @@ FORMATS: dict[str, tuple[Writer, str, tuple[str, ...]]] = {
     "sections": (_write_sections, "sections.svg", (".svg", ".dxf")),
     "colmap": (_write_colmap, "colmap", ("",)),
     "rti": (_write_rti, "surface.ptm", (".ptm",)),
+    "iiif": (_write_iiif, "iiif", ("",)),
     "archive": (_write_archive, "archive.zip", (".zip",)),
 }
 #: The formats that have triangles.
 MESHES = ("obj", "ply", "glb", "stl")
+#: The formats that have the object's color.
+COLORED = ("obj", "ply", "glb", "orthophoto", "las", "e57", "colmap", "iiif")
 
 
 def export(
@@ -350,6 +404,9 @@ def export(
     faces: int | None = None,
     interval: float | None = None,
     y_up: bool = False,
+    albedo: bool = False,
+    chart: str | Path | None = None,
+    url: str | None = None,
     threads: int = ALL_CORES,
 ) -> Path:
     """Write the surface of a workspace or a result in one of FORMATS; returns the file's path.
@@ -366,9 +423,13 @@ def export(
     - contours (every `interval`, station unit; default: a round one) and sections (along every [[profile]]): SVG or DXF.
     - colmap: a dense workspace (folder) with depth and normal map of the station, for stereo_fusion and poisson_mesher.
     - rti: the object under any light, a polynomial texture map for RTI viewers.
+    - iiif: photograph, relief and albedo as a folder for IIIF viewers; `url`: where it will be on the web.
     - archive: everything with its inputs and paradata, RO-Crate in a BagIt bag, ZIP (see malus.archive).
 
-    Raises malus.InputError, or ExternalError if the format needs a package that is not installed.
+    albedo: colors are the object's own, without highlights and shading (malus.albedo), instead of those of the photograph. chart: file of
+    `malus chart`, which takes the camera's colors to sRGB. Images say their color space (PNG) and the words of [object] (XMP).
+
+    Raises malus.InputError, DataError for the albedo of a surface without a reflection model, or ExternalError if the format needs a package that is not installed.
     """
     if format not in FORMATS:
         raise InputError(f"format {format!r}, expected one of {', '.join(FORMATS)}")
@@ -376,6 +437,9 @@ def export(
         (faces, "faces", MESHES),
         (interval, "interval", ("contours",)),
         (y_up, "y-up", ("glb",)),
+        (albedo, "albedo", COLORED),
+        (chart, "chart", COLORED),
+        (url, "url", ("iiif",)),
     ):
         if given and format not in allowed:
             raise InputError(f"--{name} is for {', '.join(allowed)}, not for {format}")
@@ -386,11 +450,15 @@ def export(
         if output is None and work.workspace is None:
             raise InputError(f"output is missing: {work.name} is in memory, expected the path of a file")
         with work.in_workspace() as folder:
-            return export(folder, format, output, faces=faces, interval=interval, y_up=y_up, threads=threads)
+            return export(
+                folder, format, output, faces=faces, interval=interval, y_up=y_up, albedo=albedo, chart=chart,
+                url=url, threads=threads,
+            )  # fmt: skip
     path = Path(work) / "export" / name if output is None else Path(output)
     if path.suffix.lower() not in endings:
         raise InputError(f"{path}: ends in {path.suffix!r}, expected {' or '.join(endings) or 'a folder'} for {format}")
-    exporter = Exporter(Workspace(work), threads)
+    correction = None if chart is None else ColorCorrection.load(chart)
+    exporter = Exporter(Workspace(work), threads, albedo=albedo, chart=correction)
     with writing(path):
-        write(exporter, path, Wishes(faces, interval, y_up))
+        write(exporter, path, Wishes(faces, interval, y_up, url))
     return path

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus._files import replacing
+from malus.mirrored_light import mirrored_share
 from malus.viewer import object_window, unshaded_color, viewer_normals
 from malus.workspace import Workspace
 
@@ -67,7 +68,7 @@ def write_rti(workspace: Workspace, path: Path) -> None:
     """Write the fused surface of a workspace as a polynomial texture map in the station's view."""
     window = object_window(workspace.raster("fused/depth.tif"), _SIDE_PX)
     normals = viewer_normals(workspace.raster("fused/normals.tif"), window)
-    colors = unshaded_color(workspace, window, normals).copy()
+    colors = unshaded_color(workspace, window, normals, mirrored_share(workspace)).copy()
     known: NDArray[np.bool_] = np.asarray(np.isfinite(normals).all(-1))
     colors[~known] = 0
     coefficients = np.zeros((*known.shape, 6))

@@ -265,6 +265,31 @@ def test_orthophoto_lies_on_the_elevation_model(workspace: malus.Workspace, tmp_
     assert np.abs(picture[:3, known].T - expected).max() <= 0.5 + 1e-9
 
 
+def test_images_say_whose_they_are(workspace: malus.Workspace, tmp_path: Path) -> None:
+    from xml.etree import ElementTree
+
+    from PIL import Image
+
+    orthophoto = malus.export(workspace.folder, "orthophoto", tmp_path / "a.png")
+    with Image.open(orthophoto) as image:
+        packets = [image.info["XML:com.adobe.xmp"]]
+        assert image.info["icc_profile"][36:40] == b"acsp"
+    for name in ("dem", "displacement", "normal-map"):
+        path = malus.export(workspace.folder, name, tmp_path / f"{name}.tif")
+        with tifffile.TiffFile(path) as file:
+            assert len(file.pages) == 1
+            packets.append(file.pages[0].tags[700].value.decode())
+    plain = tifffile.imread(workspace.path("fused/dem.tif"))
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "dem.tif"), plain)
+    dc = "{http://purl.org/dc/elements/1.1/}"
+    for packet in packets:
+        root = ElementTree.fromstring(packet.split("?>", 1)[1].rsplit("<?", 1)[0])
+        assert "".join(next(root.iter(f"{dc}title")).itertext()).strip() == "Relief & label"
+        assert next(root.iter(f"{dc}identifier")).text == "X 1907.4"
+        terms = next(root.iter("{http://ns.adobe.com/xap/1.0/rights/}UsageTerms"))
+        assert "".join(terms.itertext()).strip() == "CC-BY-4.0"
+
+
 @pytest.mark.parametrize("ending", ["svg", "dxf"])
 def test_contours_run_at_their_height(workspace: malus.Workspace, tmp_path: Path, ending: str) -> None:
     dem = exports.Exporter(workspace).dem()
@@ -354,7 +379,10 @@ def test_rti_shades_like_the_normals(workspace: malus.Workspace, tmp_path: Path)
 
 def test_dem_export_is_that_of_the_run(finished_grid: Path, tmp_path: Path) -> None:
     path = malus.export(finished_grid, "dem", tmp_path / "a.tif")
-    assert path.read_bytes() == (finished_grid / "fused/dem.tif").read_bytes()
+    rasterio = pytest.importorskip("rasterio")
+    with rasterio.open(path) as exported, rasterio.open(finished_grid / "fused/dem.tif") as made:
+        np.testing.assert_array_equal(exported.read(1), made.read(1))
+        assert (exported.crs, exported.transform, exported.tags()) == (made.crs, made.transform, made.tags())
 
 
 @pytest.mark.parametrize(
