@@ -9,6 +9,7 @@ import math
 from pathlib import Path
 
 import bpy
+import numpy
 from bpy.props import BoolProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 from mathutils import Matrix
@@ -31,6 +32,9 @@ def import_workspace(folder, *, use_units=True):
         if not (folder / name).is_file():
             raise ValueError(f"{folder / name}: is not there, expected a folder that `malus run` has finished")
     quality = json.loads((folder / "quality.json").read_text(encoding="utf-8"))
+    if not hasattr(numpy, "bool"):
+        # Debian 12's Blender 3.4 has an importer that is older than its numpy.
+        numpy.bool = bool
     before = set(bpy.data.objects)
     bpy.ops.import_scene.gltf(filepath=str(folder / "fused" / "surface.glb"))
     new = [thing for thing in bpy.data.objects if thing not in before]

@@ -142,6 +142,10 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument(
         "--albedo", action="store_true", help=f"color without highlights and shading ({', '.join(COLORED)})"
     )
+    export.add_argument(
+        "--trim", type=float, metavar="GSD", help="meshes: leave out what has a larger standard deviation of depth"
+    )
+    export.add_argument("--fill", action="store_true", help="meshes: close holes; what was not measured is magenta")
     export.add_argument("--url", help="iiif: where the folder will be on the web; default: http://localhost:8000")
     export.add_argument(
         "--chart", type=Path, metavar="FILE.json", help="of `malus chart`: colors in sRGB with a stated difference"
@@ -532,6 +536,8 @@ def _run(arguments: Sequence[str] | None) -> None:
                 albedo=args.albedo,
                 chart=args.chart,
                 url=args.url,
+                trim=args.trim,
+                fill=args.fill,
                 threads=args.threads,
             )
         )

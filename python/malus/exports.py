@@ -26,6 +26,7 @@ from malus.errors import InputError
 from malus.figures import flattened, grey, hillshade
 from malus.iiif import write_iiif
 from malus.raster import sample
+from malus.repair import FILLED_COLOR, filled, trimmed
 from malus.result import Result
 from malus.rti import write_rti
 from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
@@ -45,10 +46,13 @@ class Exporter:
         *,
         albedo: bool = False,
         chart: ColorCorrection | None = None,
+        trim: float | None = None,
+        fill: bool = False,
     ) -> None:
         """albedo: colors are the object's own, without highlights and shading, instead of those of the photograph.
 
         chart: what takes the camera's colors to sRGB; without it they are shown as they are, brightened by `surface.white_percentile`.
+        trim: pixels with a larger standard deviation (GSD) are left out. fill: holes are closed, in the color FILLED_COLOR.
         """
         self.workspace = workspace
         self.albedo = albedo
@@ -58,6 +62,11 @@ class Exporter:
         self.name = str(workspace.quality["name"])
         self.options = workspace.options()
         self.surface = workspace.surface()
+        if trim is not None:
+            self.surface = trimmed(self.surface, trim * float(workspace.quality["gsd"]))
+        self.filled: NDArray[np.bool_] | None = None
+        if fill:
+            self.surface, self.filled = filled(self.surface)
         self.rotation, self.translation = workspace.pose
 
     @cached_property
@@ -67,6 +76,13 @@ class Exporter:
 
     def picture(self) -> NDArray[np.uint8]:
         """The object's color, sRGB, H×W×3."""
+        picture = self._photograph()
+        if self.filled is not None:
+            picture = picture.copy()
+            picture[self.filled] = FILLED_COLOR
+        return picture
+
+    def _photograph(self) -> NDArray[np.uint8]:
         color = self.color
         if self.chart is not None:
             if color.ndim != 3:
@@ -77,7 +93,7 @@ class Exporter:
     def mesh(self) -> Mesh:
         """The surface at full size, as in fused/surface.ply."""
         mesh = mesh_from_depth(self.surface, color=self.color, options=self.options, threads=self.threads)
-        if self.chart is None:
+        if self.chart is None and self.filled is None:
             return mesh
         colors = np.rint(sample(self.picture(), self.pixels(mesh.vertices))).astype(np.uint8)
         return replace(mesh, colors=colors)
@@ -407,6 +423,8 @@ def export(
     albedo: bool = False,
     chart: str | Path | None = None,
     url: str | None = None,
+    trim: float | None = None,
+    fill: bool = False,
     threads: int = ALL_CORES,
 ) -> Path:
     """Write the surface of a workspace or a result in one of FORMATS; returns the file's path.
@@ -427,7 +445,8 @@ def export(
     - archive: everything with its inputs and paradata, RO-Crate in a BagIt bag, ZIP (see malus.archive).
 
     albedo: colors are the object's own, without highlights and shading (malus.albedo), instead of those of the photograph. chart: file of
-    `malus chart`, which takes the camera's colors to sRGB. Images say their color space (PNG) and the words of [object] (XMP).
+    `malus chart`, which takes the camera's colors to sRGB. trim: leaves out of meshes what has a larger standard deviation (GSD); fill: closes
+    holes that the surface surrounds, in magenta, for nothing was measured there. Images say their color space (PNG) and the words of [object] (XMP).
 
     Raises malus.InputError, DataError for the albedo of a surface without a reflection model, or ExternalError if the format needs a package that is not installed.
     """
@@ -440,9 +459,13 @@ def export(
         (albedo, "albedo", COLORED),
         (chart, "chart", COLORED),
         (url, "url", ("iiif",)),
+        (trim, "trim", MESHES),
+        (fill, "fill", MESHES),
     ):
         if given and format not in allowed:
             raise InputError(f"--{name} is for {', '.join(allowed)}, not for {format}")
+    if trim is not None and not trim > 0:
+        raise InputError(f"--trim {trim}, expected a positive standard deviation in GSD")
     if faces is not None and faces < 4:
         raise InputError(f"--faces {faces}, expected at least 4")
     write, name, endings = FORMATS[format]
@@ -452,13 +475,13 @@ def export(
         with work.in_workspace() as folder:
             return export(
                 folder, format, output, faces=faces, interval=interval, y_up=y_up, albedo=albedo, chart=chart,
-                url=url, threads=threads,
+                url=url, trim=trim, fill=fill, threads=threads,
             )  # fmt: skip
     path = Path(work) / "export" / name if output is None else Path(output)
     if path.suffix.lower() not in endings:
         raise InputError(f"{path}: ends in {path.suffix!r}, expected {' or '.join(endings) or 'a folder'} for {format}")
     correction = None if chart is None else ColorCorrection.load(chart)
-    exporter = Exporter(Workspace(work), threads, albedo=albedo, chart=correction)
+    exporter = Exporter(Workspace(work), threads, albedo=albedo, chart=correction, trim=trim, fill=fill)
     with writing(path):
         write(exporter, path, Wishes(faces, interval, y_up, url))
     return path
