@@ -28,7 +28,7 @@ from malus.iiif import write_iiif
 from malus.raster import sample
 from malus.repair import FILLED_COLOR, filled, trimmed
 from malus.result import Result
-from malus.rti import write_rti
+from malus.rti import write_relight, write_rti
 from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
 from malus.threads import ALL_CORES
 from malus.units import METRES
@@ -262,6 +262,10 @@ def _write_rti(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     write_rti(exporter.workspace, path)
 
 
+def _write_relight(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+    write_relight(exporter.workspace, path, exporter.xmp())
+
+
 def _write_iiif(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     gsd = float(exporter.workspace.quality["gsd"])
     relief = grey(hillshade(flattened(exporter.surface.depth), gsd))[..., :1]
@@ -403,6 +407,7 @@ FORMATS: dict[str, tuple[Writer, str, tuple[str, ...]]] = {
     "sections": (_write_sections, "sections.svg", (".svg", ".dxf")),
     "colmap": (_write_colmap, "colmap", ("",)),
     "rti": (_write_rti, "surface.ptm", (".ptm",)),
+    "relight": (_write_relight, "relight", ("",)),
     "iiif": (_write_iiif, "iiif", ("",)),
     "archive": (_write_archive, "archive.zip", (".zip",)),
 }
@@ -441,6 +446,7 @@ def export(
     - contours (every `interval`, station unit; default: a round one) and sections (along every [[profile]]): SVG or DXF.
     - colmap: a dense workspace (folder) with depth and normal map of the station, for stereo_fusion and poisson_mesher.
     - rti: the object under any light, a polynomial texture map for RTI viewers.
+    - relight: the same as a folder for OpenLIME and RelightLab, with normals and albedo as layers.
     - iiif: photograph, relief and albedo as a folder for IIIF viewers; `url`: where it will be on the web.
     - archive: everything with its inputs and paradata, RO-Crate in a BagIt bag, ZIP (see malus.archive).
 

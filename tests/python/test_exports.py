@@ -351,6 +351,33 @@ def test_colmap_goes_on_with_the_surface(workspace: malus.Workspace, points: np.
         malus.export(workspace.folder, "colmap", folder)
 
 
+def test_relight_folder_shades_as_openlime_computes_it(workspace: malus.Workspace, tmp_path: Path) -> None:
+    from PIL import Image
+
+    from malus.rti import relightable
+
+    folder = malus.export(workspace.folder, "relight", tmp_path / "relight")
+    info = json.loads((folder / "info.json").read_text())
+    assert (info["type"], info["colorspace"], info["nplanes"]) == ("ptm", "lrgb", 9)
+    assert info["pixelSizeInMM"] == pytest.approx(workspace.quality["gsd"])
+    planes = [np.asarray(Image.open(folder / f"plane_{k}.jpg")) / 255 for k in range(3)]
+    scale, bias = (np.reshape(info["materials"][0][name], (3, 3)) for name in ("scale", "bias"))
+    # ShaderRTI.js, PTM and LRGB: weights of light directions times dequantized coefficients.
+    u, v = -0.5, 0.4
+    weights = np.reshape([1, u, v, u * u, u * v, v * v], (2, 3))
+    light = sum(((planes[k] - bias[k]) * scale[k] * weights[k - 1]).sum(-1) for k in (1, 2))
+    direction = np.array([u, v, np.sqrt(1 - u * u - v * v)])
+    known = relightable(workspace)
+    cosine = np.maximum(known.normals @ direction, 0)
+    assert np.nanmean(np.abs(light - cosine)) < 0.05
+    normals = np.asarray(Image.open(folder / "normals.png")).astype(float) / 255 * 2 - 1
+    assert np.nanmax(np.abs(normals - known.normals)) < 0.005
+    np.testing.assert_array_equal(np.asarray(Image.open(folder / "albedo.png")), known.colors)
+    assert np.abs((planes[0] - bias[0]) * scale[0] * 255 - known.colors).mean() < 2
+    with pytest.raises(malus.InputError, match="is there already"):
+        malus.export(workspace.folder, "relight", folder)
+
+
 def read_ptm(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients and colours by the text of the PTM 1.2 format."""
     kind, form, width, height, scales, biases, rest = path.read_bytes().split(b"\n", 6)
