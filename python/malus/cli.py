@@ -170,7 +170,14 @@ def _parser() -> argparse.ArgumentParser:
     dates.add_argument(
         "--same-frame", action="store_true", help="both stand in one frame already: the later surface is not moved"
     )
-    dates.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for page and maps")
+    dates.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default=Path("malus-change"),
+        metavar="DIR",
+        help="folder for page and maps, default: malus-change",
+    )
     start = commands.add_parser("import", help="station file for a folder of polarized images")
     start.add_argument("folder", type=Path, metavar="FOLDER")
     start.add_argument("-o", "--output", type=Path, required=True, metavar="STATION.toml")
