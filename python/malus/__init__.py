@@ -16,6 +16,7 @@ _memory.prepare()
 from malus import assess, capture, evidence, fusion, height, photogrammetry, polarization, prior, stereo, surface  # noqa: E402
 from malus._core import version as __version__  # noqa: E402
 from malus.camera import Camera  # noqa: E402
+from malus.change import Change, compare  # noqa: E402
 from malus.errors import DataError, ExternalError, InputError, MalusError, ResourceError  # noqa: E402
 from malus.exports import export  # noqa: E402
 from malus.object import Object  # noqa: E402
@@ -30,6 +31,7 @@ from malus.workspace import Workspace  # noqa: E402
 
 __all__ = [
     "Camera",
+    "Change",
     "Confidence",
     "DataError",
     "ExternalError",
@@ -46,6 +48,7 @@ __all__ = [
     "assess",
     "capture",
     "check",
+    "compare",
     "evidence",
     "export",
     "fusion",

@@ -16,9 +16,11 @@ import malus
 from malus import _core, batch, m3c2, registration, studio
 from malus._files import require_utf8
 from malus.campaign import Campaign
+from malus.change import change_summary
+from malus.chart import measure_chart
 from malus.demo import EXAMPLES, example_station
 from malus.errors import InputError, ending_of
-from malus.exports import FORMATS, MESHES
+from malus.exports import COLORED, FORMATS, MESHES
 from malus.object import Object, run_object
 from malus.object.definition import is_object_file
 from malus.object.run import object_summary
@@ -26,6 +28,7 @@ from malus.options import MAIN
 from malus.progress import BarProgress, JsonProgress, ProgressView, WarningsOnly
 from malus.reconstruction import expected_times
 from malus.report_head import size_of_object
+from malus.shell import SHELLS, completion, manual
 from malus.threads import ALL_CORES
 
 INTERRUPTED = 130
@@ -140,7 +143,45 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("--faces", type=int, metavar="N", help=f"at most N triangles ({', '.join(MESHES)})")
     export.add_argument("--interval", type=float, metavar="LENGTH", help="between contour lines; default: a round one")
     export.add_argument("--y-up", action="store_true", help="glb: turned from z up to glTF's y up")
+    export.add_argument(
+        "--albedo", action="store_true", help=f"color without highlights and shading ({', '.join(COLORED)})"
+    )
+    export.add_argument(
+        "--trim", type=float, metavar="GSD", help="meshes: leave out what has a larger standard deviation of depth"
+    )
+    export.add_argument("--fill", action="store_true", help="meshes: close holes; what was not measured is magenta")
+    export.add_argument("--url", help="iiif: where the folder will be on the web; default: http://localhost:8000")
+    export.add_argument(
+        "--chart", type=Path, metavar="FILE.json", help="of `malus chart`: colors in sRGB with a stated difference"
+    )
     export.add_argument("-o", "--output", type=Path, metavar="PATH", help="default: in WORK/export/")
+    chart = commands.add_parser("chart", help="measure a ColorChecker, for the colors of exports")
+    chart.add_argument(
+        "source", type=Path, metavar="IMAGE|WORK", help="color image, or workspace in whose view it lies"
+    )
+    chart.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.json")
+    chart.add_argument(
+        "--corners",
+        metavar="X,Y,…",
+        help="pixels of the centers of dark skin, bluish green, black, white; default: it is looked for",
+    )
+    chart.add_argument(
+        "--response", default="linear", metavar="linear|srgb|gamma:X", help="of the image; default: linear"
+    )
+    dates = add("compare", "what changed between two workspaces of one object", station=False, work=False)
+    dates.add_argument("before", type=Path, metavar="BEFORE", help="workspace of the earlier date")
+    dates.add_argument("after", type=Path, metavar="AFTER", help="workspace of the later date")
+    dates.add_argument(
+        "--same-frame", action="store_true", help="both stand in one frame already: the later surface is not moved"
+    )
+    dates.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default=Path("malus-change"),
+        metavar="DIR",
+        help="folder for page and maps, default: malus-change",
+    )
     start = commands.add_parser("import", help="station file for a folder of polarized images")
     start.add_argument("folder", type=Path, metavar="FOLDER")
     start.add_argument("-o", "--output", type=Path, required=True, metavar="STATION.toml")
@@ -179,6 +220,9 @@ def _parser() -> argparse.ArgumentParser:
     local.add_argument("folder", type=Path, nargs="?", default=Path(), metavar="FOLDER", help="default: this folder")
     local.add_argument("--port", type=int, default=0, help="default: any free one")
     local.add_argument("--no-browser", action="store_true", help="print the address only")
+    shell = commands.add_parser("completion", help="print a script that completes commands and options in a shell")
+    shell.add_argument("shell", choices=SHELLS)
+    commands.add_parser("manual", help="print the manual page (roff): malus manual | man -l -")
     options = commands.add_parser("options", help="list every option with its default and meaning")
     options.add_argument("--main", action="store_true", help="only the dozen that matter most")
     options.add_argument(
@@ -192,7 +236,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _angles(option: str, text: str | None, expected: str) -> list[float] | None:
+def _numbers(option: str, text: str | None, expected: str) -> list[float] | None:
     try:
         return None if text is None else [float(word) for word in text.split(",")]
     except ValueError:
@@ -387,6 +431,24 @@ def _print_object(folder: Path, outcomes: Sequence[batch.Outcome], quiet: bool) 
         print(line)
 
 
+def _compare(args: argparse.Namespace) -> None:
+    with _view(args) as view:
+        view.expect([("compare", 20.0)])
+        change = malus.compare(
+            args.before,
+            args.after,
+            args.output,
+            same_frame=args.same_frame,
+            threads=args.threads,
+            progress=lambda fraction, message: view.progress("compare", fraction, message),
+        )
+    if args.quiet:
+        for warning in change.figures["warnings"]:
+            print(f"warning: {warning}", file=sys.stderr)
+    elif not args.json:
+        print(*change_summary(change.figures), f"  page: {change.folder / 'index.html'}", sep="\n")
+
+
 def _batch(args: argparse.Namespace) -> None:
     campaign = Campaign.load(args.campaign)
     _options(args, campaign.options)
@@ -443,6 +505,12 @@ def _run(arguments: Sequence[str] | None) -> None:
     for text in sys.argv[1:] if arguments is None else arguments:
         require_utf8(text)
     args = _parser().parse_args(arguments)
+    if args.command == "completion":
+        print(completion(_parser(), args.shell))
+        return
+    if args.command == "manual":
+        print(manual(_parser()))
+        return
     if args.command == "options":
         _list_options(args.preset, main_only=args.main)
         return
@@ -453,8 +521,8 @@ def _run(arguments: Sequence[str] | None) -> None:
                 args.output,
                 table=args.table,
                 pattern=args.pattern,
-                angles=_angles("--angles", args.angles, "angles in degrees: 0,45,90,135"),
-                mosaic=_angles("--mosaic", args.mosaic, "four angles in degrees: 90,45,135,0"),
+                angles=_numbers("--angles", args.angles, "angles in degrees: 0,45,90,135"),
+                mosaic=_numbers("--mosaic", args.mosaic, "four angles in degrees: 90,45,135,0"),
                 colors=args.colors,
                 metashape=args.metashape,
                 label=args.label,
@@ -462,6 +530,11 @@ def _run(arguments: Sequence[str] | None) -> None:
                 unit=args.unit,
             )
         )
+        return
+    if args.command == "chart":
+        corners = _numbers("--corners", args.corners, "eight numbers: x,y of four patches")
+        correction = measure_chart(args.source, corners=corners, response=args.response)
+        print(correction.save(args.output), correction.summary(), sep="\n")
         return
     if args.command == "studio":
         studio.serve(args.folder, port=args.port, browser=not args.no_browser)
@@ -485,9 +558,16 @@ def _run(arguments: Sequence[str] | None) -> None:
                 faces=args.faces,
                 interval=args.interval,
                 y_up=args.y_up,
+                albedo=args.albedo,
+                chart=args.chart,
+                url=args.url,
+                trim=args.trim,
+                fill=args.fill,
                 threads=args.threads,
             )
         )
+    elif args.command == "compare":
+        _compare(args)
     elif args.command == "batch":
         _batch(args)
     elif args.command == "object":

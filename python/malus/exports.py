@@ -9,9 +9,9 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,50 +19,88 @@ from numpy.typing import NDArray
 from malus import _core, archive, drawings
 from malus._extra import extra
 from malus._files import replacing, write_bytes, write_text, writing
+from malus.albedo import albedo_of
+from malus.chart import ColorCorrection
 from malus.colmap_export import write_colmap_workspace
 from malus.errors import InputError
+from malus.figures import flattened, grey, hillshade
+from malus.iiif import write_iiif
+from malus.raster import sample
+from malus.repair import FILLED_COLOR, filled, trimmed
 from malus.result import Result
-from malus.rti import write_rti
+from malus.rti import write_relight, write_rti
 from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
 from malus.threads import ALL_CORES
 from malus.units import METRES
-from malus.workspace import Workspace
-
-
-def sample(raster: NDArray[Any], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bilinear values of a raster (H×W×C) at pixels (…×2: u, v); beyond the border the nearest pixel counts."""
-    height, width = raster.shape[:2]
-    u = np.clip(pixels[..., 0], 0, width - 1)
-    v = np.clip(pixels[..., 1], 0, height - 1)
-    u0 = np.minimum(u.astype(int), max(width - 2, 0))
-    v0 = np.minimum(v.astype(int), max(height - 2, 0))
-    u1, v1 = np.minimum(u0 + 1, width - 1), np.minimum(v0 + 1, height - 1)
-    s, t = (u - u0)[..., None], (v - v0)[..., None]
-    top = (1 - s) * raster[v0, u0] + s * raster[v0, u1]
-    bottom = (1 - s) * raster[v1, u0] + s * raster[v1, u1]
-    return np.asarray((1 - t) * top + t * bottom, dtype=np.float64)
+from malus.workspace import Raster, Workspace
+from malus.xmp import packet, save_png, tag_tiff
 
 
 class Exporter:
     """Makes what the formats need from a workspace, each thing once."""
 
-    def __init__(self, workspace: Workspace, threads: int = ALL_CORES) -> None:
+    def __init__(
+        self,
+        workspace: Workspace,
+        threads: int = ALL_CORES,
+        *,
+        albedo: bool = False,
+        chart: ColorCorrection | None = None,
+        trim: float | None = None,
+        fill: bool = False,
+    ) -> None:
+        """albedo: colors are the object's own, without highlights and shading, instead of those of the photograph.
+
+        chart: what takes the camera's colors to sRGB; without it they are shown as they are, brightened by `surface.white_percentile`.
+        trim: pixels with a larger standard deviation (GSD) are left out. fill: holes are closed, in the color FILLED_COLOR.
+        """
         self.workspace = workspace
+        self.albedo = albedo
+        self.chart = chart
         self.threads = threads
         self.unit = str(workspace.quality["unit"])
         self.name = str(workspace.quality["name"])
         self.options = workspace.options()
         self.surface = workspace.surface()
+        if trim is not None:
+            self.surface = trimmed(self.surface, trim * float(workspace.quality["gsd"]))
+        self.filled: NDArray[np.bool_] | None = None
+        if fill:
+            self.surface, self.filled = filled(self.surface)
         self.rotation, self.translation = workspace.pose
 
+    @cached_property
+    def color(self) -> Raster:
+        """Linear color of the object, H×W or H×W×3: as photographed, without polarization, or its albedo."""
+        return albedo_of(self.workspace) if self.albedo else self.workspace.color()
+
     def picture(self) -> NDArray[np.uint8]:
-        """The object without polarization, sRGB, H×W×3."""
-        color = self.workspace.color()
+        """The object's color, sRGB, H×W×3."""
+        picture = self._photograph()
+        if self.filled is not None:
+            picture = picture.copy()
+            picture[self.filled] = FILLED_COLOR
+        return picture
+
+    def _photograph(self) -> NDArray[np.uint8]:
+        color = self.color
+        if self.chart is not None:
+            if color.ndim != 3:
+                raise InputError(f"{self.workspace.folder}: was taken in gray, a color chart is for a station in color")
+            return self.chart.encoded(color)
         return _core.display_image(color, self.surface.depth, self.options.surface.white_percentile)
 
     def mesh(self) -> Mesh:
         """The surface at full size, as in fused/surface.ply."""
-        return mesh_from_depth(self.surface, color=self.workspace.color(), options=self.options, threads=self.threads)
+        mesh = mesh_from_depth(self.surface, color=self.color, options=self.options, threads=self.threads)
+        if self.chart is None and self.filled is None:
+            return mesh
+        colors = np.rint(sample(self.picture(), self.pixels(mesh.vertices))).astype(np.uint8)
+        return replace(mesh, colors=colors)
+
+    def xmp(self) -> str:
+        """The catalogue's words for image files."""
+        return packet(self.name, self.workspace.quality.get("object") or {})
 
     def pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Where world points (…×3) are seen in the station's image, …×2."""
@@ -120,6 +158,7 @@ class Wishes:
     faces: int | None = None
     interval: float | None = None
     y_up: bool = False
+    url: str | None = None
 
 
 def _write_ply(exporter: Exporter, path: Path, wishes: Wishes) -> None:
@@ -178,22 +217,14 @@ def _write_stl(exporter: Exporter, path: Path, wishes: Wishes) -> None:
 
 
 def _write_orthophoto(exporter: Exporter, path: Path, wishes: Wishes) -> None:
-    from PIL import Image
-    from PIL.PngImagePlugin import PngInfo
-
     dem = exporter.dem()
     known = np.isfinite(dem.elevation)
     picture = np.zeros((*dem.elevation.shape, 4), np.uint8)
     colors = sample(exporter.picture(), exporter.pixels(dem.points()[known]))
     picture[known, :3] = np.rint(colors)
     picture[known, 3] = 255
-    told = PngInfo()
-    for key, value in {"Title": exporter.name, **(exporter.workspace.quality.get("object") or {})}.items():
-        if value:
-            told.add_itxt(key.replace("_", " ").capitalize(), str(value))
     per_metre = 1 / (dem.pixel * METRES[exporter.unit])
-    with replacing(path) as temporary:
-        Image.fromarray(picture).save(temporary, dpi=(per_metre * 0.0254,) * 2, pnginfo=told)
+    save_png(path, picture, exporter.xmp(), dpi=per_metre * 0.0254)
     # World file: size of a pixel and the center of the first, in the elevation model's own coordinates.
     write_text(path.with_suffix(".pgw"), f"{dem.pixel:.12g}\n0\n0\n{-dem.pixel:.12g}\n0\n0\n")
 
@@ -231,17 +262,38 @@ def _write_rti(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     write_rti(exporter.workspace, path)
 
 
+def _write_relight(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+    write_relight(exporter.workspace, path, exporter.xmp())
+
+
+def _write_iiif(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+    gsd = float(exporter.workspace.quality["gsd"])
+    relief = grey(hillshade(flattened(exporter.surface.depth), gsd))[..., :1]
+    pictures = {
+        "photograph": ("Photograph, without polarized light", exporter.picture()),
+        "relief": ("Relief, light from the upper left", np.repeat(relief, 3, axis=-1)),
+    }
+    if exporter.workspace.has("fused/refinement.json"):
+        own = Exporter(exporter.workspace, exporter.threads, albedo=True, chart=exporter.chart)
+        pictures["albedo"] = ("Color without highlights and shading", own.picture())
+    write_iiif(
+        path,
+        pictures,
+        address=wishes.url or "http://localhost:8000",
+        name=exporter.name,
+        words=exporter.workspace.quality.get("object") or {},
+        summary=f"Surface from polarization and stereo, one pixel is {gsd:.4g} {exporter.unit}.",
+    )
+
+
 def _write_archive(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     archive.write_archive(exporter.workspace.folder, path)
 
 
 def _write_obj(exporter: Exporter, path: Path, wishes: Wishes) -> None:
-    from PIL import Image
-
     mesh = exporter.simplified(wishes.faces)
     texture, material = path.with_suffix(".png"), path.with_suffix(".mtl")
-    with replacing(texture) as temporary:
-        Image.fromarray(exporter.picture()).save(temporary)
+    save_png(texture, exporter.picture(), exporter.xmp())
     with replacing(material) as temporary:
         temporary.write_text(f"newmtl photograph\nKd 1 1 1\nKs 0 0 0\nmap_Kd {texture.name}\n", encoding="utf-8")
     # OBJ counts from 1.
@@ -258,6 +310,7 @@ def _write_obj(exporter: Exporter, path: Path, wishes: Wishes) -> None:
 def _write_dem(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     with replacing(path) as temporary:
         shutil.copyfile(exporter.workspace.path("fused/dem.tif"), temporary)
+        tag_tiff(temporary, exporter.xmp())
 
 
 def _write_exr(path: Path, channels: dict[str, NDArray[np.float32]]) -> None:
@@ -280,7 +333,10 @@ def _write_normal_map(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         return
     levels = np.rint((normals + 1) / 2 * 65535).astype(np.uint16)
     write = _core.write_png16 if path.suffix.lower() == ".png" else _core.write_tiff16
-    write(str(path), levels)
+    with replacing(path) as temporary:
+        write(str(temporary), levels)
+        if write is _core.write_tiff16:
+            tag_tiff(temporary, exporter.xmp())
 
 
 def _write_displacement(exporter: Exporter, path: Path, wishes: Wishes) -> None:
@@ -289,7 +345,9 @@ def _write_displacement(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     if path.suffix.lower() == ".exr":
         _write_exr(path, {"Y": elevation})
     else:
-        _core.write_float_tiff(str(path), elevation)
+        with replacing(path) as temporary:
+            _core.write_float_tiff(str(temporary), elevation)
+            tag_tiff(temporary, exporter.xmp())
 
 
 def _write_las(exporter: Exporter, path: Path, wishes: Wishes) -> None:
@@ -349,10 +407,14 @@ FORMATS: dict[str, tuple[Writer, str, tuple[str, ...]]] = {
     "sections": (_write_sections, "sections.svg", (".svg", ".dxf")),
     "colmap": (_write_colmap, "colmap", ("",)),
     "rti": (_write_rti, "surface.ptm", (".ptm",)),
+    "relight": (_write_relight, "relight", ("",)),
+    "iiif": (_write_iiif, "iiif", ("",)),
     "archive": (_write_archive, "archive.zip", (".zip",)),
 }
 #: The formats that have triangles.
 MESHES = ("obj", "ply", "glb", "stl")
+#: The formats that have the object's color.
+COLORED = ("obj", "ply", "glb", "orthophoto", "las", "e57", "colmap", "iiif")
 
 
 def export(
@@ -363,6 +425,11 @@ def export(
     faces: int | None = None,
     interval: float | None = None,
     y_up: bool = False,
+    albedo: bool = False,
+    chart: str | Path | None = None,
+    url: str | None = None,
+    trim: float | None = None,
+    fill: bool = False,
     threads: int = ALL_CORES,
 ) -> Path:
     """Write the surface of a workspace or a result in one of FORMATS; returns the file's path.
@@ -379,9 +446,15 @@ def export(
     - contours (every `interval`, station unit; default: a round one) and sections (along every [[profile]]): SVG or DXF.
     - colmap: a dense workspace (folder) with depth and normal map of the station, for stereo_fusion and poisson_mesher.
     - rti: the object under any light, a polynomial texture map for RTI viewers.
+    - relight: the same as a folder for OpenLIME and RelightLab, with normals and albedo as layers.
+    - iiif: photograph, relief and albedo as a folder for IIIF viewers; `url`: where it will be on the web.
     - archive: everything with its inputs and paradata, RO-Crate in a BagIt bag, ZIP (see malus.archive).
 
-    Raises malus.InputError, or ExternalError if the format needs a package that is not installed.
+    albedo: colors are the object's own, without highlights and shading (malus.albedo), instead of those of the photograph. chart: file of
+    `malus chart`, which takes the camera's colors to sRGB. trim: leaves out of meshes what has a larger standard deviation (GSD); fill: closes
+    holes that the surface surrounds, in magenta, for nothing was measured there. Images say their color space (PNG) and the words of [object] (XMP).
+
+    Raises malus.InputError, DataError for the albedo of a surface without a reflection model, or ExternalError if the format needs a package that is not installed.
     """
     if format not in FORMATS:
         raise InputError(f"format {format!r}, expected one of {', '.join(FORMATS)}")
@@ -389,9 +462,16 @@ def export(
         (faces, "faces", MESHES),
         (interval, "interval", ("contours",)),
         (y_up, "y-up", ("glb",)),
+        (albedo, "albedo", COLORED),
+        (chart, "chart", COLORED),
+        (url, "url", ("iiif",)),
+        (trim, "trim", MESHES),
+        (fill, "fill", MESHES),
     ):
         if given and format not in allowed:
             raise InputError(f"--{name} is for {', '.join(allowed)}, not for {format}")
+    if trim is not None and not trim > 0:
+        raise InputError(f"--trim {trim}, expected a positive standard deviation in GSD")
     if faces is not None and faces < 4:
         raise InputError(f"--faces {faces}, expected at least 4")
     write, name, endings = FORMATS[format]
@@ -399,11 +479,15 @@ def export(
         if output is None and work.workspace is None:
             raise InputError(f"output is missing: {work.name} is in memory, expected the path of a file")
         with work.in_workspace() as folder:
-            return export(folder, format, output, faces=faces, interval=interval, y_up=y_up, threads=threads)
+            return export(
+                folder, format, output, faces=faces, interval=interval, y_up=y_up, albedo=albedo, chart=chart,
+                url=url, trim=trim, fill=fill, threads=threads,
+            )  # fmt: skip
     path = Path(work) / "export" / name if output is None else Path(output)
     if path.suffix.lower() not in endings:
         raise InputError(f"{path}: ends in {path.suffix!r}, expected {' or '.join(endings) or 'a folder'} for {format}")
-    exporter = Exporter(Workspace(work), threads)
+    correction = None if chart is None else ColorCorrection.load(chart)
+    exporter = Exporter(Workspace(work), threads, albedo=albedo, chart=correction, trim=trim, fill=fill)
     with writing(path):
-        write(exporter, path, Wishes(faces, interval, y_up))
+        write(exporter, path, Wishes(faces, interval, y_up, url))
     return path

@@ -257,7 +257,36 @@ class Plates:
 
     # ---- maps ----
 
-    def _map(self, raster: Raster, how: _Map, shade: Raster | None = None) -> Figure:
+    def signed_map(
+        self,
+        name: str,
+        title: str,
+        caption: str,
+        raster: Raster,
+        unit: str,
+        *,
+        shade: Raster | None = None,
+        labels: Sequence[tuple[float, float, str]] = (),
+    ) -> Figure:
+        """Map of signed distances (at the size of the pictures), blue for positive ones, over relief shading if it is given.
+
+        labels: column and row in the raster, and what is written there.
+        """
+        finite = np.abs(raster[np.isfinite(raster)])
+        spread = (float(np.percentile(finite, 95)) if finite.size else 0.0) or 1.0
+        return self._map(raster, _Map(name, title, caption, "RdBu", unit, (-spread, spread)), shade, labels)
+
+    def plain_map(self, name: str, title: str, caption: str, raster: Raster, unit: str) -> Figure:
+        """Map of positive values at the size of the pictures."""
+        return self._map(raster, _Map(name, title, caption, "viridis", unit))
+
+    def _map(
+        self,
+        raster: Raster,
+        how: _Map,
+        shade: Raster | None = None,
+        labels: Sequence[tuple[float, float, str]] = (),
+    ) -> Figure:
         finite = raster[np.isfinite(raster)].astype(float)
         limits = how.limits
         if limits is None:
@@ -277,6 +306,9 @@ class Plates:
             )
         axes.set_axis_off()
         self._scale_bar(axes, shape[1])
+        for u, v, word in labels:
+            text = axes.text(u, v, word, color="white", fontsize=_LETTERS_PT, ha="center", va="center")
+            text.set_path_effects([withStroke(linewidth=2.5, foreground="black")])
         if bar_height:
             bar_axes = drawing.add_axes((0.15, bar_height * 0.72, 0.65, bar_height * 0.2))
             bar = drawing.colorbar(picture, cax=bar_axes, orientation="horizontal")
@@ -489,10 +521,8 @@ class Plates:
 
     def _distances(self, name: str, title: str, figures: Mapping[str, Any]) -> Iterator[Figure]:
         raster = self.raster(f"fused/{name}_distance.tif") / np.float32(self.gsd)
-        finite = np.abs(raster[np.isfinite(raster)])
-        spread = float(np.percentile(finite, 95)) if finite.size else 1.0
         caption = "Positive (blue): the surface lies in front of the reference."
-        yield self._map(raster, _Map(f"{name}_distance", title, caption, "RdBu", "GSD", (-spread, spread)))
+        yield self.signed_map(f"{name}_distance", title, caption, raster, "GSD")
         yield self._histogram(
             f"{name}_histogram", f"{title}, histogram", "distance [GSD]", {"fused": figures["histogram_gsd"]}, {}
         )

@@ -19,13 +19,13 @@ from malus import _core
 from malus._extra import extra
 from malus._files import write_text
 from malus.errors import DataError, InputError
-from malus.workspace import Workspace
+from malus.workspace import Raster, Workspace
 
 #: Core points at most, about: larger stations have one for every n × n pixels.
 CORE_POINTS = 200000
 #: Points of the surface that a cylinder should hold, and normals' radius over the cylinder's.
 _POINTS_IN_CYLINDER = 25
-_NORMAL_FACTOR = 3.0
+NORMAL_FACTOR = 3.0
 _BINS = 50
 
 
@@ -54,13 +54,63 @@ def _aligned(points: NDArray[np.float64], comparison: dict[str, Any] | None) -> 
     return moved
 
 
-def _summary(distances: NDArray[np.float64], detectable: NDArray[np.float64], gsd: float) -> dict[str, Any]:
-    known = np.isfinite(distances)
-    values = distances[known] / gsd
+def distances(
+    before: NDArray[np.float64],
+    after: NDArray[np.float64],
+    core: NDArray[np.float64],
+    normals_of: NDArray[np.float64],
+    *,
+    radius: float,
+    largest: float,
+    towards: NDArray[np.float64],
+    registration: float = 0.0,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Signed distances from one cloud to another at core points (all N×3, one frame), and the smallest that could be detected (95 %).
+
+    radius: of the cylinders, which reach `largest` both ways along the normals of the cloud `normals_of`; these point `towards` a
+    direction, in which distances are positive. registration: one standard deviation of the clouds' place. NaN = not compared.
+    """
+    library = _py4dgeo()
+    library.set_memory_policy(library.MemoryPolicy.COREPOINTS)
+    # The library computes in single precision in parts: about the middle.
+    middle = core.mean(0)
+    algorithm = library.M3C2(
+        epochs=(library.Epoch(before - middle), library.Epoch(after - middle)),
+        corepoints=core - middle,
+        cyl_radius=radius,
+        max_distance=largest,
+        normal_radii=[NORMAL_FACTOR * radius],
+        cloud_for_normals=library.Epoch(normals_of - middle),
+        orientation_vector=towards,
+        registration_error=registration,
+    )
+    found, uncertainty = algorithm.run()
+    return np.asarray(found, float), np.asarray(uncertainty["lodetection"], float)
+
+
+def cylinder_radius(spacing: float) -> float:
+    """Radius of a cylinder that holds about 25 points of a surface with this distance between points."""
+    return float(np.sqrt(_POINTS_IN_CYLINDER / np.pi)) * spacing
+
+
+def thinning(pixels: int) -> int:
+    """One core point for every n × n of so many pixels."""
+    return int(max(1, np.ceil(np.sqrt(pixels / CORE_POINTS))))
+
+
+def spread_out(core: NDArray[np.float64], step: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """A map of core points, one for step × step pixels, as a map of all pixels."""
+    full = np.kron(core.astype(np.float32), np.ones((step, step), np.float32))
+    return np.asarray(full[: shape[0], : shape[1]], dtype=np.float32)
+
+
+def _summary(found: NDArray[np.float64], detectable: NDArray[np.float64], gsd: float) -> dict[str, Any]:
+    known = np.isfinite(found)
+    values = found[known] / gsd
     spread = float(np.percentile(np.abs(values), 99)) or 1.0
     counts, edges = np.histogram(values, _BINS, (-spread, spread))
     limit = detectable[known & np.isfinite(detectable)] / gsd
-    significant = np.abs(distances) > detectable
+    significant = np.abs(found) > detectable
     median = float(np.median(values))
     return {
         "compared_fraction": float(known.mean()),
@@ -94,7 +144,7 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
 
     Raises malus.InputError, DataError if nothing of the reference is near, ExternalError without py4dgeo.
     """
-    library = _py4dgeo()
+    _py4dgeo()  # before anything is read: it may be missing
     if radius is not None and not radius > 0:
         raise InputError(f"radius {radius}, expected a positive length")
     workspace = Workspace(work)
@@ -102,10 +152,9 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
     scan = _core.read_points(str(reference))
     grid = _aligned(workspace.points(), workspace.quality["reference"])
     known: NDArray[np.bool_] = np.asarray(np.isfinite(grid).all(-1))
-    step = int(max(1, np.ceil(np.sqrt(known.sum() / CORE_POINTS))))
+    step = thinning(int(known.sum()))
     core = known[::step, ::step]
     surface, core_points = grid[known], grid[::step, ::step][core]
-    middle = surface.mean(0)
     low, high = surface.min(0) - 50 * gsd, surface.max(0) + 50 * gsd
     near = scan[((scan >= low) & (scan <= high)).all(1)]
     if len(near) < 10:
@@ -114,32 +163,30 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
         )
     # The area that both clouds share is about that of the surface's pixels.
     sparser = max(gsd, _spacing(near, len(surface) * gsd**2))
-    chosen = radius or float(np.sqrt(_POINTS_IN_CYLINDER / np.pi)) * sparser
-    library.set_memory_policy(library.MemoryPolicy.COREPOINTS)
-    algorithm = library.M3C2(
-        epochs=(library.Epoch(near - middle), library.Epoch(surface - middle)),
-        corepoints=core_points - middle,
-        cyl_radius=chosen,
-        max_distance=50 * gsd,
-        normal_radii=[_NORMAL_FACTOR * chosen],
-        cloud_for_normals=library.Epoch(surface - middle),
-        orientation_vector=-workspace.pose[0][2],
+    chosen = radius or cylinder_radius(sparser)
+    found, detectable = distances(
+        near,
+        surface,
+        core_points,
+        surface,
+        radius=chosen,
+        largest=50 * gsd,
+        towards=-workspace.pose[0][2],
     )
-    distances, uncertainty = algorithm.run()
-    if not np.isfinite(distances).any():
+    if not np.isfinite(found).any():
         raise DataError(
             f"{reference}: no point of the surface has {chosen:.4g} around it in the reference, expected a larger radius"
         )
-    small = np.full(core.shape, np.nan, np.float32)
-    small[core] = distances
-    full = np.kron(small, np.ones((step, step), np.float32))[: known.shape[0], : known.shape[1]]
+    small = np.full(core.shape, np.nan)
+    small[core] = found
+    full = spread_out(small, step, known.shape)
     figures = {
         "reference": str(reference),
         "reference_points": len(near),
         "cylinder_radius": chosen,
-        "normal_radius": _NORMAL_FACTOR * chosen,
+        "normal_radius": NORMAL_FACTOR * chosen,
         "pixels_per_core_point": step * step,
-        **_summary(np.asarray(distances, float), np.asarray(uncertainty["lodetection"], float), gsd),
+        **_summary(found, detectable, gsd),
     }
     with workspace.recording("m3c2") as files:
         files += ["fused/m3c2_distance.tif", "m3c2.json"]

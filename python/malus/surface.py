@@ -70,6 +70,6 @@ def normals_from_depth(depth: ArrayLike, camera: Camera, *, threads: int = ALL_C
 def mesh_from_depth(
     surface: FusedSurface, *, color: ArrayLike | None = None, options: Options | None = None, threads: int = ALL_CORES
 ) -> Mesh:
-    """Triangulate a fused surface, cut at depth discontinuities; color: H×W linear intensity for the vertices."""
-    intensity = None if color is None else as_image(color, "color")
+    """Triangulate a fused surface, cut at depth discontinuities; color: H×W or H×W×3, linear, for the vertices."""
+    intensity = None if color is None else as_image(color, "color", 3 if np.ndim(color) == 3 else 1)
     return Mesh(**_core.mesh_from_depth(surface, intensity, (options or Options()).to_json(), threads))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus import _core, figures
+from malus.albedo import diffuse_albedo
 from malus.figures import reduced, step_for
 from malus.surface import Mesh, mesh_from_depth, normals_from_depth
 from malus.workspace import Raster, Workspace
@@ -81,38 +82,20 @@ def _packed_normals(normals: NDArray[np.float64]) -> str:
     return pack(np.moveaxis(whole, -1, 0))
 
 
-def albedo(picture: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Color without the shading of the light it was taken under.
+def unshaded_color(
+    workspace: Workspace, window: _Window, normals: NDArray[np.float64], mirrored: Raster | None = None
+) -> NDArray[np.uint8]:
+    """The object's color in the window without its shading, sRGB; normals as `viewer_normals` gives them.
 
-    The shading is first-order in the normal, fitted to the picture's brightness by iteratively reweighted least squares (Cauchy), and
-    kept above a fifth of its median, so that shadows are not blown up. picture: H×W×3, linear; normals: H×W×3, NaN = none.
+    mirrored: H×W, share of the light that was mirrored at the surface and is to be taken out; quicker without it.
     """
-    known = np.isfinite(normals).all(-1)
-    brightness = picture[known].mean(-1)
-    design = np.concatenate([normals[known], np.ones((len(brightness), 1))], -1)
-    stride = max(1, len(brightness) // 50000)
-    few, target = design[::stride], brightness[::stride]
-    weight = np.ones(len(target))
-    coefficients = np.zeros(4)
-    for _ in range(10):
-        coefficients = np.linalg.lstsq(few * weight[:, None], target * weight, rcond=None)[0]
-        residual = target - few @ coefficients
-        spread = 1.4826 * np.median(np.abs(residual)) + 1e-12
-        weight = 1 / np.sqrt(1 + (residual / (2.4 * spread)) ** 2)
-    shading = design @ coefficients
-    middle = float(np.median(shading))
-    result = np.zeros_like(picture)
-    result[known] = picture[known] * (middle / np.maximum(shading, 0.2 * middle))[:, None]
-    return result
-
-
-def unshaded_color(workspace: Workspace, window: _Window, normals: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """The object's color in the window without its shading, sRGB; normals as `viewer_normals` gives them."""
-    color = workspace.color()
-    channels = [color[..., c] for c in range(3)] if color.ndim == 3 else [color] * 3
+    image = workspace.color()
+    channels = [image[..., c] for c in range(3)] if image.ndim == 3 else [image] * 3
     picture = np.nan_to_num(np.stack([window.of(channel) for channel in channels], -1).astype(float))
     flat = np.where(np.isfinite(normals).all(-1), 1.0, np.nan).astype(np.float32)
-    return _core.display_image(albedo(picture, normals).astype(np.float32), flat, 99.0)
+    share = None if mirrored is None else window.of(mirrored)
+    color = diffuse_albedo(picture, normals * (1, -1, -1), mirrored=share)
+    return _core.display_image(np.nan_to_num(color), flat, 99.0)
 
 
 def relighting(workspace: Workspace) -> dict[str, Any]:

@@ -109,10 +109,10 @@ class Workspace:
         raster: Raster = _core.read_raster(str(self.path(name)))
         return raster
 
-    def points(self) -> NDArray[np.float64]:
-        """World points of all pixels of the fused surface, H×W×3, NaN where there is no depth."""
+    def points(self, depth: Raster | None = None) -> NDArray[np.float64]:
+        """World points of all pixels, H×W×3, NaN where there is no depth; of the fused surface, or of a depth in its view."""
         camera, (rotation, translation) = self.camera, self.pose
-        depth = self.raster("fused/depth.tif").astype(float)
+        depth = (self.raster("fused/depth.tif") if depth is None else depth).astype(float)
         v, u = np.indices(depth.shape)
         in_camera = np.stack([(u - camera.cx) / camera.fx * depth, (v - camera.cy) / camera.fy * depth, depth], -1)
         points: NDArray[np.float64] = (in_camera - translation) @ rotation

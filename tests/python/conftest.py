@@ -7,7 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import tifffile
 
+import malus as package
 from malus import synthetic
 
 # Ctrl-C is ignored in a shell's background jobs, and so by the programs that are started here, unless it is handled.
@@ -25,6 +26,15 @@ EXAMPLE = ROOT / "examples" / "relief"
 SHARED = ROOT.parent / "shared"
 #: Window of the demo's images that the small station shows: the flat label and carving around it.
 WINDOW = (380, 240, 580, 400)
+
+#: Of two dates of one object: center (u, v), radius and depth (GSD, positive = lost) of what was changed between them.
+DENT, LUMP = ((70, 60, 14), 6.0), ((170, 40, 12), -5.0)
+#: The later survey has a world frame of its own.
+ANGLE = np.radians(25)
+LATER = (
+    np.array([[np.cos(ANGLE), -np.sin(ANGLE), 0], [np.sin(ANGLE), np.cos(ANGLE), 0], [0, 0, 1]]),
+    np.array([120.0, -45.0, 60.0]),
+)
 
 needs_shared = pytest.mark.skipif(not (SHARED / "data").exists(), reason="the test data in ../shared is not here")
 
@@ -148,6 +158,42 @@ def finished_grid(small_station_source: Path, tmp_path_factory: pytest.TempPathF
     outcome = malus("run", small_station_source / "station.toml", "-o", work, "--fusion", "grid", "--threads", "2")
     assert outcome.code == 0, outcome.err
     return work
+
+
+def _changed(scene: synthetic.Scene) -> synthetic.Scene:
+    """The scene with flat-bottomed dent and lump, edges over three pixels."""
+    depth = scene.depth.copy()
+    v, u = np.indices(depth.shape)
+    for (u0, v0, radius), gsd in (DENT, LUMP):
+        depth += gsd * scene.gsd * np.clip((radius - np.hypot(u - u0, v - v0)) / 3 + 0.5, 0, 1)
+    return replace(scene, depth=depth)
+
+
+def _finished(scene: synthetic.Scene, folder: Path, *, seed: int) -> Path:
+    images = [image / np.float32(16383) for image in synthetic.render(scene, seed=seed)]
+    station = package.Station(
+        images,
+        synthetic.Sensor().angles_deg,
+        scene.camera,
+        prior_depth=synthetic.stereo_depth(scene, seed=seed),
+        name=folder.name,
+        full_well_e=20000,
+        read_noise_e=8,
+        frames_averaged=16,
+    )
+    package.reconstruct(station, workspace=folder, threads=2)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def dates(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Workspaces of a stone, and of the same with a dent and a lump in a frame of its own; read them, do not change them."""
+    folder = tmp_path_factory.mktemp("dates")
+    scene = synthetic.relief(240, 180, seed=3)
+    rotation, translation = LATER
+    camera = replace(scene.camera, rotation=rotation, translation=translation)
+    later = replace(_changed(scene), camera=camera)
+    return _finished(scene, folder / "y2020", seed=1), _finished(later, folder / "y2025", seed=2)
 
 
 @pytest.fixture

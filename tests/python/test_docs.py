@@ -54,8 +54,13 @@ def tifffile_or_png(path: Path) -> np.ndarray:
 
 
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
-def test_commands_and_programs_of_a_tutorial_run(page: Path, tmp_path: Path) -> None:
+def test_commands_and_programs_of_a_tutorial_run(page: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     text = page.read_text(encoding="utf-8")
+    if "<!-- two finished workspaces" in text:
+        pytest.importorskip("py4dgeo")
+        pytest.importorskip("cv2")
+        for work in request.getfixturevalue("dates"):
+            shutil.copytree(work, tmp_path / work.name)
     for name, kind in re.findall(r"<!-- folder: (\S+) = (.*?) -->", text):
         prepare(kind, tmp_path / name)
     program = ""

@@ -265,6 +265,31 @@ def test_orthophoto_lies_on_the_elevation_model(workspace: malus.Workspace, tmp_
     assert np.abs(picture[:3, known].T - expected).max() <= 0.5 + 1e-9
 
 
+def test_images_say_whose_they_are(workspace: malus.Workspace, tmp_path: Path) -> None:
+    from xml.etree import ElementTree
+
+    from PIL import Image
+
+    orthophoto = malus.export(workspace.folder, "orthophoto", tmp_path / "a.png")
+    with Image.open(orthophoto) as image:
+        packets = [image.info["XML:com.adobe.xmp"]]
+        assert image.info["icc_profile"][36:40] == b"acsp"
+    for name in ("dem", "displacement", "normal-map"):
+        path = malus.export(workspace.folder, name, tmp_path / f"{name}.tif")
+        with tifffile.TiffFile(path) as file:
+            assert len(file.pages) == 1
+            packets.append(file.pages[0].tags[700].value.decode())
+    plain = tifffile.imread(workspace.path("fused/dem.tif"))
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "dem.tif"), plain)
+    dc = "{http://purl.org/dc/elements/1.1/}"
+    for packet in packets:
+        root = ElementTree.fromstring(packet.split("?>", 1)[1].rsplit("<?", 1)[0])
+        assert "".join(next(root.iter(f"{dc}title")).itertext()).strip() == "Relief & label"
+        assert next(root.iter(f"{dc}identifier")).text == "X 1907.4"
+        terms = next(root.iter("{http://ns.adobe.com/xap/1.0/rights/}UsageTerms"))
+        assert "".join(terms.itertext()).strip() == "CC-BY-4.0"
+
+
 @pytest.mark.parametrize("ending", ["svg", "dxf"])
 def test_contours_run_at_their_height(workspace: malus.Workspace, tmp_path: Path, ending: str) -> None:
     dem = exports.Exporter(workspace).dem()
@@ -326,6 +351,33 @@ def test_colmap_goes_on_with_the_surface(workspace: malus.Workspace, points: np.
         malus.export(workspace.folder, "colmap", folder)
 
 
+def test_relight_folder_shades_as_openlime_computes_it(workspace: malus.Workspace, tmp_path: Path) -> None:
+    from PIL import Image
+
+    from malus.rti import relightable
+
+    folder = malus.export(workspace.folder, "relight", tmp_path / "relight")
+    info = json.loads((folder / "info.json").read_text())
+    assert (info["type"], info["colorspace"], info["nplanes"]) == ("ptm", "lrgb", 9)
+    assert info["pixelSizeInMM"] == pytest.approx(workspace.quality["gsd"])
+    planes = [np.asarray(Image.open(folder / f"plane_{k}.jpg")) / 255 for k in range(3)]
+    scale, bias = (np.reshape(info["materials"][0][name], (3, 3)) for name in ("scale", "bias"))
+    # ShaderRTI.js, PTM and LRGB: weights of light directions times dequantized coefficients.
+    u, v = -0.5, 0.4
+    weights = np.reshape([1, u, v, u * u, u * v, v * v], (2, 3))
+    light = sum(((planes[k] - bias[k]) * scale[k] * weights[k - 1]).sum(-1) for k in (1, 2))
+    direction = np.array([u, v, np.sqrt(1 - u * u - v * v)])
+    known = relightable(workspace)
+    cosine = np.maximum(known.normals @ direction, 0)
+    assert np.nanmean(np.abs(light - cosine)) < 0.05
+    normals = np.asarray(Image.open(folder / "normals.png")).astype(float) / 255 * 2 - 1
+    assert np.nanmax(np.abs(normals - known.normals)) < 0.005
+    np.testing.assert_array_equal(np.asarray(Image.open(folder / "albedo.png")), known.colors)
+    assert np.abs((planes[0] - bias[0]) * scale[0] * 255 - known.colors).mean() < 2
+    with pytest.raises(malus.InputError, match="is there already"):
+        malus.export(workspace.folder, "relight", folder)
+
+
 def read_ptm(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients and colours by the text of the PTM 1.2 format."""
     kind, form, width, height, scales, biases, rest = path.read_bytes().split(b"\n", 6)
@@ -354,7 +406,10 @@ def test_rti_shades_like_the_normals(workspace: malus.Workspace, tmp_path: Path)
 
 def test_dem_export_is_that_of_the_run(finished_grid: Path, tmp_path: Path) -> None:
     path = malus.export(finished_grid, "dem", tmp_path / "a.tif")
-    assert path.read_bytes() == (finished_grid / "fused/dem.tif").read_bytes()
+    rasterio = pytest.importorskip("rasterio")
+    with rasterio.open(path) as exported, rasterio.open(finished_grid / "fused/dem.tif") as made:
+        np.testing.assert_array_equal(exported.read(1), made.read(1))
+        assert (exported.crs, exported.transform, exported.tags()) == (made.crs, made.transform, made.tags())
 
 
 @pytest.mark.parametrize(

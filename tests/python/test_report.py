@@ -237,19 +237,6 @@ def test_hillshade_is_linear_in_the_cosine_to_the_light(slope: float, azimuth: f
     assert np.isnan(shade[3, 4])
 
 
-def test_albedo_is_free_of_the_light() -> None:
-    rng = np.random.default_rng(3)
-    slopes = rng.normal(0, 0.4, (60, 80, 2))
-    normals = np.concatenate([-slopes, np.ones((60, 80, 1))], -1)
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    paint = rng.choice([0.2, 0.5], (60, 80))
-    light = np.array([0.3, 0.4, 0.85])
-    picture = (paint * (normals @ light + 0.1))[..., None] * np.ones(3)
-    removed = viewer.albedo(picture, normals)[..., 0]
-    assert np.std(removed[paint == 0.5]) < 0.02 * np.mean(removed[paint == 0.5]) + 0.02
-    assert np.mean(removed[paint == 0.5]) / np.mean(removed[paint == 0.2]) == pytest.approx(2.5, rel=0.05)
-
-
 def test_large_stations_are_averaged_down(monkeypatch: pytest.MonkeyPatch, work: Path) -> None:
     monkeypatch.setattr(viewer, "NORMALS_SIDE_PX", 64)
     monkeypatch.setattr(viewer, "MESH_TRIANGLES", 2000)

@@ -1,0 +1,87 @@
+"""The page of a comparison: both dates under a movable edge, the map of distances, what is significant, the changed parts."""
+
+from __future__ import annotations
+
+import base64
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+
+from malus import _core
+from malus.change.regions import Region
+from malus.change.significance import Distances, reduced_maps
+from malus.exports import Exporter
+from malus.figures import Figure, Plates, encode, flattened, grey, hillshade
+from malus.units import METRES
+
+
+def _maps(plates: Plates, distances: Distances, regions: list[Region], um: float) -> list[Figure]:
+    every, significant = (values * um for values in reduced_maps(distances, plates.step))
+    labels = [(region.u / plates.step, region.v / plates.step, str(region.number)) for region in regions[:30]]
+    return [
+        plates.signed_map(
+            "distance",
+            "Distance of the later surface from the earlier one",
+            "Along the earlier surface's normal. Positive (blue): in front of it, material was added; negative (red): it was lost.",
+            every,
+            "µm",
+        ),
+        plates.signed_map(
+            "significant",
+            "Significant changes",
+            "The same where it is beyond the smallest change that could be told (95 %), over the earlier relief; the numbers are those "
+            "of the table.",
+            significant,
+            "µm",
+            shade=plates.shade("fused"),
+            labels=labels,
+        ),
+        plates.plain_map(
+            "limit",
+            "Smallest change that could be told",
+            "A smaller one cannot be told from none (95 %).",
+            plates.small(distances.limit) * um,
+            "µm",
+        ),
+    ]
+
+
+def write_page(
+    folder: Path,
+    before: Exporter,
+    distances: Distances,
+    regions: list[Region],
+    figures: dict[str, Any],
+) -> Path:
+    """Write index.html (self-contained) and figures/ with every figure as PNG and its numbers as CSV; returns the page's path."""
+    plates = Plates(before.workspace)
+    drawn = _maps(plates, distances, regions, METRES[before.unit] * 1e6)
+    (folder / "figures").mkdir()
+    for figure in drawn:
+        (folder / f"figures/{figure.name}.png").write_bytes(figure.png())
+        (folder / f"figures/{figure.name}.csv").write_text(figure.csv(), encoding="utf-8")
+    pixel = plates.gsd * plates.step
+    box = plates.object_box()
+    shades = [hillshade(flattened(plates.small(d)), pixel) for d in (before.surface.depth, distances.depth_after)]
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["base64"] = lambda content: base64.b64encode(content).decode()
+    environment.globals.update(asset=_asset)
+    template = environment.from_string(resources.files("malus").joinpath("templates/change.html.j2").read_text("utf-8"))
+    page = template.render(
+        figures=figures,
+        plates=drawn,
+        pictures=[encode(grey(shade)[box], "WEBP", quality=90) for shade in shades],
+        version=_core.version,
+    )
+    path = folder / "index.html"
+    path.write_text(page, encoding="utf-8")
+    return path
+
+
+def _asset(name: str) -> Markup:
+    return Markup(resources.files("malus").joinpath("assets", name).read_text(encoding="utf-8"))

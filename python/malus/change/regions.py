@@ -1,0 +1,76 @@
+"""Connected parts of a surface that changed: where, how large, how deep, how much was lost or added."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malus import m3c2
+from malus._extra import extra
+from malus.change.significance import Distances
+from malus.exports import Exporter
+from malus.units import METRES
+
+
+@dataclass(frozen=True)
+class Region:
+    """One changed part. u, v: its center in the earlier image, pixels; x, y, z: in the earlier world frame, station unit.
+
+    mean_um, extreme_um: distance, positive = material in front of the earlier surface. volume_mm3: of what was added (positive) or lost.
+    """
+
+    number: int
+    u: float
+    v: float
+    x: float
+    y: float
+    z: float
+    area_mm2: float
+    mean_um: float
+    extreme_um: float
+    volume_mm3: float
+
+
+def find_regions(before: Exporter, distances: Distances) -> list[Region]:
+    """Connected significant pixels of one sign, largest volume first; those smaller than a cylinder's section are left out.
+
+    Single pixels exceed a limit of 95 % by chance; connected ones as large as what M3C2 averages over hardly do.
+    """
+    ndimage = extra("scipy.ndimage", "scipy", "malus compare", "compare")
+    metre = METRES[before.unit]
+    area = pixel_areas(before) * (metre * 1e3) ** 2
+    least = np.pi * (distances.radius * metre * 1e3) ** 2
+    um = distances.distance * metre * 1e6
+    points = before.workspace.points()
+    found: list[Region] = []
+    for sign in (1, -1):
+        labels, count = ndimage.label(distances.significant & (sign * um > 0), structure=np.ones((3, 3)))
+        for k, box in enumerate(ndimage.find_objects(labels, count), start=1):
+            inside = labels[box] == k
+            areas = area[box][inside]
+            if areas.sum() < least:
+                continue
+            values = um[box][inside]
+            rows, columns = np.nonzero(inside)
+            u, v = columns.mean() + box[1].start, rows.mean() + box[0].start
+            x, y, z = points[box][inside].mean(0).tolist()
+            found.append(
+                Region(
+                    0, float(u), float(v), x, y, z, float(areas.sum()), float(np.average(values, weights=areas)),
+                    float(sign * np.percentile(sign * values, 99)), float((values * areas).sum() / 1000),
+                )
+            )  # fmt: skip
+    found.sort(key=lambda region: -abs(region.volume_mm3))
+    return [replace(region, number=k) for k, region in enumerate(found, start=1)]
+
+
+def pixel_areas(exporter: Exporter) -> NDArray[np.float64]:
+    """Area of the surface in each pixel, H×W, station unit squared; NaN where there is none."""
+    camera, surface = exporter.workspace.camera, exporter.surface
+    v, u = np.indices(surface.depth.shape)
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], -1)
+    # A pixel's ray has z = 1: its section across the axis is depth² / (fx fy), on the surface that over the cosine.
+    facing = np.maximum(-(rays * surface.normals).sum(-1), 0.1)
+    return np.asarray(surface.depth.astype(float) ** 2 / (camera.fx * camera.fy) / facing, dtype=np.float64)

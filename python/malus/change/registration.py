@@ -1,0 +1,197 @@
+"""Laying the later surface upon the earlier one by what did not change between them.
+
+First roughly, by features (SIFT, Lowe 2004) of the pictures and of relief shadings, which do not depend on the light; then by
+point-to-plane ICP with robust weights (`malus.assess.compare`), twice more without the blocks of pixels that stand apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malus import assess
+from malus._core import FusedSurface
+from malus._extra import extra
+from malus.camera import Camera
+from malus.errors import DataError
+from malus.exports import Exporter
+from malus.figures import flattened, hillshade
+from malus.options import Options
+from malus.raster import sample
+
+Floats = NDArray[np.float64]
+#: Side of the blocks of pixels that are stable or not, and how many of their spreads a changed one is away.
+_BLOCK_PX = 16
+_APART = 3.0
+#: Matches that must agree on one motion, and how well (pixels of the later view).
+_LEAST_MATCHES = 12
+_AGREEMENT_PX = 4.0
+_RATIO = 0.8
+#: Share of the later surface that must lie near the earlier one.
+_LEAST_COMPARED = 0.1
+
+
+@dataclass(frozen=True)
+class Motion:
+    """x_before = rotation @ x_after + translation, world frames, unit of the earlier station."""
+
+    rotation: Floats
+    translation: Floats
+
+    def apply(self, points: Floats) -> Floats:
+        """Points (…×3) of the later frame in the earlier one."""
+        return np.asarray(points @ self.rotation.T + self.translation, dtype=np.float64)
+
+    def after(self, first: Motion) -> Motion:
+        """`first`, then this."""
+        return Motion(self.rotation @ first.rotation, self.rotation @ first.translation + self.translation)
+
+    def moved(self, surface: FusedSurface) -> FusedSurface:
+        """A surface of the later frame in the earlier one: its camera moves."""
+        camera = surface.camera
+        rotation, translation = camera.pose()
+        turned = rotation @ self.rotation.T
+        pose = turned, translation - turned @ self.translation
+        moved = Camera("PINHOLE", camera.width, camera.height, [camera.fx, camera.fy, camera.cx, camera.cy], *pose)
+        return FusedSurface(surface.depth, surface.normals, surface.sigma, moved)
+
+
+@dataclass(frozen=True)
+class Registration:
+    """How the later surface came to lie upon the earlier one.
+
+    by: "features" (then ICP), "frames" (ICP from the frames as they are) or "none" (nothing was moved). matches: features that agree.
+    size: length on the later surface over the same length on the earlier one, by the features. error: how far apart both surfaces
+    lie over blocks of pixels where nothing changed (one robust standard deviation, station unit). stable_fraction: of the later
+    surface that counts as unchanged.
+    """
+
+    motion: Motion
+    by: str
+    matches: int
+    size: float | None
+    error: float
+    stable_fraction: float
+
+
+def register(before: Exporter, after: Exporter, *, same_frame: bool, threads: int) -> Registration:
+    """Find the motion of the later surface; DataError if they cannot be laid upon each other.
+
+    same_frame: both stand in one frame already; nothing is moved, only the error is measured.
+    """
+    matches, size, by = 0, None, "none"
+    motion = Motion(np.eye(3), np.zeros(3))
+    if not same_frame:
+        rough = _from_features(before, after)
+        by = "frames" if rough is None else "features"
+        if rough is not None:
+            motion, matches, size = rough
+    mesh = before.mesh()
+    options = Options()
+    options.assess.alignment = "none" if same_frame else "rigid"
+    gsd = float(before.workspace.quality["gsd"])
+    depth = after.surface.depth.copy()
+    # Twice more without what stands apart.
+    for _ in range(3):
+        surface = FusedSurface(depth, after.surface.normals, after.surface.sigma, after.surface.camera)
+        found = assess.compare(
+            motion.moved(surface), mesh.vertices, gsd, triangles=mesh.triangles, options=options, threads=threads
+        )
+        # A motion that has not quite settled is taken on by the next round; whether it is good the blocks say.
+        if found["status"] == "no pixel near the reference" or found["compared_fraction"] < _LEAST_COMPARED:
+            raise DataError(
+                f"{after.workspace.folder}: its surface does not lie upon that of {before.workspace.folder} "
+                f"({100 * found['compared_fraction']:.0f} % lies near it, {matches} features agree), expected two surfaces of the same object; "
+                "if their frames differ, their pictures must resemble each other"
+            )
+        step = found["reference_from_surface"]
+        motion = Motion(np.array(step["rotation"]).reshape(3, 3), np.array(step["translation"])).after(motion)
+        stable, error = _stable(found["distance"])
+        depth[~stable] = np.nan
+    share = np.isfinite(depth).sum() / np.isfinite(after.surface.depth).sum()
+    return Registration(motion, by, matches, size, error, float(share))
+
+
+def _stable(distance: NDArray[np.float32]) -> tuple[NDArray[np.bool_], float]:
+    """Pixels of blocks whose median distance is near that of most blocks, and the spread of those medians."""
+    height, width = distance.shape
+    rows, columns = -(-height // _BLOCK_PX), -(-width // _BLOCK_PX)
+    padded = np.full((rows * _BLOCK_PX, columns * _BLOCK_PX), np.nan)
+    padded[:height, :width] = distance
+    blocks = padded.reshape(rows, _BLOCK_PX, columns, _BLOCK_PX).swapaxes(1, 2).reshape(rows, columns, -1)
+    enough = np.isfinite(blocks).sum(-1) > _BLOCK_PX**2 // 4
+    if not enough.any():
+        return np.zeros(distance.shape, bool), float("nan")
+    medians = np.full((rows, columns), np.nan)
+    medians[enough] = np.nanmedian(blocks[enough], axis=1)
+    middle = np.median(medians[enough])
+    spread = 1.4826 * float(np.median(np.abs(medians[enough] - middle)))
+    stable = np.abs(medians - middle) <= _APART * spread
+    pixels = np.kron(stable, np.ones((_BLOCK_PX, _BLOCK_PX), bool))[:height, :width]
+    return pixels, spread
+
+
+def _pictures(exporter: Exporter) -> list[NDArray[np.uint8]]:
+    """The object's picture in gray, and relief shadings by two lights."""
+    gsd = float(exporter.workspace.quality["gsd"])
+    relief = flattened(exporter.surface.depth)
+    shades = [hillshade(relief, gsd, azimuth) for azimuth in (315, 45)]
+    return [
+        exporter.picture().mean(-1).astype(np.uint8),
+        *(np.rint(255 * np.nan_to_num(shade)).astype(np.uint8) for shade in shades),
+    ]
+
+
+def _matched(before: Exporter, after: Exporter, cv2: Any) -> tuple[Floats, Floats]:
+    """Pixels (N×2 each) that look alike in both views."""
+    sift, matcher = cv2.SIFT_create(), cv2.BFMatcher(cv2.NORM_L2)
+    known = [np.where(np.isfinite(e.surface.depth), 255, 0).astype(np.uint8) for e in (before, after)]
+    here, there = [np.empty((0, 2))], [np.empty((0, 2))]
+    for one, other in zip(_pictures(before), _pictures(after), strict=True):
+        points, described = sift.detectAndCompute(one, known[0])
+        others, described_too = sift.detectAndCompute(other, known[1])
+        if described is None or described_too is None or min(len(points), len(others)) < 2:
+            continue
+        pairs = matcher.knnMatch(described, described_too, k=2)
+        good = [first for first, second in pairs if first.distance < _RATIO * second.distance]
+        here.append(np.array([points[match.queryIdx].pt for match in good]).reshape(-1, 2))
+        there.append(np.array([others[match.trainIdx].pt for match in good]).reshape(-1, 2))
+    return np.concatenate(here), np.concatenate(there)
+
+
+def _world(exporter: Exporter, pixels: Floats) -> Floats:
+    """World points under pixels (N×2), NaN where there is no depth."""
+    camera = exporter.workspace.camera
+    depth = sample(exporter.surface.depth[..., None].astype(float), pixels)[:, 0]
+    x = (pixels[:, 0] - camera.cx) / camera.fx * depth
+    y = (pixels[:, 1] - camera.cy) / camera.fy * depth
+    in_camera = np.stack([x, y, depth], -1)
+    return np.asarray((in_camera - exporter.translation) @ exporter.rotation, dtype=np.float64)
+
+
+def _from_features(before: Exporter, after: Exporter) -> tuple[Motion, int, float] | None:
+    """Motion, number of features that agree on it, and how much larger the later surface is; None without enough of them."""
+    cv2 = extra("cv2", "opencv-contrib-python-headless", "malus compare", "compare")
+    here, there = _matched(before, after, cv2)
+    points, points_after = _world(before, here), _world(after, there)
+    usable = np.isfinite(points).all(-1) & np.isfinite(points_after).all(-1)
+    points, points_after, there = points[usable], points_after[usable], there[usable]
+    if len(points) < _LEAST_MATCHES:
+        return None
+    camera = after.workspace.camera
+    lens = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
+    cv2.setRNGSeed(1)
+    found, _, _, inliers = cv2.solvePnPRansac(
+        points, there, lens, None, iterationsCount=5000, reprojectionError=_AGREEMENT_PX, confidence=0.9999,
+        flags=cv2.SOLVEPNP_SQPNP,
+    )  # fmt: skip
+    if not found or inliers is None or len(inliers) < _LEAST_MATCHES:
+        return None
+    chosen = inliers.ravel()
+    source, target = points_after[chosen], points[chosen]
+    fitted, size = cv2.estimateAffine3D(source, target, force_rotation=True)
+    rotation = np.asarray(fitted[:, :3], dtype=np.float64)
+    return Motion(rotation, target.mean(0) - rotation @ source.mean(0)), len(chosen), 1 / float(size)

@@ -1,0 +1,227 @@
+"""`malus compare BEFORE AFTER -o DIR`: the whole comparison of two dates, and its files."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malus import _core
+from malus._extra import extra
+from malus._files import writing
+from malus.change.page import write_page
+from malus.change.regions import Region, find_regions, pixel_areas
+from malus.change.registration import Registration, register
+from malus.change.significance import Distances, measure
+from malus.errors import InputError
+from malus.exports import Exporter
+from malus.lengths import shown
+from malus.surface import Dem, write_dem
+from malus.threads import ALL_CORES
+from malus.units import METRES
+from malus.workspace import Workspace
+
+#: A comparison with less in common than this may be laid upon the wrong place.
+_LEAST_STABLE = 0.5
+#: Lengths that differ by more between the dates point to a scale, not to a change.
+_MOST_SIZE = 0.002
+
+
+@dataclass(frozen=True)
+class Change:
+    """What `compare` found. distance, limit: H×W float32, the earlier station's view and unit, NaN = not compared; positive = the later
+    surface lies in front. regions: changed parts, largest first. figures: all of change.json.
+    """
+
+    distance: NDArray[np.float32]
+    limit: NDArray[np.float32]
+    regions: list[Region]
+    figures: dict[str, Any]
+    folder: Path
+
+
+def compare(
+    before: str | Path,
+    after: str | Path,
+    output: str | Path,
+    *,
+    same_frame: bool = False,
+    threads: int = ALL_CORES,
+    progress: Callable[[float, str], None] = lambda fraction, message: None,
+) -> Change:
+    """Compare two workspaces of one object, taken at two dates; writes a folder and returns what it says.
+
+    The later surface is laid upon the earlier one by what did not change (`same_frame`: both stand in one frame already, by control points
+    for instance, and nothing is moved). output: a folder that is new, or of an earlier comparison, which is replaced: index.html,
+    change.json, regions.csv, distance.tif and limit.tif (float, the earlier station's view and unit), distance_dem.tif (GeoTIFF on the
+    grid of the earlier elevation model), figures/.
+
+    Raises malus.InputError for other units or an output that is something else, malus.DataError if the surfaces cannot be laid upon each
+    other, malus.ExternalError unless the extra `compare` is installed.
+    """
+    for module, package in (("py4dgeo", "py4dgeo"), ("cv2", "opencv-contrib-python-headless"), ("scipy", "scipy")):
+        extra(module, package, "malus compare", "compare")
+    folder = _own_folder(Path(output))
+    progress(0.0, "reading")
+    first, second = (Exporter(Workspace(work), threads) for work in (before, after))
+    if first.unit != second.unit:
+        raise InputError(
+            f"{after}: lengths are in {second.unit}, those of {before} in {first.unit}, expected one unit; "
+            "set [station] unit and run it again"
+        )
+    progress(0.1, "laying one surface upon the other")
+    registration = register(first, second, same_frame=same_frame, threads=threads)
+    progress(0.4, "measuring distances")
+    distances = measure(first, second, registration, threads)
+    regions = find_regions(first, distances)
+    figures = _figures(first, second, registration, distances, regions)
+    progress(0.8, "writing")
+    with writing(folder), tempfile.TemporaryDirectory(prefix=".change-", dir=folder.parent) as scratch:
+        new = Path(scratch) / "new"
+        new.mkdir()
+        _write_files(new, first, distances, regions, figures)
+        write_page(new, first, distances, regions, figures)
+        if folder.exists():
+            shutil.rmtree(folder)
+        shutil.move(str(new), folder)
+    progress(1.0, str(folder / "index.html"))
+    return Change(distances.distance, distances.limit, regions, figures, folder)
+
+
+def _own_folder(folder: Path) -> Path:
+    if folder.exists() and not (folder / "change.json").is_file() and any(folder.iterdir() if folder.is_dir() else "x"):
+        raise InputError(f"{folder}: is there already, expected a new folder or one of an earlier comparison")
+    with writing(folder):
+        return folder
+
+
+def _figures(
+    before: Exporter, after: Exporter, registration: Registration, distances: Distances, regions: list[Region]
+) -> dict[str, Any]:
+    um = METRES[before.unit] * 1e6
+    compared = np.isfinite(distances.distance)
+    values, limits = distances.distance[compared] * um, distances.limit[compared] * um
+    areas = pixel_areas(before)
+    whole, changed = (float(np.nansum(areas[chosen])) for chosen in (compared, distances.significant))
+    return {
+        "unit": before.unit,
+        "before": _identity(before),
+        "after": _identity(after),
+        "registration": {
+            "by": registration.by,
+            "matches": registration.matches,
+            "size_after_over_before": registration.size,
+            "error_um": registration.error * um,
+            "stable_fraction": registration.stable_fraction,
+            "rotation": registration.motion.rotation.tolist(),
+            "translation": registration.motion.translation.tolist(),
+        },
+        "compared_fraction": float(compared.sum() / np.isfinite(before.surface.depth).sum()),
+        "cylinder_radius_um": distances.radius * um,
+        "distance_um": {
+            **{f"p{p:02d}": float(np.percentile(values, p)) for p in (1, 5, 50, 95, 99)},
+            "mean": float(values.mean()),
+            "rms": float(np.sqrt((values**2).mean())),
+        },
+        "limit_um": {f"p{p:02d}": float(np.percentile(limits, p)) for p in (5, 50, 95)},
+        "significant_fraction": changed / whole,
+        "regions": [asdict(region) for region in regions],
+        "warnings": _warnings(before, after, registration),
+        "versions": before.workspace.manifest["versions"],
+    }
+
+
+def _identity(exporter: Exporter) -> dict[str, Any]:
+    quality = exporter.workspace.quality
+    return {
+        "workspace": str(exporter.workspace.folder),
+        "manifest_sha256": _core.sha256_of_file(str(exporter.workspace.folder / "manifest.json")),
+        "name": exporter.name,
+        "recorded_on": quality.get("object", {}).get("recorded_on") or None,
+        "gsd_um": float(quality["gsd"]) * METRES[exporter.unit] * 1e6,
+        "confidence": quality["confidence"],
+    }
+
+
+def _warnings(before: Exporter, after: Exporter, registration: Registration) -> list[str]:
+    warnings = []
+    for which, exporter in (("earlier", before), ("later", after)):
+        confidence = exporter.workspace.quality["confidence"]
+        if confidence["level"] == "low":
+            warnings.append(f"the {which} surface has low confidence: {'; '.join(confidence['reasons'])}")
+    if registration.stable_fraction < _LEAST_STABLE:
+        warnings.append(
+            f"only {100 * registration.stable_fraction:.0f} % of the surface did not change: it may have been laid upon the "
+            "wrong place, or one of the surfaces is bent"
+        )
+    if registration.by == "frames":
+        warnings.append(
+            "the pictures have too little in common to find the place; the surfaces were laid upon each other from the "
+            "frames of their stations as they are"
+        )
+    if registration.size is not None and abs(registration.size - 1) > _MOST_SIZE:
+        warnings.append(
+            f"lengths on the later surface are {100 * (registration.size - 1):+.2f} % of those on the earlier one: "
+            "check the scale bars of both"
+        )
+    return warnings
+
+
+def _write_files(
+    folder: Path, before: Exporter, distances: Distances, regions: list[Region], figures: dict[str, Any]
+) -> None:
+    _core.write_float_tiff(str(folder / "distance.tif"), distances.distance)
+    _core.write_float_tiff(str(folder / "limit.tif"), distances.limit)
+    dem = before.dem()
+    write_dem(folder / "distance_dem.tif", _on_grid(before, dem, distances), unit=before.unit, name="change")
+    table = io.StringIO()
+    writer = csv.DictWriter(table, list(Region.__dataclass_fields__), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(asdict(region) for region in regions)
+    (folder / "regions.csv").write_text(table.getvalue(), encoding="utf-8")
+    (folder / "change.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+
+
+def _on_grid(before: Exporter, dem: Dem, distances: Distances) -> Dem:
+    """The distance at the pixels of the elevation model, in place of the elevation."""
+    height, width = distances.distance.shape
+    known = np.isfinite(dem.elevation)
+    pixels = np.rint(before.pixels(dem.points()[known])).astype(int)
+    u, v = np.clip(pixels[:, 0], 0, width - 1), np.clip(pixels[:, 1], 0, height - 1)
+    values = np.full(dem.elevation.shape, np.nan, np.float32)
+    values[known] = distances.distance[v, u]
+    return Dem(values, dem.pixel, dem.origin, dem.right, dem.up, dem.normal)
+
+
+def change_summary(figures: dict[str, Any]) -> list[str]:
+    """What a person wants to know first, a line each."""
+    registration, regions = figures["registration"], figures["regions"]
+    count = len(regions)
+    found = f"{count} changed part{'' if count == 1 else 's'}" if count else "no change"
+    lines = [
+        f"{figures['before']['name']} and {figures['after']['name']}: {found}; "
+        f"half of the surface would show one beyond {shown(figures['limit_um']['p50'], 'um')}"
+    ]
+    for region in regions[:5]:
+        lines.append(
+            f"  {region['number']}: {'added' if region['mean_um'] > 0 else 'lost'} "
+            f"{shown(abs(region['mean_um']), 'um')} on average, {shown(abs(region['extreme_um']), 'um')} at most, on "
+            f"{region['area_mm2']:.3g} mm², {abs(region['volume_mm3']):.3g} mm³"
+        )
+    if count > 5:
+        lines.append(f"  and {count - 5} more, regions.csv")
+    moved = {"features": "by features and ICP", "frames": "by ICP from their frames", "none": "not moved"}
+    lines.append(
+        f"  laid upon each other {moved[registration['by']]}: {shown(registration['error_um'], 'um')} apart where "
+        f"nothing changed ({100 * registration['stable_fraction']:.0f} % of the surface)"
+    )
+    return lines + [f"  warning: {warning}" for warning in figures["warnings"]]

@@ -1,0 +1,22 @@
+"""Values of rasters between their pixels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def sample(raster: NDArray[Any], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bilinear values of a raster (H×W×C) at pixels (…×2: u, v); beyond the border the nearest pixel counts."""
+    height, width = raster.shape[:2]
+    u = np.clip(pixels[..., 0], 0, width - 1)
+    v = np.clip(pixels[..., 1], 0, height - 1)
+    u0 = np.minimum(u.astype(int), max(width - 2, 0))
+    v0 = np.minimum(v.astype(int), max(height - 2, 0))
+    u1, v1 = np.minimum(u0 + 1, width - 1), np.minimum(v0 + 1, height - 1)
+    s, t = (u - u0)[..., None], (v - v0)[..., None]
+    top = (1 - s) * raster[v0, u0] + s * raster[v0, u1]
+    bottom = (1 - s) * raster[v1, u0] + s * raster[v1, u1]
+    return np.asarray((1 - t) * top + t * bottom, dtype=np.float64)

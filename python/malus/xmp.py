@@ -1,0 +1,105 @@
+"""Words of the catalogue in image files (XMP, ISO 16684-1), and the color space of their numbers (ICC)."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from xml.sax.saxutils import escape
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageCms
+from PIL.PngImagePlugin import PngInfo
+
+from malus import _core
+from malus._files import replacing
+from malus.errors import InputError
+
+#: TIFF tag of an XMP packet.
+_XMP_TAG = 700
+#: [object] key → property of Dublin Core, and whether that is a text for all languages, a list, or plain.
+_PROPERTIES = {
+    "title": ("dc:title", "Alt"),
+    "identifier": ("dc:identifier", ""),
+    "maker": ("dc:creator", "Seq"),
+    "recorded_by": ("dc:contributor", "Bag"),
+    "date": ("dc:date", "Seq"),
+    "place": ("dc:coverage", ""),
+    "collection": ("dc:relation", "Bag"),
+    "description": ("dc:description", "Alt"),
+    "rights": ("dc:rights", "Alt"),
+    "license": ("xmpRights:UsageTerms", "Alt"),
+}
+
+
+def packet(name: str, words: Mapping[str, str]) -> str:
+    """XMP packet of [object]'s words; `name` is the title if they have none."""
+    lines = []
+    for key, (property_name, kind) in _PROPERTIES.items():
+        value = words.get(key) or (name if key == "title" else "")
+        if not value:
+            continue
+        text = escape(str(value))
+        if kind:
+            language = ' xml:lang="x-default"' if kind == "Alt" else ""
+            text = f"<rdf:{kind}><rdf:li{language}>{text}</rdf:li></rdf:{kind}>"
+        lines.append(f"   <{property_name}>{text}</{property_name}>")
+    return (
+        '<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>\n'
+        '<x:xmpmeta xmlns:x="adobe:ns:meta/">\n'
+        ' <rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">\n'
+        '  <rdf:Description rdf:about="" xmlns:dc="http://purl.org/dc/elements/1.1/" '
+        'xmlns:xmp="http://ns.adobe.com/xap/1.0/" xmlns:xmpRights="http://ns.adobe.com/xap/1.0/rights/">\n'
+        f"   <xmp:CreatorTool>Malus {_core.version}</xmp:CreatorTool>\n" + "\n".join(lines) + "\n"
+        "  </rdf:Description>\n </rdf:RDF>\n</x:xmpmeta>\n"
+        '<?xpacket end="w"?>'
+    )
+
+
+@cache
+def srgb_profile() -> bytes:
+    """ICC profile of sRGB."""
+    return ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+
+
+def save_png(path: Path, picture: NDArray[np.uint8], xmp: str, *, dpi: float | None = None) -> None:
+    """Write sRGB colors (H×W×3, or ×4 with alpha) as PNG with profile and words; dpi: pixels an inch on the object."""
+    told = PngInfo()
+    told.add_itxt("XML:com.adobe.xmp", xmp)
+    image = Image.fromarray(picture)
+    if dpi is not None:
+        image.info["dpi"] = (dpi, dpi)
+    with replacing(path) as temporary:
+        image.save(temporary, pnginfo=told, icc_profile=srgb_profile(), dpi=image.info.get("dpi"))
+
+
+def tag_tiff(path: Path, xmp: str) -> None:
+    """Put an XMP packet into a TIFF file that has none; its pixels stay as they are.
+
+    The directory is written anew at the end of the file. InputError for a file that is no classic TIFF of one directory.
+    """
+    content = path.read_bytes()
+    order = {b"II*\0": "<", b"MM\0*": ">"}.get(content[:4])
+    if order is None:
+        raise InputError(f"{path}: is no classic TIFF, expected one of less than 4 GB")
+    (start,) = struct.unpack_from(order + "I", content, 4)
+    (count,) = struct.unpack_from(order + "H", content, start)
+    entries = [content[start + 2 + 12 * k : start + 14 + 12 * k] for k in range(count)]
+    tags = [struct.unpack(order + "H", entry[:2])[0] for entry in entries]
+    (following,) = struct.unpack_from(order + "I", content, start + 2 + 12 * count)
+    if _XMP_TAG in tags or following:
+        raise InputError(f"{path}: has an XMP packet or several directories already")
+    packed = xmp.encode()
+    # Everything that is added begins at an even place.
+    place = len(content) + len(content) % 2
+    directory = place + len(packed) + len(packed) % 2
+    if directory > 0xFFFF0000:
+        raise InputError(f"{path}: is too large for a classic TIFF")
+    entries.append(struct.pack(order + "HHII", _XMP_TAG, 1, len(packed), place))
+    entries.sort(key=lambda entry: struct.unpack(order + "H", entry[:2])[0])
+    added = content[:4] + struct.pack(order + "I", directory) + content[8:] + b"\0" * (place - len(content)) + packed
+    added += b"\0" * (directory - len(added)) + struct.pack(order + "H", len(entries)) + b"".join(entries)
+    with replacing(path) as temporary:
+        temporary.write_bytes(added + struct.pack(order + "I", 0))

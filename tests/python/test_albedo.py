@@ -1,0 +1,85 @@
+"""The object's own color, against the albedo that the images were rendered with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import malus
+from conftest import malus as run_malus
+from malus import albedo, synthetic
+from malus.mirrored_light import mirrored_share
+
+
+def spread(estimate: np.ndarray, truth: np.ndarray) -> float:
+    """Robust standard deviation of the logarithm of their ratio, over pixels that both have."""
+    known = np.isfinite(estimate) & (estimate > 0)
+    ratio = np.log(estimate[known] / truth[known])
+    return float(1.4826 * np.median(np.abs(ratio - np.median(ratio))))
+
+
+@pytest.fixture(scope="module")
+def truth() -> synthetic.Scene:
+    return synthetic.relief(240, 180, seed=3)
+
+
+def test_albedo_is_that_of_the_scene(dates: tuple[Path, Path], truth: synthetic.Scene) -> None:
+    workspace = malus.Workspace(dates[0])
+    found = albedo.albedo_of(workspace)
+    assert found.shape == truth.albedo.shape
+    # As photographed it is off by .094, with the shading taken out alone by .036.
+    assert spread(workspace.color(), truth.albedo) > 0.08
+    assert spread(found, truth.albedo) < 0.03
+
+
+def test_albedo_is_free_of_the_light() -> None:
+    rng = np.random.default_rng(3)
+    slopes = rng.normal(0, 0.4, (60, 80, 2))
+    normals = np.concatenate([-slopes, np.ones((60, 80, 1))], -1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    paint = rng.choice([0.2, 0.5], (60, 80))
+    light = np.array([0.3, 0.4, 0.85])
+    picture = (paint * (normals @ light + 0.1))[..., None] * np.ones(3)
+    removed = albedo.diffuse_albedo(picture, normals * (1, -1, -1))[..., 0]
+    assert np.std(removed[paint == 0.5]) < 0.02 * np.mean(removed[paint == 0.5]) + 0.02
+    assert np.mean(removed[paint == 0.5]) / np.mean(removed[paint == 0.2]) == pytest.approx(2.5, rel=0.05)
+
+
+def test_a_plane_and_next_to_nothing_keep_their_color() -> None:
+    paint = np.random.default_rng(1).uniform(0.2, 0.6, (40, 50, 1)).astype(np.float32)
+    normals = np.broadcast_to(np.array([0.1, -0.2, -0.97], np.float32), (40, 50, 3)).copy()
+    np.testing.assert_allclose(albedo.diffuse_albedo(paint, normals), paint, rtol=1e-5)
+    normals[5:] = np.nan
+    few = albedo.diffuse_albedo(paint, normals)
+    np.testing.assert_allclose(few[:5], paint[:5], rtol=1e-5)
+    assert np.isnan(few[5:]).all()
+
+
+def test_mirrored_share_is_what_was_rendered(dates: tuple[Path, Path], truth: synthetic.Scene) -> None:
+    share = mirrored_share(malus.Workspace(dates[0]))
+    assert share is not None
+    every = synthetic.Reflectance()
+    total = np.concatenate([s0 for _, s0, *_ in synthetic.stokes(truth, every)])
+    # Twice the albedo is twice the body's light, and nothing else changes.
+    doubled = replace(truth, albedo=2 * truth.albedo)
+    mirrored = 2 * total - np.concatenate([s0 for _, s0, *_ in synthetic.stokes(doubled, every)])
+    expected = mirrored / total
+    error = share - expected
+    assert np.sqrt(np.mean(expected**2)) > 0.05
+    assert np.sqrt(np.nanmean(error**2)) < 0.5 * np.sqrt(np.mean(expected**2))
+
+
+def test_textures_can_have_the_albedo(dates: tuple[Path, Path], tmp_path: Path, finished_grid: Path) -> None:
+    told = run_malus("export", dates[0], "--format", "obj", "--albedo", "-o", tmp_path / "a.obj")
+    assert told.code == 0, told.err
+    malus.export(dates[0], "obj", tmp_path / "b.obj")
+    own, photograph = (np.asarray(Image.open(tmp_path / f"{name}.png")).astype(int) for name in "ab")
+    assert own.shape == photograph.shape and np.abs(own - photograph).mean() > 3
+    told = run_malus("export", finished_grid, "--format", "obj", "--albedo")
+    assert told.code == 3 and "--fusion refined" in told.err
+    told = run_malus("export", dates[0], "--format", "stl", "--albedo")
+    assert told.code == 2 and "--albedo is for obj" in told.err

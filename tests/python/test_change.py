@@ -1,0 +1,115 @@
+"""Two dates of one object whose difference is known by construction: a stone, and the same with a dent and a lump."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+import malus
+from conftest import DENT, LATER, LUMP
+from conftest import malus as run_malus
+
+pytest.importorskip("py4dgeo")
+pytest.importorskip("cv2")
+# The packages that py4dgeo imports warn about each other.
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+@pytest.fixture(scope="module")
+def outcome(dates: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    folder = tmp_path_factory.mktemp("compared") / "change"
+    told = run_malus("compare", *dates, "-o", folder, "--threads", "2")
+    assert told.code == 0, told.err
+    return folder, told.out
+
+
+def test_dent_and_lump_are_found_with_their_depth(dates: tuple[Path, Path], outcome: tuple[Path, str]) -> None:
+    folder, told = outcome
+    gsd = malus.Workspace(dates[0]).quality["gsd"]
+    figures = json.loads((folder / "change.json").read_text())
+    found = {
+        tuple(sorted((DENT, LUMP), key=lambda c: np.hypot(c[0][0] - r["u"], c[0][1] - r["v"]))[0]): r
+        for r in figures["regions"]
+    }
+    assert len(figures["regions"]) == 2 and set(found) == {DENT, LUMP}
+    distance, limit = (tifffile.imread(folder / f"{name}.tif") for name in ("distance", "limit"))
+    v, u = np.indices(distance.shape)
+    for ((u0, v0, radius), deep), region in found.items():
+        inner = np.hypot(u - u0, v - v0) < radius - 6
+        # As deep as it was made, within what the comparison says that it can tell.
+        assert abs(np.median(distance[inner]) + deep * gsd) < np.median(limit[inner]) < 2 * gsd
+        assert abs(region["u"] - u0) < 3 and abs(region["v"] - v0) < 3
+        area = np.pi * radius**2 * (gsd**2)
+        assert region["area_mm2"] == pytest.approx(area, rel=0.4)
+        assert np.sign(region["volume_mm3"]) == -np.sign(deep)
+    untouched = np.ones(distance.shape, bool)
+    for (u0, v0, radius), _ in (DENT, LUMP):
+        untouched &= np.hypot(u - u0, v - v0) > radius + 12
+    known = untouched & np.isfinite(distance)
+    assert known.sum() > 0.75 * distance.size
+    # What is called significant where nothing changed is rare.
+    assert (np.abs(distance) > limit)[known].mean() < 0.05
+    assert "2 changed parts" in told and "lost" in told and "added" in told
+
+
+def test_frames_are_found_by_features(dates: tuple[Path, Path], outcome: tuple[Path, str]) -> None:
+    figures = json.loads((outcome[0] / "change.json").read_text())
+    registration = figures["registration"]
+    rotation, translation = LATER
+    # Both cameras stand at the same place: the earlier frame is the later camera's.
+    assert registration["by"] == "features"
+    # Stereo's errors of half a GSD over a hundred pixels tilt either surface.
+    np.testing.assert_allclose(registration["rotation"], rotation, atol=5e-3)
+    gsd = malus.Workspace(dates[0]).quality["gsd"]
+    middle = malus.Workspace(dates[1]).surface().depth.mean()
+    at = rotation.T @ (np.array([0, 0, middle]) - translation)
+    moved = np.array(registration["rotation"]) @ at + registration["translation"]
+    np.testing.assert_allclose(moved, [0, 0, middle], atol=gsd)
+    assert registration["size_after_over_before"] == pytest.approx(1, abs=2e-3)
+
+
+def test_files_are_read_back_by_others(dates: tuple[Path, Path], outcome: tuple[Path, str]) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    folder, _ = outcome
+    with rasterio.open(folder / "distance_dem.tif") as file, rasterio.open(dates[0] / "fused/dem.tif") as dem:
+        assert file.transform == dem.transform and file.shape == dem.shape
+        assert np.nanmin(file.read(1)) < -3 * malus.Workspace(dates[0]).quality["gsd"]
+    with (folder / "regions.csv").open() as table:
+        rows = list(csv.DictReader(table))
+    assert [row["number"] for row in rows] == ["1", "2"] and float(rows[0]["area_mm2"]) > 0
+    page = (folder / "index.html").read_text()
+    assert page.count("data:image/webp") == 5 and "http" not in page.replace("http://www.w3.org", "")
+    assert {path.name for path in (folder / "figures").iterdir()} == {
+        f"{name}.{kind}" for name in ("distance", "significant", "limit") for kind in ("png", "csv")
+    }
+
+
+def test_a_surface_has_not_changed_against_itself(dates: tuple[Path, Path], tmp_path: Path) -> None:
+    change = malus.compare(dates[0], dates[0], tmp_path / "none", threads=2)
+    gsd = malus.Workspace(dates[0]).quality["gsd"]
+    assert change.regions == [] and np.nanmax(np.abs(change.distance)) < 0.2 * gsd
+    assert np.nanmedian(np.abs(change.distance)) < 0.02 * gsd
+    assert "no change" in malus.change.change_summary(change.figures)[0]
+    # The folder of a comparison may be written again; any other is left alone.
+    malus.compare(dates[0], dates[0], tmp_path / "none", same_frame=True, threads=2)
+    with pytest.raises(malus.InputError, match="is there already"):
+        malus.compare(dates[0], dates[0], dates[1])
+    assert (dates[1] / "quality.json").exists()
+
+
+def test_same_frame_moves_nothing(dates: tuple[Path, Path], tmp_path: Path) -> None:
+    with pytest.raises(malus.DataError, match="does not lie upon"):
+        malus.compare(*dates, tmp_path / "elsewhere", same_frame=True)
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_missing_package_is_named(dates: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    with pytest.raises(malus.ExternalError, match=r"opencv-contrib.*malus\[compare\]"):
+        malus.compare(*dates, tmp_path / "out")

@@ -1,0 +1,99 @@
+"""Other programs that take a workspace up, each run if it is installed."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import shlex
+import shutil
+import sys
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import malus
+from conftest import ROOT, run_program
+from conftest import malus as run_malus
+
+_IN_BLENDER = """
+import json, sys
+import bpy
+from bpy_extras.object_utils import world_to_camera_view
+sys.path.insert(0, sys.argv[-2])
+import blender_malus
+blender_malus.register()
+folder = sys.argv[-1]
+assert bpy.ops.import_scene.malus(filepath=folder + "/manifest.json") == {"FINISHED"}
+camera = bpy.context.scene.camera
+mesh = next(thing for thing in bpy.data.objects if thing.type == "MESH" and "confidence" in thing)
+layer = mesh.data.uv_layers.active.data
+chosen = range(0, len(mesh.data.loops), max(1, len(mesh.data.loops) // 500))
+points = [mesh.matrix_world @ mesh.data.vertices[mesh.data.loops[k].vertex_index].co for k in chosen]
+print("FOUND" + json.dumps({
+    "name": mesh.name, "gsd": mesh["gsd"], "confidence": mesh["confidence"], "title": mesh["object_title"],
+    "vertices": len(mesh.data.vertices), "points": [list(point) for point in points],
+    "uv": [list(layer[k].uv) for k in chosen],
+    "seen": [list(world_to_camera_view(bpy.context.scene, camera, point))[:2] for point in points],
+    "resolution": [bpy.context.scene.render.resolution_x, bpy.context.scene.render.resolution_y],
+    "unit": bpy.context.scene.unit_settings.length_unit}))
+try:
+    bpy.ops.import_scene.malus(filepath=folder + "/fused/manifest.json")
+except RuntimeError as error:
+    assert "expected a folder that `malus run` has finished" in str(error)
+else:
+    raise SystemExit("nothing was refused")
+blender_malus.unregister()
+"""
+
+
+def test_blender_imports_a_workspace(finished_grid: Path, tmp_path: Path) -> None:
+    program = shutil.which("blender")
+    if program is None:
+        pytest.skip("Blender is not installed (apt install blender python3-numpy)")
+    script = tmp_path / "script.py"
+    script.write_text(_IN_BLENDER)
+    outcome = run_program(
+        program, "--background", "--factory-startup", "--python-exit-code", "1", "--python", script, "--",
+        ROOT / "integrations", finished_grid,
+    )  # fmt: skip
+    assert outcome.code == 0, outcome.out + outcome.err
+    found = json.loads(next(line for line in outcome.out.splitlines() if line.startswith("FOUND"))[5:])
+    workspace = malus.Workspace(finished_grid)
+    assert found["name"] == "small" and found["title"] == "Relief & label" and found["unit"] == "MILLIMETERS"
+    assert found["gsd"] == workspace.quality["gsd"]
+    assert found["resolution"] == [200, 160]
+    # The camera sees every vertex where its texture was taken: lens, principal point and pose are those of the station.
+    error = (np.array(found["seen"]) - np.array(found["uv"])) * [200, 160]
+    assert np.abs(error).max() < 0.05
+    # And they lie in the station's world frame, in meters.
+    camera, (rotation, translation) = workspace.camera, workspace.pose
+    x, y, z = (1000 * np.array(found["points"]) @ rotation.T + translation).T
+    pixels = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1)
+    expected = np.array(found["uv"]) * [200, 160] - 0.5
+    expected[:, 1] = 160 - 1 - expected[:, 1]
+    np.testing.assert_allclose(pixels, expected, atol=0.05)
+
+
+def test_command_of_the_meshroom_node_runs(
+    small_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Meshroom is not here: a stand-in takes the descriptor's declarations as they are."""
+    desc = types.ModuleType("meshroom.core.desc")
+    desc.CommandLineNode = object  # type: ignore[attr-defined]
+    desc.File = desc.ChoiceParam = lambda **given: types.SimpleNamespace(**given)  # type: ignore[attr-defined]
+    core = types.ModuleType("meshroom.core")
+    core.desc = desc  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "meshroom", types.ModuleType("meshroom"))
+    monkeypatch.setitem(sys.modules, "meshroom.core", core)
+    monkeypatch.syspath_prepend(str(ROOT / "integrations"))
+    node = importlib.import_module("meshroom_malus").MalusReconstruction
+    values = {parameter.name: parameter.value for parameter in [*node.inputs, *node.outputs]}
+    values |= {"station": str(small_station), "fusion": "grid"}
+    made = {name: str(value).replace("{nodeCacheFolder}", str(tmp_path / "cache")) for name, value in values.items()}
+    words = shlex.split(node.commandLine.format(**{f"{name}Value": value for name, value in made.items()}))
+    assert words.pop(0) == "malus"
+    outcome = run_malus(*words)
+    assert outcome.code == 0, outcome.err
+    assert all(Path(made[output.name]).exists() for output in node.outputs)
