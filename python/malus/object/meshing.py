@@ -61,10 +61,11 @@ def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colma
     colmap.run(
         "poisson_mesher",
         {
-            "input_path": cloud, "output_path": raw, "PoissonMeshing.depth": depth, "PoissonMeshing.trim": 0,
+            "input_path": cloud.resolve(), "output_path": raw.resolve(), "PoissonMeshing.depth": depth, "PoissonMeshing.trim": 0,
             "PoissonMeshing.point_weight": _POINT_WEIGHT, "PoissonMeshing.num_threads": colmap.threads,
         },
         folder / "poisson.log",
+        working_folder=folder,  # where it keeps large files of its own
     )  # fmt: skip
     vertices, triangles = read_mesh(raw)
     # COLMAP leaves a few vertices that are no numbers; what they held is closed up again.

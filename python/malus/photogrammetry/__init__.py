@@ -6,7 +6,14 @@ reads the cameras of an Agisoft Metashape project.
 """
 
 from malus.photogrammetry.folder import exclusive
-from malus.photogrammetry.front_end import FusedOnce, StationCameras, Swept, find_cameras, sweep_station
+from malus.photogrammetry.front_end import (
+    FusedOnce,
+    StationCameras,
+    Swept,
+    find_cameras,
+    find_object_cameras,
+    sweep_station,
+)
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.model import RegisteredImage, SparseModel
 from malus.photogrammetry.photos import Photo, list_photos
@@ -21,6 +28,7 @@ __all__ = [
     "Swept",
     "exclusive",
     "find_cameras",
+    "find_object_cameras",
     "list_photos",
     "plan",
     "read_metashape",
