@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
 import struct
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from conftest import demo_with_photos, edit, half_written
+from conftest import demo_with_photos, edit, half_written, needs_distributed
 from conftest import malus as run_malus
 from malus import InputError, Station, reconstruct
 from malus.object import (
@@ -21,6 +25,7 @@ from malus.object import (
     agreement_figures,
     combine,
     poisson_mesh,
+    run_object,
     textured,
     trimmed,
     unseen_stereo,
@@ -111,6 +116,14 @@ def test_mesh_is_closed_and_on_the_sphere(sphere) -> None:  # type: ignore[no-un
     outward = (sphere.normals * sphere.vertices).sum(1) / RADIUS
     assert np.degrees(np.arccos(np.clip(outward, -1, 1))).max() < 5
     assert sphere.sigma[sphere.measured] == pytest.approx(SIGMA, rel=0.01)
+
+
+def test_closed_mesh_is_manifold_as_others_see_it(sphere) -> None:  # type: ignore[no-untyped-def]
+    trimesh = pytest.importorskip("trimesh")
+    mesh = trimesh.Trimesh(sphere.vertices, sphere.triangles, process=False)
+    assert mesh.is_watertight and mesh.is_winding_consistent
+    assert mesh.volume == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.01)
+    assert np.unique(np.sort(sphere.triangles, 1), axis=0).shape == sphere.triangles.shape
 
 
 def test_what_nobody_sees_is_marked_and_trimmed(views: list[View], tmp_path: Path) -> None:
@@ -228,6 +241,30 @@ def test_shards_leave_the_surface_to_the_last(pair: Path) -> None:
     first = run_malus("object", pair, "-o", output, "--shard", "1/2", "--threads", "2")
     assert first.code == 0 and "1 of 2 stations are not run yet" in first.out
     assert not (output / "object").exists()
+
+
+@needs_distributed
+@pytest.mark.filterwarnings("ignore")  # Dask's own, while it loses a worker
+def test_a_killed_worker_changes_nothing(pair: Path, tmp_path: Path) -> None:
+    import distributed
+
+    thing = Object.load(pair)
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+        victim = next(iter(cluster.workers.values())).pid
+
+        def kill() -> None:
+            while len(list(tmp_path.glob("cluster/stations/*/manifest.json"))) < 2:  # both are at work
+                time.sleep(0.02)
+            os.kill(victim, signal.SIGKILL)
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        outcomes = run_object(thing, tmp_path / "cluster", threads=1, scheduler=cluster.scheduler_address)
+        killer.join()
+    assert [outcome["status"] for outcome in outcomes] == ["done", "done"]
+    run_object(thing, tmp_path / "serial", threads=1)
+    meshes = [(tmp_path / f"{way}/object/mesh.ply").read_bytes() for way in ("cluster", "serial")]
+    assert meshes[0] == meshes[1]
 
 
 def test_check_lists_every_station(pair: Path) -> None:
