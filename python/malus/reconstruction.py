@@ -309,10 +309,16 @@ def prior_upon_image(
 
 
 def check(
-    station: Station, options: Options | None = None, *, overlay: str | Path | None = None, threads: int = ALL_CORES
+    station: Station,
+    options: Options | None = None,
+    *,
+    overlay: str | Path | None = None,
+    cameras_known: bool = False,
+    threads: int = ALL_CORES,
 ) -> dict[str, Any]:
     """Read everything a station names and say what a run would do, its expected time and memory, and what is wrong.
 
+    cameras_known: it will run with cameras that are found elsewhere, as the stations of an object do.
     overlay: a PNG file to write, the prior's points and the mask's outline upon the first polarized image; also where a
     DataError says that they do not meet.
     """
@@ -326,7 +332,9 @@ def check(
             if overlay is not None and picture is not None:
                 write_overlay(Path(overlay), picture, station, [str(error)])
             raise
-    if _needs_photos(station, None):
+    if cameras_known:
+        plan["does"][1:1] = [photogrammetry.sweep_line(settings)]
+    elif _needs_photos(station, None):
         does, warnings, seconds = photogrammetry.plan(station.describe(), settings, threads)
         # After the polarization step, whose image is placed among the photos.
         plan["does"][1:1] = does

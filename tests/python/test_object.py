@@ -328,6 +328,14 @@ def test_photos_of_an_object_stand_in_its_file_or_in_its_stations(photographed: 
     assert shared is not None and shared["photos"]["exclude"] == ["2.png"]
 
 
+@pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
+def test_check_counts_shared_photos_once(photographed: Path) -> None:
+    plans = Object.load(photographed).check()
+    said = [line.split(":")[0] for plan in plans for line in plan["does"]]
+    assert [said.count(step) for step in ("photos", "scale", "sweep")] == [1, 1, 2]
+    assert plans[0]["seconds"] > plans[1]["seconds"]
+
+
 @pytest.mark.parametrize(
     ("file", "old", "new", "expected"),
     [

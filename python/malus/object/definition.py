@@ -81,11 +81,14 @@ class Object:
     def check(self, options: Options | None = None, *, threads: int = 1) -> list[dict[str, Any]]:
         """What `malus.check` says of each station, with what is done with the photos that they share in the first."""
         settings = options or self.campaign.options
-        plans = [check(Station.load(path), settings, threads=threads) for path in self.campaign.stations]
+        plans = [
+            check(Station.load(path), settings, cameras_known=self.shared is not None, threads=threads)
+            for path in self.campaign.stations
+        ]
         if self.shared is not None:
             description = {**Station.load(self.campaign.stations[0]).describe(), **self.shared}
             does, warnings, seconds = photogrammetry.plan(description, settings, threads)
-            plans[0]["does"][1:1] = does
+            plans[0]["does"][1:2] = does
             plans[0]["warnings"] += warnings
             plans[0]["seconds"] += seconds
         return plans
