@@ -24,7 +24,7 @@ _LEAST_DEPTH, _MOST_DEPTH = 6, 13
 _POINT_WEIGHT = 4.0
 #: A vertex is measured if a point lies within as many times the points' own spacing there.
 _REACH = 2.0
-_SPACING_NEIGHBOR = 6
+_SPACING_NEIGHBOR = 2
 #: Separate pieces with a smaller share of the triangles are crumbs.
 _LEAST_PIECE = 0.005
 
