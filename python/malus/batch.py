@@ -25,8 +25,9 @@ from malus import _core
 from malus._extra import extra
 from malus._files import read_record, remove_unfinished, write_record, write_text
 from malus.campaign import Campaign, Task
-from malus.errors import DataError, ExternalError, InputError, MalusError, ResourceError, ending_of
+from malus.errors import ExternalError, InputError, MalusError, ResourceError, ending_of, error_of
 from malus.options import Options
+from malus.photogrammetry.shared_frame import load_cameras
 from malus.reconstruction import reconstruct
 from malus.report import write_report
 from malus.station import Station
@@ -63,6 +64,7 @@ def run_station(task: Task) -> Outcome:
             replace=True,  # names of stations can move on to others as the campaign changes
             keep_maps=False,
             threads=task.threads,
+            cameras=load_cameras(Path(task.cameras)) if task.cameras else None,
         )
         if task.report:
             write_report(task.workspace)
@@ -84,6 +86,7 @@ def run_campaign(
     threads: int | None = None,
     scheduler: str | None = None,
     shard: tuple[int, int] | None = None,
+    cameras: Path | None = None,
     progress: Callable[[int, int, Outcome], None] | None = None,
 ) -> list[Outcome]:
     """Run the stations of a campaign that are not done yet, and merge what is there.
@@ -91,14 +94,14 @@ def run_campaign(
     OUTPUT gets stations/NAME/ (a workspace each), done/NAME.json (how each ended), and campaign.csv, campaign.json and
     index.html over all stations. jobs: stations at a time in processes of this machine; threads: of each (default: the
     cores shared out). scheduler: address of a Dask scheduler whose workers see the same files; needs the extra "dask".
-    shard (i, n): only every n-th station, from the i-th on (1 ≤ i ≤ n), for array jobs. Stations that failed before
-    are tried again. Returns the outcomes of all stations of the campaign; `status` is done, failed or pending.
+    shard (i, n): only every n-th station, from the i-th on (1 ≤ i ≤ n), for array jobs. cameras: folder with a file of
+    cameras for each station (malus.photogrammetry.shared_frame) that has none of its own. Stations that failed before are tried again. Returns the outcomes of all stations of the campaign; `status` is done, failed or pending.
     """
     if jobs < 1:
         raise InputError(f"--jobs {jobs}, expected at least 1")
     for folder in (Path(output), Path(output) / "done"):
         remove_unfinished(folder, older_than_s=3600)
-    tasks = campaign.tasks(output, threads or max(1, ALL_CORES // jobs))
+    tasks = campaign.tasks(output, threads or max(1, ALL_CORES // jobs), cameras)
     mine = tasks if shard is None else tasks[shard[0] - 1 :: shard[1]]
     open_tasks = [task for task in mine if _marker(task).get("status") != "done"]
     if not open_tasks:
@@ -147,8 +150,7 @@ def failure(outcomes: Sequence[Outcome]) -> MalusError | None:
         return None
     lines = [f"{len(failed)} of {len(outcomes)} stations failed; the others are done"]
     lines += [f"  {outcome['station']}: {outcome['reason']}" for outcome in failed]
-    kinds = {kind.exit_code: kind for kind in (InputError, DataError, ExternalError, ResourceError)}
-    return kinds.get(failed[0]["exit_code"], DataError)("\n".join(lines))
+    return error_of(failed[0]["exit_code"])("\n".join(lines))
 
 
 def _killed(task: Task, reason: str) -> Outcome:

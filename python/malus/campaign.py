@@ -33,6 +33,8 @@ class Task:
     options: str
     threads: int
     report: bool
+    cameras: str = ""
+    """File with the station's cameras in a model that it shares with others; empty = the station says its own."""
 
     @property
     def workspace(self) -> Path:
@@ -56,6 +58,8 @@ class Task:
                 states.append([str(path), state.st_size, state.st_mtime_ns])
             except OSError:
                 states.append([str(path)])
+        if self.cameras:
+            states.append([_core.sha256_of_file(self.cameras)])
         return hashlib.sha256(
             json.dumps([_core.version, self.station, self.options, self.report, states]).encode()
         ).hexdigest()
@@ -99,8 +103,11 @@ class Campaign:
             value_of(file, "campaign", table, "report", True),
         )
 
-    def tasks(self, output: str | Path, threads: int) -> list[Task]:
-        """One task a station, with distinct names: the station file's folder, and its own name unless that is station."""
+    def tasks(self, output: str | Path, threads: int, cameras: Path | None = None) -> list[Task]:
+        """One task a station, with distinct names: the station file's folder, and its own name unless that is station.
+
+        cameras: folder with NAME.json for each station, if they share a model.
+        """
         names = [
             path.parent.name if path.stem == "station" else f"{path.parent.name}-{path.stem}" for path in self.stations
         ]
@@ -116,7 +123,15 @@ class Campaign:
             )
         folder = str(Path(output).resolve())
         return [
-            Task(identifier, str(path), folder, self.options.to_json(), threads, self.report)
+            Task(
+                identifier,
+                str(path),
+                folder,
+                self.options.to_json(),
+                threads,
+                self.report,
+                "" if cameras is None else str(cameras.resolve() / f"{identifier}.json"),
+            )
             for identifier, path in zip(identifiers, self.stations, strict=True)
         ]
 

@@ -33,6 +33,12 @@ class ResourceError(MalusError, OSError):
     exit_code = 5
 
 
+def error_of(exit_code: int) -> type[MalusError]:
+    """The kind of error that ends with an exit code; DataError for those of none."""
+    kinds = (InputError, DataError, ExternalError, ResourceError)
+    return next((kind for kind in kinds if kind.exit_code == exit_code), DataError)
+
+
 def ending_of(error: Exception) -> tuple[int, str]:
     """Exit code and message for whatever ends a run: the last net, so that nobody is shown a traceback."""
     if isinstance(error, MalusError):

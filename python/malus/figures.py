@@ -307,7 +307,7 @@ class Plates:
         axes.set_axis_off()
         self._scale_bar(axes, shape[1])
         for u, v, word in labels:
-            text = axes.text(u, v, word, color="white", fontsize=_LETTERS_PT, ha="center", va="center")
+            text = axes.text(u, v, word, color="white", fontsize=LETTERS_PT, ha="center", va="center")
             text.set_path_effects([withStroke(linewidth=2.5, foreground="black")])
         if bar_height:
             bar_axes = drawing.add_axes((0.15, bar_height * 0.72, 0.65, bar_height * 0.2))

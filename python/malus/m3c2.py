@@ -19,7 +19,7 @@ from malus import _core
 from malus._extra import extra
 from malus._files import write_text
 from malus.errors import DataError, InputError
-from malus.workspace import Raster, Workspace
+from malus.workspace import Workspace
 
 #: Core points at most, about: larger stations have one for every n × n pixels.
 CORE_POINTS = 200000

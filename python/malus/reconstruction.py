@@ -47,6 +47,7 @@ def reconstruct(
     reference: str | Path | None = None,
     keep_maps: bool = True,
     threads: int = ALL_CORES,
+    cameras: photogrammetry.StationCameras | None = None,
     progress: Callable[[Progress], None] | None = None,
     log: Callable[[str, str], None] | None = None,
 ) -> Result:
@@ -60,7 +61,9 @@ def reconstruct(
     this thread. Ctrl-C stops within a second; what a finished step wrote stays.
 
     A station with [photos] and no [prior] gets its pose and its prior from the photos (malus.photogrammetry, needs the
-    program COLMAP or the package pycolmap); progress then has the steps "photos" and "sweep" too.
+    program COLMAP or the package pycolmap); progress then has the steps "photos" and "sweep" too. `cameras` are those of
+    the photos and of the station where they are known (malus.photogrammetry.find_object_cameras); the station then needs
+    neither [photos] nor a pose, but its lens.
 
     Raises malus.InputError, DataError, ExternalError or ResourceError.
     """
@@ -102,10 +105,18 @@ def reconstruct(
         core = _readable(
             station, station._core, developed, lambda fraction, message: report("polarization", fraction, message)
         )
-        if _needs_photos(station, until):
+        if cameras is not None or _needs_photos(station, until):
             with _folder(workspace, "prior/colmap") as folder:
                 core = _with_photos(
-                    station.describe(), core, settings, folder, run, threads, report, log or (lambda _, __: None)
+                    station.describe(),
+                    core,
+                    settings,
+                    folder,
+                    run,
+                    threads,
+                    report,
+                    log or (lambda _, __: None),
+                    cameras,
                 )
         outcome = run(core, until, keep=keep_maps)
     for intermediate in ("scene", "valid"):
@@ -119,6 +130,19 @@ def reconstruct(
         workspace=None if workspace is None else Path(workspace),
         _save=save,
     )
+
+
+def unpolarized_scene(station: Station, options: Options, workspace: Path, threads: int) -> NDArray[np.float32]:
+    """Unpolarized intensity of all that a station shows (H×W, linear, undistorted); its polarization step stays in the workspace.
+
+    The station's lens must be known. Raises what `reconstruct` raises.
+    """
+    _core.claim_workspace(str(workspace), station._core, True)
+    core = _readable(station, station._core, workspace / "raw", lambda _, __: None)
+    outcome = _core.reconstruct(
+        core, options.to_json(), str(workspace), True, "polarization", None, True, None, threads, None, None
+    )
+    return np.asarray(outcome["scene"], np.float32)
 
 
 def _needs_photos(station: Station, until: str | None) -> bool:
@@ -164,6 +188,7 @@ def _with_photos(
     threads: int,
     report: Callable[[str, float, str], None],
     log: Callable[[str, str], None],
+    known: photogrammetry.StationCameras | None,
 ) -> _core.Station:
     """The station with the camera and the prior that its photos give: polarization first, whose unpolarized image is
     placed among the photos, then the sweep in its view, and again about the surface that is fused with it.
@@ -194,7 +219,7 @@ def _with_photos(
             station, options.to_json(), None, False, "polarization", None, True, None, threads, report, None
         )
     with photogrammetry.exclusive(folder):
-        cameras = photogrammetry.find_cameras(
+        cameras = known or photogrammetry.find_cameras(
             description,
             images["scene"],
             folder,
@@ -284,10 +309,16 @@ def prior_upon_image(
 
 
 def check(
-    station: Station, options: Options | None = None, *, overlay: str | Path | None = None, threads: int = ALL_CORES
+    station: Station,
+    options: Options | None = None,
+    *,
+    overlay: str | Path | None = None,
+    cameras_known: bool = False,
+    threads: int = ALL_CORES,
 ) -> dict[str, Any]:
     """Read everything a station names and say what a run would do, its expected time and memory, and what is wrong.
 
+    cameras_known: it will run with cameras that are found elsewhere, as the stations of an object do.
     overlay: a PNG file to write, the prior's points and the mask's outline upon the first polarized image; also where a
     DataError says that they do not meet.
     """
@@ -301,7 +332,9 @@ def check(
             if overlay is not None and picture is not None:
                 write_overlay(Path(overlay), picture, station, [str(error)])
             raise
-    if _needs_photos(station, None):
+    if cameras_known:
+        plan["does"][1:1] = [photogrammetry.sweep_line(settings)]
+    elif _needs_photos(station, None):
         does, warnings, seconds = photogrammetry.plan(station.describe(), settings, threads)
         # After the polarization step, whose image is placed among the photos.
         plan["does"][1:1] = does

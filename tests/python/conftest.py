@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image
 
 import malus as package
-from malus import synthetic
+from malus import _core, synthetic
 
 # Ctrl-C is ignored in a shell's background jobs, and so by the programs that are started here, unless it is handled.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -215,3 +216,46 @@ def edit(path: Path, old: str, new: str) -> Path:
     assert old in text, f"{old!r} is not in {path}"
     path.write_text(text.replace(old, new))
     return path
+
+
+def demo_with_photos(folder: Path) -> tuple[Path, list[str]]:
+    """The demo station without pose and prior, six of its photos, and a scale from two points of the demo's own model.
+
+    Returns the station file and the photos' names.
+    """
+    (folder / "views").mkdir(parents=True)
+    (folder / "pol").mkdir()
+    used = ["view_00.jpg", "view_02.jpg", "view_03.jpg", "view_05.jpg", "view_07.jpg", "view_09.jpg"]
+    truth = _core.ColmapModel.read(str(EXAMPLE / "sparse")).images()
+    marks: dict[str, list[str]] = {"a": [], "b": []}
+    ends = {"a": np.array([-60.0, -30.0, 0.0]), "b": np.array([55.0, 35.0, 0.0])}
+    for name in used:
+        with Image.open(EXAMPLE / "views" / name) as image:
+            image.save(folder / "views" / name, quality=97)
+        _, _, _, (fx, fy, cx, cy), rotation, translation = truth[name][0]
+        for end, point in ends.items():
+            x = rotation @ point + translation
+            u, v = fx * x[0] / x[2] + cx, fy * x[1] / x[2] + cy
+            marks[end].append(f'{{ image = "{name}", x = {u:.3f}, y = {v:.3f} }}')
+    for path in sorted((EXAMPLE / "pol").glob("*.png")):
+        shutil.copy(path, folder / "pol")
+    _, width, height, (fx, fy, cx, cy), *_ = truth["station.jpg"][0]
+    _, photo_width, photo_height, (px, py, pcx, pcy), *_ = truth[used[0]][0]
+    (folder / "station.toml").write_text(f"""
+[polarized]
+images = "pol"
+white_level = 16383
+[camera]
+model = "PINHOLE"
+width = {width}
+height = {height}
+params = [{fx}, {fy}, {cx + 0.5}, {cy + 0.5}]
+[photos]
+folder = "views"
+camera = {{ model = "PINHOLE", width = {photo_width}, height = {photo_height}, params = [{px}, {py}, {pcx + 0.5}, {pcy + 0.5}] }}
+[[scale]]
+distance = {np.linalg.norm(ends["a"] - ends["b"])}
+a = [{", ".join(marks["a"])}]
+b = [{", ".join(marks["b"])}]
+""")
+    return folder / "station.toml", used

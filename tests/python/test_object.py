@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
 import struct
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from conftest import edit, half_written
+from conftest import demo_with_photos, edit, half_written, needs_distributed
 from conftest import malus as run_malus
-from malus import InputError
+from malus import InputError, Station, reconstruct
 from malus.object import (
     Object,
     OrientedPoints,
@@ -20,15 +25,17 @@ from malus.object import (
     agreement_figures,
     combine,
     poisson_mesh,
+    run_object,
     textured,
     trimmed,
     unseen_stereo,
 )
 from malus.object.ply import read_mesh, write_ply
-from malus.object.run import is_closed
+from malus.object.run import find_frame, is_closed
 from malus.object.texture import write_glb
 from malus.object.views import LEAST_COSINE
 from malus.photogrammetry.program import Colmap
+from malus.photogrammetry.shared_frame import load_cameras
 
 RADIUS, FAR, FOCAL, SIDE = 10.0, 60.0, 300.0, 128
 SIGMA = 0.05
@@ -109,6 +116,14 @@ def test_mesh_is_closed_and_on_the_sphere(sphere) -> None:  # type: ignore[no-un
     outward = (sphere.normals * sphere.vertices).sum(1) / RADIUS
     assert np.degrees(np.arccos(np.clip(outward, -1, 1))).max() < 5
     assert sphere.sigma[sphere.measured] == pytest.approx(SIGMA, rel=0.01)
+
+
+def test_closed_mesh_is_manifold_as_others_see_it(sphere) -> None:  # type: ignore[no-untyped-def]
+    trimesh = pytest.importorskip("trimesh")
+    mesh = trimesh.Trimesh(sphere.vertices, sphere.triangles, process=False)
+    assert mesh.is_watertight and mesh.is_winding_consistent
+    assert mesh.volume == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.01)
+    assert np.unique(np.sort(sphere.triangles, 1), axis=0).shape == sphere.triangles.shape
 
 
 def test_what_nobody_sees_is_marked_and_trimmed(views: list[View], tmp_path: Path) -> None:
@@ -231,10 +246,114 @@ def test_shards_leave_the_surface_to_the_last(pair: Path) -> None:
     assert not (output / "object").exists()
 
 
+@needs_distributed
+@pytest.mark.filterwarnings("ignore")  # Dask's own, while it loses a worker
+def test_a_killed_worker_changes_nothing(pair: Path, tmp_path: Path) -> None:
+    import distributed
+
+    thing = Object.load(pair)
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+        victim = next(iter(cluster.workers.values())).pid
+
+        def kill() -> None:
+            while len(list(tmp_path.glob("cluster/stations/*/manifest.json"))) < 2:  # both are at work
+                time.sleep(0.02)
+            os.kill(victim, signal.SIGKILL)
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        outcomes = run_object(thing, tmp_path / "cluster", threads=1, scheduler=cluster.scheduler_address)
+        killer.join()
+    assert [outcome["status"] for outcome in outcomes] == ["done", "done"]
+    run_object(thing, tmp_path / "serial", threads=1)
+    meshes = [(tmp_path / f"{way}/object/mesh.ply").read_bytes() for way in ("cluster", "serial")]
+    assert meshes[0] == meshes[1]
+
+
 def test_check_lists_every_station(pair: Path) -> None:
     outcome = run_malus("check", pair, "--threads", "1")
     assert outcome.code == 0, outcome.err
     assert "object pair: 2 stations" in outcome.out and outcome.out.count("station small") == 2
+
+
+@pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
+def test_stations_are_found_in_the_photos_they_share(tmp_path: Path) -> None:
+    """Two stations at one place, and one with a damaged image."""
+    demo_with_photos(tmp_path / "a")
+    shutil.copytree(tmp_path / "a", tmp_path / "b")
+    shutil.copytree(tmp_path / "a", tmp_path / "lost")
+    max((tmp_path / "lost/pol").iterdir()).write_bytes(b"no image")
+    for name in ("b", "lost"):
+        edit(tmp_path / name / "station.toml", 'folder = "views"', 'folder = "../a/views"')
+    file = tmp_path / "object.toml"
+    file.write_text(
+        'object = { stations = ["*/station.toml"] }\n[options.photos]\nmax_features = 1500\n[options.sweep]\nagain = false\n'
+    )
+    thing = Object.load(file)
+    frame = find_frame(thing, tmp_path / "out", 2, lambda *_: None)
+    assert set(frame.figures["station"]) == {"a", "b"}
+    first, second = (load_cameras(frame.cameras / f"{name}.json") for name in "ab")
+    with pytest.raises(InputError, match=max((tmp_path / "lost/pol").iterdir()).name):
+        load_cameras(frame.cameras / "lost.json")
+    eyes = [-cameras.station.pose()[0].T @ cameras.station.pose()[1] for cameras in (first, second)]
+    # Two copies of one image stand at one place, as far as features and windows locate it.
+    assert np.linalg.norm(eyes[0] - eyes[1]) < 1e-3 * np.linalg.norm(eyes[0])
+    assert len(first.photos) == 7  # six photos and the other station's image
+    written = (tmp_path / "out/photogrammetry/done/mapping.json").stat().st_mtime_ns
+    assert find_frame(thing, tmp_path / "out", 2, lambda *_: None) == frame
+    assert (tmp_path / "out/photogrammetry/done/mapping.json").stat().st_mtime_ns == written
+    # A station runs with them as it does with cameras of its own.
+    result = reconstruct(
+        Station.load(tmp_path / "a/station.toml"), thing.campaign.options, cameras=first, until="prior"
+    )
+    assert result.prior_depth is not None and np.isfinite(result.prior_depth).mean() > 0.5
+
+
+@pytest.fixture
+def photographed(pair: Path, tmp_path: Path) -> Path:
+    """The pair, its stations with photos in place of pose and prior."""
+    (tmp_path / "views").mkdir()
+    for number in range(3):
+        Image.new("L", (96, 64), 100).save(tmp_path / f"views/{number}.png")
+    for k in range(2):
+        station = tmp_path / f"o{k}/station.toml"
+        edit(station, 'colmap_model = "sparse"\nimage = "station.jpg"',
+             'model = "PINHOLE"\nwidth = 200\nheight = 160\nparams = [1937.0, 1937.0, 100.0, 80.0]')  # fmt: skip
+        edit(station, '[prior]\ncloud = "dense/cloud.ply"', '[photos]\nfolder = "../views"')
+    return pair
+
+
+def test_photos_of_an_object_stand_in_its_file_or_in_its_stations(photographed: Path) -> None:
+    shared = Object.load(photographed).shared
+    assert shared is not None and Path(shared["photos"]["folder"]).name == "views" and shared["scale"] == []
+    edit(photographed, "[options]", '[photos]\nfolder = "views"\nexclude = ["2.png"]\n[options]')
+    shared = Object.load(photographed).shared
+    assert shared is not None and shared["photos"]["exclude"] == ["2.png"]
+
+
+@pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
+def test_check_counts_shared_photos_once(photographed: Path) -> None:
+    plans = Object.load(photographed).check()
+    said = [line.split(":")[0] for plan in plans for line in plan["does"]]
+    assert [said.count(step) for step in ("photos", "scale", "sweep")] == [1, 1, 2]
+    assert plans[0]["seconds"] > plans[1]["seconds"]
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "expected"),
+    [
+        ("object.toml", "[options]", '[photos]\nfolder = "none"\n[options]', "object.toml, line"),
+        ("object.toml", "[options]", '[photos]\nfoldr = "views"\n[options]', "foldr"),
+        ("object.toml", "[options]", "[[scale]]\ndistance = 3\n[options]", "[[scale]] needs [photos]"),
+        ("o1/station.toml", 'folder = "../views"', 'folder = "../views"\nexclude = ["0.png"]', "are not those of"),
+        ("o1/station.toml", "80.0]", "80.0]\nqvec = [1, 0, 0, 0]\ntvec = [0, 0, 0]", "has a pose"),
+    ],
+)
+def test_shared_photos_that_are_wrong(photographed: Path, file: str, old: str, new: str, expected: str) -> None:
+    edit(photographed.parent / file, old, new)
+    with pytest.raises(InputError) as caught:
+        Object.load(photographed)
+    assert expected in str(caught.value)
 
 
 def test_points_too_few_for_a_surface(tmp_path: Path) -> None:

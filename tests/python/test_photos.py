@@ -20,7 +20,7 @@ import pytest
 from PIL import Image
 
 import malus as package
-from conftest import EXAMPLE, edit, malus, malus_station
+from conftest import EXAMPLE, demo_with_photos, edit, malus, malus_station
 from malus import _core
 from malus.photogrammetry import database, photo_cameras
 from malus.photogrammetry.journal import Journal
@@ -41,6 +41,9 @@ arguments = dict(zip(sys.argv[2::2], sys.argv[3::2]))
 mode = os.environ.get("FAKE", "")
 if mode == "fail":
     print("Check failed: something inside", file=sys.stderr)
+    sys.exit(1)
+if mode == "unfixed" and command == "mapper":
+    print("ERROR: failed to create sparse model")
     sys.exit(1)
 if mode == "hang" and command == "mapper":
     time.sleep(600)
@@ -145,6 +148,7 @@ def test_excluded_photo_that_is_not_there(photo_station: Path, tmp_path: Path, f
         ("plain", ("features", "texture")),
         ("apart", ("same surface", "photograph")),
         ("", ("focal length", "tilted")),
+        ("unfixed", ("no first pair fixes the geometry",)),
         ("stranger", ("view 3.jpg", "nothing in common")),
     ],
 )
@@ -424,43 +428,8 @@ def test_metashape_cameras(tmp_path: Path) -> None:
 )
 def test_real_colmap_finds_cameras_scale_and_prior(tmp_path: Path, backend: str) -> None:
     """The demo station at half size with six of its photos; scale from two points of the demo's own model."""
-    folder = tmp_path / "station"
-    (folder / "views").mkdir(parents=True)
-    (folder / "pol").mkdir()
-    used = ["view_00.jpg", "view_02.jpg", "view_03.jpg", "view_05.jpg", "view_07.jpg", "view_09.jpg"]
+    station, used = demo_with_photos(tmp_path / "station")
     truth = _core.ColmapModel.read(str(EXAMPLE / "sparse")).images()
-    marks: dict[str, list[str]] = {"a": [], "b": []}
-    ends = {"a": np.array([-60.0, -30.0, 0.0]), "b": np.array([55.0, 35.0, 0.0])}
-    for name in used:
-        with Image.open(EXAMPLE / "views" / name) as image:
-            image.save(folder / "views" / name, quality=97)
-        _, _, _, (fx, fy, cx, cy), rotation, translation = truth[name][0]
-        for end, point in ends.items():
-            x = rotation @ point + translation
-            u, v = fx * x[0] / x[2] + cx, fy * x[1] / x[2] + cy
-            marks[end].append(f'{{ image = "{name}", x = {u:.3f}, y = {v:.3f} }}')
-    for path in sorted((EXAMPLE / "pol").glob("*.png")):
-        shutil.copy(path, folder / "pol")
-    _, width, height, (fx, fy, cx, cy), *_ = truth["station.jpg"][0]
-    _, photo_width, photo_height, (px, py, pcx, pcy), *_ = truth[used[0]][0]
-    station = folder / "station.toml"
-    station.write_text(f"""
-[polarized]
-images = "pol"
-white_level = 16383
-[camera]
-model = "PINHOLE"
-width = {width}
-height = {height}
-params = [{fx}, {fy}, {cx + 0.5}, {cy + 0.5}]
-[photos]
-folder = "views"
-camera = {{ model = "PINHOLE", width = {photo_width}, height = {photo_height}, params = [{px}, {py}, {pcx + 0.5}, {pcy + 0.5}] }}
-[[scale]]
-distance = {np.linalg.norm(ends["a"] - ends["b"])}
-a = [{", ".join(marks["a"])}]
-b = [{", ".join(marks["b"])}]
-""")
     options = ("--set", "photos.max_features=1500", "--set", f"photos.backend={backend}")
     options += ("--threads", str(os.cpu_count() or 1))
     outcome = malus("prior", station, "-o", tmp_path / "work", *options)

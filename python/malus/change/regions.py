@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from malus import m3c2
 from malus._extra import extra
 from malus.change.significance import Distances
 from malus.exports import Exporter

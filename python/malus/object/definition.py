@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import tempfile
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from malus import photogrammetry
 from malus.campaign import Campaign, options_of, read_tables, stations_of, value_of
 from malus.errors import InputError
 from malus.options import Options
@@ -15,7 +18,7 @@ from malus.reconstruction import check
 from malus.station import Station
 
 _KEYS = {
-    "": ("object", "options"),
+    "": ("object", "photos", "scale", "options"),
     "object": ("name", "unit", "stations", "report", "closed", "max_sigma_gsd", "faces"),
 }
 #: Triangles of the textured mesh.
@@ -36,6 +39,8 @@ class Object:
     closed: bool = False
     max_sigma_gsd: float = 4.0
     faces: int = int(_FACES)
+    shared: Mapping[str, Any] | None = None
+    """`photos` and `scale` that all stations share, as `Station.describe` says them; None if the stations stand in one frame already."""
 
     @property
     def name(self) -> str:
@@ -48,7 +53,8 @@ class Object:
 
         [object] has `stations`, a list of station files or globs relative to the file, and optionally `name`, `unit` (that all
         stations must have), `report`, `closed`, `max_sigma_gsd` and `faces`. [options] is what `--options` takes. All stations
-        must stand in one frame: poses of one COLMAP model, or given in the same coordinates.
+        must stand in one frame: poses of one COLMAP model, or given in the same coordinates; or [photos] and [[scale]], as in
+        a station file, in which all of them are found.
         """
         file = Path(path)
         content = read_tables(file, _KEYS)
@@ -66,15 +72,26 @@ class Object:
             raise InputError(f"{file}: object.faces = {faces:g}, expected at least {_LEAST_FACES}")
         files = stations_of(file, "object", table)
         campaign = Campaign(value("name", file.stem), files, options_of(file, content), value("report", True))
-        unit = _common_unit(file, files, value("unit", ""))
-        return Object(campaign, unit, value("closed", False), limit, int(faces))
+        stations = {path: Station.load(path).describe() for path in files}
+        unit = _common_unit(file, stations, value("unit", ""))
+        shared = _shared(file, content, stations)
+        _require_one_frame(stations, from_photos=shared is not None)
+        return Object(campaign, unit, value("closed", False), limit, int(faces), shared)
 
     def check(self, options: Options | None = None, *, threads: int = 1) -> list[dict[str, Any]]:
-        """What `malus.check` says of each station."""
-        return [
-            check(Station.load(path), options or self.campaign.options, threads=threads)
+        """What `malus.check` says of each station, with what is done with the photos that they share in the first."""
+        settings = options or self.campaign.options
+        plans = [
+            check(Station.load(path), settings, cameras_known=self.shared is not None, threads=threads)
             for path in self.campaign.stations
         ]
+        if self.shared is not None:
+            description = {**Station.load(self.campaign.stations[0]).describe(), **self.shared}
+            does, warnings, seconds = photogrammetry.plan(description, settings, threads)
+            plans[0]["does"][1:2] = does
+            plans[0]["warnings"] += warnings
+            plans[0]["seconds"] += seconds
+        return plans
 
 
 def is_object_file(path: str | Path) -> bool:
@@ -87,19 +104,81 @@ def is_object_file(path: str | Path) -> bool:
     return isinstance(table, dict) and "stations" in table
 
 
-def _common_unit(file: Path, stations: Sequence[Path], expected: str) -> str:
-    """The unit of all stations, which must stand in one frame to be joined."""
-    for path in stations:
-        station = Station.load(path).describe()
-        if "camera" not in station:
-            raise InputError(
-                f"{path}: [camera] is missing; the stations of an object must stand in one frame, expected colmap_model and image, or a pose"
-            )
-        if station["prior"] == "photos":
-            raise InputError(
-                f"{path}: [prior] is missing; each station would place itself in a frame of its own, expected the cloud that all stations of the object share"
-            )
+def _common_unit(file: Path, stations: Mapping[Path, Mapping[str, Any]], expected: str) -> str:
+    """The unit of all stations, which must be one for them to be joined."""
+    for path, station in stations.items():
         expected = expected or station["unit"]
         if station["unit"] != expected:
             raise InputError(f"{path}: station.unit = {station['unit']!r}, expected {expected!r} as the rest of {file}")
     return expected
+
+
+def _require_one_frame(stations: Mapping[Path, Mapping[str, Any]], *, from_photos: bool) -> None:
+    """Stations have poses and a prior; or, if photos give both, neither, but their lens."""
+    for path, station in stations.items():
+        camera = station.get("camera")
+        if not from_photos and camera is None:
+            raise InputError(
+                f"{path}: [camera] is missing; the stations of an object must stand in one frame, expected colmap_model and image, "
+                "or a pose, or [photos] in which all of them are found"
+            )
+        if from_photos and (camera is None or "rotation" in camera):
+            raise InputError(
+                f"{path}: [camera] {'is missing' if camera is None else 'has a pose, but [photos] give it in another frame'}; "
+                "expected the lens of the polarized images alone: model, width, height and params"
+            )
+        if from_photos and station["prior"] != "photos":
+            raise InputError(
+                f"{path}: has a [prior], or no [photos]; expected [photos] alone, as in the other stations of the object"
+            )
+
+
+def _shared(
+    file: Path, content: Mapping[str, Any], stations: Mapping[Path, Mapping[str, Any]]
+) -> dict[str, Any] | None:
+    """The photos and known distances in which all stations are found: the object file's, or those of the stations."""
+    tables = {name: content[name] for name in ("photos", "scale") if name in content}
+    first, *others = stations
+    if "photos" in tables:
+        return _read_shared(file, tables, stations[first])
+    if tables:
+        raise InputError(f"{file}: [[scale]] needs [photos], in which its ends are marked")
+    if stations[first]["prior"] != "photos":
+        return None
+    photos = stations[first]["photos"]
+    for path in others:
+        if stations[path].get("photos", photos) != photos:
+            raise InputError(
+                f"{path}: [photos] are not those of {first}; the stations of an object are found in the same photos"
+            )
+    bars = {json.dumps(bar): bar for station in stations.values() for bar in station["scale"]}
+    return {"photos": photos, "scale": list(bars.values())}
+
+
+def _read_shared(file: Path, tables: Mapping[str, Any], station: Mapping[str, Any]) -> dict[str, Any]:
+    """[photos] and [[scale]] of an object file, read as those of a station file are."""
+    photos = tables["photos"]
+    if isinstance(photos, dict) and isinstance(photos.get("folder"), str):
+        photos = {**photos, "folder": str(file.parent.resolve() / photos["folder"])}
+    image = station["images"][0]
+    lines = [f"polarized = {{ images = {_as_toml([image])}, mosaic = [[90, 45], [135, 0]] }}"]
+    lines += [f"{name} = {_as_toml(table)}" for name, table in {**tables, "photos": photos}.items()]
+    with tempfile.TemporaryDirectory(prefix="malus-") as folder:
+        path = Path(folder) / "station.toml"
+        path.write_text("\n".join(lines), encoding="utf-8")
+        try:
+            description = Station.load(path).describe()
+        except InputError as error:
+            raise InputError(str(error).replace(str(path), str(file))) from None
+    return {name: description[name] for name in ("photos", "scale")}
+
+
+def _as_toml(value: Any) -> str:
+    """A value of a TOML file as TOML."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(key)} = {_as_toml(entry)}" for key, entry in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_as_toml, value)) + "]"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    return str(value).lower() if isinstance(value, bool) else str(value)

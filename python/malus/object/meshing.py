@@ -24,7 +24,7 @@ _LEAST_DEPTH, _MOST_DEPTH = 6, 13
 _POINT_WEIGHT = 4.0
 #: A vertex is measured if a point lies within as many times the points' own spacing there.
 _REACH = 2.0
-_SPACING_NEIGHBOR = 6
+_SPACING_NEIGHBOR = 2
 #: Separate pieces with a smaller share of the triangles are crumbs.
 _LEAST_PIECE = 0.005
 
@@ -61,10 +61,11 @@ def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colma
     colmap.run(
         "poisson_mesher",
         {
-            "input_path": cloud, "output_path": raw, "PoissonMeshing.depth": depth, "PoissonMeshing.trim": 0,
+            "input_path": cloud.resolve(), "output_path": raw.resolve(), "PoissonMeshing.depth": depth, "PoissonMeshing.trim": 0,
             "PoissonMeshing.point_weight": _POINT_WEIGHT, "PoissonMeshing.num_threads": colmap.threads,
         },
         folder / "poisson.log",
+        working_folder=folder,  # where it keeps large files of its own
     )  # fmt: skip
     vertices, triangles = read_mesh(raw)
     # COLMAP leaves a few vertices that are no numbers; what they held is closed up again.

@@ -6,6 +6,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +16,20 @@ from numpy.typing import NDArray
 from malus import _core, batch, scans
 from malus._files import read_record, sha256_of, write_record
 from malus.batch import Outcome
-from malus.errors import DataError, InputError
+from malus.errors import DataError, InputError, MalusError
 from malus.object import agreement, color, meshing, page, texture
 from malus.object.agreement import Agreement, OrientedPoints
 from malus.object.definition import Object
 from malus.object.meshing import ObjectMesh
 from malus.object.ply import write_ply
 from malus.object.views import LEAST_COSINE, Floats, View, load_view
-from malus.photogrammetry.folder import exclusive
+from malus.photogrammetry import exclusive, find_object_cameras
+from malus.photogrammetry.front_end import camera_of
 from malus.photogrammetry.program import Colmap
+from malus.photogrammetry.shared_frame import save_cameras, save_failure
+from malus.reconstruction import unpolarized_scene
 from malus.station import Station
+from malus.threads import ALL_CORES
 from malus.workspace import Workspace
 
 #: What fusion tells of its course: how much of it is done, and with what it goes on.
@@ -43,7 +48,7 @@ def run_object(
 ) -> list[Outcome]:
     """Run the stations of an object that are not done, and make one surface of all of them.
 
-    OUTPUT gets what malus.batch.run_campaign leaves, and object/: mesh.ply (full mesh, with sigma), mesh.glb (textured), agreement/
+    OUTPUT gets what malus.batch.run_campaign leaves, photogrammetry/ if stations are found in photos, and object/: mesh.ply (full mesh, with sigma), mesh.glb (textured), agreement/
     NAME.png, quality.json, report/index.html. jobs, threads, scheduler and shard: as there. The surface is made once no station is
     pending, of those that are done, and not made again while they and the object file stay. progress: step, share done, message.
     Returns the outcomes of the stations. Raises DataError if no station is done, and what malus.reconstruct raises.
@@ -51,8 +56,10 @@ def run_object(
     say = progress or (lambda *_: None)
     texture.require_packages()
     colmap = Colmap(threads or 1)
+    frame = None if thing.shared is None else find_frame(thing, Path(output), threads or ALL_CORES, say)
     outcomes = batch.run_campaign(
         thing.campaign, output, jobs=jobs, threads=threads, scheduler=scheduler, shard=shard,
+        cameras=None if frame is None else frame.cameras,
         progress=lambda done, total, outcome: say("stations", done / total, f"{outcome['station']}: {outcome['status']}"),
     )  # fmt: skip
     if any(outcome["status"] == "pending" for outcome in outcomes):  # Another shard's; who ends last goes on.
@@ -65,9 +72,66 @@ def run_object(
     # Of two shards that end at once one makes the surface; the other is told so.
     with exclusive(folder):
         if not _is_made(folder, key):
-            _fuse(thing, outcomes, folder, key, colmap, lambda share, message: say("object", share, message))
+            _fuse(thing, outcomes, frame, folder, key, colmap, lambda share, message: say("object", share, message))
     say("object", 1.0, str(folder / "report" / "index.html"))
     return outcomes
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Stations found among an object's photos. cameras: folder with a file for each. figures: of the photos, of each station among them
+    and of the scale, for quality.json.
+    """
+
+    cameras: Path
+    figures: dict[str, Any]
+    warnings: list[str]
+
+
+def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, float, str], None]) -> Frame:
+    """Find all stations among the object's photos, and leave each station's cameras for its own run.
+
+    A station that fails, or finds no place, leaves why, which its own run then ends with. What did not change is not done again.
+    """
+    assert thing.shared is not None
+    folder, options = output / "photogrammetry", thing.campaign.options
+    kept = folder / "stations"
+    warnings: list[str] = []
+    tasks = thing.campaign.tasks(output, threads, kept)
+    with exclusive(folder):
+        kept.mkdir(exist_ok=True)
+        views = {}
+        for count, task in enumerate(tasks):
+            say("photos", 0.3 * count / len(tasks), f"polarization of {task.identifier}")
+            station = Station.load(task.station)
+            try:
+                views[task.identifier] = (
+                    camera_of(station.describe()["camera"]),
+                    unpolarized_scene(station, options, task.workspace, threads),
+                )
+            except MalusError as error:
+                save_failure(Path(task.cameras), error)
+        if not views:
+            return Frame(kept, {}, warnings)
+        found = find_object_cameras(
+            thing.shared, views, folder, options=options, threads=threads,
+            log=lambda level, text: warnings.append(f"photos: {text}") if level == "warning" else None,
+            progress=lambda share, message: say("photos", 0.3 + 0.7 * share, message),
+        )  # fmt: skip
+        for task in tasks:
+            if task.identifier in found:
+                save_cameras(Path(task.cameras), found[task.identifier], folder / "model")
+            elif task.identifier in views:
+                save_failure(
+                    Path(task.cameras),
+                    DataError(
+                        f"{task.identifier} could not be placed among the photos of the object; take a few photos near its direction, "
+                        "and check that [camera] is the polarized images' own calibration"
+                    ),
+                )
+    figures = {name: cameras.figures["photogrammetry"]["station"] for name, cameras in found.items()}
+    whole = next(iter(found.values())).figures
+    return Frame(kept, {**whole["photogrammetry"], "station": figures, "scale": whole["scale"]}, warnings)
 
 
 def _key(thing: Object, done: Sequence[Outcome]) -> str:
@@ -90,7 +154,15 @@ def _is_made(folder: Path, key: str) -> bool:
         return False
 
 
-def _fuse(thing: Object, outcomes: Sequence[Outcome], folder: Path, key: str, colmap: Colmap, say: Progress) -> None:
+def _fuse(
+    thing: Object,
+    outcomes: Sequence[Outcome],
+    frame: Frame | None,
+    folder: Path,
+    key: str,
+    colmap: Colmap,
+    say: Progress,
+) -> None:
     start = time.monotonic()
     done = [outcome for outcome in outcomes if outcome["status"] == "done"]
     (folder / "quality.json").unlink(missing_ok=True)
@@ -121,7 +193,8 @@ def _fuse(thing: Object, outcomes: Sequence[Outcome], folder: Path, key: str, co
         "stations": _station_figures(outcomes, views, agreements, seen),
         "points": {"stations": int((everything.stations > 0).sum()), "stereo": int((everything.stations == 0).sum())},
         "mesh": mesh_figures(mesh, gsd), "agreement": agreement.agreement_figures(agreements, gsd),
-        "warnings": _warnings(outcomes, mesh, thing), "seconds": round(time.monotonic() - start, 1),
+        "photogrammetry": None if frame is None else frame.figures,
+        "warnings": [*(frame.warnings if frame is not None else ()), *_warnings(outcomes, mesh, thing)], "seconds": round(time.monotonic() - start, 1),
     }  # fmt: skip
     report = page.write_page(folder, quality, baked, seen, mesh, views[0], linked=thing.campaign.report)
     files = [folder / "mesh.ply", folder / "mesh.glb", *maps, report]

@@ -6,11 +6,18 @@ reads the cameras of an Agisoft Metashape project.
 """
 
 from malus.photogrammetry.folder import exclusive
-from malus.photogrammetry.front_end import FusedOnce, StationCameras, Swept, find_cameras, sweep_station
+from malus.photogrammetry.front_end import (
+    FusedOnce,
+    StationCameras,
+    Swept,
+    find_cameras,
+    find_object_cameras,
+    sweep_station,
+)
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.model import RegisteredImage, SparseModel
 from malus.photogrammetry.photos import Photo, list_photos
-from malus.photogrammetry.plan import plan
+from malus.photogrammetry.plan import plan, sweep_line
 
 __all__ = [
     "FusedOnce",
@@ -21,8 +28,10 @@ __all__ = [
     "Swept",
     "exclusive",
     "find_cameras",
+    "find_object_cameras",
     "list_photos",
     "plan",
     "read_metashape",
+    "sweep_line",
     "sweep_station",
 ]

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,11 +27,18 @@ from malus.photogrammetry import diagnosis
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.model import SparseModel
-from malus.photogrammetry.photo_cameras import solve_photos
+from malus.photogrammetry.photo_cameras import PhotoCameras, solve_photos
 from malus.photogrammetry.photos import Photo, describe_photo, list_photos, read_gray
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.scale import adjust_scale, scale_model
-from malus.photogrammetry.station_pose import STATION_IMAGE, StationView, lens_of_raster, place_station
+from malus.photogrammetry.station_pose import (
+    STATION_IMAGE,
+    PlacedStations,
+    StationView,
+    lens_of_raster,
+    place_stations,
+    station_image,
+)
 from malus.photogrammetry.window_matching import match_windows
 
 Report = Callable[[float, str], None]
@@ -52,7 +59,8 @@ class StationCameras:
     """Seconds, all and by stage."""
 
 
-def _camera(description: Mapping[str, Any]) -> Camera:
+def camera_of(description: Mapping[str, Any]) -> Camera:
+    """The camera that `Station.describe` says."""
     return Camera(
         description["model"], description["width"], description["height"], description["params"],
         description.get("rotation", np.eye(3)), description.get("translation", np.zeros(3)),
@@ -77,33 +85,103 @@ def find_cameras(
     Raises InputError for files that are wrong, DataError, saying what to photograph, for photos that do not do, and
     ExternalError when COLMAP is missing or fails.
     """
-    said = station["photos"]
-    photos = list_photos(Path(said["folder"]), said["exclude"])
+    bench = _bench(folder, options, threads, progress, log)
+    photos, solved = _solved(bench, station["photos"])
+    lens = lens_of_raster(camera_of(station["camera"])) if "camera" in station else None
+    shared = None if lens is not None else _photo_of_same_camera(station, photos, solved.model, unpolarized.shape, log)
+    view = StationView(unpolarized, lens, shared)
+    placed, model, figures = _placed_and_scaled(bench, photos, solved, {STATION_IMAGE: view}, station["scale"])
+    figures["photogrammetry"]["station"] = {
+        **_station_figures(placed, STATION_IMAGE),
+        "lens": "given" if lens is not None else "of the photos" if shared is not None else "self-calibrated",
+    }
+    return StationCameras(
+        station=model.images[STATION_IMAGE].camera,
+        photos=[(photo, model.images[photo.name].camera) for photo in photos if photo.name in model.images],
+        model=model,
+        figures=figures,
+        times=_times(bench.journal),
+    )
+
+
+def find_object_cameras(
+    shared: Mapping[str, Any],
+    stations: Mapping[str, tuple[Camera, NDArray[np.float32]]],
+    folder: Path,
+    *,
+    options: Options,
+    threads: int,
+    progress: Report,
+    log: Log,
+) -> dict[str, StationCameras]:
+    """Cameras of an object's photos and of its stations in one model, by the stations' names.
+
+    shared: `photos` and `scale` as `Station.describe` says them. stations: lens and H×W unpolarized intensity, undistorted. Stations
+    that find no place are left out. The images of the other stations count as photos of each. Raises what `find_cameras` does.
+    """
+    bench = _bench(folder, options, threads, progress, log)
+    photos, solved = _solved(bench, shared["photos"])
+    images = {name: station_image(number) for number, name in enumerate(stations)}
+    views = {
+        images[name]: StationView(unpolarized, lens_of_raster(lens)) for name, (lens, unpolarized) in stations.items()
+    }
+    placed, model, figures = _placed_and_scaled(bench, photos, solved, views, shared["scale"])
+    pictures = list(photos)
+    for image, view in views.items():
+        height, width = view.unpolarized.shape
+        pictures.append(Photo(image, bench.images / image, width, height))
+    found = {}
+    for name, image in images.items():
+        if placed.has(image):
+            own = {**figures["photogrammetry"], "station": {**_station_figures(placed, image), "lens": "given"}}
+            found[name] = StationCameras(
+                station=model.images[image].camera,
+                photos=[
+                    (picture, model.images[picture.name].camera)
+                    for picture in pictures
+                    if picture.name in model.images and picture.name != image
+                ],
+                model=model,
+                figures={**figures, "photogrammetry": own},
+                times=_times(bench.journal),
+            )
+    return found
+
+
+def _bench(folder: Path, options: Options, threads: int, progress: Report, log: Log) -> Bench:
     folder.mkdir(parents=True, exist_ok=True)
     journal = Journal(folder, log)
-    bench = Bench(Colmap(threads, options.photos.backend), folder, journal, options, progress, journal.log)
-    known = known_lens(said["camera"], log)
-    solved = solve_photos(bench, photos, known)
+    return Bench(Colmap(threads, options.photos.backend), folder, journal, options, progress, journal.log)
+
+
+def _solved(bench: Bench, said: Mapping[str, Any]) -> tuple[list[Photo], PhotoCameras]:
+    """The photos that [photos] names, and their cameras."""
+    photos = list_photos(Path(said["folder"]), said["exclude"])
+    solved = solve_photos(bench, photos, known_lens(said["camera"], bench.log))
     relief = solved.model.relief()
     if not solved.calibrated and relief < diagnosis.FLAT_RELIEF:
         raise DataError(diagnosis.unknown_focal_on_flat_scene(relief))
+    return photos, solved
 
-    lens = lens_of_raster(_camera(station["camera"])) if "camera" in station else None
-    shared = None if lens is not None else _photo_of_same_camera(station, photos, solved.model, unpolarized.shape, log)
-    view = StationView(unpolarized, lens, shared)
-    matched = match_windows(bench, photos, solved, view, place_station(bench, solved, view))
+
+def _placed_and_scaled(
+    bench: Bench,
+    photos: list[Photo],
+    solved: PhotoCameras,
+    views: Mapping[str, StationView],
+    bars: Sequence[Mapping[str, Any]],
+) -> tuple[PlacedStations, SparseModel, dict[str, Any]]:
+    """Stations among the photos, measured by windows, and the model in their unit with its figures."""
+    matched = match_windows(bench, photos, solved, views, place_stations(bench, solved, views))
     placed = matched.placed
-
-    by_name = {photo.name: photo for photo in photos}
-    registered = {name: image.camera for name, image in placed.model.images.items() if name != STATION_IMAGE}
+    registered = {name: image.camera for name, image in placed.model.images.items() if name not in views}
     bench.report("scale", 0.0, "scale from known distances")
-    scale = adjust_scale(station["scale"], photos, registered, options, log)
-    journal.require_unchanged()
+    scale = adjust_scale(bars, photos, registered, bench.options, bench.log)
+    bench.journal.require_unchanged()
     factor = 1.0 if scale is None else float(scale["scale"])
-    scale_model(placed.folder, folder / "model", factor)
-    model = SparseModel.read(folder / "model")
-    cameras = {name: image.camera for name, image in model.images.items()}
-    figures: dict[str, Any] = {
+    scale_model(placed.folder, bench.folder / "model", factor)
+    model = SparseModel.read(bench.folder / "model")
+    figures = {
         "photogrammetry": {
             "program": bench.colmap.title,
             "photos": len(photos),
@@ -112,25 +190,22 @@ def find_cameras(
             "self_calibrated": not solved.calibrated,
             "reprojection_px": model.mean_error_px,
             "points": len(model.points),
-            "relief": relief,
-            "station": {
-                "matches": sum(placed.matches.values()),
-                "photos_matched": len(placed.matches),
-                "points_seen": model.images[STATION_IMAGE].observations,
-                "lens": "given" if lens is not None else "of the photos" if shared is not None else "self-calibrated",
-            },
+            "relief": solved.model.relief(),
             "windows": matched.figures,
         },
         "scale": scale,
     }
-    progress(1.0, f"{len(registered)} of {len(photos)} photos")
-    return StationCameras(
-        station=cameras[STATION_IMAGE],
-        photos=[(by_name[name], cameras[name]) for name in sorted(registered)],
-        model=model,
-        figures=figures,
-        times=_times(journal),
-    )
+    bench.progress(1.0, f"{len(registered)} of {len(photos)} photos")
+    return placed, model, figures
+
+
+def _station_figures(placed: PlacedStations, image: str) -> dict[str, Any]:
+    matches = placed.matches[image]
+    return {
+        "matches": sum(matches.values()),
+        "photos_matched": len(matches),
+        "points_seen": placed.model.images[image].observations,
+    }
 
 
 def _times(journal: Journal) -> dict[str, Any]:
@@ -141,7 +216,7 @@ def known_lens(said: Mapping[str, Any] | None, log: Log) -> Camera | None:
     """The photos' calibrated lens in one of COLMAP's models."""
     if said is None:
         return None
-    values, rms_px = _core.as_colmap_camera(_camera(said).values())
+    values, rms_px = _core.as_colmap_camera(camera_of(said).values())
     if rms_px > 0.05:
         log("warning", f"[photos].camera is met to {rms_px:.2f} px only by the lens model that COLMAP has for it")
     return Camera(*values)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from malus.camera import Camera
-from malus.errors import DataError, InputError
+from malus.errors import DataError, ExternalError, InputError
 from malus.photogrammetry import database, diagnosis
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.model import SparseModel, colmap_params
@@ -26,6 +26,8 @@ SELF_CALIBRATED = "OPENCV"
 FOCAL_ASSUMPTIONS = (1.2, 2.4, 5.0)
 MIN_PHOTOS = 3
 _ENOUGH_SHARE = 0.8
+#: What COLMAP's mapper says when photos match, but no pair of them fixes the geometry: no fault of the program.
+_NO_MODEL = "failed to create sparse model"
 _PHOTOS_A_SEARCH_LIMIT = 20
 #: Photos from which an adjustment can tell the principal point from the poses.
 MIN_PHOTOS_PRINCIPAL_POINT = 6
@@ -95,7 +97,9 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
     groups = group_by_camera(photos, known)
     stage = bench.journal.stage
     hashes = bench.journal.watch({photo.name: photo.path for photo in photos})
-    stage("copies", {"photos": hashes, "colmap": bench.colmap.title}, ["images"], lambda: _copy(bench, photos))
+    # Each by its name: the stations' images lie in the same folder.
+    copies = [f"images/{database.quoted(photo.name)}" for photo in photos]
+    stage("copies", {"photos": hashes, "colmap": bench.colmap.title}, copies, lambda: _copy(bench, photos))
     options = bench.options.photos
     features = stage(
         "features",
@@ -238,6 +242,9 @@ def _run_mapper(
         bench.colmap.run("mapper", arguments, bench.log_file("mapping"), on_line=read, keep_going=keep_going)
     except SearchStoppedError:
         stopped = True
+    except ExternalError as error:
+        if _NO_MODEL not in str(error):
+            raise
     models = {}
     for folder in sorted(target.iterdir()):
         if (folder / "images.bin").exists():

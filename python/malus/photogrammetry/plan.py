@@ -21,6 +21,12 @@ _SECONDS_A_PHOTO = 8.6
 _FEATURES = 8192
 
 
+def sweep_line(options: Options) -> str:
+    """What the sweep of a station whose cameras are known does."""
+    again = ", then again about the surface fused with it" if options.sweep.again else ""
+    return f"sweep: depth of the station's view from the photos{again}"
+
+
 def plan(station: Mapping[str, Any], options: Options, threads: int) -> tuple[list[str], list[str], float]:
     """Lines that say what would be done, warnings, and the expected seconds, for what `Station.describe` says.
 
@@ -40,8 +46,7 @@ def plan(station: Mapping[str, Any], options: Options, threads: int) -> tuple[li
     does = [
         f"photos: {len(photos)} with {lens}, {len(pairs)} pairs to match, {program.title}",
         f"scale: {len(station['scale'])} known distances" if station["scale"] else "scale: none, arbitrary unit",
-        "sweep: depth of the station's view from the photos"
-        + (", then again about the surface fused with it" if options.sweep.again else ""),
+        sweep_line(options),
     ]
     if known is None and any(group.focal_px is None for group in groups):
         warnings.append("[photos]: neither camera nor EXIF focal length is known; flat scenes cannot be solved so")

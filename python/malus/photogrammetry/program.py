@@ -96,6 +96,7 @@ class Colmap:
         *,
         on_line: Callable[[str], None] | None = None,
         keep_going: Callable[[], bool] | None = None,
+        working_folder: Path | None = None,
     ) -> None:
         """Run COLMAP's COMMAND with `--key value …`, its output going to the file `log` and line by line to `on_line`.
 
@@ -120,6 +121,7 @@ class Colmap:
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
                 env=self._environment(),
+                cwd=working_folder,
             )
             try:
                 code = self._watch(child, log_file.write, tail, on_line, keep_going)

@@ -1,9 +1,11 @@
-"""The station among the photos: its image is registered to their finished model with its own, known lens."""
+"""Stations among the photos: their images are registered to the finished model of these with their own, known lenses."""
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,8 @@ from malus.photogrammetry.photos import to_bytes
 STATION_IMAGE = "malus_station.png"
 #: The station's intensity is coded like a photo's, by this power.
 GAMMA = 2.2
+#: A station that sees fewer of the model's points has no place.
+_LEAST_POINTS = 12
 
 
 @dataclass(frozen=True)
@@ -38,54 +42,68 @@ class StationView:
 
 
 @dataclass(frozen=True)
-class PlacedStation:
-    """The photos' model with the station in it."""
+class PlacedStations:
+    """The photos' model with stations in it."""
 
     folder: Path
     model: SparseModel
-    camera: Camera
-    """Lens and pose of the station's image."""
-    matches: dict[str, int]
-    """Verified matches with each photo."""
+    matches: dict[str, dict[str, int]]
+    """By image name of the station: verified matches with each other image."""
+
+    def has(self, image: str) -> bool:
+        """Whether the station of this image has found its place and sees enough points."""
+        placed = self.model.images.get(image)
+        return placed is not None and placed.observations >= _LEAST_POINTS
 
 
-def place_station(bench: Bench, photos: PhotoCameras, station: StationView) -> PlacedStation:
-    """Register the station's image, triangulate with it and adjust poses and points, all lenses held fixed.
+def station_image(number: int) -> str:
+    """Image name of one of several stations in COLMAP's database and models."""
+    return f"malus_station_{number}.png"
+
+
+def place_stations(bench: Bench, photos: PhotoCameras, stations: Mapping[str, StationView]) -> PlacedStations:
+    """Register the stations' images (by image name), triangulate with them and adjust poses and points, all lenses held fixed.
 
     A lens that is not known is that of the photos if the camera is the same, else it is calibrated here. Raises DataError
-    when the station finds no position.
+    when no station finds a position; `has` tells which did.
     """
-    pixels = to_bytes(station.unpolarized, gamma=GAMMA)
+    pixels = {image: to_bytes(view.unpolarized, gamma=GAMMA) for image, view in stations.items()}
     inputs = {
-        "image": hashlib.sha256(pixels.tobytes()).hexdigest(),
-        "lens": None if station.lens is None else [station.lens.model, *map(float, station.lens.params)],
-        "shared_with": station.shared_with,
+        "stations": {
+            image: {
+                "image": hashlib.sha256(pixels[image].tobytes()).hexdigest(),
+                "lens": None if view.lens is None else [view.lens.model, *map(float, view.lens.params)],
+                "shared_with": view.shared_with,
+            }
+            for image, view in stations.items()
+        },
         "max_features": bench.options.photos.max_features,
         "max_error_px": bench.options.photos.max_error_px,
     }
-    notes = bench.journal.stage(
-        "station", inputs, ["station.db", "station", "placed"], lambda: _place(bench, photos, station, pixels)
-    )
+    outputs = ["station.db", "station", "placed", *(f"images/{image}" for image in stations)]
+    notes = bench.journal.stage("station", inputs, outputs, lambda: _place(bench, photos, stations, pixels))
     folder = bench.folder / "placed"
-    model = SparseModel.read(folder)
-    return PlacedStation(folder, model, model.images[STATION_IMAGE].camera, notes["matches"])
+    return PlacedStations(folder, SparseModel.read(folder), notes["matches"])
 
 
-def _place(bench: Bench, photos: PhotoCameras, station: StationView, pixels: NDArray[np.uint8]) -> dict[str, Any]:
+def _place(
+    bench: Bench, photos: PhotoCameras, stations: Mapping[str, StationView], pixels: Mapping[str, NDArray[np.uint8]]
+) -> dict[str, Any]:
     source = bench.folder / "station.db"
     database.copy(photos.database, source)
     bench.images.mkdir(exist_ok=True)
-    _core.write_png(str(bench.images / STATION_IMAGE), pixels)
     bench.report("station", 0.0, "features of the station's image")
-    bench.extract_features("station", source, [STATION_IMAGE], _reader(station, source, pixels.shape))
-    matches = _match(bench, source, sorted(photos.model.images))
-    least = bench.options.photos.min_inliers
-    failure = DataError(diagnosis.station_not_registered(matches, least))
-    if not matches:
+    for image, view in stations.items():
+        _core.write_png(str(bench.images / image), pixels[image])
+        bench.extract_features("station", source, [image], _reader(view, source, pixels[image].shape))
+    matches = _match(bench, source, sorted(photos.model.images), list(stations))
+    best = max(matches.values(), key=lambda found: max(found.values(), default=0))
+    failure = DataError(diagnosis.station_not_registered(best, bench.options.photos.min_inliers))
+    if not best:
         raise failure
 
     work = bench.folder / "station"
-    refine = int(station.lens is None and station.shared_with is None)
+    refine = int(any(view.lens is None and view.shared_with is None for view in stations.values()))
     mapper = {"Mapper.ba_refine_focal_length": refine, "Mapper.ba_refine_extra_params": refine}
     registered, triangulated, placed = work / "registered", work / "triangulated", bench.folder / "placed"
     for folder in (registered, triangulated, placed):
@@ -95,10 +113,10 @@ def _place(bench: Bench, photos: PhotoCameras, station: StationView, pixels: NDA
     bench.colmap.run(
         "image_registrator",
         {"database_path": source, "input_path": photos.folder, "output_path": registered, **mapper,
-         "Mapper.min_num_matches": least},
+         "Mapper.min_num_matches": bench.options.photos.min_inliers},
         log,
     )  # fmt: skip
-    if STATION_IMAGE not in SparseModel.read(registered).images:
+    if not any(image in SparseModel.read(registered).images for image in stations):
         raise failure
     bench.report("station", 0.7, "points that the station sees")
     bench.colmap.run(
@@ -118,7 +136,11 @@ def _place(bench: Bench, photos: PhotoCameras, station: StationView, pixels: NDA
             "BundleAdjustment.refine_principal_point": 0,
         },
     )
-    _check(SparseModel.read(placed), station, failure)
+    result = PlacedStations(placed, SparseModel.read(placed), matches)
+    if not any(result.has(image) for image in stations):
+        raise failure
+    for image, view in stations.items():
+        _check_lens(result.model, image, view)
     return {"matches": matches}
 
 
@@ -131,22 +153,24 @@ def _reader(station: StationView, source: Path, shape: tuple[int, ...]) -> dict[
     return {"camera_model": SELF_CALIBRATED}
 
 
-def _match(bench: Bench, source: Path, names: list[str]) -> dict[str, int]:
+def _match(bench: Bench, source: Path, photos: list[str], stations: list[str]) -> dict[str, dict[str, int]]:
+    """Verified matches of each station's image with the photos and with the other stations' images."""
     bench.report("station", 0.1, "matches of the station's image")
-    bench.match("station", source, [(name, STATION_IMAGE) for name in names])
-    found: dict[str, int] = {}
-    for pair, count in database.verified_pairs(source).items():
-        if STATION_IMAGE in pair:
-            found[pair[0] if pair[1] == STATION_IMAGE else pair[1]] = count
+    bench.match("station", source, [*product(photos, stations), *combinations(stations, 2)])
+    found: dict[str, dict[str, int]] = {image: {} for image in stations}
+    for (first, second), count in database.verified_pairs(source).items():
+        for image, other in ((first, second), (second, first)):
+            if image in found:
+                found[image][other] = count
     return found
 
 
-def _check(model: SparseModel, station: StationView, failure: DataError) -> None:
-    """A registered station must see points and must have kept its lens."""
-    placed = model.images.get(STATION_IMAGE)
-    if placed is None or placed.observations < 12:
-        raise failure
-    if station.lens is not None and not np.allclose(placed.camera.params, station.lens.params, rtol=1e-6):
+def _check_lens(model: SparseModel, image: str, station: StationView) -> None:
+    """A station whose lens is known must have kept it."""
+    placed = model.images.get(image)
+    if placed is None or station.lens is None:
+        return
+    if not np.allclose(placed.camera.params, station.lens.params, rtol=1e-6):
         raise DataError(
             f"the station's lens changed from {list(station.lens.params)} to {list(placed.camera.params)} although it is "
             "known; this version of COLMAP does not hold it fixed"

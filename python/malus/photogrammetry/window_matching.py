@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,32 +17,40 @@ from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photo_cameras import MIN_PHOTOS_PRINCIPAL_POINT, PhotoCameras
 from malus.photogrammetry.photos import Photo, read_gray
-from malus.photogrammetry.station_pose import GAMMA, STATION_IMAGE, PlacedStation, StationView
+from malus.photogrammetry.station_pose import GAMMA, PlacedStations, StationView
 
 
 @dataclass(frozen=True)
-class MatchedStation:
+class MatchedStations:
     """The model after the adjustment, and what it gained."""
 
-    placed: PlacedStation
+    placed: PlacedStations
     figures: dict[str, Any] | None
     """For quality.json; None when windows were not to be matched."""
 
 
 def match_windows(
-    bench: Bench, photos: Sequence[Photo], solved: PhotoCameras, station: StationView, placed: PlacedStation
-) -> MatchedStation:
+    bench: Bench,
+    photos: Sequence[Photo],
+    solved: PhotoCameras,
+    stations: Mapping[str, StationView],
+    placed: PlacedStations,
+) -> MatchedStations:
     """Locate the model's points in all images to hundredths of a pixel and adjust lenses, poses and points to them.
 
-    The lens of the station is held fixed if it is known, that of the photos if it was given. When there are too few matches the model stays
-    as it was, with a warning.
+    Lenses of stations (by image name) are held fixed if they are known, that of the photos if it was given. Windows are those of the
+    first station that is placed where it sees a point. When there are too few matches the model stays as it was, with a warning.
     """
     options = bench.options.photos
     if not options.match_windows:
-        return MatchedStation(placed, None)
-    freedom = _freedom(solved, station, placed.model)
+        return MatchedStations(placed, None)
+    views = {image: view for image, view in stations.items() if image in placed.model.images}
+    freedom = _freedom(solved, views, placed.model)
     inputs = {
-        "image": hashlib.sha256(np.ascontiguousarray(station.unpolarized).tobytes()).hexdigest(),
+        "images": {
+            image: hashlib.sha256(np.ascontiguousarray(view.unpolarized).tobytes()).hexdigest()
+            for image, view in views.items()
+        },
         "freedom": freedom,
         "options": [options.match_points_a_photo, options.match_radius, options.match_range_px,
                     options.match_min_correlation, options.match_floor_px],
@@ -53,11 +61,11 @@ def match_windows(
         pictures = {
             database.quoted(photo.name): read_gray(photo.path) for photo in photos if photo.name in placed.model.images
         }
-        pictures[STATION_IMAGE] = coded(station.unpolarized)
+        pictures |= {image: coded(view.unpolarized) for image, view in views.items()}
         model = _core.ColmapModel.read(str(placed.folder))
         quoted = {database.quoted(name): what for name, what in freedom.items()}
         figures = model.refine(
-            pictures, STATION_IMAGE, quoted, bench.options.to_json(), bench.colmap.threads, bench.log
+            pictures, next(filter(placed.has, views)), quoted, bench.options.to_json(), bench.colmap.threads, bench.log
         )
         target = bench.folder / "matched"
         if figures["status"] == "too few matches":
@@ -72,13 +80,9 @@ def match_windows(
 
     notes = bench.journal.stage("windows", inputs, ["matched"], run)
     figures: dict[str, Any] = notes["figures"]
-    _warn(bench, figures)
+    _warn(bench, figures, views)
     folder = bench.folder / "matched"
-    model = SparseModel.read(folder)
-    return MatchedStation(
-        replace(placed, folder=folder, model=model, camera=model.images[STATION_IMAGE].camera),
-        figures,
-    )
+    return MatchedStations(replace(placed, folder=folder, model=SparseModel.read(folder)), figures)
 
 
 def coded(unpolarized: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -86,19 +90,20 @@ def coded(unpolarized: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.power(np.clip(np.nan_to_num(unpolarized), 0, 1), 1 / GAMMA, dtype=np.float32)
 
 
-def _freedom(solved: PhotoCameras, station: StationView, model: SparseModel) -> dict[str, str]:
+def _freedom(solved: PhotoCameras, stations: Mapping[str, StationView], model: SparseModel) -> dict[str, str]:
     """What of the lens of an image may change, for one image of each lens that is not fixed."""
     free: dict[str, str] = {}
     if not solved.calibrated:
         enough = len(solved.model.images) >= MIN_PHOTOS_PRINCIPAL_POINT
         groups = {model.images[name].camera_group: name for name in sorted(solved.model.images) if name in model.images}
         free = dict.fromkeys(groups.values(), "all" if enough else "without_principal_point")
-    if station.lens is None and station.shared_with is None:
-        free[STATION_IMAGE] = "without_principal_point"
+    for image, station in stations.items():
+        if station.lens is None and station.shared_with is None:
+            free[image] = "without_principal_point"
     return free
 
 
-def _warn(bench: Bench, figures: dict[str, Any]) -> None:
+def _warn(bench: Bench, figures: dict[str, Any], stations: Mapping[str, StationView]) -> None:
     if figures["status"] == "too few matches":
         bench.log(
             "warning",
@@ -108,7 +113,7 @@ def _warn(bench: Bench, figures: dict[str, Any]) -> None:
     elif figures["status"] != "converged":
         bench.log("warning", "the adjustment to the matched windows did not converge")
     for lens in figures["lens_sigma"]:
-        if lens["image"] == STATION_IMAGE:
+        if lens["image"] in stations:
             bench.log(
                 "warning",
                 f"the station's lens was calibrated from its one image: its focal length is known to {lens['sigma'][0]:.2g} px "
