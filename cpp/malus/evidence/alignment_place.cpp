@@ -84,8 +84,8 @@ Gain gain_of(const AlignmentProblem& problem, const Evidence& evidence, const Si
 
 /// A place is told from another by 3 standard deviations of the gain, or by 2 if it is also 3 of its own standard
 /// deviations beyond the tolerance: the former scatter over the image, the latter follow from how sharp the fit is.
+constexpr double clear = 3, fair = 2;
 bool is_clear(const Gain& gain, double beyond_sigmas) {
-  constexpr double clear = 3, fair = 2;
   return std::max(gain.largest, gain.joint) > clear || (gain.joint > fair && beyond_sigmas > clear);
 }
 
@@ -184,10 +184,12 @@ const Tolerance& AlignmentPlace::tolerance() const {
   return by_edges ? by_edges_only : by_texture;
 }
 
-bool AlignmentPlace::is_offset() const {
+bool AlignmentPlace::is_offset(double object_covered) const {
   const bool one_loses = std::ranges::any_of(
       evidence, [](const AlignmentEvidence& cue) { return cue.informative && cue.gain_sigmas < loss_sigmas; });
-  return beyond_sigmas > 0 && !one_loses && is_clear({largest_gain, gain_sigmas}, beyond_sigmas);
+  if (!(beyond_sigmas > 0) || one_loses) return false;
+  if (object_covered < PriorAlignment::poorly_covered) return largest_gain > clear;
+  return is_clear({largest_gain, gain_sigmas}, beyond_sigmas);
 }
 
 double AlignmentPlace::explained() const {

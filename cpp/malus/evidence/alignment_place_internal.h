@@ -35,8 +35,9 @@ struct AlignmentPlace {
   bool is_informative() const;
   /// What view-dependent reflections make of right priors.
   const Tolerance& tolerance() const;
-  /// The prior lies elsewhere: beyond the tolerance, and clearly better explained there.
-  bool is_offset() const;
+  /// The prior lies elsewhere: beyond the tolerance, and clearly better explained there. Where it covers less than 30 %
+  /// of the object, its pixels lie together and what cues have in common is not independent: one alone must be clear.
+  bool is_offset(double object_covered) const;
   /// Sum of the squared correlations of color and phase at the best place.
   double explained() const;
 };

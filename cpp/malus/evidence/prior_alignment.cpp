@@ -168,7 +168,7 @@ void judge_place(const AlignmentPlace& place, const std::string& unit, PriorAlig
         "");
     return;
   }
-  if (place.is_offset()) {
+  if (place.is_offset(found.object_covered)) {
     say(found, Severity::warning,
         "the prior does not lie where the images show the object: it seems " +
             offset_in_words(found, place.tolerance(), unit),
