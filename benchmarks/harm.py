@@ -1,9 +1,17 @@
 """How often a fused surface is worse than its prior without saying so.
 
     python benchmarks/harm.py STATION… --executable malus-station -o OUT [--jobs 2] [--draws 1] [--seed 1]
+    python benchmarks/harm.py --renders DIR… [--count 200] --executable malus-station -o OUT [--jobs 2] [--seed 1]
 
 STATION: folders of rendered stations (`random_stations.py`, or shared/data/rendered). Of each one variant is drawn
-(`station_variants.py`): half are right as they are, a quarter have a wrong prior, a quarter a wrong setting. Each is run, and prior
+(`station_variants.py`): half are right as they are, a quarter have a wrong prior, a quarter a wrong setting.
+
+--renders: a station takes a minute to render and seconds to run, and noise, errors of the prior and wrong settings need no rendering.
+So random stations are made of all renders below these folders: objects are drawn until there are --count, none again before all were
+drawn once; of an object in the round one of its stations. Each gets the noise of a sensor drawn for it, and a variant as above. Scene,
+light and material are as random as the renders are: "own" in the table of lights means the scene's own.
+
+Each station is run, and prior
 and fused surface are compared with the truth, on the pixels where both have a depth and with the definitions of shared/tools/score.py:
 
     harm           RMSE, detail's MAD or median normal error of the fused surface is more than 10 % above the prior's
@@ -30,7 +38,7 @@ import sys
 import zlib
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +48,7 @@ import tifffile
 from numpy.typing import NDArray
 from rendered_files import BORDER_PX, Array, Mask, lowpass
 from scipy import ndimage
-from station_variants import WRONG_PRIOR
+from station_variants import WRONG_PRIOR, Variant
 
 Result = dict[str, Any]
 
@@ -120,10 +128,56 @@ def description(station: Path) -> dict[str, Any]:
     return out | (json.loads(drawn.read_text()) if drawn.exists() else {})
 
 
-def run(station: Path, name: str, draw: int, args: argparse.Namespace) -> Result:
-    """Draw, write, run and score a variant of a station."""
-    random = np.random.default_rng([args.seed, zlib.crc32(name.encode()), draw])
-    variant = station_variants.draw(random)
+@dataclass(frozen=True)
+class Task:
+    """A variant of a rendered station; name and draw tell it from the others."""
+
+    station: Path
+    name: str
+    draw: int
+    variant: Variant
+
+
+def name_of(station: Path) -> str:
+    """A station of several that share photographs is a folder in that of the object: both names tell it from others."""
+    station = station.resolve()
+    return f"{station.parent.name}_{station.name}" if (station.parent / "object.toml").exists() else station.name
+
+
+def tasks_of_stations(stations: list[Path], draws: int, seed: int) -> list[Task]:
+    """Of each station as many variants as asked for."""
+    return [
+        Task(station, name, draw, station_variants.draw(np.random.default_rng([seed, zlib.crc32(name.encode()), draw])))
+        for station, name in ((station, name_of(station)) for station in stations)
+        for draw in range(draws)
+    ]
+
+
+def tasks_of_renders(folders: list[Path], count: int, seed: int) -> list[Task]:
+    """Random stations upon a pool of renders; number n depends on the seed, n and the pool alone."""
+    objects: dict[Path, list[Path]] = {}
+    for file in sorted(path for folder in folders for path in folder.glob("**/station.toml")):
+        station = file.parent.resolve()
+        if (station / "gt/depth_normal_mask.npz").exists() and (station / "meta.json").exists():
+            objects.setdefault(station.parent if (station.parent / "object.toml").exists() else station, []).append(
+                station
+            )
+    order: list[Path] = []
+    random = np.random.default_rng(seed)
+    while objects and len(order) < count:
+        order += [list(objects)[k] for k in random.permutation(len(objects))]
+    tasks = []
+    for number, chosen in enumerate(order[:count]):
+        random = np.random.default_rng([seed, number])
+        station = objects[chosen][random.integers(len(objects[chosen]))]
+        variant = replace(station_variants.draw(random), sensor=station_variants.draw_sensor(random))
+        tasks.append(Task(station, name_of(station), number, variant))
+    return tasks
+
+
+def run(task: Task, args: argparse.Namespace) -> Result:
+    """Write, run and score a variant of a station."""
+    station, name, draw, variant = task.station, task.name, task.draw, task.variant
     folder = args.output / f"{name}_{draw}"
     identity = dict(name=name, draw=draw, variant=asdict(variant), executable=args.hash)
     result_file = folder / "result.json"
@@ -280,7 +334,11 @@ def report(results: list[Result], output: Path) -> bool:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("stations", nargs="+", type=Path)
+    parser.add_argument("stations", nargs="*", type=Path)
+    parser.add_argument(
+        "--renders", nargs="+", type=Path, default=[], metavar="DIR", help="folders of rendered stations"
+    )
+    parser.add_argument("--count", type=int, default=200, help="random stations upon the renders")
     parser.add_argument("--executable", type=Path, required=True)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--jobs", type=int, default=2)
@@ -292,16 +350,15 @@ def main() -> int:
     for station in args.stations:
         if not (station / "station_noisy.toml").exists():
             parser.error(f"{station}: expected a rendered station with station.toml and station_noisy.toml")
-    # A station of several that share photographs is a folder in that of the object: both names tell it from others.
-    names = [
-        f"{s.resolve().parent.name}_{s.name}" if (s / "../object.toml").exists() else s.resolve().name
-        for s in args.stations
-    ]
-    tasks = [(s, name, draw) for s, name in zip(args.stations, names, strict=True) for draw in range(args.draws)]
+    tasks = tasks_of_stations(args.stations, args.draws, args.seed) + tasks_of_renders(
+        args.renders, args.count, args.seed
+    )
+    if not tasks:
+        parser.error("no station: expected STATION… or --renders with folders of rendered stations")
     args.output.mkdir(parents=True, exist_ok=True)
     with ThreadPoolExecutor(args.jobs) as pool:
         results = []
-        for number, result in enumerate(pool.map(lambda t: run(t[0], t[1], t[2], args), tasks), 1):
+        for number, result in enumerate(pool.map(lambda task: run(task, args), tasks), 1):
             results.append(result)
             print(f"{number} of {len(tasks)}", end="\r", file=sys.stderr, flush=True)
     return 0 if report(results, args.output) else 1

@@ -1,7 +1,8 @@
 """Variants of a rendered station for `harm.py`: right as it is, with a coarse surface that is wrong, or with a setting that is.
 
 A variant is drawn (`draw`) and then written as a folder of its own (`write`): a station file that names the images of the rendered
-station, and a cloud. The rendered station is only read.
+station, and a cloud. With a sensor drawn as well (`draw_sensor`), the images are written anew, with more noise and moved: that takes
+nothing but the low-noise images. The rendered station is only read.
 """
 
 from __future__ import annotations
@@ -13,8 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tifffile
 from numpy.typing import NDArray
+from PIL import Image
 from rendered_files import Array, Cloud, read_cloud, toml_text, vectors, with_vectors, write_cloud
+from scipy import ndimage
 
 POINT, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 
@@ -37,6 +41,9 @@ class Variant:
     noisy: bool = False  # single frames, each moved, instead of the registered means of 16
     good_cloud: bool = False  # the cloud as if stereo had worked everywhere, if the scene has it
     amount: dict[str, Any] = field(default_factory=dict)
+    sensor: dict[str, float] = field(
+        default_factory=dict
+    )  # of images made anew; empty = the images are the rendered ones
 
 
 def signed(random: np.random.Generator, low: float, high: float) -> float:
@@ -84,6 +91,15 @@ def draw(random: np.random.Generator) -> Variant:
         return Variant(kind, "correct", noisy, good_cloud)
     name = str(random.choice(PRIOR_ERRORS if kind == "prior" else IMAGE_SETTINGS + CLOUD_SETTINGS))
     return Variant(kind, name, noisy, good_cloud, draw_amount(name, random))
+
+
+def draw_sensor(random: np.random.Generator) -> dict[str, float]:
+    """A sensor that is noisier than the rendered one: its full well and read noise over that one's, and a seed for the noise."""
+    return dict(
+        full_well=float(np.exp(random.uniform(np.log(0.3), 0))),
+        read_noise=float(np.exp(random.uniform(0, np.log(2.5)))),
+        seed=int(random.integers(2**31)),
+    )
 
 
 # --- the cloud
@@ -146,6 +162,39 @@ def change_cloud(cloud: Cloud, variant: Variant, camera: dict[str, Any], gsd: fl
     return with_vectors(with_vectors(cloud, POINT, world), NORMAL, normals)
 
 
+# --- the images
+
+
+def moved(image: Array, random: np.random.Generator) -> Array:
+    """The image as a filter that is turned by hand leaves it: shifted by up to 1.5 px, turned by up to 0.03°."""
+    angle = np.radians(random.uniform(-0.03, 0.03))
+    matrix = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    middle = (np.array(image.shape) - 1) / 2
+    offset = middle + random.uniform(-1.05, 1.05, 2) - matrix @ middle
+    return np.asarray(ndimage.affine_transform(image, matrix, offset, order=3, mode="mirror"))
+
+
+def write_images(station: Path, variant: Variant, folder: Path, polarized: dict[str, Any]) -> None:
+    """Write the station's low-noise images as the variant's sensor sees them, and say so in the table `polarized`."""
+    random = np.random.default_rng(int(variant.sensor["seed"]))
+    rendered = [polarized[key] for key in ("full_well_e", "read_noise_e", "frames_averaged")]
+    full_well, read_noise = rendered[0] * variant.sensor["full_well"], rendered[1] * variant.sensor["read_noise"]
+    white, frames = polarized["white_level"], 1 if variant.noisy else rendered[2]
+    names = []
+    for number, name in enumerate(polarized["images"]):
+        image = np.asarray(Image.open(station / name), dtype=float) / white
+        if variant.noisy and number > 0:
+            image = moved(image, random)
+        light = np.maximum(image, 0)
+        variances = [
+            (light * well + read**2) / well**2 / n for well, read, n in ((full_well, read_noise, frames), rendered)
+        ]
+        image += random.standard_normal(image.shape) * np.sqrt(np.maximum(variances[0] - variances[1], 0))
+        names.append(f"{number}.tif")
+        tifffile.imwrite(folder / names[-1], np.rint(np.clip(image, 0, 1) * white).astype(np.uint16))
+    polarized.update(images=names, full_well_e=full_well, read_noise_e=read_noise, frames_averaged=frames)
+
+
 # --- the station file
 
 
@@ -161,10 +210,15 @@ def change_settings(tables: dict[str, dict[str, Any]], variant: Variant) -> None
 def write(station: Path, variant: Variant, folder: Path) -> Path:
     """Write the variant of a rendered station into a folder; returns its station file."""
     meta = json.loads((station / "meta.json").read_text())
-    tables = tomllib.loads((station / ("station_noisy.toml" if variant.noisy else "station.toml")).read_text())
+    noisy_file = variant.noisy and not variant.sensor
+    tables = tomllib.loads((station / ("station_noisy.toml" if noisy_file else "station.toml")).read_text())
     tables.pop("patch", None)
+    folder.mkdir(parents=True, exist_ok=True)
+    if variant.sensor:
+        write_images(station, variant, folder, tables["polarized"])
+    else:
+        tables["polarized"]["images"] = [str((station / name).resolve()) for name in tables["polarized"]["images"]]
     change_settings(tables, variant)
-    tables["polarized"]["images"] = [str((station / name).resolve()) for name in tables["polarized"]["images"]]
     for table, key in (("polarized", "mask"), ("camera", "colmap_model")):
         if key in tables[table]:
             tables[table][key] = str((station / tables[table][key]).resolve())
@@ -173,7 +227,6 @@ def write(station: Path, variant: Variant, folder: Path) -> Path:
     if variant.good_cloud and good.exists():
         cloud = good
     tables["prior"]["cloud"] = "cloud.ply"
-    folder.mkdir(parents=True, exist_ok=True)
     write_cloud(folder / "cloud.ply", change_cloud(read_cloud(cloud), variant, meta["station"], meta["gsd_mm"]))
     path = folder / "station.toml"
     path.write_text(toml_text(tables))

@@ -55,10 +55,13 @@ class Reporter {
     }
   }
 
-  /// How far the surface may be trusted; with --quiet only if that is not everywhere.
-  void close(const malus::SurfaceConfidence& found) const {
+  /// How far the surface may be trusted, if there is one; with --quiet only if that is not everywhere.
+  void close(const std::optional<malus::SurfaceConfidence>& surface) {
+    if (json_) return write_result(surface);
+    if (!surface) return;
+    const malus::SurfaceConfidence& found = *surface;
     const malus::Confidence& confidence = found.confidence;
-    if (json_ || (quiet_ && confidence.level == malus::ConfidenceLevel::high)) return;
+    if (quiet_ && confidence.level == malus::ConfidenceLevel::high) return;
     std::fprintf(stderr, "%-13s %s%s\n", "confidence", std::string(enum_name(confidence.level)).c_str(),
                  found.assessed ? "" : ", not assessed yet");
     for (const std::string& reason : confidence.reasons) std::fprintf(stderr, "  %s\n", reason.c_str());
@@ -66,6 +69,7 @@ class Reporter {
 
   void log(malus::LogLevel level, const std::string& message) {
     const bool warning = level == malus::LogLevel::warning;
+    if (warning) warnings_.push_back(message);
     if (json_) {
       write({{"event", "log"}, {"level", warning ? "warning" : "info"}, {"message", message}});
     } else if (warning) {
@@ -74,6 +78,18 @@ class Reporter {
   }
 
  private:
+  /// The last event: `confidence` as in quality.json, null if there is no surface, and every warning of the run.
+  void write_result(const std::optional<malus::SurfaceConfidence>& surface) {
+    nlohmann::ordered_json confidence;
+    if (surface) {
+      confidence = {{"level", enum_name(surface->confidence.level)}, {"reasons", surface->confidence.reasons}};
+    }
+    write({{"event", "result"},
+           {"confidence", confidence},
+           {"assessed", surface && surface->assessed},
+           {"warnings", warnings_}});
+  }
+
   void write(nlohmann::ordered_json event) {
     const auto elapsed = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_);
     event["seconds"] = elapsed.count();
@@ -81,6 +97,7 @@ class Reporter {
   }
 
   bool json_, quiet_;
+  std::vector<std::string> warnings_;
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
 };
 
@@ -111,7 +128,7 @@ void run(const Arguments& arguments) {
   if (!arguments.reference.empty()) where.reference = arguments.reference;
   const malus::Options options = read_options(arguments);
   malus::reconstruct(malus::Station::load(arguments.station), options, where, context);
-  if (const auto found = malus::surface_confidence(arguments.workspace)) reporter.close(*found);
+  reporter.close(malus::surface_confidence(arguments.workspace));
 }
 
 int fail(ErrorCode code, const std::string& message) {

@@ -311,11 +311,14 @@ def _reconstruct(
             view.progress("report", 0.0, "")
             page = malus.write_report(args.output)
             view.progress("report", 1.0, str(page))
+    confidence = _core.surface_confidence(str(args.output))
     if args.json:
+        view.result(*(confidence or (None, (), False)))
         return
     if until not in (None, "assess") and not args.quiet:
         _print_files(args.output, until)
-    _print_summary(args.output, args.quiet)
+    if confidence is not None:
+        _print_summary(args.output, *confidence, quiet=args.quiet)
 
 
 def _require_own_folder(work: Path, station: Path) -> None:
@@ -339,12 +342,8 @@ def _print_files(work: Path, step: str) -> None:
     print(f"{work} has", *files, sep="\n  ")
 
 
-def _print_summary(work: Path, quiet: bool) -> None:
+def _print_summary(work: Path, level: str, reasons: Sequence[str], assessed: bool, *, quiet: bool) -> None:
     """The figures that matter if the surface is assessed, and how far it may be trusted; quietly, only if that is not everywhere."""
-    confidence = _core.surface_confidence(str(work))
-    if confidence is None:
-        return
-    level, reasons, assessed = confidence
     if quiet:
         if level != "high":
             print(*malus.report.confidence_lines(level, reasons, assessed), sep="\n", file=sys.stderr)

@@ -80,6 +80,9 @@ class ProgressView:
     def log(self, level: str, message: str) -> None:
         """One log line of level debug, info or warning."""
 
+    def result(self, level: str | None, reasons: Sequence[str], assessed: bool) -> None:
+        """How far the surface may be trusted, once the run is done; level None = there is no surface."""
+
     def __enter__(self) -> ProgressView:
         return self
 
@@ -104,6 +107,7 @@ class JsonProgress(ProgressView):
     def __init__(self) -> None:
         super().__init__()
         self._start = time.monotonic()
+        self._warnings: list[str] = []
 
     def _write(self, **event: Any) -> None:
         print(json.dumps({**event, "seconds": round(time.monotonic() - self._start, 3)}), flush=True)
@@ -122,7 +126,14 @@ class JsonProgress(ProgressView):
 
     def log(self, level: str, message: str) -> None:
         """Write a log object."""
+        if level == "warning":
+            self._warnings.append(message)
         self._write(event="log", level=level, message=message)
+
+    def result(self, level: str | None, reasons: Sequence[str], assessed: bool) -> None:
+        """Write the last object: `confidence` as in quality.json, null if there is no surface, and every warning of the run."""
+        confidence = None if level is None else {"level": level, "reasons": list(reasons)}
+        self._write(event="result", confidence=confidence, assessed=assessed, warnings=self._warnings)
 
 
 class BarProgress(ProgressView):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 import tifffile
 from numpy.typing import NDArray
+from PIL import Image
 
 from conftest import ROOT
 
@@ -264,6 +266,51 @@ def test_a_run_from_the_variant_to_the_tables(
     marker.touch()
     assert harm.main() == 0
     assert marker.exists()
+
+
+def test_random_stations_upon_a_pool_of_renders(station: Path) -> None:
+    pool = station.parent / "pool"
+    for name in ("a", "b", "round/st0", "round/st1", "unfinished"):
+        shutil.copytree(station, pool / name)
+    (pool / "round/object.toml").touch()
+    (pool / "unfinished/meta.json").unlink()
+    tasks = harm.tasks_of_renders([pool], 9, 1)
+    drawn = [task.station.relative_to(pool.resolve()).parts[0] for task in tasks]
+    for first in (0, 3, 6):  # each object once before any comes again
+        assert sorted(drawn[first : first + 3]) == ["a", "b", "round"]
+    assert all(task.variant.sensor for task in tasks) and len({task.name + str(task.draw) for task in tasks}) == 9
+    assert harm.tasks_of_renders([pool], 9, 1) == tasks != harm.tasks_of_renders([pool], 9, 2)
+
+
+@pytest.mark.parametrize("noisy", [False, True])
+def test_a_drawn_sensor_adds_the_noise_that_the_file_says(station: Path, tmp_path: Path, noisy: bool) -> None:
+    rendered = tomllib.loads((station / "station.toml").read_text())["polarized"]
+    size, light, white = (400, 300), 0.4, 16383
+    (station / "pol").mkdir()
+    random = np.random.default_rng(0)
+    sigma = np.sqrt((light * 20000 + 64) / 16) / 20000
+    for name in rendered["images"]:
+        image = light + sigma * random.standard_normal(size)
+        Image.fromarray(np.rint(white * image).astype(np.uint16)).save(station / name)
+    text = (station / "station.toml").read_text()
+    numbers = f"frames_averaged = 16\nfull_well_e = 20000\nread_noise_e = 8\nwhite_level = {white}\n"
+    (station / "station.toml").write_text(text.replace("[camera]", numbers + "[camera]"))
+    sensor = dict(full_well=0.5, read_noise=2.0, seed=3)
+    path = station_variants.write(station, Variant("correct", "correct", noisy, sensor=sensor), tmp_path / "out")
+    said = tomllib.loads(path.read_text())["polarized"]
+    assert (said["full_well_e"], said["read_noise_e"], said["frames_averaged"]) == (10000, 16, 1 if noisy else 16)
+    expected = np.sqrt((light * 10000 + 256) / said["frames_averaged"]) / 10000
+    first = tifffile.imread(path.parent / said["images"][0]) / white  # the only one that is not moved
+    assert first.std() == pytest.approx(expected, rel=0.02)
+    assert first.mean() == pytest.approx(light, abs=3e-4)
+
+
+def test_moved_images_are_shifted_by_a_pixel_or_so() -> None:
+    u = np.indices((60, 80), dtype=float)[1]
+    shifts = [station_variants.moved(u, np.random.default_rng(seed))[5:-5, 5:-5] - u[5:-5, 5:-5] for seed in range(20)]
+    means = [shift.mean() for shift in shifts]
+    assert 0.3 < np.abs(means).mean() < 0.8 and np.abs(means).max() < 1.1
+    assert max(np.ptp(shift) for shift in shifts) < 0.1  # by the turn
 
 
 def test_scoring_reads_the_workspace(station: Path, tmp_path: Path) -> None:

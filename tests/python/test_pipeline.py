@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import markupsafe
 import numpy as np
@@ -96,6 +97,14 @@ def test_quality_matches_the_rasters(finished: Path) -> None:
     assert f"{quality['patches'][0]['fused']['rmse_gsd']:.3g}" in (finished / "report/index.html").read_text()
 
 
+def assert_last_event_is_what_quality_says(events: list[dict[str, Any]], work: Path) -> None:
+    quality = json.loads((work / "quality.json").read_text())
+    last = events[-1]
+    assert last["event"] == "result" and last["assessed"] and last["confidence"] == quality["confidence"]
+    assert last["warnings"] == [event["message"] for event in events if event.get("level") == "warning"]
+    assert len(last["warnings"]) == len(quality["warnings"])
+
+
 def test_second_run_repeats_nothing(finished: Path, small_station_source: Path) -> None:
     before = {name: (finished / name).stat().st_mtime_ns for name in RASTERS + OTHERS[1:]}
     outcome = run_malus("run", small_station_source / "station.toml", "-o", finished, "--fusion", "grid", "--json")
@@ -103,6 +112,7 @@ def test_second_run_repeats_nothing(finished: Path, small_station_source: Path) 
     events = [json.loads(line) for line in outcome.out.splitlines()]
     kept = {event["step"] for event in events if event.get("message") == "kept from an earlier run"}
     assert kept == {"polarization", "prior", "polarizer", "evidence", "zenith", "height", "fuse", "mesh", "assess"}
+    assert_last_event_is_what_quality_says(events, finished)
     assert before == {name: (finished / name).stat().st_mtime_ns for name in before}
 
 
@@ -316,7 +326,8 @@ def finished_station(station: Path, work: Path) -> Path:
     assert outcome.code == 2 and 'belongs to station "small"' in outcome.err and "--replace" in outcome.err
     outcome = run_malus("prior", station, "-o", work, "--fusion", "grid", "--replace", "--json")
     assert outcome.code == 0, outcome.err
-    kept = [json.loads(line)["message"] for line in outcome.out.splitlines()]
+    events = [json.loads(line) for line in outcome.out.splitlines()]
+    kept = [event["message"] for event in events if event["event"] == "progress"]
     assert kept == ["kept from an earlier run"] * 2, "the inputs are the same"
     return station
 
@@ -430,6 +441,27 @@ def test_check_says_what_would_be_done(small_station: Path, tmp_path: Path) -> N
     assert plan["seconds"] > 0 and plan["memory_mb"] > 0
     assert any("points fall on the object" in line for line in plan["does"])
     assert not any("memory" in line for line in plan["warnings"])
+    assert plan["confidence"] == {"level": None, "reasons": []}
+
+
+def test_check_says_what_is_known_against_the_result(small_station: Path, tmp_path: Path) -> None:
+    edit(small_station, 'unit = "mm"', 'unit = "m"')
+    outcome = run_malus("check", small_station, "--json", cwd=tmp_path)
+    assert outcome.code == 0, outcome.err
+    plan = json.loads(outcome.out)
+    assert plan["confidence"]["level"] == "low"
+    assert plan["confidence"]["reasons"] and set(plan["confidence"]["reasons"]) <= set(plan["warnings"])
+
+
+def test_both_programs_end_with_the_confidence(small_station: Path, tmp_path: Path) -> None:
+    for number, (program, words) in enumerate(
+        ((run_malus, ("decompose",)), (malus_station, ("--until", "polarization")))
+    ):
+        before, after = (words, ()) if program is run_malus else ((), words)
+        outcome = program(*before, small_station, "-o", tmp_path / str(number), *after, "--json")
+        assert outcome.code == 0, outcome.err
+        last = json.loads(outcome.out.splitlines()[-1])
+        assert last["event"] == "result" and last["confidence"] is None and not last["assessed"]
 
 
 def test_check_leaves_a_picture_of_cloud_and_image(small_station: Path, tmp_path: Path) -> None:

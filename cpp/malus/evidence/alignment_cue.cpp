@@ -198,9 +198,6 @@ std::vector<double> AlignmentCue::explained_by_block(const TemplatePixels& pixel
   return blocks;
 }
 
-namespace {
-
-/// Sum over its standard deviation, if the parts are independent and of mean zero.
 double sum_in_sigmas(const std::vector<double>& parts) {
   double sum = 0, squares = 0;
   for (const double part : parts) {
@@ -210,13 +207,12 @@ double sum_in_sigmas(const std::vector<double>& parts) {
   return squares > 0 ? sum / std::sqrt(squares) : 0;
 }
 
-}  // namespace
-
-double AlignmentCue::gain_sigmas(const TemplatePixels& pixels, const Similarity& from, const Similarity& to) const {
+std::vector<double> AlignmentCue::gain_by_block(const TemplatePixels& pixels, const Similarity& from,
+                                                const Similarity& to) const {
   std::vector<double> gained = explained_by_block(pixels, to);
   const std::vector<double> before = explained_by_block(pixels, from);
   for (std::size_t b = 0; b < gained.size(); ++b) gained[b] -= before[b];
-  return sum_in_sigmas(gained);
+  return gained;
 }
 
 double AlignmentCue::signal_sigmas(const TemplatePixels& pixels, const Similarity& at) const {

@@ -29,6 +29,9 @@ struct TemplatePixels {
 
 TemplatePixels template_pixels(const Mask& pixels);
 
+/// Sum over its standard deviation, if the parts are independent and of mean zero.
+double sum_in_sigmas(const std::vector<double>& parts);
+
 /// Something that both the prior and the image show, so that their correlation is highest where the prior lies right.
 class AlignmentCue {
  public:
@@ -50,8 +53,8 @@ class AlignmentCue {
   double contrast(const TemplatePixels& pixels, const Similarity& moved) const;
 
   /// How much more of the image the template explains in one place than in another: the difference of the squared
-  /// correlations in standard deviations, by the scatter between the blocks.
-  double gain_sigmas(const TemplatePixels& pixels, const Similarity& from, const Similarity& to) const;
+  /// correlations, by blocks.
+  std::vector<double> gain_by_block(const TemplatePixels& pixels, const Similarity& from, const Similarity& to) const;
   /// How much it explains at all, in standard deviations.
   double signal_sigmas(const TemplatePixels& pixels, const Similarity& at) const;
   /// Number of independent pixels that would scatter as the blocks do in what the template leaves unexplained.

@@ -13,7 +13,16 @@ using Kind = AlignmentProblem::Kind;
 /// Larger side of the image at which it is searched, and at which the place found is made exact.
 constexpr double coarse_px = 100, fine_px = 220;
 constexpr int far_places = 24;
+/// A cue says something if it explains so many standard deviations, by its scatter over the image, and so many times
+/// what unrelated places do. Where few parts of the image have all of the signal, its scatter is as large as itself,
+/// but the ratio alone is beyond chance: of unrelated places 24 reach 3.8 times their mean, 5 times that comes once in
+/// e^15. Such colors may be highlights, which are elsewhere in every photo: they count beside phases only.
 constexpr double informative_sigmas = 4, informative_ratio = 2;
+constexpr double concentrated_sigmas = 2.5, concentrated_ratio = 5;
+/// A cue loses by a place.
+constexpr double loss_sigmas = -2;
+constexpr double degree = std::numbers::pi / 180;
+constexpr Tolerance by_texture{0.012, 0.6, 0.035}, by_edges_only{0.04, 3, 0.08};
 
 int factor_for(Size image, double wanted_px) {
   return std::max(1, static_cast<int>(std::ceil(std::max(image.width, image.height) / wanted_px - 0.2)));
@@ -30,7 +39,8 @@ std::vector<Similarity> places_far_away(double extent_px) {
   return places;
 }
 
-AlignmentEvidence evidence_of(const AlignmentCue& cue, const TemplatePixels& pixels, const Similarity& best) {
+AlignmentEvidence evidence_of(const AlignmentCue& cue, const TemplatePixels& pixels, const Similarity& best,
+                              bool counts_if_concentrated) {
   AlignmentEvidence evidence;
   evidence.available = true;
   evidence.as_given = cue.correlation2(pixels, {});
@@ -39,23 +49,105 @@ AlignmentEvidence evidence_of(const AlignmentCue& cue, const TemplatePixels& pix
     evidence.unrelated = std::max(evidence.unrelated, cue.correlation2(pixels, place));
   evidence.contrast = cue.contrast(pixels, best);
   evidence.signal_sigmas = cue.signal_sigmas(pixels, best);
-  evidence.gain_sigmas = cue.gain_sigmas(pixels, {}, best);
-  evidence.informative =
-      evidence.signal_sigmas > informative_sigmas && evidence.at_best > informative_ratio * evidence.unrelated;
+  evidence.independent_pixels = cue.independent_pixels(pixels, best);
+  evidence.gain_sigmas = sum_in_sigmas(cue.gain_by_block(pixels, {}, best));
+  const auto exceeds = [&evidence](double sigmas, double ratio) {
+    return evidence.signal_sigmas > sigmas && evidence.at_best > ratio * evidence.unrelated;
+  };
+  evidence.informative = exceeds(informative_sigmas, informative_ratio) ||
+                         (counts_if_concentrated && exceeds(concentrated_sigmas, concentrated_ratio));
   return evidence;
 }
 
+using Evidence = std::array<AlignmentEvidence, AlignmentProblem::kinds>;
+
+/// How much better one place is than another: the largest gain of an informative cue, and that of all of them, whose
+/// shares of the likelihood add up in each part of the image.
+struct Gain {
+  double largest = 0, joint = 0;
+};
+
+Gain gain_of(const AlignmentProblem& problem, const Evidence& evidence, const Similarity& from, const Similarity& to) {
+  Gain gain;
+  std::vector<double> sum(TemplatePixels::blocks, 0.0);
+  for (std::size_t kind = 0; kind < evidence.size(); ++kind) {
+    const AlignmentEvidence& of = evidence[kind];
+    if (!of.informative) continue;
+    const std::vector<double> blocks = problem.cues[kind]->gain_by_block(problem.pixels, from, to);
+    gain.largest = std::max(gain.largest, sum_in_sigmas(blocks));
+    const double likelihood = of.independent_pixels / std::max(1 - of.at_best, 1e-3);
+    for (std::size_t b = 0; b < blocks.size(); ++b) sum[b] += likelihood * blocks[b];
+  }
+  gain.joint = sum_in_sigmas(sum);
+  return gain;
+}
+
+/// A place is told from another by 3 standard deviations of the gain, or by 2 if it is also 3 of its own standard
+/// deviations beyond the tolerance: the former scatter over the image, the latter follow from how sharp the fit is.
+constexpr double clear = 3, fair = 2;
+bool is_clear(const Gain& gain, double beyond_sigmas) {
+  return std::max(gain.largest, gain.joint) > clear || (gain.joint > fair && beyond_sigmas > clear);
+}
+
+/// Offsets of a kind, to be tried for being told.
+struct TriedOffsets {
+  std::vector<double Similarity::*> fields;
+  std::vector<double> offsets;
+  double tolerance;
+};
+
+/// The smallest of the offsets, in both directions of all its fields, from which the best place is told; 0 = none.
+double smallest_told(const AlignmentProblem& problem, const AlignmentPlace& found, const Similarity& best,
+                     const TriedOffsets& tried) {
+  const auto is_told_from = [&](double Similarity::*field, double offset) {
+    Similarity moved = best;
+    moved.*field += offset;
+    const double beyond = (std::abs(offset) - tried.tolerance) / (found.sigma.*field);
+    return is_clear(gain_of(problem, found.evidence, moved, best), beyond);
+  };
+  for (const double offset : tried.offsets) {
+    if (offset < tried.tolerance) continue;
+    if (std::ranges::all_of(tried.fields, [&](double Similarity::*field) {
+          return is_told_from(field, offset) && is_told_from(field, -offset);
+        }))
+      return offset;
+  }
+  return 0;
+}
+
+/// best and found.sigma: in the problem's pixels.
+ToldOffsets told_offsets(const AlignmentProblem& problem, const AlignmentPlace& found, const Similarity& best) {
+  const Tolerance& tolerance = found.tolerance();
+  const double extent = problem.pixels.extent;
+  const auto told = [&](std::vector<double Similarity::*> fields, std::vector<double> offsets, double least,
+                        double unit) {
+    for (double& offset : offsets) offset *= unit;
+    return smallest_told(problem, found, best, {std::move(fields), std::move(offsets), least * unit});
+  };
+  return {told({&Similarity::du, &Similarity::dv}, {0.012, 0.02, 0.03, 0.05, 0.08}, tolerance.shift, extent),
+          told({&Similarity::turn_rad}, {0.6, 1, 1.5, 2, 3, 5}, tolerance.turn_deg, degree),
+          told({&Similarity::log_scale}, {0.035, 0.05, 0.08}, tolerance.scale, 1)};
+}
+
+double sigmas_beyond(const Similarity& place, const Similarity& sigma, const Tolerance& tolerance, double extent) {
+  const double shift = (std::hypot(place.du, place.dv) - tolerance.shift * extent) / std::hypot(sigma.du, sigma.dv);
+  const double turn = (std::abs(place.turn_rad) - tolerance.turn_deg * degree) / sigma.turn_rad;
+  const double scale = (std::abs(std::expm1(place.log_scale)) - tolerance.scale) / sigma.log_scale;
+  return std::max({shift, turn, scale});
+}
+
 /// Curvature of the score → standard deviation.
-Similarity sigma_of(const AlignmentScore& score, const TemplatePixels& pixels, const PlacedScore& best) {
+Similarity sigma_of(const AlignmentScore& score, const TemplatePixels& pixels, const Similarity& best) {
   Similarity sigma;
+  const double at_best = score(best);
   constexpr std::array fields{&Similarity::du, &Similarity::dv, &Similarity::turn_rad, &Similarity::log_scale};
   for (const auto field : fields) {
     const bool is_shift = field == &Similarity::du || field == &Similarity::dv;
     const double step = is_shift ? 0.5 : 0.5 / pixels.radius;
-    Similarity more = best.place, less = best.place;
+    Similarity more = best, less = best;
     more.*field += step;
     less.*field -= step;
-    const double curvature = (2 * best.score - score(more) - score(less)) / (step * step);
+    const double curvature = (2 * at_best - score(more) - score(less)) / (step * step);
     sigma.*field = 1 / std::sqrt(std::max(curvature, 1e-6 / (step * step)));
   }
   return sigma;
@@ -88,6 +180,18 @@ bool AlignmentPlace::is_informative() const {
   return std::ranges::any_of(evidence, &AlignmentEvidence::informative);
 }
 
+const Tolerance& AlignmentPlace::tolerance() const {
+  return by_edges ? by_edges_only : by_texture;
+}
+
+bool AlignmentPlace::is_offset(double object_covered) const {
+  const bool one_loses = std::ranges::any_of(
+      evidence, [](const AlignmentEvidence& cue) { return cue.informative && cue.gain_sigmas < loss_sigmas; });
+  if (!(beyond_sigmas > 0) || one_loses) return false;
+  if (object_covered < PriorAlignment::poorly_covered) return largest_gain > clear;
+  return is_clear({largest_gain, gain_sigmas}, beyond_sigmas);
+}
+
 double AlignmentPlace::explained() const {
   return evidence[Kind::color].at_best + evidence[Kind::phase].at_best;
 }
@@ -106,16 +210,28 @@ AlignmentPlace find_place(const ProblemAtFactor& problem_at, Size image, bool qu
   const double ratio = static_cast<double>(at_coarse) / fine_factor;
   const auto search = [&](const std::vector<Kind>& kinds) {
     const PlacedScore best = best_place(coarse, fine, kinds, ratio, quick, context);
-    for (const Kind kind : {Kind::color, Kind::phase, Kind::edges}) {
-      if (fine.cues[kind]) result.evidence[kind] = evidence_of(*fine.cues[kind], fine.pixels, best.place);
+    bool phase_says_something = true;
+    for (const Kind kind : {Kind::phase, Kind::color, Kind::edges}) {
+      AlignmentEvidence& evidence = result.evidence[kind];
+      if (fine.cues[kind]) evidence = evidence_of(*fine.cues[kind], fine.pixels, best.place, phase_says_something);
+      if (kind == Kind::phase) phase_says_something = evidence.informative;
     }
     result.place = times(best.place, fine_factor);
-    result.sigma = times(sigma_of(AlignmentScore(fine, kinds, best.place), fine.pixels, best), fine_factor);
+    result.sigma = sigma_of(AlignmentScore(fine, kinds, best.place), fine.pixels, best.place);
+    if (!quick && result.is_informative()) {
+      const Gain gain = gain_of(fine, result.evidence, {}, best.place);
+      result.gain_sigmas = gain.joint;
+      result.largest_gain = gain.largest;
+      result.beyond_sigmas = sigmas_beyond(best.place, result.sigma, result.tolerance(), fine.pixels.extent);
+      result.told = told_offsets(fine, result, best.place);
+      result.told.shift_px *= fine_factor;
+    }
+    result.sigma = times(result.sigma, fine_factor);
   };
   search({Kind::color, Kind::phase});
   if (quick || result.evidence[Kind::color].informative || result.evidence[Kind::phase].informative) return result;
-  search({Kind::edges});
   result.by_edges = true;
+  search({Kind::edges});
   return result;
 }
 

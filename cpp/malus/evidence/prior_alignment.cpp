@@ -20,14 +20,8 @@ namespace {
 using Kind = AlignmentProblem::Kind;
 
 constexpr double degrees = 180 / std::numbers::pi;
-/// A cue gains by a place, or loses.
-constexpr double gain_sigmas = 3, loss_sigmas = -2;
-
-/// Offsets that view-dependent reflections make of right priors: of the object's size, degrees, share.
-struct Tolerance {
-  double shift, turn_deg, scale;
-};
-constexpr Tolerance by_texture{0.012, 0.6, 0.035}, by_edges{0.04, 3, 0.08}, by_outline{0.03, 0, 0.02};
+/// Offsets of right priors' outlines.
+constexpr Tolerance by_outline{0.03, 0, 0.02};
 
 /// Shares of the object that a prior covers: below the first, nothing can be made of it; below the second, a person
 /// should look.
@@ -70,21 +64,35 @@ void take(const AlignmentPlace& place, PriorAlignment& alignment) {
   alignment.shift_sigma_px = std::hypot(place.sigma.du, place.sigma.dv);
   alignment.turn_sigma_deg = place.sigma.turn_rad * degrees;
   alignment.scale_sigma = place.sigma.log_scale;
+  alignment.gain_sigmas = place.gain_sigmas;
+  alignment.told_shift_px = place.told.shift_px;
+  alignment.told_turn_deg = place.told.turn_rad * degrees;
+  alignment.told_scale = place.told.log_scale;
 }
 
-bool is_beyond(const PriorAlignment& found, const Tolerance& tolerance) {
-  return std::hypot(found.right_px, found.down_px) > tolerance.shift * found.object_px ||
-         std::abs(found.clockwise_deg) > tolerance.turn_deg || std::abs(found.scale - 1) > tolerance.scale;
-}
-
-bool is_offset(const AlignmentPlace& place, const PriorAlignment& found) {
-  bool gains = false;
-  for (const AlignmentEvidence& cue : place.evidence) {
-    if (!cue.informative) continue;
-    gains = gains || cue.gain_sigmas > gain_sigmas;
-    if (cue.gain_sigmas < loss_sigmas) return false;
+std::string joined(const std::vector<std::string>& parts, const char* last) {
+  std::string text;
+  for (std::size_t i = 0; i < parts.size(); ++i) {
+    const char* const joint = i == 0 ? "" : i + 1 == parts.size() ? last : ", ";
+    text += joint + parts[i];
   }
-  return gains && is_beyond(found, place.by_edges ? by_edges : by_texture);
+  return text;
+}
+
+/// What the check is worth here: "a shift from 5 px and a turn from 1.5° on would be told, but not another size".
+std::string told_in_words(const PriorAlignment& found) {
+  std::vector<std::string> told, untold;
+  const auto add = [&](const char* what, double from, const std::string& from_in_words) {
+    if (from > 0)
+      told.push_back(what + (" from " + from_in_words));
+    else
+      untold.emplace_back(what);
+  };
+  add("a shift", found.told_shift_px, rounded(found.told_shift_px, 0) + " px");
+  add("a turn", found.told_turn_deg, rounded(found.told_turn_deg, 1) + "°");
+  add("another size", found.told_scale, rounded(100 * found.told_scale, 1) + " %");
+  if (told.empty()) return "an offset of some percent would not be told";
+  return joined(told, " and ") + " on would be told" + (untold.empty() ? "" : ", but not " + joined(untold, " or "));
 }
 
 /// "5.1 mm (17 px) to the left of", "turned by 1.2° clockwise against", "5 % too large for".
@@ -108,12 +116,7 @@ std::string offset_in_words(const PriorAlignment& found, const Tolerance& tolera
     parts.push_back(rounded(100 * std::abs(1 / found.scale - 1), 0) + " % too " +
                     (found.scale > 1 ? "small" : "large"));
   }
-  std::string text;
-  for (std::size_t i = 0; i < parts.size(); ++i) {
-    const char* const joint = i == 0 ? "" : i + 1 == parts.size() ? " and " : ", ";
-    text += joint + parts[i];
-  }
-  return text;
+  return joined(parts, " and ");
 }
 
 void say(PriorAlignment& found, Severity severity, std::string message, std::string suggestion) {
@@ -135,7 +138,11 @@ void add_figures(PriorAlignment& found) {
              {"scale", found.scale},
              {"shift_sigma_px", found.shift_sigma_px},
              {"turn_sigma_deg", found.turn_sigma_deg},
-             {"scale_sigma", found.scale_sigma}};
+             {"scale_sigma", found.scale_sigma},
+             {"gain_sigmas", found.gain_sigmas},
+             {"told_shift_px", found.told_shift_px},
+             {"told_turn_deg", found.told_turn_deg},
+             {"told_scale", found.told_scale}};
   const auto add = [&](const std::string& name, const AlignmentEvidence& cue) {
     if (!cue.available) return;
     figures.emplace_back(name + "_as_given", cue.as_given);
@@ -161,10 +168,10 @@ void judge_place(const AlignmentPlace& place, const std::string& unit, PriorAlig
         "");
     return;
   }
-  if (is_offset(place, found)) {
+  if (place.is_offset(found.object_covered)) {
     say(found, Severity::warning,
         "the prior does not lie where the images show the object: it seems " +
-            offset_in_words(found, place.by_edges ? by_edges : by_texture, unit),
+            offset_in_words(found, place.tolerance(), unit),
         "were the images taken from where [camera] says, with this lens, and is the prior of the same object in the "
         "same "
         "frame?");
@@ -173,7 +180,7 @@ void judge_place(const AlignmentPlace& place, const std::string& unit, PriorAlig
   std::ostringstream text;
   text.precision(2);
   text << "the prior lies where the images show the object: best fit " << std::hypot(found.right_px, found.down_px)
-       << " px beside";
+       << " px beside; " << told_in_words(found);
   say(found, Severity::note, text.str(), "");
 }
 

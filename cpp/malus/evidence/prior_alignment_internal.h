@@ -19,6 +19,7 @@ struct AlignmentEvidence {
   double unrelated = 0;              ///< the largest of 24 displacements far away: a permutation null
   double contrast = 0;               ///< spread of the image's values over that of the prior's, where it fits best
   double signal_sigmas = 0;          ///< how much it explains where it fits best
+  double independent_pixels = 1;     ///< that would scatter as what it leaves unexplained does
   double gain_sigmas = 0;            ///< how much more than where it is
   bool informative = false;          ///< says clearly more where it fits best than anywhere far away
 };
@@ -44,6 +45,9 @@ struct PriorAlignment {
   /// Standard deviations of the best place as independent pixels would have it; what view-dependent reflections make of
   /// right priors is more (see check_alignment).
   double shift_sigma_px = 0, turn_sigma_deg = 0, scale_sigma = 0;
+  double gain_sigmas = 0;  ///< of color, phase and edges together
+  /// The smallest offsets that would be told on this object; 0 = none of those that are searched.
+  double told_shift_px = 0, told_turn_deg = 0, told_scale = 0;
   /// What fits better than the input as it is: "the images are turned by 180°", …; empty = nothing.
   std::string instead;
   Finding finding;
@@ -65,13 +69,14 @@ struct AlignmentScene {
 /// the cloud hardly meets the object, also for clouds in other units, with exchanged or negated axes, and poses that
 /// go the other way.
 ///
-/// An offset is doubtful if one of the cues gains 3 standard deviations by it, none that has a signal loses by it, and
-/// it is beyond what view-dependent reflections make of right priors: 1.2 % of the object, 0.6°, 3.5 % in size. Edges
-/// follow the light: 4 %, 3° and 8 %. Where neither colors nor phases say anything, a prior is doubtful whose steps of
-/// depth gain 2 standard deviations by lying on the mask's outline, moved by more than 3 % of the object or 2 % in
-/// size. Doubtful, too, is a colored cloud that has nothing in common with the images: squared correlations of at most
-/// 0.03 with the colors and 0.12 with the phases, and no step of depths at the mask's outline. All of it at reduced
-/// sizes: the time does not depend on that of the images, but for one pass.
+/// An offset is doubtful if one of the cues that have a signal, or all together, gain 3 standard deviations by it (2 if
+/// it is beyond the following by 3 of the place's own standard deviations), none of them loses by it, and it is beyond
+/// what view-dependent reflections make of right priors: 1.2 % of the object, 0.6°, 3.5 % in size. Edges follow the
+/// light: 4 %, 3° and 8 %. Where neither colors nor phases say anything, a prior is doubtful whose steps of depth gain
+/// 2 standard deviations by lying on the mask's outline, moved by more than 3 % of the object or 2 % in size. Doubtful,
+/// too, is a colored cloud that has nothing in common with the images: squared correlations of at most 0.03 with the
+/// colors and 0.12 with the phases, and no step of depths at the mask's outline. All of it at reduced sizes: the time
+/// does not depend on that of the images, but for one pass.
 PriorAlignment check_alignment(const PointCloud& cloud, const Pose& pose, const AlignmentScene& scene,
                                const Context& context);
 

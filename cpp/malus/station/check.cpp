@@ -19,6 +19,12 @@
 namespace malus {
 namespace {
 
+/// What a run would say of the finding, too.
+void warn(Plan& plan, const Finding& finding) {
+  plan.warnings.push_back(finding.text());
+  if (finding.severity >= Severity::warning) plan.confidence.limit(ConfidenceLevel::low, finding.text());
+}
+
 std::string with_count(double count, const std::string& noun) {
   std::ostringstream text;
   text << static_cast<long long>(count) << ' ' << noun;
@@ -96,7 +102,7 @@ struct PriorCheck {
     if (size.severity == Severity::note) {
       details["evidence"] = size.text();
     } else {
-      plan.warnings.push_back(size.text());
+      warn(plan, size);
     }
     return share;
   }
@@ -159,7 +165,7 @@ Plan check_station(const Station& station, const Options& options, const Context
   const Mask object = captured_object(station, plan.size);
   plan.object_pixels = pixels_on(object);
   read_images(station, object, plan, context);
-  for (const Finding& finding : station.file_findings) plan.warnings.push_back(finding.text());
+  for (const Finding& finding : station.file_findings) warn(plan, finding);
   Details details{{"polarization", describe_images(station)}};
   if (station.has_prior()) {
     if (!station.file.camera) {
@@ -186,10 +192,17 @@ Plan check_station(const Station& station, const Options& options, const Context
 }
 
 std::string plan_to_json(const Plan& plan) {
-  return nlohmann::ordered_json{{"name", plan.name},          {"width", plan.size.width},
-                                {"height", plan.size.height}, {"object_pixels", plan.object_pixels},
-                                {"does", plan.does},          {"warnings", plan.warnings},
-                                {"seconds", plan.seconds},    {"memory_mb", plan.memory_mb}}
+  nlohmann::ordered_json level;  // null: only a result can be called high
+  if (plan.confidence.level != ConfidenceLevel::high) level = enum_name(plan.confidence.level);
+  return nlohmann::ordered_json{{"name", plan.name},
+                                {"width", plan.size.width},
+                                {"height", plan.size.height},
+                                {"object_pixels", plan.object_pixels},
+                                {"does", plan.does},
+                                {"warnings", plan.warnings},
+                                {"confidence", {{"level", level}, {"reasons", plan.confidence.reasons}}},
+                                {"seconds", plan.seconds},
+                                {"memory_mb", plan.memory_mb}}
       .dump();
 }
 

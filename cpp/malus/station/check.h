@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "malus/core/confidence.h"
 #include "malus/core/context.h"
 #include "malus/core/image.h"
 #include "malus/station/options.h"
@@ -18,6 +19,7 @@ struct Plan {
   double object_pixels = 0;
   std::vector<std::string> does;      ///< one line a step
   std::vector<std::string> warnings;  ///< what a person should know before starting
+  Confidence confidence;              ///< what is known against the result before there is one; "high" = nothing
   double seconds = 0;                 ///< expected, with context.threads threads
   double memory_mb = 0;               ///< expected peak
 };

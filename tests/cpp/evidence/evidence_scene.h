@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cmath>
+#include <functional>
 #include <numbers>
 #include <random>
 #include <vector>
@@ -38,7 +39,8 @@ class Waves {
   std::vector<Eigen::Vector3d> waves_;
 };
 
-/// A textured bumpy oval, 100 mm from the camera, as the camera sees it with diffuse polarization; and its cloud.
+/// A textured bumpy oval (or another relief), 100 mm from the camera, as the camera sees it with diffuse polarization;
+/// and its cloud.
 struct EvidenceScene {
   Pinhole camera{{300, 220}, 600, 600, 150.3, 108.6};
   Pose pose{Eigen::AngleAxisd(0.7, Eigen::Vector3d(0.2, 0.9, 0.1).normalized()).toRotationMatrix(), {3, -2, 40}};
@@ -48,8 +50,14 @@ struct EvidenceScene {
   Image<float> everything;  ///< intensity
   PointCloud cloud;         ///< world frame
 
-  explicit EvidenceScene(bool has_texture = true, unsigned seed = 1) {
-    const Waves bumps(seed, 25, 80), texture(seed + 1, 6, 30);
+  /// Of a pixel; RMS about 1.
+  using Pattern = std::function<double(double u, double v)>;
+
+  explicit EvidenceScene(bool has_texture = true, unsigned seed = 1)
+      : EvidenceScene(Waves(seed, 25, 80), has_texture ? Pattern(Waves(seed + 1, 6, 30)) : nullptr) {}
+
+  /// texture: empty = none.
+  EvidenceScene(const Pattern& bumps, const Pattern& texture) {
     for (int v = 0; v < camera.size.height; ++v) {
       for (int u = 0; u < camera.size.width; ++u) {
         depth(u, v) = static_cast<float>(100 + 0.8 * bumps(u, v));
@@ -63,7 +71,7 @@ struct EvidenceScene {
     state.exposures = {16, 16, 16};
     for (int v = 0; v < camera.size.height; ++v) {
       for (int u = 0; u < camera.size.width; ++u)
-        render(u, v, has_texture ? 0.4 * std::exp(0.4 * texture(u, v)) : 0.4, has_texture);
+        render(u, v, texture ? 0.4 * std::exp(0.4 * texture(u, v)) : 0.4, texture != nullptr);
     }
   }
 

@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <random>
 
 #include "evidence_scene.h"
 #include "malus/evidence/prior_alignment_internal.h"
@@ -54,6 +55,37 @@ TEST(PriorAlignment, FindsShiftTurnAndSizeByColors) {
   EXPECT_EQ(larger.finding.severity, Severity::warning) << larger.finding.text();
   EXPECT_NEAR(larger.scale, 1 / 1.06, 0.01);
   EXPECT_NE(larger.finding.message.find("6 % too large"), std::string::npos) << larger.finding.message;
+}
+
+TEST(PriorAlignment, SaysWhichOffsetsWouldBeTold) {
+  const EvidenceScene scene;
+  const PriorAlignment right = check(scene, scene.cloud);
+  EXPECT_GT(right.told_turn_deg, 0);
+  EXPECT_LE(right.told_turn_deg, 1.5);
+  EXPECT_NE(right.finding.message.find(" on would be told"), std::string::npos) << right.finding.message;
+  for (const double sign : {1, -1}) {
+    const PriorAlignment turned = check(scene, scene.moved(motion(0, 0, 1.2 * sign * right.told_turn_deg)));
+    EXPECT_EQ(turned.finding.severity, Severity::warning) << turned.finding.text();
+    const PriorAlignment larger = check(scene, scene.moved(motion(0, 0, 0, 1 + 1.2 * sign * right.told_scale)));
+    EXPECT_EQ(larger.finding.severity, Severity::warning) << larger.finding.text();
+  }
+}
+
+TEST(PriorAlignment, ATurnOfSomethingRoundIsNotTold) {
+  const auto rings = [](double width_px) {
+    return [width_px](double u, double v) {
+      return std::numbers::sqrt2 * std::sin(2 * std::numbers::pi / width_px * std::hypot(u - 150, v - 110));
+    };
+  };
+  EvidenceScene scene(rings(40), rings(14));
+  std::mt19937 random(1);
+  std::normal_distribution<float> noise(0, 0.15F);
+  for (float& intensity : scene.everything) intensity *= 1 + noise(random);
+  for (float& phase : scene.state.phi) phase += noise(random);
+  const PriorAlignment found = check(scene, scene.cloud);
+  EXPECT_EQ(found.told_turn_deg, 0);
+  EXPECT_GT(found.told_shift_px, 0);
+  EXPECT_NE(found.finding.message.find("but not a turn"), std::string::npos) << found.finding.message;
 }
 
 TEST(PriorAlignment, FindsShiftByPhasesWithoutColors) {
