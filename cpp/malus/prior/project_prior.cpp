@@ -146,7 +146,7 @@ struct Surface {
 struct Smoothing {
   SmoothingStrength strength;
   double length_px = 0, cell_px = 0, tension_px = 0, edge_tolerance = 0;
-  bool independent_points = false;  ///< so that neighbors which agree are evidence of each other
+  bool keep_raised = false;
 };
 
 /// Mean square of a standard normal variable under the weights of SmoothingSpline::reweight(1).
@@ -169,7 +169,7 @@ SplineFit fit_robust(const Mask& mask, PixelRect box, const Smoothing& how, std:
     spline.solve(how.strength.lambda, how.strength.kappa);
     Residuals residuals;
     spline.append_residuals(residuals);
-    if (!spline.reweight(robust_spread(residuals, context), settled, how.independent_points)) break;
+    if (!spline.reweight(robust_spread(residuals, context), settled, how.keep_raised)) break;
     spline.soften_edges(how.edge_tolerance);
     if (round + 1 == max_rounds) spline.solve(how.strength.lambda, how.strength.kappa);
   }
@@ -263,19 +263,19 @@ Surface smooth_cloud(LargeVector<ViewPoint> points, const Mask& mask, const Smoo
 }
 
 /// Smoothing of the cloud: the option, or what its noise and density ask for.
-Smoothing smoothing_for(const VisiblePoints& visible, const Mask& mask, bool independent_points,
-                        const PriorOptions& options, const Context& context) {
+Smoothing smoothing_for(const VisiblePoints& visible, const Mask& mask, const PriorOptions& options,
+                        const Context& context) {
   // λ smooths over (λ² / points a square pixel)^¼ pixels.
   const double spacing_px = visible.spacing_px;
   Smoothing how;
-  how.strength = choose_smoothing(mask, bounding_box(mask), visible.points, spacing_px, independent_points, context);
+  how.strength = choose_smoothing(mask, bounding_box(mask), visible.points, spacing_px, options.keep_raised, context);
   how.length_px = options.smoothing_px ? *options.smoothing_px
                                        : options.smoothing_scale * std::sqrt(spacing_px * how.strength.lambda);
   how.strength.lambda = how.length_px * how.length_px / spacing_px;
   how.cell_px = std::max(1.0, 0.7 * how.length_px);
   how.tension_px = options.tension_spacings * spacing_px;
   how.edge_tolerance = options.edge_tolerance;
-  how.independent_points = independent_points;
+  how.keep_raised = options.keep_raised;
   return how;
 }
 
@@ -387,9 +387,10 @@ Image<float> relative_shape(const Image<float>& shape, const Mask& mask) {
   return relative;
 }
 
-/// Prior of a cloud whose points have errors of their own, or share them with their neighbors.
-DepthPrior prior_of_cloud(const PointCloud& cloud, bool independent_points, const Pinhole& camera, const Pose& pose,
-                          const Mask& mask, const PriorOptions& options, const Context& context) {
+}  // namespace
+
+DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const Pose& pose, const Mask& mask,
+                         const PriorOptions& options, const Context& context) {
   const OpenCvThreads opencv_threads(context.threads);
   validate(camera, pose, mask, options);
   context.progress("prior", 0, "projecting the cloud");
@@ -400,7 +401,7 @@ DepthPrior prior_of_cloud(const PointCloud& cloud, bool independent_points, cons
   const ReferencePlane plane(visible.points);
   for (ViewPoint& p : visible.points) lower(p, plane.at(p.u, p.v), plane.slope());
   context.progress("prior", 0.15, "choosing the smoothing");
-  const Smoothing how = smoothing_for(visible, mask, independent_points, options, context);
+  const Smoothing how = smoothing_for(visible, mask, options, context);
   context.progress("prior", 0.3, "smoothing the cloud");
   DepthPrior prior = empty_prior(camera, pose);
   prior.filled_fraction = far_fraction(mask, visible.points, 2 * visible.spacing_px);
@@ -423,13 +424,6 @@ DepthPrior prior_of_cloud(const PointCloud& cloud, bool independent_points, cons
   prior.smoothing_px = how.length_px;
   context.progress("prior", 1);
   return prior;
-}
-
-}  // namespace
-
-DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const Pose& pose, const Mask& mask,
-                         const PriorOptions& options, const Context& context) {
-  return prior_of_cloud(cloud, true, camera, pose, mask, options, context);
 }
 
 DepthPrior project_prior(const TriangleMesh& mesh, const Pinhole& camera, const Pose& pose, const Mask& mask,
@@ -471,7 +465,10 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
         "the photos give no depth on the object: they agree nowhere; give a prior of another source, or photograph it "
         "sharper, with more texture on or around it, and from more sides 25 to 40 degrees off the station");
   }
-  DepthPrior prior = prior_of_cloud(cloud, false, camera, pose, mask, options, context);
+  // Neighbors that share their windows agree, right or wrong: that they do is no evidence.
+  PriorOptions of_windows = options;
+  of_windows.keep_raised = false;
+  DepthPrior prior = project_prior(cloud, camera, pose, mask, of_windows, context);
   cv::Mat missing(depth.height(), depth.width(), CV_8U), distance;
   parallel_rows(context, depth.height(), [&](int v) {
     for (int u = 0; u < depth.width(); ++u) missing.at<std::uint8_t>(v, u) = known(u, v) ? 0 : 255;

@@ -404,7 +404,7 @@ Image<float> SmoothingSpline::raised_parts(std::span<const float> residuals) con
   return parts;
 }
 
-bool SmoothingSpline::reweight(const ResidualSpread& spread, double settled, bool keep_raised_parts) {
+bool SmoothingSpline::reweight(const ResidualSpread& spread, double settled, bool keep_raised) {
   const auto weight_of = [](double squared_ratio) {
     return static_cast<float>(1 / ((1 + squared_ratio / 4) * (1 + squared_ratio / 4)));
   };
@@ -421,7 +421,7 @@ bool SmoothingSpline::reweight(const ResidualSpread& spread, double settled, boo
       slope_weights[i] = weight_of(s.dot(slope_information(p) * s) / (spread.slope * spread.slope));
     }
   });
-  if (keep_raised_parts) {
+  if (keep_raised) {
     const Image<float> parts = raised_parts(residuals);
     for (std::size_t cell = 0; cell < active_.size(); ++cell) {
       for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
