@@ -46,8 +46,9 @@ std::vector<PixelRect> pick_windows(PixelRect box, std::span<const ViewPoint> po
 
 class Windows {
  public:
-  Windows(const Mask& mask, PixelRect box, std::span<const ViewPoint> points, double spacing_px,
-          const Context& context) {
+  Windows(const Mask& mask, PixelRect box, std::span<const ViewPoint> points, double spacing_px, bool keep_raised,
+          const Context& context)
+      : keep_raised_(keep_raised) {
     const double cell_px = std::max(1.0, 0.6 * spacing_px);
     const std::vector<PixelRect> windows = pick_windows(box, points, window_cells * cell_px);
     splines_.resize(windows.size());
@@ -63,7 +64,8 @@ class Windows {
       Residuals residuals;
       for (const auto& spline : splines_) spline->append_residuals(residuals);
       const ResidualSpread spread = robust_spread(residuals, context);
-      parallel_for(context, splines_.size(), 1, [&](std::size_t i, std::size_t) { splines_[i]->reweight(spread); });
+      parallel_for(context, splines_.size(), 1,
+                   [&](std::size_t i, std::size_t) { splines_[i]->reweight(spread, 0, keep_raised_); });
     }
   }
 
@@ -95,6 +97,7 @@ class Windows {
                  [&](std::size_t i, std::size_t) { splines_[i]->solve(strength.lambda, strength.kappa); });
   }
 
+  bool keep_raised_;
   std::vector<std::optional<SmoothingSpline>> splines_;
 };
 
@@ -127,8 +130,8 @@ ResidualSpread robust_spread(Residuals& residuals, const Context& context) {
 }
 
 SmoothingStrength choose_smoothing(const Mask& mask, PixelRect box, std::span<const ViewPoint> points,
-                                   double spacing_px, const Context& context) {
-  Windows windows(mask, box, points, spacing_px, context);
+                                   double spacing_px, bool keep_raised, const Context& context) {
+  Windows windows(mask, box, points, spacing_px, keep_raised, context);
   const bool oriented = std::any_of(points.begin(), points.end(), [](const ViewPoint& p) { return p.has_slope(); });
   // λ that smooths over `lengths` spacings.
   const auto log_lambda = [spacing_px](double lengths) { return 2 * std::log(lengths) + std::log(spacing_px); };

@@ -25,8 +25,9 @@ struct SmoothingStrength {
 /// Smoothing of SmoothingSpline for these points by restricted maximum likelihood (Wahba 1985), the variance of the
 /// heights profiled out:
 ///   (Σw + 2 Σw' − 3) ln (penalized residual) + ln det A(λ, κ) − (n − 3) 2 ln λ − 2 Σw' 2 ln κ → min,
-/// summed over a few windows of the raster, after the points have got robust weights.
+/// summed over a few windows of the raster, after the points have got robust weights. With `keep_raised`
+/// parts of the surface that stand out are kept (see SmoothingSpline::reweight).
 SmoothingStrength choose_smoothing(const Mask& mask, PixelRect box, std::span<const ViewPoint> points,
-                                   double spacing_px, const Context& context);
+                                   double spacing_px, bool keep_raised, const Context& context);
 
 }  // namespace malus

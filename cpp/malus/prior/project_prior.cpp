@@ -146,6 +146,7 @@ struct Surface {
 struct Smoothing {
   SmoothingStrength strength;
   double length_px = 0, cell_px = 0, tension_px = 0, edge_tolerance = 0;
+  bool keep_raised = false;
 };
 
 /// Mean square of a standard normal variable under the weights of SmoothingSpline::reweight(1).
@@ -168,7 +169,7 @@ SplineFit fit_robust(const Mask& mask, PixelRect box, const Smoothing& how, std:
     spline.solve(how.strength.lambda, how.strength.kappa);
     Residuals residuals;
     spline.append_residuals(residuals);
-    if (!spline.reweight(robust_spread(residuals, context), settled)) break;
+    if (!spline.reweight(robust_spread(residuals, context), settled, how.keep_raised)) break;
     spline.soften_edges(how.edge_tolerance);
     if (round + 1 == max_rounds) spline.solve(how.strength.lambda, how.strength.kappa);
   }
@@ -267,13 +268,14 @@ Smoothing smoothing_for(const VisiblePoints& visible, const Mask& mask, const Pr
   // λ smooths over (λ² / points a square pixel)^¼ pixels.
   const double spacing_px = visible.spacing_px;
   Smoothing how;
-  how.strength = choose_smoothing(mask, bounding_box(mask), visible.points, spacing_px, context);
+  how.strength = choose_smoothing(mask, bounding_box(mask), visible.points, spacing_px, options.keep_raised, context);
   how.length_px = options.smoothing_px ? *options.smoothing_px
                                        : options.smoothing_scale * std::sqrt(spacing_px * how.strength.lambda);
   how.strength.lambda = how.length_px * how.length_px / spacing_px;
   how.cell_px = std::max(1.0, 0.7 * how.length_px);
   how.tension_px = options.tension_spacings * spacing_px;
   how.edge_tolerance = options.edge_tolerance;
+  how.keep_raised = options.keep_raised;
   return how;
 }
 
@@ -463,7 +465,10 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
         "the photos give no depth on the object: they agree nowhere; give a prior of another source, or photograph it "
         "sharper, with more texture on or around it, and from more sides 25 to 40 degrees off the station");
   }
-  DepthPrior prior = project_prior(cloud, camera, pose, mask, options, context);
+  // Neighbors that share their windows agree, right or wrong: that they do is no evidence.
+  PriorOptions of_windows = options;
+  of_windows.keep_raised = false;
+  DepthPrior prior = project_prior(cloud, camera, pose, mask, of_windows, context);
   cv::Mat missing(depth.height(), depth.width(), CV_8U), distance;
   parallel_rows(context, depth.height(), [&](int v) {
     for (int u = 0; u < depth.width(); ++u) missing.at<std::uint8_t>(v, u) = known(u, v) ? 0 : 255;

@@ -17,6 +17,7 @@ struct PriorOptions {
   std::optional<double> smoothing_px;
   double smoothing_scale = 0.8;
   double edge_tolerance = 1;
+  bool keep_raised = true;
   int neighbors = 16;
   double outlier_tolerance = 4;
   double outlier_floor_gsd = 4;
@@ -38,6 +39,8 @@ struct PriorOptions {
           "noise is not");
     visit("edge_tolerance", self.edge_tolerance, Range{0.01, 1e12},
           "bending, over what is usual, at which the smoothing gives way to a step or an occluding edge");
+    visit("keep_raised", self.keep_raised, any_value,
+          "whether points that stand out together are kept as a part of the surface; strays never are");
     visit("neighbors", self.neighbors, Range{3, 100}, "nearest neighbors a point is compared with, in the view");
     visit("outlier_tolerance", self.outlier_tolerance, Range{1, 100},
           "largest distance from the neighbors' median depth, in their robust standard deviations");

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numbers>
 #include <numeric>
 #include <opencv2/imgproc.hpp>
 #include <random>
@@ -373,22 +374,61 @@ void SmoothingSpline::soften_edges(double tolerance) {
   }
 }
 
-bool SmoothingSpline::reweight(const ResidualSpread& spread, double settled) {
+Image<float> SmoothingSpline::raised_parts(std::span<const float> residuals) const {
+  // A point is off the surface by so many spreads; it is compared with so many points around it; of these at least so
+  // many must be off, and such a share.
+  constexpr double off = 1.5, around = 50, fewest = 4, enough = 8, seldom = 0.2, often = 0.4;
+  const Size size{columns_, rows_};
+  Image<float> parts(size, 1, 0.0F), all(size, 1, 0.0F);
+  if (static_cast<double>(points_.size()) < around) return parts;
+  for (std::size_t cell = 0; cell < active_.size(); ++cell) {
+    for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
+      all[cell] += 1;
+      if (residuals[i] < -off) parts[cell] += 1;
+    }
+  }
+  // A Gaussian mean is over 4 π reach² cells.
+  const double active = static_cast<double>(std::ranges::count_if(active_, [](auto cell) { return cell != 0; }));
+  const double cells = around * active / static_cast<double>(points_.size());
+  const double reach = std::sqrt(cells / (4 * std::numbers::pi));
+  for (Image<float>* count : {&parts, &all}) {
+    cv::Mat view(rows_, columns_, CV_32F, count->data());
+    cv::GaussianBlur(view, view, {}, reach);
+  }
+  for (std::size_t cell = 0; cell < active_.size(); ++cell) {
+    if (all[cell] <= 0) continue;
+    const double share = (parts[cell] / all[cell] - seldom) / (often - seldom);
+    const double number = (cells * parts[cell] - fewest) / (enough - fewest);
+    parts[cell] = static_cast<float>(std::clamp(std::min(share, number), 0.0, 1.0));
+  }
+  return parts;
+}
+
+bool SmoothingSpline::reweight(const ResidualSpread& spread, double settled, bool keep_raised) {
   const auto weight_of = [](double squared_ratio) {
     return static_cast<float>(1 / ((1 + squared_ratio / 4) * (1 + squared_ratio / 4)));
   };
-  std::vector<float> weights(weights_), slope_weights(slope_weights_);
+  std::vector<float> weights(weights_), slope_weights(slope_weights_), residuals(points_.size());
   parallel_for(context_, points_.size(), points_at_once, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       const ViewPoint& p = points_[i];
       const std::size_t cell = cell_of(p.u, p.v);
       const double r = p.height - value(cell, basis(p.u, p.v));
-      weights[i] = weight_of(p.facing * r * r / (spread.height * spread.height));
+      residuals[i] = static_cast<float>(std::sqrt(p.facing) * r / spread.height);
+      weights[i] = weight_of(residuals[i] * residuals[i]);
       if (!p.has_slope()) continue;
       const Eigen::Vector2d s = slope_residual(p, cell);
       slope_weights[i] = weight_of(s.dot(slope_information(p) * s) / (spread.slope * spread.slope));
     }
   });
+  if (keep_raised) {
+    const Image<float> parts = raised_parts(residuals);
+    for (std::size_t cell = 0; cell < active_.size(); ++cell) {
+      for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
+        if (residuals[i] < 0) weights[i] = std::max(weights[i], parts[cell]);
+      }
+    }
+  }
   double change = 0;
   std::size_t data = 0;
   for (std::size_t i = 0; i < points_.size(); ++i) {

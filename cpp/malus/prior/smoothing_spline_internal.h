@@ -43,8 +43,10 @@ class SmoothingSpline {
   void solve(double lambda, double kappa);
   /// Weights 1 / (1 + (r / 2 spread)²)² of the present residuals, of heights by their spread and of slopes by theirs
   /// (rad). Returns whether they are new: if they would change by less than `settled` in the mean, they stay, and the
-  /// minimum is still theirs.
-  bool reweight(const ResidualSpread& spread, double settled = 0);
+  /// minimum is still theirs. With `keep_raised` points nearer than f count in full where many of their neighbors
+  /// are nearer too: a part of the surface that stands out, not strays. What lies behind f does not: nothing tells a
+  /// recess from a surface that is hidden and seen between too few points.
+  bool reweight(const ResidualSpread& spread, double settled = 0, bool keep_raised = false);
   /// Lets cells give way in which f bends far more than is usual (steps, occluding edges): their λ² is multiplied by
   /// 1 / (1 + energy / (tolerance · typical)), with the energy of the present f and `typical` the geometric mean of its
   /// mean and median over the cells.
@@ -80,6 +82,9 @@ class SmoothingSpline {
   double value(std::size_t cell, const Basis& weights) const;
   Eigen::Vector2d slope_residual(const ViewPoint& p, std::size_t cell) const;
   std::array<std::int32_t, 9> cell_unknowns(std::size_t cell) const;
+  /// How surely points nearer than f are a part of the surface, a cell, 0 … 1: by how many there are around and by
+  /// their share of all. Residuals of the points over their spread, as if seen from the front.
+  Image<float> raised_parts(std::span<const float> residuals) const;
   void set_tilt();
   void build_pattern();
   std::vector<int> elimination_order() const;

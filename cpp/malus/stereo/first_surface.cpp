@@ -117,6 +117,7 @@ FirstSurface first_surface(const std::vector<StationPoint>& points, const MatchL
   options.min_points = 3;
   options.smoothing_px = std::max(1.0, std::sqrt(object_pixels(level.mask) / static_cast<double>(cloud.points.size())));
   options.sigma_samples = 4;
+  options.keep_raised = false;  // neighbors are matched over the same windows
   Context silent = context;
   silent.on_progress = nullptr;
   const DepthPrior prior = project_prior(cloud, level.camera, pose, level.mask, options, silent);

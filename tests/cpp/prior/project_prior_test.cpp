@@ -150,6 +150,27 @@ TEST(PriorOfCloud, NormalsThatAreWrongAreNotBelieved) {
   EXPECT_LT(rms_gsd(project(cloud).depth, wavy_depth), 1.2 * without);
 }
 
+/// Depth with a round plateau 14 GSD nearer in the middle, whose edge is steep.
+Depth with_plateau(const Depth& depth) {
+  return [depth](double u, double v) {
+    return depth(u, v) - 7 * gsd_mm * (1 + std::tanh((18 - std::hypot(u - 60, v - 44)) / 0.5));
+  };
+}
+
+TEST(PriorOfCloud, KeepsAPartThatStandsOut) {
+  // The points' normals do not tell of the step, and stray points are as far in front of it.
+  const Depth surface = with_plateau(plane_depth);
+  PointCloud cloud = sample(surface, 3000, 1);
+  add_normals(cloud, surface, 0.1);
+  PointCloud stray = sample([&](double u, double v) { return surface(u, v) - 14 * gsd_mm; }, 90, 2, 7);
+  add_normals(stray, surface, 0.1);
+  add(cloud, stray);
+  const Image<float> depth = project(cloud).depth;
+  const auto from_edge = [](int u, int v) { return std::hypot(u - 60, v - 44) - 18; };
+  EXPECT_LT(rms_gsd(depth, surface, [&](int u, int v) { return from_edge(u, v) < -5; }), 1);
+  EXPECT_LT(rms_gsd(depth, surface, [&](int u, int v) { return from_edge(u, v) > 5; }), 1);
+}
+
 TEST(PriorOfCloud, SteepPointsCountByTheirDistanceFromTheSurface) {
   // A sphere to 80° from its middle, whose points are uncertain by as much in every direction.
   constexpr double radius_px = 44;
