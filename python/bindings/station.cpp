@@ -8,7 +8,7 @@
 #include "cameras.h"
 #include "clouds.h"
 #include "interruptible.h"
-#include "malus/core/length_unit.h"
+#include "malus/io/given_station_internal.h"
 #include "malus/io/sha256_internal.h"
 #include "malus/io/workspace_internal.h"
 #include "malus/station/check.h"
@@ -20,30 +20,28 @@
 namespace malus::python {
 namespace {
 
-Station station_from_arrays(const std::vector<Array<float>>& images, const std::vector<double>& angles_deg,
-                            const CameraValues& camera, const std::optional<Array<double>>& prior_points,
+/// N×3 points and, if there are any, their normals; the Python side has checked the shapes.
+PointCloud cloud_of(const Array<double>& points, const std::optional<Array<float>>& normals) {
+  PointCloud cloud = to_cloud(points);
+  if (normals) {
+    for (py::ssize_t i = 0; i < normals->shape(0); ++i)
+      cloud.normals.emplace_back(normals->at(i, 0), normals->at(i, 1), normals->at(i, 2));
+  }
+  return cloud;
+}
+
+/// `tables`: JSON, see read_given_station.
+Station station_from_arrays(const std::vector<Array<float>>& images, const CameraValues& camera,
+                            const std::string& tables, const std::optional<Array<double>>& prior_points,
+                            const std::optional<Array<float>>& prior_normals,
                             const std::optional<Array<float>>& prior_depth,
-                            const std::optional<Array<std::uint8_t>>& mask, const std::string& name,
-                            const std::string& unit, std::optional<double> refractive_index,
-                            const std::string& reflection, int frames_averaged, std::optional<double> full_well_e,
-                            std::optional<double> read_noise_e) {
+                            const std::optional<Array<std::uint8_t>>& mask) {
   Station station;
-  StationFile& file = station.file;
-  file.name = name;
-  file.unit = length_unit(unit).name;
-  file.polarized.angles_deg = angles_deg;
-  file.polarized.frames_averaged = frames_averaged;
-  file.polarized.full_well_e = full_well_e;
-  file.polarized.read_noise_e = read_noise_e;
-  file.optics.refractive_index = refractive_index;
-  const auto choice = enum_value<ReflectionChoice>(reflection);
-  if (!choice || *choice == ReflectionChoice::labels)
-    throw input_error("reflection = \"" + reflection + "\", expected \"auto\", \"diffuse\" or \"specular\"");
-  file.optics.reflection = *choice;
   const auto [lens, pose] = to_camera(camera, "camera");
-  file.camera = CameraSpec{lens, pose};
+  station.file = read_given_station(tables, images.size(), CameraSpec{lens, pose}, prior_points || prior_depth);
+  if (station.file.prior) std::visit([&](const auto& file) { station.prior = file; }, *station.file.prior);
   for (const auto& image : images) station.images.push_back(to_image(image));
-  if (prior_points) station.prior = to_cloud(*prior_points);
+  if (prior_points) station.prior = cloud_of(*prior_points, prior_normals);
   if (prior_depth) station.prior = to_image(*prior_depth);
   if (mask) station.mask = to_image(*mask);
   return station;
@@ -68,12 +66,7 @@ Station with_photogrammetry(const Station& station, const CameraValues& camera,
 /// The station with a cloud in place of the file that it names.
 Station with_cloud(const Station& station, const Array<double>& points, const std::optional<Array<float>>& normals) {
   Station result = station;
-  PointCloud cloud = to_cloud(points);
-  if (normals) {
-    for (py::ssize_t i = 0; i < normals->shape(0); ++i)
-      cloud.normals.emplace_back(normals->at(i, 0), normals->at(i, 1), normals->at(i, 2));
-  }
-  result.prior = std::move(cloud);
+  result.prior = cloud_of(points, normals);
   return result;
 }
 
@@ -173,10 +166,9 @@ void bind_station(py::module_& module) {
 
   py::class_<Station>(module, "Station")
       .def_static("load", [](const std::string& path) { return Station::load(path); })
-      .def_static("from_arrays", &station_from_arrays, py::kw_only(), py::arg("images"), py::arg("angles_deg"),
-                  py::arg("camera"), py::arg("prior_points"), py::arg("prior_depth"), py::arg("mask"), py::arg("name"),
-                  py::arg("unit"), py::arg("refractive_index"), py::arg("reflection"), py::arg("frames_averaged"),
-                  py::arg("full_well_e"), py::arg("read_noise_e"))
+      .def_static("from_arrays", &station_from_arrays, py::kw_only(), py::arg("images"), py::arg("camera"),
+                  py::arg("tables"), py::arg("prior_points"), py::arg("prior_normals"), py::arg("prior_depth"),
+                  py::arg("mask"))
       .def("describe", &describe_station_json)
       .def("with_developed", &with_developed, py::arg("images"), py::arg("full_well_e"), py::arg("read_noise_e"))
       .def("with_file_doubts", &with_file_doubts, py::arg("doubts"))

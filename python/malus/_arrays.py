@@ -25,12 +25,15 @@ def as_image(values: ArrayLike, name: str, channels: int = 1, dtype: type = np.f
 
 
 def as_images(
-    values: Sequence[ArrayLike] | NDArray[Any], name: str, *, keep_16_bit: bool = False
+    values: Sequence[ArrayLike] | NDArray[Any], name: str, *, keep_16_bit: bool = False, color: bool = False
 ) -> list[NDArray[Any]]:
-    """K images of one size, float32; keep_16_bit: uint16 ones stay so if all of them are."""
+    """K images of one size, float32; keep_16_bit: uint16 ones stay so if all of them are; color: H×W×3 are taken too."""
     sixteen = keep_16_bit and all(np.asarray(value).dtype == np.uint16 for value in values)
     dtype = np.uint16 if sixteen else np.float32
-    images = [as_image(value, f"{name}[{k}]", dtype=dtype) for k, value in enumerate(values)]
+    images = [
+        as_image(value, f"{name}[{k}]", 3 if color and np.ndim(value) == 3 else 1, dtype)
+        for k, value in enumerate(values)
+    ]
     if not images:
         raise ValueError(f"{name} is empty, expected K arrays (H, W)")
     for k, image in enumerate(images):

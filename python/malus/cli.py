@@ -55,7 +55,9 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _leaves(until: str, fusion: str | None) -> str:
-    options = malus.Options() if fusion is None else malus.Options(fusion=fusion)
+    options = malus.Options()
+    if fusion is not None:
+        options.fusion = fusion
     lines = ["leaves in WORK:"]
     for step, _, files in _core.describe_run(options.to_json(), until):
         lines += [f"  {file}  ({step})" for file in files]

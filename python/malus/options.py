@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, Unpack
 
-from malus import _core
+from malus import _core, _option_types
+from malus._option_types import Sections, Values
+from malus._section import Section
 
 _SCHEMA: dict[str, dict[str, dict[str, Any]]] = json.loads(_core.option_schema())
 
@@ -29,38 +31,16 @@ MAIN = {
 }
 
 
-class Section:
-    """The options of one step as attributes; assignment checks name, type and range."""
-
-    def __init__(self, options: Options, name: str) -> None:
-        object.__setattr__(self, "_options", options)
-        object.__setattr__(self, "_name", name)
-
-    def __getattr__(self, key: str) -> Any:
-        values = self._options._values[self._name]
-        if key not in values:
-            raise AttributeError(f"no option {self._name}.{key}; there are {', '.join(values)}")
-        return values[key]
-
-    def __setattr__(self, key: str, value: Any) -> None:
-        self._options.update({self._name: {key: value}})
-
-    def __dir__(self) -> list[str]:
-        return list(_SCHEMA[self._name])
-
-    def __repr__(self) -> str:
-        return f"{self._name}({', '.join(f'{k}={v!r}' for k, v in self._options._values[self._name].items())})"
-
-
-class Options:
+class Options(Sections):
     """Options of a reconstruction.
 
     Every step has a section (`options.height.smoothness`); `fusion` is "refined" (default) or "grid". Sections are given
     as mappings: ``Options(fusion="grid", height={"smoothness": 0.1})``. Unknown names, wrong types and values out of
-    range raise `malus.InputError`. `Options.describe()` lists everything with type, default and meaning.
+    range raise `malus.InputError`. `Options.describe()` lists everything with type, default and meaning; editors complete
+    sections and options.
     """
 
-    def __init__(self, fusion: str = "refined", **sections: Mapping[str, Any]) -> None:
+    def __init__(self, fusion: Literal["refined", "grid"] = "refined", **sections: Unpack[Values]) -> None:
         self._values: dict[str, Any] = json.loads(_core.default_options())
         self.update({"fusion": fusion, **sections})
 
@@ -106,7 +86,11 @@ class Options:
     def __getattr__(self, name: str) -> Section:
         if name.startswith("_") or name not in _SCHEMA:
             raise AttributeError(f"no option section {name}; there are {', '.join(_SCHEMA)}")
-        return Section(self, name)
+        typed: type[Section] = getattr(_option_types, f"{name.title()}Section")
+        return typed(self, name)
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *_SCHEMA]
 
     def to_dict(self) -> dict[str, Any]:
         """All values, nested by section."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, Required, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,16 +16,71 @@ from malus._files import require_utf8
 from malus.camera import Camera
 
 
+class PolarizedValues(TypedDict, total=False):
+    """[polarized] of a station file, without files: how the images are to be read (docs/station-file.md)."""
+
+    angle_direction: Literal["ccw", "cw"]
+    angle_zero_deg: float
+    mosaic: Sequence[Sequence[float]]
+    mosaic_colors: Literal["RGGB", "BGGR", "GRBG", "GBRG"]
+    exposure_s: Sequence[float]
+    channel: Literal["luminance", "red", "green", "blue", "mean"]
+    channel_weights: Sequence[float]
+    response: str
+    white_level: float
+    black_level: float
+    frames_averaged: int
+    full_well_e: float | None
+    read_noise_e: float | None
+
+
+class OpticsValues(TypedDict, total=False):
+    """[optics]; `reflection` may be the file of a label image."""
+
+    refractive_index: float | Literal["auto"]
+    reflection: str
+    light: Sequence[float]
+
+
+class PriorValues(TypedDict, total=False):
+    """[prior]: one of three files."""
+
+    cloud: str
+    mesh: str
+    depth: str
+
+
+class PatchValues(TypedDict, total=False):
+    """[[patch]]: x0, y0, x1, y1 in the image, inclusive."""
+
+    name: str
+    box: Required[Sequence[int]]
+
+
+#: [[profile]]: pixels [x, y].
+ProfileValues = TypedDict("ProfileValues", {"name": str, "from": Sequence[float], "to": Sequence[float]}, total=False)
+
+
+class ScaleValues(TypedDict, total=False):
+    """[[scale]]: a known distance between two points of the prior's frame."""
+
+    distance: Required[float]
+    a_xyz: Required[Sequence[float]]
+    b_xyz: Required[Sequence[float]]
+    check: bool
+
+
 class Station:
     """A station, from a file (`Station.load`) or from arrays."""
 
     def __init__(
         self,
         images: Sequence[ArrayLike] | NDArray[Any],
-        angles_deg: Sequence[float],
+        angles_deg: Sequence[float] | Literal["auto"] | None,
         camera: Camera,
         *,
         prior_points: ArrayLike | None = None,
+        prior_normals: ArrayLike | None = None,
         prior_depth: ArrayLike | None = None,
         mask: ArrayLike | None = None,
         name: str = "station",
@@ -35,48 +90,63 @@ class Station:
         frames_averaged: int = 1,
         full_well_e: float | None = None,
         read_noise_e: float | None = None,
+        polarized: PolarizedValues | None = None,
+        optics: OpticsValues | None = None,
+        prior: PriorValues | None = None,
+        patches: Sequence[PatchValues] = (),
+        profiles: Sequence[ProfileValues] = (),
+        scale: Sequence[ScaleValues] = (),
+        object: Mapping[str, str] | None = None,
     ) -> None:
         """Build a station in code.
 
-        images: K arrays H×W, linear intensities in [0, 1] of the white level; angles_deg: K polarizer angles,
-        counter-clockwise from image +x as displayed. Exactly one of prior_points (N×3, world frame, in `unit`) and
-        prior_depth (H×W z-depth of the undistorted view, NaN = none) is needed for more than the polarization maps.
-        mask: H×W, non-zero = object. refractive_index None means "auto". Wrong shapes raise ValueError.
+        images: K arrays H×W or, in color, H×W×3, by default linear intensities in [0, 1] of the white level; angles_deg:
+        K polarizer angles, counter-clockwise from image +x as displayed, "auto" where they are not known, or None with a
+        mosaic, which states them. At most one prior is given, and it is needed for more than the polarization maps:
+        prior_points (N×3, world frame, in `unit`) with or without prior_normals (N×3, towards the camera), prior_depth
+        (H×W z-depth of the undistorted view, NaN = none), or `prior`, a file. mask: H×W, non-zero = object.
+        refractive_index None means "auto".
+
+        All else that a station file can say is given by its own words: `polarized` (response, levels, exposures, channel,
+        mosaic …), `optics` (light …), `patches`, `profiles`, `scale` and `object`, the catalogue's words. Names of files
+        in them start at the current folder. Wrong shapes raise ValueError, wrong values malus.InputError, which names
+        them as in a file.
         """
-        stack = as_images(images, "images")
-        angles = np.asarray(angles_deg, dtype=np.float64)
-        if angles.shape != (len(stack),):
-            raise ValueError(f"angles_deg has shape {angles.shape}, expected ({len(stack)},): one angle an image")
-        if (stack[0].shape[1], stack[0].shape[0]) != (camera.width, camera.height):
-            raise ValueError(
-                f"images are {stack[0].shape[1]} x {stack[0].shape[0]} pixels, camera is {camera.width} x {camera.height}"
-            )
-        if prior_points is not None and prior_depth is not None:
-            raise ValueError("prior_points and prior_depth are both given, expected one of them")
-        points = None
-        if prior_points is not None:
-            points = np.ascontiguousarray(prior_points, dtype=np.float64)
-            if points.ndim != 2 or points.shape[1] != 3:
-                raise ValueError(f"prior_points has shape {points.shape}, expected (N, 3)")
+        stack = as_images(images, "images", color=True)
+        shape = stack[0].shape[:2]
+        if shape != (camera.height, camera.width):
+            raise ValueError(f"images are {shape[1]} x {shape[0]} pixels, camera is {camera.width} x {camera.height}")
+        if sum(given is not None for given in (prior_points, prior_depth, prior)) > 1:
+            raise ValueError("prior_points, prior_depth and prior: more than one is given, expected one of them")
+        points, normals = _oriented_points(prior_points, prior_normals)
         depth = None
         if prior_depth is not None:
             depth = np.ascontiguousarray(prior_depth, dtype=np.float32)
-            if depth.shape != stack[0].shape:
-                raise ValueError(f"prior_depth has shape {depth.shape}, expected {stack[0].shape}")
+            if depth.shape != shape:
+                raise ValueError(f"prior_depth has shape {depth.shape}, expected {shape}")
+        noise = {"frames_averaged": frames_averaged, "full_well_e": full_well_e, "read_noise_e": read_noise_e}
+        tables = {
+            "station": {"name": name, "unit": unit},
+            "polarized": {"angles_deg": _angles(angles_deg, len(stack)), **noise, **(polarized or {})},
+            "optics": {
+                "refractive_index": "auto" if refractive_index is None else refractive_index,
+                "reflection": reflection,
+                **(optics or {}),
+            },
+            "object": object,
+            "prior": prior,
+            "patch": patches,
+            "profile": profiles,
+            "scale": scale,
+        }
         self._core = _core.Station.from_arrays(
             images=stack,
-            angles_deg=angles.tolist(),
             camera=camera.values(),
+            tables=json.dumps(tables, default=_plain, allow_nan=False),
             prior_points=points,
+            prior_normals=normals,
             prior_depth=depth,
-            mask=None if mask is None else as_mask(mask, stack[0].shape),
-            name=name,
-            unit=unit,
-            refractive_index=refractive_index,
-            reflection=reflection,
-            frames_averaged=frames_averaged,
-            full_well_e=full_well_e,
-            read_noise_e=read_noise_e,
+            mask=None if mask is None else as_mask(mask, shape),
         )
 
     @classmethod
@@ -105,3 +175,36 @@ class Station:
     def __repr__(self) -> str:
         description = self.describe()
         return f"Station({description['name']!r}, {description['image_count']} images, unit={description['unit']!r})"
+
+
+def _angles(angles_deg: Sequence[float] | str | None, count: int) -> Any:
+    """As the station file has them."""
+    if angles_deg is None or isinstance(angles_deg, str):
+        return angles_deg
+    angles = np.asarray(angles_deg, dtype=np.float64)
+    if angles.shape != (count,):
+        raise ValueError(f"angles_deg has shape {angles.shape}, expected ({count},): one angle an image")
+    return angles
+
+
+def _oriented_points(
+    points: ArrayLike | None, normals: ArrayLike | None
+) -> tuple[NDArray[np.float64] | None, NDArray[np.float32] | None]:
+    if points is None:
+        if normals is not None:
+            raise ValueError("prior_normals are given without prior_points")
+        return None, None
+    checked = np.ascontiguousarray(points, dtype=np.float64)
+    if checked.ndim != 2 or checked.shape[1] != 3:
+        raise ValueError(f"prior_points has shape {checked.shape}, expected (N, 3)")
+    if normals is None:
+        return checked, None
+    directions = np.ascontiguousarray(normals, dtype=np.float32)
+    if directions.shape != checked.shape:
+        raise ValueError(f"prior_normals has shape {directions.shape}, expected {checked.shape} as prior_points")
+    return checked, directions
+
+
+def _plain(value: Any) -> Any:
+    """Arrays, numbers of numpy and paths for JSON."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)

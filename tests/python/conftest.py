@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import shutil
 import signal
@@ -60,6 +62,16 @@ def run_program(*command: str | Path, **options: object) -> Outcome:
 def malus(*arguments: str | Path, **options: object) -> Outcome:
     """`malus …` of this environment."""
     return run_program(sys.executable, "-m", "malus.cli", *arguments, **options)
+
+
+def malus_here(*arguments: str | Path) -> Outcome:
+    """`malus …` within this process, for short commands: a program's start takes longer than most of them."""
+    from malus import cli
+
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = cli.main([str(word) for word in arguments])
+    return Outcome(code, out.getvalue(), err.getvalue())
 
 
 def malus_station(*arguments: str | Path, **options: object) -> Outcome:

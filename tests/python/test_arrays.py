@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import runpy
+
 import numpy as np
 import pytest
 
 import malus
-from conftest import SHARED, needs_shared
+from conftest import ROOT, SHARED, needs_shared
 
 ANGLES = np.radians([0, 30, 60, 90, 120, 150])
 
@@ -103,6 +105,15 @@ def test_options_are_checked() -> None:
     with pytest.raises(ValueError):
         malus.Options(fusion="magic")
     assert all(doc for _, _, _, doc in malus.Options.describe())
+
+
+def test_types_of_options_are_those_of_the_library() -> None:
+    """Otherwise editors complete what is not there: run scripts/option_types.py."""
+    script = runpy.run_path(str(ROOT / "scripts/option_types.py"))
+    assert script["TARGET"].read_text(encoding="utf-8") == script["text"]()
+    options = malus.Options()
+    assert {"height", "refine", "fusion", "set"} <= set(dir(options))
+    assert "smoothness" in dir(options.height)
 
 
 def mean_normal_error_deg(height: np.ndarray, normal: np.ndarray, mask: np.ndarray) -> float:

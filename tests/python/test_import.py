@@ -13,6 +13,7 @@ from PIL import Image
 
 import malus
 from conftest import malus as run_malus
+from conftest import malus_here
 
 
 def image(path: Path, size: tuple[int, int] = (8, 12)) -> None:
@@ -167,7 +168,7 @@ def test_camera_and_cloud_of_a_metashape_project(folder: Path, tmp_path: Path) -
     assert "To come" not in station.read_text()
     for label, expected in (("c", "0 aligned cameras 'c', expected one; there are shot_0.png"), (None, "go together")):
         name = [] if label is None else ["--label", label]
-        outcome = run_malus(
+        outcome = malus_here(
             "import", folder, "-o", folder / "other.toml", "--angles", "0,60,120", "--metashape", project, *name
         )  # fmt: skip
         assert outcome.code == 2
@@ -218,7 +219,7 @@ def test_mistakes_are_named(folder: Path, files: dict[str, str | None], argument
             image(folder / name)
         else:
             (folder / name).write_text(content)
-    outcome = run_malus("import", folder, "-o", folder / "station.toml", *arguments)
+    outcome = malus_here("import", folder, "-o", folder / "station.toml", *arguments)
     assert outcome.code == 2, outcome.out
     assert message in outcome.err
     assert "Traceback" not in outcome.err

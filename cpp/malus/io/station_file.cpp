@@ -18,6 +18,7 @@
 #include "malus/io/image_file.h"
 #include "malus/io/input_file_internal.h"
 #include "malus/io/polarized_files_internal.h"
+#include "malus/io/station_tables_internal.h"
 #include "malus/io/toml_document_internal.h"
 #include "malus/io/toml_table_internal.h"
 
@@ -139,7 +140,8 @@ void require_three_angles(const TomlTable& table, std::string_view key, const st
 /// Angles of the images: a list, "auto" (nothing), or taken from the file names.
 std::optional<std::vector<double>> read_angles(const TomlTable& table,
                                                const std::vector<std::filesystem::path>& images) {
-  const bool listed = table.find("images")->is_array();
+  const toml::node* named = table.find("images");
+  const bool listed = named == nullptr || named->is_array();
   const auto pattern = table.text("angle_pattern");
   if (table.has("angles_deg") && pattern)
     throw table.error("angle_pattern", "is not needed with angles_deg, expected one of the two");
@@ -220,10 +222,10 @@ std::optional<std::vector<double>> read_exposures(const TomlTable& table, const 
   return exposures;
 }
 
-PolarizedSpec read_polarized(const TomlTable& table) {
+PolarizedSpec read_polarized(const TomlTable& table, const GivenInMemory* given) {
   PolarizedSpec spec;
   read_fields(table, spec);
-  spec.images = read_image_list(table);
+  spec.images = given ? given->images : read_image_list(table);
   if (table.has("mosaic")) {
     spec.mosaic = read_mosaic(table);
     if (spec.images.size() != 1) {
@@ -491,15 +493,15 @@ ScaleBar read_scale_bar(const TomlTable& table, const std::optional<PhotosSpec>&
 }
 
 /// All bars; those of a given prior make it and the camera's position metric.
-void read_scale_bars(const TomlTable& document, StationFile& station) {
+void read_scale_bars(const TomlTable& document, StationFile& station, bool has_prior) {
   const auto bars = tables(document, "scale", "tables [[scale]]");
   if (bars.empty()) return;
-  if (station.photos && station.prior) {
+  if (station.photos && has_prior) {
     throw document.error("scale",
                          "would not be used: the surface is that of [prior], and [photos] only accompany it; leave "
                          "[photos] out to scale the prior, or [prior] to make one from the photos");
   }
-  if (!station.photos && !(station.prior && station.camera)) {
+  if (!station.photos && !(has_prior && station.camera)) {
     throw document.error("scale",
                          "needs [photos], in which its ends are marked, or [prior] and [camera], which it scales");
   }
@@ -561,6 +563,51 @@ void check_camera_size(const TomlTable& document, const LensCamera& lens, Size i
                     " pixels, but the polarized image " + file.string() + " has " + to_string(image));
 }
 
+/// Keys of [polarized]; where the images are in memory, without those of files.
+std::vector<std::string_view> polarized_keys(const GivenInMemory* given) {
+  if (given == nullptr) return keys_of(PolarizedSpec{}, {"angle_pattern"});
+  std::vector<std::string_view> keys = keys_of(PolarizedSpec{});
+  std::erase_if(keys, [](std::string_view key) { return key == "images" || key == "mask"; });
+  return keys;
+}
+
+constexpr std::array<std::string_view, 20> camera_keys{"colmap_model",
+                                                       "image",
+                                                       "model",
+                                                       "width",
+                                                       "height",
+                                                       "params",
+                                                       "qvec",
+                                                       "tvec",
+                                                       "focal_mm",
+                                                       "pixel_mm",
+                                                       "x0_mm",
+                                                       "y0_mm",
+                                                       "k1",
+                                                       "k2",
+                                                       "k3",
+                                                       "p1",
+                                                       "p2",
+                                                       "p3",
+                                                       "omega_phi_kappa_deg",
+                                                       "center"};
+
+/// [[patch]] and [[profile]].
+void read_regions(const TomlTable& document, Size size, StationFile& station) {
+  std::set<std::string> names;
+  for (const toml::table* entry : tables(document, "patch", "tables [[patch]]")) {
+    const std::size_t index = station.patches.size();
+    const TomlTable table(*entry, document.file(), "[[patch]] " + std::to_string(index + 1), {"name", "box"});
+    station.patches.push_back(read_patch(table, read_name(table, index, names), size));
+  }
+  names.clear();
+  for (const toml::table* entry : tables(document, "profile", "tables [[profile]]")) {
+    const std::size_t index = station.profiles.size();
+    const TomlTable table(*entry, document.file(), "[[profile]] " + std::to_string(index + 1), keys_of(ProfileSpec{}));
+    station.profiles.push_back(read_profile(table, read_name(table, index, names), size));
+  }
+}
+
 /// Size of the polarized images. A RAW file says it when it is developed; until then it is the camera's.
 Size polarized_size(const StationFile& station, const std::string& where) {
   const std::filesystem::path& first = station.polarized.images.front();
@@ -571,79 +618,55 @@ Size polarized_size(const StationFile& station, const std::string& where) {
 
 }  // namespace
 
-StationFile read_station_file(const std::filesystem::path& given_path) {
+StationFile read_station_tables(const toml::table& root, const std::filesystem::path& path,
+                                const GivenInMemory* given) {
   StationFile station;
-  station.path = std::filesystem::absolute(given_path).lexically_normal();
-  const toml::table root = read_toml(station.path, "station file");
-  const TomlTable document(
-      root, station.path, "",
-      {"station", "object", "polarized", "optics", "camera", "prior", "photos", "scale", "patch", "profile"});
-  const auto optional_section = [&](std::string_view key, const std::vector<std::string_view>& known) {
+  station.path = path;
+  std::vector<std::string_view> known{"station", "object", "polarized", "optics", "prior", "scale", "patch", "profile"};
+  if (given == nullptr) known.insert(known.end(), {"camera", "photos"});
+  const TomlTable document(root, path, "", known);
+  const auto optional_section = [&](std::string_view key, const std::vector<std::string_view>& keys) {
     const toml::table* table = section(document, key);
-    return table ? std::optional(TomlTable(*table, station.path, "[" + std::string(key) + "]", known)) : std::nullopt;
+    return table ? std::optional(TomlTable(*table, path, "[" + std::string(key) + "]", keys)) : std::nullopt;
   };
 
-  station.name = station.path.parent_path().filename().string();
+  station.name = path.parent_path().filename().string();
   if (const auto table = optional_section("station", {"name", "unit"})) {
     station.name = table->text("name").value_or(station.name);
     station.unit = read_unit(*table, station.unit);
   }
-
   if (const auto table = optional_section("object", keys_of(ObjectSpec{}))) read_fields(*table, station.object);
-
-  const auto polarized =
-      document.required(optional_section("polarized", keys_of(PolarizedSpec{}, {"angle_pattern"})), "polarized",
-                        "the section [polarized] with the images taken through the polarizer");
-  station.polarized = read_polarized(polarized);
-
+  const auto polarized = document.required(optional_section("polarized", polarized_keys(given)), "polarized",
+                                           "the section [polarized] with the images taken through the polarizer");
+  station.polarized = read_polarized(polarized, given);
   if (const auto table = optional_section("optics", {"refractive_index", "reflection", "light"}))
     station.optics = read_optics(*table);
   if (const auto table = optional_section("photos", keys_of(PhotosSpec{}))) station.photos = read_photos(*table);
   if (const auto table = optional_section("prior", {"cloud", "mesh", "depth"})) station.prior = read_prior(*table);
-  if (const auto table = optional_section("camera", {"colmap_model",
-                                                     "image",
-                                                     "model",
-                                                     "width",
-                                                     "height",
-                                                     "params",
-                                                     "qvec",
-                                                     "tvec",
-                                                     "focal_mm",
-                                                     "pixel_mm",
-                                                     "x0_mm",
-                                                     "y0_mm",
-                                                     "k1",
-                                                     "k2",
-                                                     "k3",
-                                                     "p1",
-                                                     "p2",
-                                                     "p3",
-                                                     "omega_phi_kappa_deg",
-                                                     "center"})) {
+  if (given != nullptr) station.camera = given->camera;
+  if (const auto table = optional_section("camera", {camera_keys.begin(), camera_keys.end()})) {
     read_camera(*table, station);
   }
   if (station.prior && !station.camera && !station.photos) {
     throw document.error("camera", "is missing, expected [camera], in whose view the prior is to be seen");
   }
+  read_scale_bars(document, station, station.prior || (given != nullptr && given->has_prior));
 
-  read_scale_bars(document, station);
-
+  if (given != nullptr) {
+    station.polarized.images.clear();
+    read_regions(document, given->camera.lens.size, station);
+    return station;
+  }
   const Size size = polarized_size(station, polarized.where("images"));
   if (station.camera) check_camera_size(document, station.camera->lens, size, station.polarized.images.front());
   if (station.lens) check_camera_size(document, *station.lens, size, station.polarized.images.front());
-  std::set<std::string> names;
-  for (const toml::table* entry : tables(document, "patch", "tables [[patch]]")) {
-    const std::size_t index = station.patches.size();
-    const TomlTable table(*entry, station.path, "[[patch]] " + std::to_string(index + 1), {"name", "box"});
-    station.patches.push_back(read_patch(table, read_name(table, index, names), size));
-  }
-  names.clear();
-  for (const toml::table* entry : tables(document, "profile", "tables [[profile]]")) {
-    const std::size_t index = station.profiles.size();
-    const TomlTable table(*entry, station.path, "[[profile]] " + std::to_string(index + 1), keys_of(ProfileSpec{}));
-    station.profiles.push_back(read_profile(table, read_name(table, index, names), size));
-  }
+  read_regions(document, size, station);
   return station;
+}
+
+StationFile read_station_file(const std::filesystem::path& given_path) {
+  const std::filesystem::path path = std::filesystem::absolute(given_path).lexically_normal();
+  return read_station_tables(read_toml(path, "station file"), path, nullptr);
 }
 
 }  // namespace malus

@@ -13,7 +13,7 @@ namespace {
 
 using namespace scenes;
 
-const Pinhole camera = centred_camera({160, 120}, 1000);
+const Pinhole compared_camera = centred_camera({160, 120}, 1000);
 constexpr double gsd = 0.5;
 
 /// Wavy surface at about 500 mm, moved towards the camera by `offset` along its rays' z.
@@ -64,7 +64,8 @@ TEST(Reference, TreeFindsWhatASearchThroughAllTrianglesFinds) {
   one.vertices.points = mesh.vertices.points;
   const FusedSurface other = wavy(2, 40, 30);
   for (int i = 0; i < 40; ++i) {
-    const Eigen::Vector3d x = other.pose.world_from_cam(camera.ray(i, 7) * static_cast<double>(other.depth(i, 7)));
+    const Eigen::Vector3d x =
+        other.pose.world_from_cam(compared_camera.ray(i, 7) * static_cast<double>(other.depth(i, 7)));
     double nearest = 1e9;
     for (const auto& triangle : mesh.triangles) {
       one.triangles = {triangle};
@@ -76,7 +77,9 @@ TEST(Reference, TreeFindsWhatASearchThroughAllTrianglesFinds) {
 
 TEST(Comparison, SphereAgainstItsMeshAndItsCloud) {
   const auto sphere = [](double radius) {
-    return surface_of(camera.size, 1000, [&](int u, int v) { return sphere_depth(camera, {0, 0, 600}, radius, u, v); });
+    return surface_of(compared_camera.size, 1000, [&](int u, int v) {
+      return sphere_depth(compared_camera, {0, 0, 600}, radius, u, v);
+    });
   };
   const FusedSurface surface = sphere(101);
   TriangleMesh reference = mesh_of(sphere(100));
@@ -98,8 +101,8 @@ TEST(Comparison, SphereAgainstItsMeshAndItsCloud) {
 TEST(Comparison, FarPixelsAreLeftOutAndNamed) {
   const FusedSurface half = wavy(0, 80, 120);
   FusedSurface reference_view = half;
-  reference_view.camera = camera;
-  reference_view.depth = Image<float>(camera.size, 1, none);
+  reference_view.camera = compared_camera;
+  reference_view.depth = Image<float>(compared_camera.size, 1, none);
   for (int v = 0; v < 120; ++v) {
     for (int u = 0; u < 80; ++u) reference_view.depth(u, v) = wavy(0).depth(u, v);
   }
@@ -135,8 +138,8 @@ TEST(Comparison, IcpUndoesAKnownMotionAndIsOffByDefault) {
 
 TEST(Comparison, IcpOnAPlaneDoesNotSlide) {
   const auto plane = [](double offset) {
-    return surface_of(camera.size, 1000, [&](int u, int v) {
-      return plane_depth(camera, Eigen::Vector3d(0.1, 0.2, 1).normalized(), offset, u, v);
+    return surface_of(compared_camera.size, 1000, [&](int u, int v) {
+      return plane_depth(compared_camera, Eigen::Vector3d(0.1, 0.2, 1).normalized(), offset, u, v);
     });
   };
   AssessOptions options;

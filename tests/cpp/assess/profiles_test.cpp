@@ -9,19 +9,20 @@ namespace {
 
 using namespace scenes;
 
-const Pinhole camera = centred_camera({160, 120}, 1000);
+const Pinhole profile_camera = centred_camera({160, 120}, 1000);
 const Eigen::Vector3d tilted = Eigen::Vector3d(0.3, 0, 1).normalized();
 
 /// A plane tilted about the vertical axis, raised towards the camera by `bump` between columns 60 and 100.
 Image<float> bumped_plane(double bump) {
-  return surface_of(
-             camera.size, 1000,
-             [&](int u, int v) { return plane_depth(camera, tilted, 500 - (u > 60 && u < 100 ? bump : 0), u, v); })
+  return surface_of(profile_camera.size, 1000,
+                    [&](int u, int v) {
+                      return plane_depth(profile_camera, tilted, 500 - (u > 60 && u < 100 ? bump : 0), u, v);
+                    })
       .depth;
 }
 
 ProfileFigures across(const Image<float>& prior, const Image<float>& polarization, const Image<float>& fused) {
-  return section({"1", {20, 60}, {140, 60}}, prior, polarization, fused, camera, 0.5, {}, {});
+  return section({"1", {20, 60}, {140, 60}}, prior, polarization, fused, profile_camera, 0.5, {}, {});
 }
 
 TEST(Profiles, HeightIsPerpendicularToTheChordAndTowardsTheCamera) {
@@ -35,7 +36,7 @@ TEST(Profiles, HeightIsPerpendicularToTheChordAndTowardsTheCamera) {
     ASSERT_NEAR(p.prior[i], 0, 1e-3);
   }
   const auto point = [&](int u) {
-    return Eigen::Vector3d(camera.ray(u, 60) * plane_depth(camera, tilted, 500, u, 60));
+    return Eigen::Vector3d(profile_camera.ray(u, 60) * plane_depth(profile_camera, tilted, 500, u, 60));
   };
   EXPECT_NEAR(p.position.back(), (point(140) - point(20)).norm(), 1e-3);
   EXPECT_NEAR(p.position[37], (point(57) - point(20)).norm(), 1e-3);
@@ -48,7 +49,9 @@ TEST(Profiles, HeightIsPerpendicularToTheChordAndTowardsTheCamera) {
 TEST(Profiles, AConstantOffsetIsNotRoughnessAndNotACentredDifference) {
   const ProfileFigures p =
       across(bumped_plane(0),
-             surface_of(camera.size, 1000, [&](int u, int v) { return plane_depth(camera, tilted, 493, u, v); }).depth,
+             surface_of(profile_camera.size, 1000,
+                        [&](int u, int v) { return plane_depth(profile_camera, tilted, 493, u, v); })
+                 .depth,
              bumped_plane(0));
   EXPECT_NEAR(p.polarization_minus_prior.mean_gsd, 14, 1e-2);
   EXPECT_LT(p.polarization_minus_prior.rms_centered_gsd, 1e-2);
@@ -85,7 +88,7 @@ TEST(Profiles, LineOutsideOfTheImageOrWithoutLengthIsAnError) {
   const Image<float> depth = bumped_plane(0);
   for (const ProfileSpec& profile :
        {ProfileSpec{"x", {0, 0}, {160, 0}}, ProfileSpec{"x", {-1, 0}, {10, 0}}, ProfileSpec{"x", {5, 5}, {5, 5}}}) {
-    EXPECT_THROW(section(profile, {}, {}, depth, camera, 0.5, {}, {}), Error);
+    EXPECT_THROW(section(profile, {}, {}, depth, profile_camera, 0.5, {}, {}), Error);
   }
 }
 

@@ -12,13 +12,13 @@
 namespace malus {
 namespace {
 
-constexpr Size size{240, 180};
+constexpr Size stone_size{240, 180};
 
 const std::vector<Image<float>>& aligned_scene() {
   static const std::vector<Image<float>> images = [] {
     std::vector<Image<float>> made;
     for (int k = 0; k < 4; ++k) {
-      made.push_back(AnalyticScene{0.05}.image(size, identity_affine(), k * std::numbers::pi / 4));
+      made.push_back(AnalyticScene{0.05}.image(stone_size, identity_affine(), k * std::numbers::pi / 4));
     }
     return made;
   }();
@@ -32,8 +32,8 @@ CaptureInput aligned_input() {
 TEST(Capture, aligned_images_pass_bit_for_bit) {
   const PolarizedStack stack = capture_stack(aligned_input(), {}, two_threads());
   EXPECT_TRUE(stack.images == aligned_scene());
-  EXPECT_TRUE(stack.mask == Mask(size, 1, 255));
-  EXPECT_EQ(stack.camera.size, size);
+  EXPECT_TRUE(stack.mask == Mask(stone_size, 1, 255));
+  EXPECT_EQ(stack.camera.size, stone_size);
   EXPECT_TRUE(stack.color.empty());
 }
 
@@ -63,15 +63,15 @@ TEST(Capture, angles_follow_the_scale) {
 
 TEST(Capture, moved_images_are_registered_unless_off) {
   auto images = aligned_scene();
-  const Affine map = similarity(size, 0.003, 1, 1.2, -0.6);
-  images[2] = AnalyticScene{0.05}.image(size, map, std::numbers::pi / 2);
+  const Affine map = similarity(stone_size, 0.003, 1, 1.2, -0.6);
+  images[2] = AnalyticScene{0.05}.image(stone_size, map, std::numbers::pi / 2);
   CaptureInput input = input_of(images, {0, 45, 90, 135});
   CaptureOptions options;
   options.registration.interpolation = Interpolation::keys;
   const PolarizedStack stack = capture_stack(input, options, two_threads());
-  EXPECT_LT(affine_distance_px(stack.image_from_base[2], map, size), 0.02);
+  EXPECT_LT(affine_distance_px(stack.image_from_base[2], map, stone_size), 0.02);
   EXPECT_TRUE(stack.images[1] == images[1]) << "those that did not move stay untouched";
-  EXPECT_EQ(stack.mask(size.width - 1, 5), 0);
+  EXPECT_EQ(stack.mask(stone_size.width - 1, 5), 0);
   const auto& aligned = aligned_scene();
   double squares = 0;
   int count = 0;
@@ -89,7 +89,7 @@ TEST(Capture, mask_and_saturation) {
   auto images = aligned_scene();
   images[3](50, 60) = 1;
   CaptureInput input = input_of(images, {0, 45, 90, 135});
-  input.mask = Mask(size);
+  input.mask = Mask(stone_size);
   for (int u = 40; u < 100; ++u) (*input.mask)(u, 60) = 1;
   const PolarizedStack stack = capture_stack(input, {}, Context{});
   EXPECT_NE(stack.saturated(50, 60), 0);
@@ -102,7 +102,7 @@ TEST(Capture, color_is_the_mean_of_the_linear_images) {
   CaptureInput input = aligned_input();
   input.polarized.response = "gamma:2";
   input.load = [](std::size_t k) {
-    Image<float> rgb(size, 3);
+    Image<float> rgb(stone_size, 3);
     for (std::size_t i = 0; i < rgb.count(); ++i) {
       rgb[i] = static_cast<float>(0.1 * (1 + static_cast<double>(i % 3))) * (k % 2 == 0 ? 1.f : 2.f);
     }
@@ -148,13 +148,14 @@ TEST(Capture, data_that_cannot_be_used) {
   const auto message = [](const CaptureInput& input, const CaptureOptions& options = {}) {
     return error_of(ErrorCode::data, [&] { capture_stack(input, options, Context{}); });
   };
-  EXPECT_NE(message(input_of({4, Image<float>(size, 1, 1.f)}, {0, 45, 90, 135})).find("saturated"), std::string::npos);
+  EXPECT_NE(message(input_of({4, Image<float>(stone_size, 1, 1.f)}, {0, 45, 90, 135})).find("saturated"),
+            std::string::npos);
   CaptureInput input = aligned_input();
-  input.mask = Mask(size);
+  input.mask = Mask(stone_size);
   EXPECT_NE(message(input).find("no pixel"), std::string::npos);
   CaptureOptions options;
   options.mode = RegistrationMode::on;
-  const CaptureInput flat = input_of({4, Image<float>(size, 1, 0.5f)}, {0, 45, 90, 135});
+  const CaptureInput flat = input_of({4, Image<float>(stone_size, 1, 0.5f)}, {0, 45, 90, 135});
   EXPECT_NE(message(flat, options).find("image 1.tif cannot be registered"), std::string::npos);
   int warnings = 0;
   Context context;
@@ -196,8 +197,8 @@ TEST(Noise, quantization_behind_a_gamma_curve_grows_with_the_signal) {
   spec.full_well_e = 1e9;
   spec.read_noise_e = 0;
   const ResponseCurve curve = response_curve("srgb", "response");
-  const NoiseModel noise =
-      noise_model(spec, curve, Levels{0, 255, 1.0 / 255, 0.995}, std::nullopt, {Image<float>(size), Mask(size)});
+  const NoiseModel noise = noise_model(spec, curve, Levels{0, 255, 1.0 / 255, 0.995}, std::nullopt,
+                                       {Image<float>(stone_size), Mask(stone_size)});
   for (const double encoded : {0.2, 0.5, 0.8, 1.0}) {
     const double step = curve.slope(encoded) / 255;
     EXPECT_NEAR(noise.variance(curve.linearize(encoded)) / (step * step / 12), 1, 0.65) << encoded;

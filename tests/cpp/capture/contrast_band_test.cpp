@@ -10,7 +10,7 @@
 namespace malus {
 namespace {
 
-constexpr Size size{301, 222};
+constexpr Size odd_size{301, 222};
 
 Image<float> half_size(const Image<float>& image) {
   Image<float> half({(image.width() + 1) / 2, (image.height() + 1) / 2});
@@ -20,14 +20,14 @@ Image<float> half_size(const Image<float>& image) {
 }
 
 TEST(ContrastBand, the_quarter_image_gives_the_same_band) {
-  const std::vector<Image<float>> images{AnalyticScene{}.image(size, identity_affine(), 0)};
+  const std::vector<Image<float>> images{AnalyticScene{}.image(odd_size, identity_affine(), 0)};
   const std::vector<Image<float>> quarters{half_size(half_size(images[0]))};
   const ContrastBands direct = contrast_bands(images, {}, {0.7, 8}, NoiseModel{}, Context{}),
                       quick = contrast_bands(images, quarters, {0.7, 8}, NoiseModel{}, two_threads());
   double largest = 0, difference = 0;
   // Beside the border both continue the image, each in its way.
-  for (int v = 30; v < size.height - 30; ++v) {
-    for (int u = 30; u < size.width - 30; ++u) {
+  for (int v = 30; v < odd_size.height - 30; ++v) {
+    for (int u = 30; u < odd_size.width - 30; ++u) {
       largest = std::max<double>(largest, std::abs(direct.bands[0](u, v)));
       difference = std::max<double>(difference, std::abs(direct.bands[0](u, v) - quick.bands[0](u, v)));
       EXPECT_NEAR(quick.information(u, v) / direct.information(u, v), 1, 0.02);
@@ -38,14 +38,14 @@ TEST(ContrastBand, the_quarter_image_gives_the_same_band) {
 }
 
 TEST(ContrastBand, strips_and_threads_do_not_show) {
-  const std::vector<Image<float>> images{AnalyticScene{}.image(size, identity_affine(), 0)};
+  const std::vector<Image<float>> images{AnalyticScene{}.image(odd_size, identity_affine(), 0)};
   const ContrastBands bands = contrast_bands(images, {}, {0.7, 3}, NoiseModel{}, two_threads());
-  const cv::Mat whole(size.height, size.width, CV_32F, const_cast<float*>(images[0].data()));
+  const cv::Mat whole(odd_size.height, odd_size.width, CV_32F, const_cast<float*>(images[0].data()));
   cv::Mat fine, coarse;
   cv::GaussianBlur(whole, fine, {}, 0.7, 0, cv::BORDER_REFLECT_101);
   cv::GaussianBlur(whole, coarse, {}, 3, 0, cv::BORDER_REFLECT_101);
-  for (int v = 0; v < size.height; ++v) {
-    for (int u = 0; u < size.width; ++u) {
+  for (int v = 0; v < odd_size.height; ++v) {
+    for (int u = 0; u < odd_size.width; ++u) {
       const float mean = coarse.at<float>(v, u);
       EXPECT_NEAR(bands.bands[0](u, v), (fine.at<float>(v, u) - mean) / mean, 1e-6);
     }

@@ -6,18 +6,18 @@
 namespace malus {
 namespace {
 
-constexpr Size size{160, 90};
+constexpr Size rows_size{160, 90};
 constexpr int length = BlockRow::length;
 
 TEST(RegistrationRows, resample_as_images_are) {
-  const Image<float> scene = AnalyticScene{}.image(size, identity_affine(), 0);
+  const Image<float> scene = AnalyticScene{}.image(rows_size, identity_affine(), 0);
   // Rotation and scale large enough that a row crosses samples of the source in both directions.
   for (const double turn : {0.0, 0.03, -0.02}) {
     for (const double scale : {1.0, 1.02, 0.97}) {
       for (const auto interpolation : {Interpolation::bicubic, Interpolation::keys}) {
-        const Affine map = similarity(size, turn, scale, 1.3, -0.6);
+        const Affine map = similarity(rows_size, turn, scale, 1.3, -0.6);
         const Image<float> expected =
-            resample(scene, size, ResamplingMap(std::nullopt, map), interpolation, Context{}).image;
+            resample(scene, rows_size, ResamplingMap(std::nullopt, map), interpolation, Context{}).image;
         std::vector<float> row(100);
         for (const int v : {20, 45, 70}) {
           resample_row(scene, map, interpolation, 30, v, row);

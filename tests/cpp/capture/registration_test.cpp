@@ -9,12 +9,12 @@
 namespace malus {
 namespace {
 
-constexpr Size size{300, 220};
+constexpr Size registered_size{300, 220};
 
 std::vector<Image<float>> noise_images(std::size_t count, float sigma) {
   std::mt19937 random(7);
   std::normal_distribution<float> normal(0.5f, sigma);
-  std::vector<Image<float>> images(count, Image<float>(size));
+  std::vector<Image<float>> images(count, Image<float>(registered_size));
   for (Image<float>& image : images) {
     for (float& pixel : image) pixel = normal(random);
   }
@@ -24,14 +24,15 @@ std::vector<Image<float>> noise_images(std::size_t count, float sigma) {
 std::vector<Image<float>> scene_images(const std::vector<Affine>& maps, double polarization) {
   std::vector<Image<float>> images;
   for (std::size_t k = 0; k < maps.size(); ++k) {
-    images.push_back(AnalyticScene{polarization}.image(size, maps[k], static_cast<double>(k) * std::numbers::pi / 4));
+    images.push_back(
+        AnalyticScene{polarization}.image(registered_size, maps[k], static_cast<double>(k) * std::numbers::pi / 4));
   }
   return images;
 }
 
-const std::vector<Affine> moved_maps{identity_affine(), similarity(size, 0.004, 1.003, 1.3, -0.7),
-                                     similarity(size, -0.003, 0.999, -0.45, 0.2),
-                                     similarity(size, 0.001, 1, 5.6, -4.4)};
+const std::vector<Affine> moved_maps{identity_affine(), similarity(registered_size, 0.004, 1.003, 1.3, -0.7),
+                                     similarity(registered_size, -0.003, 0.999, -0.45, 0.2),
+                                     similarity(registered_size, 0.001, 1, 5.6, -4.4)};
 
 TEST(Registration, finds_affine_maps_of_a_polarized_scene) {
   RegistrationOptions options;
@@ -39,9 +40,10 @@ TEST(Registration, finds_affine_maps_of_a_polarized_scene) {
   const auto results = register_images(scene_images(moved_maps, 0.05), NoiseModel{}, options, two_threads());
   for (std::size_t k = 1; k < 4; ++k) {
     EXPECT_EQ(results[k].status, RegistrationStatus::ok) << results[k].message;
-    EXPECT_LT(affine_distance_px(results[k].image_from_base, moved_maps[k], size), 0.02) << k;
+    EXPECT_LT(affine_distance_px(results[k].image_from_base, moved_maps[k], registered_size), 0.02) << k;
     EXPECT_LT(results[k].rms_px, 0.02);
-    EXPECT_NEAR(results[k].displacement_px, affine_distance_px(moved_maps[k], identity_affine(), size), 0.01);
+    EXPECT_NEAR(results[k].displacement_px, affine_distance_px(moved_maps[k], identity_affine(), registered_size),
+                0.01);
   }
 }
 
@@ -53,13 +55,13 @@ TEST(Registration, ignores_exposure_and_a_moving_patch) {
   }
   const auto results = register_images(images, NoiseModel{}, {}, two_threads());
   EXPECT_EQ(results[1].status, RegistrationStatus::ok) << results[1].message;
-  EXPECT_LT(affine_distance_px(results[1].image_from_base, moved_maps[1], size), 0.05);
+  EXPECT_LT(affine_distance_px(results[1].image_from_base, moved_maps[1], registered_size), 0.05);
 }
 
 TEST(Registration, polarization_that_differs_between_images_costs_little) {
   const auto results = register_images(scene_images(moved_maps, 0.2), NoiseModel{}, {}, two_threads());
   for (std::size_t k = 1; k < 4; ++k) {
-    EXPECT_LT(affine_distance_px(results[k].image_from_base, moved_maps[k], size), 0.1) << k;
+    EXPECT_LT(affine_distance_px(results[k].image_from_base, moved_maps[k], registered_size), 0.1) << k;
   }
 }
 
@@ -100,7 +102,7 @@ TEST(Registration, noise_is_not_texture) {
 }
 
 TEST(Registration, flat_images_are_not_registered) {
-  const auto results = register_images({3, Image<float>(size, 1, 0.5f)}, NoiseModel{}, {}, Context{});
+  const auto results = register_images({3, Image<float>(registered_size, 1, 0.5f)}, NoiseModel{}, {}, Context{});
   EXPECT_EQ(results[2].status, RegistrationStatus::no_texture);
 }
 
@@ -115,9 +117,9 @@ TEST(Registration, too_large_a_displacement_is_implausible) {
 
 TEST(Registration, another_scene_is_not_ok) {
   auto images = scene_images({identity_affine(), identity_affine()}, 0);
-  images.push_back(Image<float>(size));
-  for (int v = 0; v < size.height; ++v) {
-    for (int u = 0; u < size.width; ++u) images[2](u, v) = images[0](size.width - 1 - u, v);
+  images.push_back(Image<float>(registered_size));
+  for (int v = 0; v < registered_size.height; ++v) {
+    for (int u = 0; u < registered_size.width; ++u) images[2](u, v) = images[0](registered_size.width - 1 - u, v);
   }
   EXPECT_NE(register_images(images, NoiseModel{}, {}, two_threads())[2].status, RegistrationStatus::ok);
 }
@@ -125,8 +127,9 @@ TEST(Registration, another_scene_is_not_ok) {
 TEST(Registration, one_iteration_has_not_converged) {
   RegistrationOptions options;
   options.max_iterations = 1;
-  const auto results = register_images(scene_images({identity_affine(), similarity(size, 0.02, 1.01, 3, 2)}, 0),
-                                       NoiseModel{}, options, two_threads());
+  const auto results =
+      register_images(scene_images({identity_affine(), similarity(registered_size, 0.02, 1.01, 3, 2)}, 0), NoiseModel{},
+                      options, two_threads());
   EXPECT_EQ(results[1].status, RegistrationStatus::not_converged);
 }
 

@@ -7,12 +7,12 @@
 namespace malus {
 namespace {
 
-constexpr Size size{60, 40};
+constexpr Size resampled_size{60, 40};
 
 Image<float> polynomial_image() {
-  Image<float> image(size);
-  for (int v = 0; v < size.height; ++v) {
-    for (int u = 0; u < size.width; ++u)
+  Image<float> image(resampled_size);
+  for (int v = 0; v < resampled_size.height; ++v) {
+    for (int u = 0; u < resampled_size.width; ++u)
       image(u, v) = static_cast<float>(2 + 0.5 * u - 0.25 * v + 0.01 * u * u + 0.02 * u * v);
   }
   return image;
@@ -20,20 +20,20 @@ Image<float> polynomial_image() {
 
 TEST(Resampling, identity_is_bit_identical) {
   const Image<float> image = polynomial_image();
-  const Resampled same =
-      resample(image, size, ResamplingMap(std::nullopt, identity_affine()), Interpolation::bicubic, Context{});
+  const Resampled same = resample(image, resampled_size, ResamplingMap(std::nullopt, identity_affine()),
+                                  Interpolation::bicubic, Context{});
   EXPECT_EQ(same.image, image);
-  EXPECT_EQ(same.valid, Mask(size, 1, 255));
+  EXPECT_EQ(same.valid, Mask(resampled_size, 1, 255));
 }
 
 TEST(Resampling, keys_reproduces_a_quadratic_at_any_position) {
   Affine map;
   map << 1.01, 0.02, 0.337, -0.01, 0.99, 0.711;
-  const Resampled moved =
-      resample(polynomial_image(), size, ResamplingMap(std::nullopt, map), Interpolation::keys, two_threads());
+  const Resampled moved = resample(polynomial_image(), resampled_size, ResamplingMap(std::nullopt, map),
+                                   Interpolation::keys, two_threads());
   int inside = 0;
-  for (int v = 0; v < size.height; ++v) {
-    for (int u = 0; u < size.width; ++u) {
+  for (int v = 0; v < resampled_size.height; ++v) {
+    for (int u = 0; u < resampled_size.width; ++u) {
       if (!moved.valid(u, v)) {
         EXPECT_TRUE(std::isnan(moved.image(u, v)));
         continue;
@@ -60,7 +60,7 @@ TEST(Resampling, support_that_leaves_the_image_is_not_valid) {
   Affine map = identity_affine();
   map.col(2) << 3.5, -2.5;
   const Resampled moved =
-      resample(polynomial_image(), size, ResamplingMap(std::nullopt, map), Interpolation::bicubic, Context{});
+      resample(polynomial_image(), resampled_size, ResamplingMap(std::nullopt, map), Interpolation::bicubic, Context{});
   EXPECT_TRUE(moved.valid(54, 20));
   EXPECT_FALSE(moved.valid(55, 20)) << "position 58.5 needs a sample at 60";
   EXPECT_TRUE(moved.valid(20, 4));
@@ -68,34 +68,34 @@ TEST(Resampling, support_that_leaves_the_image_is_not_valid) {
 }
 
 TEST(Resampling, a_flag_marks_every_pixel_it_contributes_to) {
-  Mask flags(size);
+  Mask flags(resampled_size);
   flags(30, 20) = 255;
   Affine map = identity_affine();
   map.col(2) << 0.5, 0;
-  const Mask moved = resample_flags(flags, size, ResamplingMap(std::nullopt, map), Context{});
-  for (int u = 0; u < size.width; ++u) EXPECT_EQ(moved(u, 20) != 0, u >= 28 && u <= 31) << u;
+  const Mask moved = resample_flags(flags, resampled_size, ResamplingMap(std::nullopt, map), Context{});
+  for (int u = 0; u < resampled_size.width; ++u) EXPECT_EQ(moved(u, 20) != 0, u >= 28 && u <= 31) << u;
 }
 
 TEST(Resampling, undistortion_and_registration_are_one_map) {
-  const LensCamera lens{LensModel::opencv, size, {80, 81, 29, 21, 0.1, -0.05, 1e-3, -2e-3}};
-  const Affine affine = similarity(size, 0.01, 1.01, 0.4, -0.3);
+  const LensCamera lens{LensModel::opencv, resampled_size, {80, 81, 29, 21, 0.1, -0.05, 1e-3, -2e-3}};
+  const Affine affine = similarity(resampled_size, 0.01, 1.01, 0.4, -0.3);
   const ResamplingMap map(lens, affine);
   const Eigen::Vector2d base = lens.distort(lens.pinhole().ray(11, 33).head<2>());
   EXPECT_NEAR((map(11, 33) - affine * Eigen::Vector3d(base.x(), base.y(), 1)).norm(), 0, 1e-12);
   EXPECT_FALSE(map.is_identity());
-  const LensCamera pinhole{LensModel::pinhole, size, {80, 81, 29, 21}};
+  const LensCamera pinhole{LensModel::pinhole, resampled_size, {80, 81, 29, 21}};
   EXPECT_TRUE(ResamplingMap(pinhole, identity_affine()).is_identity());
 }
 
 TEST(Resampling, threads_do_not_change_a_bit) {
-  const LensCamera lens{LensModel::radial, size, {80, 29, 21, 0.1, -0.05}};
-  const ResamplingMap map(lens, similarity(size, 0.01, 1, 0.4, -0.3));
+  const LensCamera lens{LensModel::radial, resampled_size, {80, 29, 21, 0.1, -0.05}};
+  const ResamplingMap map(lens, similarity(resampled_size, 0.01, 1, 0.4, -0.3));
   Context four;
   four.threads = 4;
-  const Resampled one =
-      resample(AnalyticScene().image(size, identity_affine(), 0), size, map, Interpolation::bicubic, Context{});
-  const Resampled many =
-      resample(AnalyticScene().image(size, identity_affine(), 0), size, map, Interpolation::bicubic, four);
+  const Resampled one = resample(AnalyticScene().image(resampled_size, identity_affine(), 0), resampled_size, map,
+                                 Interpolation::bicubic, Context{});
+  const Resampled many = resample(AnalyticScene().image(resampled_size, identity_affine(), 0), resampled_size, map,
+                                  Interpolation::bicubic, four);
   EXPECT_EQ(one.valid, many.valid);
   for (std::size_t i = 0; i < one.image.count(); ++i) {
     EXPECT_TRUE(!one.valid[i] || one.image[i] == many.image[i]) << i;

@@ -10,13 +10,9 @@
 #include <vector>
 
 #include "malus/capture/capture.h"
+#include "shared_data.h"
 
 namespace malus {
-
-/// Folder of the rendered stations; absent in a plain checkout.
-inline std::filesystem::path shared_data() {
-  return MALUS_SOURCE_DIR "/../shared/data";
-}
 
 inline Context two_threads() {
   Context context;

@@ -8,7 +8,7 @@
 namespace malus {
 namespace {
 
-constexpr Size size{60, 40};
+constexpr Size picture_size{60, 40};
 
 bool in_disk(int u, int v) {
   return std::hypot(u - 30, v - 20) <= 12;
@@ -16,9 +16,9 @@ bool in_disk(int u, int v) {
 
 /// A red disk on blue, a little uneven.
 Image<std::uint8_t> disk() {
-  Image<std::uint8_t> picture(size, 3);
-  for (int v = 0; v < size.height; ++v) {
-    for (int u = 0; u < size.width; ++u) {
+  Image<std::uint8_t> picture(picture_size, 3);
+  for (int v = 0; v < picture_size.height; ++v) {
+    for (int u = 0; u < picture_size.width; ++u) {
       const auto uneven = static_cast<std::uint8_t>((u * 7 + v * 3) % 9);
       picture(u, v, in_disk(u, v) ? 0 : 2) = static_cast<std::uint8_t>(200 + uneven);
       picture(u, v, 1) = uneven;
@@ -29,8 +29,8 @@ Image<std::uint8_t> disk() {
 
 int wrong_pixels(const Mask& mask) {
   int wrong = 0;
-  for (int v = 0; v < size.height; ++v) {
-    for (int u = 0; u < size.width; ++u) wrong += (mask(u, v) != 0) != in_disk(u, v);
+  for (int v = 0; v < picture_size.height; ++v) {
+    for (int u = 0; u < picture_size.width; ++u) wrong += (mask(u, v) != 0) != in_disk(u, v);
   }
   return wrong;
 }
@@ -41,7 +41,7 @@ TEST(SelectObject, SimilarPixelsConnectedWithTheSeed) {
 }
 
 TEST(SelectObject, DiskIsCutOutOfAFrameAroundIt) {
-  Mask hints(size, 1, static_cast<std::uint8_t>(CutHint::background));
+  Mask hints(picture_size, 1, static_cast<std::uint8_t>(CutHint::background));
   for (int v = 4; v < 36; ++v) {
     for (int u = 12; u < 48; ++u) hints(u, v) = static_cast<std::uint8_t>(CutHint::probably_object);
   }
@@ -49,8 +49,8 @@ TEST(SelectObject, DiskIsCutOutOfAFrameAroundIt) {
 }
 
 TEST(SelectObject, HintsNeedObjectAndBackground) {
-  EXPECT_THROW(cut_out_object(disk(), Mask(size, 1, 0), 3, {}), Error);
-  EXPECT_THROW(cut_out_object(disk(), Mask(size, 1, 1), 3, {}), Error);
+  EXPECT_THROW(cut_out_object(disk(), Mask(picture_size, 1, 0), 3, {}), Error);
+  EXPECT_THROW(cut_out_object(disk(), Mask(picture_size, 1, 1), 3, {}), Error);
 }
 
 }  // namespace

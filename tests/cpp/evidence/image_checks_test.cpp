@@ -5,14 +5,13 @@
 #include <numbers>
 #include <random>
 
+#include "degree.h"
 #include "malus/core/error.h"
 #include "malus/evidence/image_order_internal.h"
 #include "malus/evidence/response_check_internal.h"
 
 namespace malus {
 namespace {
-
-constexpr double degree = std::numbers::pi / 180;
 
 /// Images of varied intensity, degree (up to 0.5) and phase, with noise of 0.3 % and after a response curve.
 std::vector<Image<float>> images_at(
@@ -35,7 +34,7 @@ std::vector<Image<float>> images_at(
 
 std::vector<double> every(double step_deg, int count) {
   std::vector<double> angles;
-  for (int k = 0; k < count; ++k) angles.push_back(k * step_deg * degree);
+  for (int k = 0; k < count; ++k) angles.push_back(k * step_deg * degree_rad);
   return angles;
 }
 

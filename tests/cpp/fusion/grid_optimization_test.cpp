@@ -100,7 +100,7 @@ TEST(GridOptimization, StrongPriorKeepsTheMeansOfItsCells) {
   OptimizeOptions options;
   options.prior_weight = 1e4;
   const FusedSurface after = scene.optimized(options);
-  const double gsd = 500.0 / 900;
+  const double gsd = station_gsd_mm;
   double sum = 0;
   for (int v = 20; v < 24; ++v)
     for (int u = 24; u < 28; ++u) sum += after.depth(u, v) - scene.station.prior.depth(u, v);

@@ -10,27 +10,19 @@
 #include "malus/core/error.h"
 #include "malus/fusion/refinement_field_internal.h"
 #include "malus/fusion/tile_solver_internal.h"
+#include "quick_refinement.h"
 #include "synthetic_station.h"
 
 namespace malus {
 namespace {
 
-RefineOptions quick() {
-  RefineOptions options;
-  options.search = false;
-  options.lobe = false;
-  return options;
-}
-
-double largest_difference_gsd(const Image<float>& a, const Image<float>& b, double gsd) {
+double largest_difference_gsd(const Image<float>& a, const Image<float>& b) {
   double largest = 0;
   for (std::size_t i = 0; i < a.count(); ++i) {
-    if (std::isfinite(a[i])) largest = std::max(largest, std::abs(static_cast<double>(a[i]) - b[i]) / gsd);
+    if (std::isfinite(a[i])) largest = std::max(largest, std::abs(static_cast<double>(a[i]) - b[i]) / station_gsd_mm);
   }
   return largest;
 }
-
-constexpr double gsd = 500.0 / 900;
 
 TEST(Refine, FindsTheBumpsOfADiffuseSurface) {
   SyntheticOptions scene;
@@ -92,7 +84,7 @@ TEST(Refine, DoesNotDependOnTheNumberOfThreads) {
   const RefineResult a = refine(station.state, station.prior, {}, options, one);
   const RefineResult b = refine(station.state, station.prior, {}, options, three);
   EXPECT_EQ(a.report.tiles, 4);
-  EXPECT_LT(largest_difference_gsd(a.surface.depth, b.surface.depth, gsd), 1e-4);
+  EXPECT_LT(largest_difference_gsd(a.surface.depth, b.surface.depth), 1e-4);
 }
 
 TEST(Refine, TilesLeaveNoSeam) {
@@ -111,7 +103,9 @@ TEST(Refine, TilesLeaveNoSeam) {
   double jump = 0;
   for (int v = 0; v < scene.size.height; ++v) {
     for (int u = 60; u < 110; ++u) {
-      const auto difference = [&](int at) { return (b.surface.depth(at, v) - a.surface.depth(at, v)) / gsd; };
+      const auto difference = [&](int at) {
+        return (b.surface.depth(at, v) - a.surface.depth(at, v)) / station_gsd_mm;
+      };
       jump = std::max(jump, std::abs(static_cast<double>(difference(u + 1) - difference(u))));
     }
   }

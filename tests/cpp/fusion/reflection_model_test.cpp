@@ -16,7 +16,7 @@
 namespace malus {
 namespace {
 
-const Pinhole camera{{640, 480}, 900, 1100, 310.5, 244.25};
+const Pinhole unequal_focal_camera{{640, 480}, 900, 1100, 310.5, 244.25};
 
 TEST(FresnelFactors, AgreeWithTheTextbookAtEveryZenith) {
   for (const double eta : {1.3, 1.5, 1.8}) {
@@ -52,14 +52,16 @@ TEST(FresnelFactors, StayFiniteAtGrazingView) {
 
 TEST(RaySlopes, AreThoseOfAPlaneSeenInPerspective) {
   const Eigen::Vector3d normal = Eigen::Vector3d(0.3, -0.2, -1).normalized();
-  const auto log_depth = [&](double u, double v) { return std::log(-700.0 / normal.dot(camera.ray(u, v))); };
+  const auto log_depth = [&](double u, double v) {
+    return std::log(-700.0 / normal.dot(unequal_focal_camera.ray(u, v)));
+  };
   for (const double u : {20.0, 310.0, 600.0}) {
     for (const double v : {15.0, 240.0, 470.0}) {
-      const double h = 1e-4, f = camera.focal();
+      const double h = 1e-4, f = unequal_focal_camera.focal();
       const double xu = f * (log_depth(u + h, v) - log_depth(u - h, v)) / (2 * h);
       const double xv = f * (log_depth(u, v + h) - log_depth(u, v - h)) / (2 * h);
-      const RayFrame frame = ray_frame(&camera, u, v);
-      const RaySlopes slopes = ray_slopes(camera, u, v);
+      const RayFrame frame = ray_frame(&unequal_focal_camera, u, v);
+      const RaySlopes slopes = ray_slopes(unequal_focal_camera, u, v);
       EXPECT_NEAR(slopes.p(xu, xv), normal.dot(frame.right) / normal.dot(frame.view), 1e-6);
       EXPECT_NEAR(slopes.q(xu, xv), normal.dot(frame.up) / normal.dot(frame.view), 1e-6);
     }
@@ -67,7 +69,7 @@ TEST(RaySlopes, AreThoseOfAPlaneSeenInPerspective) {
 }
 
 TEST(RaySlopes, FrameIsRightHandedWithUpAgainstV) {
-  const RayFrame frame = ray_frame(&camera, 500, 100);
+  const RayFrame frame = ray_frame(&unequal_focal_camera, 500, 100);
   EXPECT_NEAR((frame.right.cross(frame.up) - frame.view).norm(), 0, 1e-14);
   EXPECT_LT(frame.up.y(), 0);
   EXPECT_GT(frame.right.x(), 0);
@@ -100,7 +102,7 @@ TEST(PixelReflection, DerivativesAreThoseOfTheValues) {
   for (const Reflection kind : {Reflection::diffuse, Reflection::specular}) {
     for (int i = 0; i < 300; ++i) {
       const double p = slope(random), q = slope(random), h = 1e-6;
-      const PixelReflection pixel(model, kind, 0.9, 0.35, ray_frame(&camera, 100 + i, 400 - i));
+      const PixelReflection pixel(model, kind, 0.9, 0.35, ray_frame(&unequal_focal_camera, 100 + i, 400 - i));
       const PredictedStokes m = pixel.predict(p, q);
       const PredictedStokes p0 = pixel.predict(p - h, q), p1 = pixel.predict(p + h, q);
       const PredictedStokes q0 = pixel.predict(p, q - h), q1 = pixel.predict(p, q + h);
@@ -134,7 +136,7 @@ TEST(PixelReflection, AgreesWithAutomaticDifferentiationOfTheTextbook) {
   using Jet = ceres::Jet<double, 2>;
   ReflectionModel model = everything_on();
   model.lobe.strength = 0;
-  const RayFrame frame = ray_frame(&camera, 300, 200);
+  const RayFrame frame = ray_frame(&unequal_focal_camera, 300, 200);
   for (const Reflection kind : {Reflection::diffuse, Reflection::specular}) {
     const PixelReflection pixel(model, kind, 0.9, 0.35, frame);
     for (double p = -1.45; p < 1.5; p += 0.26) {
@@ -155,7 +157,7 @@ TEST(PixelReflection, AgreesWithAutomaticDifferentiationOfTheTextbook) {
 TEST(PixelReflection, PureDiffuseIsEquationSix) {
   ReflectionModel model;
   const double zenith = 0.8, azimuth = 0.6;
-  const PixelReflection pixel(model, Reflection::diffuse, 0.7, 0, ray_frame(&camera, 300, 200));
+  const PixelReflection pixel(model, Reflection::diffuse, 0.7, 0, ray_frame(&unequal_focal_camera, 300, 200));
   const PredictedStokes m = pixel.predict(std::tan(zenith) * std::cos(azimuth), std::tan(zenith) * std::sin(azimuth));
   EXPECT_NEAR(std::hypot(m.s1, m.s2) / 0.7, diffuse_degree(zenith, 1.5), 1e-12);
   EXPECT_NEAR(std::atan2(m.s2, m.s1) / 2, azimuth, 1e-12);
@@ -164,7 +166,7 @@ TEST(PixelReflection, PureDiffuseIsEquationSix) {
 TEST(PixelReflection, PureMirrorIsEquationEightAcrossTheAzimuth) {
   ReflectionModel model;
   const double zenith = 0.5, azimuth = 0.3;
-  const PixelReflection pixel(model, Reflection::specular, 0.7, 0, ray_frame(&camera, 300, 200));
+  const PixelReflection pixel(model, Reflection::specular, 0.7, 0, ray_frame(&unequal_focal_camera, 300, 200));
   const PredictedStokes m = pixel.predict(std::tan(zenith) * std::cos(azimuth), std::tan(zenith) * std::sin(azimuth));
   EXPECT_NEAR(std::hypot(m.s1, m.s2) / 0.7, specular_degree(zenith, 1.5), 1e-12);
   EXPECT_NEAR(std::cos(std::atan2(m.s2, m.s1) - 2 * azimuth), -1, 1e-12);
@@ -173,7 +175,7 @@ TEST(PixelReflection, PureMirrorIsEquationEightAcrossTheAzimuth) {
 TEST(PixelReflection, HighlightIsPolarizedAboutTheHalfVector) {
   ReflectionModel model;
   model.lobe = {0.05, 0.2, Eigen::Vector3d(0.5, -0.3, -0.8).normalized()};
-  const RayFrame frame = ray_frame(&camera, 200, 300);
+  const RayFrame frame = ray_frame(&unequal_focal_camera, 200, 300);
   const LobeAtPixel lobe(model.lobe.light, frame, model.eta);
   // Frontal view: no diffuse polarization, so that the highlight is alone.
   const PredictedStokes m = PixelReflection(model, Reflection::diffuse, 1, 0, frame).predict(0, 0);
@@ -185,7 +187,7 @@ TEST(PixelReflection, HighlightIsPolarizedAboutTheHalfVector) {
 }
 
 TEST(LobeAtPixel, LightFromBehindGivesNone) {
-  const RayFrame frame = ray_frame(&camera, 310, 240);
+  const RayFrame frame = ray_frame(&unequal_focal_camera, 310, 240);
   EXPECT_EQ(LobeAtPixel(-frame.view, frame, 1.5).reflectance, 0);
 }
 

@@ -6,6 +6,7 @@
 #include "malus/fusion/refine.h"
 #include "malus/fusion/refinement_weights_internal.h"
 #include "malus/fusion/surface_evidence_internal.h"
+#include "quick_refinement.h"
 #include "synthetic_station.h"
 
 namespace malus {
@@ -18,13 +19,6 @@ SyntheticOptions scene_under_a_sky() {
   return scene;
 }
 
-RefineOptions quick() {
-  RefineOptions options;
-  options.search = false;
-  options.lobe = false;
-  return options;
-}
-
 /// Turns the direction of polarization of all columns from `first` on, as no light does.
 void turn_phase(PolarizationState& state, int first, double angle_rad) {
   for (int v = 0; v < state.size().height; ++v) {
@@ -32,11 +26,11 @@ void turn_phase(PolarizationState& state, int first, double angle_rad) {
   }
 }
 
-double rms_of_columns(const Image<float>& depth, const Image<float>& truth, int begin, int end, double gsd) {
+double rms_of_columns(const Image<float>& depth, const Image<float>& truth, int begin, int end) {
   double sum = 0, squares = 0, count = 0;
   for (int v = 4; v < truth.height() - 4; ++v) {
     for (int u = begin; u < end; ++u) {
-      const double error = (static_cast<double>(depth(u, v)) - truth(u, v)) / gsd;
+      const double error = (static_cast<double>(depth(u, v)) - truth(u, v)) / station_gsd_mm;
       sum += error;
       squares += error * error;
       ++count;
@@ -45,7 +39,6 @@ double rms_of_columns(const Image<float>& depth, const Image<float>& truth, int 
   return std::sqrt(squares / count - sum * sum / (count * count));
 }
 
-constexpr double gsd = 500.0 / 900;
 constexpr double misleading = 0.45;  // rad
 const RefineInput diffuse{1.5, ReflectionChoice::diffuse, {}};
 
@@ -66,7 +59,7 @@ TEST(Evidence, WhatTheModelCannotExplainLeavesThePrior) {
   options.evidence = false;
   const RefineResult free = refine(station.state, station.prior, diffuse, options, Context{});
   const double prior = rms_error_gsd(station.prior.depth, station.truth, station.prior.camera);
-  EXPECT_GT(rms_of_columns(free.surface.depth, station.prior.depth, 4, 156, gsd), 0.3) << "it would have moved";
+  EXPECT_GT(rms_of_columns(free.surface.depth, station.prior.depth, 4, 156), 0.3) << "it would have moved";
   EXPECT_LT(rms_error_gsd(held.surface.depth, station.truth, station.prior.camera), 1.02 * prior);
   EXPECT_NE(free.surface.confidence.level, ConfidenceLevel::high) << "nothing was held against the prior";
   EXPECT_TRUE(std::isnan(free.report.trusted_share) && std::isnan(free.report.explained_share));
@@ -126,10 +119,10 @@ TEST(Evidence, IsWeighedRegionByRegion) {
   EXPECT_EQ(result.report.trust(border - far, 64), 255);
   EXPECT_EQ(result.report.trust(border + far, 64), 0);
   EXPECT_NE(result.surface.confidence.level, ConfidenceLevel::high);
-  EXPECT_LT(rms_of_columns(result.surface.depth, station.truth, 8, border - far, gsd),
-            0.7 * rms_of_columns(station.prior.depth, station.truth, 8, border - far, gsd));
-  EXPECT_LT(rms_of_columns(result.surface.depth, station.truth, border + far, 392, gsd),
-            1.05 * rms_of_columns(station.prior.depth, station.truth, border + far, 392, gsd));
+  EXPECT_LT(rms_of_columns(result.surface.depth, station.truth, 8, border - far),
+            0.7 * rms_of_columns(station.prior.depth, station.truth, 8, border - far));
+  EXPECT_LT(rms_of_columns(result.surface.depth, station.truth, border + far, 392),
+            1.05 * rms_of_columns(station.prior.depth, station.truth, border + far, 392));
 }
 
 TEST(Evidence, SharesAreOneForWhatIsPredictedAndBelowZeroForTheOpposite) {

@@ -10,7 +10,7 @@
 namespace malus {
 namespace {
 
-constexpr Size size{160, 128};
+constexpr Size sigma_size{160, 128};
 constexpr double prior_sigma_gsd = 0.5;  // of the synthetic station
 constexpr std::uint8_t nothing = 0, all = 255;
 
@@ -18,12 +18,12 @@ constexpr std::uint8_t nothing = 0, all = 255;
 /// Its polarization is what the reflection model predicts.
 Image<float> sigma_of_cap(double curvature, double smoothing_px, std::uint8_t trust, int first_column = 0) {
   SyntheticOptions scene;
-  scene.size = size;
+  scene.size = sigma_size;
   SyntheticStation station = make_station(scene);
-  const double gsd = 500.0 / 900;
-  for (int v = 0; v < size.height; ++v) {
-    for (int u = 0; u < size.width; ++u) {
-      const double x = u - 0.5 * size.width, y = v - 0.5 * size.height;
+  const double gsd = station_gsd_mm;
+  for (int v = 0; v < sigma_size.height; ++v) {
+    for (int u = 0; u < sigma_size.width; ++u) {
+      const double x = u - 0.5 * sigma_size.width, y = v - 0.5 * sigma_size.height;
       station.prior.depth(u, v) = static_cast<float>(500 + gsd * 0.5 * curvature * (x * x + y * y));
       if (u < first_column) station.state.valid(u, v) = static_cast<std::uint8_t>(PixelState::outside);
     }
@@ -31,8 +31,8 @@ Image<float> sigma_of_cap(double curvature, double smoothing_px, std::uint8_t tr
   RefinementImage image = make_image(station.state, station.prior, Context{});
   image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
   RefinementField field = image.part(image.everything(), Context{});
-  for (int v = 0; v < size.height; ++v) {
-    for (int u = first_column; u < size.width; ++u) {
+  for (int v = 0; v < sigma_size.height; ++v) {
+    for (int u = first_column; u < sigma_size.width; ++u) {
       const Eigen::Vector2d slopes = central_slopes(field, u, v);
       const PredictedStokes model = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
       field.s1(u, v) = static_cast<float>(model.s1);
@@ -71,7 +71,7 @@ TEST(SurfaceSigma, GrowsAtTheContourButNotAtTheBorderOfTheImage) {
     const Image<float> sigma = sigma_of_cap(0, 5, trust, contour);
     EXPECT_GT(sigma(contour + 1, 64), 2);
     EXPECT_LT(sigma(contour + 8, 64), 1);
-    EXPECT_LT(sigma(size.width - 2, 64), 1);
+    EXPECT_LT(sigma(sigma_size.width - 2, 64), 1);
     EXPECT_TRUE(std::isnan(sigma(contour - 2, 64)));
   }
 }

@@ -28,12 +28,16 @@ struct SyntheticOptions {
   bool flat = false;      ///< nothing but the bumps on a tilted plane
 };
 
+/// Of every synthetic station.
+inline constexpr double station_focal_px = 900, station_distance_mm = 500;
+inline constexpr double station_gsd_mm = station_distance_mm / station_focal_px;
+
 inline SyntheticStation make_station(const SyntheticOptions& options) {
   SyntheticStation station;
   const Size size = options.size;
-  station.prior.camera = {size, 900, 900, 0.5 * size.width - 3.3, 0.5 * size.height + 2.1};
+  station.prior.camera = {size, station_focal_px, station_focal_px, 0.5 * size.width - 3.3, 0.5 * size.height + 2.1};
   station.prior.depth = station.prior.sigma = station.truth = Image<float>(size);
-  const double distance = 500, gsd = distance / 900;
+  const double distance = station_distance_mm, gsd = station_gsd_mm;
   for (int v = 0; v < size.height; ++v) {
     for (int u = 0; u < size.width; ++u) {
       const double x = u - 0.5 * size.width, y = v - 0.5 * size.height;

@@ -6,6 +6,7 @@
 #include <random>
 
 #include "malus/io/input_file_internal.h"
+#include "shared_data.h"
 #include "temporary_folder.h"
 
 namespace malus {
@@ -210,7 +211,7 @@ TEST(ColmapArray, ReadsChannelPlanarMaps) {
 }
 
 TEST(ColmapModel, RenderedStationsLoad) {
-  const std::filesystem::path data = MALUS_SOURCE_DIR "/../shared/data/rendered";
+  const std::filesystem::path data = shared_data() / "rendered";
   if (!std::filesystem::exists(data)) GTEST_SKIP() << data << " is absent";
   const ColmapModel model = read_colmap_model(data / "relief/gt_sparse_distorted");
   const ColmapImage& station = model.image("station.jpg", "test");

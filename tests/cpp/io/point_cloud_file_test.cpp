@@ -7,6 +7,7 @@
 #include <random>
 
 #include "malus/io/input_file_internal.h"
+#include "shared_data.h"
 #include "temporary_folder.h"
 
 namespace malus {
@@ -267,7 +268,7 @@ TEST(PointCloudFile, Cancels) {
 }
 
 TEST(PointCloudFile, RenderedCloudLoads) {
-  const std::filesystem::path path = MALUS_SOURCE_DIR "/../shared/data/rendered/relief/dense/mvs_cloud.ply";
+  const std::filesystem::path path = shared_data() / "rendered/relief/dense/mvs_cloud.ply";
   if (!std::filesystem::exists(path)) GTEST_SKIP() << path << " is absent";
   const PointCloud cloud = read_point_cloud(path);
   EXPECT_EQ(cloud.points.size(), 59725u);

@@ -7,6 +7,7 @@
 #include "malus/io/colmap_model.h"
 #include "malus/io/image_file.h"
 #include "malus/io/polarized_files_internal.h"
+#include "shared_data.h"
 #include "temporary_folder.h"
 
 namespace malus {
@@ -464,7 +465,7 @@ TEST_F(StationFileTest, PatchesAndProfilesLieInTheImage) {
 }
 
 TEST(StationFile, EveryRenderedStationLoads) {
-  const std::filesystem::path data = MALUS_SOURCE_DIR "/../shared/data/rendered";
+  const std::filesystem::path data = shared_data() / "rendered";
   if (!std::filesystem::exists(data)) GTEST_SKIP() << data << " is absent";
   int count = 0;
   for (const auto& entry : std::filesystem::recursive_directory_iterator(data)) {

@@ -6,10 +6,10 @@
 #include <numbers>
 #include <random>
 
+#include "degree.h"
+
 namespace malus {
 namespace {
-
-constexpr double degree = std::numbers::pi / 180;
 
 std::vector<double> even_angles(int count) {
   std::vector<double> angles;
@@ -69,12 +69,12 @@ TEST(Decompose, RecoversTheSinusoid) {
 
 TEST(Decompose, PhaseTurnsCounterClockwiseFromImageX) {
   // A source polarized along 30°: brightest through the filter at 30°, dark at 120°.
-  const std::vector<double> angles{0, 30 * degree, 60 * degree, 120 * degree};
+  const std::vector<double> angles{0, 30 * degree_rad, 60 * degree_rad, 120 * degree_rad};
   std::vector<Image<float>> images;
   for (const double a : angles)
-    images.emplace_back(Size{1, 1}, 1, static_cast<float>(std::pow(std::cos(a - 30 * degree), 2)));
+    images.emplace_back(Size{1, 1}, 1, static_cast<float>(std::pow(std::cos(a - 30 * degree_rad), 2)));
   const auto state = decompose(images, angles, {}, full({1, 1}), {}, {}, {});
-  EXPECT_NEAR(state.phi(0, 0), 30 * degree, 1e-6);
+  EXPECT_NEAR(state.phi(0, 0), 30 * degree_rad, 1e-6);
   EXPECT_NEAR(state.rho(0, 0), 1, 1e-6);
 }
 
@@ -110,9 +110,9 @@ TEST(Decompose, TooFewOrDegenerateAnglesAreADataError) {
   const int data = static_cast<int>(ErrorCode::data);
   EXPECT_EQ(code({0, 1}), data);
   EXPECT_EQ(code({0, 1, std::numbers::pi, 1 + std::numbers::pi}), data);
-  EXPECT_EQ(code({0, 1 * degree, 2 * degree}), data);
+  EXPECT_EQ(code({0, 1 * degree_rad, 2 * degree_rad}), data);
   EXPECT_EQ(code({}), data);
-  EXPECT_EQ(code({0, 45 * degree, 90 * degree}), 0);
+  EXPECT_EQ(code({0, 45 * degree_rad, 90 * degree_rad}), 0);
   EXPECT_NEAR(angle_condition(even_angles(6)), 2, 1e-9);
   EXPECT_TRUE(std::isinf(angle_condition(even_angles(2))));
 }
@@ -164,7 +164,7 @@ TEST(Decompose, PixelStatesInOrderOfPrecedence) {
 
 TEST(Decompose, CovarianceAgreesWithMonteCarlo) {
   const Size size{200, 200};
-  const std::vector<double> angles{0, 20 * degree, 60 * degree, 60 * degree, 110 * degree};
+  const std::vector<double> angles{0, 20 * degree_rad, 60 * degree_rad, 60 * degree_rad, 110 * degree_rad};
   NoiseModel noise;
   noise.full_well_e = 5000;
   const Eigen::Vector3d truth = stokes_vector(0.3, 0.5, 0.4);
@@ -262,8 +262,8 @@ TEST(Decompose, SixteenBitImagesAreReadAsTheyAre) {
 }
 
 TEST(Decompose, ResidualsOfAnyNumberOfImages) {
-  // Images are fitted in groups; what only fills up the last group must not count. With hardly any polarization all have
-  // the same noise, and the weighted fit, which is in double precision, is the same.
+  // Images are fitted in groups; what only fills up the last group must not count. With hardly any polarization all
+  // have the same noise, and the weighted fit, which is in double precision, is the same.
   const Size size{40, 30};
   for (const int count : {4, 5, 6, 7, 13}) {
     const auto angles = even_angles(count);

@@ -2,10 +2,11 @@
 
 #include <gtest/gtest.h>
 
+#include "degree.h"
+
 namespace malus {
 namespace {
 
-constexpr double degree = std::numbers::pi / 180;
 const double indices[] = {1.3, 1.4, 1.5, 1.6, 1.7, 1.8};
 
 /// Amplitude reflectances straight from Fresnel's equations with both angles.
@@ -18,7 +19,7 @@ Reflectance<double> textbook(double zenith, double eta) {
 
 TEST(Fresnel, ReflectancesAreTheTextbookOnes) {
   for (const double eta : indices) {
-    for (double zenith = 0; zenith < 90 * degree; zenith += 0.5 * degree) {
+    for (double zenith = 0; zenith < 90 * degree_rad; zenith += 0.5 * degree_rad) {
       const auto expected = textbook(zenith, eta);
       const auto actual = fresnel_reflectance(std::sin(zenith) * std::sin(zenith), eta);
       EXPECT_NEAR(actual.s, expected.s, 1e-12);
@@ -29,11 +30,11 @@ TEST(Fresnel, ReflectancesAreTheTextbookOnes) {
 
 TEST(Fresnel, Eq6IsTheTransmissionRatio) {
   for (const double eta : indices) {
-    for (double zenith = 0; zenith <= 89.5 * degree; zenith += 0.5 * degree) {
+    for (double zenith = 0; zenith <= 89.5 * degree_rad; zenith += 0.5 * degree_rad) {
       // Light that leaves the body: transmitted is what is not reflected; the inside angles are those of Snell's law.
       const auto r = textbook(zenith, eta);
       const double expected = ((1 - r.p) - (1 - r.s)) / ((1 - r.p) + (1 - r.s));
-      EXPECT_NEAR(diffuse_degree(zenith, eta), expected, 1e-9) << eta << ' ' << zenith / degree;
+      EXPECT_NEAR(diffuse_degree(zenith, eta), expected, 1e-9) << eta << ' ' << zenith / degree_rad;
     }
     EXPECT_NEAR(diffuse_degree(std::numbers::pi / 2, eta), largest_diffuse_degree(eta), 1e-12);
   }
@@ -42,9 +43,9 @@ TEST(Fresnel, Eq6IsTheTransmissionRatio) {
 
 TEST(Fresnel, Eq8IsTheReflectionRatio) {
   for (const double eta : indices) {
-    for (double zenith = 0.01 * degree; zenith <= 89.9 * degree; zenith += 0.5 * degree) {
+    for (double zenith = 0.01 * degree_rad; zenith <= 89.9 * degree_rad; zenith += 0.5 * degree_rad) {
       const auto r = textbook(zenith, eta);
-      EXPECT_NEAR(specular_degree(zenith, eta), (r.s - r.p) / (r.s + r.p), 1e-9) << eta << ' ' << zenith / degree;
+      EXPECT_NEAR(specular_degree(zenith, eta), (r.s - r.p) / (r.s + r.p), 1e-9) << eta << ' ' << zenith / degree_rad;
     }
     EXPECT_NEAR(specular_degree(brewster_angle(eta), eta), 1, 1e-12);
   }
@@ -52,17 +53,17 @@ TEST(Fresnel, Eq8IsTheReflectionRatio) {
 
 TEST(Fresnel, Eq7InvertsEq6) {
   for (const double eta : indices) {
-    for (double zenith = 0; zenith <= 89 * degree; zenith += 0.25 * degree) {
+    for (double zenith = 0; zenith <= 89 * degree_rad; zenith += 0.25 * degree_rad) {
       const auto inverse = diffuse_zenith(diffuse_degree(zenith, eta), eta);
       EXPECT_FALSE(inverse.clamped);
-      EXPECT_NEAR(inverse.zenith_rad / degree, zenith / degree, 1e-6) << eta << ' ' << zenith / degree;
+      EXPECT_NEAR(inverse.zenith_rad / degree_rad, zenith / degree_rad, 1e-6) << eta << ' ' << zenith / degree_rad;
     }
   }
 }
 
 TEST(Fresnel, Eq7AsPrintedIsTheCosine) {
   const double n = 1.5;
-  for (double zenith = 2 * degree; zenith <= 85 * degree; zenith += degree) {
+  for (double zenith = 2 * degree_rad; zenith <= 85 * degree_rad; zenith += degree_rad) {
     const double r = diffuse_degree(zenith, n), n2 = n * n, n3 = n2 * n, n4 = n2 * n2, r2 = r * r;
     const double f =
         std::sqrt((n4 * (1 - r2) + 2 * n2 * (2 * r2 + r - 1) + r2 + 2 * r - 4 * n3 * r * std::sqrt(1 - r2) + 1) /
@@ -82,21 +83,21 @@ TEST(Fresnel, DegreesBeyondTheModelAreClampedAndSaidSo) {
 
 TEST(Fresnel, SpecularZenithOnBothBranches) {
   for (const double eta : indices) {
-    for (double zenith = 0; zenith <= 89 * degree; zenith += 0.25 * degree) {
+    for (double zenith = 0; zenith <= 89 * degree_rad; zenith += 0.25 * degree_rad) {
       const auto branch =
           zenith <= brewster_angle(eta) ? SpecularBranch::below_brewster : SpecularBranch::above_brewster;
       const auto inverse = specular_zenith(specular_degree(zenith, eta), eta, branch);
       // The degree is flat at Brewster's angle: there a rounding error of 1e-16 is 1e-8 rad.
-      EXPECT_NEAR(inverse.zenith_rad / degree, zenith / degree, 2e-6) << eta << ' ' << zenith / degree;
+      EXPECT_NEAR(inverse.zenith_rad / degree_rad, zenith / degree_rad, 2e-6) << eta << ' ' << zenith / degree_rad;
     }
   }
-  EXPECT_NEAR(specular_zenith(0.3, 1.5, SpecularBranch::below_brewster).zenith_rad / degree, 26.4, 0.05);
-  EXPECT_NEAR(specular_zenith(0.3, 1.5, SpecularBranch::above_brewster).zenith_rad / degree, 82.3, 0.05);
+  EXPECT_NEAR(specular_zenith(0.3, 1.5, SpecularBranch::below_brewster).zenith_rad / degree_rad, 26.4, 0.05);
+  EXPECT_NEAR(specular_zenith(0.3, 1.5, SpecularBranch::above_brewster).zenith_rad / degree_rad, 82.3, 0.05);
 }
 
 TEST(Fresnel, SlopesAreTheDerivatives) {
   for (const double eta : indices) {
-    for (double zenith = 1 * degree; zenith <= 88 * degree; zenith += degree) {
+    for (double zenith = 1 * degree_rad; zenith <= 88 * degree_rad; zenith += degree_rad) {
       const double h = 1e-5;
       EXPECT_NEAR(diffuse_degree_slope(zenith, eta),
                   (diffuse_degree(zenith + h, eta) - diffuse_degree(zenith - h, eta)) / (2 * h), 1e-7);

@@ -5,6 +5,7 @@
 #include <random>
 #include <vector>
 
+#include "degree.h"
 #include "malus/core/image.h"
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/polarizer_fit.h"
@@ -12,8 +13,6 @@
 #include "malus/polarization/stokes_frame_internal.h"
 
 namespace malus {
-
-constexpr double degree_rad = std::numbers::pi / 180;
 
 /// A bumpy surface seen along parallel rays, textured, and its Stokes vectors by Eq 6 or Eq 8.
 struct PolarizerScene {

@@ -11,7 +11,7 @@ namespace malus {
 namespace {
 
 constexpr double eta = 1.5;
-const Pinhole camera{{96, 80}, 300, 300, 47, 40};
+const Pinhole cap_camera{{96, 80}, 300, 300, 47, 40};
 
 /// A spherical cap towards the camera (zenith up to about 70°), polarized by Fresnel as `kind` says.
 struct Scene {
@@ -22,7 +22,7 @@ struct Scene {
 
 Scene cap(const std::function<Reflection(int, int)>& kind) {
   Scene scene;
-  const Size size = camera.size;
+  const Size size = cap_camera.size;
   scene.normals = Image<float>(size, 3);
   scene.zenith = Image<float>(size);
   scene.state.i_un = Image<float>(size, 1, 0.4f);
@@ -32,7 +32,7 @@ Scene cap(const std::function<Reflection(int, int)>& kind) {
     for (int u = 0; u < size.width; ++u) {
       const double x = (u - 47.5) / 72, y = (v - 39.5) / 72;
       const Eigen::Vector3d n(x, y, -std::sqrt(std::max(1 - x * x - y * y, 0.05)));
-      const Slopes slopes = ray_frame(&camera, u, v).slopes(n.normalized());
+      const Slopes slopes = ray_frame(&cap_camera, u, v).slopes(n.normalized());
       const double zenith = std::atan(std::sqrt(slopes.tan2()));
       const bool specular = kind(u, v) == Reflection::specular;
       double phi = slopes.azimuth_rad() + (specular ? std::numbers::pi / 2 : 0);
@@ -49,7 +49,7 @@ Scene cap(const std::function<Reflection(int, int)>& kind) {
 TEST(Reflection, PriorTellsDiffuseFromSpecularAndPicksTheBranch) {
   for (const Reflection kind : {Reflection::diffuse, Reflection::specular}) {
     const Scene scene = cap([&](int, int) { return kind; });
-    const auto map = map_reflection(scene.state, &camera, &scene.normals, nullptr, {}, {});
+    const auto map = map_reflection(scene.state, &cap_camera, &scene.normals, nullptr, {}, {});
     EXPECT_EQ(map.specular_share, kind == Reflection::specular ? 1 : 0);
     EXPECT_EQ(map.clamped_share, 0);
     for (std::size_t i = 0; i < map.zenith.count(); ++i) {
@@ -65,7 +65,7 @@ TEST(Reflection, MixedObjectIsDecidedByRegion) {
   const Scene scene = cap(half);
   ReflectionOptions options;
   options.region_px = 8;
-  const auto map = map_reflection(scene.state, &camera, &scene.normals, nullptr, options, {});
+  const auto map = map_reflection(scene.state, &cap_camera, &scene.normals, nullptr, options, {});
   std::size_t wrong = 0;
   for (int v = 0; v < 80; ++v) {
     for (int u = 0; u < 96; ++u) {
@@ -101,17 +101,17 @@ TEST(Reflection, SettingsAndLabelImage) {
 
 TEST(Reflection, WithoutPriorOnlyHighDegreesSpeakForSpecular) {
   const auto diffuse = cap([](int, int) { return Reflection::diffuse; });
-  EXPECT_EQ(map_reflection(diffuse.state, &camera, nullptr, nullptr, {}, {}).specular_share, 0);
+  EXPECT_EQ(map_reflection(diffuse.state, &cap_camera, nullptr, nullptr, {}, {}).specular_share, 0);
   const auto specular = cap([](int, int) { return Reflection::specular; });
-  EXPECT_EQ(map_reflection(specular.state, &camera, nullptr, nullptr, {}, {}).specular_share, 1);
+  EXPECT_EQ(map_reflection(specular.state, &cap_camera, nullptr, nullptr, {}, {}).specular_share, 1);
 }
 
 TEST(Reflection, SameResultWithOneAndThreeThreads) {
   const Scene scene = cap([](int u, int v) { return (u + v) % 3 == 0 ? Reflection::diffuse : Reflection::specular; });
   Context three;
   three.threads = 3;
-  const auto a = map_reflection(scene.state, &camera, &scene.normals, nullptr, {}, {});
-  const auto b = map_reflection(scene.state, &camera, &scene.normals, nullptr, {}, three);
+  const auto a = map_reflection(scene.state, &cap_camera, &scene.normals, nullptr, {}, {});
+  const auto b = map_reflection(scene.state, &cap_camera, &scene.normals, nullptr, {}, three);
   EXPECT_EQ(a.label, b.label);
   EXPECT_EQ(a.zenith, b.zenith);
 }

@@ -16,7 +16,7 @@ using namespace cloud_scenes;
 VisiblePoints visible(const PointCloud& cloud, int threads) {
   Context context;
   context.threads = threads;
-  const Pinhole camera = test_camera();
+  const Pinhole camera = cloud_scenes::test_camera();
   return visible_points(cloud, camera, {}, Mask(camera.size, 1, 255), {}, context);
 }
 

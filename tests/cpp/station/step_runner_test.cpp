@@ -24,15 +24,15 @@ struct Sum {
   std::vector<std::string> warnings;
 };
 
-std::multiset<std::string> read_back;
+std::multiset<std::string> results_read_back;
 
 void keep(Seed& result, Keeper& keeper) {
-  if (keeper.is_reading()) read_back.insert("seed");
+  if (keeper.is_reading()) results_read_back.insert("seed");
   keeper.raster("seed/map.tif", result.map);
   keeper.value("value", result.value);
 }
 void keep(Twice& result, Keeper& keeper) {
-  if (keeper.is_reading()) read_back.insert("twice");
+  if (keeper.is_reading()) results_read_back.insert("twice");
   keeper.value("twice", result.value);
   keeper.extra("twice.txt", std::to_string(result.value));
 }
@@ -110,7 +110,7 @@ class StepRunnerTest : public testing::Test {
     ran_.clear();
     kept_.clear();
     logged_.clear();
-    read_back.clear();
+    results_read_back.clear();
     return StepRunner(table(), steps_of_run(table(), station_, options_, until), station_, options_, run_, context_)
         .run();
   }
@@ -142,14 +142,15 @@ TEST_F(StepRunnerTest, RunsOnceAndReadsBackWhatIsAskedFor) {
 
   run_.keep_maps = false;
   const Results lean = run();
-  EXPECT_TRUE(read_back.empty()) << "nothing but the last step's result is needed";
+  EXPECT_TRUE(results_read_back.empty()) << "nothing but the last step's result is needed";
   EXPECT_EQ(lean.get<Sum>()->value, 9);
   EXPECT_EQ(lean.get<Seed>(), nullptr);
 
   options_.assess.histogram_bins = 7;
   run();
   EXPECT_EQ(ran_, Names{"sum"});
-  EXPECT_EQ(read_back, (std::multiset<std::string>{"seed", "twice"})) << "each once, for the step that reads it";
+  EXPECT_EQ(results_read_back, (std::multiset<std::string>{"seed", "twice"}))
+      << "each once, for the step that reads it";
 }
 
 TEST_F(StepRunnerTest, RepeatsWhatDependsOnAChange) {

@@ -1,0 +1,644 @@
+"""Types of all options. Made by scripts/option_types.py from the list in the library; do not edit."""
+
+from __future__ import annotations
+
+from typing import Literal, TypedDict
+
+from malus._section import Section
+
+
+class CaptureSection(Section):
+    """Options of the section capture."""
+
+    registration: Literal["auto", "on", "off"]
+    """register the images to the first: auto leaves aligned images untouched"""
+    keep_below_px: float
+    """with auto: displacements below this are not resampled away"""
+    saturation: float
+    """fraction of the white level from which a pixel is saturated"""
+    interpolation: Literal["bicubic", "keys"]
+    """of the one resampling, and of registration: bicubic as OpenCV (a = -0.75) or keys (a = -0.5)"""
+    fine_sigma_px: float
+    """registration compares images in a band of scales: its fine end"""
+    coarse_sigma_px: float
+    """and its coarse end"""
+    cauchy_scale: float
+    """disagreement between images, in units of the noise, that halves a pixel's weight"""
+    max_iterations: int
+    """Gauss-Newton steps at each level of the pyramid"""
+    max_shift: float
+    """largest displacement that is believed, as a fraction of the image width"""
+    max_uncertainty_px: float
+    """displacements known less well than this count as not found"""
+
+
+class CaptureValues(TypedDict, total=False):
+    """The same as a mapping, any of them."""
+
+    registration: Literal["auto", "on", "off"]
+    keep_below_px: float
+    saturation: float
+    interpolation: Literal["bicubic", "keys"]
+    fine_sigma_px: float
+    coarse_sigma_px: float
+    cauchy_scale: float
+    max_iterations: int
+    max_shift: float
+    max_uncertainty_px: float
+
+
+class PolarizationSection(Section):
+    """Options of the section polarization."""
+
+    weighting: Literal["uniform", "noise"]
+    """weights of the images in the sinusoid fit"""
+    recover_outliers: bool
+    """where a pixel does not fit, try it without one image (needs five or more)"""
+    misfit_sigmas: float
+    """a pixel does not follow the sinusoid beyond this many standard deviations of the noise …"""
+    misfit_fraction: float
+    """… and beyond this share of its intensity"""
+    dark_sigmas: float
+    """a pixel is dark below this many standard deviations of the noise without light"""
+    max_condition: float
+    """largest condition number of the normal equations of the angle set"""
+
+
+class PolarizationValues(TypedDict, total=False):
+    """The same as a mapping, any of them."""
+
+    weighting: Literal["uniform", "noise"]
+    recover_outliers: bool
+    misfit_sigmas: float
+    misfit_fraction: float
+    dark_sigmas: float
+    max_condition: float
+
+
+class PolarizerSection(Section):
+    """Options of the section polarizer."""
+
+    calibrate_angles: Literal["auto", "on", "off"]
+    """polarizer angles and exposures from the images: auto only where that is significantly better"""
+    angle_sigma_deg: float
+    """standard deviation of each angle as read off the scale"""
+    zero_sigma_deg: float
+    """and of the zero that they share"""
+    gain_sigma: float
+    """standard deviation of the exposure from image to image"""
+    min_improvement: float
+    """auto: share of what the sinusoid's squared residuals have beyond noise that calibrated angles must remove"""
+    min_significance: float
+    """auto: standard deviations from which an error of the scale's zero is corrected"""
+    highlight_deg: float
+    """diffuse objects: angle about the mirror direction of the light that says nothing about the zero"""
+
+
+class PolarizerValues(TypedDict, total=False):
+    """The same as a mapping, any of them."""
+
+    calibrate_angles: Literal["auto", "on", "off"]
+    angle_sigma_deg: float
+    zero_sigma_deg: float
+    gain_sigma: float
+    min_improvement: float
+    min_significance: float
+    highlight_deg: float
+
+
+class PhotosSection(Section):
+    """Options of the section photos."""
+
+    backend: Literal["auto", "colmap", "pycolmap"]
+    """what runs COLMAP: the program, the Python package pycolmap, or the program if there is one and else the package"""
+    max_features: int
+    """most features of a photo"""
+    max_side_px: int
+    """photos with a longer side are reduced to find features"""
+    guided_matching: bool
+    """search again for matches along the epipolar lines of the first"""
+    exhaustive_limit: int
+    """most photos of which every pair is matched; of more, only photos near each other in their names' order"""
+    min_inliers: int
+    """fewest matches that make two photos a pair"""
+    max_error_px: float
+    """points with a larger mean reprojection error (and more than 2.5 times all points') are left out of the last adjustments"""
+    match_windows: bool
+    """measure the points anew by least-squares matching of windows, and adjust all cameras to that"""
+    match_points_a_photo: int
+    """points of a photo that are measured so, those in many photos first"""
+    match_radius: int
+    """of the square windows, in px; twice this, of coarser images, where noise hides what is there"""
+    match_range_px: float
+    """farthest a window may end from where the point is expected, in px"""
+    match_min_correlation: float
+    """lowest correlation of a window that counts"""
+    match_floor_px: float
+    """smallest standard deviation of a window's position, in px"""
+    search_limit_s: int
+    """longest search for a first pair, for 20 photos, before the next assumption on the focal length is tried, in s"""
+    mark_sigma_px: float
+    """standard deviation of a mark in [[scale]], in px"""
+    target_sigma_px: float
+    """standard deviation of a coded target's center, in px"""
+    distance_sigma_relative: float
+    """standard deviation of a distance in [[scale]], as a share of it"""
+
+
+class PhotosValues(TypedDict, total=False):
+    """The same as a mapping, any of them."""
+
+    backend: Literal["auto", "colmap", "pycolmap"]
+    max_features: int
+    max_side_px: int
+    guided_matching: bool
+    exhaustive_limit: int
+    min_inliers: int
+    max_error_px: float
+    match_windows: bool
+    match_points_a_photo: int
+    match_radius: int
+    match_range_px: float
+    match_min_correlation: float
+    match_floor_px: float
+    search_limit_s: int
+    mark_sigma_px: float
+    target_sigma_px: float
+    distance_sigma_relative: float
+
+
+class SweepSection(Section):
+    """Options of the section sweep."""
+
+    station_gamma: float
+    """the station's linear intensity is raised to 1 / this, to be coded like the photos; 1 = as it is"""
+    window_radius: int
+    """of the square windows that are compared, in px"""
+    known_window_radius: int
+    """the same in a sweep about a known surface, on which large windows lie exactly"""
+    best_views: int
+    """photos that count at a pixel: those that match best"""
+    max_views: int
+    """photos that are compared in one part of the image"""
+    min_level_px: int
+    """shorter side of the coarsest image, at least, in px"""
+    min_points: int
+    """fewest triangulated points on the object"""
+    noise: float
+    """standard deviation of an intensity, coded, of white"""
+    min_parallax: float
+    """photos with less parallax than this, of the photos' median, are left out if others suffice"""
+    max_angle_deg: float
+    """largest angle between a photo's view and the station's"""
+    max_search: int
+    """farthest offset from the triangulated points' surface, in px of the coarsest image"""
+    small_step: float
+    """penalty of neighbors one offset apart, in correlation"""
+    large_step: float
+    """penalty of neighbors farther apart, in correlation"""
+    min_score: float
+    """lowest mean correlation of a pixel that is kept"""
+    min_agreement: float
+    """share of the pixels around it at which the two halves of the photos must agree for a pixel to be kept"""
+    min_region_px: int
+    """fewest connected pixels that are kept: what agrees by chance comes in small regions"""
+    sigma_scale: float
+    """standard deviation of depth over half the difference of the halves"""
+    sigma_floor_gsd: float
+    """smallest standard deviation, in GSD"""
+    again: bool
+    """sweep a station again about its fused surface, and fuse with that; where the photos agree on too little, leave out what that surface contradicts instead"""
+
+
+class SweepValues(TypedDict, total=False):
+    """The same as a mapping, any of them."""
+
+    station_gamma: float
+    window_radius: int
+    known_window_radius: int
+    best_views: int
+    max_views: int
+    min_level_px: int
+    min_points: int
+    noise: float
+    min_parallax: float
+    max_angle_deg: float
+    max_search: int
+    small_step: float
+    large_step: float
+    min_score: float
+    min_agreement: float
+    min_region_px: int
+    sigma_scale: float
+    sigma_floor_gsd: float
+    again: bool
+
+
+class PriorSection(Section):
+    """Options of the section prior."""
+
+    smoothing_px: float | Literal["auto"]
+    """length over which the cloud is smoothed, in px; left out = from the cloud's noise and density"""
+    smoothing_scale: float
+    """the estimated smoothing length times this; below 1 because what is smoothed away is lost to the fusion, noise is not"""
+    edge_tolerance: float
+    """bending, over what is usual, at which the smoothing gives way to a step or an occluding edge"""
+    neighbors: int
+    """nearest neighbors a point is compared with, in the view"""
+    outlier_tolerance: float
+    """largest distance from the neighbors' median depth, in their robust standard deviations"""
+    outlier_floor_gsd: float
+    """distance from it that is always allowed, in GSD"""
+    max_slope_deg: float
+    """steepest slope of a visible surface; points farther behind their neighbors are hidden"""
+    min_points: int
+    """fewest visible points on the object"""
+    raster_sigma_gsd: float
+    """standard deviation of a mesh's or a depth map's depth, in GSD (a cloud's is measured)"""
+    correlated_noise: float
+    """share of a point's noise that its neighbors have too, so that smoothing leaves it (for sigma)"""
+    tension_spacings: float
+    """distance from all points, in point spacings, beyond which the surface levels out to the plane of the cloud"""
+    hole_slope: float
+    """standard deviation of the slope where a swept depth map has none: what stereo does not see, such as the ridge of a highlight, need not go on as its surroundings do"""
+    max_unknowns: int
+    """largest smoothing system solved at once; larger rasters are solved in overlapping tiles"""
+    sigma_samples: int
+    """draws from which the standard deviation is estimated"""
+
+
+class PriorValues(TypedDict, total=False):
+    """The same as a mapping, any of them."""
+
+    smoothing_px: float | Literal["auto"]
+    smoothing_scale: float
+    edge_tolerance: float
+    neighbors: int
+    outlier_tolerance: float
+    outlier_floor_gsd: float
+    max_slope_deg: float
+    min_points: int
+    raster_sigma_gsd: float
+    correlated_noise: float
+    tension_spacings: float
+    hole_slope: float
+    max_unknowns: int
+    sigma_samples: int
+
+
+class EvidenceSection(Section):
+    """Options of the section evidence."""
+
+    refuse: bool
+    """end the run where an input is certainly wrong; false: go on, and say that the result has low confidence"""
+
+
+class EvidenceValues(TypedDict, total=False):
+    """The same as a mapping, any of them."""
+
+    refuse: bool
+
+
+class ReflectionSection(Section):
+    """Options of the section reflection."""
+
+    region_px: int
+    """auto: side of the cells whose pooled azimuth test decides between diffuse and specular"""
+    region_strength: float
+    """auto: mean sin² of the zenith a region needs to weigh as much as the whole object"""
+    beyond_diffuse_share: float
+    """auto without a prior: specular if more of the pixels exceed the largest diffuse degree"""
+
+
+class ReflectionValues(TypedDict, total=False):
+    """The same as a mapping, any of them."""
+
+    region_px: int
+    region_strength: float
+    beyond_diffuse_share: float
+
+
+class LightSection(Section):
+    """Options of the section light."""
+
+    model: Literal["directional", "first_order"]
+    """shading as a function of the normal"""
+    iterations: int
+    """of the robust fit"""
+    outlier_scale: float
+    """residual, in robust standard deviations, at which a pixel has half its weight"""
+    max_condition: float
+    """largest condition number of the normal equations; above it the normals vary too little"""
+    min_tangential: float
+    """sine of the smallest angle between light and view; below it shading does not tell slopes apart"""
+    max_samples: int
+    """pixels used; larger images are sampled regularly"""
+
+
+class LightValues(TypedDict, total=False):
+    """The same as a mapping, any of them."""
+
+    model: Literal["directional", "first_order"]
+    iterations: int
+    outlier_scale: float
+    max_condition: float
+    min_tangential: float
+    max_samples: int
+
+
+class HeightSection(Section):
+    """Options of the section height."""
+
+    method: Literal["likelihood", "linear", "literal"]
+    """how the height follows from polarization and shading"""
+    perspective: bool
+    """metric perspective form; false = orthographic as printed"""
+    smoothness: float
+    """weight of the second differences"""
+    boundary: Literal["natural", "prior"]
+    """height at the border of the object"""
+    boundary_weight: float
+    """weight of the prior's height at the border, per pixel"""
+    iterations: int
+    """largest number of Gauss-Newton steps"""
+    tolerance: float
+    """RMS change of the slope at which they end"""
+    shading_error: float | Literal["auto"]
+    """standard deviation of the shading model, share of the intensity; auto = from the fit of the light"""
+    stokes_error: float
+    """standard deviation of the polarization model, share of the intensity"""
+    damping: float
+    """weight of the change of the slope in one Gauss-Newton step; holds slopes that nothing determines"""
+    outlier_scale: float
+    """residual of a pixel, in standard deviations, at which it has half its weight"""
+
+
+class HeightValues(TypedDict, total=False):
+    """The same as a mapping, any of them."""
+
+    method: Literal["likelihood", "linear", "literal"]
+    perspective: bool
+    smoothness: float
+    boundary: Literal["natural", "prior"]
+    boundary_weight: float
+    iterations: int
+    tolerance: float
+    shading_error: float | Literal["auto"]
+    stokes_error: float
+    damping: float
+    outlier_scale: float
+
+
+class GridSection(Section):
+    """Options of the section grid."""
+
+    grid_px: int
+    """distance of the grid's nodes"""
+    sigma_nodes: float
+    """Gaussian on the grid, standard deviation in nodes"""
+    unit_scaling: bool
+    """scale both surfaces to 0 … 1 before combining them, as printed; loses the metric relation of their scales"""
+
+
+class GridValues(TypedDict, total=False):
+    """The same as a mapping, any of them."""
+
+    grid_px: int
+    sigma_nodes: float
+    unit_scaling: bool
+
+
+class OptimizeSection(Section):
+    """Options of the section optimize."""
+
+    enabled: bool
+    """grid fusion: optimize the fused surface by all equations together"""
+    phase_weight: float
+    """of Eq 9, for the unit normal"""
+    shading_weight: float
+    """of Eq 11, in shares of the light"""
+    zenith_weight: float
+    """of the cosine of the zenith by Eq 7 or Eq 8"""
+    prior_weight: float
+    """of the difference to the prior, mean over a cell of the grid in GSD, a pixel of the cell"""
+    iterations: int
+    """largest number of steps in a tile"""
+
+
+class OptimizeValues(TypedDict, total=False):
+    """The same as a mapping, any of them."""
+
+    enabled: bool
+    phase_weight: float
+    shading_weight: float
+    zenith_weight: float
+    prior_weight: float
+    iterations: int
+
+
+class RefineSection(Section):
+    """Options of the section refine."""
+
+    iterations: int
+    """rounds of: fit reflection, weigh residuals, solve"""
+    surroundings_iterations: int
+    """such rounds, of one step each, with a map of the surroundings: map and surface find each other slowly"""
+    fine_iterations: int
+    """such rounds after those at half the resolution"""
+    coarsest_px: float
+    """where a search is worth it, objects are refined at half the resolution first, down to this width and height, in px"""
+    more_iterations: int
+    """most such rounds at the end while the surface moves by 0.5 GSD"""
+    steps: int
+    """Gauss-Newton steps of each solve after the first two, which take one"""
+    tile_px: int
+    """largest side of a tile's core"""
+    margin_px: int
+    """overlap of a tile with its neighbors"""
+    strip_megapixels: float
+    """size of the strips of whole rows of tiles that are worked on one after the other; memory grows with it"""
+    robust_scale: float
+    """Stokes residual, in standard deviations, that counts half"""
+    graduation: float
+    """factor on robust_scale of specular regions in the first round, halved every round"""
+    relative_error: float
+    """error of the reflection model as a share of s0"""
+    slope_error: float
+    """error of the reflection model as a slope"""
+    prior_weight: float
+    """least weight of a full prior block, in 1 / GSD …"""
+    good_prior_weight: float
+    """… and the largest one; between them by the prior's sigma"""
+    prior_robust_gsd: float
+    """distance from the prior that counts half"""
+    albedo_weight: float
+    """weight of the albedo gradient in diffuse regions, up to 2.5 times that where albedo varies little"""
+    albedo_contrast: float
+    """log-albedo step between pixels that counts half"""
+    smoothness: float
+    """weight of the second differences"""
+    search_sharpening: float
+    """factor on the prior's detail that the search for a better minimum starts with"""
+    search: bool
+    """with specular regions: solve from a second start and keep the better regions of both"""
+    environment: bool
+    """fit what diffuse regions mirror of the surroundings"""
+    lobe: bool
+    """fit a highlight of a small source in diffuse regions"""
+    regional_weights: bool
+    """down-weigh regions that fit badly"""
+    surroundings: bool
+    """where that explains more of the polarization, take the object as matt and mirroring its surroundings"""
+    evidence: bool
+    """keep the prior's surface where the reflection model does not explain the polarization"""
+    explained_least: float
+    """share of the polarization, explained at the prior's slopes, up to which the prior's surface is kept …; with a map of the surroundings other limits hold"""
+    explained_enough: float
+    """… and from which on the refined one is"""
+    anchor: float
+    """the prior's low frequencies are kept beyond this times the square root of its points' noise (GSD) times their distance (px), in px; 0 = not, as of meshes and depth maps, whose points have no known noise"""
+
+
+class RefineValues(TypedDict, total=False):
+    """The same as a mapping, any of them."""
+
+    iterations: int
+    surroundings_iterations: int
+    fine_iterations: int
+    coarsest_px: float
+    more_iterations: int
+    steps: int
+    tile_px: int
+    margin_px: int
+    strip_megapixels: float
+    robust_scale: float
+    graduation: float
+    relative_error: float
+    slope_error: float
+    prior_weight: float
+    good_prior_weight: float
+    prior_robust_gsd: float
+    albedo_weight: float
+    albedo_contrast: float
+    smoothness: float
+    search_sharpening: float
+    search: bool
+    environment: bool
+    lobe: bool
+    regional_weights: bool
+    surroundings: bool
+    evidence: bool
+    explained_least: float
+    explained_enough: float
+    anchor: float
+
+
+class SurfaceSection(Section):
+    """Options of the section surface."""
+
+    subsample: int
+    """the mesh has every n-th pixel as a vertex"""
+    max_incidence_deg: float
+    """triangles seen flatter than this (normal to viewing ray) are left out: the sides of depth steps"""
+    min_step_gsd: float
+    """depth steps between neighboring pixels up to this many GSD are never cut by step_ratio"""
+    step_ratio: float
+    """a larger step is cut if it exceeds this many times the steps right before and after it"""
+    white_percentile: float
+    """intensity percentile that becomes white in the vertex colors"""
+    dem_pixel: float | Literal["auto"]
+    """pixel of the elevation model in the station's unit; auto = GSD x subsample"""
+    glb_triangles: int
+    """surface.glb takes every n-th pixel as a vertex, n so large that it has about as many triangles at most"""
+    glb_texture_px: int
+    """longest side of the texture in surface.glb; larger images are reduced by averaging"""
+
+
+class SurfaceValues(TypedDict, total=False):
+    """The same as a mapping, any of them."""
+
+    subsample: int
+    max_incidence_deg: float
+    min_step_gsd: float
+    step_ratio: float
+    white_percentile: float
+    dem_pixel: float | Literal["auto"]
+    glb_triangles: int
+    glb_texture_px: int
+
+
+class AssessSection(Section):
+    """Options of the section assess."""
+
+    polarization_height: bool
+    """solve for zenith and height of the polarization alone, to show beside the surface; grid fusion needs them"""
+    detail_sigma_px: float
+    """Gaussian that separates detail (what it removes) from low frequencies"""
+    histogram_bins: int
+    """bins of the distance histograms"""
+    histogram_range_gsd: float
+    """histograms span plus and minus this"""
+    sigma_limit_gsd: float
+    """pixels with a larger standard deviation of depth count as uncertain"""
+    profile_step_px: float
+    """largest distance of profile samples"""
+    alignment: Literal["none", "rigid", "similarity"]
+    """move the surface onto the reference first (ICP)"""
+    max_distance_gsd: float
+    """points farther from the reference than this are not compared"""
+    reference_neighbors: int
+    """points of a reference cloud that make its local plane"""
+
+
+class AssessValues(TypedDict, total=False):
+    """The same as a mapping, any of them."""
+
+    polarization_height: bool
+    detail_sigma_px: float
+    histogram_bins: int
+    histogram_range_gsd: float
+    sigma_limit_gsd: float
+    profile_step_px: float
+    alignment: Literal["none", "rigid", "similarity"]
+    max_distance_gsd: float
+    reference_neighbors: int
+
+
+class Values(TypedDict, total=False):
+    """Options by section."""
+
+    capture: CaptureValues
+    polarization: PolarizationValues
+    polarizer: PolarizerValues
+    photos: PhotosValues
+    sweep: SweepValues
+    prior: PriorValues
+    evidence: EvidenceValues
+    reflection: ReflectionValues
+    light: LightValues
+    height: HeightValues
+    grid: GridValues
+    optimize: OptimizeValues
+    refine: RefineValues
+    surface: SurfaceValues
+    assess: AssessValues
+
+
+class Sections:
+    """Attributes of `malus.Options`."""
+
+    capture: CaptureSection
+    polarization: PolarizationSection
+    polarizer: PolarizerSection
+    photos: PhotosSection
+    sweep: SweepSection
+    prior: PriorSection
+    evidence: EvidenceSection
+    reflection: ReflectionSection
+    light: LightSection
+    height: HeightSection
+    grid: GridSection
+    optimize: OptimizeSection
+    refine: RefineSection
+    surface: SurfaceSection
+    assess: AssessSection

@@ -1,0 +1,31 @@
+"""The options of one step."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from malus.options import Options
+
+
+class Section:
+    """The options of one step as attributes; assignment checks name, type and range."""
+
+    def __init__(self, options: Options, name: str) -> None:
+        object.__setattr__(self, "_options", options)
+        object.__setattr__(self, "_name", name)
+
+    def __getattr__(self, key: str) -> Any:
+        values = self._options._values[self._name]
+        if key not in values:
+            raise AttributeError(f"no option {self._name}.{key}; there are {', '.join(values)}")
+        return values[key]
+
+    def __setattr__(self, key: str, value: Any) -> None:
+        self._options.update({self._name: {key: value}})
+
+    def __dir__(self) -> list[str]:
+        return list(self._options._values[self._name])
+
+    def __repr__(self) -> str:
+        return f"{self._name}({', '.join(f'{k}={v!r}' for k, v in self._options._values[self._name].items())})"

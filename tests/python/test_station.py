@@ -1,0 +1,179 @@
+"""A station made in code says what a station file can say, in the same words, and gives the same results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+
+import malus
+from malus import _core
+
+ANGLES = [0.0, 60.0, 120.0]
+SIZE = (40, 60)
+CAMERA = malus.Camera("PINHOLE", SIZE[1], SIZE[0], [200.0, 200.0, 29.5, 19.5])
+
+#: What both forms say below; the camera's parameters are in COLMAP's pixel convention in the file.
+WORDS: dict[str, Any] = {
+    "polarized": {
+        "angle_direction": "cw",
+        "angle_zero_deg": 10.0,
+        "exposure_s": [0.01, 0.02] * 3,
+        "channel_weights": [1.0, 2.0, 1.0],
+        "response": "srgb",
+        "white_level": 255,
+        "black_level": 2,
+    },
+    "optics": {"light": [0.1, 0.2, -1.0]},
+    "patches": [{"name": "label", "box": [3, 4, 20, 21]}],
+    "profiles": [{"from": [3, 4], "to": [20, 4.5]}],
+    "object": {"title": "Relief", "license": "CC-BY-4.0"},
+}
+
+FILE = """
+[station]
+name = "words"
+unit = "cm"
+
+[polarized]
+images = ["0.tif", "1.tif", "2.tif", "3.tif", "4.tif", "5.tif"]
+angles_deg = [0, 0, 60, 60, 120, 120]
+angle_direction = "cw"
+angle_zero_deg = 10
+exposure_s = [0.01, 0.02, 0.01, 0.02, 0.01, 0.02]
+channel_weights = [1, 2, 1]
+response = "srgb"
+white_level = 255
+black_level = 2
+frames_averaged = 4
+
+[optics]
+refractive_index = 1.6
+reflection = "diffuse"
+light = [0.1, 0.2, -1]
+
+[camera]
+model = "PINHOLE"
+width = 60
+height = 40
+params = [200, 200, 30, 20]
+qvec = [1, 0, 0, 0]
+tvec = [0, 0, 0]
+
+[[patch]]
+name = "label"
+box = [3, 4, 20, 21]
+
+[[profile]]
+from = [3, 4]
+to = [20, 4.5]
+
+[object]
+title = "Relief"
+license = "CC-BY-4.0"
+"""
+
+
+@pytest.fixture
+def pictures() -> list[np.ndarray]:
+    """Color pictures of 8 bits, two exposures at each angle."""
+    random = np.random.default_rng(4)
+    scene = random.uniform(40, 90, (*SIZE, 3))
+    return [
+        np.rint(exposure * scene * (1 + 0.2 * np.cos(2 * np.radians(angle)))).astype(np.uint8)
+        for angle in ANGLES
+        for exposure in (1, 2)
+    ]
+
+
+def in_memory(pictures: list[np.ndarray], **changes: Any) -> malus.Station:
+    values: dict[str, Any] = {
+        "name": "words", "unit": "cm", "refractive_index": 1.6, "reflection": "diffuse", "frames_averaged": 4,
+        **WORDS, **changes,
+    }  # fmt: skip
+    return malus.Station(pictures, np.repeat(ANGLES, 2), CAMERA, **values)
+
+
+def test_it_is_the_station_of_the_file(pictures: list[np.ndarray], tmp_path: Path) -> None:
+    for k, picture in enumerate(pictures):
+        tifffile.imwrite(tmp_path / f"{k}.tif", picture.astype(np.float32), photometric="rgb")
+    (tmp_path / "station.toml").write_text(FILE)
+    of_file, of_arrays = malus.Station.load(tmp_path / "station.toml"), in_memory(pictures)
+    described = of_file.describe()
+    for key in ("path", "files", "images"):
+        del described[key]
+    assert of_arrays.describe().items() >= described.items()
+    options = malus.Options(capture={"registration": "off"})
+    expected, found = (malus.reconstruct(s, options, until="polarization", threads=1) for s in (of_file, of_arrays))
+    for name in ("unpolarized", "degree", "phase_rad"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    assert np.isfinite(found.unpolarized).mean() > 0.9
+
+
+def test_prior_with_normals_and_prior_of_a_file_are_those_of_the_file(small_station: Path) -> None:
+    folder = small_station.parent
+    expected = malus.reconstruct(malus.Station.load(small_station), until="prior", threads=1)
+    described = malus.Station.load(small_station).describe()
+    images = [tifffile.imread(path).astype(np.float32) for path in sorted((folder / "pol").glob("*.tif"))]
+    given = described["camera"]
+    camera = malus.Camera(
+        given["model"], given["width"], given["height"], given["params"], given["rotation"], given["translation"]
+    )
+    points, normals = _core.read_oriented_points(str(folder / "dense/cloud.ply"))
+    cloud: dict[str, Any] = {"prior_points": points, "prior_normals": normals}
+    for prior in (cloud, {"prior": {"cloud": str(folder / "dense/cloud.ply")}}):
+        station = malus.Station(images, described["angles_deg"], camera, polarized={"white_level": 16383}, **prior)
+        found = malus.reconstruct(station, until="prior", threads=1)
+        # But for the rounding of the camera's parameters.
+        np.testing.assert_allclose(found.prior_depth, expected.prior_depth, rtol=1e-6)
+        np.testing.assert_allclose(found.prior_sigma, expected.prior_sigma, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"polarized": {"respons": "srgb"}}, r"\[polarized\].respons.*response"),
+        (
+            {"polarized": {"exposure_s": [0.01, 0.02, 0.01, 0.03, 0.01, 0.02]}},
+            r"exposure_s: differs between 0° and 60°",
+        ),
+        ({"polarized": {"images": ["a.png"]}}, r"\[polarized\].images"),
+        ({"optics": {"light": [0, 0, 1]}}, r"\[optics\].light.*expected a direction"),
+        ({"optics": {"reflection": "matt"}}, r"\[optics\].reflection.*file of a label image"),
+        ({"patches": [{"box": [0, 0, 60, 3]}]}, r"\[\[patch\]\] 1.box.*60 x 40"),
+        ({"profiles": [{"from": [0, 0]}]}, r"\[\[profile\]\] 1.to"),
+        ({"scale": [{"distance": 3}]}, r"needs \[photos\]"),
+        ({"object": {"tittle": "x"}}, r"\[object\].tittle"),
+        ({"prior": {"cloud": "no.ply"}}, r"no\.ply"),
+    ],
+)
+def test_mistakes_are_named_as_in_a_file(pictures: list[np.ndarray], changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(malus.InputError, match=message):
+        in_memory(pictures, **changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"prior_normals": np.zeros((3, 3))}, "without prior_points"),
+        ({"prior_points": np.zeros((3, 3)), "prior_normals": np.zeros((2, 3))}, r"prior_normals has shape \(2, 3\)"),
+        ({"prior_points": np.zeros((3, 3)), "prior": {"mesh": "x.ply"}}, "more than one is given"),
+        ({"patches": [{"box": [0, float("nan"), 3, 3]}]}, "not JSON compliant"),
+    ],
+)
+def test_what_python_can_tell(pictures: list[np.ndarray], changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        in_memory(pictures, **changes)
+
+
+def test_known_distances_scale_a_prior_in_memory(pictures: list[np.ndarray]) -> None:
+    bar = {"distance": 5.0, "a_xyz": [0, 0, 0], "b_xyz": np.array([0, 2.5, 0])}
+    rows, columns = np.mgrid[0:40:0.5, 0:60:0.5]
+    points = np.stack([(columns.ravel() - 29.5) / 200, (rows.ravel() - 19.5) / 200, np.ones(rows.size)], -1) * 100
+    points += np.random.default_rng(5).normal(0, 0.1, points.shape)
+    station = in_memory(pictures, prior_points=points, scale=[bar])
+    found = malus.reconstruct(station, malus.Options(capture={"registration": "off"}), until="prior", threads=1)
+    assert np.nanmedian(found.prior_depth) == pytest.approx(200, rel=1e-3)
