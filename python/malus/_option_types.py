@@ -243,6 +243,8 @@ class PriorSection(Section):
     """the estimated smoothing length times this; below 1 because what is smoothed away is lost to the fusion, noise is not"""
     edge_tolerance: float
     """bending, over what is usual, at which the smoothing gives way to a step or an occluding edge"""
+    keep_raised: bool
+    """whether points that stand out together are kept as a part of the surface; strays never are"""
     neighbors: int
     """nearest neighbors a point is compared with, in the view"""
     outlier_tolerance: float
@@ -273,6 +275,7 @@ class PriorValues(TypedDict, total=False):
     smoothing_px: float | Literal["auto"]
     smoothing_scale: float
     edge_tolerance: float
+    keep_raised: bool
     neighbors: int
     outlier_tolerance: float
     outlier_floor_gsd: float
