@@ -125,21 +125,31 @@ TEST(Evidence, IsWeighedRegionByRegion) {
             1.05 * rms_of_columns(station.prior.depth, station.truth, border + far, 392));
 }
 
-TEST(Evidence, SharesAreOneForWhatIsPredictedAndBelowZeroForTheOpposite) {
-  const SyntheticStation station = make_station(scene_under_a_sky());
-  RefinementImage image = make_image(station.state, station.prior, Context{});
+/// The image as a diffuse body under the scene's light.
+RefinementField diffuse_field(RefinementImage& image) {
   image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
   image.reflection = scene_under_a_sky().model;
-  RefinementField field = image.part(image.everything(), Context{});
+  return image.part(image.everything(), Context{});
+}
+
+/// Puts factor(u, v) times the predicted polarization in place of the measured one.
+template <class Factor>
+void measure(RefinementField& field, Factor factor) {
   for (int v = 0; v < field.size().height; ++v) {
     for (int u = 0; u < field.size().width; ++u) {
       const Eigen::Vector2d slopes = central_slopes(field, u, v);
       const PredictedStokes model = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
-      const float sign = u < 80 ? 1 : -1;
-      field.s1(u, v) = sign * static_cast<float>(model.s1);
-      field.s2(u, v) = sign * static_cast<float>(model.s2);
+      field.s1(u, v) = factor(u, v) * static_cast<float>(model.s1);
+      field.s2(u, v) = factor(u, v) * static_cast<float>(model.s2);
     }
   }
+}
+
+TEST(Evidence, SharesAreOneForWhatIsPredictedAndBelowZeroForTheOpposite) {
+  const SyntheticStation station = make_station(scene_under_a_sky());
+  RefinementImage image = make_image(station.state, station.prior, Context{});
+  RefinementField field = diffuse_field(image);
+  measure(field, [](int u, int) { return u < 80 ? 1.0F : -1.0F; });
   ExplainedPolarization explained(field.size(), {0, 0, -1});
   explained.add(field, {0, 48}, 0, Context{});  // in two parts that share a row of cells
   explained.add(field, {48, 129}, 0, Context{});
@@ -153,20 +163,12 @@ TEST(Evidence, SharesAreOneForWhatIsPredictedAndBelowZeroForTheOpposite) {
 TEST(Evidence, WhatIsLeftAtTheResultIsCountedByItsMiddlePixelInEachCell) {
   const SyntheticStation station = make_station(scene_under_a_sky());
   RefinementImage image = make_image(station.state, station.prior, Context{});
-  image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
-  image.reflection = scene_under_a_sky().model;
-  RefinementField field = image.part(image.everything(), Context{});
-  for (int v = 0; v < field.size().height; ++v) {
-    for (int u = 0; u < field.size().width; ++u) {
-      const Eigen::Vector2d slopes = central_slopes(field, u, v);
-      const PredictedStokes model = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
-      // The left part is explained but for one pixel in nine, of the right one a fifth of the measurement is left.
-      const float wild = u % 3 == 0 && v % 3 == 0 ? 5.0F : 1.0F;
-      const float factor = u < 80 ? wild : 1.25F;
-      field.s1(u, v) = factor * static_cast<float>(model.s1);
-      field.s2(u, v) = factor * static_cast<float>(model.s2);
-    }
-  }
+  RefinementField field = diffuse_field(image);
+  // The left part is explained but for one pixel in nine, of the right one a fifth of the measurement is left.
+  measure(field, [](int u, int v) {
+    const float wild = u % 3 == 0 && v % 3 == 0 ? 5.0F : 1.0F;
+    return u < 80 ? wild : 1.25F;
+  });
   ExplainedByResult explained(field.size());
   explained.add(field, {0, 48}, 0, Context{});
   explained.add(field, {48, 129}, 0, Context{});
