@@ -108,7 +108,8 @@ def measure_chart(
 
 def fit_colors(colors: Floats, source: str, corners: Floats) -> ColorCorrection:
     """The correction for measured colors (24×3, linear) of the chart's patches, in its order; DataError if they cannot be right."""
-    colour = extra("colour", "colour-science", "malus chart", "color")
+    with np.printoptions():  # its import changes how numpy prints numbers for everybody
+        colour = extra("colour", "colour-science", "malus chart", "color")
     reference = _reference(colour)
     matrix = _fitted(colors, reference)
     others = [np.delete(np.arange(len(colors)), k) for k in range(len(colors))]
