@@ -133,7 +133,8 @@ def reconstruct(
 
 
 def unpolarized_scene(station: Station, options: Options, workspace: Path, threads: int) -> NDArray[np.float32]:
-    """Unpolarized intensity of all that a station shows (H×W, linear, undistorted); its polarization step stays in the workspace.
+    """Unpolarized intensity of all that a station shows (H×W, linear, undistorted); its polarization step stays in `workspace`,
+    which must be no run's.
 
     The station's lens must be known. Raises what `reconstruct` raises.
     """
@@ -228,6 +229,8 @@ def _with_photos(
             progress=lambda fraction, message: report("photos", fraction, message),
             log=log_of("photos"),
         )
+        for warning in cameras.warnings:
+            log_of("photos")("warning", warning)
         lens = cameras.station
         if "camera" in description:
             given = description["camera"]

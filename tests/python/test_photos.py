@@ -227,7 +227,7 @@ def test_what_did_not_change_is_made_once(small_station: Path, tmp_path: Path, m
 
     def find(*_: object, log: Callable[[str, str], None], **__: object) -> SimpleNamespace:
         log("warning", "few photos")
-        return SimpleNamespace(station=lens, figures={}, times={"seconds": 1.0})
+        return SimpleNamespace(station=lens, figures={}, times={"seconds": 1.0}, warnings=[])
 
     def sweep(*_: object, fuse: Callable[[Any], Any], **__: object) -> package.photogrammetry.Swept:
         assert prior.prior_depth is not None and prior.prior_sigma is not None

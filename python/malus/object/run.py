@@ -6,7 +6,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +98,7 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
     kept = folder / "stations"
     warnings: list[str] = []
     tasks = thing.campaign.tasks(output, threads, kept)
-    with exclusive(folder):
+    with exclusive(folder, wait=True):
         kept.mkdir(exist_ok=True)
         views = {}
         for count, task in enumerate(tasks):
@@ -107,7 +107,7 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
             try:
                 views[task.identifier] = (
                     camera_of(station.describe()["camera"]),
-                    unpolarized_scene(station, options, task.workspace, threads),
+                    unpolarized_scene(station, options, folder / "polarization" / task.identifier, threads),
                 )
             except MalusError as error:
                 save_failure(Path(task.cameras), error)
@@ -120,7 +120,8 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
         )  # fmt: skip
         for task in tasks:
             if task.identifier in found:
-                save_cameras(Path(task.cameras), found[task.identifier], folder / "model")
+                cameras = replace(found[task.identifier], warnings=list(warnings))
+                save_cameras(Path(task.cameras), cameras, folder / "model")
             elif task.identifier in views:
                 save_failure(
                     Path(task.cameras),

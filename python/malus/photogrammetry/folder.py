@@ -12,17 +12,17 @@ from malus.errors import ExternalError, InputError, MalusError, ResourceError
 
 
 @contextmanager
-def exclusive(folder: Path) -> Iterator[None]:
+def exclusive(folder: Path, *, wait: bool = False) -> Iterator[None]:
     """Create the folder if needed and hold it for this process.
 
-    Raises InputError when another process holds it. Failures of the disk in the meantime become ResourceError, those of a
-    damaged database ExternalError.
+    Raises InputError when another process holds it, unless it is to `wait` for that one. Failures of the disk in the
+    meantime become ResourceError, those of a damaged database ExternalError.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with (folder / "lock").open("w") as lock:
             try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.flock(lock, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
             except BlockingIOError:
                 raise InputError(
                     f"{folder} is in use by another process; wait for it, or choose another folder"

@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +57,8 @@ class StationCameras:
     """For quality.json: `photogrammetry` and `scale`."""
     times: dict[str, Any]
     """Seconds, all and by stage."""
+    warnings: list[str] = field(default_factory=list)
+    """Of finding them together with other stations; for this one's report."""
 
 
 def camera_of(description: Mapping[str, Any]) -> Camera:
@@ -139,7 +141,9 @@ def find_object_cameras(
                 photos=[
                     (picture, model.images[picture.name].camera)
                     for picture in pictures
-                    if picture.name in model.images and picture.name != image
+                    if picture.name in model.images
+                    and picture.name != image
+                    and (picture.name not in views or placed.has(picture.name))
                 ],
                 model=model,
                 figures={**figures, "photogrammetry": own},

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 from typing import Any
 
-from malus._files import read_record, write_record
+from malus._files import read_record, sha256_of, write_record
 from malus.camera import Camera
-from malus.errors import ExternalError, MalusError, error_of
+from malus.errors import ExternalError, InputError, MalusError, error_of
 from malus.photogrammetry.front_end import StationCameras
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photos import Photo
@@ -16,17 +15,22 @@ from malus.photogrammetry.photos import Photo
 
 def save_cameras(file: Path, cameras: StationCameras, model: Path) -> None:
     """Keep a station's cameras; `model` is the folder of their COLMAP model, which the file refers to by its content too."""
-    digests = [hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(model.iterdir())]
     content = {
         "model": str(model.resolve()),
-        "sha256": digests,
+        "sha256": _digests(model),
         "station": _described(cameras.station),
         "photos": [
-            {"name": photo.name, "path": str(photo.path.resolve()), "camera": _described(camera)}
+            {
+                "name": photo.name,
+                "path": str(photo.path.resolve()),
+                "sha256": sha256_of(photo.path),
+                "camera": _described(camera),
+            }
             for photo, camera in cameras.photos
         ],
         "figures": cameras.figures,
         "times": cameras.times,
+        "warnings": cameras.warnings,
     }
     write_record(file, content)
 
@@ -37,23 +41,35 @@ def save_failure(file: Path, error: MalusError) -> None:
 
 
 def load_cameras(file: Path) -> StationCameras:
-    """What `save_cameras` kept. Raises the error that `save_failure` kept, ExternalError if there is neither."""
+    """What `save_cameras` kept. Raises the error that `save_failure` kept, ExternalError if there is neither, and InputError if the
+    model or a photo was changed since: the cameras would be of other pictures.
+    """
     content = read_record(file)
     if content is None:
         raise ExternalError(f"{file}: the cameras of the station cannot be read; run the object again")
     if "failure" in content:
         raise error_of(content["exit_code"])(content["failure"])
+    model = Path(content["model"])
+    if _digests(model) != content["sha256"]:
+        raise InputError(f"{model} was changed since the cameras were found; run the object again")
     photos = []
     for said in content["photos"]:
+        if sha256_of(Path(said["path"])) != said["sha256"]:
+            raise InputError(f"{said['path']} was changed since its camera was found; run the object again")
         camera = Camera(**said["camera"])
         photos.append((Photo(said["name"], Path(said["path"]), camera.width, camera.height), camera))
     return StationCameras(
         station=Camera(**content["station"]),
         photos=photos,
-        model=SparseModel.read(Path(content["model"])),
+        model=SparseModel.read(model),
         figures=content["figures"],
         times=content["times"],
+        warnings=content["warnings"],
     )
+
+
+def _digests(model: Path) -> list[str]:
+    return [sha256_of(path) for path in sorted(model.iterdir())]
 
 
 def _described(camera: Camera) -> dict[str, Any]:
