@@ -15,11 +15,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from importlib import resources
 from pathlib import Path
 from typing import Any
-
-import jinja2
 
 from malus import _core
 from malus._extra import extra
@@ -27,6 +24,7 @@ from malus._files import read_record, remove_unfinished, write_record, write_tex
 from malus.campaign import Campaign, Task
 from malus.errors import ExternalError, InputError, MalusError, ResourceError, ending_of, error_of
 from malus.options import Options
+from malus.pages import template
 from malus.photogrammetry.shared_frame import load_cameras
 from malus.reconstruction import reconstruct
 from malus.report import write_report
@@ -298,11 +296,7 @@ def _as_text(value: object) -> object:
 
 def _merge(campaign: Campaign, tasks: Sequence[Task], output: Path) -> list[Outcome]:
     """Write the tables and the page over all stations. Nothing in them depends on when or where a station ran."""
-    template = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    page = template.from_string(resources.files("malus").joinpath("templates/campaign.html.j2").read_text("utf-8"))
-    style = resources.files("malus").joinpath("assets/report.css").read_text("utf-8")
+    page = template("campaign.html.j2")
     outcomes = [_marker(task) for task in tasks]
     while True:
         rows = [
@@ -320,7 +314,7 @@ def _merge(campaign: Campaign, tasks: Sequence[Task], output: Path) -> list[Outc
         counts = {status: sum(row["status"] == status for row in rows) for status in ("done", "failed", "pending")}
         write_text(
             output / "index.html",
-            page.render(campaign=campaign, rows=rows, counts=counts, style=style, version=_core.version),
+            page.render(campaign=campaign, rows=rows, counts=counts, version=_core.version),
         )
         # Another shard may have ended a station meanwhile, and its tables may have come before ours.
         now = [_marker(task) for task in tasks]

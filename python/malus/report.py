@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import base64
 import platform
 import shutil
 import webbrowser
 from collections.abc import Iterator, Mapping, Sequence
-from importlib import metadata, resources
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import jinja2
 from markupsafe import Markup, escape
 
 from malus import _core, viewer
@@ -21,6 +19,7 @@ from malus.figures import Figure, Plates, encode, grey
 from malus.glossary import definitions
 from malus.lengths import shown
 from malus.options import Options
+from malus.pages import template
 from malus.paper import plates as paper_plates
 from malus.paper.tables import cell_text, table_1
 from malus.reconstruction import STEPS
@@ -182,11 +181,6 @@ def _changed_options(options: Mapping[str, Any]) -> list[tuple[str, Any]]:
     return changed
 
 
-def _asset(name: str) -> Markup:
-    """An own file for the page, as it is."""
-    return Markup(resources.files("malus").joinpath("assets", name).read_text(encoding="utf-8"))
-
-
 def _term(name: str, text: str | None = None) -> Markup:
     """A term of the glossary, as `text` or itself, with its definition on hovering and for screen readers."""
     return Markup('<abbr title="{}">{}</abbr>').format(definitions()[name], text or name)
@@ -243,16 +237,12 @@ def _write_in(workspace: Workspace) -> Path:
     figures = _figures(plates)
     m3c2 = workspace.m3c2
     numbers = _Quality({**quality, "m3c2": m3c2})
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters["number"] = _number
-    environment.filters["base64"] = lambda content: base64.b64encode(content).decode()
-    environment.globals.update(q=numbers.element, leaves=numbers.leaves, asset=_asset, term=_term)
-    template = environment.from_string(resources.files("malus").joinpath("templates/report.html.j2").read_text("utf-8"))
     registration = [-1.0 if rms is None else rms for rms in quality["registration_rms_px"]]
     mesh = viewer.mesh_view(workspace)
-    page = template.render(
+    page = template("report.html.j2", {"number": _number}).render(
+        q=numbers.element,
+        leaves=numbers.leaves,
+        term=_term,
         head=head_of(plates, mesh["extent"]),
         quality=quality,
         what_to_trust=what_to_trust(quality),

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import base64
-from importlib import resources
 from pathlib import Path
 from typing import Any
-
-import jinja2
-from markupsafe import Markup
 
 from malus import _core
 from malus.change.regions import Region
 from malus.change.significance import Distances, reduced_maps
 from malus.exports import Exporter
 from malus.figures import Figure, Plates, encode, flattened, grey, hillshade
+from malus.pages import template
 from malus.units import METRES
 
 
@@ -66,13 +62,7 @@ def write_page(
     pixel = plates.gsd * plates.step
     box = plates.object_box()
     shades = [hillshade(flattened(plates.small(d)), pixel) for d in (before.surface.depth, distances.depth_after)]
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters["base64"] = lambda content: base64.b64encode(content).decode()
-    environment.globals.update(asset=_asset)
-    template = environment.from_string(resources.files("malus").joinpath("templates/change.html.j2").read_text("utf-8"))
-    page = template.render(
+    page = template("change.html.j2").render(
         figures=figures,
         plates=drawn,
         pictures=[encode(grey(shade)[box], "WEBP", quality=90) for shade in shades],
@@ -81,7 +71,3 @@ def write_page(
     path = folder / "index.html"
     path.write_text(page, encoding="utf-8")
     return path
-
-
-def _asset(name: str) -> Markup:
-    return Markup(resources.files("malus").joinpath("assets", name).read_text(encoding="utf-8"))

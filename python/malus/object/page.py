@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
-from markupsafe import Markup
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -19,6 +16,7 @@ from malus.object.agreement import Agreement
 from malus.object.meshing import ObjectMesh
 from malus.object.texture import TexturedMesh, encoded
 from malus.object.views import View
+from malus.pages import template
 from malus.viewer import base64_text, pack, pack_indices
 
 #: Longest side of the texture in the page.
@@ -90,16 +88,7 @@ def write_page(
     linked: bool,
 ) -> Path:
     """Write report/index.html in `folder` (self-contained but for the links to the stations' reports); returns its path."""
-
-    def asset(name: str) -> Markup:
-        return Markup(resources.files("malus").joinpath("assets", name).read_text(encoding="utf-8"))
-
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.globals.update(asset=asset)
-    template = environment.from_string(resources.files("malus").joinpath("templates/object.html.j2").read_text("utf-8"))
-    page = template.render(
+    page = template("object.html.j2").render(
         quality=quality,
         view=_turntable(mesh, seen, full, quality["gsd"], first),
         maps={path.stem: base64_text(path.read_bytes()) for path in sorted((folder / "agreement").glob("*.png"))},
