@@ -44,18 +44,20 @@ source_state() {
 # One CMake tree, build/, serves all: scikit-build-core builds the extension in it, together with malus-station and the
 # C++ tests, and installs the Python part into .venv. What was built with tests is kept with tests.
 build() {
-  local built state what="malus-station, Python package" extra=""
+  local built state what="malus-station, Python package" tests=""
   built=$(cat .venv/malus-source-state 2>/dev/null || true)
   [[ $built == "tests "* ]] && with_tests=ON
-  [ "$with_tests" = ON ] && what+=", tests" extra="[test]"
-  state="${extra:+tests }$(source_state)"
+  [ "$with_tests" = ON ] && what+=", tests" tests="tests "
+  state="$tests$(source_state)"
   [ "$built" = "$state" ] && [ -x build/malus-station ] && return
   say "building ($what)"
   .venv/bin/python -m pip install -q --disable-pip-version-check "scikit-build-core>=0.10" "pybind11>=2.12"
   local settings=(build-dir=build cmake.define.MALUS_BUILD_APP=ON cmake.define.MALUS_BUILD_TESTS=$with_tests
                   cmake.define.MALUS_WERROR=ON cmake.define.CMAKE_CXX_COMPILER_LAUNCHER=ccache)
   CMAKE_GENERATOR=Ninja .venv/bin/python -m pip install -q --disable-pip-version-check --no-build-isolation \
-    "${settings[@]/#/--config-settings=}" ".$extra"
+    "${settings[@]/#/--config-settings=}" .
+  # On its own: a package that has no wheel is built with what it asks for, not with what happens to be in .venv.
+  [ "$with_tests" = OFF ] || .venv/bin/python -m pip install -q --disable-pip-version-check "malus[test]"
   echo "$state" > .venv/malus-source-state
 }
 
