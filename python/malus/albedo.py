@@ -1,6 +1,6 @@
 """The object's own color: what it would look like under even light, without highlights and without shading.
 
-Three parts. What was mirrored at the surface is taken out by its polarization (`malus.mirrored_light`). A light is fitted to what is left, a
+Three parts. What was mirrored at the surface is taken out by its polarization (fused/mirrored.tif). A light is fitted to what is left, a
 lamp and a sky that may be brighter on one side, so that pixels near each other get albedos that do not follow the slopes. Then the image is
 divided by that shading. Its scale is free: nobody knows the strength of the light. Cast shadows and light between parts of the object stay.
 """
@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus.errors import DataError
-from malus.mirrored_light import mirrored_share
 from malus.workspace import Workspace
 
 Floats = NDArray[np.float64]
@@ -117,7 +116,7 @@ def albedo_of(workspace: Workspace) -> NDArray[np.float32]:
 
     DataError for a surface without a reflection model (`--fusion grid`): nothing tells its highlights from its color.
     """
-    mirrored = mirrored_share(workspace)
+    mirrored = workspace.mirrored_share()
     if mirrored is None:
         raise DataError(
             f"{workspace.folder}: has no reflection model, which tells highlights from the object's color; "

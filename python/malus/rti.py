@@ -18,7 +18,6 @@ from PIL import Image
 
 from malus._files import replacing, write_text, writing
 from malus.errors import InputError
-from malus.mirrored_light import mirrored_share
 from malus.units import METRES
 from malus.viewer import object_window, unshaded_color, viewer_normals
 from malus.workspace import Workspace
@@ -89,7 +88,7 @@ def relightable(workspace: Workspace) -> Relightable:
     """The fused surface of a workspace for any light."""
     window = object_window(workspace.raster("fused/depth.tif"), _SIDE_PX)
     normals = viewer_normals(workspace.raster("fused/normals.tif"), window)
-    colors = unshaded_color(workspace, window, normals, mirrored_share(workspace)).copy()
+    colors = unshaded_color(workspace, window, normals, workspace.mirrored_share()).copy()
     known: NDArray[np.bool_] = np.asarray(np.isfinite(normals).all(-1))
     colors[~known] = 0
     coefficients = np.zeros((*known.shape, 6))

@@ -124,6 +124,17 @@ class Workspace:
             "polarization/color.tif" if self.has("polarization/color.tif") else "polarization/unpolarized.tif"
         )
 
+    def mirrored_share(self) -> Raster | None:
+        """Share of the unpolarized intensity that was mirrored at the surface, H×W in [0, 1]; NaN where it is not known.
+
+        None for a surface without a reflection model (`--fusion grid`).
+        """
+        if not self.has("fused/mirrored.tif"):
+            return None
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = self.raster("fused/mirrored.tif") / self.raster("polarization/unpolarized.tif")
+        return np.asarray(np.clip(share, 0, 1), dtype=np.float32)
+
     @cached_property
     def _fused_notes(self) -> dict[str, Any]:
         if "fuse" not in self.manifest["steps"]:

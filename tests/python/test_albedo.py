@@ -12,7 +12,6 @@ from PIL import Image
 import malus
 from conftest import malus as run_malus
 from malus import albedo, synthetic
-from malus.mirrored_light import mirrored_share
 
 
 def spread(estimate: np.ndarray, truth: np.ndarray) -> float:
@@ -60,7 +59,7 @@ def test_a_plane_and_next_to_nothing_keep_their_color() -> None:
 
 
 def test_mirrored_share_is_what_was_rendered(dates: tuple[Path, Path], truth: synthetic.Scene) -> None:
-    share = mirrored_share(malus.Workspace(dates[0]))
+    share = malus.Workspace(dates[0]).mirrored_share()
     assert share is not None
     every = synthetic.Reflectance()
     total = np.concatenate([s0 for _, s0, *_ in synthetic.stokes(truth, every)])

@@ -13,6 +13,7 @@
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/coarse_level_internal.h"
 #include "malus/fusion/masked_blur_internal.h"
+#include "malus/fusion/mirrored_light_internal.h"
 #include "malus/fusion/refinement_verdict_internal.h"
 #include "malus/fusion/refinement_weights_internal.h"
 #include "malus/fusion/reflection_fit_internal.h"
@@ -316,6 +317,7 @@ class Refiner {
   /// The surface that was found, and what is reported of its pixels.
   FusedSurface finish(const DepthPrior& prior) {
     constexpr int margin = surface_sigma_reach_px + weights_reach_px;
+    static_assert(mirrored_light_reach_px <= surface_sigma_reach_px);
     const Size size = image_.camera.size;
     FusedSurface surface;
     surface.camera = prior.camera;
@@ -325,6 +327,7 @@ class Refiner {
     report_.specular_share = specular_share(image_);
     report_.metal = looks_like_metal(image_);
     report_.label = report_.confidence = Image<std::uint8_t>(size);
+    report_.mirrored = Image<float>(size, 1, std::numeric_limits<float>::quiet_NaN());
     ResidualSummary summary(image_.size());
     for (const TileStrip& tiles : strips_) {
       const StripField strip = weighted_strip(tiles.rows, margin, weights(1, true), &summary);
@@ -335,6 +338,7 @@ class Refiner {
               ? Image<std::uint8_t>(part, 1, 255)
               : cropped(report_.trust, {0, strip.first_row, part.width, strip.first_row + part.height});
       const Image<float> sigma = surface_sigma(strip.field, trust, prior.smoothing_px, context_);
+      const Image<float> mirrored = mirrored_light(strip.field, context_);
       parallel_rows(context_, std::min(tiles.rows.end, size.height) - tiles.rows.begin, [&](int row) {
         const int v = tiles.rows.begin + row, strip_v = v - strip.first_row;
         for (int u = 0; u < size.width; ++u) {
@@ -342,6 +346,7 @@ class Refiner {
           surface.depth(u, v) =
               static_cast<float>(prior.depth(u, v) * std::exp(change_at(strip.field, u, strip_v) / image_.focal));
           surface.sigma(u, v) = sigma(u, strip_v);
+          report_.mirrored(u, v) = mirrored(u, strip_v);
           report_.label(u, v) = image_.kind(u, v);
           report_.confidence(u, v) =
               static_cast<std::uint8_t>(std::lround(255 * stokes_weight(strip.field, u, strip_v)));

@@ -133,6 +133,7 @@ struct RefineReport {
   double specular_share = 0;       ///< of the object's pixels
   Image<std::uint8_t> label;       ///< 0 = outside, 1 = diffuse, 2 = specular
   Image<std::uint8_t> confidence;  ///< weight of the polarization of each pixel, 0 … 255
+  Image<float> mirrored;           ///< unpolarized intensity of the mirrored light, unit of the images; NaN = not known
   /// Share of the refined surface in the result, 0 (prior) … 255. Empty, and the shares NaN, without `evidence`.
   Image<std::uint8_t> trust;
   double trusted_share = std::numeric_limits<double>::quiet_NaN();  ///< its mean over usable pixels, 0 … 1

@@ -83,7 +83,8 @@ PredictedStokes PixelReflection::predict_mirroring(double p, double q) const {
   const FresnelFactors f = fresnel_factors(p * p + q * q, model_.eta);
   const MirroredLight mirrored = model_.mirrored->at(p, q, frame_);
   PredictedStokes out;
-  out.body = std::max(s0_ - mirrored.stokes[0], 0.0);
+  out.mirrored = mirrored.stokes[0];
+  out.body = std::max(s0_ - out.mirrored, 0.0);
   const double body_by_p = out.body > 0 ? -mirrored.by_p[0] : 0, body_by_q = out.body > 0 ? -mirrored.by_q[0] : 0;
   add_slope_term(out.body * f.diffuse, body_by_p * f.diffuse + out.body * f.diffuse_slope * 2 * p,
                  body_by_q * f.diffuse + out.body * f.diffuse_slope * 2 * q, p, q, out);
@@ -109,7 +110,8 @@ PredictedStokes PixelReflection::predict_diffuse(double p, double q) const {
   const double k = model_.lobe.strength;
 
   PredictedStokes out;
-  out.body = std::max(s0_ - e * f.reflectance - k * lobe_.reflectance * x.value, 0.0);
+  out.mirrored = e * f.reflectance + k * lobe_.reflectance * x.value;
+  out.body = std::max(s0_ - out.mirrored, 0.0);
   const double body_by_g = out.body > 0 ? -(e_by_g * f.reflectance + e * f.reflectance_slope) : 0.0;
   const double body_by_x = out.body > 0 ? -k * lobe_.reflectance : 0.0;
 
@@ -136,6 +138,7 @@ PredictedStokes PixelReflection::predict_specular(double p, double q) const {
   const double gain_by_g = mirror_body_ * f.diffuse_slope - mirrored * ratio_by_g;
   PredictedStokes out;
   out.body = mirror_body_;
+  out.mirrored = mirrored;
   add_slope_term(gain, gain_by_g * 2 * p, gain_by_g * 2 * q, p, q, out);
   return out;
 }

@@ -80,7 +80,8 @@ struct LobeAtPixel {
 struct PredictedStokes {
   double s1 = 0, s1_by_p = 0, s1_by_q = 0;
   double s2 = 0, s2_by_p = 0, s2_by_q = 0;
-  double body = 0;  ///< s0 of the light from inside the body
+  double body = 0;      ///< s0 of the light from inside the body, not negative
+  double mirrored = 0;  ///< s0 of the mirrored light
 };
 
 /// Forward model of one pixel:

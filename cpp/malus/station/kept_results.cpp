@@ -123,6 +123,7 @@ void keep(RefinementFindings& result, Keeper& keeper) {
   keeper.raster("fused/label.png", result.label);
   keeper.raster("fused/confidence.png", result.confidence);
   keeper.raster("fused/trust.png", result.trust);
+  keeper.raster("fused/mirrored.tif", result.mirrored);
   keeper.text("fused/refinement.json", result.report_json);
 }
 

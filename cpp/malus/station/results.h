@@ -87,6 +87,7 @@ struct RefinementFindings {
   Image<std::uint8_t> label;       ///< as ReflectionMap::label
   Image<std::uint8_t> confidence;  ///< weight of each pixel's polarization, 0 … 255
   Image<std::uint8_t> trust;       ///< share of the refined surface in the result, 0 (prior) … 255
+  Image<float> mirrored;           ///< unpolarized intensity of the mirrored light, unit of the images; NaN = not known
 };
 
 /// The figures, and quality.json, which also has the station's name and what refinement and photogrammetry say of

@@ -85,7 +85,7 @@ std::vector<Step> make_table() {
             .options = {"fusion", "refine"},
             .station = {&Of::optics},
             .leaves = {"fused/depth.tif", "fused/normals.tif", "fused/sigma.tif", "fused/camera.txt", "fused/image.txt",
-                       "fused/label.png", "fused/confidence.png", "fused/refinement.json"},
+                       "fused/label.png", "fused/confidence.png", "fused/mirrored.tif", "fused/refinement.json"},
             .may_leave = {"fused/trust.png"},
             .cost = refined_cost,
             .applies = by_refinement},

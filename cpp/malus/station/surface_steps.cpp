@@ -194,7 +194,8 @@ std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,
   RefineResult refined = refine(*polarization.state, prior, input, job.options.refine, job.context);
   job.times["linear_solver_share"] = refined.report.linear_solver_share;
   RefinementFindings findings{refine_report_json(refined.report).dump(2) + "\n", std::move(refined.report.label),
-                              std::move(refined.report.confidence), std::move(refined.report.trust)};
+                              std::move(refined.report.confidence), std::move(refined.report.trust),
+                              std::move(refined.report.mirrored)};
   return {judged(std::move(refined.surface), evidence, job.context), std::move(findings)};
 }
 
