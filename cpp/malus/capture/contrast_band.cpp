@@ -2,10 +2,10 @@
 #include <array>
 #include <cmath>
 #include <numbers>
-#include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
 
 #include "malus/capture/contrast_band_internal.h"
+#include "malus/core/opencv_mat_internal.h"
 #include "malus/core/parallel_internal.h"
 
 namespace malus {
@@ -15,10 +15,6 @@ namespace {
 constexpr int strip_rows = 64;
 /// Variance [px²] of two steps of the pyramid (1, and 1 of twice the size), and of a cubic B-spline over four pixels.
 constexpr double pyramid_variance = 1 + 4, spline_variance = 16.0 / 3;
-
-cv::Mat as_mat(const Image<float>& image) {
-  return {image.height(), image.width(), CV_32F, const_cast<float*>(image.data())};
-}
 
 void blur(const cv::Mat& image, double sigma_px, cv::Mat& blurred) {
   cv::GaussianBlur(image, blurred, {}, sigma_px, 0, cv::BORDER_REFLECT_101);

@@ -5,12 +5,12 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
-#include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
 #include <sstream>
 
 #include "malus/capture/contrast_band_internal.h"
 #include "malus/capture/registration_rows_internal.h"
+#include "malus/core/opencv_mat_internal.h"
 #include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel_internal.h"
 
@@ -33,10 +33,6 @@ constexpr int interpolation_margin = 4;
 constexpr double least_texture = 0.1;
 /// Least regression of an image's band on the others' that still counts as the same scene.
 constexpr double least_similarity = 0.25;
-
-cv::Mat as_mat(const Image<float>& image) {
-  return {image.height(), image.width(), CV_32F, const_cast<float*>(image.data())};
-}
 
 Image<float> half_size(const Image<float>& image) {
   auto half = Image<float>::uninitialized({(image.width() + 1) / 2, (image.height() + 1) / 2});

@@ -6,6 +6,7 @@
 
 #include "malus/core/depth_normals.h"
 #include "malus/core/median_internal.h"
+#include "malus/core/opencv_mat_internal.h"
 #include "malus/evidence/reduced_view_internal.h"
 #include "malus/evidence/smoothing_internal.h"
 

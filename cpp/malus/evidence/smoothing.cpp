@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "malus/core/median_internal.h"
+#include "malus/core/opencv_mat_internal.h"
 #include "malus/core/robust_spread_internal.h"
 #include "malus/evidence/smoothing_internal.h"
 

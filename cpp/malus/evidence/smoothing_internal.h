@@ -1,16 +1,8 @@
 #pragma once
 
-#include <opencv2/core.hpp>
-
 #include "malus/core/image.h"
 
 namespace malus {
-
-/// The image's own memory for OpenCV.
-template <class T>
-cv::Mat as_mat(Image<T>& image) {
-  return cv::Mat(image.height(), image.width(), CV_MAKETYPE(cv::DataType<T>::depth, image.channels()), image.data());
-}
 
 /// Convolution with a Gaussian, in place; nothing lies beyond the border.
 void smooth(Image<float>& image, double sigma_px);

@@ -2,6 +2,7 @@
 #include <map>
 #include <opencv2/aruco.hpp>
 
+#include "malus/core/opencv_mat_internal.h"
 #include "malus/core/opencv_threads_internal.h"
 #include "malus/io/nearest_name_internal.h"
 #include "malus/photogrammetry/target_detection_internal.h"
@@ -48,7 +49,7 @@ std::vector<CodedTarget> detect_targets(const Image<std::uint8_t>& image, const 
                       std::string(nearest_name(dictionary, {names.begin(), names.end()})) + "\"?");
   }
   if (image.channels() != 1) throw input_error("targets are searched in images of one channel");
-  const cv::Mat pixels(image.height(), image.width(), CV_8U, const_cast<std::uint8_t*>(image.data()));
+  const cv::Mat pixels = as_mat(image);
   const OpenCvThreads one_thread(1);  // as other functions that are given no Context
   const auto parameters = cv::aruco::DetectorParameters::create();
   parameters->cornerRefinementMethod = cv::aruco::CORNER_REFINE_SUBPIX;

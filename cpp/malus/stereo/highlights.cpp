@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "malus/core/median_internal.h"
+#include "malus/core/opencv_mat_internal.h"
 #include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/robust_spread_internal.h"
@@ -99,7 +100,7 @@ Mask find_highlights(const SweepInput& input, const Image<float>& reference, std
     if (mask[i] != 0 && excess[i] > threshold) shines[i] = 255;
   }
   const int width = 2 * ((reach_px + 1) / 2) + 1;
-  cv::Mat region(shines.height(), shines.width(), CV_8U, shines.row(0));
+  cv::Mat region = as_mat(shines);
   cv::dilate(region, region, cv::getStructuringElement(cv::MORPH_RECT, {width, width}));
   Mask result(input.mask.size(), 1, 0);
   parallel_rows(context, result.height(), [&](int v) {
