@@ -141,12 +141,11 @@ DetailFigures compare_with_prior(const FusedSurface& surface, const DepthPrior& 
   const auto differences = [&](std::size_t begin, std::size_t end, float* to) {
     std::transform(fused.data() + begin, fused.data() + end, before.data() + begin, to, std::minus<>());
   };
-  const RowSource difference_rows = [&](int v, int begin, int end, float* to) {
-    std::transform(fused.row(v) + begin, fused.row(v) + end, before.row(v) + begin, to, std::minus<>());
-  };
+  Image<float> change = Image<float>::uninitialized(fused.size());
+  differences(0, fused.count(), change.data());
   // One raster of detail at a time.
   const double sigma_px = options.detail_sigma_px;
-  const Spread of_change = detail_of(high_pass(fused.size(), difference_rows, sigma_px, context), gsd, context);
+  const Spread of_change = detail_of(high_pass(std::move(change), sigma_px, context), gsd, context);
   const Spread of_prior = detail_of(high_pass(before, sigma_px, context), gsd, context);
   const Spread of_fused = detail_of(high_pass(fused, sigma_px, context), gsd, context);
   const double mean = sums[Index::sum] / sums[Index::count], square = sums[Index::squares] / sums[Index::count];
