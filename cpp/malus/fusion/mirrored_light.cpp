@@ -1,9 +1,9 @@
 #include <algorithm>
 #include <limits>
 
+#include "malus/core/masked_blur_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/fresnel_factors_internal.h"
-#include "malus/fusion/masked_blur_internal.h"
 #include "malus/fusion/mirrored_light_internal.h"
 
 namespace malus {

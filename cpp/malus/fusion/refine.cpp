@@ -9,10 +9,10 @@
 
 #include "malus/core/depth_normals.h"
 #include "malus/core/even_choice_internal.h"
+#include "malus/core/masked_blur_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/coarse_level_internal.h"
-#include "malus/fusion/masked_blur_internal.h"
 #include "malus/fusion/mirrored_light_internal.h"
 #include "malus/fusion/refinement_verdict_internal.h"
 #include "malus/fusion/refinement_weights_internal.h"

@@ -4,12 +4,12 @@
 #include <vector>
 
 #include "malus/core/even_choice_internal.h"
+#include "malus/core/masked_blur_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/robust_spread_internal.h"
 #include "malus/core/square_internal.h"
 #include "malus/fusion/fresnel_factors_internal.h"
-#include "malus/fusion/masked_blur_internal.h"
 #include "malus/fusion/quad_costs_internal.h"
 #include "malus/fusion/refinement_weights_internal.h"
 

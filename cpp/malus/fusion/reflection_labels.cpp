@@ -1,9 +1,9 @@
 #include <algorithm>
 #include <limits>
 
+#include "malus/core/masked_blur_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/connected_sets_internal.h"
-#include "malus/fusion/masked_blur_internal.h"
 #include "malus/fusion/reflection_labels_internal.h"
 
 namespace malus {

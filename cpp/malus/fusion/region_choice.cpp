@@ -3,11 +3,11 @@
 #include <limits>
 #include <vector>
 
+#include "malus/core/masked_blur_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/square_internal.h"
 #include "malus/fusion/connected_sets_internal.h"
-#include "malus/fusion/masked_blur_internal.h"
 #include "malus/fusion/region_choice_internal.h"
 
 namespace malus {

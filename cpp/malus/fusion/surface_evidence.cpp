@@ -2,9 +2,9 @@
 #include <cmath>
 #include <vector>
 
+#include "malus/core/masked_blur_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
-#include "malus/fusion/masked_blur_internal.h"
 #include "malus/fusion/surface_evidence_internal.h"
 
 namespace malus {

@@ -3,9 +3,9 @@
 #include <limits>
 #include <utility>
 
+#include "malus/core/masked_blur_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/square_internal.h"
-#include "malus/fusion/masked_blur_internal.h"
 #include "malus/fusion/refinement_weights_internal.h"
 #include "malus/fusion/surface_sigma_internal.h"
 

@@ -3,8 +3,8 @@
 #include <limits>
 #include <vector>
 
+#include "malus/core/masked_blur_internal.h"
 #include "malus/core/parallel_internal.h"
-#include "malus/fusion/masked_blur_internal.h"
 
 namespace malus {
 
