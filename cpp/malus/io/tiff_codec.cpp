@@ -1,4 +1,3 @@
-#include <sys/stat.h>
 #include <tiffio.h>
 #include <unistd.h>
 
@@ -219,55 +218,21 @@ void read_blocks(TIFF* tiff, const Layout& layout, const Errors& errors, Image<f
   }
 }
 
-/// Output side: libtiff seeks in what it has written, so it works on the descriptor itself.
-struct Target {
-  AtomicFile& file;
-  int error_number = 0;
-};
-
-tmsize_t target_read(thandle_t handle, void* data, tmsize_t size) {
-  return ::read(static_cast<Target*>(handle)->file.descriptor(), data, static_cast<std::size_t>(size));
-}
-tmsize_t target_write(thandle_t handle, void* data, tmsize_t size) {
-  auto& target = *static_cast<Target*>(handle);
-  tmsize_t done = 0;
-  while (done < size) {
-    const ssize_t written =
-        ::write(target.file.descriptor(), static_cast<char*>(data) + done, static_cast<std::size_t>(size - done));
-    if (written < 0) {
-      if (errno == EINTR) continue;
-      target.error_number = errno;
-      return -1;
-    }
-    done += written;
-  }
-  return done;
-}
-toff_t target_seek(thandle_t handle, toff_t offset, int whence) {
-  return static_cast<toff_t>(
-      ::lseek(static_cast<Target*>(handle)->file.descriptor(), static_cast<off_t>(offset), whence));
-}
-toff_t target_size(thandle_t handle) {
-  struct stat status {};
-  return ::fstat(static_cast<Target*>(handle)->file.descriptor(), &status) == 0 ? static_cast<toff_t>(status.st_size)
-                                                                                : 0;
-}
-
 /// Uncompressed or Deflate strips of about a megabyte; Deflate with the horizontal predictor.
 template <class Sample>
 void encode(AtomicFile& file, const Image<Sample>& image, int format, int compression,
             const std::function<void(TIFF*)>& add_tags) {
   Errors errors;
   const Options options(errors);
-  Target target{.file = file};
   const std::size_t data_bytes = image.count() * sizeof(Sample);
   const char* mode = data_bytes > (std::size_t{1} << 32) - (std::size_t{1} << 26) ? "w8" : "w";
   const auto fail = [&] {
-    if (target.error_number != 0) return file_error("cannot write", file.path(), target.error_number);
+    if (errors.error_number != 0) return file_error("cannot write", file.path(), errors.error_number);
     return resource_error("cannot write " + file.path().string() + ": " + errors.message);
   };
-  Handle tiff(TIFFClientOpenExt("image", mode, &target, target_read, target_write, target_seek, source_close,
-                                target_size, nullptr, nullptr, options.options));
+  errno = 0;  // what libtiff's first error finds there is then the system's reason
+  // libtiff closes the descriptor that it is given.
+  Handle tiff(TIFFFdOpenExt(::dup(file.descriptor()), "image", mode, options.options));
   if (!tiff) throw fail();
   const std::size_t row_samples = static_cast<std::size_t>(image.width()) * static_cast<std::size_t>(image.channels());
   const auto rows_per_strip = static_cast<int>(std::max<std::size_t>(1, (1 << 20) / (row_samples * sizeof(Sample))));
@@ -295,7 +260,7 @@ void encode(AtomicFile& file, const Image<Sample>& image, int format, int compre
   }
   if (!TIFFFlush(tiff.get())) throw fail();
   tiff.reset();
-  if (target.error_number != 0 || !errors.message.empty()) throw fail();
+  if (!errors.message.empty()) throw fail();
 }
 
 }  // namespace
