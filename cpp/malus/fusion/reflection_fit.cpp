@@ -287,11 +287,6 @@ std::array<double, node_count> nodes_of(const Eigen::VectorXd& values) {
 
 }  // namespace
 
-double ReflectionSample::radial_stokes() const {
-  const Eigen::Vector2d direction = slope_direction(*this);
-  return (s1 * direction[0] + s2 * direction[1]) / std::max(tan2(), 1e-12);
-}
-
 std::vector<ReflectionSample> collect_samples(const RefinementImage& image, Reflection kind,
                                               std::size_t largest_count) {
   const auto takes_part = [&](std::size_t i) {

@@ -17,8 +17,6 @@ struct ReflectionSample {
   RayFrame frame;
 
   double tan2() const { return p * p + q * q; }
-  /// Component of (s1, s2) along the azimuth of the normal: positive where light from inside the body prevails.
-  double radial_stokes() const;
 };
 
 /// Usable pixels of one kind at the current slopes, thinned evenly to at most about `largest_count`.
