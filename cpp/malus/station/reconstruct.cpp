@@ -83,9 +83,10 @@ void forget_step(const std::filesystem::path& folder, const std::string& name) {
 
 void record_step(const std::filesystem::path& folder, const std::string& name, const std::vector<std::string>& files,
                  double seconds, const Context& context) {
-  Workspace workspace(folder);
   const std::vector<Step>& table = step_table();
   const auto step = std::ranges::find(table, name, &Step::name);
+  if (step == table.end()) throw input_error("step " + name + " does not exist");
+  Workspace workspace(folder);
   Workspace::Record record;
   for (auto maker = table.begin(); maker != step; ++maker) {
     const Workspace::Record* before = workspace.record(maker->name);
