@@ -13,6 +13,32 @@
 #include "malus/station/options.h"
 
 namespace malus::python {
+namespace {
+
+py::list register_arrays(const std::vector<Array<float>>& arrays, const std::string& options_json, int frames_averaged,
+                         double full_well_e, double read_noise_e, int threads) {
+  const Options options = options_from_json({}, options_json);
+  const NoiseModel noise{full_well_e, read_noise_e, 0, frames_averaged};
+  std::vector<Image<float>> images;
+  for (const auto& array : arrays) images.push_back(to_image(array));
+  std::vector<ImageRegistration> found;
+  run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+    found = register_images(images, noise, options.capture.registration, context);
+  });
+  py::list result;
+  for (const ImageRegistration& image : found) {
+    py::dict entry;
+    entry["status"] = std::string(enum_name(image.status));
+    entry["message"] = image.message;
+    entry["image_from_base"] = Eigen::MatrixXd(image.image_from_base);
+    entry["displacement_px"] = image.displacement_px;
+    entry["rms_px"] = image.rms_px;
+    result.append(entry);
+  }
+  return result;
+}
+
+}  // namespace
 
 void bind_capture(py::module_& module) {
   module.def("linearize", [](const Array<float>& image, const std::string& response, double black, double white) {
@@ -58,28 +84,7 @@ void bind_capture(py::module_& module) {
     return py::make_tuple(channels, ratios);
   });
 
-  module.def("register_images", [](const std::vector<Array<float>>& arrays, const std::string& options_json,
-                                   int frames_averaged, double full_well_e, double read_noise_e, int threads) {
-    const Options options = options_from_json({}, options_json);
-    const NoiseModel noise{full_well_e, read_noise_e, 0, frames_averaged};
-    std::vector<Image<float>> images;
-    for (const auto& array : arrays) images.push_back(to_image(array));
-    std::vector<ImageRegistration> found;
-    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      found = register_images(images, noise, options.capture.registration, context);
-    });
-    py::list result;
-    for (const ImageRegistration& image : found) {
-      py::dict entry;
-      entry["status"] = std::string(enum_name(image.status));
-      entry["message"] = image.message;
-      entry["image_from_base"] = Eigen::MatrixXd(image.image_from_base);
-      entry["displacement_px"] = image.displacement_px;
-      entry["rms_px"] = image.rms_px;
-      result.append(entry);
-    }
-    return result;
-  });
+  module.def("register_images", &register_arrays);
 
   module.def("select_similar", [](const Array<std::uint8_t>& picture, int u, int v, int tolerance) {
     return to_array(select_similar(to_image(picture), u, v, tolerance));

@@ -135,9 +135,7 @@ py::dict to_dict(const std::shared_ptr<Results>& run, const Pose& pose) {
   return result;
 }
 
-}  // namespace
-
-void bind_station(py::module_& module) {
+void bind_options(py::module_& module) {
   module.def("option_schema", &option_schema_json);
   module.def("default_options", [] { return options_to_json({}); });
   module.def("preset_options", [](const std::string& name) { return options_to_json(preset_options(name)); });
@@ -156,6 +154,9 @@ void bind_station(py::module_& module) {
   module.def("options_from_file", [](const std::string& json, const std::string& path) {
     return options_to_json(options_from_file(options_from_json({}, json), path));
   });
+}
+
+void bind_run(py::module_& module) {
   module.def("step_names", &step_names);
   module.def("describe_run", [](const std::string& options_json, const std::optional<std::string>& until) {
     py::list steps;
@@ -195,6 +196,9 @@ void bind_station(py::module_& module) {
       py::arg("station"), py::arg("options"), py::arg("workspace"), py::arg("replace"), py::arg("until"),
       py::arg("reference"), py::arg("keep_maps"), py::arg("known"), py::arg("threads"), py::arg("progress"),
       py::arg("log"));
+}
+
+void bind_workspace(py::module_& module) {
   module.def("claim_workspace", [](const std::string& folder, const Station& station, bool replace) {
     claim_workspace(folder, station, replace);
   });
@@ -210,7 +214,9 @@ void bind_station(py::module_& module) {
   module.def("record_step",
              [](const std::string& folder, const std::string& step, const std::vector<std::string>& files,
                 double seconds) { record_step(folder, step, files, seconds, {}); });
+}
 
+void bind_check(py::module_& module) {
   module.def("expected_times", [](const Station& station, const std::string& options_json,
                                   const std::optional<std::string>& until,
                                   const std::optional<std::pair<int, int>>& width_height, int threads) {
@@ -239,6 +245,15 @@ void bind_station(py::module_& module) {
     std::ranges::copy(picture.points, reinterpret_cast<Eigen::Vector3f*>(points.mutable_data()));
     return py::make_tuple(to_array(std::move(picture.image)), to_array(std::move(picture.object)), points);
   });
+}
+
+}  // namespace
+
+void bind_station(py::module_& module) {
+  bind_options(module);
+  bind_run(module);
+  bind_workspace(module);
+  bind_check(module);
 }
 
 }  // namespace malus::python

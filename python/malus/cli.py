@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeAlias
 
 import malus
 from malus import _core, batch, m3c2, registration, studio
@@ -64,9 +64,23 @@ def _leaves(until: str, fusion: str | None) -> str:
     return "\n".join(lines)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="malus", description=malus.__doc__.splitlines()[0] if malus.__doc__ else None)
-    parser.add_argument("--version", action="version", version=f"malus {malus.__version__}")
+_Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
+
+
+class _Add(Protocol):
+    """Adds a command that takes the common options, and by default a station file and a workspace folder."""
+
+    def __call__(self, name: str, text: str, *, station: bool = True, work: bool = True) -> argparse.ArgumentParser: ...
+
+
+def _work_of(command: argparse.ArgumentParser, **how: Any) -> None:
+    command.add_argument("-o", "--output", type=Path, metavar="WORK", **how)
+    command.add_argument(
+        "--replace", action="store_true", help="take the workspace over if it belongs to another station"
+    )
+
+
+def _common_options() -> _Parser:
     common = _Parser(add_help=False)
     common.add_argument("--threads", type=int, metavar="N", help="default: all cores")
     common.add_argument(
@@ -79,7 +93,13 @@ def _parser() -> argparse.ArgumentParser:
     common.add_argument("--preset", metavar="NAME", help="start from a named set of options: paper")
     common.add_argument("--json", action="store_true", help="one JSON object a progress event on standard output")
     common.add_argument("--quiet", action="store_true", help="errors, warnings and a confidence that is not high only")
+    return common
 
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="malus", description=malus.__doc__.splitlines()[0] if malus.__doc__ else None)
+    parser.add_argument("--version", action="version", version=f"malus {malus.__version__}")
+    common = _common_options()
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
 
     def add(name: str, text: str, *, station: bool = True, work: bool = True) -> argparse.ArgumentParser:
@@ -87,15 +107,20 @@ def _parser() -> argparse.ArgumentParser:
         if station:
             command.add_argument("station", type=Path, metavar="STATION.toml")
         if work:
-            work_of(command, required=True, help="workspace folder")
+            _work_of(command, required=True, help="workspace folder")
         return command
 
-    def work_of(command: argparse.ArgumentParser, **how: Any) -> None:
-        command.add_argument("-o", "--output", type=Path, metavar="WORK", **how)
-        command.add_argument(
-            "--replace", action="store_true", help="take the workspace over if it belongs to another station"
-        )
+    _add_runs(add)
+    _add_uses_of_a_workspace(add)
+    _add_chart(commands)
+    _add_compare(add)
+    _add_import(commands)
+    _add_many_stations(add)
+    _add_help(commands)
+    return parser
 
+
+def _add_runs(add: _Add) -> None:
     run = add("run", "the whole job: station file in, workspace with mesh, figures and report out")
     demo = add("demo", "the same on an example that ships with malus", station=False, work=False)
     demo.add_argument(
@@ -106,7 +131,7 @@ def _parser() -> argparse.ArgumentParser:
         help="default: relief",
         metavar="|".join(EXAMPLES),
     )
-    work_of(demo, default=Path("malus-demo"), help="workspace folder, default: malus-demo")
+    _work_of(demo, default=Path("malus-demo"), help="workspace folder, default: malus-demo")
     paper = add(
         "paper",
         "the method of the paper as printed, with its figures and tables in WORK/paper",
@@ -117,7 +142,7 @@ def _parser() -> argparse.ArgumentParser:
     paper.add_argument(
         "--campaign", nargs="+", type=Path, metavar="WORK", help="one table of these workspaces, in the folder of -o"
     )
-    work_of(paper, required=True, help="workspace folder, or folder for the merged tables")
+    _work_of(paper, required=True, help="workspace folder, or folder for the merged tables")
     check = add("check", "read everything, say what would be done, what it would take and what is wrong", work=False)
     check.add_argument(
         "--overlay",
@@ -135,6 +160,9 @@ def _parser() -> argparse.ArgumentParser:
             "--register", action="store_true", help="find where the reference belongs, wherever it lies; then align"
         )
         command.add_argument("--m3c2", action="store_true", help="compare with the reference by M3C2 too (py4dgeo)")
+
+
+def _add_uses_of_a_workspace(add: _Add) -> None:
     report = add("report", "rebuild the report of a workspace", station=False, work=False)
     report.add_argument("work", type=Path, metavar="WORK")
     view = add("view", "open the report of a workspace in the web browser", station=False, work=False)
@@ -157,6 +185,9 @@ def _parser() -> argparse.ArgumentParser:
         "--chart", type=Path, metavar="FILE.json", help="of `malus chart`: colors in sRGB with a stated difference"
     )
     export.add_argument("-o", "--output", type=Path, metavar="PATH", help="default: in WORK/export/")
+
+
+def _add_chart(commands: _Commands) -> None:
     chart = commands.add_parser("chart", help="measure a ColorChecker, for the colors of exports")
     chart.add_argument(
         "source", type=Path, metavar="IMAGE|WORK", help="color image, or workspace in whose view it lies"
@@ -170,6 +201,9 @@ def _parser() -> argparse.ArgumentParser:
     chart.add_argument(
         "--response", default="linear", metavar="linear|srgb|gamma:X", help="of the image; default: linear"
     )
+
+
+def _add_compare(add: _Add) -> None:
     dates = add("compare", "what changed between two workspaces of one object", station=False, work=False)
     dates.add_argument("before", type=Path, metavar="BEFORE", help="workspace of the earlier date")
     dates.add_argument("after", type=Path, metavar="AFTER", help="workspace of the later date")
@@ -184,6 +218,9 @@ def _parser() -> argparse.ArgumentParser:
         metavar="DIR",
         help="folder for page and maps, default: malus-change",
     )
+
+
+def _add_import(commands: _Commands) -> None:
     start = commands.add_parser("import", help="station file for a folder of polarized images")
     start.add_argument("folder", type=Path, metavar="FOLDER")
     start.add_argument("-o", "--output", type=Path, required=True, metavar="STATION.toml")
@@ -205,6 +242,9 @@ def _parser() -> argparse.ArgumentParser:
     start.add_argument("--label", help="the polarized view's camera in that project")
     start.add_argument("--cloud", type=Path, metavar="FILE", help="cloud in the same frame, for [prior]")
     start.add_argument("--unit", default="mm", help="unit of camera and cloud; default: mm")
+
+
+def _add_many_stations(add: _Add) -> None:
     many = add("batch", "many stations: one merged table and page over all of them", station=False, work=False)
     many.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml")
     whole = add("object", "many stations of one object: one surface of all of them", station=False, work=False)
@@ -218,6 +258,9 @@ def _parser() -> argparse.ArgumentParser:
             metavar="I/N",
             help="only every N-th station from the I-th on; default in a Slurm array job: its own",
         )
+
+
+def _add_help(commands: _Commands) -> None:
     local = commands.add_parser("studio", help="the whole way in the web browser, without writing files by hand")
     local.add_argument("folder", type=Path, nargs="?", default=Path(), metavar="FOLDER", help="default: this folder")
     local.add_argument("--port", type=int, default=0, help="default: any free one")
@@ -235,7 +278,6 @@ def _parser() -> argparse.ArgumentParser:
         help="what a preset changes; without a name, what presets there are",
     )
     options.set_defaults(json=False, quiet=False)
-    return parser
 
 
 def _numbers(option: str, text: str | None, expected: str) -> list[float] | None:

@@ -107,24 +107,20 @@ def reconstruct(
         )
         if cameras is not None or _needs_photos(station, until):
             with _folder(workspace, "prior/colmap") as folder:
-                core = _with_photos(
-                    station.describe(),
-                    core,
-                    settings,
-                    folder,
-                    run,
-                    threads,
-                    report,
-                    log or (lambda _, __: None),
-                    cameras,
-                )
+                log = log or (lambda _, __: None)
+                core = _with_photos(station.describe(), core, settings, folder, run, threads, report, log, cameras)
         outcome = run(core, until, keep=keep_maps)
+    results = outcome.pop("results")
+    return _result(outcome, station.name, workspace, save)
+
+
+def _result(outcome: dict[str, Any], name: str, workspace: str | Path | None, save: Callable[[Path], None]) -> Result:
     for intermediate in ("scene", "valid"):
         del outcome[intermediate]
-    results, quality, confidence = (outcome.pop(name) for name in ("results", "quality", "confidence"))
+    quality, confidence = outcome.pop("quality"), outcome.pop("confidence")
     return Result(
         **outcome,
-        name=station.name,
+        name=name,
         confidence=None if confidence is None else Confidence(*confidence),
         quality=None if quality is None else json.loads(quality),
         workspace=None if workspace is None else Path(workspace),

@@ -21,7 +21,7 @@ bool is_assessed(const Options& options) {
   return options.assess.polarization_height;
 }
 
-std::vector<Step> make_table() {
+std::vector<Step> steps_before_fusion() {
   return {
       step({.name = "polarization",
             .does = "intensity, degree and phase from the images",
@@ -71,6 +71,11 @@ std::vector<Step> make_table() {
             .cost = height_cost,
             .on_its_own = is_assessed},
            make_height),
+  };
+}
+
+std::vector<Step> steps_from_fusion_on() {
+  return {
       step(
           {.name = "fuse",
            .does = "the paper's transfer of polarization detail onto the prior",
@@ -106,6 +111,11 @@ std::vector<Step> make_table() {
             .may_leave = {"fused/reference_distance.tif"},
             .cost = assess_cost},
            make_quality),
+  };
+}
+
+std::vector<Step> steps_by_python() {
+  return {
       step_by_python<FusedSurface, QualityReport>({.name = "m3c2",
                                                    .does = "comparison with a reference by M3C2",
                                                    .leaves = {"m3c2.json", "fused/m3c2_distance.tif"}}),
@@ -115,6 +125,13 @@ std::vector<Step> make_table() {
       step_by_python<FusedSurface, QualityReport, Warnings>(
           {.name = "report", .does = "every figure on one page", .leaves = {"report/index.html"}}),
   };
+}
+
+std::vector<Step> make_table() {
+  std::vector<Step> table = steps_before_fusion();
+  for (const auto& more : {steps_from_fusion_on(), steps_by_python()})
+    table.insert(table.end(), more.begin(), more.end());
+  return table;
 }
 
 }  // namespace

@@ -298,6 +298,102 @@ def _contradicted(swept: Swept, fused: FusedOnce) -> NDArray[np.bool_]:
     return far
 
 
+#: Kept below the folder: the first sweep, what is left of it, and the sweep about the fused surface with that surface.
+_FIRST = ["sweep_depth.tif", "sweep_sigma.tif", "sweep_confidence.tif"]
+_SHAPE = "sweep_again_shape.tif"
+_KEPT = ["sweep_kept_depth.tif", "sweep_kept_sigma.tif", _SHAPE]
+_AGAIN = ["sweep_again_depth.tif", "sweep_again_sigma.tif", "sweep_again_confidence.tif", _SHAPE]
+
+
+@dataclass(frozen=True)
+class _Sweep:
+    """A station's sweeps, each a stage of the journal."""
+
+    cameras: StationCameras
+    view: Camera
+    unpolarized: NDArray[np.float32]
+    mask: NDArray[np.uint8]
+    options: Options
+    threads: int
+    progress: Report
+    journal: Journal
+
+    def _write(self, outputs: Sequence[str], rasters: Sequence[NDArray[np.float32]]) -> None:
+        for name, values in zip(outputs, rasters, strict=True):
+            _core.write_float_tiff(str(self.journal.folder / name), values)
+
+    def _read(self, outputs: Sequence[str]) -> list[NDArray[np.float32]]:
+        return [_core.read_raster(str(self.journal.folder / name)) for name in outputs]
+
+    def _run(
+        self, outputs: Sequence[str], surface: tuple[NDArray[np.float32], NDArray[np.float32]] | None
+    ) -> dict[str, Any]:
+        found = stereo.sweep(
+            np.nan_to_num(self.unpolarized),
+            self.view,
+            [(read_gray(photo.path), camera) for photo, camera in self.cameras.photos],
+            self.cameras.model.points,
+            self.mask,
+            self.options,
+            self.threads,
+            lambda _, fraction, message: self.progress(fraction, message),
+            self.journal.log,
+            surface,
+        )
+        self._write(outputs, (found.depth, found.sigma, found.confidence))
+        return {
+            "views": found.views_used,
+            "points": found.points_used,
+            "completeness": found.completeness,
+            "highlights": found.highlights,
+            "score": found.median_score,
+            "sigma_gsd": found.median_sigma_gsd,
+        }
+
+    def first(self, settings: Mapping[str, Any]) -> Swept:
+        """About the triangulated points."""
+        hashes = self.journal.watch({photo.name: photo.path for photo, _ in self.cameras.photos})
+        inputs = {
+            "view": repr(self.view.values()),
+            "photos": [
+                (photo.name, hashes[photo.name], repr(camera.values())) for photo, camera in self.cameras.photos
+            ],
+            "image": hashlib.sha256(np.ascontiguousarray(self.unpolarized).tobytes() + self.mask.tobytes()).hexdigest(),
+            "points": hashlib.sha256(self.cameras.model.points.tobytes()).hexdigest(),
+            "options": settings,
+        }
+        figures = self.journal.stage("sweep", inputs, _FIRST, lambda: self._run(_FIRST, None))
+        depth, sigma, _ = self._read(_FIRST)
+        return Swept(depth, sigma, None, figures, _times(self.journal))
+
+    def again(self, first: Swept, fuse: Callable[[Swept], FusedOnce], fused_of: Mapping[str, Any]) -> Swept:
+        """About the surface fused with the first; of one that found little, what that surface does not contradict."""
+
+        def swept() -> dict[str, Any]:
+            fused = fuse(first)
+            shape = _held(fused)
+            self._write([_SHAPE], [shape])
+            return self._run(_AGAIN[:3], (shape, fused.prior_sigma))
+
+        def kept() -> dict[str, Any]:
+            mirrored = _contradicted(first, fuse(first))
+            some = replace(
+                first,
+                depth=np.where(mirrored, np.float32(np.nan), first.depth),
+                sigma=np.where(mirrored, np.float32(np.nan), first.sigma),
+            )
+            self._write(_KEPT, (some.depth, some.sigma, _held(fuse(some))))
+            return {**first.figures, "completeness": float(np.isfinite(some.depth)[self.mask != 0].mean())}
+
+        if first.figures["completeness"] < AGAIN_COMPLETENESS:
+            figures = self.journal.stage("sweep_kept", fused_of, _KEPT, kept)
+            depth, sigma, shape = self._read(_KEPT)
+        else:
+            figures = self.journal.stage("sweep_again", fused_of, _AGAIN, swept)
+            depth, sigma, _, shape = self._read(_AGAIN)
+        return Swept(depth, sigma, shape, {**figures, "first": first.figures}, _times(self.journal))
+
+
 def sweep_station(
     cameras: StationCameras,
     unpolarized: NDArray[np.float32],
@@ -323,78 +419,11 @@ def sweep_station(
     assert raster is not None
     view = replace(raster, rotation=cameras.station.rotation, translation=cameras.station.translation)
     journal = Journal(folder, log)
-    hashes = journal.watch({photo.name: photo.path for photo, _ in cameras.photos})
+    sweep = _Sweep(cameras, view, unpolarized, mask, options, threads, progress, journal)
     settings = json.loads(options.to_json())["sweep"]
     again = settings.pop("again")
-
-    def swept(outputs: list[str], surface: tuple[NDArray[np.float32], NDArray[np.float32]] | None) -> dict[str, Any]:
-        found = stereo.sweep(
-            np.nan_to_num(unpolarized),
-            view,
-            [(read_gray(photo.path), camera) for photo, camera in cameras.photos],
-            cameras.model.points,
-            mask,
-            options,
-            threads,
-            lambda _, fraction, message: progress(fraction, message),
-            journal.log,
-            surface,
-        )
-        for name, raster_values in zip(outputs, (found.depth, found.sigma, found.confidence), strict=True):
-            _core.write_float_tiff(str(folder / name), raster_values)
-        return {
-            "views": found.views_used,
-            "points": found.points_used,
-            "completeness": found.completeness,
-            "highlights": found.highlights,
-            "score": found.median_score,
-            "sigma_gsd": found.median_sigma_gsd,
-        }
-
-    def read(outputs: list[str]) -> list[NDArray[np.float32]]:
-        return [_core.read_raster(str(folder / name)) for name in outputs]
-
-    inputs = {
-        "view": repr(view.values()),
-        "photos": [(photo.name, hashes[photo.name], repr(camera.values())) for photo, camera in cameras.photos],
-        "image": hashlib.sha256(np.ascontiguousarray(unpolarized).tobytes() + mask.tobytes()).hexdigest(),
-        "points": hashlib.sha256(cameras.model.points.tobytes()).hexdigest(),
-        "options": settings,
-    }
-    outputs = ["sweep_depth.tif", "sweep_sigma.tif", "sweep_confidence.tif"]
-    figures = journal.stage("sweep", inputs, outputs, lambda: swept(outputs, None))
-    depth, sigma, _ = read(outputs)
-    first = Swept(depth, sigma, None, figures, _times(journal))
-    if fuse is None or not again:
-        progress(1.0, "")
-        return first
-
-    shape_file = "sweep_again_shape.tif"
-
-    def swept_again() -> dict[str, Any]:
-        fused = fuse(first)
-        shape = _held(fused)
-        _core.write_float_tiff(str(folder / shape_file), shape)
-        return swept(outputs[:3], (shape, fused.prior_sigma))
-
-    def kept() -> dict[str, Any]:
-        mirrored = _contradicted(first, fuse(first))
-        some = replace(
-            first,
-            depth=np.where(mirrored, np.float32(np.nan), first.depth),
-            sigma=np.where(mirrored, np.float32(np.nan), first.sigma),
-        )
-        for name, values in zip(outputs, (some.depth, some.sigma, _held(fuse(some))), strict=True):
-            _core.write_float_tiff(str(folder / name), values)
-        return {**figures, "completeness": float(np.isfinite(some.depth)[mask != 0].mean())}
-
-    if figures["completeness"] < AGAIN_COMPLETENESS:
-        outputs = ["sweep_kept_depth.tif", "sweep_kept_sigma.tif", shape_file]
-        figures_again = journal.stage("sweep_kept", fused_of or {}, outputs, kept)
-        depth, sigma, shape = read(outputs)
-    else:
-        outputs = ["sweep_again_depth.tif", "sweep_again_sigma.tif", "sweep_again_confidence.tif", shape_file]
-        figures_again = journal.stage("sweep_again", fused_of or {}, outputs, swept_again)
-        depth, sigma, _, shape = read(outputs)
+    swept = sweep.first(settings)
+    if fuse is not None and again:
+        swept = sweep.again(swept, fuse, fused_of or {})
     progress(1.0, "")
-    return Swept(depth, sigma, shape, {**figures_again, "first": figures}, _times(journal))
+    return swept

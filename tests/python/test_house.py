@@ -1,0 +1,58 @@
+"""How the source is kept: functions that can be read at a glance."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+LONGEST = 80
+
+
+def python_functions(file: Path) -> Iterator[tuple[str, int]]:
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            assert node.end_lineno is not None
+            yield node.name, node.end_lineno - node.lineno + 1
+
+
+def cpp_functions(file: Path) -> Iterator[tuple[str, int]]:
+    """Functions and methods, as clang-format lays them out: their last line is a brace below their first."""
+    lines = file.read_text(encoding="utf-8").splitlines()
+    for opening, line in enumerate(lines):
+        first = opening
+        while lines[first].startswith("    ") and first > 0 and not re.search(r"[;{}]$|^$", lines[first - 1]):
+            first -= 1
+        head = re.match(r"( {0,2})(?!namespace|class|struct|enum|union|extern|//)\S", lines[first])
+        if not line.endswith("{") or head is None or "(" not in "".join(lines[first : opening + 1]):
+            continue
+        for last in range(opening, len(lines)):
+            if lines[last].startswith(head[1] + "}"):
+                yield lines[first].strip(), last - first + 1
+                break
+
+
+def long_functions(sources: Iterator[Path]) -> list[str]:
+    found = []
+    for file in sources:
+        for name, lines in (python_functions if file.suffix == ".py" else cpp_functions)(file):
+            if lines > LONGEST:
+                found.append(f"{file.relative_to(ROOT)}: {name} has {lines} lines")
+    return found
+
+
+def test_no_function_is_longer_than_a_page() -> None:
+    folders = ("cpp", "python/bindings", "python/malus", "tests/cpp", "tests/python")
+    files = [file for folder in folders for file in (ROOT / folder).rglob("*") if file.suffix in (".cpp", ".h", ".py")]
+    assert len(files) > 500
+    assert not long_functions(iter(files))
+
+
+def test_long_functions_are_found(tmp_path: Path) -> None:
+    body = "\n".join(["  work();"] * LONGEST)
+    (tmp_path / "a.cpp").write_text(f"int short_one() {{\n  return 1;\n}}\nvoid long_one(\n    int a) {{\n{body}\n}}\n")
+    assert [lines for _, lines in cpp_functions(tmp_path / "a.cpp")] == [3, LONGEST + 3]
+    (tmp_path / "a.py").write_text("def long_one():\n" + body.replace(";", "") + "\n")
+    assert list(python_functions(tmp_path / "a.py")) == [("long_one", LONGEST + 1)]
