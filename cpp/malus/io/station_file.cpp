@@ -30,6 +30,19 @@ constexpr double distinct_angle_deg = 1e-3;
 
 constexpr std::array<std::string_view, 4> bayer_patterns{"RGGB", "BGGR", "GRBG", "GBRG"};
 
+using Keys = std::vector<std::string_view>;
+/// Of a lens: model BROWN's parameters by name, and what every model has.
+const Keys brown_keys{"focal_mm", "pixel_mm", "x0_mm", "y0_mm", "k1", "k2", "k3", "p1", "p2", "p3"};
+const Keys lens_keys{"model", "width", "height", "params"};
+/// Of a pose.
+const Keys pose_keys{"qvec", "tvec", "omega_phi_kappa_deg", "center"};
+
+Keys joined(std::initializer_list<Keys> lists) {
+  Keys all;
+  for (const Keys& keys : lists) all.insert(all.end(), keys.begin(), keys.end());
+  return all;
+}
+
 /// Keys of a spec's fields, and those that only the file has.
 template <class Spec>
 std::vector<std::string_view> keys_of(const Spec& spec, std::vector<std::string_view> keys = {}) {
@@ -305,16 +318,14 @@ LensCamera read_lens(const TomlTable& table) {
       lens_model(table.required(table.text("model"), "model", "the name of a camera model"), table.where("model"));
   lens.size.width = table.required(table.integer("width", side), "width", "the image width in pixels");
   lens.size.height = table.required(table.integer("height", side), "height", "the image height in pixels");
-  const std::vector<std::string_view> brown = {"focal_mm", "pixel_mm", "x0_mm", "y0_mm", "k1",
-                                               "k2",       "k3",       "p1",    "p2",    "p3"};
   if (lens.model == LensModel::brown) {
     if (table.has("params"))
       throw table.error("params", "is not used by model BROWN, expected focal_mm, pixel_mm, x0_mm, …");
     lens.params.push_back(table.required(table.number("focal_mm", positive_range), "focal_mm", "the camera constant"));
     lens.params.push_back(table.required(table.number("pixel_mm", positive_range), "pixel_mm", "the pixel's size"));
-    for (std::size_t i = 2; i < brown.size(); ++i) lens.params.push_back(table.number(brown[i]).value_or(0));
+    for (std::size_t i = 2; i < brown_keys.size(); ++i) lens.params.push_back(table.number(brown_keys[i]).value_or(0));
   } else {
-    for (const std::string_view key : brown) {
+    for (const std::string_view key : brown_keys) {
       if (table.has(key))
         throw table.error(key, "belongs to model BROWN, not to " + std::string(to_string(lens.model)));
     }
@@ -361,8 +372,7 @@ std::optional<Pose> read_pose(const TomlTable& table) {
 }
 
 void read_colmap_camera(const TomlTable& table, StationFile& station) {
-  for (const std::string_view key :
-       {"model", "width", "height", "params", "qvec", "tvec", "omega_phi_kappa_deg", "center"}) {
+  for (const std::string_view key : joined({lens_keys, pose_keys})) {
     if (table.has(key)) throw table.error(key, "cannot be given together with colmap_model");
   }
   const auto folder = table.resolve(*table.text("colmap_model"));
@@ -428,9 +438,7 @@ PhotosSpec read_photos(const TomlTable& table) {
   if (!std::filesystem::is_directory(spec.folder)) throw table.wrong("folder", "an existing folder");
   spec.exclude = table.texts("exclude").value_or(std::vector<std::string>{});
   if (const toml::table* camera = section(table, "camera")) {
-    spec.camera = read_lens(TomlTable(*camera, table.file(), "[photos].camera",
-                                      {"model", "width", "height", "params", "focal_mm", "pixel_mm", "x0_mm", "y0_mm",
-                                       "k1", "k2", "k3", "p1", "p2", "p3"}));
+    spec.camera = read_lens(TomlTable(*camera, table.file(), "[photos].camera", joined({lens_keys, brown_keys})));
   }
   return spec;
 }
@@ -571,27 +579,6 @@ std::vector<std::string_view> polarized_keys(const GivenInMemory* given) {
   return keys;
 }
 
-constexpr std::array<std::string_view, 20> camera_keys{"colmap_model",
-                                                       "image",
-                                                       "model",
-                                                       "width",
-                                                       "height",
-                                                       "params",
-                                                       "qvec",
-                                                       "tvec",
-                                                       "focal_mm",
-                                                       "pixel_mm",
-                                                       "x0_mm",
-                                                       "y0_mm",
-                                                       "k1",
-                                                       "k2",
-                                                       "k3",
-                                                       "p1",
-                                                       "p2",
-                                                       "p3",
-                                                       "omega_phi_kappa_deg",
-                                                       "center"};
-
 /// [[patch]] and [[profile]].
 void read_regions(const TomlTable& document, Size size, StationFile& station) {
   std::set<std::string> names;
@@ -644,9 +631,8 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
   if (const auto table = optional_section("photos", keys_of(PhotosSpec{}))) station.photos = read_photos(*table);
   if (const auto table = optional_section("prior", {"cloud", "mesh", "depth"})) station.prior = read_prior(*table);
   if (given != nullptr) station.camera = given->camera;
-  if (const auto table = optional_section("camera", {camera_keys.begin(), camera_keys.end()})) {
-    read_camera(*table, station);
-  }
+  const Keys camera_keys = joined({{"colmap_model", "image"}, lens_keys, pose_keys, brown_keys});
+  if (const auto table = optional_section("camera", camera_keys)) read_camera(*table, station);
   if (station.prior && !station.camera && !station.photos) {
     throw document.error("camera", "is missing, expected [camera], in whose view the prior is to be seen");
   }
