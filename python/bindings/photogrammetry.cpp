@@ -189,7 +189,6 @@ void bind_photogrammetry(py::module_& module) {
       line.emplace_back(at.x(), at.y());
     return line;
   });
-  module.def("target_dictionaries", &target_dictionaries);
   module.def("detect_targets", [](const Array<std::uint8_t>& pixels, const std::string& dictionary) {
     std::vector<std::tuple<int, double, double>> found;
     for (const CodedTarget& target : detect_targets(to_image(pixels), dictionary)) {

@@ -35,18 +35,13 @@ Eigen::Vector2d diagonal_crossing(const std::array<Eigen::Vector2d, 4>& corners)
 
 }  // namespace
 
-std::vector<std::string> target_dictionaries() {
-  std::vector<std::string> names;
-  for (const auto& entry : dictionaries()) names.push_back(entry.first);
-  return names;
-}
-
 std::vector<CodedTarget> detect_targets(const Image<std::uint8_t>& image, const std::string& dictionary) {
   const auto found = dictionaries().find(dictionary);
   if (found == dictionaries().end()) {
-    const std::vector<std::string> names = target_dictionaries();
+    std::vector<std::string_view> names;
+    for (const auto& [name, number] : dictionaries()) names.push_back(name);
     throw input_error("targets_dictionary = \"" + dictionary + "\" is not known; did you mean \"" +
-                      std::string(nearest_name(dictionary, {names.begin(), names.end()})) + "\"?");
+                      std::string(nearest_name(dictionary, names)) + "\"?");
   }
   if (image.channels() != 1) throw input_error("targets are searched in images of one channel");
   const cv::Mat pixels = as_mat(image);

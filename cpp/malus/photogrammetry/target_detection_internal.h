@@ -16,12 +16,9 @@ struct CodedTarget {
   std::array<Eigen::Vector2d, 4> corners{};          ///< clockwise from the target's own top left
 };
 
-/// Dictionaries of coded targets by name: "aruco_4x4_50" … "aruco_7x7_1000", "aruco_original", "apriltag_16h5",
-/// "apriltag_25h9", "apriltag_36h10", "apriltag_36h11".
-std::vector<std::string> target_dictionaries();
-
 /// Square coded targets (ArUco, AprilTag) of a dictionary in an 8-bit image, by OpenCV, with corners refined to
-/// sub-pixel. Throws an input error for an unknown dictionary, which names the nearest one.
+/// sub-pixel. Dictionaries: "aruco_4x4_50" … "aruco_7x7_1000", "aruco_original", "apriltag_16h5", "apriltag_25h9",
+/// "apriltag_36h10", "apriltag_36h11". Throws an input error for an unknown dictionary, which names the nearest one.
 std::vector<CodedTarget> detect_targets(const Image<std::uint8_t>& image, const std::string& dictionary);
 
 }  // namespace malus
