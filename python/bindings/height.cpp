@@ -30,7 +30,7 @@ void bind_height(py::module_& module) {
       .def_property_readonly("height", [](const HeightMap& h) { return copy_to_array(h.height); })
       .def_readonly("perspective", &HeightMap::perspective)
       .def_readonly("light", &HeightMap::light)
-      .def_readonly("status", &HeightMap::status)
+      .def_property_readonly("status", [](const HeightMap& map) { return enum_name(map.status); })
       .def_readonly("residual_rms", &HeightMap::residual_rms);
   module.def("estimate_light", [](const Array<float>& intensity, const Array<float>& normals,
                                   const std::optional<Array<std::uint8_t>>& mask_array,

@@ -1,39 +1,18 @@
-#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <opencv2/imgproc.hpp>
 
 #include "malus/assess/high_pass_internal.h"
+#include "malus/core/finite_mean_internal.h"
 #include "malus/core/opencv_mat_internal.h"
 #include "malus/core/parallel_internal.h"
 
 namespace malus {
-namespace {
-
-/// Mean of the finite values; any constant would do, but taking it away keeps the digits of float sums.
-float mean_of(const Image<float>& values, const Context& context) {
-  struct Sum {
-    double values = 0, count = 0;
-    Sum& operator+=(const Sum& other) {
-      values += other.values, count += other.count;
-      return *this;
-    }
-  };
-  const Sum sum = parallel_sum(context, values.count(), 1 << 16, Sum{}, [&](std::size_t begin, std::size_t end) {
-    Sum part;
-    for (std::size_t i = begin; i < end; ++i) {
-      if (std::isfinite(values[i])) part.values += values[i], ++part.count;
-    }
-    return part;
-  });
-  return sum.count > 0 ? static_cast<float>(sum.values / sum.count) : 0;
-}
-
-}  // namespace
 
 Image<float> high_pass(Image<float> values, double sigma_px, const Context& context) {
   if (values.empty()) return values;
-  const float mean = mean_of(values, context);
+  // Any constant would do, but taking the mean away keeps the digits of float sums.
+  const auto mean = static_cast<float>(finite_mean(values, context));
   // Two channels: the value about the mean, 0 for a missing one, and whether it is known.
   auto known = Image<float>::uninitialized(values.size(), 2);
   parallel_rows(context, values.height(), [&](int v) {

@@ -98,7 +98,7 @@ struct PolarizationFigures {
 
 /// The polarization height and its light: s0-shading = light · (normal, 1), camera frame.
 struct HeightFigures {
-  std::string status;
+  HeightStatus status = HeightStatus::not_run;
   bool perspective = true;
   double residual_rms = 0;
   double unknowns = 0;

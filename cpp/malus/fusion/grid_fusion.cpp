@@ -208,7 +208,8 @@ FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const G
   surface.confidence.limit(ConfidenceLevel::partial,
                            "The paper's grid transfer takes all detail from the polarization height; nothing holds it "
                            "against the prior.");
-  if (height.status != "converged") surface.warnings.push_back("polarization height: " + height.status);
+  if (height.status != HeightStatus::converged)
+    surface.warnings.push_back("polarization height: " + std::string(enum_name(height.status)));
   surface.depth = Image<float>::uninitialized(coarse.size());
   surface.sigma = Image<float>::uninitialized(coarse.size());
   const double mean_depth = height.perspective ? 0 : mean_of(prior.depth);

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "malus/core/finite_mean_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/tiled_axis_internal.h"
 #include "malus/height/height_problem_internal.h"
@@ -41,40 +42,13 @@ Mask pixels_in(const PolarizationState& state, PixelState least) {
   return mask;
 }
 
-/// Mean of the finite values.
-double mean_of(const Image<float>& values, const Context& context) {
-  struct Sum {
-    double values = 0, count = 0;
-    Sum& operator+=(const Sum& other) {
-      values += other.values, count += other.count;
-      return *this;
-    }
-  };
-  constexpr std::size_t grain = 65536;
-  const Sum sum = parallel_sum(context, values.count(), grain, Sum{}, [&](std::size_t begin, std::size_t end) {
-    Sum part;
-    for (std::size_t i = begin; i < end; ++i) {
-      if (std::isfinite(values[i])) part += Sum{values[i], 1};
-    }
-    return part;
-  });
-  return sum.values / sum.count;
-}
-
 /// Subtracts the mean of the finite values.
 void remove_mean(Image<float>& height, const Context& context) {
   constexpr std::size_t grain = 65536;
-  const double mean = mean_of(height, context);
+  const double mean = finite_mean(height, context);
   parallel_for(context, height.count(), grain, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) height[i] = static_cast<float>(height[i] - mean);
   });
-}
-
-/// The prior's height at every unknown, or nothing if it has none somewhere.
-std::optional<Eigen::VectorXd> prior_start(const HeightData& data, const HeightProblem& problem) {
-  if (data.prior_height.empty()) return std::nullopt;
-  Eigen::VectorXd start = problem.values_of(data.prior_height);
-  return start.allFinite() ? std::optional(std::move(start)) : std::nullopt;
 }
 
 /// One Gauss–Newton step from a height at which the problem is linearized with this cost; both become those after it.
@@ -94,24 +68,24 @@ bool step(HeightProblem& problem, Eigen::VectorXd& height, double& cost, HeightM
 }
 
 /// Gauss–Newton from the likeliest start: the weighted linear solution (in `height`) withstands noise, the literal one
-/// is exact without, the prior knows hollows from bumps. `height` becomes the result. Returns the status of the height
-/// map.
-std::string maximize_likelihood(HeightProblem& problem, const HeightData& data, const HeightOptions& options,
-                                const Context& context, Eigen::VectorXd& height, HeightMap& map) {
+/// is exact without, the prior knows hollows from bumps. `height` becomes the result.
+HeightStatus maximize_likelihood(HeightProblem& problem, const HeightOptions& options, const Context& context,
+                                 Eigen::VectorXd& height, HeightMap& map) {
   Eigen::VectorXd next;
-  if (problem.solve_linear(true, next) != SolveStatus::solved) return "singular";
+  if (problem.solve_linear(true, next) != SolveStatus::solved) return HeightStatus::singular;
   ++map.iterations;
   if (problem.linearize(next) < problem.linearize(height)) height = next;
-  if (const auto start = prior_start(data, problem); start && problem.linearize(*start) < problem.linearize(height)) {
-    height = *start;
+  if (const Eigen::VectorXd prior = problem.prior_heights();
+      prior.allFinite() && problem.linearize(prior) < problem.linearize(height)) {
+    height = prior;
   }
   double cost = problem.linearize(height);
   for (int iteration = 1; iteration <= options.iterations; ++iteration) {
     context.progress("height", static_cast<double>(iteration) / (options.iterations + 1));
-    if (!step(problem, height, cost, map)) return "singular";
-    if (map.last_update <= options.tolerance) return "converged";
+    if (!step(problem, height, cost, map)) return HeightStatus::singular;
+    if (map.last_update <= options.tolerance) return HeightStatus::converged;
   }
-  return "iteration limit";
+  return HeightStatus::iteration_limit;
 }
 
 /// The height of a whole raster by one system after the other.
@@ -124,11 +98,10 @@ void solve_whole(const HeightData& data, const HeightOptions& options, const Hei
   map.iterations = 1;
   map.solver_bytes = problem.solver_bytes();
   map.solver_iterations = problem.solver_iterations();
-  map.status = linear == SolveStatus::solved ? "converged" : "singular";
-  if (likelihood && map.status == "converged") {
-    map.status = maximize_likelihood(problem, data, options, context, height, map);
-  }
-  if (map.status == "singular") return;
+  map.status = linear == SolveStatus::solved ? HeightStatus::converged : HeightStatus::singular;
+  if (likelihood && map.status == HeightStatus::converged)
+    map.status = maximize_likelihood(problem, options, context, height, map);
+  if (map.status == HeightStatus::singular) return;
   map.residual_rms = problem.residual_rms(height, literal, likelihood);
   map.height = Image<float>(data.size(), 1, none);
   for (int i = 0; i < problem.unknowns(); ++i)
@@ -252,7 +225,7 @@ void solve_by_levels(const HeightData& data, const HeightOptions& options, const
     return;
   }
   solve_by_levels(coarsened(data, context), options, light, context, map);
-  if (map.status == "singular") return;
+  if (map.status == HeightStatus::singular) return;
   const Image<float> start = refined_height(map.height, data.object, context);
   solve_in_tiles([&](PixelRect box) { return part_of(data, box); }, start, options, light, context, map);
 }
@@ -283,7 +256,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
 
   Mask valid = pixels_in(state, PixelState::valid);
   if (std::none_of(valid.begin(), valid.end(), [](std::uint8_t value) { return value != 0; })) {
-    map.status = "no valid pixels";
+    map.status = HeightStatus::no_valid_pixels;
     return map;
   }
   double shading_sigma = 0;
@@ -294,7 +267,8 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
   } else {
     const LightEstimate light = light_of(input, valid, camera, light_options, context);
     if (light.status == LightStatus::too_few_pixels || light.status == LightStatus::normals_alike) {
-      map.status = "light not found: " + std::string(enum_name(light.status));
+      map.status = light.status == LightStatus::too_few_pixels ? HeightStatus::too_few_pixels_for_light
+                                                               : HeightStatus::normals_too_alike_for_light;
       return map;
     }
     map.light = light.coefficients;
@@ -302,7 +276,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
     tangential = light.tangential;
   }
   if (!(tangential >= light_options.min_tangential)) {
-    map.status = enum_name(LightStatus::along_view);
+    map.status = HeightStatus::light_along_view;
     return map;
   }
 
@@ -316,7 +290,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
   const PixelRect all{0, 0, state.size().width, state.size().height};
   if (!is_whole(state.size(), options)) {
     solve_by_levels(coarsened(input, options, context), options, model, context, map);
-    if (map.status == "singular") {
+    if (map.status == HeightStatus::singular) {
       map.height = Image<float>(state.size(), 1, none);
       return map;
     }
@@ -329,7 +303,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
     solve_in_tiles(tile, start, options, model, context, map);
   } else {
     solve_whole(height_data(input, options, all, context), options, model, context, map);
-    if (map.status == "singular") return map;
+    if (map.status == HeightStatus::singular) return map;
   }
   if (options.boundary == HeightBoundary::natural) remove_mean(map.height, context);
   context.progress("height", 1);
@@ -350,7 +324,7 @@ Image<float> height_from_depth(const Image<float>& depth, const Pinhole& camera,
       height[i] = std::isfinite(depth[i]) ? static_cast<float>(origin - measure(depth[i])) : none;
     }
   });
-  const double mean = mean_of(height, context), scale = camera.focal() / (perspective ? 1 : origin - mean);
+  const double mean = finite_mean(height, context), scale = camera.focal() / (perspective ? 1 : origin - mean);
   parallel_for(context, depth.count(), grain, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) height[i] = static_cast<float>(scale * (height[i] - mean));
   });

@@ -97,9 +97,8 @@ inline constexpr std::size_t whole_height_pixels = 200'000;
 /// there with i_un = l · n and (s1, s2) = ± s0 ρ(θ) (cos 2α, sin 2α), which has no error in cos θ and no bias of the
 /// degree.
 ///
-/// Outcomes are in HeightMap::status: "converged", "iteration limit", "light along the view direction", "light not
-/// found: …", "singular", "no valid pixels"; without a height it is NaN everywhere. Throws an input error for rasters
-/// that do not match or are missing, ErrorCode::resource when memory runs out.
+/// Outcomes are in HeightMap::status. Throws an input error for rasters that do not match or are missing,
+/// ErrorCode::resource when memory runs out.
 HeightMap solve_height(const HeightInput& input, const HeightOptions& options, const LightOptions& light_options,
                        const Context& context);
 

@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "malus/core/parallel_internal.h"
 #include "malus/height/height_data_internal.h"
@@ -9,26 +8,22 @@
 namespace malus {
 namespace {
 
-constexpr float none = std::numeric_limits<float>::quiet_NaN();
+constexpr float none = HeightPixel::no_height;
 
-HeightData empty_data(Size size, bool with_prior, bool with_border) {
+HeightData empty_data(Size size, double refractive_index) {
   HeightData data;
+  data.refractive_index = refractive_index;
   data.object = Mask(size);
-  data.kind = Image<std::uint8_t>(size);
-  data.above_brewster = Mask(size);
-  data.i_un = data.s1 = data.s2 = data.variance_i = data.variance_s = Image<float>(size);
-  data.zenith = Image<float>(size, 1, none);
-  if (with_prior) data.prior_height = Image<float>(size, 1, none);
-  if (with_border) data.border_height = Image<float>(size, 1, none);
+  data.pixels = Image<HeightPixel>(size);
   return data;
 }
 
 /// Mean of the finite ones of four heights, in pixels twice as large.
 class HeightMean {
  public:
-  void add(const Image<float>& heights, int u, int v) {
-    if (heights.empty() || !std::isfinite(heights(u, v))) return;
-    sum_ += heights(u, v);
+  void add(float height) {
+    if (!std::isfinite(height)) return;
+    sum_ += height;
     ++count_;
   }
   float value() const { return count_ == 0 ? none : static_cast<float>(0.5 * sum_ / count_); }
@@ -40,46 +35,44 @@ class HeightMean {
 
 /// One coarse pixel from the up to four at (column, row) of the fine raster.
 void coarsen_pixel(const HeightData& fine, int column, int row, HeightData& coarse, int to_column, int to_row) {
-  float i_un = 0, s1 = 0, s2 = 0, variance_i = 0, variance_s = 0;
+  HeightPixel mean;
   int object = 0, count = 0, specular = 0, above = 0;
   HeightMean prior, border;
   for (int v = row; v < std::min(row + 2, fine.size().height); ++v) {
     for (int u = column; u < std::min(column + 2, fine.size().width); ++u) {
       if (fine.object(u, v) == 0) continue;
+      const HeightPixel& pixel = fine.pixels(u, v);
       ++object;
-      prior.add(fine.prior_height, u, v);
-      border.add(fine.border_height, u, v);
-      if (!fine.has_data(u, v)) continue;
+      prior.add(pixel.prior_height);
+      border.add(pixel.border_height);
+      if (!pixel.has_data()) continue;
       ++count;
-      specular += fine.kind_at(u, v) == Reflection::specular;
-      above += fine.above_brewster(u, v) != 0;
-      i_un += fine.i_un(u, v);
-      s1 += fine.s1(u, v);
-      s2 += fine.s2(u, v);
-      variance_i += fine.variance_i(u, v);
-      variance_s += fine.variance_s(u, v);
+      specular += pixel.kind == Reflection::specular;
+      above += pixel.branch == SpecularBranch::above_brewster;
+      mean.i_un += pixel.i_un;
+      mean.s1 += pixel.s1;
+      mean.s2 += pixel.s2;
+      mean.variance_i += pixel.variance_i;
+      mean.variance_s += pixel.variance_s;
     }
   }
   if (object == 0) return;
   coarse.object(to_column, to_row) = 255;
-  if (!coarse.prior_height.empty()) coarse.prior_height(to_column, to_row) = prior.value();
-  if (!coarse.border_height.empty()) coarse.border_height(to_column, to_row) = border.value();
-  if (count == 0) return;
-  const float share = 1.0F / static_cast<float>(count);
-  const Reflection kind = 2 * specular > count ? Reflection::specular : Reflection::diffuse;
-  const bool above_brewster = 2 * above > count;
-  coarse.kind(to_column, to_row) = static_cast<std::uint8_t>(kind);
-  coarse.above_brewster(to_column, to_row) = above_brewster ? 255 : 0;
-  coarse.i_un(to_column, to_row) = share * i_un;
-  coarse.s1(to_column, to_row) = share * s1;
-  coarse.s2(to_column, to_row) = share * s2;
-  coarse.variance_i(to_column, to_row) = share * share * variance_i;
-  coarse.variance_s(to_column, to_row) = share * share * variance_s;
-  const double degree = std::min(std::hypot(s1, s2) / (2.0 * i_un), 1.0);
-  coarse.zenith(to_column, to_row) =
-      static_cast<float>(zenith_of(kind, degree, fine.refractive_index,
-                                   above_brewster ? SpecularBranch::above_brewster : SpecularBranch::below_brewster)
-                             .zenith_rad);
+  mean.prior_height = prior.value();
+  mean.border_height = border.value();
+  if (count > 0) {
+    mean.kind = 2 * specular > count ? Reflection::specular : Reflection::diffuse;
+    mean.branch = 2 * above > count ? SpecularBranch::above_brewster : SpecularBranch::below_brewster;
+    const double degree = std::min(std::hypot(mean.s1, mean.s2) / (2.0 * mean.i_un), 1.0);
+    mean.zenith = static_cast<float>(zenith_of(mean.kind, degree, fine.refractive_index, mean.branch).zenith_rad);
+    const float share = 1.0F / static_cast<float>(count);
+    mean.i_un *= share;
+    mean.s1 *= share;
+    mean.s2 *= share;
+    mean.variance_i *= share * share;
+    mean.variance_s *= share * share;
+  }
+  coarse.pixels(to_column, to_row) = mean;
 }
 
 }  // namespace
@@ -88,9 +81,8 @@ HeightData height_data(const HeightInput& input, const HeightOptions& options, P
   const PolarizationState& state = input.polarization;
   const ReflectionMap& reflection = input.reflection;
   const bool with_border = options.boundary == HeightBoundary::prior;
-  HeightData data = empty_data({box.width(), box.height()}, input.prior_height != nullptr, with_border);
+  HeightData data = empty_data(box.size(), reflection.refractive_index);
   if (options.perspective && input.camera != nullptr) data.camera = input.camera->cropped(box);
-  data.refractive_index = reflection.refractive_index;
   const StokesVariances variances(state);
   parallel_rows(context, box.height(), [&](int row) {
     const int v = box.v0 + row;
@@ -98,19 +90,20 @@ HeightData height_data(const HeightInput& input, const HeightOptions& options, P
       const int u = box.u0 + column;
       if (state.valid(u, v) == static_cast<std::uint8_t>(PixelState::outside)) continue;
       data.object(column, row) = 255;
-      if (input.prior_height != nullptr) data.prior_height(column, row) = (*input.prior_height)(u, v);
-      if (with_border) data.border_height(column, row) = (*input.prior_height)(u, v);
+      HeightPixel& pixel = data.pixels(column, row);
+      if (input.prior_height != nullptr) pixel.prior_height = (*input.prior_height)(u, v);
+      if (with_border) pixel.border_height = pixel.prior_height;
       if (reflection.at(u, v) == Reflection::outside) continue;
       const Eigen::Vector3d stokes = state.stokes(u, v);
       const StokesVariance variance = variances(u, v, stokes);
-      data.kind(column, row) = reflection.label(u, v);
-      data.above_brewster(column, row) = reflection.branch(u, v) == SpecularBranch::above_brewster ? 255 : 0;
-      data.i_un(column, row) = static_cast<float>(0.5 * stokes[0]);
-      data.s1(column, row) = static_cast<float>(stokes[1]);
-      data.s2(column, row) = static_cast<float>(stokes[2]);
-      data.variance_i(column, row) = static_cast<float>(0.25 * variance.intensity);
-      data.variance_s(column, row) = static_cast<float>(variance.linear);
-      data.zenith(column, row) = reflection.zenith(u, v);
+      pixel.kind = reflection.at(u, v);
+      pixel.branch = reflection.branch(u, v);
+      pixel.i_un = static_cast<float>(0.5 * stokes[0]);
+      pixel.s1 = static_cast<float>(stokes[1]);
+      pixel.s2 = static_cast<float>(stokes[2]);
+      pixel.variance_i = static_cast<float>(0.25 * variance.intensity);
+      pixel.variance_s = static_cast<float>(variance.linear);
+      pixel.zenith = reflection.zenith(u, v);
     }
   });
   if (!with_border) return data;
@@ -122,7 +115,7 @@ HeightData height_data(const HeightInput& input, const HeightOptions& options, P
     for (int column = 0; column < box.width(); ++column) {
       const int u = box.u0 + column, v = box.v0 + row;
       if (is_object(u - 1, v) && is_object(u + 1, v) && is_object(u, v - 1) && is_object(u, v + 1))
-        data.border_height(column, row) = none;
+        data.pixels(column, row).border_height = none;
     }
   });
   return data;
@@ -133,24 +126,14 @@ HeightData part_of(const HeightData& whole, PixelRect box) {
   if (whole.camera) part.camera = whole.camera->cropped(box);
   part.refractive_index = whole.refractive_index;
   part.object = cropped(whole.object, box);
-  part.kind = cropped(whole.kind, box);
-  part.above_brewster = cropped(whole.above_brewster, box);
-  part.i_un = cropped(whole.i_un, box);
-  part.s1 = cropped(whole.s1, box);
-  part.s2 = cropped(whole.s2, box);
-  part.variance_i = cropped(whole.variance_i, box);
-  part.variance_s = cropped(whole.variance_s, box);
-  part.zenith = cropped(whole.zenith, box);
-  part.border_height = cropped(whole.border_height, box);
-  part.prior_height = cropped(whole.prior_height, box);
+  part.pixels = cropped(whole.pixels, box);
   return part;
 }
 
 HeightData coarsened(const HeightData& fine, const Context& context) {
   const Size size{(fine.size().width + 1) / 2, (fine.size().height + 1) / 2};
-  HeightData coarse = empty_data(size, !fine.prior_height.empty(), !fine.border_height.empty());
+  HeightData coarse = empty_data(size, fine.refractive_index);
   if (fine.camera) coarse.camera = fine.camera->binned();
-  coarse.refractive_index = fine.refractive_index;
   parallel_rows(context, size.height, [&](int row) {
     for (int column = 0; column < size.width; ++column) coarsen_pixel(fine, 2 * column, 2 * row, coarse, column, row);
   });
@@ -160,9 +143,8 @@ HeightData coarsened(const HeightData& fine, const Context& context) {
 HeightData coarsened(const HeightInput& input, const HeightOptions& options, const Context& context) {
   constexpr int band_rows = 32;
   const Size fine = input.polarization.size(), size{(fine.width + 1) / 2, (fine.height + 1) / 2};
-  HeightData coarse = empty_data(size, input.prior_height != nullptr, options.boundary == HeightBoundary::prior);
+  HeightData coarse = empty_data(size, input.reflection.refractive_index);
   if (options.perspective && input.camera != nullptr) coarse.camera = input.camera->binned();
-  coarse.refractive_index = input.reflection.refractive_index;
   Context inner = context;
   inner.threads = 1;
   const auto bands = static_cast<std::size_t>((fine.height + band_rows - 1) / band_rows);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <limits>
 #include <optional>
 
 #include "malus/core/pixel_rect_internal.h"
@@ -7,26 +8,29 @@
 
 namespace malus {
 
-/// What the height of a raster, of a part of it or of it at a lower resolution follows from. Heights are in its pixels.
+/// What a pixel's height follows from. Heights are in pixels of its raster, NaN = none.
+struct HeightPixel {
+  Reflection kind = Reflection::outside;  ///< outside = no usable polarization
+  SpecularBranch branch = SpecularBranch::below_brewster;
+  float i_un = 0, s1 = 0, s2 = 0;
+  float variance_i = 0, variance_s = 0;  ///< of i_un, and of each of s1 and s2
+  float zenith = no_height;              ///< by the degree as measured
+  float prior_height = no_height;
+  float border_height = no_height;  ///< that the object's border is held to
+
+  static constexpr float no_height = std::numeric_limits<float>::quiet_NaN();
+  bool has_data() const { return kind != Reflection::outside; }
+};
+
+/// What the height of a raster, of a part of it or of it at a lower resolution follows from.
 struct HeightData {
   std::optional<Pinhole> camera;  ///< of this raster; none = orthographic
   double refractive_index = 1.5;
-  Mask object;               ///< pixels that get a height
-  Image<std::uint8_t> kind;  ///< Reflection; outside = no usable polarization
-  Mask above_brewster;       ///< SpecularBranch of a specular pixel
-  Image<float> i_un, s1, s2;
-  Image<float> variance_i, variance_s;  ///< of i_un, and of each of s1 and s2
-  Image<float> zenith;                  ///< by the degree as measured
-  Image<float> border_height;           ///< that the object's border is held to; empty or NaN = free
-  Image<float> prior_height;            ///< empty or NaN = none
-  Image<float> ring_height;             ///< that pixels are held to because the surface goes on beyond; as above
+  Mask object;  ///< pixels that get a height
+  Image<HeightPixel> pixels;
+  Image<float> ring_height;  ///< that pixels are held to because the surface goes on beyond; NaN or empty = none
 
   Size size() const { return object.size(); }
-  Reflection kind_at(int u, int v) const { return static_cast<Reflection>(kind(u, v)); }
-  bool has_data(int u, int v) const { return kind_at(u, v) != Reflection::outside; }
-  SpecularBranch branch(int u, int v) const {
-    return above_brewster(u, v) != 0 ? SpecularBranch::above_brewster : SpecularBranch::below_brewster;
-  }
 };
 
 /// A part of the station's rasters.

@@ -1,11 +1,29 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <string>
+#include <array>
+#include <string_view>
 
 #include "malus/core/image.h"
 
 namespace malus {
+
+/// How the search for a height ended. Without a height it is NaN everywhere: the last five.
+enum class HeightStatus {
+  not_run,
+  converged,
+  iteration_limit,
+  light_along_view,
+  too_few_pixels_for_light,
+  normals_too_alike_for_light,
+  singular,
+  no_valid_pixels,
+};
+constexpr auto names_of(HeightStatus) {
+  return std::to_array<std::string_view>({"not run", "converged", "iteration limit", "light along the view direction",
+                                          "light not found: too few pixels", "light not found: normals alike",
+                                          "singular", "no valid pixels"});
+}
 
 /// Height from polarization alone (Eq 9 to 11), before any fusion.
 struct HeightMap {
@@ -14,8 +32,8 @@ struct HeightMap {
   Image<float> height;
   bool perspective = true;
   Eigen::Vector4d light = Eigen::Vector4d::Zero();  ///< i_un = light[0..2] · n + light[3], camera frame
-  std::string status = "not run";  ///< "converged", "iteration limit", "light along the view direction", …
-  double residual_rms = 0;         ///< of the weighted rows
+  HeightStatus status = HeightStatus::not_run;
+  double residual_rms = 0;  ///< of the weighted rows
   std::size_t unknowns = 0;
   int iterations = 0;         ///< linear systems solved
   double last_update = 0;     ///< RMS change of the slope in the last of them

@@ -36,9 +36,9 @@ HeightProblem::HeightProblem(const HeightData& data, const HeightOptions& option
   for_each_pixel([&](int i) { frames_[static_cast<std::size_t>(i)] = frame_at(pixels_.u(i), pixels_.v(i)); });
 }
 
-Eigen::VectorXd HeightProblem::values_of(const Image<float>& raster) const {
+Eigen::VectorXd HeightProblem::prior_heights() const {
   Eigen::VectorXd values(pixels_.count());
-  for (int i = 0; i < pixels_.count(); ++i) values[i] = raster(pixels_.u(i), pixels_.v(i));
+  for (int i = 0; i < pixels_.count(); ++i) values[i] = pixel(i).prior_height;
   return values;
 }
 
@@ -142,15 +142,14 @@ Slopes HeightProblem::slopes_of(int i, const Eigen::VectorXd& height) const {
 }
 
 HeightProblem::LinearRows HeightProblem::linear_rows(int i, bool literal) const {
-  const int u = pixels_.u(i), v = pixels_.v(i);
-  const double i_un = data_.i_un(u, v), s1 = data_.s1(u, v), s2 = data_.s2(u, v), s0 = 2 * i_un;
-  const bool specular = data_.kind_at(u, v) == Reflection::specular;
-  double zenith = data_.zenith(u, v);
+  const HeightPixel& data = pixel(i);
+  const double i_un = data.i_un, s1 = data.s1, s2 = data.s2, s0 = 2 * i_un;
+  double zenith = data.zenith;
   if (!literal) {
-    const double degree = debiased_degree(std::hypot(s1, s2) / s0, data_.variance_s(u, v) / (s0 * s0));
-    zenith = zenith_of(data_.kind_at(u, v), degree, data_.refractive_index, data_.branch(u, v)).zenith_rad;
+    const double degree = debiased_degree(std::hypot(s1, s2) / s0, data.variance_s / (s0 * s0));
+    zenith = zenith_of(data.kind, degree, data_.refractive_index, data.branch).zenith_rad;
   }
-  const double azimuth = 0.5 * std::atan2(s2, s1) + (specular ? std::numbers::pi / 2 : 0);
+  const double azimuth = 0.5 * std::atan2(s2, s1) + (data.kind == Reflection::specular ? std::numbers::pi / 2 : 0);
   const Eigen::Vector3d light(frame(i).light_right, frame(i).light_up, frame(i).light_view);
   const double scale = literal ? 1 : 1 / light.norm();
   const double cosine = std::max(std::cos(zenith), smallest_cosine);
@@ -160,8 +159,7 @@ HeightProblem::LinearRows HeightProblem::linear_rows(int i, bool literal) const 
 
 HeightProblem::Term HeightProblem::linear_term(int i, bool literal) const {
   Term term;
-  const int u = pixels_.u(i), v = pixels_.v(i);
-  if (!data_.has_data(u, v)) return term;
+  if (!pixel(i).has_data()) return term;
   const LinearRows rows = linear_rows(i, literal);
   const AffineSlopes slopes = frame(i).slopes();
   term.add_row(slopes, rows.phase_p, rows.phase_q, 0, rows.phase_weight * rows.phase_weight);
@@ -170,8 +168,7 @@ HeightProblem::Term HeightProblem::linear_term(int i, bool literal) const {
 }
 
 double HeightProblem::linear_square(int i, const Eigen::VectorXd& height, bool literal) const {
-  const int u = pixels_.u(i), v = pixels_.v(i);
-  if (!data_.has_data(u, v)) return 0;
+  if (!pixel(i).has_data()) return 0;
   const LinearRows rows = linear_rows(i, literal);
   const Slopes s = slopes_of(i, height);
   const double phase = rows.phase_weight * (rows.phase_p * s.p + rows.phase_q * s.q);
@@ -180,29 +177,29 @@ double HeightProblem::linear_square(int i, const Eigen::VectorXd& height, bool l
 }
 
 /// s0 ρ(θ) / tan²θ, signed: negative where polarization is across the azimuth.
-double HeightProblem::stokes_gain(int u, int v, double tan2) const {
+double HeightProblem::stokes_gain(const HeightPixel& data, double tan2) const {
   const double sin2 = tan2 / (1 + tan2), eta = data_.refractive_index;
-  const double degree = data_.kind_at(u, v) == Reflection::specular ? -specular_degree_over_sin2(sin2, eta)
-                                                                    : diffuse_degree_over_sin2(sin2, eta);
-  return 2.0 * data_.i_un(u, v) * degree / (1 + tan2);
+  const double degree =
+      data.kind == Reflection::specular ? -specular_degree_over_sin2(sin2, eta) : diffuse_degree_over_sin2(sin2, eta);
+  return 2.0 * data.i_un * degree / (1 + tan2);
 }
 
 HeightProblem::Residuals HeightProblem::residuals(int i, const Slopes& s) const {
-  const int u = pixels_.u(i), v = pixels_.v(i);
-  const double i_un = data_.i_un(u, v), s0 = 2 * i_un;
+  const HeightPixel& data = pixel(i);
+  const double i_un = data.i_un, s0 = 2 * i_un;
   const double shading_error = options_.shading_error ? *options_.shading_error * i_un : light_.shading_sigma;
   const double model = options_.stokes_error * s0;
-  const double sigma_i = std::sqrt(data_.variance_i(u, v) + shading_error * shading_error);
-  const double sigma_s = std::sqrt(data_.variance_s(u, v) + model * model);
+  const double sigma_i = std::sqrt(data.variance_i + shading_error * shading_error);
+  const double sigma_s = std::sqrt(data.variance_s + model * model);
   const Eigen::Vector3d light(frame(i).light_right, frame(i).light_up, frame(i).light_view);
   const double tan2 = s.tan2(), root = std::sqrt(1 + tan2);
   const double shading = (light[0] * s.p + light[1] * s.q + light[2]) / root;
-  const double gain = stokes_gain(u, v, tan2), step = 1e-5 * (1 + tan2);
-  const double gain_slope = (stokes_gain(u, v, tan2 + step) - gain) / step;  // by tan²θ
+  const double gain = stokes_gain(data, tan2), step = 1e-5 * (1 + tan2);
+  const double gain_slope = (stokes_gain(data, tan2 + step) - gain) / step;  // by tan²θ
   const double difference_pq = s.p * s.p - s.q * s.q, product = 2 * s.p * s.q;
   Residuals r;
-  r.value = {(shading + light_.coefficients[3] - i_un) / sigma_i, (gain * difference_pq - data_.s1(u, v)) / sigma_s,
-             (gain * product - data_.s2(u, v)) / sigma_s};
+  r.value = {(shading + light_.coefficients[3] - i_un) / sigma_i, (gain * difference_pq - data.s1) / sigma_s,
+             (gain * product - data.s2) / sigma_s};
   r.by_p = {(light[0] / root - shading * s.p / (1 + tan2)) / sigma_i,
             (gain * 2 * s.p + gain_slope * 2 * s.p * difference_pq) / sigma_s,
             (gain * 2 * s.q + gain_slope * 2 * s.p * product) / sigma_s};
@@ -213,8 +210,7 @@ HeightProblem::Residuals HeightProblem::residuals(int i, const Slopes& s) const 
 }
 
 double HeightProblem::likelihood_square(int i, const Eigen::VectorXd& height) const {
-  const int u = pixels_.u(i), v = pixels_.v(i);
-  if (!data_.has_data(u, v)) return 0;
+  if (!pixel(i).has_data()) return 0;
   const Residuals r = residuals(i, slopes_of(i, height));
   return r.shading_square() * robust_weight(r.shading_square()) + r.stokes_square() * robust_weight(r.stokes_square());
 }
@@ -223,7 +219,7 @@ double HeightProblem::likelihood_term(int i, const Eigen::VectorXd& height, Term
   const int u = pixels_.u(i), v = pixels_.v(i);
   const double along_u = difference(u, v, 1, 0)(height), along_v = difference(u, v, 0, 1)(height);
   term = {options_.damping, 0, options_.damping, options_.damping * along_u, options_.damping * along_v};
-  if (!data_.has_data(u, v)) return 0;
+  if (!pixel(i).has_data()) return 0;
   const AffineSlopes slopes = frame(i).slopes();
   const Slopes s = slopes(along_u, along_v);
   const Residuals r = residuals(i, s);
@@ -244,8 +240,8 @@ void HeightProblem::assemble() {
     add_term(terms_[static_cast<std::size_t>(i)], difference(u, v, 1, 0), difference(u, v, 0, 1));
     add_smoothness(i, pixels_.at(u - 1, v), pixels_.at(u + 1, v));
     add_smoothness(i, pixels_.at(u, v - 1), pixels_.at(u, v + 1));
-    add_held(i, data_.border_height, border_weight);
-    add_held(i, data_.ring_height, ring_weight);
+    add_held(i, pixel(i).border_height, border_weight);
+    if (!data_.ring_height.empty()) add_held(i, data_.ring_height(u, v), ring_weight);
   });
 }
 
@@ -276,9 +272,7 @@ void HeightProblem::add_smoothness(int here, int before, int after) {
   system_.add_row(unknowns, coefficients, 3, 0, options_.smoothness * options_.smoothness);
 }
 
-void HeightProblem::add_held(int i, const Image<float>& heights, double weight) {
-  if (heights.empty()) return;
-  const float target = heights(pixels_.u(i), pixels_.v(i));
+void HeightProblem::add_held(int i, float target, double weight) {
   if (!std::isfinite(target)) return;
   system_.add(i, i, weight);
   system_.add_right(i, weight * target);

@@ -30,8 +30,8 @@ class HeightProblem {
   /// Of the last solution, by conjugate gradients; 0 where systems are factorized.
   int solver_iterations() const { return solver_.summary().iterations; }
 
-  /// A raster's values at the unknowns.
-  Eigen::VectorXd values_of(const Image<float>& raster) const;
+  /// The prior's heights at the unknowns, NaN where it has none.
+  Eigen::VectorXd prior_heights() const;
 
   /// Solves the linear system of Eq 9 and 11. Where the surface goes on beyond the raster, `height` must have a start.
   SolveStatus solve_linear(bool literal, Eigen::VectorXd& height);
@@ -96,12 +96,13 @@ class HeightProblem {
   template <class Body>
   void for_each_pixel(Body&& body);
   Difference difference(int u, int v, int du, int dv) const;
+  const HeightPixel& pixel(int i) const { return data_.pixels(pixels_.u(i), pixels_.v(i)); }
   const Frame& frame(int i) const { return frames_[static_cast<std::size_t>(i)]; }
   Frame frame_at(int u, int v) const;
   Slopes slopes_of(int i, const Eigen::VectorXd& height) const;
   LinearRows linear_rows(int i, bool literal) const;
   Term linear_term(int i, bool literal) const;
-  double stokes_gain(int u, int v, double tan2) const;
+  double stokes_gain(const HeightPixel& data, double tan2) const;
   Residuals residuals(int i, const Slopes& s) const;
   double square_limit() const { return options_.outlier_scale * options_.outlier_scale; }
   /// Cauchy weight of a squared residual.
@@ -111,7 +112,7 @@ class HeightProblem {
   SolveStatus solve_assembled(double reduction, Eigen::VectorXd& height);
   void add_term(const Term& term, const Difference& by_u, const Difference& by_v);
   void add_smoothness(int here, int before, int after);
-  void add_held(int i, const Image<float>& heights, double weight);
+  void add_held(int i, float target, double weight);
 
   const HeightData& data_;
   const HeightOptions& options_;

@@ -163,7 +163,7 @@ FusedSurface fuse_by_grid(const Job& job, const HeightMap& height, const DepthPr
                           const CalibratedPolarization& polarization, const ReflectionMap& reflection,
                           const InputEvidence& evidence) {
   FusedSurface surface = fuse_grid(height, prior, job.options.grid, job.context);
-  if (job.options.optimize.enabled && height.status == "converged") {
+  if (job.options.optimize.enabled && height.status == HeightStatus::converged) {
     optimize_grid_surface(surface,
                           {.polarization = *polarization.state,
                            .reflection = reflection,

@@ -36,7 +36,7 @@ HeightMap map_of(Size size, const Height& height, bool perspective = true) {
   HeightMap map;
   map.height = Image<float>(size);
   map.perspective = perspective;
-  map.status = "converged";
+  map.status = HeightStatus::converged;
   for (int v = 0; v < size.height; ++v) {
     for (int u = 0; u < size.width; ++u) map.height(u, v) = static_cast<float>(height(u, v));
   }
@@ -117,7 +117,7 @@ TEST(GridFusion, GapsKeepThePriorOrNothing) {
       if (v > 30) height.height(u, v) = none;
     }
   }
-  height.status = "iteration limit";
+  height.status = HeightStatus::iteration_limit;
   const FusedSurface fused = fuse_grid(height, prior, {}, {});
   for (int v = 0; v < 48; ++v) {
     for (int u = 0; u < 64; ++u) {

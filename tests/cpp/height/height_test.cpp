@@ -62,7 +62,7 @@ TEST(Height, ExactWithoutNoise) {
   for (const auto& light : {light_right, light_above}) {
     const Scene round = render(sphere(128), {128, 128}, nullptr, light, 0);
     const HeightMap map = solve(round);
-    EXPECT_EQ(map.status, "converged");
+    EXPECT_EQ(map.status, HeightStatus::converged);
     EXPECT_LT(normal_error(round, map), 0.05);
     EXPECT_NEAR(height_scale(round, map), 1, 1e-3);
     const Scene relief = render(bumps(128), {128, 128}, nullptr, light, 0);
@@ -107,7 +107,7 @@ TEST(Height, PerspectiveHeightIsTheMetricSurface) {
   const Eigen::Vector4d light(0.3, -0.2, -0.8, 0.05);
   const Scene scene = render(ball(camera, 70), camera.size, &camera, light, 0);
   const HeightMap map = solve(scene, {}, &camera);
-  EXPECT_EQ(map.status, "converged");
+  EXPECT_EQ(map.status, HeightStatus::converged);
   EXPECT_TRUE(map.perspective);
   EXPECT_NEAR(height_scale(scene, map), 1, 2e-3);
   Image<float> depth(camera.size);
@@ -144,7 +144,7 @@ TEST(Height, NeedsNoPriorForAConvexObject) {
     const Scene scene = render(sphere(128), {128, 128}, nullptr, oblique, noise);
     const HeightMap map =
         solve_height({scene.state, scene.reflection, nullptr, std::nullopt, nullptr, nullptr}, {}, {}, {});
-    EXPECT_EQ(map.status, "converged");
+    EXPECT_EQ(map.status, HeightStatus::converged);
     const Eigen::Vector3d light = map.light.head<3>();
     EXPECT_LT(std::acos(light.normalized().dot(oblique.head<3>().normalized())) / degree, noise > 0 ? 3 : 1);
     EXPECT_NEAR(light.norm() / oblique.head<3>().norm(), 1, 0.03);
@@ -196,7 +196,7 @@ TEST(Height, PriorHoldsTheBorder) {
 TEST(Height, LightAlongTheViewIsAStatusAndNoHeight) {
   const Scene scene = render(sphere(64), {64, 64}, nullptr, {0, 0, -1, 0}, 0.005);
   const HeightMap map = solve(scene);
-  EXPECT_EQ(map.status, "light along the view direction");
+  EXPECT_EQ(map.status, HeightStatus::light_along_view);
   for (const float value : map.height) EXPECT_TRUE(std::isnan(value));
 }
 
@@ -205,13 +205,13 @@ TEST(Height, OtherFailuresAreStatuses) {
   Image<float> flat(scene.state.size(), 3);
   for (std::size_t i = 0; i < flat.count(); i += 3) flat[i + 2] = -1;
   HeightInput input{scene.state, scene.reflection, nullptr, {}, &flat, nullptr};
-  EXPECT_EQ(solve_height(input, {}, {}, {}).status, "light not found: normals alike");
+  EXPECT_EQ(solve_height(input, {}, {}, {}).status, HeightStatus::normals_too_alike_for_light);
   HeightOptions options;
   options.iterations = 1;
   options.tolerance = 0;
-  EXPECT_EQ(solve(scene, options).status, "iteration limit");
+  EXPECT_EQ(solve(scene, options).status, HeightStatus::iteration_limit);
   scene.state.valid.fill(0);
-  EXPECT_EQ(solve(scene).status, "no valid pixels");
+  EXPECT_EQ(solve(scene).status, HeightStatus::no_valid_pixels);
 }
 
 TEST(Height, InputErrorsAndCancellation) {
@@ -301,7 +301,7 @@ TEST(Height, LargeRastersByTheLinearMethodsToo) {
   Context two;
   two.threads = 2;
   const HeightMap map = solve(scene, options, &large_camera, two);
-  EXPECT_EQ(map.status, "converged");
+  EXPECT_EQ(map.status, HeightStatus::converged);
   EXPECT_EQ(map.solver_iterations, 0);
   // As of a small raster: the method flattens what is noisy.
   EXPECT_NEAR(height_scale(scene, map), 1, 0.05);

@@ -161,7 +161,7 @@ TEST(KeptResults, Surfaces) {
   height.height = raster(-1);
   height.perspective = false;
   height.light = {0.1, 0.2, 0.3, nan};
-  height.status = "converged";
+  height.status = HeightStatus::converged;
   height.unknowns = 15;
   height.solver_bytes = 1e9;
   EXPECT_EQ(expect_kept(height).light.head<3>(), height.light.head<3>());
