@@ -1,8 +1,11 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <opencv2/imgproc.hpp>
 #include <utility>
 
+#include "malus/core/opencv_mat_internal.h"
+#include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/stereo/intensity_pyramid_internal.h"
 
@@ -44,20 +47,13 @@ Pinhole halved(const Pinhole& camera) {
 }
 
 Mask halved(const Mask& mask, const Context& context) {
-  constexpr int reach = 2;
-  Mask half(half_size(mask.size()), 1, 0);
+  constexpr int window = 5;
+  const OpenCvThreads opencv_threads(context.threads);
+  cv::Mat grown;
+  cv::dilate(as_mat(mask), grown, cv::Mat::ones(window, window, CV_8U));
+  Mask half(half_size(mask.size()));
   parallel_rows(context, half.height(), [&](int v) {
-    std::vector<std::uint8_t> column(static_cast<std::size_t>(mask.width()), 0);
-    for (int j = std::max(2 * v - reach, 0); j <= std::min(2 * v + reach, mask.height() - 1); ++j) {
-      for (int u = 0; u < mask.width(); ++u) column[static_cast<std::size_t>(u)] |= mask(u, j);
-    }
-    for (int u = 0; u < half.width(); ++u) {
-      std::uint8_t any = 0;
-      for (int i = std::max(2 * u - reach, 0); i <= std::min(2 * u + reach, mask.width() - 1); ++i) {
-        any |= column[static_cast<std::size_t>(i)];
-      }
-      if (any != 0) half(u, v) = 255;
-    }
+    for (int u = 0; u < half.width(); ++u) half(u, v) = grown.at<std::uint8_t>(2 * v, 2 * u) != 0 ? 255 : 0;
   });
   return half;
 }

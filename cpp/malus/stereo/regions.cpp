@@ -3,10 +3,13 @@
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <opencv2/imgproc.hpp>
 #include <utility>
 #include <vector>
 
 #include "malus/core/disjoint_sets_internal.h"
+#include "malus/core/opencv_mat_internal.h"
+#include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/stereo/regions_internal.h"
 
@@ -41,15 +44,6 @@ std::pair<std::vector<int>, int> regions_of(const Image<float>& values, double l
   return std::move(regions).numbered();
 }
 
-bool on_contour(const Mask& mask, int u0, int v0) {
-  for (int v = v0 - 1; v <= v0 + 1; ++v) {
-    for (int u = u0 - 1; u <= u0 + 1; ++u) {
-      if (mask.contains(u, v) && mask(u, v) == 0) return true;
-    }
-  }
-  return false;
-}
-
 }  // namespace
 
 void remove_small_regions(Image<float>& values, double largest_step, int least_pixels, const Context& context) {
@@ -63,17 +57,16 @@ void remove_small_regions(Image<float>& values, double largest_step, int least_p
 
 void keep_contours(Image<float>& values, double largest_step, const Mask& mask, const Context& context) {
   const auto [region, count] = regions_of(values, largest_step, context);
+  const OpenCvThreads opencv_threads(context.threads);
+  cv::Mat inside;  // 0 off the mask and beside it
+  cv::erode(as_mat(mask), inside, cv::Mat());
+  const auto on_contour = [&](std::size_t i) { return inside.data[i] == 0; };
   std::vector<std::uint8_t> reaches(static_cast<std::size_t>(count), 0);
-  Mask contour(mask.size(), 1, 0);
-  for (int v = 0; v < mask.height(); ++v) {
-    for (int u = 0; u < mask.width(); ++u) {
-      if (!on_contour(mask, u, v)) continue;
-      contour(u, v) = 1;
-      reaches[static_cast<std::size_t>(region[static_cast<std::size_t>(v * mask.width() + u)])] = 1;
-    }
+  for (std::size_t i = 0; i < values.count(); ++i) {
+    if (on_contour(i)) reaches[static_cast<std::size_t>(region[i])] = 1;
   }
   for (std::size_t i = 0; i < values.count(); ++i) {
-    if (contour[i] == 0 && reaches[static_cast<std::size_t>(region[i])] != 0) values[i] = none;
+    if (!on_contour(i) && reaches[static_cast<std::size_t>(region[i])] != 0) values[i] = none;
   }
 }
 
