@@ -6,7 +6,6 @@
 #include <atomic>
 #include <cmath>
 #include <limits>
-#include <span>
 #include <vector>
 
 #include "malus/core/parallel_internal.h"
@@ -16,67 +15,13 @@
 namespace malus {
 namespace {
 
-constexpr std::size_t grain = 1 << 14;
 constexpr float below_everything = -std::numeric_limits<float>::infinity();
 
-using Points = std::span<const Eigen::Vector3d>;
-using Triangles = std::span<const std::array<std::uint32_t, 3>>;
-
-/// A mesh in memory in parts that threads can take.
-class WholeMesh {
- public:
-  explicit WholeMesh(const TriangleMesh& mesh) : mesh_(mesh) {}
-
-  std::size_t vertices() const { return mesh_.vertices.points.size(); }
-  /// Calls visit(part, first vertex, points) for consecutive points.
-  template <class Visit>
-  void for_points(const Context& context, Visit&& visit) const {
-    parallel_for(context, vertices(), grain, [&](std::size_t begin, std::size_t end) {
-      visit(begin / grain, begin, Points(mesh_.vertices.points).subspan(begin, end - begin));
-    });
-  }
-  std::size_t parts() const { return (vertices() + grain - 1) / grain; }
-  /// Calls visit(points, triangles) for consecutive triangles; they count the points given.
-  template <class Visit>
-  void for_triangles(const Context& context, Visit&& visit) const {
-    parallel_for(context, mesh_.triangles.size(), grain, [&](std::size_t begin, std::size_t end) {
-      visit(Points(mesh_.vertices.points), Triangles(mesh_.triangles).subspan(begin, end - begin));
-    });
-  }
-
- private:
-  const TriangleMesh& mesh_;
-};
-
-/// The same of a mesh that is made strip by strip.
-class StripMesh {
- public:
-  explicit StripMesh(const MeshInStrips& mesh) : mesh_(mesh) {}
-
-  std::size_t vertices() const { return mesh_.vertices; }
-  template <class Visit>
-  void for_points(const Context& context, Visit&& visit) const {
-    for_strips(context, [&](std::size_t k, const MeshStrip& strip) {
-      visit(k, strip.first_vertex, Points(strip.mesh.vertices.points).first(strip.vertices));
-    });
-  }
-  std::size_t parts() const { return mesh_.strips; }
-  template <class Visit>
-  void for_triangles(const Context& context, Visit&& visit) const {
-    for_strips(context, [&](std::size_t, const MeshStrip& strip) {
-      visit(Points(strip.mesh.vertices.points), Triangles(strip.mesh.triangles));
-    });
-  }
-
- private:
-  template <class Visit>
-  void for_strips(const Context& context, Visit&& visit) const {
-    parallel_for(context, mesh_.strips, 1,
-                 [&](std::size_t k, std::size_t) { visit(k, mesh_.strip(k, MeshInStrips::Parts::geometry)); });
-  }
-
-  const MeshInStrips& mesh_;
-};
+template <class Visit>
+void for_strips(const MeshInStrips& mesh, const Context& context, Visit&& visit) {
+  parallel_for(context, mesh.strips, 1,
+               [&](std::size_t k, std::size_t) { visit(k, mesh.strip(k, MeshInStrips::Parts::geometry)); });
+}
 
 double median_gsd(const FusedSurface& surface, const Context& context) {
   const Image<float>& depth = surface.depth;
@@ -89,13 +34,13 @@ double median_gsd(const FusedSurface& surface, const Context& context) {
 }
 
 /// Robust plane through up to a million evenly spread vertices, which fix it far better than a pixel.
-template <class Mesh>
-Plane object_plane(const Mesh& mesh, const Eigen::Vector3d& viewpoint, const Context& context) {
-  const std::size_t stride = mesh.vertices() / 1000003 + 1;
-  std::vector<Eigen::Vector3d> spread((mesh.vertices() + stride - 1) / stride);
-  mesh.for_points(context, [&](std::size_t, std::size_t first, Points points) {
-    for (std::size_t k = (first + stride - 1) / stride; k * stride < first + points.size(); ++k)
-      spread[k] = points[k * stride - first];
+Plane object_plane(const MeshInStrips& mesh, const Eigen::Vector3d& viewpoint, const Context& context) {
+  const std::size_t stride = mesh.vertices / 1000003 + 1;
+  std::vector<Eigen::Vector3d> spread((mesh.vertices + stride - 1) / stride);
+  for_strips(mesh, context, [&](std::size_t, const MeshStrip& strip) {
+    const std::size_t first = strip.first_vertex;
+    for (std::size_t k = (first + stride - 1) / stride; k * stride < first + strip.vertices; ++k)
+      spread[k] = strip.mesh.vertices.points[k * stride - first];
   });
   return fit_plane(spread, viewpoint, PlaneWeights::robust, context).plane;
 }
@@ -128,11 +73,10 @@ Eigen::Vector3d raster_coordinates(const Dem& dem, const Eigen::Vector3d& x) {
 }
 
 /// Moves the origin to the top-left of the vertices and allocates the raster.
-template <class Mesh>
-void allocate(Dem& dem, const Mesh& mesh, const Context& context) {
-  std::vector<Eigen::AlignedBox2d> boxes(mesh.parts());
-  mesh.for_points(context, [&](std::size_t part, std::size_t, Points points) {
-    for (const Eigen::Vector3d& x : points) boxes[part].extend(raster_coordinates(dem, x).head<2>());
+void allocate(Dem& dem, const MeshInStrips& mesh, const Context& context) {
+  std::vector<Eigen::AlignedBox2d> boxes(mesh.strips);
+  for_strips(mesh, context, [&](std::size_t k, const MeshStrip& strip) {
+    for (const Eigen::Vector3d& x : strip.mesh.vertices.points) boxes[k].extend(raster_coordinates(dem, x).head<2>());
   });
   Eigen::AlignedBox2d box;
   for (const Eigen::AlignedBox2d& part : boxes) box.extend(part);
@@ -177,13 +121,29 @@ void rasterize(const std::array<Eigen::Vector3d, 3>& corner, Image<float>& eleva
   }
 }
 
-template <class Mesh>
-Dem make_dem(const Mesh& mesh, const FusedSurface& surface, const SurfaceOptions& options, const Context& context) {
+}  // namespace
+
+Dem dem_from_mesh(const TriangleMesh& mesh, const FusedSurface& surface, const SurfaceOptions& options,
+                  const Context& context) {
+  if (mesh.triangles.empty()) throw data_error("the mesh has no triangles, so there is no elevation model");
+  MeshInStrips one_strip;
+  one_strip.vertices = mesh.vertices.points.size();
+  one_strip.strips = 1;
+  one_strip.strip = [&mesh](std::size_t, MeshInStrips::Parts) {
+    return MeshStrip{0, 0, mesh.vertices.points.size(), mesh};
+  };
+  return dem_from_mesh(one_strip, surface, options, context);
+}
+
+Dem dem_from_mesh(const MeshInStrips& mesh, const FusedSurface& surface, const SurfaceOptions& options,
+                  const Context& context) {
+  validate_fields(options, "surface");
   Dem dem = plane_frame(object_plane(mesh, surface.pose.centre(), context), surface.pose);
   dem.pixel = options.dem_pixel ? *options.dem_pixel : median_gsd(surface, context) * options.subsample;
   allocate(dem, mesh, context);
-  mesh.for_triangles(context, [&](Points points, Triangles triangles) {
-    for (const auto& [a, b, c] : triangles) {
+  for_strips(mesh, context, [&](std::size_t, const MeshStrip& strip) {
+    const std::vector<Eigen::Vector3d>& points = strip.mesh.vertices.points;
+    for (const auto& [a, b, c] : strip.mesh.triangles) {
       rasterize(
           {raster_coordinates(dem, points[a]), raster_coordinates(dem, points[b]), raster_coordinates(dem, points[c])},
           dem.elevation);
@@ -193,21 +153,6 @@ Dem make_dem(const Mesh& mesh, const FusedSurface& surface, const SurfaceOptions
     if (value == below_everything) value = std::numeric_limits<float>::quiet_NaN();
   });
   return dem;
-}
-
-}  // namespace
-
-Dem dem_from_mesh(const TriangleMesh& mesh, const FusedSurface& surface, const SurfaceOptions& options,
-                  const Context& context) {
-  validate_fields(options, "surface");
-  if (mesh.triangles.empty()) throw data_error("the mesh has no triangles, so there is no elevation model");
-  return make_dem(WholeMesh(mesh), surface, options, context);
-}
-
-Dem dem_from_mesh(const MeshInStrips& mesh, const FusedSurface& surface, const SurfaceOptions& options,
-                  const Context& context) {
-  validate_fields(options, "surface");
-  return make_dem(StripMesh(mesh), surface, options, context);
 }
 
 }  // namespace malus
