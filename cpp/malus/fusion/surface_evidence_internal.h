@@ -1,5 +1,6 @@
 #pragma once
 
+#include "malus/core/cell_values_internal.h"
 #include "malus/core/context.h"
 #include "malus/fusion/refinement_image_internal.h"
 
@@ -56,9 +57,6 @@ class ExplainedByResult {
  private:
   Image<float> shares_, weights_;
 };
-
-/// Value of a raster of square cells at a pixel, bilinear between the centers of the cells.
-double between_cells(const Image<float>& cells, int cell_px, int u, int v);
 
 /// Adds to the surface the low frequencies (Gaussian of `length_px`) of what it lacks of the prior. Errors of a
 /// reflection model add up over a distance, the noise of a prior's points averages out over it: beyond the distance

@@ -7,6 +7,7 @@
 #include <sstream>
 #include <vector>
 
+#include "malus/core/cell_values_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/refractive_index_internal.h"
 #include "malus/polarization/ray_frame.h"
@@ -80,15 +81,7 @@ class PooledEvidence {
     }
   }
 
-  double specular_share(int u, int v) const {
-    const double x = std::clamp((u + 0.5) / cell_px_ - 0.5, 0.0, share_.width() - 1.0);
-    const double y = std::clamp((v + 0.5) / cell_px_ - 0.5, 0.0, share_.height() - 1.0);
-    const int x0 = static_cast<int>(x), y0 = static_cast<int>(y);
-    const int x1 = std::min(x0 + 1, share_.width() - 1), y1 = std::min(y0 + 1, share_.height() - 1);
-    const double fx = x - x0, fy = y - y0;
-    return (1 - fy) * ((1 - fx) * share_(x0, y0) + fx * share_(x1, y0)) +
-           fy * ((1 - fx) * share_(x0, y1) + fx * share_(x1, y1));
-  }
+  double specular_share(int u, int v) const { return between_cells(share_, cell_px_, u, v); }
 
  private:
   int cell_px_;
