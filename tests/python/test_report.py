@@ -307,6 +307,12 @@ def test_report_and_view_say_what_is_missing(tmp_path: Path) -> None:
     assert outcome.code == 2 and "malus report" in outcome.err
 
 
+def test_a_step_that_does_not_exist_is_not_recorded(tmp_path: Path) -> None:
+    with pytest.raises(malus.InputError, match="step nothing does not exist"):
+        _core.record_step(str(tmp_path), "nothing", [], 0.0)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_page_whose_surface_changed_meanwhile_is_not_kept(work: Path, tmp_path: Path) -> None:
     """Another run goes between reading the surface and recording the page."""
     folder = shutil.copytree(work, tmp_path / "work")
