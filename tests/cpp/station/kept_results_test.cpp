@@ -179,8 +179,8 @@ TEST(KeptResults, Surfaces) {
   EXPECT_EQ(surface.confidence.level, ConfidenceLevel::partial);
   EXPECT_EQ(surface.confidence.reasons.size(), 1u);
   EXPECT_EQ(surface.warnings.size(), 1u);
-  EXPECT_EQ(expect_kept(RefinementFindings{"{\"b\": 1, \"a\": 2}\n", labels(1), labels(200), labels(7)}).report_json,
-            "{\"b\": 1, \"a\": 2}\n");
+  const RefinementFindings findings{"{\"b\": 1, \"a\": 2}\n", labels(1), labels(200), labels(7), raster(0.5F)};
+  EXPECT_EQ(expect_kept(findings).report_json, "{\"b\": 1, \"a\": 2}\n");
 }
 
 TEST(KeptResults, OnlyFilesThatTheStepLeftAreRead) {
