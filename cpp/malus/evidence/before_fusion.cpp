@@ -36,7 +36,12 @@ std::vector<Finding> findings_before_fusion(const BeforeFusion& input, const Con
   PhaseAgreement phase = phase_agreement(images.state, camera, normals, context);
   const PriorAlignment place = input.cloud != nullptr ? check_alignment(*input.cloud, input.pose, images, context)
                                                       : check_alignment(input.prior_depth, images, context);
-  if (place.object_covered < PriorAlignment::poorly_covered && phase.finding.severity != Severity::note) {
+  const bool is_interpolated = place.object_covered < PriorAlignment::poorly_covered;
+  // An interpolated surface may be wrong itself, but then the polarization cannot be read by its slopes, either.
+  if (is_interpolated && phase.is_unrelated) {
+    phase.finding.severity = Severity::caution;
+    phase.finding.message += "; the prior is interpolated on most of the object";
+  } else if (is_interpolated && phase.finding.severity != Severity::note) {
     phase.finding.severity = Severity::note;
     phase.finding.message =
         "whether the polarization fits the prior could not be checked: the prior is interpolated on most of the object";

@@ -1,12 +1,16 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <numbers>
 #include <optional>
 #include <sstream>
+#include <utility>
+#include <vector>
 
 #include "malus/core/error.h"
 #include "malus/core/length_unit.h"
+#include "malus/core/median_internal.h"
 #include "malus/evidence/object_size_internal.h"
 
 namespace malus {
@@ -40,6 +44,24 @@ double range_of(std::vector<double> values) {
   return values[last - last / 100] - values[last / 100];
 }
 
+/// Depth in the middle of the image, for which quality.json gives the ground sampling distance, too; NaN if nothing is
+/// known there.
+double middle_depth(const std::vector<Eigen::Vector3d>& points_in_cam, const Pinhole& camera) {
+  constexpr std::size_t few = 9;
+  constexpr double near = 0.01;  // of the image's larger side
+  const Eigen::Vector2d middle(0.5 * camera.size.width, 0.5 * camera.size.height);
+  const double reach = near * std::max(camera.size.width, camera.size.height);
+  std::vector<std::pair<double, double>> found;  // distance from the middle in pixels, depth
+  for (const Eigen::Vector3d& point : points_in_cam) {
+    const double distance = point.z() > 0 ? (camera.project(point) - middle).norm() : reach;
+    if (distance < reach) found.emplace_back(distance, point.z());
+  }
+  std::ranges::sort(found);
+  std::vector<double> depths;
+  for (std::size_t i = 0; i < std::min(few, found.size()); ++i) depths.push_back(found[i].second);
+  return depths.empty() ? std::numeric_limits<double>::quiet_NaN() : median_in_place(depths);
+}
+
 bool is_likely(double width_m, double distance_m) {
   return width_m >= smallest_m && width_m <= largest_m && distance_m >= nearest_m && distance_m <= farthest_m;
 }
@@ -66,10 +88,9 @@ ObjectSize object_size(const std::vector<Eigen::Vector3d>& points_in_cam, const 
   ObjectSize size;
   size.width = range_of(coordinates[0]);
   size.height = range_of(coordinates[1]);
-  const auto middle = coordinates[2].begin() + static_cast<std::ptrdiff_t>(coordinates[2].size() / 2);
-  std::ranges::nth_element(coordinates[2], middle);
-  size.distance = *middle;
-  size.gsd = size.distance / camera.focal();
+  size.distance = median_in_place(coordinates[2]);
+  const double in_the_middle = middle_depth(points_in_cam, camera);
+  size.gsd = (std::isnan(in_the_middle) ? size.distance : in_the_middle) / camera.focal();
 
   const double metres = length_unit(unit).metres, larger = std::max(size.width, size.height);
   Finding& finding = size.finding;

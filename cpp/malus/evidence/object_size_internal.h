@@ -13,7 +13,7 @@ namespace malus {
 struct ObjectSize {
   double width = 0, height = 0;  ///< across the camera's view, without the outermost 1 % of the points at either end
   double distance = 0;           ///< median depth
-  double gsd = 0;                ///< of one pixel at that distance
+  double gsd = 0;                ///< of one pixel in the middle of the image; at that distance if nothing is there
   Finding finding;               ///< says it in words; a warning if that is no likely size, distance or lens
 };
 

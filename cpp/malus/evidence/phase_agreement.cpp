@@ -35,7 +35,7 @@ PhaseAgreement::Part part_of(const std::vector<PhaseCell>& cells) {
   return part;
 }
 
-Finding finding_of(const PhaseAgreement& agreement) {
+Finding finding_of(PhaseAgreement& agreement) {
   const PhaseCoherence& overall = agreement.overall;
   Finding finding;
   finding.check = "phase";
@@ -84,6 +84,7 @@ Finding finding_of(const PhaseAgreement& agreement) {
     finding.message = std::string("whether the polarization fits the prior could not be checked: ") + unknown;
     return finding;
   }
+  agreement.is_unrelated = true;
   finding.severity = Severity::warning;
   text << "the polarization is unrelated to the slopes of the prior (correlation " << overall.direct << " ± "
        << overall.direct_sigma << ", 0 = unrelated), though both are known well";

@@ -29,6 +29,9 @@ struct PhaseAgreement {
   /// standard deviations to where the rest lies).
   double unrelated_share = 0;
 
+  /// Phases and azimuths are both known well, and yet have nothing to do with each other.
+  bool is_unrelated = false;
+
   Finding finding;
 };
 

@@ -6,6 +6,7 @@
 #include <sstream>
 #include <utility>
 
+#include "malus/core/median_internal.h"
 #include "malus/core/opencv_threads_internal.h"
 #include "malus/evidence/alignment_place_internal.h"
 #include "malus/evidence/mask_coverage_internal.h"
@@ -13,6 +14,8 @@
 #include "malus/evidence/outline_place_internal.h"
 #include "malus/evidence/prior_alignment_internal.h"
 #include "malus/evidence/reduced_view_internal.h"
+#include "malus/polarization/fresnel.h"
+#include "malus/polarization/ray_frame.h"
 
 namespace malus {
 namespace {
@@ -33,7 +36,10 @@ constexpr double moved_covers = 0.3;
 constexpr std::size_t ideas_tried = 6;
 /// Squared correlations below which colors and phases of prior and images have nothing in common, and the step of
 /// depths across the mask's outline, in pixels of the reduced view, below which it is no outline of the prior.
-constexpr double common_color = 0.03, common_phase = 0.12, common_step = 1.5;
+constexpr double common_color = 0.05, common_phase = 0.12, common_step = 1.5;
+/// An object that is polarized so many times more than a matt one of the prior's slopes mirrors what is around it.
+/// Rendered coins of lacquer and black glass have 8 to 26 times, matt, glazed and painted things 0.5 to 5.
+constexpr double mirrors_times = 6, least_degree = 0.002;
 /// What an other idea of the input must explain, and how many times what the input as given does.
 constexpr double least_explained = 0.1, explains_times = 3;
 
@@ -287,18 +293,44 @@ void judge_outline(const PriorView& prior, const SceneView& view, const Alignmen
       "are mask and [camera] those of these images, and is the prior in the same frame?");
 }
 
-/// Colors of the same object go with its brightness even where reflections differ, and those of black lacquer, which do
-/// not, belong to an object whose outline the mask has.
-void judge_relation(const MaskCoverage& covered, PriorAlignment& found) {
+/// Whether the object's brightness is that of what it mirrors, which the colors of a cloud know nothing of.
+bool mirrors_surroundings(const PriorView& prior, const SceneView& scene, const Pinhole& camera) {
+  constexpr double usual_index = 1.5;
+  std::vector<double> ratios;
+  for (int v = 0; v < scene.object.height(); ++v) {
+    for (int u = 0; u < scene.object.width(); ++u) {
+      if (scene.object(u, v) == 0 || prior.seen(u, v) == 0 || !(scene.variance(u, v) > 0)) continue;
+      const Eigen::Vector3d normal(prior.normals(u, v, 0), prior.normals(u, v, 1), prior.normals(u, v, 2));
+      const double tan2 = ray_frame(camera.ray(u, v)).slopes(normal).tan2();
+      if (!std::isfinite(tan2)) continue;
+      const double matt = diffuse_degree(std::atan(std::sqrt(tan2)), usual_index);
+      ratios.push_back(std::hypot(scene.s1(u, v), scene.s2(u, v)) / (matt + least_degree));
+    }
+  }
+  return median_in_place(ratios) > mirrors_times;
+}
+
+/// Colors of the same object go with its brightness even where reflections differ, but for those of black lacquer.
+/// Where an outline or slopes are alike, as those of two coins or tablets are, unlike colors are a question only: light
+/// may have differed, and what has no markings shows nothing but light.
+void judge_relation(const PriorView& prior, const SceneView& view, const AlignmentScene& scene,
+                    const MaskCoverage& covered, PriorAlignment& found) {
   if (!found.instead.empty() || found.finding.severity != Severity::note ||
       covered.object < PriorAlignment::poorly_covered || !found.color.available)
     return;
-  if (found.color.informative || found.phase.informative || found.color.as_given > common_color ||
-      found.phase.as_given > common_phase || covered.outline_step > common_step)
-    return;
-  say(found, Severity::warning,
-      "the images show nothing of what the prior shows: neither its colors nor its slopes nor its outline",
-      "are they images of this object, in the order of their angles, and the prior's frame that of [camera]?");
+  if (found.color.informative || found.color.as_given > common_color) return;
+  const bool fits_otherwise =
+      found.phase.informative || found.phase.as_given > common_phase || covered.outline_step > common_step;
+  if (!fits_otherwise) {
+    say(found, Severity::warning,
+        "the images show nothing of what the prior shows: neither its colors nor its slopes nor its outline",
+        "are they images of this object, in the order of their angles, and the prior's frame that of [camera]?");
+  } else if (!mirrors_surroundings(prior, view, reduced_camera(scene.camera, view.factor))) {
+    say(found, Severity::caution,
+        "the cloud's colors have nothing in common with the brightness of the images, though outline or slopes have",
+        "are they of the same object, and not of one that is like it? Other light on an object without markings does "
+        "this, too");
+  }
 }
 
 void judge_coverage(const MaskCoverage& covered, const std::string& what, PriorAlignment& found) {
@@ -360,7 +392,7 @@ PriorAlignment check_alignment(const PointCloud& cloud, const Pose& pose, const 
   if (found.instead.empty() && (covered.object < PriorAlignment::poorly_covered || !place.is_informative()))
     try_other_clouds(cloud, pose, scene, coverage_of, scenes, place, found, context);
   judge_outline(priors.at(factor), scenes.at(factor), scene, covered, found);
-  judge_relation(covered, found);
+  judge_relation(priors.at(factor), scenes.at(factor), scene, covered, found);
   judge_coverage(covered, "cloud", found);
   add_figures(found);
   return found;

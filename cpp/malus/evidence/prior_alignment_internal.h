@@ -74,9 +74,10 @@ struct AlignmentScene {
 /// what view-dependent reflections make of right priors: 1.2 % of the object, 0.6°, 3.5 % in size. Edges follow the
 /// light: 4 %, 3° and 8 %. Where neither colors nor phases say anything, a prior is doubtful whose steps of depth gain
 /// 2 standard deviations by lying on the mask's outline, moved by more than 3 % of the object or 2 % in size. Doubtful,
-/// too, is a colored cloud that has nothing in common with the images: squared correlations of at most 0.03 with the
-/// colors and 0.12 with the phases, and no step of depths at the mask's outline. All of it at reduced sizes: the time
-/// does not depend on that of the images, but for one pass.
+/// too, is a colored cloud that has nothing in common with the images: squared correlations of at most 0.05 with the
+/// colors and 0.12 with the phases, and no step of depths at the mask's outline. If only the colors have nothing in
+/// common and the object is no mirror, that is a caution. All of it at reduced sizes: the time does not depend on that
+/// of the images, but for one pass.
 PriorAlignment check_alignment(const PointCloud& cloud, const Pose& pose, const AlignmentScene& scene,
                                const Context& context);
 

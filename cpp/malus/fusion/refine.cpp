@@ -89,8 +89,9 @@ void fit_mirrored(RefinementImage& image, RefineReport& report, const Context& c
       std::make_shared<MirroredLightTable>(report.surroundings, image.reflection.eta, image.camera, context);
 }
 
-/// Fits what all pixels share at the current surface. Returns by how much the lobe lowered the robust cost.
-double fit_reflection(RefinementImage& image, const RefineOptions& options, RefineReport& report,
+/// Fits what all pixels share at the current surface; the mirror image's light only if it is not known yet. Returns by
+/// how much the lobe lowered the robust cost.
+double fit_reflection(RefinementImage& image, const RefineOptions& options, bool is_mirror_known, RefineReport& report,
                       const Context& context) {
   double lobe_gain = 0;
   const auto diffuse = collect_samples(image, Reflection::diffuse, sample_count);
@@ -111,7 +112,8 @@ double fit_reflection(RefinementImage& image, const RefineOptions& options, Refi
     report.light_sigma_rad = fit.light_sigma_rad;
     lobe_gain = 1 - fit.cost / std::max(fit.cost_without_lobe, 1e-12);
   }
-  const auto specular = collect_samples(image, Reflection::specular, sample_count);
+  std::vector<ReflectionSample> specular;
+  if (!is_mirror_known) specular = collect_samples(image, Reflection::specular, sample_count);
   if (!specular.empty()) {
     const SpecularFit fit = fit_specular(specular, image.reflection.eta);
     image.reflection.mirror = fit.mirror;
@@ -227,10 +229,14 @@ class Refiner {
   void choose_model() {
     // The second has hundreds of parameters more, which explain some of anything.
     constexpr double clearly = 0.1;
-    fit_reflection(image_, options_, report_, context_);
-    const double by_labels = mean_over_object(explained(nullptr).shares(false, context_));
+    fit_reflection(image_, options_, false, report_, context_);
+    const ExplainedPolarization at_prior = explained(nullptr);
+    const double by_labels = mean_over_object(at_prior.shares(false, context_));
     // A black mirror's polarization follows from the slopes whatever it mirrors: no surroundings do better.
-    constexpr double well = 0.75;
+    constexpr double well = 0.75, nearly_all = 0.9;
+    // Body light and refined slopes fit each other whatever they are, and drift away together. A prior whose slopes
+    // explain the mirror image, and not only as a plane does, holds the light.
+    is_mirror_known_ = mean_over_object(at_prior.shares(true, context_)) > nearly_all;
     const bool is_mirror = specular_share(image_) > 0.5 && by_labels > options_.explained_least;
     if (is_mirror || by_labels > well || !has_usable(image_)) return;
     const Image<std::uint8_t> labels = image_.kind;
@@ -247,13 +253,16 @@ class Refiner {
   SolveStatistics run(bool estimate_index) {
     mirrors_ = specular_share(image_) > worthwhile_share;
     searches_ = options_.search && mirrors_;
+    is_mirror_known_ = is_mirror_known_ && !estimate_index;
     // The search for other minima takes most of the time, and what it finds is larger than a few pixels.
     const bool coarse_first = searches_ && object_side(image_) >= 2 * options_.coarsest_px;
     if (coarse_first) {
       const double share = 0.4;
       const ProgressRange coarse_range{range_.begin, range_.begin + share * (range_.end - range_.begin)};
       RefinementImage coarse = coarsened(image_, context_);
-      total_ += Refiner(coarse, options_, report_, context_, coarse_range, 2 * binning_).run(estimate_index);
+      Refiner at_half(coarse, options_, report_, context_, coarse_range, 2 * binning_);
+      at_half.is_mirror_known_ = is_mirror_known_;
+      total_ += at_half.run(estimate_index);
       take_over(image_, coarse, context_);
       range_.begin = coarse_range.end;
       rounds_ = options_.fine_iterations;
@@ -460,7 +469,7 @@ class Refiner {
 
   void round(double widening, bool fit, bool regional) {
     const auto start = std::chrono::steady_clock::now();
-    if (fit) lobe_gain_ = fit_reflection(image_, options_, report_, context_);
+    if (fit) lobe_gain_ = fit_reflection(image_, options_, is_mirror_known_, report_, context_);
     const WeightOptions weights = this->weights(widening, regional);
     const int margin = whole_blocks(options_.margin_px) + whole_blocks(tile_ring_px + weights_reach_px);
     ResidualSummary summary(image_.size());
@@ -566,6 +575,7 @@ class Refiner {
   std::vector<TileStrip> strips_;
   Eigen::Vector3d mean_normal_;  ///< of the surface that the refinement starts from
   bool mirrors_ = false;
+  bool is_mirror_known_ = false;  ///< its light was fitted at the prior's slopes
   bool searches_ = false;  ///< only mirrors gain: what a diffuse body's slopes could flip to, its shading contradicts
   int rounds_ = 1, done_ = 0;
   std::size_t tiles_done_ = 0;  ///< of the round

@@ -41,12 +41,15 @@ void InputEvidence::limit(Confidence& confidence) const {
 InputEvidence check_inputs(const Job& job, const ImageFindings& of_images, const CalibratedPolarization& polarization,
                            const StationView& view, const Scene& scene, const DepthPrior* prior) {
   InputEvidence evidence{of_images.findings};
-  if (prior != nullptr)
-    std::ranges::move(compare_with_prior(job, *polarization.state, view, scene, *prior, of_images),
-                      std::back_inserter(evidence.findings));
+  if (prior != nullptr) {
+    for (Finding& finding : compare_with_prior(job, *polarization.state, view, scene, *prior, of_images)) {
+      if (finding.severity == Severity::caution) job.context.log(LogLevel::warning, finding.text());
+      evidence.findings.push_back(std::move(finding));
+    }
+  }
   std::ranges::stable_sort(evidence.findings, std::ranges::greater(), &Finding::severity);
   for (const Finding& finding : evidence.findings) {
-    // Cautions were logged by the steps that found them, which are run without this one, too.
+    // Those of the images were logged by the steps that found them, which are run without this one, too.
     if (finding.severity <= Severity::caution) continue;
     if (finding.severity == Severity::error && job.options.evidence.refuse)
       throw input_error(finding.text() + " (evidence.refuse = false goes on all the same)");

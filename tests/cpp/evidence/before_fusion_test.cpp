@@ -1,5 +1,8 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <cmath>
+
 #include "evidence_scene.h"
 #include "malus/evidence/before_fusion_internal.h"
 #include "malus/evidence/contrast_check_internal.h"
@@ -86,6 +89,12 @@ TEST(ObjectSize, SaysItInWords) {
   EXPECT_EQ(coin_in_metres.finding.severity, Severity::warning) << coin_in_metres.finding.text();
   EXPECT_NE(coin_in_metres.finding.suggestion.find("unit = \"mm\""), std::string::npos);
 
+  // Inclined, and most of it on one side: a pixel is as large as in the middle of the image, where quality.json has it.
+  std::vector<Eigen::Vector3d> inclined;
+  for (int i = -20; i <= 200; ++i) inclined.emplace_back(i, 0, 590 + 0.5 * i);
+  EXPECT_NEAR(object_size(inclined, camera, "mm").gsd, 0.295, 0.002);
+  EXPECT_NEAR(object_size(inclined, camera, "mm").distance, 635, 1);
+
   const Pinhole wrong_lens{{1000, 800}, 500000, 500000, 500, 400};
   const ObjectSize narrow = object_size({{0, 0, 590}, {1, 1, 590}, {200, 3, 591}}, wrong_lens, "mm");
   EXPECT_NE(narrow.finding.suggestion.find("focal length"), std::string::npos) << narrow.finding.text();
@@ -105,6 +114,28 @@ TEST(BeforeFusion, ListsAllFindings) {
     EXPECT_EQ(finding.severity, Severity::note) << finding.text();
     EXPECT_FALSE(finding.figures.empty());
   }
+}
+
+TEST(BeforeFusion, AnInterpolatedPriorThatThePolarizationContradictsIsACaution) {
+  const EvidenceScene scene(Waves(1, 10, 30), nullptr), other(Waves(100, 10, 30), nullptr);
+  const auto phase_with = [&](const Image<float>& prior_depth, double covered_px) {
+    PointCloud cloud;
+    for (int v = 0; v < 220; v += 2) {
+      for (int u = 0; u < 300; u += 2) {
+        if (std::hypot(u - 150, v - 110) < covered_px)
+          cloud.points.push_back(scene.pose.world_from_cam(prior_depth(u, v) * scene.camera.ray(u, v)));
+      }
+    }
+    const auto findings = findings_before_fusion(
+        {.images = scene.images(), .pose = scene.pose, .prior_depth = prior_depth, .cloud = &cloud}, {});
+    return *std::ranges::find(findings, "phase", &Finding::check);
+  };
+  constexpr double everywhere = 300, hardly = 30;
+  EXPECT_EQ(phase_with(other.depth, everywhere).severity, Severity::warning);
+  const Finding interpolated = phase_with(other.depth, hardly);
+  EXPECT_EQ(interpolated.severity, Severity::caution) << interpolated.text();
+  EXPECT_NE(interpolated.message.find("interpolated"), std::string::npos) << interpolated.text();
+  EXPECT_EQ(phase_with(scene.depth, hardly).severity, Severity::note);
 }
 
 TEST(ContrastCheck, TheRatioFollowsTheExponent) {

@@ -223,6 +223,19 @@ TEST(PriorAlignment, ImagesOfAnotherObjectHaveNothingInCommon) {
   EXPECT_LT(found.color.as_given, 0.03);
 }
 
+TEST(PriorAlignment, OtherColorsOnTheSameShapeAreAQuestion) {
+  EvidenceScene scene(Waves(1, 25, 80), Waves(2, 6, 30));
+  const EvidenceScene twin(Waves(1, 25, 80), Waves(300, 6, 30));
+  const PriorAlignment found = check(scene, twin.cloud);
+  EXPECT_LT(found.color.as_given, 0.05);
+  EXPECT_GT(found.phase.as_given, 0.5);
+  EXPECT_EQ(found.finding.severity, Severity::caution) << found.finding.text();
+  EXPECT_NE(found.finding.message.find("the cloud's colors have nothing in common"), std::string::npos);
+  // What mirrors its surroundings has their brightness.
+  for (float& rho : scene.state.rho) rho = std::min(0.9F, 30 * rho);
+  EXPECT_EQ(check(scene, twin.cloud).finding.severity, Severity::note);
+}
+
 TEST(PriorAlignment, SaysThatNothingCanBeChecked) {
   const EvidenceScene textured, flat(false);
   PointCloud plane = flat.cloud;
