@@ -7,6 +7,8 @@ import hashlib
 import json
 import os
 import secrets
+import shutil
+import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -65,6 +67,23 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def new_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
+    """Give an empty folder to fill, beside the place of `folder`; at the end it becomes `folder`.
+
+    InputError if that is there already, unless it may be replaced: then it is removed at the end.
+    """
+    if folder.exists() and not replace:
+        raise InputError(f"{folder}: is there already, expected a new folder")
+    with writing(folder), tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as scratch:
+        new = Path(scratch) / "new"
+        new.mkdir()
+        yield new
+        if folder.exists():
+            shutil.rmtree(folder)
+        new.rename(folder)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -485,10 +485,10 @@ def _compare(args: argparse.Namespace) -> None:
             threads=args.threads,
             progress=lambda fraction, message: view.progress("compare", fraction, message),
         )
-    if args.quiet:
-        for warning in change.figures["warnings"]:
-            print(f"warning: {warning}", file=sys.stderr)
-    elif not args.json:
+        if args.json or args.quiet:  # the summary has them, too
+            for warning in change.figures["warnings"]:
+                view.log("warning", warning)
+    if not (args.json or args.quiet):
         print(*change_summary(change.figures), f"  page: {change.folder / 'index.html'}", sep="\n")
 
 

@@ -6,17 +6,14 @@ depth and normal maps as COLMAP's patch match would have left them.
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
-from malus._files import writing
-from malus.errors import InputError
+from malus._files import new_folder
 from malus.workspace import Workspace
+from malus.xmp import save_png
 
 
 def write_map(path: Path, values: NDArray[np.float32]) -> None:
@@ -28,20 +25,14 @@ def write_map(path: Path, values: NDArray[np.float32]) -> None:
         file.write(np.ascontiguousarray(channels.transpose(2, 0, 1)).tobytes())
 
 
-def write_colmap_workspace(workspace: Workspace, picture: NDArray[np.uint8], folder: Path) -> Path:
+def write_colmap_workspace(workspace: Workspace, picture: NDArray[np.uint8], xmp: str, folder: Path) -> Path:
     """Write a COLMAP dense workspace with the station as its only image; returns the folder, which must not be there yet."""
-    if folder.exists():
-        raise InputError(f"{folder}: is there already, expected a new folder")
     surface, camera = workspace.surface(), workspace.camera
     name = "station.png"
-    with (
-        writing(folder),
-        tempfile.TemporaryDirectory(prefix=".colmap-", dir=folder.parent) as scratch,
-    ):
-        new = Path(scratch) / "dense"
+    with new_folder(folder) as new:
         for part in ("images", "sparse", "stereo/depth_maps", "stereo/normal_maps", "stereo/consistency_graphs"):
             (new / part).mkdir(parents=True)
-        Image.fromarray(picture).save(new / "images" / name)
+        save_png(new / "images" / name, picture, xmp)
         for model in ("camera", "image"):
             text = workspace.path(f"fused/{model}.txt").read_text(encoding="utf-8")
             if model == "image":
@@ -56,5 +47,4 @@ def write_colmap_workspace(workspace: Workspace, picture: NDArray[np.uint8], fol
         for kind in ("geometric", "photometric"):
             write_map(new / f"stereo/depth_maps/{name}.{kind}.bin", surface.depth)
             write_map(new / f"stereo/normal_maps/{name}.{kind}.bin", surface.normals)
-        shutil.move(str(new), folder)
     return folder

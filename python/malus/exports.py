@@ -33,7 +33,7 @@ from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
 from malus.threads import ALL_CORES
 from malus.units import METRES
 from malus.workspace import Raster, Workspace
-from malus.xmp import packet, save_png, tag_tiff
+from malus.xmp import packet, save_png, tag_png, tag_tiff
 
 
 class Exporter:
@@ -255,7 +255,7 @@ def _write_sections(exporter: Exporter, path: Path, wishes: Wishes) -> None:
 
 
 def _write_colmap(exporter: Exporter, path: Path, wishes: Wishes) -> None:
-    write_colmap_workspace(exporter.workspace, exporter.picture(), path)
+    write_colmap_workspace(exporter.workspace, exporter.picture(), exporter.xmp(), path)
 
 
 def _write_rti(exporter: Exporter, path: Path, wishes: Wishes) -> None:
@@ -332,11 +332,11 @@ def _write_normal_map(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         _write_exr(path, {"RGB": normals})
         return
     levels = np.rint((normals + 1) / 2 * 65535).astype(np.uint16)
-    write = _core.write_png16 if path.suffix.lower() == ".png" else _core.write_tiff16
+    is_png = path.suffix.lower() == ".png"
+    write, tag = (_core.write_png16, tag_png) if is_png else (_core.write_tiff16, tag_tiff)
     with replacing(path) as temporary:
         write(str(temporary), levels)
-        if write is _core.write_tiff16:
-            tag_tiff(temporary, exporter.xmp())
+        tag(temporary, exporter.xmp())
 
 
 def _write_displacement(exporter: Exporter, path: Path, wishes: Wishes) -> None:
@@ -413,8 +413,8 @@ FORMATS: dict[str, tuple[Writer, str, tuple[str, ...]]] = {
 }
 #: The formats that have triangles.
 MESHES = ("obj", "ply", "glb", "stl")
-#: The formats that have the object's color.
-COLORED = ("obj", "ply", "glb", "orthophoto", "las", "e57", "colmap", "iiif")
+#: The formats whose color is the photograph's or the object's own; IIIF has both.
+COLORED = ("obj", "ply", "glb", "orthophoto", "las", "e57", "colmap")
 
 
 def export(
@@ -446,7 +446,7 @@ def export(
     - contours (every `interval`, station unit; default: a round one) and sections (along every [[profile]]): SVG or DXF.
     - colmap: a dense workspace (folder) with depth and normal map of the station, for stereo_fusion and poisson_mesher.
     - rti: the object under any light, a polynomial texture map for RTI viewers.
-    - relight: the same as a folder for OpenLIME and RelightLab, with normals and albedo as layers.
+    - relight: the same as a folder for OpenLIME and RelightLab, with normals and color as layers.
     - iiif: photograph, relief and albedo as a folder for IIIF viewers; `url`: where it will be on the web.
     - archive: everything with its inputs and paradata, RO-Crate in a BagIt bag, ZIP (see malus.archive).
 
@@ -463,7 +463,7 @@ def export(
         (interval, "interval", ("contours",)),
         (y_up, "y-up", ("glb",)),
         (albedo, "albedo", COLORED),
-        (chart, "chart", COLORED),
+        (chart, "chart", (*COLORED, "iiif")),
         (url, "url", ("iiif",)),
         (trim, "trim", MESHES),
         (fill, "fill", MESHES),

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from malus import _core
-from malus._files import writing
+from malus._files import new_folder
 from malus.errors import InputError
 from malus.xmp import srgb_profile
 
@@ -155,16 +153,12 @@ def write_iiif(
         raise InputError(
             f"--url {address}: expected where the folder will be on the web: https://museum.org/iiif/stone"
         )
-    if folder.exists():
-        raise InputError(f"{folder}: is there already, expected a new folder")
     address = address.rstrip("/")
-    with writing(folder), tempfile.TemporaryDirectory(prefix=".iiif-", dir=folder.parent) as scratch:
-        new = Path(scratch) / "new"
+    with new_folder(folder) as new:
         canvases = []
         for key, (label, picture) in pictures.items():
             info = write_tiles(new / key, picture, f"{address}/{key}")
             canvases.append(_canvas(address, key, label, info))
         document = manifest(address, name, words, canvases, summary)
         (new / "manifest.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-        shutil.move(str(new), folder)
     return folder

@@ -7,8 +7,6 @@ a matt object under a light from each direction, without cast shadows.
 from __future__ import annotations
 
 import json
-import shutil
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from malus._files import replacing, write_text, writing
-from malus.errors import InputError
+from malus._files import new_folder, replacing, write_text
 from malus.units import METRES
 from malus.viewer import object_window, unshaded_color, viewer_normals
 from malus.workspace import Workspace
@@ -75,27 +72,29 @@ def write_ptm(path: Path, coefficients: NDArray[np.float64], colors: NDArray[np.
 @dataclass(frozen=True)
 class Relightable:
     """An object in the station's view: normals (H×W×3, x right, y up, z to the viewer, NaN = none), colors without shading (H×W×3), PTM
-    coefficients (H×W×6), and how many pixels of the station one of them is wide.
+    coefficients (H×W×6), how many pixels of the station one of them is wide, and whether highlights were taken out of the colors.
     """
 
     normals: NDArray[np.float64]
     colors: NDArray[np.uint8]
     coefficients: NDArray[np.float64]
     step: int
+    without_highlights: bool
 
 
 def relightable(workspace: Workspace) -> Relightable:
     """The fused surface of a workspace for any light."""
     window = object_window(workspace.raster("fused/depth.tif"), _SIDE_PX)
     normals = viewer_normals(workspace.raster("fused/normals.tif"), window)
-    colors = unshaded_color(workspace, window, normals, workspace.mirrored_share()).copy()
+    mirrored = workspace.mirrored_share()
+    colors = unshaded_color(workspace, window, normals, mirrored).copy()
     known: NDArray[np.bool_] = np.asarray(np.isfinite(normals).all(-1))
     colors[~known] = 0
     coefficients = np.zeros((*known.shape, 6))
     for row, inside in enumerate(known):  # a row at a time: 120 lights for every pixel would not fit into memory
         if inside.any():
             coefficients[row, inside] = polynomial(normals[row, inside])
-    return Relightable(normals, colors, coefficients, window.step)
+    return Relightable(normals, colors, coefficients, window.step, mirrored is not None)
 
 
 def write_rti(workspace: Workspace, path: Path) -> None:
@@ -105,13 +104,12 @@ def write_rti(workspace: Workspace, path: Path) -> None:
 
 
 def write_relight(workspace: Workspace, folder: Path, xmp: str) -> Path:
-    """Write the same for OpenLIME and RelightLab: info.json with planes of coefficients as JPEG, and layers normals.png and albedo.png.
+    """Write the same for OpenLIME and RelightLab: info.json with planes of coefficients as JPEG, and layers normals.png and
+    albedo.png; of a surface without a reflection model, whose highlights stay in its colors, unshaded.png.
 
     The planes: color, then the coefficients of 1, u, v and of u², uv, v²; a value is (level − bias) · scale with levels 0 … 1.
     InputError if the folder is there already.
     """
-    if folder.exists():
-        raise InputError(f"{folder}: is there already, expected a new folder")
     found = relightable(workspace)
     # Ours are of u², v², uv, u, v, 1.
     ordered = found.coefficients[..., [5, 3, 4, 0, 2, 1]]
@@ -132,14 +130,11 @@ def write_relight(workspace: Workspace, folder: Path, xmp: str) -> Path:
         "materials": [{"scale": [1, 1, 1, *scale.tolist()], "bias": [0, 0, 0, *(-low / scale).tolist()]}],
     }
     shown = np.nan_to_num(found.normals, nan=0.0)
-    with writing(folder), tempfile.TemporaryDirectory(prefix=".relight-", dir=folder.parent) as scratch:
-        new = Path(scratch) / "new"
-        new.mkdir()
+    with new_folder(folder) as new:
         for k, plane in enumerate((found.colors, levels[..., :3], levels[..., 3:])):
             # Without halved colors: these are numbers.
             Image.fromarray(np.ascontiguousarray(plane)).save(new / f"plane_{k}.jpg", quality=_QUALITY, subsampling=0)
         save_png(new / "normals.png", np.rint((shown + 1) / 2 * 255).astype(np.uint8), xmp)
-        save_png(new / "albedo.png", found.colors, xmp)
+        save_png(new / ("albedo.png" if found.without_highlights else "unshaded.png"), found.colors, xmp)
         write_text(new / "info.json", json.dumps(info, indent=1) + "\n")
-        shutil.move(str(new), folder)
     return folder

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -73,6 +74,16 @@ def save_png(path: Path, picture: NDArray[np.uint8], xmp: str, *, dpi: float | N
         image.info["dpi"] = (dpi, dpi)
     with replacing(path) as temporary:
         image.save(temporary, pnginfo=told, icc_profile=srgb_profile(), dpi=image.info.get("dpi"))
+
+
+def tag_png(path: Path, xmp: str) -> None:
+    """Put an XMP packet into a PNG file that has none; its pixels stay as they are."""
+    content = path.read_bytes()
+    # Keyword, no compression, no language; behind the signature (8 bytes) and the header (25).
+    chunk = b"iTXtXML:com.adobe.xmp" + b"\0" * 5 + xmp.encode()
+    packed = struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    with replacing(path) as temporary:
+        temporary.write_bytes(content[:33] + packed + content[33:])
 
 
 def tag_tiff(path: Path, xmp: str) -> None:

@@ -17,6 +17,7 @@ from malus import albedo, synthetic
 def spread(estimate: np.ndarray, truth: np.ndarray) -> float:
     """Robust standard deviation of the logarithm of their ratio, over pixels that both have."""
     known = np.isfinite(estimate) & (estimate > 0)
+    assert known.mean() > 0.9
     ratio = np.log(estimate[known] / truth[known])
     return float(1.4826 * np.median(np.abs(ratio - np.median(ratio))))
 
@@ -82,3 +83,12 @@ def test_textures_can_have_the_albedo(dates: tuple[Path, Path], tmp_path: Path, 
     assert told.code == 3 and "--fusion refined" in told.err
     told = run_malus("export", dates[0], "--format", "stl", "--albedo")
     assert told.code == 2 and "--albedo is for obj" in told.err
+    # A IIIF folder has both, each under its name.
+    told = run_malus("export", dates[0], "--format", "iiif", "--albedo")
+    assert told.code == 2 and "not for iiif" in told.err
+
+
+def test_relighting_names_its_colors_as_they_are(dates: tuple[Path, Path], tmp_path: Path, finished_grid: Path) -> None:
+    for work, name, other in ((dates[0], "albedo", "unshaded"), (finished_grid, "unshaded", "albedo")):
+        folder = malus.export(work, "relight", tmp_path / name)
+        assert (folder / f"{name}.png").exists() and not (folder / f"{other}.png").exists()

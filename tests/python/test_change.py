@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +14,16 @@ import pytest
 import tifffile
 
 import malus
-from conftest import DENT, LATER, LUMP
+from conftest import DENT, LATER, LUMP, malus_here
 from conftest import malus as run_malus
+from malus.change import Change
+from malus.change.registration import register
+from malus.change.run import _warnings
+from malus.change.significance import measure
+from malus.exports import Exporter
 
 pytest.importorskip("py4dgeo")
 pytest.importorskip("cv2")
-# The packages that py4dgeo imports warn about each other.
-pytestmark = pytest.mark.filterwarnings("ignore")
 
 
 @pytest.fixture(scope="module")
@@ -103,10 +108,59 @@ def test_a_surface_has_not_changed_against_itself(dates: tuple[Path, Path], tmp_
     assert (dates[1] / "quality.json").exists()
 
 
+def test_a_folder_that_holds_a_workspace_is_not_replaced(dates: tuple[Path, Path], tmp_path: Path) -> None:
+    shutil.copytree(dates[0], tmp_path / "work")
+    (tmp_path / "change.json").write_text("{}")
+    for works in ((tmp_path / "work", dates[1]), (dates[1], tmp_path / "work")):
+        with pytest.raises(malus.InputError, match="holds the workspace"):
+            malus.compare(*works, tmp_path)
+    assert (tmp_path / "work/quality.json").exists()
+
+
 def test_same_frame_moves_nothing(dates: tuple[Path, Path], tmp_path: Path) -> None:
     with pytest.raises(malus.DataError, match="does not lie upon"):
         malus.compare(*dates, tmp_path / "elsewhere", same_frame=True)
     assert not (tmp_path / "elsewhere").exists()
+
+
+def test_surfaces_apart_in_the_same_frame_are_told(dates: tuple[Path, Path]) -> None:
+    before, after = (Exporter(malus.Workspace(dates[0])) for _ in range(2))
+    gsd = before.workspace.quality["gsd"]
+    surface = after.surface
+    after.surface = malus.fusion.FusedSurface(surface.depth - 4 * gsd, surface.normals, surface.sigma, surface.camera)
+    registration = register(before, after, same_frame=True, threads=2)
+    assert registration.offset == pytest.approx(4 * gsd, rel=0.05)
+    (warning,) = _warnings(before, after, registration)
+    assert "in front of the earlier one" in warning
+    assert _warnings(before, before, register(before, before, same_frame=True, threads=2)) == []
+
+
+def test_limit_without_scatter_has_the_error_of_the_registration(
+    dates: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = Exporter(malus.Workspace(dates[0]))
+    gsd = before.workspace.quality["gsd"]
+    registration = replace(register(before, before, same_frame=True, threads=2), error=0.5 * gsd)
+    monkeypatch.setattr(
+        malus.m3c2, "distances", lambda *given, **options: (np.zeros(len(given[2])), np.full(len(given[2]), np.nan))
+    )
+    found = measure(before, before, registration, 2)
+    expected = 1.96 * (np.sqrt(2) * before.surface.sigma + 0.5 * gsd)
+    inner = (slice(4, -4), slice(4, -4))
+    assert np.nanmedian(np.abs(found.limit / expected - 1)[inner]) < 0.01
+
+
+@pytest.mark.parametrize("option", ["--json", "--quiet"])
+def test_no_warning_is_lost_for_programs(tmp_path: Path, option: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    change = Change(np.zeros(0), np.zeros(0), [], {"warnings": ["one [thing]", "another"]}, tmp_path)
+    monkeypatch.setattr(malus, "compare", lambda *given, **options: change)
+    told = malus_here("compare", "a", "b", option)
+    assert told.code == 0
+    if option == "--json":
+        events = [json.loads(line) for line in told.out.splitlines()]
+        assert [event["message"] for event in events if event.get("level") == "warning"] == ["one [thing]", "another"]
+    else:
+        assert told.out == "" and told.err.splitlines() == ["warning: one [thing]", "warning: another"]
 
 
 def test_missing_package_is_named(dates: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

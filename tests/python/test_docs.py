@@ -97,6 +97,17 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert anchor in anchors, f"{page.name} links to {target}; there are {sorted(anchors)}"
 
 
+def test_cpp_on_the_pages_is_what_the_tests_build() -> None:
+    program = (ROOT / "tests/consumer/main.cpp").read_text(encoding="utf-8")
+    blocks = [
+        block
+        for page in PAGES
+        for language, block in BLOCK.findall(page.read_text(encoding="utf-8"))
+        if language == "cpp"
+    ]
+    assert blocks and all(block in program for block in blocks)
+
+
 def test_troubleshooting_quotes_messages_that_exist() -> None:
     sources = "\n".join(
         path.read_text(encoding="utf-8")

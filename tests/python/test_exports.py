@@ -270,10 +270,18 @@ def test_images_say_whose_they_are(workspace: malus.Workspace, tmp_path: Path) -
 
     from PIL import Image
 
-    orthophoto = malus.export(workspace.folder, "orthophoto", tmp_path / "a.png")
-    with Image.open(orthophoto) as image:
-        packets = [image.info["XML:com.adobe.xmp"]]
-        assert image.info["icc_profile"][36:40] == b"acsp"
+    packets = []
+    pictures = {
+        "orthophoto": malus.export(workspace.folder, "orthophoto", tmp_path / "a.png"),
+        "colmap": malus.export(workspace.folder, "colmap", tmp_path / "dense") / "images/station.png",
+        "normal map": malus.export(workspace.folder, "normal-map", tmp_path / "n.png"),
+    }
+    for name, path in pictures.items():
+        with Image.open(path) as image:
+            image.load()  # which checks every chunk
+            packets.append(image.info["XML:com.adobe.xmp"])
+            # A normal map is no color.
+            assert (image.info.get("icc_profile", b"")[36:40] == b"acsp") == (name != "normal map")
     for name in ("dem", "displacement", "normal-map"):
         path = malus.export(workspace.folder, name, tmp_path / f"{name}.tif")
         with tifffile.TiffFile(path) as file:
@@ -372,7 +380,7 @@ def test_relight_folder_shades_as_openlime_computes_it(workspace: malus.Workspac
     assert np.nanmean(np.abs(light - cosine)) < 0.05
     normals = np.asarray(Image.open(folder / "normals.png")).astype(float) / 255 * 2 - 1
     assert np.nanmax(np.abs(normals - known.normals)) < 0.005
-    np.testing.assert_array_equal(np.asarray(Image.open(folder / "albedo.png")), known.colors)
+    np.testing.assert_array_equal(np.asarray(Image.open(folder / "unshaded.png")), known.colors)
     assert np.abs((planes[0] - bias[0]) * scale[0] * 255 - known.colors).mean() < 2
     with pytest.raises(malus.InputError, match="is there already"):
         malus.export(workspace.folder, "relight", folder)

@@ -65,8 +65,8 @@ class Registration:
 
     by: "features" (then ICP), "frames" (ICP from the frames as they are) or "none" (nothing was moved). matches: features that agree.
     size: length on the later surface over the same length on the earlier one, by the features. error: how far apart both surfaces
-    lie over blocks of pixels where nothing changed (one robust standard deviation, station unit). stable_fraction: of the later
-    surface that counts as unchanged.
+    lie over blocks of pixels where nothing changed (one robust standard deviation, station unit). offset: how far the later one lies in
+    front of the earlier one over most blocks. stable_fraction: of the later surface that counts as unchanged.
     """
 
     motion: Motion
@@ -74,6 +74,7 @@ class Registration:
     matches: int
     size: float | None
     error: float
+    offset: float
     stable_fraction: float
 
 
@@ -109,14 +110,14 @@ def register(before: Exporter, after: Exporter, *, same_frame: bool, threads: in
             )
         step = found["reference_from_surface"]
         motion = Motion(np.array(step["rotation"]).reshape(3, 3), np.array(step["translation"])).after(motion)
-        stable, error = _stable(found["distance"])
+        stable, error, offset = _stable(found["distance"])
         depth[~stable] = np.nan
     share = np.isfinite(depth).sum() / np.isfinite(after.surface.depth).sum()
-    return Registration(motion, by, matches, size, error, float(share))
+    return Registration(motion, by, matches, size, error, offset, float(share))
 
 
-def _stable(distance: NDArray[np.float32]) -> tuple[NDArray[np.bool_], float]:
-    """Pixels of blocks whose median distance is near that of most blocks, and the spread of those medians."""
+def _stable(distance: NDArray[np.float32]) -> tuple[NDArray[np.bool_], float, float]:
+    """Pixels of blocks whose median distance is near that of most blocks, and spread and middle of those medians."""
     height, width = distance.shape
     rows, columns = -(-height // _BLOCK_PX), -(-width // _BLOCK_PX)
     padded = np.full((rows * _BLOCK_PX, columns * _BLOCK_PX), np.nan)
@@ -124,14 +125,14 @@ def _stable(distance: NDArray[np.float32]) -> tuple[NDArray[np.bool_], float]:
     blocks = padded.reshape(rows, _BLOCK_PX, columns, _BLOCK_PX).swapaxes(1, 2).reshape(rows, columns, -1)
     enough = np.isfinite(blocks).sum(-1) > _BLOCK_PX**2 // 4
     if not enough.any():
-        return np.zeros(distance.shape, bool), float("nan")
+        return np.zeros(distance.shape, bool), float("nan"), float("nan")
     medians = np.full((rows, columns), np.nan)
     medians[enough] = np.nanmedian(blocks[enough], axis=1)
-    middle = np.median(medians[enough])
+    middle = float(np.median(medians[enough]))
     spread = 1.4826 * float(np.median(np.abs(medians[enough] - middle)))
     stable = np.abs(medians - middle) <= _APART * spread
     pixels = np.kron(stable, np.ones((_BLOCK_PX, _BLOCK_PX), bool))[:height, :width]
-    return pixels, spread
+    return pixels, spread, middle
 
 
 def _pictures(exporter: Exporter) -> list[NDArray[np.uint8]]:
@@ -162,21 +163,11 @@ def _matched(before: Exporter, after: Exporter, cv2: Any) -> tuple[Floats, Float
     return np.concatenate(here), np.concatenate(there)
 
 
-def _world(exporter: Exporter, pixels: Floats) -> Floats:
-    """World points under pixels (N×2), NaN where there is no depth."""
-    camera = exporter.workspace.camera
-    depth = sample(exporter.surface.depth[..., None].astype(float), pixels)[:, 0]
-    x = (pixels[:, 0] - camera.cx) / camera.fx * depth
-    y = (pixels[:, 1] - camera.cy) / camera.fy * depth
-    in_camera = np.stack([x, y, depth], -1)
-    return np.asarray((in_camera - exporter.translation) @ exporter.rotation, dtype=np.float64)
-
-
 def _from_features(before: Exporter, after: Exporter) -> tuple[Motion, int, float] | None:
     """Motion, number of features that agree on it, and how much larger the later surface is; None without enough of them."""
     cv2 = extra("cv2", "opencv-contrib-python-headless", "malus compare", "compare")
     here, there = _matched(before, after, cv2)
-    points, points_after = _world(before, here), _world(after, there)
+    points, points_after = (sample(one.workspace.points(), at) for one, at in ((before, here), (after, there)))
     usable = np.isfinite(points).all(-1) & np.isfinite(points_after).all(-1)
     points, points_after, there = points[usable], points_after[usable], there[usable]
     if len(points) < _LEAST_MATCHES:

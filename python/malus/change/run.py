@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import shutil
-import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,7 +15,7 @@ from numpy.typing import NDArray
 
 from malus import _core
 from malus._extra import extra
-from malus._files import writing
+from malus._files import new_folder
 from malus.change.page import write_page
 from malus.change.regions import Region, find_regions, pixel_areas
 from malus.change.registration import Registration, register
@@ -32,6 +30,8 @@ from malus.workspace import Workspace
 
 #: A comparison with less in common than this may be laid upon the wrong place.
 _LEAST_STABLE = 0.5
+#: Where nothing is moved: surfaces that lie farther apart on the whole than this many of their errors are not in one frame.
+_MOST_OFFSET = 3.0
 #: Lengths that differ by more between the dates point to a scale, not to a change.
 _MOST_SIZE = 0.002
 
@@ -70,7 +70,7 @@ def compare(
     """
     for module, package in (("py4dgeo", "py4dgeo"), ("cv2", "opencv-contrib-python-headless"), ("scipy", "scipy")):
         extra(module, package, "malus compare", "compare")
-    folder = _own_folder(Path(output))
+    folder = _own_folder(Path(output), Path(before), Path(after))
     progress(0.0, "reading")
     first, second = (Exporter(Workspace(work), threads) for work in (before, after))
     if first.unit != second.unit:
@@ -85,23 +85,21 @@ def compare(
     regions = find_regions(first, distances)
     figures = _figures(first, second, registration, distances, regions)
     progress(0.8, "writing")
-    with writing(folder), tempfile.TemporaryDirectory(prefix=".change-", dir=folder.parent) as scratch:
-        new = Path(scratch) / "new"
-        new.mkdir()
+    with new_folder(folder, replace=True) as new:
         _write_files(new, first, distances, regions, figures)
         write_page(new, first, distances, regions, figures)
-        if folder.exists():
-            shutil.rmtree(folder)
-        shutil.move(str(new), folder)
     progress(1.0, str(folder / "index.html"))
     return Change(distances.distance, distances.limit, regions, figures, folder)
 
 
-def _own_folder(folder: Path) -> Path:
+def _own_folder(folder: Path, *works: Path) -> Path:
+    """A folder that may be replaced: it is new, empty or an earlier comparison's, and no workspace lies in it."""
+    for work in works:
+        if folder.resolve() in (work.resolve(), *work.resolve().parents):
+            raise InputError(f"{folder}: holds the workspace {work}, expected a folder of its own for the comparison")
     if folder.exists() and not (folder / "change.json").is_file() and any(folder.iterdir() if folder.is_dir() else "x"):
         raise InputError(f"{folder}: is there already, expected a new folder or one of an earlier comparison")
-    with writing(folder):
-        return folder
+    return folder
 
 
 def _figures(
@@ -121,6 +119,7 @@ def _figures(
             "matches": registration.matches,
             "size_after_over_before": registration.size,
             "error_um": registration.error * um,
+            "offset_um": registration.offset * um,
             "stable_fraction": registration.stable_fraction,
             "rotation": registration.motion.rotation.tolist(),
             "translation": registration.motion.translation.tolist(),
@@ -162,6 +161,13 @@ def _warnings(before: Exporter, after: Exporter, registration: Registration) -> 
         warnings.append(
             f"only {100 * registration.stable_fraction:.0f} % of the surface did not change: it may have been laid upon the "
             "wrong place, or one of the surfaces is bent"
+        )
+    if registration.by == "none" and abs(registration.offset) > _MOST_OFFSET * registration.error:
+        um = METRES[before.unit] * 1e6
+        warnings.append(
+            f"half of the later surface lies more than {shown(abs(registration.offset) * um, 'um')} "
+            f"{'in front of' if registration.offset > 0 else 'behind'} the earlier one: either everything moved, or the "
+            "two frames are not the same"
         )
     if registration.by == "frames":
         warnings.append(

@@ -49,10 +49,11 @@ def measure(before: Exporter, after: Exporter, registration: Registration, threa
     known = np.asarray(np.isfinite(grid).all(-1))
     step = m3c2.thinning(int(known.sum()))
     core = known[::step, ::step]
-    points = registration.motion.apply(after.mesh().vertices)
+    mesh = after.mesh()
+    points = registration.motion.apply(mesh.vertices)
     gsd = max(float(exporter.workspace.quality["gsd"]) for exporter in (before, after))
     radius = m3c2.cylinder_radius(gsd)
-    depth_after = _seen_from(before, after, registration, threads)
+    depth_after = _seen_from(before, after, points, mesh.triangles, registration, threads)
     towards = -before.rotation[2]
     distance, detectable = m3c2.distances(
         grid[known],
@@ -67,7 +68,9 @@ def measure(before: Exporter, after: Exporter, registration: Registration, threa
     if not np.isfinite(distance).any():
         raise DataError(f"{after.workspace.folder}: no part of its surface lies near that of {before.workspace.folder}")
     stated = _CONFIDENCE * _stated_sigma(before, after, registration, grid[::step, ::step][core])
-    limit = np.where(np.isfinite(distance), np.fmax(detectable, stated), np.nan)
+    # Where a cylinder holds too few points for their scatter, the error of the registration still counts.
+    told = np.where(np.isfinite(detectable), np.maximum(detectable, stated), stated + _CONFIDENCE * registration.error)
+    limit = np.where(np.isfinite(distance), told, np.nan)
     maps = []
     for values in (distance, limit):
         small = np.full(core.shape, np.nan)
@@ -77,13 +80,17 @@ def measure(before: Exporter, after: Exporter, registration: Registration, threa
     return Distances(maps[0], maps[1], depth_after, radius)
 
 
-def _seen_from(before: Exporter, after: Exporter, registration: Registration, threads: int) -> Floats:
-    """Depth of the later surface in the earlier view, NaN where it was not seen."""
-    mesh = after.mesh()
+def _seen_from(
+    before: Exporter,
+    after: Exporter,
+    points: NDArray[np.float64],
+    triangles: NDArray[np.uint32],
+    registration: Registration,
+    threads: int,
+) -> Floats:
+    """Depth of the later surface (its mesh in the earlier frame) in the earlier view, NaN where it was not seen."""
     seen = np.isfinite(before.surface.depth)
-    prior = project_mesh(
-        registration.motion.apply(mesh.vertices), mesh.triangles, before.workspace.camera, mask=seen, threads=threads
-    )
+    prior = project_mesh(points, triangles, before.workspace.camera, mask=seen, threads=threads)
     # Holes were filled: pixels whose point the later station did not see.
     depth = prior.depth.copy()
     depth[~_seen_by(after, registration, before.workspace.points(depth))] = np.nan
