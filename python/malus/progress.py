@@ -126,7 +126,8 @@ class JsonProgress(ProgressView):
 
     def log(self, level: str, message: str) -> None:
         """Write a log object."""
-        if level == "warning":
+        # A run that makes its surface twice says the warnings of the steps before it twice.
+        if level == "warning" and message not in self._warnings:
             self._warnings.append(message)
         self._write(event="log", level=level, message=message)
 

@@ -107,7 +107,8 @@ def register_reference(work: str | Path, reference: str | Path) -> Path:
     scan = _core.read_points(str(reference))
     rotation, translation = workspace.pose
     points = workspace.points().reshape(-1, 3)
-    points = points[np.isfinite(points).all(1)][:: max(1, points.shape[0] // _SURFACE_POINTS)]
+    points = points[np.isfinite(points).all(1)]
+    points = points[:: max(1, len(points) // _SURFACE_POINTS)]
     towards_camera = -rotation.T @ translation - points.mean(0)
     try:
         placement = place_reference(points, towards_camera, scan[:: max(1, len(scan) // _REFERENCE_POINTS)])

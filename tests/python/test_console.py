@@ -52,6 +52,16 @@ def test_json_events_say_how_far_everything_is(capsys: pytest.CaptureFixture[str
     assert event["seconds_left"] > 0
 
 
+def test_json_result_lists_a_warning_once(capsys: pytest.CaptureFixture[str]) -> None:
+    view = JsonProgress()
+    for message in ("doubtful", "strange", "doubtful"):
+        view.log("warning", message)
+    view.result("high", [], True)
+    *events, last = map(json.loads, capsys.readouterr().out.splitlines())
+    assert [event["message"] for event in events] == ["doubtful", "strange", "doubtful"]
+    assert last["warnings"] == ["doubtful", "strange"]
+
+
 @pytest.mark.parametrize(("seconds", "said"), [(0.2, "5 s"), (42, "40 s"), (150, "2 min"), (9000, "2.5 h")])
 def test_durations_as_people_say_them(seconds: float, said: str) -> None:
     assert duration(seconds) == said

@@ -309,7 +309,7 @@ def test_index_that_grid_fusion_does_not_estimate_is_said(small_station: Path, t
 
 
 @pytest.mark.parametrize("name", ["bust", "coin", "glass", "relief"])
-def test_examples_can_be_checked(name: str) -> None:
-    outcome = run_malus("check", ROOT / "examples" / name / "station.toml")
+def test_examples_can_be_checked(name: str, tmp_path: Path) -> None:
+    outcome = run_malus("check", ROOT / "examples" / name / "station.toml", cwd=tmp_path)
     assert outcome.code == 0, outcome.err
     assert example_station(name).name == "station.toml"

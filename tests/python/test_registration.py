@@ -10,6 +10,7 @@ import pytest
 
 import malus
 from conftest import malus as run_malus
+from malus import registration
 from malus.registration import place_reference
 
 CAMERA = np.array([0.0, 0.0, 1.0])
@@ -94,3 +95,25 @@ def test_the_command_finds_the_place_of_a_scan(small_station: Path, tmp_path: Pa
     assert found["correlation"] > 0.99 and found["next_best"] < found["correlation"]
     alone = run_malus("assess", small_station, "-o", work, "--register")
     assert alone.code == 2 and "--register needs a reference" in alone.err
+
+
+def test_a_surface_is_thinned_by_the_points_that_it_has(
+    finished_grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nine tenths of the surface are missing; as many points are compared as of a whole one."""
+    points = malus.Workspace(finished_grid).points()
+    holes = np.where(np.random.default_rng(1).random(points.shape[:2]) < 0.9, np.nan, 1.0)
+    monkeypatch.setattr(malus.Workspace, "points", lambda _: points * holes[..., None])
+    monkeypatch.setattr(registration, "_SURFACE_POINTS", 1000)
+    compared: list[int] = []
+
+    def record(surface: np.ndarray, *_: np.ndarray) -> None:
+        compared.append(len(surface))
+        raise malus.DataError("enough")
+
+    monkeypatch.setattr(registration, "place_reference", record)
+    scan = tmp_path / "scan.xyz"
+    np.savetxt(scan, points[np.isfinite(points).all(-1)][:10])
+    with pytest.raises(malus.DataError, match="enough"):
+        registration.register_reference(finished_grid, scan)
+    assert 1000 <= compared[0] < 2000
