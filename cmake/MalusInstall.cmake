@@ -9,6 +9,13 @@ install(TARGETS malus EXPORT malus-targets
         RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT development)
 if(TARGET malus-station)
   install(TARGETS malus-station RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT development)
+  install(FILES cpp/app/completion/malus-station DESTINATION ${CMAKE_INSTALL_DATADIR}/bash-completion/completions
+          COMPONENT development)
+  install(FILES cpp/app/completion/_malus-station DESTINATION ${CMAKE_INSTALL_DATADIR}/zsh/vendor-completions
+          COMPONENT development)
+endif()
+if(TARGET malus-station-manual)
+  install(FILES ${PROJECT_BINARY_DIR}/malus-station.1.gz DESTINATION ${CMAKE_INSTALL_MANDIR}/man1 COMPONENT development)
 endif()
 install(DIRECTORY cpp/malus ${PROJECT_BINARY_DIR}/generated/malus DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}
         COMPONENT development FILES_MATCHING PATTERN "*.h" PATTERN "*_internal.h" EXCLUDE)

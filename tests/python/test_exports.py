@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import struct
 import sys
 import warnings
 from pathlib import Path
@@ -16,7 +17,7 @@ import tifffile
 import malus
 from conftest import malus as run_malus
 from conftest import run_program
-from malus import exports
+from malus import drawings, exports
 
 
 @pytest.fixture(scope="module")
@@ -218,6 +219,23 @@ def test_las_reads_back(workspace: malus.Workspace, points: np.ndarray, tmp_path
     np.testing.assert_allclose(cloud.xyz, points.reshape(-1, 3), atol=1e-3 * workspace.quality["gsd"])
     np.testing.assert_allclose(cloud.sigma, workspace.raster("fused/sigma.tif").ravel(), rtol=1e-5)
     assert cloud.red.max() > 255
+    # By LASzip, point format 7 as the specification lays it out.
+    laszip = pytest.importorskip("laszip")
+    names = "x y z intensity returns flags kind user angle source time red green blue sigma nx ny nz".split()
+    forms = "<i4 <i4 <i4 <u2 u1 u1 u1 u1 <i2 <u2 <f8 <u2 <u2 <u2 <f4 <f4 <f4 <f4".split()
+    records = np.zeros(points.shape[0] * points.shape[1], list(zip(names, forms, strict=True)))
+    with (tmp_path / name).open("rb") as file:
+        reader = laszip.LasUnZipper(file)
+        header = reader.header
+        reader.decompress_into(records.view(np.uint8))
+        scale, offset = (
+            np.array([getattr(header, f"{axis}_{word}") for axis in "xyz"]) for word in ("scale_factor", "offset")
+        )
+        reader.close()
+    read = np.stack([records[axis] for axis in "xyz"], -1) * scale + offset
+    np.testing.assert_allclose(read, points.reshape(-1, 3), atol=1e-3 * workspace.quality["gsd"])
+    np.testing.assert_array_equal(records["sigma"], cloud.sigma)
+    np.testing.assert_array_equal(records["green"], cloud.green)
 
 
 def test_e57_reads_back_in_metres(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
@@ -227,6 +245,10 @@ def test_e57_reads_back_in_metres(workspace: malus.Workspace, points: np.ndarray
     file.close()
     xyz = np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], -1) * 1000
     np.testing.assert_allclose(xyz, points.reshape(-1, 3), atol=1e-6)
+    # By a reader that shares no code with the writer.
+    other = pytest.importorskip("e57").read_points(str(tmp_path / "a.e57"))
+    np.testing.assert_allclose(np.asarray(other.points) * 1000, points.reshape(-1, 3), atol=1e-4)
+    assert len(other.color) == len(xyz)
 
 
 def test_stl_has_every_triangle_with_outward_normals(
@@ -298,6 +320,18 @@ def test_images_say_whose_they_are(workspace: malus.Workspace, tmp_path: Path) -
         assert "".join(terms.itertext()).strip() == "CC-BY-4.0"
 
 
+def dxf_lines_of_gdal(path: Path) -> list[np.ndarray]:
+    """Lines (N×3, or N×2 of a flat one) of a drawing as GDAL reads them."""
+    pyogrio = pytest.importorskip("pyogrio")
+    lines = []
+    for geometry in pyogrio.raw.read(path)[2]:
+        order, kind, count = struct.unpack_from("<BII", geometry)
+        assert order == 1 and kind in (2, 1002, 0x80000002)  # lines in the plane, and the two codes of those in space
+        sides = 2 if kind == 2 else 3
+        lines.append(np.frombuffer(geometry, "<f8", sides * count, 9).reshape(-1, sides))
+    return lines
+
+
 @pytest.mark.parametrize("ending", ["svg", "dxf"])
 def test_contours_run_at_their_height(workspace: malus.Workspace, tmp_path: Path, ending: str) -> None:
     dem = exports.Exporter(workspace).dem()
@@ -315,6 +349,9 @@ def test_contours_run_at_their_height(workspace: malus.Workspace, tmp_path: Path
         known = np.isfinite(height)
         assert known.mean() > 0.8
         np.testing.assert_allclose(height[known], every[known, 2], atol=0.05)
+        read = dxf_lines_of_gdal(path)
+        assert len(read) == len(lines)
+        np.testing.assert_allclose(np.concatenate(read), every, atol=1e-9)
     else:
         from xml.etree import ElementTree
 
@@ -323,17 +360,28 @@ def test_contours_run_at_their_height(workspace: malus.Workspace, tmp_path: Path
         width = float(root.attrib["width"][:-2])
         assert width == pytest.approx(dem.elevation.shape[1] * dem.pixel * 1.1, rel=0.1)
         assert len(root.findall(".//{http://www.w3.org/2000/svg}path")) > 5
+        # Drawn at 25.4 px an inch, a pixel is a millimeter.
+        svgelements = pytest.importorskip("svgelements")
+        drawn = list(svgelements.SVG.parse(path, ppi=25.4).select(lambda part: isinstance(part, svgelements.Path)))
+        expected = [line for layer in drawings.contours(dem, 0.5) for line in layer.lines]
+        assert len(drawn) == len(expected)
+        for curve, line in zip(drawn, expected, strict=True):
+            seen = np.array([(segment.end.x, -segment.end.y) for segment in curve])
+            np.testing.assert_allclose(seen - seen[0], line[:, :2] - line[0, :2], atol=2e-3)
 
 
 def test_sections_are_the_profiles(workspace: malus.Workspace, tmp_path: Path) -> None:
     ezdxf = pytest.importorskip("ezdxf")
-    document = ezdxf.readfile(malus.export(workspace.folder, "sections", tmp_path / "a.dxf"))
+    path = malus.export(workspace.folder, "sections", tmp_path / "a.dxf")
+    document = ezdxf.readfile(path)
     lines = {line.dxf.layer: np.array(list(line.get_points("xy"))) for line in document.modelspace()}
     assert set(lines) == {"1 prior", "1 fused"}
     profile = workspace.quality["profiles"][0]
     fused = lines["1 fused"]
     np.testing.assert_allclose(fused[:, 0], profile["position"], atol=1e-6)
     np.testing.assert_allclose(np.diff(fused[:, 1]), np.diff(np.array(profile["fused"], float)), atol=1e-6)
+    for read, line in zip(dxf_lines_of_gdal(path), lines.values(), strict=True):
+        np.testing.assert_allclose(read[:, :2], line, atol=1e-9)
 
 
 def test_colmap_goes_on_with_the_surface(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:

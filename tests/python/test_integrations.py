@@ -76,6 +76,42 @@ def test_blender_imports_a_workspace(finished_grid: Path, tmp_path: Path) -> Non
     np.testing.assert_allclose(pixels, expected, atol=0.05)
 
 
+_PIXELS_IN_BLENDER = """
+import sys
+import bpy, numpy
+*paths, output = sys.argv[sys.argv.index("--") + 1:]
+read = []
+for path in paths:
+    image = bpy.data.images.load(path)
+    width, height = image.size
+    pixels = numpy.empty(width * height * 4, numpy.float32)
+    image.pixels.foreach_get(pixels)
+    read.append(pixels.reshape(height, width, 4)[::-1, :, :3])
+numpy.savez(output, *read)
+"""
+
+
+def test_blender_opens_displacement_and_normal_map(finished_grid: Path, tmp_path: Path) -> None:
+    pytest.importorskip("OpenEXR")
+    program = shutil.which("blender")
+    if program is None:
+        pytest.skip("Blender is not installed (apt install blender python3-numpy)")
+    paths = [malus.export(finished_grid, name, tmp_path / f"{name}.exr") for name in ("displacement", "normal-map")]
+    script = tmp_path / "script.py"
+    script.write_text(_PIXELS_IN_BLENDER)
+    outcome = run_program(
+        program, "--background", "--factory-startup", "--python-exit-code", "1", "--python", script, "--",
+        *paths, tmp_path / "read.npz",
+    )  # fmt: skip
+    assert outcome.code == 0, outcome.out + outcome.err
+    displacement, normals = np.load(tmp_path / "read.npz").values()
+    elevation = np.nan_to_num(malus.Workspace(finished_grid).raster("fused/dem.tif"))
+    np.testing.assert_array_equal(displacement[..., 0], elevation)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-5)
+    # Blue to the viewer.
+    assert np.median(normals[..., 2]) > 0.8
+
+
 def test_command_of_the_meshroom_node_runs(
     small_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
