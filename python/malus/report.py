@@ -23,7 +23,7 @@ from malus.pages import template
 from malus.paper import plates as paper_plates
 from malus.paper.tables import cell_text, table_1
 from malus.reconstruction import STEPS
-from malus.report_head import head_of
+from malus.report_head import head_of, is_the_prior
 from malus.result import Result
 from malus.workspace import Workspace
 
@@ -69,7 +69,7 @@ def what_to_trust(quality: Mapping[str, Any]) -> str:
         return "Shape and fine detail can be trusted on nearly all of the object."
     if refined is None:
         return "The shape is as good as the coarse surface it came from (the prior). Nothing proves the fine detail."
-    if refined < 0.05:
+    if is_the_prior(quality):
         return "This is the coarse surface it started from (the prior), no finer and no worse."
     if refined < 0.9:
         return (

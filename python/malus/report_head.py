@@ -1,7 +1,8 @@
-"""What the report says first: a photograph, how large and how accurate, how sure, and what was gained over stereo alone."""
+"""What the report says first beside how sure it is: a photograph, how large and how accurate, what was gained over stereo alone."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,8 @@ from malus.workspace import Workspace
 
 #: A spread that is this much larger or smaller is said to be so.
 _NOTABLE = 1.1
+#: Share of the object below which next to nothing of it is refined.
+_NOWHERE = 0.05
 
 
 @dataclass(frozen=True)
@@ -63,12 +66,20 @@ def head_of(plates: Plates, extent: list[float]) -> Head:
     return Head(
         encode(shown_picture, "WEBP", quality=88), picture.shape[1], picture.shape[0], 100 * length / width, label,
         f"{size[0]:.3g} × {size[1]:.3g} {unit}", accuracy, note, shown(plates.gsd, unit, 3),
-        _gains(quality, unit),
+        gains_of(quality, unit),
     )  # fmt: skip
 
 
-def _gains(quality: dict[str, Any], unit: str) -> list[str]:
-    """What fusion changed against stereo alone, a sentence each."""
+def is_the_prior(quality: Mapping[str, Any]) -> bool:
+    """Whether the surface is the prior's nearly everywhere, because nothing finer is supported."""
+    refined = quality.get("refinement", {}).get("trusted_share")
+    return refined is not None and refined < _NOWHERE
+
+
+def gains_of(quality: Mapping[str, Any], unit: str) -> list[str]:
+    """What fusion changed against stereo alone, a sentence each; nothing where the surface is the prior's."""
+    if is_the_prior(quality):
+        return []
     lines = []
     for patch in quality["patches"]:
         if patch["prior"] and patch["fused"]:

@@ -21,6 +21,8 @@ import malus
 from conftest import malus as run_malus
 from conftest import run_program
 from malus import _core, figures, lengths, viewer
+from malus.report import what_to_trust
+from malus.report_head import gains_of
 
 
 class Page(HTMLParser):
@@ -139,16 +141,24 @@ def test_figures_lie_beside_the_page_with_their_numbers(work: Path) -> None:
     assert float(row["p50"]) == pytest.approx(np.nanmedian(degree), rel=1e-6)
 
 
-def test_first_come_photograph_size_accuracy_and_gain(work: Path) -> None:
+def test_first_come_confidence_photograph_size_accuracy_and_gain(work: Path) -> None:
     text = (work / "report/index.html").read_text()
     places = [
         text.index(part)
-        for part in ("Photograph of", "<dt>Size", "<dt>Accuracy", 'class="verdict', "over stereo alone")
+        for part in ('class="verdict', "Photograph of", "<dt>Size", "<dt>Accuracy", "over stereo alone")
     ]
     assert places == sorted(places)
     quality = json.loads((work / "quality.json").read_text())
     accuracy = lengths.shown(quality["sigma"]["median_gsd"] * quality["gsd"], "mm")
     assert f"<dt>Accuracy</dt><dd>{accuracy} " in text and accuracy.endswith(" µm")
+
+
+def test_nothing_is_gained_where_the_surface_is_the_priors(work: Path) -> None:
+    quality = json.loads((work / "quality.json").read_text())
+    assert gains_of(quality, "mm")
+    kept = quality | {"refinement": {"trusted_share": 0.01}, "confidence": {"level": "partial", "reasons": []}}
+    assert gains_of(kept, "mm") == []
+    assert "no finer and no worse" in what_to_trust(kept)
 
 
 def test_alternative_texts_say_what_is_seen(work: Path) -> None:
