@@ -171,6 +171,23 @@ TEST(PriorOfCloud, KeepsAPartThatStandsOut) {
   EXPECT_LT(rms_gsd(depth, surface, [&](int u, int v) { return from_edge(u, v) > 5; }), 1);
 }
 
+TEST(PriorOfCloud, NormalsDoNotCarryAStepFarAround) {
+  // A ring 16 GSD high; normals say well how the ground lies, and nothing of the ring's walls.
+  const auto from_middle = [](double u, double v) { return std::hypot(u - 60, v - 44); };
+  const Depth surface = [&](double u, double v) {
+    const double r = from_middle(u, v);
+    return plane_depth(u, v) - 8 * gsd_mm * (std::tanh((r - 22) / 0.7) - std::tanh((r - 38) / 0.7));
+  };
+  double ring = 0;
+  for (const unsigned seed : {1U, 2U, 3U}) {
+    PointCloud cloud = sample(surface, 1500, 2, seed);
+    add_normals(cloud, surface, 0.05);
+    const Image<float> depth = project(cloud).depth;
+    ring += rms_gsd(depth, surface, [&](int u, int v) { return std::abs(from_middle(u, v) - 30) < 4; }) / 3;
+  }
+  EXPECT_LT(ring, 0.54);
+}
+
 TEST(PriorOfCloud, SteepPointsCountByTheirDistanceFromTheSurface) {
   // A sphere to 80° from its middle, whose points are uncertain by as much in every direction.
   constexpr double radius_px = 44;
