@@ -237,6 +237,8 @@ class SweepValues(TypedDict, total=False):
 class PriorSection(Section):
     """Options of the section prior."""
 
+    sigma: float | Literal["auto"]
+    """standard deviation of a cloud's points, or of the depth of another prior, in the station's unit; left out = the station file's, and without it a cloud's is measured and another's is raster_sigma_gsd"""
     smoothing_px: float | Literal["auto"]
     """length over which the cloud is smoothed, in px; left out = from the cloud's noise and density"""
     smoothing_scale: float
@@ -256,7 +258,7 @@ class PriorSection(Section):
     min_points: int
     """fewest visible points on the object"""
     raster_sigma_gsd: float
-    """standard deviation of a mesh's or a depth map's depth, in GSD (a cloud's is measured)"""
+    """standard deviation of a mesh's or a depth map's depth, in GSD, where none is stated"""
     correlated_noise: float
     """share of a point's noise that its neighbors have too, so that smoothing leaves it (for sigma)"""
     tension_spacings: float
@@ -272,6 +274,7 @@ class PriorSection(Section):
 class PriorValues(TypedDict, total=False):
     """The same as a mapping, any of them."""
 
+    sigma: float | Literal["auto"]
     smoothing_px: float | Literal["auto"]
     smoothing_scale: float
     edge_tolerance: float
@@ -499,7 +502,7 @@ class RefineSection(Section):
     explained_enough: float
     """… and from which on the refined one is"""
     anchor: float
-    """the prior's low frequencies are kept beyond this times the square root of its points' noise (GSD) times their distance (px), in px; 0 = not, as of meshes and depth maps, whose points have no known noise"""
+    """the prior's low frequencies are kept beyond this times the square root of its points' noise (GSD) times their distance (px), in px; 0 = not"""
 
 
 class RefineValues(TypedDict, total=False):

@@ -42,12 +42,38 @@ class OpticsValues(TypedDict, total=False):
     light: Sequence[float]
 
 
+class PlaneValues(TypedDict):
+    """[prior].plane, world frame."""
+
+    point: Sequence[float]
+    normal: Sequence[float]
+
+
+class SphereValues(TypedDict):
+    """[prior].sphere, world frame, in the station's unit."""
+
+    center: Sequence[float]
+    radius: float
+
+
+class CylinderValues(TypedDict):
+    """[prior].cylinder, world frame, in the station's unit: round and endless; `point` is on its axis."""
+
+    point: Sequence[float]
+    axis: Sequence[float]
+    radius: float
+
+
 class PriorValues(TypedDict, total=False):
-    """[prior]: one of three files."""
+    """[prior]: one of three files or of three shapes, and its standard deviation, which shapes need."""
 
     cloud: str
     mesh: str
     depth: str
+    plane: PlaneValues
+    sphere: SphereValues
+    cylinder: CylinderValues
+    sigma: float
 
 
 class PatchValues(TypedDict, total=False):
@@ -82,6 +108,7 @@ class Station:
         prior_points: ArrayLike | None = None,
         prior_normals: ArrayLike | None = None,
         prior_depth: ArrayLike | None = None,
+        prior_sigma: float | None = None,
         mask: ArrayLike | None = None,
         name: str = "station",
         unit: str = "mm",
@@ -104,8 +131,8 @@ class Station:
         K polarizer angles, counter-clockwise from image +x as displayed, "auto" where they are not known, or None with a
         mosaic, which states them. At most one prior is given, and it is needed for more than the polarization maps:
         prior_points (N×3, world frame, in `unit`) with or without prior_normals (N×3, towards the camera), prior_depth
-        (H×W z-depth of the undistorted view, NaN = none), or `prior`, a file. mask: H×W, non-zero = object.
-        refractive_index None means "auto".
+        (H×W z-depth of the undistorted view, NaN = none), or `prior`, a file or a shape. prior_sigma: standard deviation of
+        the points or the depth, in `unit`. mask: H×W, non-zero = object. refractive_index None means "auto".
 
         All else that a station file can say is given by its own words: `polarized` (response, levels, exposures, channel,
         mosaic …), `optics` (light …), `patches`, `profiles`, `scale` and `object`, the catalogue's words. Names of files
@@ -134,7 +161,7 @@ class Station:
                 **(optics or {}),
             },
             "object": object,
-            "prior": prior,
+            "prior": prior if prior_sigma is None else {**(prior or {}), "sigma": prior_sigma},
             "patch": patches,
             "profile": profiles,
             "scale": scale,

@@ -148,6 +148,9 @@ def test_prior_with_normals_and_prior_of_a_file_are_those_of_the_file(small_stat
         ({"scale": [{"distance": 3}]}, r"needs \[photos\]"),
         ({"object": {"tittle": "x"}}, r"\[object\].tittle"),
         ({"prior": {"cloud": "no.ply"}}, r"no\.ply"),
+        ({"prior": {"sphere": {"center": [0, 0, 9], "radius": 3}}}, r"\[prior\].sigma.*is missing.*from the sphere"),
+        ({"prior_points": np.zeros((3, 3)), "prior_sigma": 0.0}, r"\[prior\].sigma = 0"),
+        ({"prior_sigma": 1.0}, "0 surfaces"),
     ],
 )
 def test_mistakes_are_named_as_in_a_file(pictures: list[np.ndarray], changes: dict[str, Any], message: str) -> None:
@@ -167,6 +170,18 @@ def test_mistakes_are_named_as_in_a_file(pictures: list[np.ndarray], changes: di
 def test_what_python_can_tell(pictures: list[np.ndarray], changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         in_memory(pictures, **changes)
+
+
+def test_a_shape_and_the_standard_deviation_of_any_prior(pictures: list[np.ndarray]) -> None:
+    plane: dict[str, Any] = {"plane": {"point": [0, 0, 200], "normal": [0, 0, 1]}, "sigma": 0.5}
+    depth = np.full((40, 60), 200.0)
+    priors: list[dict[str, Any]] = [{"prior": plane}, {"prior_depth": depth, "prior_sigma": 0.5}]
+    for prior in priors:
+        station = in_memory(pictures, **prior)
+        assert station.describe()["prior_sigma"] == 0.5
+        found = malus.reconstruct(station, malus.Options(capture={"registration": "off"}), until="prior", threads=1)
+        np.testing.assert_allclose(found.prior_depth, depth, rtol=1e-6)
+        np.testing.assert_allclose(found.prior_sigma, 0.5)
 
 
 def test_known_distances_scale_a_prior_in_memory(pictures: list[np.ndarray]) -> None:

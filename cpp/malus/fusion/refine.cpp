@@ -354,7 +354,9 @@ class Refiner {
           if (!image_.pixels(u, v)) continue;
           surface.depth(u, v) =
               static_cast<float>(prior.depth(u, v) * std::exp(change_at(strip.field, u, strip_v) / image_.focal));
-          surface.sigma(u, v) = sigma(u, strip_v);
+          // An error that is no noise is not averaged out where the slopes leave it.
+          const bool is_noise = prior.noise > 0 || prior.sigma.empty();
+          surface.sigma(u, v) = is_noise ? sigma(u, strip_v) : std::max(sigma(u, strip_v), prior.sigma(u, v));
           report_.mirrored(u, v) = mirrored(u, strip_v);
           report_.label(u, v) = image_.kind(u, v);
           report_.confidence(u, v) =

@@ -103,7 +103,7 @@ struct RefineOptions {
     visit("explained_enough", self.explained_enough, Range{-1, 1}, "… and from which on the refined one is");
     visit("anchor", self.anchor, not_negative,
           "the prior's low frequencies are kept beyond this times the square root of its points' noise (GSD) times "
-          "their distance (px), in px; 0 = not, as of meshes and depth maps, whose points have no known noise");
+          "their distance (px), in px; 0 = not");
   }
 };
 

@@ -401,24 +401,68 @@ void read_camera(const TomlTable& table, StationFile& station) {
     station.camera = CameraSpec{lens, *pose};
   } else if (station.photos) {
     station.lens = lens;
-  } else if (station.prior && std::holds_alternative<DepthFile>(*station.prior)) {
+  } else if (station.prior &&
+             (std::holds_alternative<DepthFile>(*station.prior) || std::holds_alternative<Shape>(*station.prior))) {
     station.camera = CameraSpec{lens, Pose{}};
   } else {
     throw table.error(
         "qvec",
-        "is missing, expected qvec and tvec, or omega_phi_kappa_deg and center; only with [photos] or a depth-map "
-        "prior can the pose be left out");
+        "is missing, expected qvec and tvec, or omega_phi_kappa_deg and center; only with [photos], or with a "
+        "depth-map prior or a plane, sphere or cylinder can the pose be left out");
   }
 }
 
 // ---- the rest ----
 
-PriorFile read_prior(const TomlTable& table) {
-  const std::array<std::string_view, 3> keys{"cloud", "mesh", "depth"};
+constexpr Range coordinate_range{-1e12, 1e12}, length_range{1e-12, 1e12};
+
+Eigen::Vector3d read_point(const TomlTable& table, std::string_view key) {
+  const auto values =
+      table.required(table.numbers_exactly<3>(key, coordinate_range), key, "three coordinates, [x, y, z]");
+  return {values[0], values[1], values[2]};
+}
+
+Eigen::Vector3d read_direction(const TomlTable& table, std::string_view key) {
+  const Eigen::Vector3d direction = read_point(table, key);
+  if (!(direction.norm() > 0)) throw table.wrong(key, "a direction, not all zero");
+  return direction;
+}
+
+double read_radius(const TomlTable& table) {
+  return table.required(table.number("radius", length_range), "radius", "a length in the station's unit");
+}
+
+/// [prior].plane, .sphere or .cylinder; nothing without them.
+std::optional<Shape> read_shape(const TomlTable& table) {
+  const auto inner = [&table](std::string_view key, const std::vector<std::string_view>& known) {
+    const toml::table* found = section(table, key);
+    return found ? std::optional(TomlTable(*found, table.file(), "[prior]." + std::string(key), known)) : std::nullopt;
+  };
+  if (const auto plane = inner("plane", keys_of(PlaneShape{})))
+    return PlaneShape{read_point(*plane, "point"), read_direction(*plane, "normal")};
+  if (const auto sphere = inner("sphere", keys_of(SphereShape{})))
+    return SphereShape{read_point(*sphere, "center"), read_radius(*sphere)};
+  if (const auto cylinder = inner("cylinder", keys_of(CylinderShape{}))) {
+    return CylinderShape{read_point(*cylinder, "point"), read_direction(*cylinder, "axis"), read_radius(*cylinder)};
+  }
+  return std::nullopt;
+}
+
+/// Nothing where the surface itself is in memory, of which [prior] says the rest.
+std::optional<PriorFile> read_prior(const TomlTable& table, bool in_memory) {
+  const std::array<std::string_view, 6> keys{"cloud", "mesh", "depth", "plane", "sphere", "cylinder"};
   const auto given = std::ranges::count_if(keys, [&](std::string_view key) { return table.has(key); });
+  if (given == 0 && in_memory) return std::nullopt;
   if (given != 1) {
-    throw table.error(
-        "cloud", "[prior] has " + std::to_string(given) + " surfaces, expected exactly one of cloud, mesh and depth");
+    throw table.error("cloud", "[prior] has " + std::to_string(given) +
+                                   " surfaces, expected exactly one of cloud, mesh, depth, plane, sphere and cylinder");
+  }
+  if (const std::optional<Shape> shape = read_shape(table)) {
+    if (!table.has("sigma")) {
+      throw table.error("sigma", "is missing, expected how far the object is from the " + std::string(name_of(*shape)) +
+                                     ", one standard deviation in the station's unit");
+    }
+    return *shape;
   }
   if (table.has("mesh")) return MeshFile{*table.existing_file("mesh")};
   if (table.has("depth")) return DepthFile{*table.existing_file("depth")};
@@ -629,14 +673,19 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
   if (const auto table = optional_section("optics", {"refractive_index", "reflection", "light"}))
     station.optics = read_optics(*table);
   if (const auto table = optional_section("photos", keys_of(PhotosSpec{}))) station.photos = read_photos(*table);
-  if (const auto table = optional_section("prior", {"cloud", "mesh", "depth"})) station.prior = read_prior(*table);
+  const bool prior_in_memory = given != nullptr && given->has_prior;
+  if (const auto table =
+          optional_section("prior", {"cloud", "mesh", "depth", "plane", "sphere", "cylinder", "sigma"})) {
+    station.prior = read_prior(*table, prior_in_memory);
+    station.prior_sigma = table->number("sigma", length_range);
+  }
   if (given != nullptr) station.camera = given->camera;
   const Keys camera_keys = joined({{"colmap_model", "image"}, lens_keys, pose_keys, brown_keys});
   if (const auto table = optional_section("camera", camera_keys)) read_camera(*table, station);
   if (station.prior && !station.camera && !station.photos) {
     throw document.error("camera", "is missing, expected [camera], in whose view the prior is to be seen");
   }
-  read_scale_bars(document, station, station.prior || (given != nullptr && given->has_prior));
+  read_scale_bars(document, station, station.prior || prior_in_memory);
 
   if (given != nullptr) {
     station.polarized.images.clear();

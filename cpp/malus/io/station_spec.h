@@ -12,6 +12,7 @@
 #include "malus/core/fields.h"
 #include "malus/core/pose.h"
 #include "malus/core/reflection_choice.h"
+#include "malus/core/shape.h"
 
 namespace malus {
 
@@ -125,7 +126,7 @@ struct CameraSpec {
   Pose pose;
 };
 
-/// [prior]: exactly one of the three.
+/// [prior]: exactly one of a cloud, a mesh, a depth map and a shape.
 struct CloudFile {
   std::filesystem::path path;  ///< of a file, or the folder of a COLMAP workspace
 };
@@ -135,7 +136,7 @@ struct MeshFile {
 struct DepthFile {
   std::filesystem::path path;
 };
-using PriorFile = std::variant<CloudFile, MeshFile, DepthFile>;
+using PriorFile = std::variant<CloudFile, MeshFile, DepthFile, Shape>;
 
 /// [photos]
 struct PhotosSpec {
@@ -223,11 +224,12 @@ struct StationFile {
   PolarizedSpec polarized;
   OpticsSpec optics;
   std::optional<CameraSpec>
-      camera;                      ///< known lens and pose; with a depth-map prior and no pose, the world is the camera
+      camera;  ///< known lens and pose; with a depth map or shape as prior and no pose, the world is the camera
   std::optional<LensCamera> lens;  ///< known lens, pose to come from [photos]; never together with `camera`
   std::vector<std::filesystem::path> camera_files;  ///< of the COLMAP model that `camera` was read from
   std::optional<std::string> camera_image;          ///< [camera].image: the station's name in the photos' model
   std::optional<PriorFile> prior;
+  std::optional<double> prior_sigma;  ///< standard deviation that is stated of the prior, station unit
   std::optional<PhotosSpec> photos;
   std::vector<ScaleBar> scale_bars;
   double prior_scale = 1;            ///< of a given prior, by the bars; the camera's position has it already

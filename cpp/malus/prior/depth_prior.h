@@ -18,8 +18,8 @@ struct DepthPrior {
   // Block of provenance, for quality.json.
   double points_total = 0;  ///< in the file
   double points_used = 0;   ///< visible, inliers
-  double noise = 0;         ///< robust standard deviation of a point about the surface, station unit
-  double spacing_px = 0;    ///< mean distance of neighboring used points in the view
+  double noise = 0;         ///< standard deviation of a point, or of a raster's depth, station unit; 0 = none
+  double spacing_px = 0;    ///< mean distance of neighboring used points in the view; of a raster's independent errors
   double smoothing_px = 0;  ///< chosen smoothing length
   /// Share of object pixels farther than 2 · spacing from any point; of rasters and photos, those without a depth.
   double filled_fraction = 0;

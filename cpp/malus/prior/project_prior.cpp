@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <iterator>
 #include <limits>
 #include <numbers>
 #include <opencv2/core.hpp>
@@ -23,6 +24,7 @@
 #include "malus/core/tiled_axis_internal.h"
 #include "malus/prior/choose_smoothing_internal.h"
 #include "malus/prior/rasterize_mesh_internal.h"
+#include "malus/prior/shape_depth_internal.h"
 #include "malus/prior/smoothing_spline_internal.h"
 #include "malus/prior/visible_points_internal.h"
 
@@ -262,6 +264,19 @@ Surface smooth_cloud(LargeVector<ViewPoint> points, const Mask& mask, const Smoo
   return surface;
 }
 
+/// Standard deviation of a cloud's points, in the station's unit.
+double stated_or_measured(double measured, const PriorOptions& options, const Context& context) {
+  constexpr double contradicts = 3;
+  if (!options.sigma) return measured;
+  if (measured > contradicts * *options.sigma) {
+    std::ostringstream message;
+    message << "prior cloud: its points scatter by " << measured << " about their surface, but sigma states "
+            << *options.sigma << ", which is taken: check its unit";
+    context.log(LogLevel::warning, message.str());
+  }
+  return *options.sigma;
+}
+
 /// Smoothing of the cloud: the option, or what its noise and density ask for.
 Smoothing smoothing_for(const VisiblePoints& visible, const Mask& mask, const PriorOptions& options,
                         const Context& context) {
@@ -286,6 +301,11 @@ DepthPrior empty_prior(const Pinhole& camera, const Pose& pose) {
   prior.depth = Image<float>(camera.size, 1, none);
   prior.sigma = Image<float>(camera.size, 1, none);
   return prior;
+}
+
+/// Standard deviation of a raster's depth: what is stated, or so many GSD.
+double raster_sigma(double depth, double focal, const PriorOptions& options) {
+  return options.sigma ? *options.sigma : options.raster_sigma_gsd * depth / focal;
 }
 
 /// Fills object pixels without a depth by a spline through their surroundings.
@@ -331,8 +351,8 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
       if (holes.at<std::uint8_t>(v, u) == 0) continue;
       const double depth = reference * std::exp((surface.height(u, v) + plane.at(u, v)) / focal);
       prior.depth(u, v) = static_cast<float>(depth);
-      prior.sigma(u, v) = static_cast<float>(
-          std::hypot(options.raster_sigma_gsd, surface.noise * std::sqrt(surface.variance(u, v))) * depth / focal);
+      prior.sigma(u, v) = static_cast<float>(std::hypot(
+          raster_sigma(depth, focal, options), surface.noise * std::sqrt(surface.variance(u, v)) * depth / focal));
     }
   });
   prior.filled_fraction =
@@ -353,7 +373,7 @@ DepthPrior prior_of_raster(const Image<float>& depth, const std::string& source,
     }
     ++known;
     prior.depth[i] = depth[i];
-    prior.sigma[i] = static_cast<float>(options.raster_sigma_gsd * depth[i] / camera.focal());
+    prior.sigma[i] = static_cast<float>(raster_sigma(depth[i], camera.focal(), options));
   }
   if (known < static_cast<std::size_t>(options.min_points)) {
     throw data_error(source + ": " + std::to_string(known) + " object pixels have a depth, expected at least " +
@@ -364,6 +384,17 @@ DepthPrior prior_of_raster(const Image<float>& depth, const std::string& source,
   prior.points_total = static_cast<double>(known + elsewhere);
   prior.points_used = static_cast<double>(known);
   prior.spacing_px = 1;
+  return prior;
+}
+
+/// The depth's standard deviation as noise, as a cloud's points have it: a fusion averages it over distances.
+DepthPrior with_noise(DepthPrior prior) {
+  // Neighboring pixels of a surface that was measured share their errors.
+  constexpr double independent_px = 4;
+  std::vector<float> sigmas;
+  std::copy_if(prior.sigma.begin(), prior.sigma.end(), std::back_inserter(sigmas), [](float s) { return s > 0; });
+  prior.noise = median_in_place(sigmas);
+  prior.spacing_px = independent_px;
   return prior;
 }
 
@@ -407,19 +438,19 @@ DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const P
   prior.filled_fraction = far_fraction(mask, visible.points, 2 * visible.spacing_px);
   const Surface surface = smooth_cloud(std::move(visible.points), mask, how, options, context);
   const double focal = camera.focal();
+  prior.noise = stated_or_measured(surface.noise * visible.reference_depth / focal, options, context);
+  const double noise = prior.noise * focal / visible.reference_depth;
   const double shared2 = options.correlated_noise * options.correlated_noise;
   parallel_rows(context, camera.size.height, [&](int v) {
     for (int u = 0; u < camera.size.width; ++u) {
       if (mask(u, v) == 0) continue;
       const double depth = visible.reference_depth * std::exp((surface.height(u, v) + plane.at(u, v)) / focal);
       prior.depth(u, v) = static_cast<float>(depth);
-      prior.sigma(u, v) =
-          static_cast<float>(surface.noise * std::sqrt(surface.variance(u, v) + shared2) * depth / focal);
+      prior.sigma(u, v) = static_cast<float>(noise * std::sqrt(surface.variance(u, v) + shared2) * depth / focal);
     }
   });
   prior.points_total = static_cast<double>(visible.census.total);
   prior.points_used = static_cast<double>(visible.census.used);
-  prior.noise = surface.noise * visible.reference_depth / focal;
   prior.spacing_px = visible.spacing_px;
   prior.smoothing_px = how.length_px;
   context.progress("prior", 1);
@@ -430,15 +461,22 @@ DepthPrior project_prior(const TriangleMesh& mesh, const Pinhole& camera, const 
                          const PriorOptions& options, const Context& context) {
   validate(camera, pose, mask, options);
   context.progress("prior", 0, "rasterizing the mesh");
-  return prior_of_raster(rasterize_mesh(mesh, camera, pose, context), "prior mesh", camera, pose, mask, options,
-                         context);
+  return with_noise(
+      prior_of_raster(rasterize_mesh(mesh, camera, pose, context), "prior mesh", camera, pose, mask, options, context));
 }
 
 DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context) {
   validate(camera, pose, mask, options);
   require_size(depth, camera.size, "prior depth map");
-  return prior_of_raster(depth, "prior depth map", camera, pose, mask, options, context);
+  return with_noise(prior_of_raster(depth, "prior depth map", camera, pose, mask, options, context));
+}
+
+DepthPrior project_prior(const Shape& shape, const Pinhole& camera, const Pose& pose, const Mask& mask,
+                         const PriorOptions& options, const Context& context) {
+  validate(camera, pose, mask, options);
+  return prior_of_raster(depth_of_shape(shape, camera, pose), "prior " + std::string(name_of(shape)), camera, pose,
+                         mask, options, context);
 }
 
 DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const Pose& pose, const Mask& mask,

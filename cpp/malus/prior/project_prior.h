@@ -8,12 +8,14 @@
 #include "malus/core/geometry.h"
 #include "malus/core/image.h"
 #include "malus/core/pose.h"
+#include "malus/core/shape.h"
 #include "malus/prior/depth_prior.h"
 
 namespace malus {
 
 /// How a coarse surface becomes a depth map of the station.
 struct PriorOptions {
+  std::optional<double> sigma;
   std::optional<double> smoothing_px;
   double smoothing_scale = 0.8;
   double edge_tolerance = 1;
@@ -32,6 +34,9 @@ struct PriorOptions {
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
+    visit("sigma", self.sigma, Range{1e-12, 1e12},
+          "standard deviation of a cloud's points, or of the depth of another prior, in the station's unit; left out = "
+          "the station file's, and without it a cloud's is measured and another's is raster_sigma_gsd");
     visit("smoothing_px", self.smoothing_px, Range{0.1, 1000.0},
           "length over which the cloud is smoothed, in px; left out = from the cloud's noise and density");
     visit("smoothing_scale", self.smoothing_scale, Range{0.1, 10},
@@ -49,7 +54,7 @@ struct PriorOptions {
           "steepest slope of a visible surface; points farther behind their neighbors are hidden");
     visit("min_points", self.min_points, Range{3, 1e9}, "fewest visible points on the object");
     visit("raster_sigma_gsd", self.raster_sigma_gsd, Range{1e-6, 1e6},
-          "standard deviation of a mesh's or a depth map's depth, in GSD (a cloud's is measured)");
+          "standard deviation of a mesh's or a depth map's depth, in GSD, where none is stated");
     visit("correlated_noise", self.correlated_noise, Range{0, 10},
           "share of a point's noise that its neighbors have too, so that smoothing leaves it (for sigma)");
     visit("tension_spacings", self.tension_spacings, Range{1, 1e6},
@@ -69,7 +74,8 @@ struct PriorOptions {
 /// in log depth, whose smoothing is the restricted maximum likelihood estimate from the points' scatter. A cloud with
 /// normals gives the surface's slopes too, weighted by how well they agree, and every point counts by its distance
 /// across the surface. `mask` has the camera's size; depth and sigma are NaN outside. sigma² is the spline's posterior
-/// variance, which grows away from the points, plus the part of the noise that neighboring points share.
+/// variance, which grows away from the points, plus the part of the noise that neighboring points share; the noise is
+/// that of the points' scatter, or `sigma`, with a warning where they scatter by more than three times that.
 ///
 /// Throws an input error for values that are not finite or a mask of another size, a data error that says where the
 /// points fell if fewer than `min_points` are visible on the object.
@@ -77,14 +83,21 @@ DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const P
                          const PriorOptions& options, const Context& context);
 
 /// Coarse surface from a mesh (world frame): depth of its nearest triangle at each pixel, with perspective-correct
-/// interpolation. Object pixels without a triangle are filled as below. Errors as above, and an input error for a
-/// triangle that names a vertex the mesh does not have.
+/// interpolation, and `sigma` or `raster_sigma_gsd`. Object pixels without a triangle are filled as below. Errors as
+/// above, and an input error for a triangle that names a vertex the mesh does not have.
 DepthPrior project_prior(const TriangleMesh& mesh, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context);
 
 /// Coarse surface given as a depth map of the station (z, unit of the station, camera's size): finite positive pixels
-/// are taken as they are; other object pixels are filled by a spline through their surroundings.
+/// are taken as they are, with `sigma` or `raster_sigma_gsd`; other object pixels are filled by a spline through their
+/// surroundings.
 DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const Pose& pose, const Mask& mask,
+                         const PriorOptions& options, const Context& context);
+
+/// Coarse surface given as a shape (world frame, unit of the station): its nearest side in the view. `sigma` is how far
+/// the object is from it, which is no noise: no distance averages it out. Object pixels that see past it are filled as
+/// above. Errors as above.
+DepthPrior project_prior(const Shape& shape, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context);
 
 /// A depth map that was measured over windows (the surface sweep), unit of the station, camera's size.

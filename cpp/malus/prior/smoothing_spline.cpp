@@ -121,6 +121,7 @@ SmoothingSpline::SmoothingSpline(const Mask& mask, PixelRect box, double cell_px
                  [](const ViewPoint& p) { return p.has_slope() ? 1.0F : 0.0F; });
   set_tilt();
   softening_ = tilt_;
+  raised_.assign(active_.size(), 0.0F);
   build_pattern();
 }
 
@@ -404,6 +405,21 @@ Image<float> SmoothingSpline::raised_parts(std::span<const float> residuals) con
   return parts;
 }
 
+void SmoothingSpline::keep_raised_parts(std::span<const float> residuals, std::span<float> weights,
+                                        std::span<float> slope_weights) {
+  const Image<float> parts = raised_parts(residuals);
+  for (std::size_t cell = 0; cell < active_.size(); ++cell) {
+    raised_[cell] = std::max(raised_[cell], parts[cell]);
+    // Normals on either side of a step say that there is none, and reach farther than heights: where f gives way to the
+    // step they would bend it far around.
+    const float slope_share = 1 - raised_[cell] * (1 - softening_[cell] / tilt_[cell]);
+    for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
+      if (residuals[i] < 0) weights[i] = std::max(weights[i], parts[cell]);
+      slope_weights[i] *= slope_share;
+    }
+  }
+}
+
 bool SmoothingSpline::reweight(const ResidualSpread& spread, double settled, bool keep_raised) {
   const auto weight_of = [](double squared_ratio) {
     return static_cast<float>(1 / ((1 + squared_ratio / 4) * (1 + squared_ratio / 4)));
@@ -421,14 +437,7 @@ bool SmoothingSpline::reweight(const ResidualSpread& spread, double settled, boo
       slope_weights[i] = weight_of(s.dot(slope_information(p) * s) / (spread.slope * spread.slope));
     }
   });
-  if (keep_raised) {
-    const Image<float> parts = raised_parts(residuals);
-    for (std::size_t cell = 0; cell < active_.size(); ++cell) {
-      for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
-        if (residuals[i] < 0) weights[i] = std::max(weights[i], parts[cell]);
-      }
-    }
-  }
+  if (keep_raised) keep_raised_parts(residuals, weights, slope_weights);
   double change = 0;
   std::size_t data = 0;
   for (std::size_t i = 0; i < points_.size(); ++i) {

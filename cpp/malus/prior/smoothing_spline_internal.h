@@ -45,7 +45,8 @@ class SmoothingSpline {
   /// (rad). Returns whether they are new: if they would change by less than `settled` in the mean, they stay, and the
   /// minimum is still theirs. With `keep_raised` points nearer than f count in full where many of their neighbors
   /// are nearer too: a part of the surface that stands out, not strays. What lies behind f does not: nothing tells a
-  /// recess from a surface that is hidden and seen between too few points.
+  /// recess from a surface that is hidden and seen between too few points. Slopes lose weight where f gives way at the
+  /// edges of such a part.
   bool reweight(const ResidualSpread& spread, double settled = 0, bool keep_raised = false);
   /// Lets cells give way in which f bends far more than is usual (steps, occluding edges): their λ² is multiplied by
   /// 1 / (1 + energy / (tolerance · typical)), with the energy of the present f and `typical` the geometric mean of its
@@ -85,6 +86,8 @@ class SmoothingSpline {
   /// How surely points nearer than f are a part of the surface, a cell, 0 … 1: by how many there are around and by
   /// their share of all. Residuals of the points over their spread, as if seen from the front.
   Image<float> raised_parts(std::span<const float> residuals) const;
+  /// Raises the new weights of points on such parts, and lowers those of slopes at their edges.
+  void keep_raised_parts(std::span<const float> residuals, std::span<float> weights, std::span<float> slope_weights);
   void set_tilt();
   void build_pattern();
   std::vector<int> elimination_order() const;
@@ -111,6 +114,7 @@ class SmoothingSpline {
   Eigen::Matrix<double, 9, 9> stiffness_;  ///< of any cell
   std::vector<float> tilt_;                ///< factor that turns a cell's bending into that of the surface
   std::vector<float> softening_;           ///< factor of λ², a cell
+  std::vector<float> raised_;              ///< the most that raised_parts has said, a cell
   std::vector<std::int32_t> slots_;        ///< 13 a column: where the lower neighbors' entries are
   double lambda_ = 0, kappa_ = 0;
   Eigen::VectorXd coefficients_;

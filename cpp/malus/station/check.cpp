@@ -110,6 +110,7 @@ struct PriorCheck {
     return "mesh of " + with_count(static_cast<double>(read_mesh(file.path, context).triangles.size()), "triangles");
   }
   std::string operator()(const DepthFile&) const { return "depth map"; }
+  std::string operator()(const Shape& shape) const { return std::string(name_of(shape)); }
   std::string operator()(const Image<float>&) const { return "depth map"; }
   std::string operator()(const SweptDepth&) const { return "depth map"; }
 };

@@ -3,6 +3,7 @@
 #include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/image_file.h"
 #include "malus/io/point_cloud_file.h"
+#include "malus/prior/shape_depth_internal.h"
 #include "malus/station/check_inputs_internal.h"
 #include "malus/station/check_picture_internal.h"
 
@@ -22,6 +23,9 @@ struct PriorPoints {
   Points operator()(const CloudFile& file) const { return read_cloud(file.path, context).points; }
   Points operator()(const MeshFile& file) const { return read_mesh(file.path, context).vertices.points; }
   Points operator()(const DepthFile& file) const { return (*this)(read_float_raster(file.path)); }
+  Points operator()(const Shape& shape) const {
+    return (*this)(depth_of_shape(shape, camera.lens.pinhole(), camera.pose));
+  }
   Points operator()(const PointCloud& cloud) const { return cloud.points; }
   Points operator()(const SweptDepth& swept) const { return (*this)(swept.depth); }
   Points operator()(const Image<float>& depth) const {

@@ -15,6 +15,7 @@ Json describe_prior(const Station& station) {
     Json operator()(const CloudFile& file) const { return {{"prior", "cloud"}, {"prior_cloud", file.path.string()}}; }
     Json operator()(const MeshFile& file) const { return {{"prior", "mesh"}, {"prior_mesh", file.path.string()}}; }
     Json operator()(const DepthFile& file) const { return {{"prior", "depth"}, {"prior_depth", file.path.string()}}; }
+    Json operator()(const Shape& shape) const { return {{"prior", name_of(shape)}}; }
     Json operator()(const PointCloud&) const { return {{"prior", "cloud"}}; }
     Json operator()(const Image<float>&) const { return {{"prior", "depth"}}; }
     Json operator()(const SweptDepth&) const { return {{"prior", "depth"}}; }
@@ -32,7 +33,15 @@ std::vector<std::filesystem::path> files_of(const StationFile& file) {
   if (file.optics.label_image) add(*file.optics.label_image);
   for (const auto& path : file.camera_files) add(path);
   if (!file.prior) return files;
-  const std::filesystem::path prior = std::visit([](const auto& given) { return given.path; }, *file.prior);
+  const auto path_of = []<class Source>(const Source& source) -> std::filesystem::path {
+    if constexpr (std::same_as<Source, Shape>) {
+      return {};
+    } else {
+      return source.path;
+    }
+  };
+  const std::filesystem::path prior = std::visit(path_of, *file.prior);
+  if (prior.empty()) return files;
   if (!std::filesystem::is_directory(prior)) {
     add(prior);
   } else {
@@ -52,6 +61,7 @@ std::string describe_station_json(const Station& station) {
   json.update(fields_to_json(file.polarized));
   json.update(fields_to_json(file.optics));
   json.update(describe_prior(station));
+  if (file.prior_sigma) json["prior_sigma"] = *file.prior_sigma;
   if (!file.path.empty()) json["path"] = file.path.string();
   json["files"] = fields_to_json(files_of(file));
   if (file.camera) {

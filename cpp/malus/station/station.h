@@ -14,9 +14,10 @@
 
 namespace malus {
 
-/// Where the coarse surface comes from: nothing (yet); a file; a cloud or mesh in the world frame; z in the undistorted
-/// view, NaN = none; the same measured over windows.
-using PriorSource = std::variant<std::monostate, CloudFile, MeshFile, DepthFile, PointCloud, Image<float>, SweptDepth>;
+/// Where the coarse surface comes from: nothing (yet); a file; a shape or a cloud in the world frame; z in the
+/// undistorted view, NaN = none; the same measured over windows.
+using PriorSource =
+    std::variant<std::monostate, CloudFile, MeshFile, DepthFile, Shape, PointCloud, Image<float>, SweptDepth>;
 
 /// What found a station's camera and prior says of itself.
 struct Photogrammetry {

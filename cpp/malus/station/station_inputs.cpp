@@ -118,6 +118,12 @@ Json StationInputs::prior() {
     }
     Json operator()(const MeshFile& mesh) const { return {{"mesh", inputs.file(mesh.path)}}; }
     Json operator()(const DepthFile& depth) const { return {{"depth", inputs.file(depth.path)}}; }
+    Json operator()(const Shape& shape) const {
+      Json json;
+      json[std::string(malus::name_of(shape))] =
+          std::visit([](const auto& some) { return fields_to_json(some); }, shape);
+      return json;
+    }
     Json operator()(const PointCloud& cloud) const {
       return {{"points", inputs.array("prior points", cloud.points)},
               {"normals", inputs.array("prior normals", cloud.normals)},
@@ -132,6 +138,7 @@ Json StationInputs::prior() {
   };
   Json json = std::visit(Source{*this}, station_.prior);
   if (station_.file.prior_scale != 1) json["scale"] = station_.file.prior_scale;
+  if (station_.file.prior_sigma) json["sigma"] = *station_.file.prior_sigma;
   return json;
 }
 

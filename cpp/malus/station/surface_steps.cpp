@@ -62,12 +62,25 @@ void warn_of_scale(const StationFile& file, const Context& context) {
   }
 }
 
+void scale_lengths(PlaneShape& plane, double scale) {
+  plane.point *= scale;
+}
+void scale_lengths(SphereShape& sphere, double scale) {
+  sphere.center *= scale;
+  sphere.radius *= scale;
+}
+void scale_lengths(CylinderShape& cylinder, double scale) {
+  cylinder.point *= scale;
+  cylinder.radius *= scale;
+}
+
 /// The surface of each kind of source.
 struct PriorMaker {
   const Job& job;
   const Pinhole& camera;
   const Pose& pose;
   const Mask mask;
+  const PriorOptions& options;
   PriorPoints& points;
 
   /// The source with its lengths in the station's unit.
@@ -79,6 +92,8 @@ struct PriorMaker {
       for (Eigen::Vector3d& point : source.points) point *= scale;
     } else if constexpr (std::same_as<T, TriangleMesh>) {
       for (Eigen::Vector3d& point : source.vertices.points) point *= scale;
+    } else if constexpr (std::same_as<T, Shape>) {
+      std::visit([scale](auto& shape) { scale_lengths(shape, scale); }, source);
     } else {
       for (float& depth : source) depth = static_cast<float>(scale * depth);
     }
@@ -86,15 +101,15 @@ struct PriorMaker {
   }
 
   DepthPrior operator()(const SweptDepth& swept) const {
-    return project_prior(swept, camera, pose, mask, job.options.prior, job.context);
+    return project_prior(swept, camera, pose, mask, options, job.context);
   }
   template <class T>
   DepthPrior operator()(const T& source) const {
-    return project_prior(scaled(source), camera, pose, mask, job.options.prior, job.context);
+    return project_prior(scaled(source), camera, pose, mask, options, job.context);
   }
   DepthPrior operator()(const PointCloud& given) const {
     const PointCloud cloud = scaled(given);
-    DepthPrior prior = project_prior(cloud, camera, pose, mask, job.options.prior, job.context);
+    DepthPrior prior = project_prior(cloud, camera, pose, mask, options, job.context);
     points.map = seen_points(cloud, prior);
     return prior;
   }
@@ -120,8 +135,10 @@ std::tuple<DepthPrior, PriorPoints> make_prior(const Job& job, const MeasuredPol
   const Pose& pose = require_camera(job.station.file).pose;
   PriorPoints points;
   warn_of_scale(job.station.file, job.context);
+  PriorOptions options = job.options.prior;
+  if (!options.sigma) options.sigma = job.station.file.prior_sigma;
   DepthPrior prior =
-      std::visit(PriorMaker{job, view.camera, pose, object_mask(*measured.state), points}, job.station.prior);
+      std::visit(PriorMaker{job, view.camera, pose, object_mask(*measured.state), options, points}, job.station.prior);
   return {std::move(prior), std::move(points)};
 }
 

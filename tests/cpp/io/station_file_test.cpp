@@ -409,6 +409,48 @@ TEST_F(StationFileTest, CameraWithoutPose) {
   EXPECT_FALSE(read(sections).camera) << "enough for the polarization maps";
 }
 
+TEST_F(StationFileTest, PriorsWithASigmaAndShapes) {
+  Sections sections;
+  EXPECT_FALSE(read(sections).prior_sigma);
+  sections.prior += "sigma = 0.25\n";
+  EXPECT_EQ(read(sections).prior_sigma, 0.25);
+  const auto shape = [&](const std::string& text) {
+    sections.prior = "[prior]\nsigma = 2\n" + text + "\n";
+    return std::get<Shape>(*read(sections).prior);
+  };
+  const auto plane = std::get<PlaneShape>(shape("plane = { point = [1, 2, 3], normal = [0, 0, -2] }"));
+  EXPECT_EQ(plane.point, Eigen::Vector3d(1, 2, 3));
+  EXPECT_EQ(plane.normal, Eigen::Vector3d(0, 0, -2));
+  const auto sphere = std::get<SphereShape>(shape("sphere = { center = [1, 2, 3], radius = 4 }"));
+  EXPECT_EQ(sphere.center, Eigen::Vector3d(1, 2, 3));
+  EXPECT_EQ(sphere.radius, 4);
+  const auto cylinder =
+      std::get<CylinderShape>(shape("cylinder = { point = [1, 2, 3], axis = [0, 1, 0], radius = 5 }"));
+  EXPECT_EQ(cylinder.axis, Eigen::Vector3d(0, 1, 0));
+  EXPECT_EQ(cylinder.radius, 5);
+  sections.camera = "[camera]\nmodel = \"PINHOLE\"\nwidth = 12\nheight = 8\nparams = [100, 101, 6.0, 4.5]\n";
+  EXPECT_EQ(read(sections).camera->pose.translation, Eigen::Vector3d::Zero()) << "the world is the station camera";
+}
+
+TEST_F(StationFileTest, RejectsUnusableSigmasAndShapes) {
+  const auto rejects_prior = [&](const std::string& text, const auto&... parts) {
+    Sections sections;
+    sections.prior = "[prior]\n" + text + "\n";
+    rejects(sections, parts...);
+  };
+  rejects_prior("cloud = \"cloud.ply\"\nsigma = 0", "[prior].sigma = 0", "expected");
+  rejects_prior("sigma = 1", "0 surfaces", "exactly one of cloud, mesh, depth, plane, sphere and cylinder");
+  rejects_prior("cloud = \"cloud.ply\"\nsphere = { center = [0, 0, 9], radius = 1 }", "2 surfaces");
+  rejects_prior("sphere = { center = [0, 0, 9], radius = 1 }", "[prior].sigma", "is missing", "from the sphere");
+  rejects_prior("sigma = 1\nsphere = 3", "[prior].sphere = 3", "a table");
+  rejects_prior("sigma = 1\nsphere = { center = [0, 0, 9] }", "[prior].sphere.radius", "is missing");
+  rejects_prior("sigma = 1\nsphere = { center = [0, 0, 9], radius = -1 }", "[prior].sphere.radius = -1");
+  rejects_prior("sigma = 1\nsphere = { centre = [0, 0, 9], radius = 1 }", "[prior].sphere.centre", "\"center\"");
+  rejects_prior("sigma = 1\nplane = { point = [0, 9], normal = [0, 0, 1] }", "[prior].plane.point", "3 numbers");
+  rejects_prior("sigma = 1\nplane = { point = [0, 0, 9], normal = [0, 0, 0] }", "[prior].plane.normal", "not all zero");
+  rejects_prior("sigma = 1\ncylinder = { axis = [0, 1, 0], radius = 1 }", "[prior].cylinder.point", "is missing");
+}
+
 TEST_F(StationFileTest, PhotosAndScale) {
   Sections sections;
   sections.camera.clear();

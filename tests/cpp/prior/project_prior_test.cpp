@@ -171,6 +171,23 @@ TEST(PriorOfCloud, KeepsAPartThatStandsOut) {
   EXPECT_LT(rms_gsd(depth, surface, [&](int u, int v) { return from_edge(u, v) > 5; }), 1);
 }
 
+TEST(PriorOfCloud, NormalsDoNotCarryAStepFarAround) {
+  // A ring 16 GSD high; normals say well how the ground lies, and nothing of the ring's walls.
+  const auto from_middle = [](double u, double v) { return std::hypot(u - 60, v - 44); };
+  const Depth surface = [&](double u, double v) {
+    const double r = from_middle(u, v);
+    return plane_depth(u, v) - 8 * gsd_mm * (std::tanh((r - 22) / 0.7) - std::tanh((r - 38) / 0.7));
+  };
+  double ring = 0;
+  for (const unsigned seed : {1U, 2U, 3U}) {
+    PointCloud cloud = sample(surface, 1500, 2, seed);
+    add_normals(cloud, surface, 0.05);
+    const Image<float> depth = project(cloud).depth;
+    ring += rms_gsd(depth, surface, [&](int u, int v) { return std::abs(from_middle(u, v) - 30) < 4; }) / 3;
+  }
+  EXPECT_LT(ring, 0.54);
+}
+
 TEST(PriorOfCloud, SteepPointsCountByTheirDistanceFromTheSurface) {
   // A sphere to 80° from its middle, whose points are uncertain by as much in every direction.
   constexpr double radius_px = 44;
@@ -216,6 +233,30 @@ TEST(PriorOfCloud, SigmaGrowsAwayFromThePoints) {
   EXPECT_GT(prior.sigma(110, 45), 3 * prior.sigma(35, 45));
   EXPECT_LT(std::abs(prior.depth(110, 45) - wavy_depth(110, 45)), 5 * prior.sigma(110, 45));
   EXPECT_NEAR(prior.filled_fraction, 0.4, 0.05);
+}
+
+TEST(PriorOfCloud, TakesAStatedSigmaAndDoubtsOneThatThePointsContradict) {
+  const PointCloud cloud = sample(wavy_depth, 2000, 1);
+  std::string warning;
+  Context context;
+  context.on_log = [&warning](LogLevel level, const std::string& message) {
+    if (level == LogLevel::warning) warning += message;
+  };
+  const DepthPrior measured = project(cloud);
+  PriorOptions options;
+  options.sigma = 2 * gsd_mm;
+  const DepthPrior stated = project(cloud, options, full_mask(), context);
+  EXPECT_EQ(stated.noise, 2 * gsd_mm);
+  EXPECT_TRUE(warning.empty()) << warning;
+  const double factor = stated.noise / measured.noise;
+  for (std::size_t i = 0; i < stated.depth.count(); ++i) {
+    ASSERT_EQ(stated.depth[i], measured.depth[i]);
+    ASSERT_NEAR(stated.sigma[i], factor * measured.sigma[i], 1e-5 * stated.sigma[i]);
+  }
+  options.sigma = 0.1 * gsd_mm;
+  project(cloud, options, full_mask(), context);
+  expect_contains(warning, "prior cloud: its points scatter by 0.");
+  expect_contains(warning, "sigma states 0.05");
 }
 
 TEST(PriorOfCloud, HiddenPointsAreLeftOut) {
@@ -344,6 +385,20 @@ TEST(PriorOfMesh, IsExactInPerspectiveAndNearestWins) {
   EXPECT_EQ(prior.filled_fraction, 0);
 }
 
+TEST(PriorOfMesh, KnowsItsNoiseAsACloudDoes) {
+  PriorOptions options;
+  options.raster_sigma_gsd = 3;
+  const DepthPrior assumed = project(plane_mesh(-5, 125, 1), options);
+  const double gsd = assumed.depth(60, 45) / focal;
+  EXPECT_NEAR(assumed.sigma(60, 45), 3 * gsd, 1e-5);
+  EXPECT_NEAR(assumed.noise, 3 * gsd, 0.1 * gsd) << "of the middle pixel";
+  EXPECT_GT(assumed.spacing_px, 1) << "neighboring pixels share their errors";
+  options.sigma = 0.7;
+  const DepthPrior stated = project(plane_mesh(-5, 125, 1), options);
+  EXPECT_FLOAT_EQ(static_cast<float>(stated.noise), 0.7F);
+  for (const float sigma : stated.sigma) ASSERT_EQ(sigma, 0.7F);
+}
+
 TEST(PriorOfMesh, RejectsWildIndicesAndAMissedView) {
   TriangleMesh mesh = plane_mesh(-5, 125, 1);
   mesh.triangles.push_back({0, 1, 9});
@@ -351,6 +406,47 @@ TEST(PriorOfMesh, RejectsWildIndicesAndAMissedView) {
   EXPECT_EQ(code, ErrorCode::input);
   expect_contains(message, "triangle 2 names vertex 9");
   EXPECT_EQ(error_of([&] { project(plane_mesh(500, 600, 1)); }).first, ErrorCode::data);
+}
+
+/// World point that a prior has at a pixel.
+Eigen::Vector3d world_point(const DepthPrior& prior, int u, int v) {
+  return prior.pose.world_from_cam(prior.depth(u, v) * test_camera().ray(u, v));
+}
+
+TEST(PriorOfShape, IsThePlaneSphereOrCylinder) {
+  const Eigen::Vector3d axis(1, 0.2, -0.3), center = test_pose().world_from_cam({4, -3, 500});
+  const PlaneShape plane{center, {0.1, 0.2, -3}};
+  const SphereShape sphere{center, 120};
+  const CylinderShape cylinder{center, axis, 110};
+  PriorOptions options;
+  options.sigma = 0.3;
+  const DepthPrior of_plane = project(Shape(plane), options), of_sphere = project(Shape(sphere), options),
+                   of_cylinder = project(Shape(cylinder), options);
+  for (const auto& [u, v] : {std::pair(0, 0), {60, 44}, {119, 89}, {100, 10}}) {
+    EXPECT_NEAR((world_point(of_plane, u, v) - center).dot(plane.normal.normalized()), 0, 1e-3);
+    EXPECT_NEAR((world_point(of_sphere, u, v) - center).norm(), 120, 1e-3);
+    EXPECT_NEAR((world_point(of_cylinder, u, v) - center).cross(axis.normalized()).norm(), 110, 1e-3);
+    EXPECT_LT(of_sphere.depth(u, v), 500) << "its near side";
+    EXPECT_LT(of_cylinder.depth(u, v), 500);
+  }
+  EXPECT_EQ(of_sphere.sigma(60, 44), 0.3F);
+  EXPECT_EQ(of_sphere.noise, 0) << "how far the object is from it averages out nowhere";
+  EXPECT_EQ(of_sphere.filled_fraction, 0);
+}
+
+TEST(PriorOfShape, IsSeenFromInsideAndFilledBesideIt) {
+  const Eigen::Vector3d eye = test_pose().centre();
+  const DepthPrior inside = project(Shape(SphereShape{eye, 200}));
+  EXPECT_NEAR((world_point(inside, 30, 70) - eye).norm(), 200, 1e-3);
+  // It covers the image's middle only.
+  const DepthPrior small = project(Shape(SphereShape{test_pose().world_from_cam({0, 0, 400}), 15}));
+  EXPECT_GT(small.filled_fraction, 0.5);
+  for (const float depth : small.depth) ASSERT_TRUE(std::isfinite(depth));
+  const auto [code, message] = error_of([&] {
+    project(Shape(PlaneShape{test_pose().world_from_cam({0, 0, -50}), test_pose().rotation.row(2).transpose()}));
+  });
+  EXPECT_EQ(code, ErrorCode::data) << "behind the camera";
+  expect_contains(message, "prior plane: 0 object pixels have a depth");
 }
 
 TEST(PriorOfDepthMap, KeepsPixelsAndFillsHoles) {
