@@ -207,11 +207,14 @@ bool looks_like_metal(const RefinementImage& image) {
 /// Distance beyond which the prior is better known than the integral of slopes, which are wrong in the mean by about
 /// 0.25 degrees at best: noise over the square root of the points inside a Gaussian = slope × distance. 0 = not known.
 /// A prior that smooths over less than half of that is of a rough object: most of its error is the detail that it
-/// lacks, which averages out over longer distances than noise. A map of the surroundings has larger errors itself.
+/// lacks, which averages out over longer distances than noise. A map of the surroundings has larger errors itself, and
+/// that of a metal, whose brightness changes with roughness and color, ten times larger ones.
 double anchor_length_px(const DepthPrior& prior, const RefinementImage& image, double anchor) {
   constexpr double longest = 1.6;
   const double gsd = image.depth_of(0) / image.focal;
   const double length = anchor * std::sqrt(std::max(prior.noise / gsd * prior.spacing_px, 0.0));
+  constexpr double of_metal = 0.3;
+  if (image.reflection.metal_error > 0) return of_metal * length;
   if (image.reflection.mirrored || prior.smoothing_px <= 0) return length;
   return length * std::clamp(length / (2 * prior.smoothing_px), 1.0, longest);
 }
@@ -355,7 +358,7 @@ class Refiner {
     const Image<float> shares = image_.reflection.mirrored ? beyond_plane : at_prior.shares(false, context_);
     const bool with_map = image_.reflection.mirrored != nullptr, explained_as_metal = image_.reflection.metal_error > 0;
     const Image<float> after = with_map ? explained_by_surroundings(false) : Image<float>();
-    const Image<float> before = explained_as_metal ? explained_by_surroundings(true) : Image<float>();
+    const Image<float> in_metal = explained_as_metal ? trust_in_metal(after) : Image<float>();
     // A metal's slopes are not those that a dielectric's formulas give, however well these fit.
     const bool is_metal = looks_like_metal(image_);
     parallel_rows(context_, size.height, [&](int v) {
@@ -366,7 +369,7 @@ class Refiner {
         };
         const double trust = is_metal             ? 0
                              : !with_map          ? trust_of(share(shares))
-                             : explained_as_metal ? trust_in_metal(share(before), share(after))
+                             : explained_as_metal ? share(in_metal)
                                                   : trust_with_surroundings(share(shares), share(after));
         if (image_.pixels(u, v)) report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(255 * trust));
         image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
@@ -454,12 +457,20 @@ class Refiner {
                     std::clamp(at_prior / something, 0.0, 1.0));
   }
 
-  /// The same of a metal, whose slopes follow from s0 above all. The polarization, which is weak and noisy, is the
-  /// second witness: the surface must leave less of it over than the prior's does.
-  static double trust_in_metal(double before, double after) {
-    constexpr double least = 0.05, enough = 0.2;
-    const double gained = (after - before) / std::max(1 - before, 1e-6);
-    return std::clamp((gained - least) / (enough - least), 0.0, 1.0);
+  /// The same of a metal, cell by cell, from what its map explains at the result. Its slopes follow from s0 above all.
+  /// The polarization, which is weak and noisy, is the second witness: the surface must leave less of it over than the
+  /// prior's does, nearly everywhere. Where it did so in two thirds of a coin only, all was worse than the prior.
+  Image<float> trust_in_metal(const Image<float>& after) const {
+    constexpr double least = 0.05, enough = 0.2, doubtful = 0.75, nearly_all = 0.9;
+    const Image<float> before = explained_by_surroundings(true);
+    Image<float> trust(after.size());
+    for (std::size_t i = 0; i < trust.count(); ++i) {
+      const double gained = (after[i] - before[i]) / std::max(1.0 - before[i], 1e-6);
+      trust[i] = static_cast<float>(std::clamp((gained - least) / (enough - least), 0.0, 1.0));
+    }
+    const double all = std::clamp((mean_over_object(trust) - doubtful) / (nearly_all - doubtful), 0.0, 1.0);
+    for (float& value : trust) value *= static_cast<float>(all);
+    return trust;
   }
 
   WeightOptions weights(double widening, bool regional) const {

@@ -127,7 +127,9 @@ TEST(QuadCosts, StokesDerivativesOfAMetalAreThoseOfTheResiduals) {
   surroundings.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
   for (const Surroundings::Cell& cell : Surroundings::all_cells())
     surroundings.radiance(cell.column, cell.row) = static_cast<float>(1 + cell.hx);
-  const Pinhole camera = make_station({{29, 27}}).prior.camera;
+  SyntheticOptions small;
+  small.size = {29, 27};
+  const Pinhole camera = make_station(small).prior.camera;
   ReflectionModel model;
   model.mirrored = std::make_shared<MirroredLightTable>(surroundings, std::complex(0.63, 3.19), camera, Context{});
   model.metal_error = 0.05;

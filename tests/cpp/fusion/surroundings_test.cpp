@@ -120,7 +120,7 @@ TEST(Surroundings, AreFoundFromWhatTheyMirror) {
     samples.push_back(s);
   }
   const std::array tried{0.05, 0.1, 0.2, 0.4};
-  const SurroundingsFit fit = fit_surroundings(samples, 1.5, tried, Context{});
+  const SurroundingsFit fit = fit_surroundings(samples, {1.5}, tried, Context{});
   EXPECT_EQ(fit.surroundings.roughness, 0.2);
   const MirroredLightTable found(fit.surroundings, 1.5, camera, Context{});
   double error = 0, size = 0;
@@ -150,7 +150,7 @@ TEST(Surroundings, MetalsMirrorByFresnelsAmplitudes) {
 /// Of a metal under a window, larger than the prior's bumps are known.
 SyntheticStation metal_station(const Pinhole& view) {
   SyntheticOptions scene;
-  scene.size = {160, 128};
+  scene.size = {96, 80};
   scene.bump_gsd = 0.5;
   scene.noise = 2e-4;
   scene.model.mirrored = std::make_shared<MirroredLightTable>(window(0.3), std::complex(0.63, 3.19), view, Context{});
@@ -158,9 +158,22 @@ SyntheticStation metal_station(const Pinhole& view) {
   return make_station(scene);
 }
 
+/// RMS error of the steps in depth from pixel to pixel, away from the border.
+double step_error(const Image<float>& depth, const Image<float>& truth) {
+  double squares = 0, count = 0;
+  for (int v = 4; v < truth.height() - 4; ++v) {
+    for (int u = 4; u < truth.width() - 5; ++u) {
+      const double step = depth(u + 1, v) - depth(u, v), wanted = truth(u + 1, v) - truth(u, v);
+      squares += (step - wanted) * (step - wanted);
+      ++count;
+    }
+  }
+  return std::sqrt(squares / count);
+}
+
 TEST(Surroundings, AMetalIsFoundAndRefinedByItsLightAndPolarization) {
   SyntheticOptions scene;
-  scene.size = {160, 128};
+  scene.size = {96, 80};
   const SyntheticStation station = metal_station(make_station(scene).prior.camera);
   const RefineResult result = refine(station.state, station.prior, {}, {}, Context{});
   EXPECT_GT(result.report.metal_index.imag(), 0);
@@ -168,9 +181,7 @@ TEST(Surroundings, AMetalIsFoundAndRefinedByItsLightAndPolarization) {
   EXPECT_TRUE(std::ranges::any_of(result.surface.warnings, [](const std::string& warning) {
     return warning.find("taken for bare metal") != std::string::npos;
   }));
-  const Pinhole& view = station.prior.camera;
-  EXPECT_LT(rms_error_gsd(result.surface.depth, station.truth, view),
-            0.7 * rms_error_gsd(station.prior.depth, station.truth, view));
+  EXPECT_LT(step_error(result.surface.depth, station.truth), 0.7 * step_error(station.prior.depth, station.truth));
 }
 
 TEST(Surroundings, LeaveNoIndexToBeEstimated) {
