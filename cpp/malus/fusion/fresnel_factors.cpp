@@ -36,4 +36,19 @@ FresnelFactors fresnel_factors(double tan2, double eta) {
   return f;
 }
 
+MirrorFactors mirror_factors(double tan2, std::complex<double> index) {
+  if (index.imag() == 0) {
+    const FresnelFactors f = fresnel_factors(tan2, index.real());
+    return {f.reflectance, f.specular};
+  }
+  const double c2 = 1 / (1 + tan2), s = 1 - c2, c = std::sqrt(c2);
+  // With a + i b = √(index² − s) and |a + i b|² = norm.
+  const std::complex<double> root = std::sqrt(index * index - s);
+  const double a = root.real(), norm = std::norm(root);
+  const double across = (norm + c2 - 2 * a * c) / (norm + c2 + 2 * a * c);  // Rs
+  const double sum = c2 * norm + s * s + 2 * a * c * s;
+  const double along = across * (1 - 4 * a * c * s / sum);  // Rp
+  return {0.5 * (across + along), across * 2 * a * c * c2 / sum};
+}
+
 }  // namespace malus

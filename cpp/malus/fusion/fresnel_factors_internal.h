@@ -1,5 +1,7 @@
 #pragma once
 
+#include <complex>
+
 namespace malus {
 
 /// Fresnel quantities of a smooth dielectric as functions of g = tan²(zenith), each with its derivative by g. Divided
@@ -15,5 +17,14 @@ struct FresnelFactors {
 
 /// Values at g = tan²(zenith) ≥ 0 for a refractive index eta > 1. Beyond 88.5° they keep the values there.
 FresnelFactors fresnel_factors(double tan2, double eta);
+
+/// What a smooth surface mirrors, of a dielectric or (imaginary part > 0) of a metal.
+struct MirrorFactors {
+  double reflectance = 0;  ///< F = (Rs + Rp) / 2
+  double specular = 0;     ///< (Rs − Rp) / 2 / g
+};
+
+/// Values at g = tan²(zenith) ≥ 0 for a refractive index n + i k (Born and Wolf, Principles of Optics, section 14.2).
+MirrorFactors mirror_factors(double tan2, std::complex<double> index);
 
 }  // namespace malus

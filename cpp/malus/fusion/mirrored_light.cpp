@@ -19,6 +19,7 @@ Image<float> mirrored_light(const RefinementField& field, const Context& context
   constexpr float none = std::numeric_limits<float>::quiet_NaN();
   const Size size = field.size();
   Image<float> mirrored(size, 1, none), both(size, 1, none), own(size, 1, none);
+  if (field.reflection.metal_error > 0) return mirrored;
   parallel_rows(context, size.height, [&](int v) {
     for (int u = 0; u < size.width; ++u) {
       const bool diffuse = field.kind_at(u, v) == Reflection::diffuse;

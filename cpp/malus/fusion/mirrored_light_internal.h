@@ -12,7 +12,7 @@ inline constexpr int mirrored_light_reach_px = 6;
 ///
 /// The reflection model says what a surface of the field's slopes mirrors and how that is polarized. Where parts of the
 /// object shade each other less is mirrored than it says. So its strength is fitted anew to the measured polarization
-/// about every diffuse pixel.
+/// about every diffuse pixel. Of a metal nothing is known: all its light is mirrored, in its own color.
 Image<float> mirrored_light(const RefinementField& field, const Context& context);
 
 }  // namespace malus

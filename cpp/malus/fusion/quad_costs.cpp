@@ -131,7 +131,7 @@ bool QuadCost::Evaluate(double const* const* parameters, double* residuals, doub
 }
 
 StokesCost::StokesCost(const RefinementField& field, int u, int v)
-    : QuadCost(field, quads_after(u, v, 1), 2), u_(u), v_(v) {}
+    : QuadCost(field, quads_after(u, v, 1), field.reflection.metal_error > 0 ? 3 : 2), u_(u), v_(v) {}
 
 void StokesCost::evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
   const Neighbourhood around(field_, quads_.front(), quads_, parameters);
@@ -141,9 +141,13 @@ void StokesCost::evaluate(double const* const* parameters, double* residuals, do
   const PredictedStokes m = field_.reflection_at(u_, v_, slopes.frame()).predict(slopes.p(), slopes.q());
   residuals[0] = root * (m.s1 - field_.s1(u_, v_));
   residuals[1] = root * (m.s2 - field_.s2(u_, v_));
+  const double metal_error = field_.reflection.metal_error, s0 = field_.s0(u_, v_);
+  const double root0 = metal_error > 0 ? 1 / (metal_error * s0) : 0;
+  if (metal_error > 0) residuals[2] = root0 * (m.mirrored - s0);
   if (jacobians == nullptr) return;
   slopes.add(jacobians, 0, root * m.s1_by_p, root * m.s1_by_q, around);
   slopes.add(jacobians, 1, root * m.s2_by_p, root * m.s2_by_q, around);
+  if (metal_error > 0) slopes.add(jacobians, 2, root0 * m.mirrored_by_p, root0 * m.mirrored_by_q, around);
 }
 
 void StokesLoss::Evaluate(double squared, double rho[3]) const {

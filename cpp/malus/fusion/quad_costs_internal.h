@@ -51,7 +51,8 @@ class QuadCost : public ceres::CostFunction {
   const bool* finished_ = nullptr;
 };
 
-/// Stokes residuals of one pixel in standard deviations. 2 residuals; quads: those that hold its four nodes.
+/// Stokes residuals of one pixel in standard deviations. 2 residuals, of a metal 3, with that of s0; quads: those that
+/// hold its four nodes.
 class StokesCost final : public QuadCost {
  public:
   StokesCost(const RefinementField& field, int u, int v);

@@ -3,15 +3,19 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <complex>
 #include <limits>
 #include <memory>
+#include <optional>
 #include <span>
+#include <utility>
 
 #include "malus/core/depth_normals.h"
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/masked_blur_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/robust_spread_internal.h"
 #include "malus/fusion/coarse_level_internal.h"
 #include "malus/fusion/mirrored_light_internal.h"
 #include "malus/fusion/refinement_verdict_internal.h"
@@ -73,31 +77,79 @@ MirroredTerms mirrored_terms(const RefineOptions& options) {
   return {options.environment, options.lobe};
 }
 
+/// How the map of the surroundings is fitted next.
+struct MapCourse {
+  MirrorMaterial material;
+  int rounds_to_keep = 0;  ///< for which its roughness is not asked again
+};
+
+/// Takes over a fit of the surroundings, and of a metal how well it predicts s0.
+void take_surroundings(const SurroundingsFit& fit, RefinementImage& image, RefineReport& report, MapCourse& course,
+                       const Context& context) {
+  constexpr double least_error = 0.05;
+  report.surroundings = fit.surroundings;
+  MirrorMaterial& material = course.material;
+  if (material.is_metal()) {
+    material.intensity_error = std::max(least_error, deviation_per_median * fit.intensity_error);
+    image.reflection.metal_error = material.intensity_error;
+    report.metal_index = material.index;
+  }
+  image.reflection.mirrored =
+      std::make_shared<MirroredLightTable>(report.surroundings, material.index, image.camera, context);
+}
+
 /// Fits the surroundings at the current surface, near the roughness that is known, if it is.
-void fit_mirrored(RefinementImage& image, RefineReport& report, const Context& context) {
+SurroundingsFit fit_mirrored(RefinementImage& image, RefineReport& report, MapCourse& course, const Context& context) {
   constexpr std::size_t enough = 4000;
   static constexpr std::array any{0.04, 0.08, 0.12, 0.2, 0.3, 0.42};
   constexpr double near = 1.25;
+  constexpr int rounds_between = 3;
   const double known = report.surroundings.roughness;
-  const std::array close{known / near, known, known * near};
-  const bool is_known = !report.surroundings.radiance.empty();
-  const auto tried = is_known ? std::span<const double>(close) : std::span<const double>(any);
-  report.surroundings =
-      fit_surroundings(collect_samples(image, Reflection::diffuse, enough), image.reflection.eta, tried, context)
-          .surroundings;
-  image.reflection.mirrored =
-      std::make_shared<MirroredLightTable>(report.surroundings, image.reflection.eta, image.camera, context);
+  const std::array close{known, known / near, known * near};
+  std::span<const double> tried = any;
+  if (!report.surroundings.radiance.empty()) {
+    tried = close;
+    if (course.rounds_to_keep > 0) tried = tried.first(1);
+  }
+  const SurroundingsFit fit =
+      fit_surroundings(collect_samples(image, Reflection::diffuse, enough), course.material, tried, context);
+  if (tried.size() == 1) {
+    --course.rounds_to_keep;
+  } else if (fit.surroundings.roughness == known) {
+    course.rounds_to_keep = rounds_between;
+  }
+  take_surroundings(fit, image, report, course, context);
+  return fit;
+}
+
+/// The metal that explains the polarization and the light of the pixels best, if any explains both.
+std::optional<std::pair<MirrorMaterial, SurroundingsFit>> find_metal(const std::vector<ReflectionSample>& samples,
+                                                                     double dielectric_cost, const Context& context) {
+  // Silver and gold, alloys of copper, iron and lead; at 550 nm.
+  static constexpr std::array<std::complex<double>, 3> metals{{{0.1, 3.6}, {0.63, 3.19}, {2.5, 3.0}}};
+  static constexpr std::array roughnesses{0.08, 0.15, 0.3};
+  // Of metals s0 was found to within 0.03 to 0.11 at the prior's slopes, of clay, glaze, paint and stone to 0.27 to
+  // 0.9.
+  constexpr double largest_error = 0.15, cost_margin = 0.1;
+  std::optional<std::pair<MirrorMaterial, SurroundingsFit>> best;
+  for (const std::complex<double> index : metals) {
+    const MirrorMaterial metal{index};
+    SurroundingsFit fit = fit_surroundings(samples, metal, roughnesses, context);
+    if (fit.intensity_error > largest_error || fit.cost > dielectric_cost + cost_margin) continue;
+    if (!best || fit.cost < best->second.cost) best.emplace(metal, std::move(fit));
+  }
+  return best;
 }
 
 /// Fits what all pixels share at the current surface; the mirror image's light only if it is not known yet. Returns by
 /// how much the lobe lowered the robust cost.
 double fit_reflection(RefinementImage& image, const RefineOptions& options, bool is_mirror_known, RefineReport& report,
-                      const Context& context) {
+                      MapCourse& course, const Context& context) {
   double lobe_gain = 0;
   const auto diffuse = collect_samples(image, Reflection::diffuse, sample_count);
   if (image.reflection.mirrored) {
     image.shading = fit_shading(diffuse).harmonics;
-    fit_mirrored(image, report, context);
+    fit_mirrored(image, report, course, context);
   } else if (!diffuse.empty()) {
     const Shading shading = fit_shading(diffuse);
     image.shading = shading.harmonics;
@@ -155,11 +207,14 @@ bool looks_like_metal(const RefinementImage& image) {
 /// Distance beyond which the prior is better known than the integral of slopes, which are wrong in the mean by about
 /// 0.25 degrees at best: noise over the square root of the points inside a Gaussian = slope × distance. 0 = not known.
 /// A prior that smooths over less than half of that is of a rough object: most of its error is the detail that it
-/// lacks, which averages out over longer distances than noise. A map of the surroundings has larger errors itself.
+/// lacks, which averages out over longer distances than noise. A map of the surroundings has larger errors itself, and
+/// that of a metal, whose brightness changes with roughness and color, ten times larger ones.
 double anchor_length_px(const DepthPrior& prior, const RefinementImage& image, double anchor) {
   constexpr double longest = 1.6;
   const double gsd = image.depth_of(0) / image.focal;
   const double length = anchor * std::sqrt(std::max(prior.noise / gsd * prior.spacing_px, 0.0));
+  constexpr double of_metal = 0.3;
+  if (image.reflection.metal_error > 0) return of_metal * length;
   if (image.reflection.mirrored || prior.smoothing_px <= 0) return length;
   return length * std::clamp(length / (2 * prior.smoothing_px), 1.0, longest);
 }
@@ -225,11 +280,11 @@ class Refiner {
   void label(const RefineInput& input) { label_regions(image_, input, rows_of(strips_), context_); }
 
   /// Takes the model that explains more at the prior's slopes: regions that are diffuse or specular, or an object that
-  /// is matt all over and mirrors its surroundings.
+  /// is matt all over and mirrors its surroundings; of the latter a metal where that explains all of the light.
   void choose_model() {
     // The second has hundreds of parameters more, which explain some of anything.
     constexpr double clearly = 0.1;
-    fit_reflection(image_, options_, false, report_, context_);
+    fit_reflection(image_, options_, false, report_, map_, context_);
     const ExplainedPolarization at_prior = explained(nullptr);
     const double by_labels = mean_over_object(at_prior.shares(false, context_));
     // A black mirror's polarization follows from the slopes whatever it mirrors: no surroundings do better.
@@ -242,7 +297,14 @@ class Refiner {
     const Image<std::uint8_t> labels = image_.kind;
     const ReflectionModel model = image_.reflection;
     image_.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
-    fit_mirrored(image_, report_, context_);
+    map_.material.index = model.eta;
+    const SurroundingsFit dielectric = fit_mirrored(image_, report_, map_, context_);
+    constexpr std::size_t few = 1500;
+    if (const auto metal = find_metal(collect_samples(image_, Reflection::diffuse, few), dielectric.cost, context_)) {
+      map_ = {metal->first};
+      take_surroundings(metal->second, image_, report_, map_, context_);
+      return;
+    }
     if (mean_over_object(explained(nullptr).shares(false, context_)) > by_labels + clearly) return;
     image_.kind = labels;
     image_.reflection = model;
@@ -294,7 +356,9 @@ class Refiner {
     const ExplainedPolarization at_prior = explained(&x_prior);
     const Image<float> beyond_plane = at_prior.shares(true, context_);
     const Image<float> shares = image_.reflection.mirrored ? beyond_plane : at_prior.shares(false, context_);
-    const Image<float> after = image_.reflection.mirrored ? explained_by_result() : Image<float>();
+    const bool with_map = image_.reflection.mirrored != nullptr, explained_as_metal = image_.reflection.metal_error > 0;
+    const Image<float> after = with_map ? explained_by_surroundings(false) : Image<float>();
+    const Image<float> in_metal = explained_as_metal ? trust_in_metal(after) : Image<float>();
     // A metal's slopes are not those that a dielectric's formulas give, however well these fit.
     const bool is_metal = looks_like_metal(image_);
     parallel_rows(context_, size.height, [&](int v) {
@@ -303,9 +367,10 @@ class Refiner {
         const auto share = [&](const Image<float>& cells) {
           return between_cells(cells, ExplainedPolarization::cell_px, u, v);
         };
-        const double trust = is_metal        ? 0
-                             : after.empty() ? trust_of(share(shares))
-                                             : trust_with_surroundings(share(shares), share(after));
+        const double trust = is_metal             ? 0
+                             : !with_map          ? trust_of(share(shares))
+                             : explained_as_metal ? share(in_metal)
+                                                  : trust_with_surroundings(share(shares), share(after));
         if (image_.pixels(u, v)) report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(255 * trust));
         image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
       }
@@ -394,6 +459,22 @@ class Refiner {
                     std::clamp(at_prior / something, 0.0, 1.0));
   }
 
+  /// The same of a metal, cell by cell, from what its map explains at the result. Its slopes follow from s0 above all.
+  /// The polarization, which is weak and noisy, is the second witness: the surface must leave less of it over than the
+  /// prior's does, nearly everywhere. Where it did so in two thirds of a coin only, all was worse than the prior.
+  Image<float> trust_in_metal(const Image<float>& after) const {
+    constexpr double least = 0.05, enough = 0.2, doubtful = 0.75, nearly_all = 0.9;
+    const Image<float> before = explained_by_surroundings(true);
+    Image<float> trust(after.size());
+    for (std::size_t i = 0; i < trust.count(); ++i) {
+      const double gained = (after[i] - before[i]) / std::max(1.0 - before[i], 1e-6);
+      trust[i] = static_cast<float>(std::clamp((gained - least) / (enough - least), 0.0, 1.0));
+    }
+    const double all = std::clamp((mean_over_object(trust) - doubtful) / (nearly_all - doubtful), 0.0, 1.0);
+    for (float& value : trust) value *= static_cast<float>(all);
+    return trust;
+  }
+
   WeightOptions weights(double widening, bool regional) const {
     WeightOptions weights;
     weights.robust_scale = options_.robust_scale;
@@ -438,11 +519,13 @@ class Refiner {
     return explained;
   }
 
-  /// Share of the polarization that a map of the surroundings explains at the surface as it is, cell by cell.
-  Image<float> explained_by_result() const {
+  /// Share of the polarization that a map of the surroundings explains at the surface as it is, or at the prior's, cell
+  /// by cell.
+  Image<float> explained_by_surroundings(bool at_prior) const {
     ExplainedByResult explained(image_.size());
     for (const TileStrip& tiles : strips_) {
       StripField strip = strip_field(image_, tiles.rows, whole_blocks(weights_reach_px), context_);
+      if (at_prior) std::swap(strip.field.x, strip.field.x_prior);
       update_weights(strip.field, weights(1, false), context_);
       explained.add(strip.field, strip.rows, strip.first_row, context_);
     }
@@ -471,7 +554,7 @@ class Refiner {
 
   void round(double widening, bool fit, bool regional) {
     const auto start = std::chrono::steady_clock::now();
-    if (fit) lobe_gain_ = fit_reflection(image_, options_, is_mirror_known_, report_, context_);
+    if (fit) lobe_gain_ = fit_reflection(image_, options_, is_mirror_known_, report_, map_, context_);
     const WeightOptions weights = this->weights(widening, regional);
     const int margin = whole_blocks(options_.margin_px) + whole_blocks(tile_ring_px + weights_reach_px);
     ResidualSummary summary(image_.size());
@@ -575,6 +658,7 @@ class Refiner {
   int binning_;  ///< pixels of the station's image along a side of one of this
   std::vector<Tile> tiles_;
   std::vector<TileStrip> strips_;
+  MapCourse map_;
   Eigen::Vector3d mean_normal_;  ///< of the surface that the refinement starts from
   bool mirrors_ = false;
   bool is_mirror_known_ = false;  ///< its light was fitted at the prior's slopes

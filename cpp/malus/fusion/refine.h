@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <complex>
 #include <limits>
 #include <optional>
 #include <string>
@@ -122,8 +123,10 @@ struct RefineIteration {
 /// What the refinement found out beside the surface.
 struct RefineReport {
   std::vector<RefineIteration> iterations;
-  ReflectionModel reflection;     ///< with eta
-  Surroundings surroundings;      ///< without radiance if they are not the model
+  ReflectionModel reflection;  ///< with eta
+  Surroundings surroundings;   ///< without radiance if they are not the model
+  /// n + i k of the metal that the model with surroundings takes the object for; 0 = not for a metal.
+  std::complex<double> metal_index = 0;
   double eta_sigma = 0;           ///< 0 = the index is given, NaN = neither given nor estimated
   bool eta_undetermined = false;  ///< it was asked for, but the data do not tell it
   std::array<double, EnvironmentProfile::node_count> environment_sigma{};

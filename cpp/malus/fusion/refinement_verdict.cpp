@@ -105,6 +105,13 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
                      "Nearly all of the polarization that the reflection model explains at the prior's slopes is that "
                      "of a plane: it says little of the relief on it. Fine detail is likely, not certain.");
   }
+  if (report.metal_index != 0.0) {
+    surface.warnings.push_back(
+        "The object is taken for bare metal, whose refractive index is about " + rounded(report.metal_index.real()) +
+        " + " + rounded(report.metal_index.imag()) +
+        " i: its map of the surroundings explains brightness and polarization. Where the color changes, by tarnish or "
+        "gilding, slopes may be wrong.");
+  }
   if (report.reflection.mirrored) {
     confidence.limit(ConfidenceLevel::partial,
                      "The light is told by a map of the surroundings that was fitted on this object: its detail is "

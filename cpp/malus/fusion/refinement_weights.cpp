@@ -65,12 +65,14 @@ PixelResiduals pixel_residuals(RefinementField& field, const WeightOptions& opti
       const double s0 = field.s0(u, v);
       const PredictedStokes m = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
       const double steepness = square(m.s1_by_p) + square(m.s1_by_q) + square(m.s2_by_p) + square(m.s2_by_q);
-      const double variance =
-          field.variance(u, v) + square(options.relative_error * s0) + 0.5 * square(options.slope_error) * steepness;
+      // Where a metal is darker or brighter than its map says, its polarization is so, too.
+      const double dimmed = square(field.reflection.metal_error) * (square(m.s1) + square(m.s2));
+      const double variance = field.variance(u, v) + square(options.relative_error * s0) +
+                              0.5 * (square(options.slope_error) * steepness + dimmed);
       const double squared = 0.5 * (square(field.s1(u, v) - m.s1) + square(field.s2(u, v) - m.s2)) / variance;
       out.squared(u, v) = static_cast<float>(squared);
       field.stokes_precision(u, v) = static_cast<float>(1 / variance);
-      if (field.kind_at(u, v) != Reflection::diffuse) continue;
+      if (field.kind_at(u, v) != Reflection::diffuse || field.reflection.metal_error > 0) continue;
       field.log_body(u, v) = static_cast<float>(std::log(std::max(m.body, darkest_body)));
       out.log_albedo(u, v) =
           static_cast<float>(field.log_body(u, v) - log_shading(field.shading, frame, slopes[0], slopes[1]).value);

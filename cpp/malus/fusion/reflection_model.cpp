@@ -84,7 +84,9 @@ PredictedStokes PixelReflection::predict_mirroring(double p, double q) const {
   const MirroredLight mirrored = model_.mirrored->at(p, q, frame_);
   PredictedStokes out;
   out.mirrored = mirrored.stokes[0];
-  out.body = std::max(s0_ - out.mirrored, 0.0);
+  out.mirrored_by_p = mirrored.by_p[0];
+  out.mirrored_by_q = mirrored.by_q[0];
+  if (model_.metal_error == 0) out.body = std::max(s0_ - out.mirrored, 0.0);
   const double body_by_p = out.body > 0 ? -mirrored.by_p[0] : 0, body_by_q = out.body > 0 ? -mirrored.by_q[0] : 0;
   add_slope_term(out.body * f.diffuse, body_by_p * f.diffuse + out.body * f.diffuse_slope * 2 * p,
                  body_by_q * f.diffuse + out.body * f.diffuse_slope * 2 * q, p, q, out);

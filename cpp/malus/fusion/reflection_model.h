@@ -55,6 +55,8 @@ struct ReflectionModel {
   double eta = 1.5;
   /// What pixels that are not specular mirror; null = by environment and lobe.
   std::shared_ptr<const MirroredLightTable> mirrored;
+  /// Of a metal, all of whose light is mirrored: standard deviation of the predicted s0 as a share of it. 0 = no metal.
+  double metal_error = 0;
   EnvironmentProfile environment;
   HighlightLobe lobe;
   MirrorReflection mirror;
@@ -80,15 +82,15 @@ struct LobeAtPixel {
 struct PredictedStokes {
   double s1 = 0, s1_by_p = 0, s1_by_q = 0;
   double s2 = 0, s2_by_p = 0, s2_by_q = 0;
-  double body = 0;      ///< s0 of the light from inside the body, not negative
-  double mirrored = 0;  ///< s0 of the mirrored light
+  double body = 0;                                            ///< s0 of the light from inside the body, not negative
+  double mirrored = 0, mirrored_by_p = 0, mirrored_by_q = 0;  ///< s0 of the mirrored light; derivatives with a map only
 };
 
 /// Forward model of one pixel:
 ///   (s1, s2) = (d ρ_d/g − E (Rs−Rp)/2/g) (p² − q², 2 p q) − T (cos 2φ_H, sin 2φ_H),  g = p² + q² = tan²θ.
 /// Diffuse: d = max(s0 − E(θ) F − T_unpolarized, 0). Specular: d is given, E = (s0 − d) / F, T = 0. The measured s0
 /// removes albedo as an unknown. With a table of mirrored light m: d = max(s0 − m0, 0), (s1, s2) = d ρ_d/g (p² − q²,
-/// 2 p q) + (m1, m2).
+/// 2 p q) + (m1, m2); of a metal d = 0, and s0 = m0 is predicted, too.
 class PixelReflection {
  public:
   /// mirror_body: s0 of the light from inside a specular body, from 0 to s0; not used for a diffuse one.

@@ -88,6 +88,8 @@ Image<float> surface_sigma(const RefinementField& field, const Image<std::uint8_
       slope(u, v) = static_cast<float>(slope_variance(field, u, v));
     }
   });
+  // A metal's brightness, which its slopes follow from, is less sure than polarization.
+  const double of_prior = field.reflection.metal_error > 0 ? 0.3 : 0.16;
   const Image<float> changes = masked_blur(change, field.object, low_frequency_px, context);
   const Image<float> slopes = masked_blur(slope, field.object, high_frequency_px, context);
   const Image<float> prior = prior_variance(field, smoothing_px, context);
@@ -97,7 +99,7 @@ Image<float> surface_sigma(const RefinementField& field, const Image<std::uint8_
     for (int u = 0; u < field.size().width; ++u) {
       if (!field.object(u, v)) continue;
       const double gsd = field.depth_of(field.x(u, v)) / field.focal, share = trust(u, v) / 255.0;
-      const double refined = 0.16 * prior(u, v) + changes(u, v) / 15 + high_frequency_px * slopes(u, v);
+      const double refined = of_prior * prior(u, v) + changes(u, v) / 15 + high_frequency_px * slopes(u, v);
       sigma(u, v) =
           static_cast<float>(gsd * std::sqrt(share * refined + (1 - share) * prior(u, v) + square(contour(u, v))));
     }

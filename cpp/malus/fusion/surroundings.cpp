@@ -49,7 +49,7 @@ std::vector<Surroundings::Cell> Surroundings::all_cells() {
 }
 
 void mirrored_by_cell(double p, double q, const RayFrame& frame, const std::vector<Surroundings::Cell>& cells,
-                      double roughness, double eta, Eigen::Ref<Eigen::Matrix3Xf> out) {
+                      double roughness, std::complex<double> index, Eigen::Ref<Eigen::Matrix3Xf> out) {
   constexpr double smallest_cosine = 0.02, farthest = 30;  // exp(-30) is nothing
   const double cos_normal = 1 / std::sqrt(1 + p * p + q * q);
   const Eigen::Vector3d normal = (p * frame.right + q * frame.up + frame.view) * cos_normal;
@@ -75,15 +75,15 @@ void mirrored_by_cell(double p, double q, const RayFrame& frame, const std::vect
     const double masking = std::min(1.0, 2 * cos_facet * std::min(cos_normal, cos_light) / cos_half);
     const double weight = solid_angle * facets * masking / (4 * cos_normal);
     const double hp = half.dot(frame.right) / cos_half, hq = half.dot(frame.up) / cos_half;
-    const FresnelFactors fresnel = fresnel_factors(hp * hp + hq * hq, eta);
+    const MirrorFactors fresnel = mirror_factors(hp * hp + hq * hq, index);
     out.col(column) = (weight * Eigen::Vector3d(fresnel.reflectance, -fresnel.specular * (hp * hp - hq * hq),
                                                 -fresnel.specular * 2 * hp * hq))
                           .cast<float>();
   }
 }
 
-MirroredLightTable::MirroredLightTable(const Surroundings& surroundings, double eta, const Pinhole& camera,
-                                       const Context& context) {
+MirroredLightTable::MirroredLightTable(const Surroundings& surroundings, std::complex<double> index,
+                                       const Pinhole& camera, const Context& context) {
   const std::vector<Surroundings::Cell> all = Surroundings::all_cells();
   std::vector<Surroundings::Cell> cells;
   std::vector<float> radiances;
@@ -110,7 +110,7 @@ MirroredLightTable::MirroredLightTable(const Surroundings& surroundings, double 
       // Outside the disc the values only keep the spline smooth inside.
       constexpr double horizon = 0.97;
       const double to_slope = 2 / (1 - std::min(a * a + b * b, horizon));
-      mirrored_by_cell(to_slope * a, to_slope * b, frame, cells, surroundings.roughness, eta, response);
+      mirrored_by_cell(to_slope * a, to_slope * b, frame, cells, surroundings.roughness, index, response);
       const Eigen::Vector3f sum = response * radiance;
       tables_[static_cast<std::size_t>(ray)](column, row) = {{sum[0], sum[1], sum[2]}};
     }

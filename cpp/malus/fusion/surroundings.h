@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <complex>
 #include <vector>
 
 #include "malus/core/camera.h"
@@ -35,15 +36,17 @@ struct MirroredLight {
   Eigen::Vector3d by_p = Eigen::Vector3d::Zero(), by_q = Eigen::Vector3d::Zero();
 };
 
-/// (s0, s1, s2) that a surface with slopes (p, q) mirrors of each cell at radiance 1.
+/// (s0, s1, s2) that a surface with slopes (p, q) mirrors of each cell at radiance 1. A metal's refractive index has an
+/// imaginary part > 0.
 void mirrored_by_cell(double p, double q, const RayFrame& frame, const std::vector<Surroundings::Cell>& cells,
-                      double roughness, double eta, Eigen::Ref<Eigen::Matrix3Xf> out);
+                      double roughness, std::complex<double> index, Eigen::Ref<Eigen::Matrix3Xf> out);
 
 /// The mirrored light over the slopes, tabulated for some rays of a camera and interpolated between: bicubic over the
 /// slopes (stereographic, so that all zeniths are on a disc), bilinear over the rays.
 class MirroredLightTable {
  public:
-  MirroredLightTable(const Surroundings& surroundings, double eta, const Pinhole& camera, const Context& context);
+  MirroredLightTable(const Surroundings& surroundings, std::complex<double> index, const Pinhole& camera,
+                     const Context& context);
 
   MirroredLight at(double p, double q, const RayFrame& frame) const;
 

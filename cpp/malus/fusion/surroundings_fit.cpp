@@ -34,53 +34,64 @@ void solve_nonnegative(const Eigen::MatrixXf& normal, const Eigen::VectorXf& rig
   }
 }
 
-/// Residuals of all samples in their standard deviations: values − rows · radiances; s1 above s2.
+/// Residuals of all samples in their standard deviations: values − rows · radiances; s1 above s2 above a metal's s0.
 struct LinearSystem {
   Eigen::MatrixXf rows;
   Eigen::VectorXf values;
+  Eigen::Index parts = 2;
 };
 
-LinearSystem linearize(const std::vector<ReflectionSample>& samples, const Cells& cells, double roughness, double eta) {
+LinearSystem linearize(const std::vector<ReflectionSample>& samples, const Cells& cells, double roughness,
+                       const MirrorMaterial& material) {
   const auto count = static_cast<Eigen::Index>(samples.size()), columns = static_cast<Eigen::Index>(cells.size());
-  LinearSystem system{Eigen::MatrixXf(2 * count, columns), Eigen::VectorXf(2 * count)};
+  const Eigen::Index parts = material.is_metal() ? 3 : 2;
+  LinearSystem system{Eigen::MatrixXf(parts * count, columns), Eigen::VectorXf(parts * count), parts};
   Eigen::Matrix3Xf response(3, columns);
   for (Eigen::Index i = 0; i < count; ++i) {
     const ReflectionSample& s = samples[static_cast<std::size_t>(i)];
-    const FresnelFactors f = fresnel_factors(s.tan2(), eta);
-    const Eigen::Vector2d diffuse = f.diffuse * Eigen::Vector2d(s.p * s.p - s.q * s.q, 2 * s.p * s.q);
+    // What a wrong slope changes in a dielectric's polarization is more than it changes in a metal's.
+    const double factor = fresnel_factors(s.tan2(), material.is_metal() ? 1.5 : material.index.real()).diffuse;
     // d ρ_d by the slopes, about: 2 tan θ · factor.
-    const double steepness = s.s0 * f.diffuse * 2 * std::sqrt(s.tan2());
+    const double steepness = s.s0 * factor * 2 * std::sqrt(s.tan2());
     const double sigma = std::hypot(s.sigma, slope_error * steepness);
-    mirrored_by_cell(s.p, s.q, s.frame, cells, roughness, eta, response);
+    mirrored_by_cell(s.p, s.q, s.frame, cells, roughness, material.index, response);
+    const Eigen::Vector2d diffuse =
+        (material.is_metal() ? 0 : factor) * Eigen::Vector2d(s.p * s.p - s.q * s.q, 2 * s.p * s.q);
     system.rows.row(i) = (response.row(1) - static_cast<float>(diffuse[0]) * response.row(0)) / sigma;
     system.rows.row(count + i) = (response.row(2) - static_cast<float>(diffuse[1]) * response.row(0)) / sigma;
     system.values[i] = static_cast<float>((s.s1 - s.s0 * diffuse[0]) / sigma);
     system.values[count + i] = static_cast<float>((s.s2 - s.s0 * diffuse[1]) / sigma);
+    if (!material.is_metal()) continue;
+    system.rows.row(2 * count + i) = response.row(0) / (material.intensity_error * s.s0);
+    system.values[2 * count + i] = static_cast<float>(1 / material.intensity_error);
   }
   return system;
 }
 
-SurroundingsFit fit(const std::vector<ReflectionSample>& samples, const Cells& cells, double roughness, double eta) {
+SurroundingsFit fit(const std::vector<ReflectionSample>& samples, const Cells& cells, double roughness,
+                    const MirrorMaterial& material) {
   constexpr float ridge = 1e-4F;
   constexpr double robust_sigmas2 = 6.25;
-  const LinearSystem system = linearize(samples, cells, roughness, eta);
+  const LinearSystem system = linearize(samples, cells, roughness, material);
   const auto count = static_cast<Eigen::Index>(samples.size());
   Eigen::VectorXf weights = Eigen::VectorXf::Ones(count), radiances = Eigen::VectorXf::Zero(system.rows.cols());
-  std::vector<double> squares(samples.size());
+  std::vector<double> squares(samples.size()), intensity_errors(samples.size());
   double cost = 0;
   for (int round = 0; round < irls_rounds; ++round) {
-    const Eigen::VectorXf both = weights.replicate(2, 1);
+    const Eigen::VectorXf all = weights.replicate(system.parts, 1);
     Eigen::MatrixXf normal = Eigen::MatrixXf::Zero(system.rows.cols(), system.rows.cols());
-    normal.selfadjointView<Eigen::Lower>().rankUpdate((both.cwiseSqrt().asDiagonal() * system.rows).transpose());
+    normal.selfadjointView<Eigen::Lower>().rankUpdate((all.cwiseSqrt().asDiagonal() * system.rows).transpose());
     normal.triangularView<Eigen::StrictlyUpper>() = normal.transpose();
     normal.diagonal().array() += ridge * normal.trace() / static_cast<float>(normal.rows()) + 1e-12F;
-    solve_nonnegative(normal, system.rows.transpose() * both.cwiseProduct(system.values), radiances);
+    solve_nonnegative(normal, system.rows.transpose() * all.cwiseProduct(system.values), radiances);
     const Eigen::VectorXf rest = system.values - system.rows * radiances;
     cost = 0;
     for (Eigen::Index i = 0; i < count; ++i) {
-      const double squared = static_cast<double>(rest[i] * rest[i] + rest[count + i] * rest[count + i]);
-      squares[static_cast<std::size_t>(i)] = squared;
-      cost += std::log1p(squared / 4);
+      const double stokes = static_cast<double>(rest[i] * rest[i] + rest[count + i] * rest[count + i]);
+      cost += std::log1p(stokes / 4);
+      const double intensity = system.parts == 3 ? rest[2 * count + i] : 0;
+      squares[static_cast<std::size_t>(i)] = stokes + intensity * intensity;
+      intensity_errors[static_cast<std::size_t>(i)] = std::abs(intensity) * material.intensity_error;
     }
     const double scale = std::max(median(squares) / 1.4, 1.0);
     for (Eigen::Index i = 0; i < count; ++i) {
@@ -89,6 +100,7 @@ SurroundingsFit fit(const std::vector<ReflectionSample>& samples, const Cells& c
   }
   SurroundingsFit result;
   result.cost = cost / static_cast<double>(std::max<Eigen::Index>(count, 1));
+  result.intensity_error = median(intensity_errors);
   result.surroundings.roughness = roughness;
   result.surroundings.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
   for (std::size_t i = 0; i < cells.size(); ++i)
@@ -98,12 +110,12 @@ SurroundingsFit fit(const std::vector<ReflectionSample>& samples, const Cells& c
 
 }  // namespace
 
-SurroundingsFit fit_surroundings(const std::vector<ReflectionSample>& samples, double eta,
+SurroundingsFit fit_surroundings(const std::vector<ReflectionSample>& samples, const MirrorMaterial& material,
                                  std::span<const double> roughnesses, const Context& context) {
   const Cells cells = Surroundings::all_cells();
   std::vector<SurroundingsFit> fits(roughnesses.size());
   parallel_for(context, fits.size(), 1, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) fits[i] = fit(samples, cells, roughnesses[i], eta);
+    for (std::size_t i = begin; i < end; ++i) fits[i] = fit(samples, cells, roughnesses[i], material);
   });
   return *std::min_element(fits.begin(), fits.end(), [](const auto& a, const auto& b) { return a.cost < b.cost; });
 }

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <complex>
 #include <span>
 #include <vector>
 
@@ -12,12 +13,22 @@ namespace malus {
 /// How well surroundings explain the Stokes vectors at known slopes.
 struct SurroundingsFit {
   Surroundings surroundings;
-  double cost = 0;  ///< mean of ln(1 + r² / 4)
+  double cost = 0;             ///< of (s1, s2): mean of ln(1 + r² / 4)
+  double intensity_error = 0;  ///< median of |s0 − m0| / s0
+};
+
+/// What mirrors the surroundings.
+struct MirrorMaterial {
+  std::complex<double> index = 1.5;  ///< a metal's has an imaginary part > 0
+  double intensity_error = 0.15;     ///< of a metal: standard deviation of its s0, as a share of it
+
+  bool is_metal() const { return index.imag() > 0; }
 };
 
 /// Fits the radiance of all cells for each roughness and keeps the cheapest. With the light from the body put in from
-/// the measured s0, d = s0 − m0, the Stokes residual is linear in the radiances: robust non-negative least squares.
-SurroundingsFit fit_surroundings(const std::vector<ReflectionSample>& samples, double eta,
+/// the measured s0, d = s0 − m0, the Stokes residual is linear in the radiances: robust non-negative least squares. A
+/// metal has no light from a body: there the measured s0 is a third equation, s0 = m0.
+SurroundingsFit fit_surroundings(const std::vector<ReflectionSample>& samples, const MirrorMaterial& material,
                                  std::span<const double> roughnesses, const Context& context);
 
 }  // namespace malus

@@ -16,7 +16,7 @@ Json refine_report_json(const RefineReport& report) {
                           {"rejected_steps", i.rejected_steps}});
   }
   // Either of two models: what the other one fitted is not of this result.
-  Json light, lobe, environment, mirror, surroundings;
+  Json light, lobe, environment, mirror, surroundings, metal;
   const Image<float>& radiance = report.surroundings.radiance;
   if (radiance.empty()) {
     light = {{"direction", {model.lobe.light.x(), model.lobe.light.y(), model.lobe.light.z()}},
@@ -39,12 +39,16 @@ Json refine_report_json(const RefineReport& report) {
     for (int row = 0; row < radiance.height(); ++row)
       rows.push_back(std::vector<float>(radiance.row(row), radiance.row(row) + radiance.width()));
     surroundings = {{"roughness", report.surroundings.roughness}, {"radiance", rows}};
+    if (report.metal_index != 0.0)
+      metal = {{"refractive_index", {report.metal_index.real(), report.metal_index.imag()}},
+               {"intensity_error", model.metal_error}};
   }
   return {{"refractive_index", {{"value", model.eta}, {"sigma", fields_to_json(report.eta_sigma)}}},
           {"light", light},
           {"lobe", lobe},
           {"environment", environment},
           {"surroundings", surroundings},
+          {"metal", metal},
           {"mirror", mirror},
           {"specular_share", report.specular_share},
           {"explained_share", fields_to_json(report.explained_share)},

@@ -1,24 +1,32 @@
 #include <ceres/loss_function.h>
 #include <gtest/gtest.h>
 
+#include <complex>
 #include <memory>
 #include <random>
 
 #include "malus/fusion/quad_costs_internal.h"
 #include "malus/fusion/refinement_weights_internal.h"
+#include "malus/fusion/surroundings.h"
 #include "synthetic_station.h"
 
 namespace malus {
 namespace {
 
+ReflectionModel usual_model() {
+  ReflectionModel model;
+  model.environment.radiance = {0.15, 0.2, 0.22, 0.3, 0.35, 0.4, 0.38, 0.5, 0.6};
+  model.lobe = {0.02, 0.25, Eigen::Vector3d(-0.35, -0.5, -0.8).normalized()};
+  model.mirror = {0.15, 14};
+  return model;
+}
+
 /// A field in mid-refinement, with a hole and a ragged border, so that quads are cut.
-RefinementField rough_field(Reflection kind) {
+RefinementField rough_field(Reflection kind, const ReflectionModel& model = usual_model()) {
   SyntheticOptions options;
   options.size = {29, 27};
   options.kind = kind;
-  options.model.environment.radiance = {0.15, 0.2, 0.22, 0.3, 0.35, 0.4, 0.38, 0.5, 0.6};
-  options.model.lobe = {0.02, 0.25, Eigen::Vector3d(-0.35, -0.5, -0.8).normalized()};
-  options.model.mirror = {0.15, 14};
+  options.model = model;
   SyntheticStation station = make_station(options);
   for (const auto& [u, v] : {std::pair{10, 10}, {11, 10}, {12, 11}, {17, 4}, {0, 0}, {5, 20}})
     station.state.valid(u, v) = 0;
@@ -95,18 +103,40 @@ std::vector<std::unique_ptr<QuadCost>> all_costs(const RefinementField& field, M
   return costs;
 }
 
-class QuadCosts : public testing::TestWithParam<Reflection> {};
-
-TEST_P(QuadCosts, StokesDerivativesAreThoseOfTheResiduals) {
-  const RefinementField field = rough_field(GetParam());
-  const auto costs = all_costs(field, [&](QuadIndex quad, auto& out) {
+std::vector<std::unique_ptr<QuadCost>> stokes_costs(const RefinementField& field) {
+  return all_costs(field, [&](QuadIndex quad, auto& out) {
     for (int i = 0; i < 4; ++i) {
       const int u = 2 * quad.column + i % 2, v = 2 * quad.row + i / 2;
       if (field.is_object(u, v)) out.push_back(std::make_unique<StokesCost>(field, u, v));
     }
   });
+}
+
+class QuadCosts : public testing::TestWithParam<Reflection> {};
+
+TEST_P(QuadCosts, StokesDerivativesAreThoseOfTheResiduals) {
+  const RefinementField field = rough_field(GetParam());
+  const auto costs = stokes_costs(field);
   EXPECT_GT(costs.size(), 700u);
   EXPECT_LT(largest_difference(field, costs), 1e-6);
+}
+
+TEST(QuadCosts, StokesDerivativesOfAMetalAreThoseOfTheResiduals) {
+  Surroundings surroundings;
+  surroundings.roughness = 0.3;
+  surroundings.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
+  for (const Surroundings::Cell& cell : Surroundings::all_cells())
+    surroundings.radiance(cell.column, cell.row) = static_cast<float>(1 + cell.hx);
+  SyntheticOptions small;
+  small.size = {29, 27};
+  const Pinhole camera = make_station(small).prior.camera;
+  ReflectionModel model;
+  model.mirrored = std::make_shared<MirroredLightTable>(surroundings, std::complex(0.63, 3.19), camera, Context{});
+  model.metal_error = 0.05;
+  const RefinementField field = rough_field(Reflection::diffuse, model);
+  const auto costs = stokes_costs(field);
+  EXPECT_EQ(costs.front()->num_residuals(), 3);
+  EXPECT_LT(largest_difference(field, costs), 1e-5);
 }
 
 TEST_P(QuadCosts, AlbedoDerivativesAreThoseOfTheResiduals) {

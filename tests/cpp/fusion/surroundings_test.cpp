@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <complex>
 #include <memory>
 #include <random>
 
@@ -80,6 +81,22 @@ TEST(Surroundings, PixelsPredictionHasTheDerivativesOfItsValues) {
   }
 }
 
+TEST(Surroundings, PredictionOfAMetalHasTheDerivativesOfItsValues) {
+  ReflectionModel model;
+  model.mirrored = std::make_shared<MirroredLightTable>(window(0.2), std::complex(0.63, 3.19), camera, Context{});
+  model.metal_error = 0.1;
+  const RayFrame frame = ray_frame(&camera, 400, 100);
+  const PixelReflection pixel(model, Reflection::diffuse, 0.9, 0, frame);
+  const double h = 1e-6;
+  for (const double q : {-0.7, -0.1, 0.3, 0.9}) {
+    const PredictedStokes m = pixel.predict(0.2, q);
+    const PredictedStokes after = pixel.predict(0.2, q + h), before = pixel.predict(0.2, q - h);
+    EXPECT_NEAR(m.mirrored_by_q, (after.mirrored - before.mirrored) / (2 * h), 1e-4);
+    EXPECT_NEAR(m.s1_by_q, (after.s1 - before.s1) / (2 * h), 1e-4);
+    EXPECT_EQ(m.body, 0);
+  }
+}
+
 TEST(Surroundings, AreFoundFromWhatTheyMirror) {
   // Pixels of many slopes under a window, of a body that varies; noise and some pixels that are wrong.
   const Surroundings truth = window(0.2);
@@ -103,7 +120,7 @@ TEST(Surroundings, AreFoundFromWhatTheyMirror) {
     samples.push_back(s);
   }
   const std::array tried{0.05, 0.1, 0.2, 0.4};
-  const SurroundingsFit fit = fit_surroundings(samples, 1.5, tried, Context{});
+  const SurroundingsFit fit = fit_surroundings(samples, {1.5}, tried, Context{});
   EXPECT_EQ(fit.surroundings.roughness, 0.2);
   const MirroredLightTable found(fit.surroundings, 1.5, camera, Context{});
   double error = 0, size = 0;
@@ -115,6 +132,56 @@ TEST(Surroundings, AreFoundFromWhatTheyMirror) {
   }
   EXPECT_LT(std::sqrt(error / size), 0.1);
   EXPECT_GE(*std::min_element(fit.surroundings.radiance.begin(), fit.surroundings.radiance.end()), 0);
+}
+
+TEST(Surroundings, MetalsMirrorByFresnelsAmplitudes) {
+  const std::complex<double> index(0.63, 3.19);
+  for (const double tan2 : {1e-9, 0.1, 1.0, 7.0}) {
+    const double c = std::sqrt(1 / (1 + tan2)), s2 = 1 - c * c;
+    const std::complex<double> inside = std::sqrt(index * index - s2);
+    const double across = std::norm((c - inside) / (c + inside));
+    const double along = std::norm((index * index * c - inside) / (index * index * c + inside));
+    const MirrorFactors f = mirror_factors(tan2, index);
+    EXPECT_NEAR(f.reflectance, 0.5 * (across + along), 1e-12);
+    EXPECT_NEAR(f.specular * tan2, 0.5 * (across - along), 1e-12);
+  }
+}
+
+/// Of a metal under a window, larger than the prior's bumps are known.
+SyntheticStation metal_station(const Pinhole& view) {
+  SyntheticOptions scene;
+  scene.size = {96, 80};
+  scene.bump_gsd = 0.5;
+  scene.noise = 2e-4;
+  scene.model.mirrored = std::make_shared<MirroredLightTable>(window(0.3), std::complex(0.63, 3.19), view, Context{});
+  scene.model.metal_error = 0.05;
+  return make_station(scene);
+}
+
+/// RMS error of the steps in depth from pixel to pixel, away from the border.
+double step_error(const Image<float>& depth, const Image<float>& truth) {
+  double squares = 0, count = 0;
+  for (int v = 4; v < truth.height() - 4; ++v) {
+    for (int u = 4; u < truth.width() - 5; ++u) {
+      const double step = depth(u + 1, v) - depth(u, v), wanted = truth(u + 1, v) - truth(u, v);
+      squares += (step - wanted) * (step - wanted);
+      ++count;
+    }
+  }
+  return std::sqrt(squares / count);
+}
+
+TEST(Surroundings, AMetalIsFoundAndRefinedByItsLightAndPolarization) {
+  SyntheticOptions scene;
+  scene.size = {96, 80};
+  const SyntheticStation station = metal_station(make_station(scene).prior.camera);
+  const RefineResult result = refine(station.state, station.prior, {}, {}, Context{});
+  EXPECT_GT(result.report.metal_index.imag(), 0);
+  EXPECT_GT(result.report.trusted_share, 0.5);
+  EXPECT_TRUE(std::ranges::any_of(result.surface.warnings, [](const std::string& warning) {
+    return warning.find("taken for bare metal") != std::string::npos;
+  }));
+  EXPECT_LT(step_error(result.surface.depth, station.truth), 0.7 * step_error(station.prior.depth, station.truth));
 }
 
 TEST(Surroundings, LeaveNoIndexToBeEstimated) {
@@ -130,6 +197,7 @@ TEST(Surroundings, LeaveNoIndexToBeEstimated) {
   const RefineResult result = refine(station.state, station.prior, input, options, Context{});
   ASSERT_TRUE(result.report.reflection.mirrored) << "the model must be the map";
   EXPECT_EQ(result.report.reflection.eta, 1.5);
+  EXPECT_EQ(result.report.metal_index, 0.0) << "a body that varies is no metal";
   EXPECT_TRUE(std::isnan(result.report.eta_sigma)) << "not that of the model which was rejected";
   EXPECT_TRUE(std::ranges::any_of(result.surface.warnings, [](const std::string& warning) {
     return warning.find("refractive index is not known") != std::string::npos;

@@ -7,6 +7,7 @@
 #include "malus/fusion/fresnel_factors_internal.h"
 #include "malus/fusion/ray_slopes.h"
 #include "malus/fusion/reflection_model.h"
+#include "malus/fusion/surroundings.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/prior/depth_prior.h"
 
@@ -67,7 +68,8 @@ inline SyntheticStation make_station(const SyntheticOptions& options) {
       const MirrorReflection& mirror = options.model.mirror;
       const double s0 = options.kind == Reflection::specular
                             ? mirror.body + mirror.environment * fresnel_factors(p * p + q * q, 1.5).reflectance
-                            : 0.8 + 0.1 * std::sin(0.05 * u);
+                        : options.model.metal_error > 0 ? options.model.mirrored->at(p, q, frame).stokes[0]
+                                                        : 0.8 + 0.1 * std::sin(0.05 * u);
       const PixelReflection pixel(options.model, options.kind, s0, mirror.body, frame);
       const PredictedStokes m = pixel.predict(p, q);
       const double s1 = m.s1 + gauss(random), s2 = m.s2 + gauss(random);
