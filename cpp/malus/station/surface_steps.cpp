@@ -13,6 +13,7 @@
 #include "malus/lighting/light.h"
 #include "malus/lighting/light_from_polarization_internal.h"
 #include "malus/prior/project_prior.h"
+#include "malus/station/control_points_internal.h"
 #include "malus/station/quality_json_internal.h"
 #include "malus/station/state_views_internal.h"
 #include "malus/station/step_functions_internal.h"
@@ -120,6 +121,7 @@ std::tuple<DepthPrior, PriorPoints> make_prior(const Job& job, const MeasuredPol
   const Pose& pose = require_camera(job.station.file).pose;
   PriorPoints points;
   warn_of_scale(job.station.file, job.context);
+  for (const std::string& warning : control_warnings(job.station.file)) job.context.log(LogLevel::warning, warning);
   DepthPrior prior =
       std::visit(PriorMaker{job, view.camera, pose, object_mask(*measured.state), points}, job.station.prior);
   return {std::move(prior), std::move(points)};
