@@ -6,6 +6,7 @@
 #include "cameras.h"
 #include "interruptible.h"
 #include "malus/fusion/grid_fusion.h"
+#include "malus/fusion/grid_optimization.h"
 #include "malus/fusion/refine.h"
 #include "malus/station/options.h"
 
@@ -50,6 +51,22 @@ void bind_fusion(py::module_& module) {
                           [&](const Context& context) { surface = fuse_grid(height, prior, options.grid, context); });
         return surface;
       });
+  module.def("optimize_grid",
+             [](FusedSurface surface, const PolarizationState& state, const ReflectionMap& reflection,
+                const DepthPrior& prior, const HeightMap& height, const std::string& options_json, int threads) {
+               const Options options = options_from_json({}, options_json);
+               run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+                 optimize_grid_surface(surface,
+                                       {.polarization = state,
+                                        .reflection = reflection,
+                                        .prior = prior,
+                                        .light = height.light,
+                                        .perspective = height.perspective,
+                                        .cell_px = options.grid.grid_px},
+                                       options.optimize, context);
+               });
+               return surface;
+             });
   module.def("refine", [](const PolarizationState& state, const DepthPrior& prior,
                           std::optional<double> refractive_index, const std::string& options_json, int threads) {
     const Options options = options_from_json({}, options_json);

@@ -3,11 +3,39 @@
 
 #include "arrays.h"
 #include "bindings.h"
+#include "cameras.h"
 #include "malus/io/angles_of_names_internal.h"
 #include "malus/io/image_file.h"
 #include "malus/io/point_cloud_file.h"
+#include "malus/io/resection.h"
 
 namespace malus::python {
+namespace {
+
+/// Pose and figures of a camera whose own pose is not used; points N×3, pixels N×2.
+py::dict resected(const std::vector<std::string>& names, const Eigen::Matrix3Xd& points, const Eigen::Matrix2Xd& pixels,
+                  const CameraValues& camera) {
+  const LensCamera lens = to_camera(camera, "camera").first;
+  std::vector<MarkedPoint> marked;
+  for (std::size_t i = 0; i < names.size(); ++i)
+    marked.push_back({names[i], points.col(static_cast<Eigen::Index>(i)), pixels.col(static_cast<Eigen::Index>(i))});
+  const Resection found = resect(marked, lens, "points");
+  py::array_t<double> residuals({static_cast<py::ssize_t>(names.size()), py::ssize_t{2}});
+  auto at = residuals.mutable_unchecked<2>();
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    const Eigen::Vector2d off = mark_residual(marked[i], lens, found.pose);
+    for (py::ssize_t axis = 0; axis < 2; ++axis) at(static_cast<py::ssize_t>(i), axis) = off[axis];
+  }
+  py::dict result;
+  result["camera"] = to_values(lens, found.pose);
+  result["rms_px"] = found.rms_px;
+  result["center_sigma"] = found.center_sigma;
+  result["doubtful"] = found.doubtful;
+  result["residuals_px"] = residuals;
+  return result;
+}
+
+}  // namespace
 
 void bind_io(py::module_& module) {
   module.def("read_raster", [](const std::string& path) {
@@ -53,6 +81,7 @@ void bind_io(py::module_& module) {
     const Size size = read_image_size(path, "photo");
     return py::make_tuple(size.width, size.height);
   });
+  module.def("resect", &resected);
   module.def("angles_of_names", &angles_of_names);
   module.def("angle_of_name", &angle_of_name);
   module.def("write_png",

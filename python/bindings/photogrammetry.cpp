@@ -8,6 +8,7 @@
 #include "cameras.h"
 #include "interruptible.h"
 #include "malus/io/colmap_model.h"
+#include "malus/photogrammetry/control_datum_internal.h"
 #include "malus/photogrammetry/epipolar_line_internal.h"
 #include "malus/photogrammetry/feature_matching_internal.h"
 #include "malus/photogrammetry/lens_refit_internal.h"
@@ -55,13 +56,46 @@ py::dict to_dict(const ScaleAdjustment& adjustment) {
   return result;
 }
 
-py::dict scale_of(const std::vector<std::pair<std::string, CameraValues>>& views,
-                  const std::vector<DistanceValues>& distances) {
+/// Name and camera of every photo.
+using ViewValues = std::vector<std::pair<std::string, CameraValues>>;
+
+std::vector<MarkedView> to_views(const ViewValues& views) {
   std::vector<MarkedView> marked;
   for (const auto& [name, values] : views) {
     auto [camera, pose] = to_camera(values, name);
     marked.push_back({name, std::move(camera), pose});
   }
+  return marked;
+}
+
+/// Name, coordinates, marks, whether it is held out.
+using KnownPointValues = std::tuple<std::string, Eigen::Vector3d, std::vector<MarkValues>, bool>;
+
+py::dict datum_of(const ViewValues& views, const std::vector<KnownPointValues>& values) {
+  std::vector<KnownPoint> points;
+  for (const auto& [name, xyz, marks, check] : values) points.push_back({name, xyz, to_marks(marks), check});
+  const Datum datum = adjust_datum(to_views(views), points);
+  py::dict result;
+  result["scale"] = datum.scale;
+  result["rotation"] = datum.rotation;
+  result["translation"] = datum.translation;
+  result["sigma"] = datum.sigma;
+  result["doubtful"] = datum.doubtful;
+  py::list fits;
+  for (const PointFit& fit : datum.points) {
+    py::dict entry;
+    entry["name"] = fit.name;
+    entry["check"] = fit.check;
+    entry["offset"] = std::vector<double>{fit.offset.x(), fit.offset.y(), fit.offset.z()};
+    entry["rms_px"] = fit.rms_px;
+    fits.append(entry);
+  }
+  result["points"] = fits;
+  return result;
+}
+
+py::dict scale_of(const ViewValues& views, const std::vector<DistanceValues>& distances) {
+  const std::vector<MarkedView> marked = to_views(views);
   std::vector<KnownDistance> known;
   for (const auto& [name, distance, sigma, a, b, check] : distances) {
     known.push_back({name, distance, sigma, to_marks(a), to_marks(b), check});
@@ -167,7 +201,7 @@ void bind_photogrammetry(py::module_& module) {
       .def_static("read", [](const std::string& folder) { return read_colmap_model(folder); })
       .def("write", [](const ColmapModel& model,
                        const std::string& folder) { write_colmap_model(folder, model, ColmapFormat::binary); })
-      .def("scale", &ColmapModel::scale)
+      .def("transform", &ColmapModel::transform)
       .def("refine", &refine)
       .def("images", &images_of)
       .def("points", &points_of);
@@ -198,6 +232,7 @@ void bind_photogrammetry(py::module_& module) {
   });
   module.def("match_pairs", &matches_of);
   module.def("adjust_scale", &scale_of);
+  module.def("adjust_datum", &datum_of);
 }
 
 }  // namespace malus::python

@@ -420,13 +420,13 @@ class OptimizeSection(Section):
     enabled: bool
     """grid fusion: optimize the fused surface by all equations together"""
     phase_weight: float
-    """of Eq 9, for the unit normal"""
+    """how much the directions of slopes count that the polarization shows"""
     shading_weight: float
-    """of Eq 11, in shares of the light"""
+    """how much the slopes count that the brightness shows"""
     zenith_weight: float
-    """of the cosine of the zenith by Eq 7 or Eq 8"""
+    """how much the steepness counts that the degree of polarization shows"""
     prior_weight: float
-    """of the difference to the prior, mean over a cell of the grid in GSD, a pixel of the cell"""
+    """how much the difference to the prior counts, mean over a cell of the grid, in GSD"""
     iterations: int
     """largest number of steps in a tile"""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -65,6 +66,28 @@ class Camera:
     def cy(self) -> float:
         """Principal point of the undistorted images, y in pixels."""
         return self.undistorted().params[3]
+
+    def resected(self, points: ArrayLike, pixels: ArrayLike) -> tuple[Camera, dict[str, Any]]:
+        """The same lens where it sees points of known coordinates at their marks.
+
+        points: N×3, N ≥ 4, not on one line; pixels: N×2 (column, row) as taken, memory pixel convention. The pose of this
+        camera is not used. Returns the camera in the points' frame, and figures: `rms_px`, `center_sigma` (standard
+        deviation of the projection center along its most uncertain direction, unit of the points), `residuals_px` (N×2, mark
+        less image of the point) and `doubtful`, the index of a point without which the others fit far better, or None.
+
+        Raises ValueError for wrong shapes, malus.InputError for points that do not determine a pose, or do not fit. Method:
+        SQPnP (Terzakis and Lourakis 2020) and, near a plane, IPPE (Collins and Bartoli 2014), then least squares.
+        """
+        known = np.asarray(points, dtype=np.float64)
+        marks = np.asarray(pixels, dtype=np.float64)
+        if known.ndim != 2 or known.shape[1] != 3:
+            raise ValueError(f"points has shape {known.shape}, expected (N, 3)")
+        if marks.shape != (len(known), 2):
+            raise ValueError(f"pixels has shape {marks.shape}, expected ({len(known)}, 2) as points")
+        found = _core.resect([str(index) for index in range(len(known))], known.T, marks.T, self.values())
+        doubtful = found.pop("doubtful")
+        camera = Camera(*found.pop("camera"))
+        return camera, {**found, "doubtful": None if doubtful is None else int(doubtful)}
 
     def values(self) -> tuple[str, int, int, list[float], NDArray[np.float64], NDArray[np.float64]]:
         """Everything as plain values, checked, as the C++ library takes it."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from malus import _core
-from malus._core import DepthPrior, FusedSurface, HeightMap, PolarizationState
+from malus._core import DepthPrior, FusedSurface, HeightMap, PolarizationState, ReflectionMap
 from malus.options import Options
 from malus.threads import ALL_CORES
 
-__all__ = ["FusedSurface", "fuse_grid", "refine"]
+__all__ = ["FusedSurface", "fuse_grid", "optimize_grid", "refine"]
 
 
 def fuse_grid(
@@ -15,6 +15,26 @@ def fuse_grid(
 ) -> FusedSurface:
     """The paper's grid transfer (Eq 14 to 16): low frequencies of the prior, detail of the polarization height."""
     return _core.fuse_grid(height, prior, (options or Options()).to_json(), threads)
+
+
+def optimize_grid(
+    surface: FusedSurface,
+    state: PolarizationState,
+    reflection: ReflectionMap,
+    prior: DepthPrior,
+    height: HeightMap,
+    *,
+    options: Options | None = None,
+    threads: int = ALL_CORES,
+) -> FusedSurface:
+    """All equations of the paper together, from the surface of `fuse_grid` on (decision 45): a reading of the "simultaneous
+    optimization" after Eq 16. The light is that of `height`; weights and steps are `options.optimize`, whose `enabled` does not
+    matter here.
+
+    Returns a new surface, in the camera frame and unit of the given one; its `status` says how the minimization ended. Raises
+    malus.InputError for rasters of another size, and if the height has no light.
+    """
+    return _core.optimize_grid(surface, state, reflection, prior, height, (options or Options()).to_json(), threads)
 
 
 def refine(

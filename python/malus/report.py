@@ -202,9 +202,9 @@ def _sections(quality: Mapping[str, Any], figures: Mapping[str, list[Figure]]) -
     every = [
         ("overview", "Overview"), ("checks", "Checks"), ("compare", "Before and after"), ("explore", "Relight and turn"), ("relief", "Relief"),
         ("polarization", "Polarization"), ("height", "Height"), ("profiles", "Profiles"), ("patches", "Patches"),
-        ("uncertainty", "Uncertainty"), ("reference", "Reference"), ("m3c2", "M3C2"), ("scale", "Scale"), *_OTHERS, ("provenance", "Provenance"),
+        ("uncertainty", "Uncertainty"), ("reference", "Reference"), ("m3c2", "M3C2"), ("scale", "Scale"), ("control", "Control points"), *_OTHERS, ("provenance", "Provenance"),
     ]  # fmt: skip
-    optional = ("profiles", "patches", "reference", "scale", *(name for name, _ in _OTHERS))
+    optional = ("profiles", "patches", "reference", "scale", "control", *(name for name, _ in _OTHERS))
     absent = {name for name in optional if not quality.get(name)}
     absent |= {"height", "m3c2"} - {name for name, group in figures.items() if group}
     return [(name, title) for name, title in every if name not in absent]
@@ -251,6 +251,7 @@ def _write_in(workspace: Workspace) -> Path:
         findings=workspace.findings,
         checks=CHECKS,
         scale=quality.get("scale"),
+        control=quality.get("control"),
         manifest=manifest,
         figures=figures,
         compare=_compare(plates),

@@ -329,6 +329,10 @@ def test_photos_of_an_object_stand_in_its_file_or_in_its_stations(photographed: 
     edit(photographed, "[options]", '[photos]\nfolder = "views"\nexclude = ["2.png"]\n[options]')
     shared = Object.load(photographed).shared
     assert shared is not None and shared["photos"]["exclude"] == ["2.png"]
+    point = '[[control]]\nname = "T"\nxyz = [1, 2, 3]\nmarks = [{ image = "0.png", x = 4.0, y = 5.0 }]\n'
+    edit(photographed, "[options]", point + "[options]")
+    shared = Object.load(photographed).shared
+    assert shared is not None and [point["name"] for point in shared["control"]] == ["T"]
 
 
 @pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
@@ -345,6 +349,7 @@ def test_check_counts_shared_photos_once(photographed: Path) -> None:
         ("object.toml", "[options]", '[photos]\nfolder = "none"\n[options]', "object.toml, line"),
         ("object.toml", "[options]", '[photos]\nfoldr = "views"\n[options]', "foldr"),
         ("object.toml", "[options]", "[[scale]]\ndistance = 3\n[options]", "[[scale]] needs [photos]"),
+        ("object.toml", "[options]", "[[control]]\nxyz = [1, 2, 3]\n[options]", "[[control]] needs [photos]"),
         ("o1/station.toml", 'folder = "../views"', 'folder = "../views"\nexclude = ["0.png"]', "are not those of"),
         ("o1/station.toml", "80.0]", "80.0]\nqvec = [1, 0, 0, 0]\ntvec = [0, 0, 0]", "has a pose"),
     ],

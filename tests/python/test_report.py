@@ -300,6 +300,14 @@ def test_scale_and_photos_are_shown_when_they_are_known(finished_grid: Path, tmp
     quality["scale"] = {
         "status": "converged", "scale": 12.5, "sigma": 0.004, "unit_weight": 1.07, "redundancy": 5, "distances": [bar],
     }  # fmt: skip
+    fit = {"name": "P<1>", "check": False, "offset": [0.1, -0.2, 0.3], "rms_px": 0.4}
+    quality["control"] = {
+        "datum": {"sigma": 0.21, "doubtful": "P<1>", "points": [fit]},
+        "image": {
+            "use": "check", "rms_px": 1.25, "center_sigma": None, "doubtful": None,
+            "points": [{"name": "T", "check": True, "du_px": 1.5, "dv_px": None}],
+        },
+    }  # fmt: skip
     quality["photogrammetry"] = {"program": "COLMAP 3.8", "registered": 12, "station": {"matches": 345}}
     (work / "quality.json").write_text(json.dumps(quality))
     malus.write_report(work)
@@ -307,6 +315,8 @@ def test_scale_and_photos_are_shown_when_they_are_known(finished_grid: Path, tmp
     shown = {path: text for path, _, text in Page(text).numbers}
     assert shown["scale.distances.0.residual"] == "0.0031" and shown["scale.distances.0.adjusted"] == "31.5071"
     assert shown["photogrammetry.station.matches"] == "345" and shown["photogrammetry.program"] == "COLMAP 3.8"
+    assert shown["control.datum.points.0.offset.1"] == "-0.20" and shown["control.image.points.0.du_px"] == "1.5"
+    assert "without point P&lt;1&gt;" in text and "check the camera's place" in text
     assert "bar &lt;1&gt;" in text and "bar <1>" not in text
 
 

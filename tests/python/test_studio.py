@@ -322,6 +322,23 @@ def test_marks_are_judged_at_once(served: Served) -> None:
     assert "not known yet" in marks.examined(None, [bar], names[2], 0, "a")["problem"]
 
 
+def test_control_points_are_judged_at_once(small_station: Path) -> None:
+    text = small_station.read_text()
+    points = _core.read_points(str(EXAMPLE / "dense" / "cloud.ply"))[[1000, 20000, 40000]]
+    camera = SparseModel.read(small_station.parent / "sparse").images["station.jpg"].camera
+    fx, fy, cx, cy = camera.params
+    rotation, translation = camera.pose()
+    for name, point in zip("ABC", points, strict=True):
+        x, y, z = rotation @ point + translation
+        pixel = [float(np.clip(fx * x / z + cx, 0, 199)), float(np.clip(fy * y / z + cy, 0, 159))]
+        text += f'\n[[control]]\nname = "{name}"\nxyz = {point.tolist()}\npixel = {pixel}\n'
+    small_station.write_text(text)
+    said = marks.control(small_station, None, "", "A")
+    assert not said["problem"] and said["image"]["use"] == "check" and len(said["image"]["points"]) == 3
+    small_station.write_text(text.replace("pixel = [", "pixel = [9"))
+    assert "expected a place within the polarized image" in marks.control(small_station, None, "", "A")["problem"]
+
+
 # ---- the whole way in a browser ----
 
 
@@ -496,6 +513,27 @@ def test_labels_and_distances_are_drawn(served: Served, page: Any) -> None:
     found = served.tell("marks", {"path": "station.toml", "image": "view_04.jpg", "distance": 0, "end": "a"})[1]
     assert len(found["lines"]) == 1
     pictured(page, "scale")
+
+
+@needs_browser
+def test_control_points_are_marked(served: Served, page: Any) -> None:
+    go(page, "Draw")
+    what = page.locator("#draw-what")
+    what.select_option("scale")
+    page.get_by_role("button", name="Remove").click()  # both would give the size
+    what.select_option("control")
+    page.get_by_label("Coordinates, a point a line").fill("T1 10.5 20 3")
+    page.get_by_role("button", name="Take these coordinates").click()
+    page.get_by_role("button", name="Mark it").click()
+    page.locator("#draw-stage").click(position={"x": 300, "y": 250})
+    page.get_by_text(re.compile(r"Off by [\d.]+ px in the polarized image")).wait_for()
+    pictured(page, "control")
+    require_accessible(page)
+    text = (served.folder / "station.toml").read_text()
+    assert 'name = "T1"' in text and "xyz = [10.5, 20, 3]" in text and "pixel = [" in text
+    page.get_by_role("button", name="Remove").click()
+    page.get_by_text("Mark each point where the image shows it.").wait_for()
+    assert "[[control]]" not in (served.folder / "station.toml").read_text()
 
 
 @needs_browser

@@ -421,9 +421,13 @@ std::string binary_header(const Map& records) {
 
 }  // namespace
 
-void ColmapModel::scale(double factor) {
-  for (auto& [id, registered] : images) registered.pose.translation *= factor;
-  for (auto& [id, point] : points) point.position *= factor;
+void ColmapModel::transform(double scale, const Eigen::Matrix3d& rotation, const Eigen::Vector3d& translation) {
+  for (auto& [id, registered] : images) {
+    Pose& pose = registered.pose;
+    pose.rotation = (pose.rotation * rotation.transpose()).eval();
+    pose.translation = scale * pose.translation - pose.rotation * translation;
+  }
+  for (auto& [id, point] : points) point.position = (scale * (rotation * point.position) + translation).eval();
 }
 
 const ColmapImage& ColmapModel::image(const std::string& name, const std::string& where) const {

@@ -50,8 +50,8 @@ struct ColmapModel {
 
   /// Image of that name; an input error lists the names there are. `where` names file and field.
   const ColmapImage& image(const std::string& name, const std::string& where) const;
-  /// Multiplies every length by a factor.
-  void scale(double factor);
+  /// Moves the model: x becomes scale · rotation · x + translation.
+  void transform(double scale, const Eigen::Matrix3d& rotation, const Eigen::Vector3d& translation);
 };
 
 enum class ColmapFormat { text, binary };

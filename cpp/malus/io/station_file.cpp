@@ -235,6 +235,24 @@ std::optional<std::vector<double>> read_exposures(const TomlTable& table, const 
   return exposures;
 }
 
+/// A list of pixels [x, y], or none.
+std::vector<std::array<double, 2>> read_pixels(const TomlTable& table, std::string_view key) {
+  std::vector<std::array<double, 2>> pixels;
+  const toml::node* node = table.find(key);
+  if (!node) return pixels;
+  constexpr std::size_t most_pixels = 8;
+  const std::string expected = "a list of at most 8 pixels, [[x, y], …], in whole numbers";
+  if (!node->is_array() || node->as_array()->size() > most_pixels) throw table.wrong(key, expected);
+  for (const toml::node& entry : *node->as_array()) {
+    const toml::array* pair = entry.as_array();
+    if (pair == nullptr || pair->size() != 2) throw table.wrong(key, expected);
+    const auto x = (*pair)[0].value_exact<std::int64_t>(), y = (*pair)[1].value_exact<std::int64_t>();
+    if (!x || !y) throw table.wrong(key, expected);
+    pixels.push_back({static_cast<double>(*x), static_cast<double>(*y)});
+  }
+  return pixels;
+}
+
 PolarizedSpec read_polarized(const TomlTable& table, const GivenInMemory* given) {
   PolarizedSpec spec;
   read_fields(table, spec);
@@ -266,6 +284,7 @@ PolarizedSpec read_polarized(const TomlTable& table, const GivenInMemory* given)
       throw table.wrong("channel_weights", "weights of which one is positive");
   }
 
+  spec.curve_pixels = read_pixels(table, "curve_pixels");
   spec.response = read_response(table);
   if (spec.white_level && spec.black_level >= *spec.white_level) {
     throw table.wrong("black_level", "less than the white level");
@@ -306,6 +325,79 @@ OpticsSpec read_optics(const TomlTable& table) {
   spec.label_image = table.existing_file("reflection");
   spec.reflection = ReflectionChoice::labels;
   return spec;
+}
+
+// ---- [[control]] ----
+
+/// Name of a control point, patch or profile, its number by default; no two alike.
+std::string read_name(const TomlTable& table, std::size_t index, std::set<std::string>& names) {
+  const std::string name = table.text("name").value_or(std::to_string(index + 1));
+  if (!names.insert(name).second) throw table.error("name", "\"" + name + "\" appears twice, expected different names");
+  return name;
+}
+
+/// Marks in photos; without them, in images of the camera's model.
+std::vector<ImageMark> read_marks(const TomlTable& table, std::string_view key,
+                                  const std::optional<PhotosSpec>& photos) {
+  std::vector<ImageMark> marks;
+  std::set<std::string> images;
+  for (const toml::table* entry : tables(table, key, "a list of marks { image = \"…\", x = …, y = … }")) {
+    const TomlTable mark(*entry, table.file(), table.where(key).substr(table.file().string().size() + 2),
+                         keys_of(ImageMark{}));
+    ImageMark result;
+    result.image = mark.required(mark.text("image"), "image", "the name of a photo");
+    result.x = mark.required(mark.number("x"), "x", "the column in pixels");
+    result.y = mark.required(mark.number("y"), "y", "the row in pixels");
+    if (photos) require_file(photos->folder / result.image, mark.where("image"));
+    if (!images.insert(result.image).second) throw mark.wrong("image", "one mark a photo");
+    marks.push_back(std::move(result));
+  }
+  return marks;
+}
+
+/// All control points. [photos] alone get their frame by them, else the polarized image's camera its pose.
+std::vector<ControlPoint> read_control(const TomlTable& document, const StationFile& station) {
+  std::vector<ControlPoint> points;
+  std::set<std::string> names;
+  for (const toml::table* entry : tables(document, "control", "tables [[control]]")) {
+    const TomlTable table(*entry, document.file(), "[[control]] " + std::to_string(points.size() + 1),
+                          keys_of(ControlPoint{}));
+    ControlPoint point;
+    point.name = read_name(table, points.size(), names);
+    point.xyz = table.required(table.numbers_exactly<3>("xyz"), "xyz", "the coordinates [X, Y, Z]");
+    point.pixel = table.numbers_exactly<2>("pixel");
+    point.marks = read_marks(table, "marks", station.photos);
+    point.check = table.boolean("check").value_or(false);
+    if (!station.frame_is_of_photos() && !point.pixel)
+      throw table.error("pixel", "is missing, expected the point's place [x, y] in the polarized image");
+    if (!point.pixel && point.marks.empty())
+      throw table.error("marks", "is missing, expected marks in photos, or the point's `pixel` in the polarized image");
+    points.push_back(std::move(point));
+  }
+  return points;
+}
+
+/// Control points lie in the image.
+void require_control_in_image(const TomlTable& document, const StationFile& station, Size size) {
+  for (const ControlPoint& point : station.control) {
+    if (!point.pixel) continue;
+    const auto& [x, y] = *point.pixel;
+    if (x >= -0.5 && y >= -0.5 && x <= size.width - 0.5 && y <= size.height - 0.5) continue;
+    std::ostringstream message;
+    message << "point " << point.name << " has pixel = [" << x << ", " << y
+            << "], expected a place within the polarized image of " << to_string(size) << " pixels";
+    throw document.error("control", message.str());
+  }
+}
+
+/// The lens stands where the control points say.
+void resect_camera(const TomlTable& document, const LensCamera& lens, StationFile& station) {
+  require_control_in_image(document, station, lens.size);
+  std::vector<MarkedPoint> points;
+  for (const ControlPoint& point : station.control)
+    if (!point.check) points.push_back(point.marked());
+  station.resection = resect(points, lens, station.path.string() + ": [[control]]");
+  station.camera = CameraSpec{lens, station.resection->pose};
 }
 
 // ---- [camera] ----
@@ -385,7 +477,7 @@ void read_colmap_camera(const TomlTable& table, StationFile& station) {
   station.camera_files = colmap_model_files(folder);
 }
 
-void read_camera(const TomlTable& table, StationFile& station) {
+void read_camera(const TomlTable& document, const TomlTable& table, StationFile& station) {
   station.camera_image = table.text("image");
   if (table.has("colmap_model")) {
     read_colmap_camera(table, station);
@@ -399,6 +491,8 @@ void read_camera(const TomlTable& table, StationFile& station) {
   const std::optional<Pose> pose = read_pose(table);
   if (pose) {
     station.camera = CameraSpec{lens, *pose};
+  } else if (!station.control.empty() && !station.frame_is_of_photos()) {
+    resect_camera(document, lens, station);
   } else if (station.photos) {
     station.lens = lens;
   } else if (station.prior &&
@@ -407,8 +501,8 @@ void read_camera(const TomlTable& table, StationFile& station) {
   } else {
     throw table.error(
         "qvec",
-        "is missing, expected qvec and tvec, or omega_phi_kappa_deg and center; only with [photos], or with a "
-        "depth-map prior or a plane, sphere or cylinder can the pose be left out");
+        "is missing, expected qvec and tvec, or omega_phi_kappa_deg and center; only with [[control]] points, "
+        "[photos], or with a depth-map prior or a plane, sphere or cylinder can the pose be left out");
   }
 }
 
@@ -487,27 +581,6 @@ PhotosSpec read_photos(const TomlTable& table) {
   return spec;
 }
 
-/// Marks in photos; without them, in images of the camera's model.
-std::vector<ImageMark> read_marks(const TomlTable& table, std::string_view key,
-                                  const std::optional<PhotosSpec>& photos) {
-  std::vector<ImageMark> marks;
-  std::set<std::string> images;
-  for (const toml::table* entry : tables(table, key, "a list of marks { image = \"…\", x = …, y = … }")) {
-    const TomlTable mark(*entry, table.file(), table.where(key).substr(table.file().string().size() + 2),
-                         keys_of(ImageMark{}));
-    ImageMark result;
-    result.image = mark.required(mark.text("image"), "image", "the name of a photo");
-    result.x = mark.required(mark.number("x"), "x", "the column in pixels");
-    result.y = mark.required(mark.number("y"), "y", "the row in pixels");
-    if (photos) require_file(photos->folder / result.image, mark.where("image"));
-    if (!images.insert(result.image).second) throw mark.wrong("image", "one mark a photo");
-    marks.push_back(std::move(result));
-  }
-  if (marks.size() < 2)
-    throw table.error(key, "has " + std::to_string(marks.size()) + " marks, expected two or more, in different photos");
-  return marks;
-}
-
 ScaleBar read_scale_bar(const TomlTable& table, const std::optional<PhotosSpec>& photos) {
   ScaleBar bar;
   bar.distance = table.required(table.number("distance", positive_range), "distance", "a length in the station's unit");
@@ -538,8 +611,13 @@ ScaleBar read_scale_bar(const TomlTable& table, const std::optional<PhotosSpec>&
                                             "the targets' dictionary, such as \"aruco_4x4_50\"");
   } else {
     if (table.has("targets_dictionary")) throw table.error("targets_dictionary", "needs `targets`");
-    bar.a = read_marks(table, "a", photos);
-    bar.b = read_marks(table, "b", photos);
+    for (const std::string_view key : {"a", "b"}) {
+      std::vector<ImageMark>& end = key == "a" ? bar.a : bar.b;
+      end = read_marks(table, key, photos);
+      if (end.size() < 2)
+        throw table.error(key,
+                          "has " + std::to_string(end.size()) + " marks, expected two or more, in different photos");
+    }
   }
   return bar;
 }
@@ -548,6 +626,11 @@ ScaleBar read_scale_bar(const TomlTable& table, const std::optional<PhotosSpec>&
 void read_scale_bars(const TomlTable& document, StationFile& station, bool has_prior) {
   const auto bars = tables(document, "scale", "tables [[scale]]");
   if (bars.empty()) return;
+  if (!station.control.empty()) {
+    throw document.error("scale",
+                         "cannot be given together with [[control]]: the control points give the size, and those with "
+                         "check = true show how good it is");
+  }
   if (station.photos && has_prior) {
     throw document.error("scale",
                          "would not be used: the surface is that of [prior], and [photos] only accompany it; leave "
@@ -570,13 +653,6 @@ void read_scale_bars(const TomlTable& document, StationFile& station, bool has_p
   station.prior_scale = scale.factor;
   station.scale_errors = std::move(scale.errors);
   station.camera->pose.translation *= scale.factor;
-}
-
-/// Name of a patch or profile, its number by default; no two alike.
-std::string read_name(const TomlTable& table, std::size_t index, std::set<std::string>& names) {
-  const std::string name = table.text("name").value_or(std::to_string(index + 1));
-  if (!names.insert(name).second) throw table.error("name", "\"" + name + "\" appears twice, expected different names");
-  return name;
 }
 
 PatchSpec read_patch(const TomlTable& table, std::string name, Size size) {
@@ -623,8 +699,15 @@ std::vector<std::string_view> polarized_keys(const GivenInMemory* given) {
   return keys;
 }
 
-/// [[patch]] and [[profile]].
+/// [[patch]], [[profile]], and whether [polarized].curve_pixels lie in the image.
 void read_regions(const TomlTable& document, Size size, StationFile& station) {
+  for (const auto& [x, y] : station.polarized.curve_pixels) {
+    if (x >= 0 && y >= 0 && x < size.width && y < size.height) continue;
+    std::ostringstream message;
+    message << "has curve_pixels [" << x << ", " << y << "], expected pixels within the polarized image of "
+            << to_string(size) << " pixels";
+    throw document.error("polarized", message.str());
+  }
   std::set<std::string> names;
   for (const toml::table* entry : tables(document, "patch", "tables [[patch]]")) {
     const std::size_t index = station.patches.size();
@@ -654,7 +737,7 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
   StationFile station;
   station.path = path;
   std::vector<std::string_view> known{"station", "object", "polarized", "optics", "prior", "scale", "patch", "profile"};
-  if (given == nullptr) known.insert(known.end(), {"camera", "photos"});
+  if (given == nullptr) known.insert(known.end(), {"camera", "photos", "control"});
   const TomlTable document(root, path, "", known);
   const auto optional_section = [&](std::string_view key, const std::vector<std::string_view>& keys) {
     const toml::table* table = section(document, key);
@@ -679,9 +762,10 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
     station.prior = read_prior(*table, prior_in_memory);
     station.prior_sigma = table->number("sigma", length_range);
   }
+  station.control = read_control(document, station);
   if (given != nullptr) station.camera = given->camera;
   const Keys camera_keys = joined({{"colmap_model", "image"}, lens_keys, pose_keys, brown_keys});
-  if (const auto table = optional_section("camera", camera_keys)) read_camera(*table, station);
+  if (const auto table = optional_section("camera", camera_keys)) read_camera(document, *table, station);
   if (station.prior && !station.camera && !station.photos) {
     throw document.error("camera", "is missing, expected [camera], in whose view the prior is to be seen");
   }
@@ -695,6 +779,9 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
   const Size size = polarized_size(station, polarized.where("images"));
   if (station.camera) check_camera_size(document, station.camera->lens, size, station.polarized.images.front());
   if (station.lens) check_camera_size(document, *station.lens, size, station.polarized.images.front());
+  require_control_in_image(document, station, size);
+  if (!station.control.empty() && !station.camera && !station.frame_is_of_photos())
+    throw document.error("control", "needs [camera] with the lens (model, width, height, params), whose pose it gives");
   read_regions(document, size, station);
   return station;
 }

@@ -13,6 +13,7 @@
 #include "malus/core/pose.h"
 #include "malus/core/reflection_choice.h"
 #include "malus/core/shape.h"
+#include "malus/io/resection.h"
 
 namespace malus {
 
@@ -58,6 +59,7 @@ struct PolarizedSpec {
   std::optional<double> full_well_e;  ///< electrons at white level
   std::optional<double> read_noise_e;
   std::optional<std::filesystem::path> mask;
+  std::vector<std::array<double, 2>> curve_pixels;  ///< whose intensities are shown against the angle; none = chosen
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
@@ -77,6 +79,7 @@ struct PolarizedSpec {
     visit("full_well_e", self.full_well_e, positive_range);
     visit("read_noise_e", self.read_noise_e, not_negative);
     visit("mask", self.mask, any_value);
+    visit("curve_pixels", self.curve_pixels, own_form);
   }
 };
 
@@ -187,6 +190,28 @@ struct ScaleBar {
   }
 };
 
+/// [[control]]: a point of known coordinates, marked in photos, in the polarized image, or in both.
+struct ControlPoint {
+  std::string name;
+  std::array<double, 3> xyz{};  ///< in the frame that the result is to have, station unit
+  std::optional<std::array<double, 2>>
+      pixel;                     ///< in the polarized image as taken: column and row, memory pixel convention
+  std::vector<ImageMark> marks;  ///< in photos
+  bool check = false;            ///< held out: shows how well the others fit
+
+  /// The point and its `pixel`, which there must be.
+  MarkedPoint marked() const { return {name, {xyz[0], xyz[1], xyz[2]}, {(*pixel)[0], (*pixel)[1]}}; }
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("name", self.name, own_form);
+    visit("xyz", self.xyz, own_form);
+    visit("pixel", self.pixel, own_form);
+    visit("marks", self.marks, own_form);
+    visit("check", self.check, any_value);
+  }
+};
+
 /// [[patch]]: flat reference area in the polarized image.
 struct PatchSpec {
   std::string name;
@@ -234,9 +259,13 @@ struct StationFile {
   std::vector<ScaleBar> scale_bars;
   double prior_scale = 1;            ///< of a given prior, by the bars; the camera's position has it already
   std::vector<double> scale_errors;  ///< of each bar then, station unit
+  std::vector<ControlPoint> control;
+  std::optional<Resection> resection;  ///< if the control points gave the camera's pose
   std::vector<PatchSpec> patches;
   std::vector<ProfileSpec> profiles;
 
+  /// Whether the surface is made from [photos], whose frame then is that of the result.
+  bool frame_is_of_photos() const { return photos && !prior; }
   /// The lens, whether the pose is known or not.
   std::optional<LensCamera> known_lens() const { return camera ? std::optional(camera->lens) : lens; }
 };

@@ -1,13 +1,14 @@
+#include "malus/polarization/pixel_curves.h"
+
 #include <algorithm>
 #include <cstddef>
 #include <numbers>
 
-#include "malus/polarization/pixel_curves.h"
-
 namespace malus {
+namespace {
 
-std::vector<PixelCurve> pixel_curves(const PolarizationState& state, const std::vector<Image<float>>& images,
-                                     const std::vector<double>& angles_rad) {
+/// Index of a pixel at each of a few ranks of the degree.
+std::vector<std::size_t> pixels_at_ranks(const PolarizationState& state) {
   constexpr double ranks[] = {0.1, 0.5, 0.9, 0.99};
   constexpr std::size_t most_candidates = 100'000;
   std::vector<std::size_t> valid;
@@ -15,11 +16,24 @@ std::vector<PixelCurve> pixel_curves(const PolarizationState& state, const std::
   for (std::size_t i = 0; i < state.valid.count(); i += stride)
     if (state.valid[i] == static_cast<std::uint8_t>(PixelState::valid)) valid.push_back(i);
   std::sort(valid.begin(), valid.end(), [&](std::size_t a, std::size_t b) { return state.rho[a] < state.rho[b]; });
+  std::vector<std::size_t> chosen;
+  if (valid.empty()) return chosen;
+  for (const double rank : ranks)
+    chosen.push_back(valid[static_cast<std::size_t>(rank * static_cast<double>(valid.size() - 1))]);
+  return chosen;
+}
+
+}  // namespace
+
+std::vector<PixelCurve> pixel_curves(const PolarizationState& state, const std::vector<Image<float>>& images,
+                                     const std::vector<double>& angles_rad,
+                                     const std::vector<std::array<double, 2>>& pixels) {
+  const auto width = static_cast<std::size_t>(state.size().width);
+  std::vector<std::size_t> shown;
+  for (const auto& [u, v] : pixels) shown.push_back(static_cast<std::size_t>(v) * width + static_cast<std::size_t>(u));
+  if (pixels.empty()) shown = pixels_at_ranks(state);
   std::vector<PixelCurve> curves;
-  for (const double rank : ranks) {
-    if (valid.empty()) break;
-    const std::size_t pixel = valid[static_cast<std::size_t>(rank * static_cast<double>(valid.size() - 1))];
-    const auto width = static_cast<std::size_t>(state.size().width);
+  for (const std::size_t pixel : shown) {
     PixelCurve curve{static_cast<int>(pixel % width), static_cast<int>(pixel / width), {}, {}};
     for (std::size_t k = 0; k < images.size(); ++k) {
       curve.angles_deg.push_back(angles_rad[k] * 180 / std::numbers::pi);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <vector>
 
 #include "malus/core/image.h"
@@ -22,9 +23,10 @@ struct PixelCurve {
   }
 };
 
-/// Curves of up to four valid pixels: those in the middle of the object's weakly, moderately, strongly and very
-/// strongly polarized ones (ranks 10, 50, 90 and 99 % of the degree).
+/// Curves of the pixels (column, row), or if none are given of up to four valid ones: those in the middle of the
+/// object's weakly, moderately, strongly and very strongly polarized ones (ranks 10, 50, 90 and 99 % of the degree).
 std::vector<PixelCurve> pixel_curves(const PolarizationState& state, const std::vector<Image<float>>& images,
-                                     const std::vector<double>& angles_rad);
+                                     const std::vector<double>& angles_rad,
+                                     const std::vector<std::array<double, 2>>& pixels);
 
 }  // namespace malus

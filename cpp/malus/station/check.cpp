@@ -14,6 +14,7 @@
 #include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/point_cloud_file.h"
 #include "malus/station/check_inputs_internal.h"
+#include "malus/station/control_points_internal.h"
 #include "malus/station/step_internal.h"
 
 namespace malus {
@@ -178,6 +179,11 @@ Plan check_station(const Station& station, const Options& options, const Context
     plan.warnings.emplace_back("there is no [prior]: only the polarization maps can be made");
   }
 
+  if (!station.file.frame_is_of_photos()) {
+    if (const std::string control = describe_control(station.file); !control.empty())
+      plan.does.push_back("control: " + control);
+    for (const std::string& warning : control_warnings(station.file)) plan.warnings.push_back(warning);
+  }
   const Station planned = with_prior_of_photos(station);
   const Workload work{planned, options, plan.size, plan.object_pixels / 1e6, context.threads};
   for (const Step* step : steps_of_run(step_table(), planned, options, std::nullopt)) {

@@ -203,7 +203,7 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
     warn(caution_of_texture(*state));
   }
   warn(caution_of_misfits(*state));
-  measured.curves = pixel_curves(*state, stack.images, stack.angles_rad);
+  measured.curves = pixel_curves(*state, stack.images, stack.angles_rad, job.station.file.polarized.curve_pixels);
   measured.state = std::move(state);
   Scene scene;
   const bool has_surroundings = std::ranges::find(stack.mask, std::uint8_t{0}) != stack.mask.end();

@@ -7,7 +7,8 @@ namespace malus {
 const std::vector<Preset>& presets() {
   static const std::vector<Preset> all{
       {"paper",
-       "Eq 1 to 16 as printed: angles as read, literal rows, orthographic, both surfaces scaled to 0 … 1, then all "
+       "the method of the paper as printed: angles as read, literal rows, orthographic, both surfaces scaled to 0 … 1, "
+       "then all "
        "equations together",
        R"({"fusion": "grid",
            "polarizer": {"calibrate_angles": "off"},

@@ -1,3 +1,4 @@
+#include "malus/station/control_points_internal.h"
 #include "malus/station/json_fields_internal.h"
 #include "malus/station/quality_json_internal.h"
 
@@ -66,6 +67,11 @@ Json quality_json(const StationFile& station, const Quality& quality, const Pola
   Json json = {{"name", station.name}, {"object", fields_to_json(station.object)}};
   if (photogrammetry != nullptr) json.update(Json::parse(photogrammetry->figures_json));
   json.update(fields_to_json(quality));
+  if (!station.control.empty() || json.contains("control")) {
+    Json& control = json["control"];
+    if (!control.contains("datum")) control["datum"] = nullptr;
+    control["image"] = control_json(station);
+  }
   json["polarizer"] = fields_to_json(polarizer);
   json["zenith_clamped_fraction"] = clamped != nullptr ? Json(clamped->fraction) : Json(nullptr);
   if (refinement != nullptr) json["refinement"] = Json::parse(refinement->report_json);

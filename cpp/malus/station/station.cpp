@@ -1,6 +1,7 @@
 #include "malus/station/station.h"
 
 #include "malus/io/colmap_workspace_internal.h"
+#include "malus/station/control_points_internal.h"
 #include "malus/station/json_fields_internal.h"
 
 namespace malus {
@@ -73,6 +74,8 @@ std::string describe_station_json(const Station& station) {
   if (file.camera_image) json["camera_image"] = *file.camera_image;
   if (file.photos) json["photos"] = fields_to_json(*file.photos);
   json["scale"] = fields_to_json(file.scale_bars);
+  json["control"] = fields_to_json(file.control);
+  json["control_image"] = control_json(file);
   json["patches"] = fields_to_json(file.patches);
   json["profiles"] = fields_to_json(file.profiles);
   return json.dump();

@@ -139,11 +139,15 @@ Json StationInputs::prior() {
   Json json = std::visit(Source{*this}, station_.prior);
   if (station_.file.prior_scale != 1) json["scale"] = station_.file.prior_scale;
   if (station_.file.prior_sigma) json["sigma"] = *station_.file.prior_sigma;
+  if (!station_.file.control.empty()) json["control"] = fields_to_json(station_.file.control);
   return json;
 }
 
 Json StationInputs::regions() {
-  return {{"patches", fields_to_json(station_.file.patches)}, {"profiles", fields_to_json(station_.file.profiles)}};
+  Json json = {{"patches", fields_to_json(station_.file.patches)},
+               {"profiles", fields_to_json(station_.file.profiles)}};
+  if (!station_.file.control.empty()) json["control"] = fields_to_json(station_.file.control);
+  return json;
 }
 
 Json StationInputs::comparison() {

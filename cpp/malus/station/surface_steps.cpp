@@ -13,6 +13,7 @@
 #include "malus/lighting/light.h"
 #include "malus/lighting/light_from_polarization_internal.h"
 #include "malus/prior/project_prior.h"
+#include "malus/station/control_points_internal.h"
 #include "malus/station/quality_json_internal.h"
 #include "malus/station/state_views_internal.h"
 #include "malus/station/step_functions_internal.h"
@@ -137,6 +138,7 @@ std::tuple<DepthPrior, PriorPoints> make_prior(const Job& job, const MeasuredPol
   warn_of_scale(job.station.file, job.context);
   PriorOptions options = job.options.prior;
   if (!options.sigma) options.sigma = job.station.file.prior_sigma;
+  for (const std::string& warning : control_warnings(job.station.file)) job.context.log(LogLevel::warning, warning);
   DepthPrior prior =
       std::visit(PriorMaker{job, view.camera, pose, object_mask(*measured.state), options, points}, job.station.prior);
   return {std::move(prior), std::move(points)};

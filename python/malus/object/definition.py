@@ -18,7 +18,7 @@ from malus.reconstruction import check
 from malus.station import Station
 
 _KEYS = {
-    "": ("object", "photos", "scale", "options"),
+    "": ("object", "photos", "scale", "control", "options"),
     "object": ("name", "unit", "stations", "report", "closed", "max_sigma_gsd", "faces"),
 }
 #: Triangles of the textured mesh.
@@ -40,7 +40,7 @@ class Object:
     max_sigma_gsd: float = 4.0
     faces: int = int(_FACES)
     shared: Mapping[str, Any] | None = None
-    """`photos` and `scale` that all stations share, as `Station.describe` says them; None if the stations stand in one frame already."""
+    """`photos`, `scale` and `control` that all stations share, as `Station.describe` says them; None if the stations stand in one frame already."""
 
     @property
     def name(self) -> str:
@@ -53,7 +53,7 @@ class Object:
 
         [object] has `stations`, a list of station files or globs relative to the file, and optionally `name`, `unit` (that all
         stations must have), `report`, `closed`, `max_sigma_gsd` and `faces`. [options] is what `--options` takes. All stations
-        must stand in one frame: poses of one COLMAP model, or given in the same coordinates; or [photos] and [[scale]], as in
+        must stand in one frame: poses of one COLMAP model, or given in the same coordinates; or [photos] and [[scale]] or [[control]], as in
         a station file, in which all of them are found.
         """
         file = Path(path)
@@ -137,12 +137,12 @@ def _shared(
     file: Path, content: Mapping[str, Any], stations: Mapping[Path, Mapping[str, Any]]
 ) -> dict[str, Any] | None:
     """The photos and known distances in which all stations are found: the object file's, or those of the stations."""
-    tables = {name: content[name] for name in ("photos", "scale") if name in content}
+    tables = {name: content[name] for name in ("photos", "scale", "control") if name in content}
     first, *others = stations
     if "photos" in tables:
         return _read_shared(file, tables, stations[first])
     if tables:
-        raise InputError(f"{file}: [[scale]] needs [photos], in which its ends are marked")
+        raise InputError(f"{file}: [[{next(iter(tables))}]] needs [photos], in which its points are marked")
     if stations[first]["prior"] != "photos":
         return None
     photos = stations[first]["photos"]
@@ -151,12 +151,18 @@ def _shared(
             raise InputError(
                 f"{path}: [photos] are not those of {first}; the stations of an object are found in the same photos"
             )
-    bars = {json.dumps(bar): bar for station in stations.values() for bar in station["scale"]}
-    return {"photos": photos, "scale": list(bars.values())}
+    return {"photos": photos, **{name: _of_all(stations, name) for name in ("scale", "control")}}
+
+
+def _of_all(stations: Mapping[Path, Mapping[str, Any]], name: str) -> list[Any]:
+    """Entries of a list that any of the stations has, each once."""
+    # A control point's place in the polarized image is another one for each station.
+    entries = {json.dumps({**entry, "pixel": None}): entry for station in stations.values() for entry in station[name]}
+    return list(entries.values())
 
 
 def _read_shared(file: Path, tables: Mapping[str, Any], station: Mapping[str, Any]) -> dict[str, Any]:
-    """[photos] and [[scale]] of an object file, read as those of a station file are."""
+    """[photos], [[scale]] and [[control]] of an object file, read as those of a station file are."""
     photos = tables["photos"]
     if isinstance(photos, dict) and isinstance(photos.get("folder"), str):
         photos = {**photos, "folder": str(file.parent.resolve() / photos["folder"])}
@@ -170,7 +176,7 @@ def _read_shared(file: Path, tables: Mapping[str, Any], station: Mapping[str, An
             description = Station.load(path).describe()
         except InputError as error:
             raise InputError(str(error).replace(str(path), str(file))) from None
-    return {name: description[name] for name in ("photos", "scale")}
+    return {name: description[name] for name in ("photos", "scale", "control")}
 
 
 def _as_toml(value: Any) -> str:

@@ -132,7 +132,16 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
                 )
     figures = {name: cameras.figures["photogrammetry"]["station"] for name, cameras in found.items()}
     whole = next(iter(found.values())).figures
-    return Frame(kept, {**whole["photogrammetry"], "station": figures, "scale": whole["scale"]}, warnings)
+    return Frame(
+        kept,
+        {
+            **whole["photogrammetry"],
+            "station": figures,
+            "scale": whole["scale"],
+            **{name: whole[name] for name in ("control",) if name in whole},
+        },
+        warnings,
+    )
 
 
 def _key(thing: Object, done: Sequence[Outcome]) -> str:

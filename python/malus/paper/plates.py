@@ -19,7 +19,8 @@ _VIEW_PX, _TILT_DEG = 700, 50.0
 _RELIEF_PERCENTILES = (0.2, 99.8)
 #: Points drawn at most, evenly chosen.
 _MOST_POINTS = 40_000
-_CURVE_COLORS = ("#2f7fb3", "#35a7a0", "#b0702a", "#d1495b")
+#: As many as a station may name pixels.
+_CURVE_COLORS = ("#2f7fb3", "#35a7a0", "#b0702a", "#d1495b", "#6b4c9a", "#5a8f29", "#8c8c8c", "#c2579f")
 
 
 def sinusoids(plates: Plates) -> Iterator[Figure]:
@@ -57,8 +58,8 @@ def sinusoids(plates: Plates) -> Iterator[Figure]:
     style(axes)
     yield plates.figure(
         "sinusoids", "Intensity against polarizer angle",
-        "Measured intensities (dots) of a weakly, a moderately and two strongly polarized pixels, and the sinusoid fitted "
-        "to each.",
+        "Measured intensities (dots) of a few pixels, unless the station names them weakly to very strongly polarized ones, "
+        "and the sinusoid fitted to each.",
         drawing, ["u_px", "v_px", "angle_deg", "intensity", "fitted", "degree", "phase_deg"], rows,
     )  # fmt: skip
 

@@ -1,7 +1,7 @@
 """From photos and the station's image to the station's place and the depth in its view: the main path.
 
 photos → their cameras (photo_cameras) → the station among them (station_pose) → all of
-them measured more sharply (window_matching) → metric scale (scale) → surface sweep in
+them measured more sharply (window_matching) → metric scale (scale) or frame (control) → surface sweep in
 the station's view (malus.stereo) → depth with sigma, measured again about the surface
 fused with it. Everything is kept below one folder, and what is done is not done
 again (journal).
@@ -25,12 +25,13 @@ from malus.errors import DataError
 from malus.options import Options
 from malus.photogrammetry import diagnosis
 from malus.photogrammetry.bench import Bench
+from malus.photogrammetry.control import adjust_datum, move_model
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photo_cameras import PhotoCameras, solve_photos
 from malus.photogrammetry.photos import Photo, describe_photo, list_photos, read_gray
 from malus.photogrammetry.program import Colmap
-from malus.photogrammetry.scale import adjust_scale, scale_model
+from malus.photogrammetry.scale import adjust_scale
 from malus.photogrammetry.station_pose import (
     STATION_IMAGE,
     PlacedStations,
@@ -47,14 +48,14 @@ Log = Callable[[str, str], None]
 
 @dataclass(frozen=True)
 class StationCameras:
-    """Cameras in the station's unit, in COLMAP's frame scaled: the world of the result."""
+    """Cameras in the world of the result: the control points' frame, or COLMAP's scaled to the station's unit."""
 
     station: Camera
     """Lens (undistorted raster's if it was given, else as calibrated) and pose."""
     photos: list[tuple[Photo, Camera]]
     model: SparseModel
     figures: dict[str, Any]
-    """For quality.json: `photogrammetry` and `scale`."""
+    """For quality.json: `photogrammetry`, `scale`, and `control` if there are control points."""
     times: dict[str, Any]
     """Seconds, all and by stage."""
     warnings: list[str] = field(default_factory=list)
@@ -92,7 +93,7 @@ def find_cameras(
     lens = lens_of_raster(camera_of(station["camera"])) if "camera" in station else None
     shared = None if lens is not None else _photo_of_same_camera(station, photos, solved.model, unpolarized.shape, log)
     view = StationView(unpolarized, lens, shared)
-    placed, model, figures = _placed_and_scaled(bench, photos, solved, {STATION_IMAGE: view}, station["scale"])
+    placed, model, figures = _placed_and_scaled(bench, photos, solved, {STATION_IMAGE: view}, station)
     figures["photogrammetry"]["station"] = {
         **_station_figures(placed, STATION_IMAGE),
         "lens": "given" if lens is not None else "of the photos" if shared is not None else "self-calibrated",
@@ -118,7 +119,7 @@ def find_object_cameras(
 ) -> dict[str, StationCameras]:
     """Cameras of an object's photos and of its stations in one model, by the stations' names.
 
-    shared: `photos` and `scale` as `Station.describe` says them. stations: lens and H×W unpolarized intensity, undistorted. Stations
+    shared: `photos`, `scale` and `control` as `Station.describe` says them. stations: lens and H×W unpolarized intensity, undistorted. Stations
     that find no place are left out. The images of the other stations count as photos of each. Raises what `find_cameras` does.
     """
     bench = _bench(folder, options, threads, progress, log)
@@ -127,7 +128,7 @@ def find_object_cameras(
     views = {
         images[name]: StationView(unpolarized, lens_of_raster(lens)) for name, (lens, unpolarized) in stations.items()
     }
-    placed, model, figures = _placed_and_scaled(bench, photos, solved, views, shared["scale"])
+    placed, model, figures = _placed_and_scaled(bench, photos, solved, views, shared)
     pictures = list(photos)
     for image, view in views.items():
         height, width = view.unpolarized.shape
@@ -173,17 +174,25 @@ def _placed_and_scaled(
     photos: list[Photo],
     solved: PhotoCameras,
     views: Mapping[str, StationView],
-    bars: Sequence[Mapping[str, Any]],
+    said: Mapping[str, Any],
 ) -> tuple[PlacedStations, SparseModel, dict[str, Any]]:
-    """Stations among the photos, measured by windows, and the model in their unit with its figures."""
+    """Stations among the photos, measured by windows, and the model in their unit, and in the frame of control points if
+    there are any (`said`: `scale` and `control`), with its figures.
+    """
     matched = match_windows(bench, photos, solved, views, place_stations(bench, solved, views))
     placed = matched.placed
     registered = {name: image.camera for name, image in placed.model.images.items() if name not in views}
-    bench.report("scale", 0.0, "scale from known distances")
-    scale = adjust_scale(bars, photos, registered, bench.options, bench.log)
+    scale, datum = None, None
+    if said["control"]:
+        bench.report("scale", 0.0, "frame from control points")
+        datum = adjust_datum(said["control"], registered, bench.options.photos.mark_sigma_px, bench.log)
+    else:
+        bench.report("scale", 0.0, "scale from known distances")
+        scale = adjust_scale(said["scale"], photos, registered, bench.options, bench.log)
     bench.journal.require_unchanged()
     factor = 1.0 if scale is None else float(scale["scale"])
-    scale_model(placed.folder, bench.folder / "model", factor)
+    unmoved = {"scale": factor, "rotation": np.eye(3), "translation": np.zeros(3)}
+    move_model(placed.folder, bench.folder / "model", datum or unmoved)
     model = SparseModel.read(bench.folder / "model")
     figures = {
         "photogrammetry": {
@@ -199,6 +208,10 @@ def _placed_and_scaled(
         },
         "scale": scale,
     }
+    if datum is not None:
+        figures["control"] = {
+            "datum": {**datum, "rotation": datum["rotation"].tolist(), "translation": datum["translation"].tolist()}
+        }
     bench.progress(1.0, f"{len(registered)} of {len(photos)} photos")
     return placed, model, figures
 

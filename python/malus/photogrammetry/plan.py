@@ -27,6 +27,13 @@ def sweep_line(options: Options) -> str:
     return f"sweep: depth of the station's view from the photos{again}"
 
 
+def _scale_line(station: Mapping[str, Any]) -> str:
+    if station["control"]:
+        marked = sum(len(point["marks"]) > 1 for point in station["control"])
+        return f"scale: frame and size from {marked} control points that are marked in the photos"
+    return f"scale: {len(station['scale'])} known distances" if station["scale"] else "scale: none, arbitrary unit"
+
+
 def plan(station: Mapping[str, Any], options: Options, threads: int) -> tuple[list[str], list[str], float]:
     """Lines that say what would be done, warnings, and the expected seconds, for what `Station.describe` says.
 
@@ -45,12 +52,12 @@ def plan(station: Mapping[str, Any], options: Options, threads: int) -> tuple[li
     lens = "calibrated lens" if known is not None else f"{len(groups)} self-calibrated lens{'es' * (len(groups) > 1)}"
     does = [
         f"photos: {len(photos)} with {lens}, {len(pairs)} pairs to match, {program.title}",
-        f"scale: {len(station['scale'])} known distances" if station["scale"] else "scale: none, arbitrary unit",
+        _scale_line(station),
         sweep_line(options),
     ]
     if known is None and any(group.focal_px is None for group in groups):
         warnings.append("[photos]: neither camera nor EXIF focal length is known; flat scenes cannot be solved so")
-    if not station["scale"]:
+    if not station["scale"] and not station["control"]:
         warnings.append("there is no [[scale]]: the result is in an arbitrary unit, shape without size")
     if "camera" not in station:
         warnings.append("[camera] is missing: the station's lens is taken from the photos or self-calibrated")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -121,11 +120,3 @@ def _warn(result: Mapping[str, Any], log: Log) -> None:
                 f"{fit['name']}: {fit['adjusted']:.6g} in the model, {fit['distance']:.6g} given, "
                 f"{abs(fit['residual']) / fit['sigma']:.1f} standard deviations apart",
             )
-
-
-def scale_model(source: Path, target: Path, factor: float) -> None:
-    """Copy a COLMAP model with all its lengths multiplied."""
-    model = _core.ColmapModel.read(str(source))
-    model.scale(factor)
-    target.mkdir(parents=True, exist_ok=True)
-    model.write(str(target))

@@ -73,6 +73,7 @@ class Studio:
             "angles": lambda body: folders.angles(self.root, body["folder"], body["source"], body["images"], float(body.get("first", 0)), float(body.get("step", 45))),
             "preview": self._preview,
             "marks": self._marks,
+            "control": self._control,
             "create": self._create,
             "set": self._set,
             "text": self._set_text,
@@ -141,6 +142,8 @@ class Studio:
             shown["mask"] = self.root.name(document.path.parent / mask) if mask else None
         except MalusError as error:
             shown["error"] = {"field": checks.field_of(str(error)), "message": str(error)}
+            # What is wrong may be mended by drawing, such as control points that are not marked yet.
+            shown["images"] = folders.polarized_images(self.root, document.path, document.values)
         return shown
 
     def _create(self, body: Json) -> Json:
@@ -205,11 +208,19 @@ class Studio:
 
     def _marks(self, body: Json) -> Json:
         document = StationDocument.read(self.root.file(body["path"]))
-        works = [document.path.with_name(f"{document.path.stem}_work")]
-        works += [run.work for run in self.runs.all() if run.station == document.path]
-        model = marks.model_of(document.path, document.values.get("camera", {}), works)
+        model = self._model_of(document)
         bars = document.values.get("scale", [])
         return marks.examined(model, bars, body["image"], int(body["distance"]), body["end"])
+
+    def _control(self, body: Json) -> Json:
+        document = StationDocument.read(self.root.file(body["path"]))
+        return marks.control(document.path, self._model_of(document), body["image"], body["name"])
+
+    def _model_of(self, document: StationDocument) -> Path | None:
+        """The model of the photos' cameras, if one is known."""
+        works = [document.path.with_name(f"{document.path.stem}_work")]
+        works += [run.work for run in self.runs.all() if run.station == document.path]
+        return marks.model_of(document.path, document.values.get("camera", {}), works)
 
     def _similar(self, body: Json) -> Response:
         image = self.root.file(body["image"])

@@ -14,6 +14,7 @@ from malus.studio.settings import options_of
 _FIELDS = (
     ("object", r"\[object\]"),
     ("mask", r"\bmask\b"),
+    ("control", r"\[\[control\]\]|control points?"),
     ("angles", r"angle|polarizer|order of the images|direction"),
     ("response", r"white_level|black_level|response|saturated|linear|gamma"),
     ("images", r"\[polarized\]|images?\b.*(cannot be read|no such|size|differ)|exposure time|ISO|aperture"),

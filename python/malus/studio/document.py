@@ -16,7 +16,7 @@ from malus._files import write_bytes
 from malus.errors import InputError
 
 #: Tables of a station file that stand any number of times.
-LISTS = ("scale", "patch", "profile")
+LISTS = ("scale", "control", "patch", "profile")
 #: Tables that stand once, with their keys, so that the page can be told of misprints early.
 TABLES = ("station", "object", "polarized", "optics", "camera", "prior", "photos")
 

@@ -155,6 +155,22 @@ def images_of_model(path: Path) -> list[str]:
     return sorted(_core.ColmapModel.read(str(path)).images())
 
 
+def polarized_images(root: Root, station: Path, values: Mapping[str, Any]) -> list[str]:
+    """The images that a station file names, one by one or as a folder, whatever else is wrong with it; those that are there."""
+    polarized = values.get("polarized")
+    said = polarized.get("images") if isinstance(polarized, Mapping) else None
+    if isinstance(said, str):
+        place = station.parent / said
+        paths = sorted((path for path in place.iterdir() if _is_image(path)), key=_natural) if place.is_dir() else []
+    else:
+        paths = [
+            station.parent / name
+            for name in (said if isinstance(said, list) else [])
+            if isinstance(name, str) and (station.parent / name).is_file()
+        ]
+    return [root.name(path) for path in paths if root.holds(path)]
+
+
 def photos_of(root: Root, station: Path, values: Mapping[str, Any]) -> list[str]:
     """The photos in which a station's known distances are marked: those of [photos], or else those of its COLMAP model,
     from the folder that has most of them.

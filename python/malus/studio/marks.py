@@ -1,4 +1,4 @@
-"""Marks of known distances while they are set: where the other photos allow them, and how well they agree."""
+"""Marks of known distances and control points while they are set: where other photos allow them, and how well they agree."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import malus
 from malus import _core
 from malus.camera import Camera
 from malus.errors import MalusError
 from malus.options import Options
+from malus.photogrammetry.control import adjust_datum
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.scale import adjust_scale
 
@@ -55,3 +57,31 @@ def examined(model: Path | None, bars: Sequence[Mapping[str, Any]], image: str, 
     cameras = {name: registered.camera for name, registered in SparseModel.read(model).images.items()}
     marks = bars[distance].get(end, []) if 0 <= distance < len(bars) else []
     return {"lines": lines(cameras, image, marks), **residuals(cameras, bars)}
+
+
+def control(station: Path, model: Path | None, image: str, name: str) -> dict[str, Any]:
+    """How the control points of a station file fit. image: photo that is shown; name: point that is being marked in it.
+
+    Returns `problem` (what is wrong or missing), `lines` (where the point lies in the photo, by its marks in others),
+    `image` (what the polarized image says: use, rms_px, center_sigma, doubtful, points; None without marks in it) and
+    `datum` (what the photos say; None without their cameras).
+    """
+    said: dict[str, Any] = {"problem": "", "lines": [], "image": None, "datum": None}
+    try:
+        description = malus.Station.load(station).describe()
+    except MalusError as error:
+        return {**said, "problem": str(error).replace(str(station), station.name)}
+    points = description["control"]
+    said["image"] = description["control_image"]
+    if description["prior"] != "photos":
+        return said
+    if model is None:
+        return {**said, "problem": "The photos' cameras are not known yet; after the first run lines and residuals are shown here."}  # fmt: skip
+    cameras = {known: registered.camera for known, registered in SparseModel.read(model).images.items()}
+    said["lines"] = lines(cameras, image, next((point["marks"] for point in points if point["name"] == name), []))
+    try:
+        datum = adjust_datum(points, cameras, Options().photos.mark_sigma_px, lambda _level, _message: None)
+        said["datum"] = {name: datum[name] for name in ("sigma", "doubtful", "points")}
+    except MalusError as error:
+        said["problem"] = str(error)
+    return said

@@ -489,6 +489,76 @@ TEST_F(StationFileTest, PhotosAndScale) {
   rejects(without, "scale", "marks need the cameras of their images");
 }
 
+/// Camera without pose; points about a camera 50 in front of the origin's plane, as `Sections` has it.
+std::string control_text(const std::string& pixel_of_last) {
+  return "[[control]]\nname = \"P1\"\nxyz = [-2, -1, 0]\npixel = [1.5, 1.98]\n"
+         "[[control]]\nname = \"P2\"\nxyz = [2, -1, 0]\npixel = [9.5, 1.98]\n"
+         "[[control]]\nname = \"P3\"\nxyz = [2, 1, 10]\npixel = [8.83333333, 5.68333333]\n"
+         "[[control]]\nname = \"P4\"\nxyz = [-2, 1, -10]\npixel = [0.5, 6.525]\n"
+         "[[control]]\nname = \"P5\"\nxyz = [0, 0, 20]\npixel = " +
+         pixel_of_last + "\n";
+}
+
+TEST_F(StationFileTest, CurvePixels) {
+  Sections sections;
+  sections.polarized += "curve_pixels = [[0, 7], [11, 0]]\n";
+  EXPECT_EQ(read(sections).polarized.curve_pixels, (std::vector<std::array<double, 2>>{{0, 7}, {11, 0}}));
+  for (const std::string wrong : {"[3, 4]", "[[1.5, 2]]", "[[1, 2, 3]]", "7"}) {
+    sections.polarized = Sections().polarized + "curve_pixels = " + wrong + "\n";
+    rejects(sections, "curve_pixels", "a list of at most 8 pixels");
+  }
+  sections.polarized = Sections().polarized + "curve_pixels = [[12, 0]]\n";
+  rejects(sections, "curve_pixels [12, 0]", "12 x 8");
+}
+
+TEST_F(StationFileTest, ControlPointsGiveThePose) {
+  Sections sections;
+  sections.camera = "[camera]\nmodel = \"PINHOLE\"\nwidth = 12\nheight = 8\nparams = [100, 101, 6.0, 4.5]\n";
+  sections.rest = control_text("[5.5, 4.0]");
+  const StationFile station = read(sections);
+  ASSERT_TRUE(station.resection);
+  EXPECT_LT((station.camera->pose.centre() - Eigen::Vector3d(0, 0, -50)).norm(), 1e-3);
+  EXPECT_EQ(station.control.size(), 5U);
+  EXPECT_EQ(station.control[4].name, "P5");
+
+  sections.camera = Sections().camera;  // with a pose they only check it
+  EXPECT_FALSE(read(sections).resection);
+
+  sections.rest = control_text("[12.0, 4.0]");
+  rejects(sections, "control", "point P5 has pixel = [12, 4]", "12 x 8");
+  sections.rest = control_text("[5.5, 4.0]\n[[scale]]\ndistance = 3\na_xyz = [0, 0, 0]\nb_xyz = [1, 0, 0]");
+  rejects(sections, "scale", "together with [[control]]");
+  sections.rest = "[[control]]\nxyz = [0, 0, 20]\n";
+  rejects(sections, "[[control]] 1", "pixel", "is missing");
+  sections.rest = "[[control]]\npixel = [1, 2]\n";
+  rejects(sections, "[[control]] 1", "xyz", "is missing");
+  sections.camera.clear();
+  sections.prior.clear();
+  sections.rest = control_text("[5.5, 4.0]");
+  rejects(sections, "control", "needs [camera] with the lens");
+}
+
+TEST_F(StationFileTest, ControlPointsMarkedInPhotos) {
+  Sections sections;
+  sections.prior = "[photos]\nfolder = \"views\"\n";
+  sections.camera = "[camera]\nmodel = \"PINHOLE\"\nwidth = 12\nheight = 8\nparams = [100, 101, 6.0, 4.5]\n";
+  sections.rest =
+      "[[control]]\nxyz = [1, 2, 3]\nmarks = [{ image = \"1.jpg\", x = 1.0, y = 2.0 }, { image = \"2.jpg\", x = 3.0, y "
+      "= 4.0 }]\ncheck = true\n";
+  const StationFile station = read(sections);
+  EXPECT_FALSE(station.camera);
+  EXPECT_TRUE(station.frame_is_of_photos());
+  ASSERT_EQ(station.control.size(), 1U);
+  EXPECT_EQ(station.control[0].name, "1");
+  EXPECT_TRUE(station.control[0].check);
+  ASSERT_EQ(station.control[0].marks.size(), 2U);
+  EXPECT_EQ(station.control[0].marks[1].image, "2.jpg");
+  sections.rest = "[[control]]\nxyz = [1, 2, 3]\n";
+  rejects(sections, "[[control]] 1", "marks", "is missing");
+  sections.rest = "[[control]]\nxyz = [1, 2, 3]\nmarks = [{ image = \"9.jpg\", x = 1.0, y = 2.0 }]\n";
+  rejects(sections, "[[control]] 1", "9.jpg");
+}
+
 TEST_F(StationFileTest, PatchesAndProfilesLieInTheImage) {
   const auto rejects_rest = [&](const std::string& rest, const auto&... parts) {
     Sections sections;

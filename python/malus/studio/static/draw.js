@@ -1,4 +1,4 @@
-// Drawing on the image: the object's mask, labels of reflection, flat patches, profiles, and the ends of known distances.
+// Drawing on the image: the object's mask, labels of reflection, flat patches, profiles, the ends of known distances, and control points.
 import { ask, byId, doing, make, say, send, tell } from './api.js';
 import { LABELS, Layer } from './layer.js';
 import { change, redo, state, take, undo } from './studio.js';
@@ -18,17 +18,18 @@ let points = [];      // of the shape or stroke that is being drawn, in image pi
 let cursor = null;    // of the keyboard, in image pixels
 let pressed = false;
 let end = { distance: 0, name: 'a' };
-let examined = { lines: [], fits: {}, problem: '' };  // of the known distances, as the server last said it
+let point = 0;        // which control point is marked
+let examined = { lines: [], fits: {}, problem: '' };  // of the known distances or control points, as the server last said it
 
 const painted = () => what.value in LABELS;
 const TOOLS = {
   paint: [['move', 'Move'], ['brush', 'Brush'], ['erase', 'Erase'], ['polygon', 'Polygon'], ['similar', 'Similar color']],
-  patch: [['move', 'Move'], ['box', 'Draw a box']], profile: [['move', 'Move'], ['line', 'Draw a line']], scale: [['move', 'Move'], ['mark', 'Set the mark']],
+  patch: [['move', 'Move'], ['box', 'Draw a box']], profile: [['move', 'Move'], ['line', 'Draw a line']], scale: [['move', 'Move'], ['mark', 'Set the mark']], control: [['move', 'Move'], ['mark', 'Set the mark']],
 };
 
 export async function showDrawing() {
   view ??= makeView();
-  const list = what.value === 'scale' ? await ask('photos', { path: state.station.path }) : state.station.images;
+  const list = await imagesOf(what.value);
   const known = [...image.options].map((option) => option.value);
   if (known.length !== list.length || known.some((path, at) => path !== list[at])) image.replaceChildren(...list.map((path) => make('option', { value: path, selected: path === shown.image }, path)));
   for (const part of [image.parentElement, byId('tools'), byId('draw-stage')]) part.hidden = !list.length;
@@ -36,6 +37,14 @@ export async function showDrawing() {
   byId('draw-side').replaceChildren();
   if (list.length) await showImage();
   else byId('draw-side').replaceChildren(make('p', { class: 'note' }, what.value === 'scale' ? 'Known distances are marked in photographs. There are none yet: choose their folder, or the cameras that a COLMAP model has of them, under Station.' : 'The station has no image that can be shown.'));
+}
+
+// Known distances are marked in photographs, control points also in the polarized image; with a prior only there.
+async function imagesOf(kind) {
+  if (kind !== 'scale' && kind !== 'control') return state.station.images;
+  if (kind === 'control' && state.station.values.prior) return state.station.images.slice(0, 1);
+  const photos = await ask('photos', { path: state.station.path });
+  return kind === 'scale' ? photos : [...state.station.images.slice(0, 1), ...photos.filter((path) => !state.station.images.includes(path))];
 }
 
 // Keeps what is painted before something else is shown. What was painted and undone leaves nothing to keep.
@@ -68,9 +77,10 @@ async function showImage() {
   view.redraw();
 }
 
-// Where the end that is being marked lies in this photo by its marks in others, and how well all distances fit.
+// Where what is being marked lies in this photo by its marks in others, and how well everything fits.
 async function examine() {
   if (what.value === 'scale') examined = await tell('marks', { path: state.station.path, image: here(), distance: end.distance, end: end.name });
+  if (what.value === 'control') examined = await tell('control', { path: state.station.path, image: polarized() ? '' : here(), name: entries('control')[point]?.name ?? '' });
 }
 
 async function loadLayer() {
@@ -254,8 +264,8 @@ function paint(context) {
   }
   for (const entry of state.station?.values.patch ?? []) if (what.value === 'patch') outlined(context, corners(entry.box), true, entry.name);
   for (const entry of state.station?.values.profile ?? []) if (what.value === 'profile') outlined(context, [entry.from, entry.to].map((p) => view.toStage(p)), false, entry.name);
-  if (what.value === 'scale') for (const line of examined.lines) if (line.length > 1) outlined(context, line.map((p) => view.toStage(p)), false);
-  if (what.value === 'scale') for (const [text, at] of marksHere()) cross(context, view.toStage(at), text);
+  if (what.value === 'scale' || what.value === 'control') for (const line of examined.lines) if (line.length > 1) outlined(context, line.map((p) => view.toStage(p)), false);
+  if (what.value === 'scale' || what.value === 'control') for (const [text, at] of what.value === 'scale' ? marksHere() : pointsHere()) cross(context, view.toStage(at), text);
   if (tool === 'box' && points.length) outlined(context, corners([...points[0], ...points[1]]), true);
   if (tool === 'line' && points.length) outlined(context, points.map((p) => view.toStage(p)), false);
   if (cursor) cross(context, view.toStage(cursor), '');
@@ -325,6 +335,7 @@ function drawSide() {
   if (painted()) side.replaceChildren(make('p', { class: 'note' }, what.value === 'mask'
     ? 'Paint what is the object. “Find the edge” looks for it around what is painted; “Similar color” adds what is connected and looks alike.' : 'Blue: diffuse. Orange: specular. What is not painted is decided by the program.'));
   else if (what.value === 'scale') side.replaceChildren(...scaleSide());
+  else if (what.value === 'control') side.replaceChildren(...controlSide());
   else side.replaceChildren(...shapeSide(what.value));
 }
 
@@ -341,11 +352,17 @@ function shapeSide(list) {
 const here = () => image.value.split('/').pop();
 const marksHere = () => entries('scale').flatMap((entry, at) => ['a', 'b'].flatMap((name) => (entry[name] ?? []).filter((mark) => mark.image === here()).map((mark) => [`${at + 1}${name}`, [mark.x, mark.y]])));
 
-async function setMark([x, y]) {
+const rounded = (value) => Math.round(10 * value) / 10;
+
+async function setMark(at) {
+  await (what.value === 'scale' ? setEnd(at) : setPoint(at));
+}
+
+async function setEnd([x, y]) {
   const all = entries('scale');
   const entry = all[end.distance];
   if (!entry) throw new Error('Add a known distance first, and choose which of its ends is marked.');
-  entry[end.name] = [...(entry[end.name] ?? []).filter((mark) => mark.image !== here()), { image: here(), x: Math.round(10 * x) / 10, y: Math.round(10 * y) / 10 }];
+  entry[end.name] = [...(entry[end.name] ?? []).filter((mark) => mark.image !== here()), { image: here(), x: rounded(x), y: rounded(y) }];
   await store('scale', all);
 }
 
@@ -379,6 +396,77 @@ function fitOf(at) {
   const fit = examined.fits[at + 1];
   if (!fit) return null;
   return make('p', { class: fit.worst_px > 2 ? 'warning' : 'note' }, `Marks fit to ${fit.rms_px.toFixed(2)} px (worst ${fit.worst_px.toFixed(2)} px in ${fit.worst_image}); the length is off by ${fit.residual.toPrecision(2)}.`);
+}
+
+// ---- control points ----
+
+const polarized = () => state.station.images.includes(image.value);
+const markOf = (entry) => polarized() ? entry.pixel : (entry.marks ?? []).filter((mark) => mark.image === here()).map((mark) => [mark.x, mark.y])[0];
+const pointsHere = () => entries('control').flatMap((entry) => markOf(entry) ? [[entry.name, markOf(entry)]] : []);
+
+async function setPoint([x, y]) {
+  const all = entries('control');
+  const entry = all[point];
+  if (!entry) throw new Error('Add a control point first, and choose which one is marked.');
+  if (polarized()) entry.pixel = [rounded(x), rounded(y)];
+  else entry.marks = [...(entry.marks ?? []).filter((mark) => mark.image !== here()), { image: here(), x: rounded(x), y: rounded(y) }];
+  await store('control', all);
+}
+
+// Lines "name X Y Z", as instruments and spreadsheets write them; a known name gets new coordinates.
+async function takeCoordinates(text) {
+  const all = entries('control');
+  for (const line of text.split('\n').map((row) => row.trim()).filter(Boolean)) {
+    const [name, ...xyz] = line.split(/[;,\s]+/);
+    const numbers = xyz.map(Number);
+    if (numbers.length !== 3 || !numbers.every(Number.isFinite)) throw new Error(`“${line}” is not a name and three numbers X Y Z, with a point as decimal sign.`);
+    const known = all.find((entry) => entry.name === name);
+    if (known) known.xyz = numbers;
+    else all.push({ name, xyz: numbers });
+  }
+  await store('control', all);
+}
+
+function controlSide() {
+  const all = entries('control');
+  const kept = () => store('control', all);
+  const axis = (entry, at) => make('label', {}, `${'XYZ'[at]} `, make('input', { type: 'number', step: 'any', value: entry.xyz[at], change: doing((event) => { entry.xyz[at] = Number(event.target.value); return kept(); }) }));
+  const row = (entry, at) => make('fieldset', {}, make('legend', {}, `point ${entry.name ?? at + 1}`),
+    make('label', {}, 'name ', make('input', { value: entry.name ?? '', change: doing((event) => { entry.name = event.target.value; return kept(); }) })),
+    ...[0, 1, 2].map((index) => axis(entry, index)),
+    make('label', {}, 'only to check ', make('input', { type: 'checkbox', checked: entry.check ?? false, change: doing((event) => { entry.check = event.target.checked || undefined; return kept(); }) })),
+    make('p', {}, button('Mark it', async () => { point = at; tool = 'mark'; await examine(); drawTools(); drawSide(); stage.focus(); }, { 'aria-pressed': String(tool === 'mark' && point === at) }), ` ${markedIn(entry)}`),
+    ...fitOfPoint(entry), button('Remove', () => store('control', all.filter((other) => other !== entry))));
+  const pasted = make('textarea', { rows: 4, placeholder: 'P1 104.2 88.0 12.5', 'aria-label': 'Coordinates, a point a line: name X Y Z' });
+  return [make('p', { class: 'note' }, examined.problem || verdict()), ...all.map(row),
+    make('fieldset', {}, make('legend', {}, 'add points'), pasted, button('Take these coordinates', () => takeCoordinates(pasted.value)))];
+}
+
+function markedIn(entry) {
+  const places = [...(entry.pixel ? ['the polarized image'] : []), ...(entry.marks ?? []).map((mark) => mark.image)];
+  return places.length ? `in ${places.join(', ')}` : 'not marked yet';
+}
+
+function verdict() {
+  const { image: seen, datum } = examined;
+  const said = [];
+  if (seen?.use === 'resection') said.push(`The camera stands where ${seen.points.filter((one) => !one.check).length} points put it, ± ${seen.center_sigma.toPrecision(2)} ${state.station.values.station?.unit ?? 'mm'}.`);
+  if (datum) said.push(`Coordinates fit to ${datum.sigma.toPrecision(2)} ${state.station.values.station?.unit ?? 'mm'}.`);
+  for (const found of [seen, datum]) if (found?.doubtful) said.push(`Without point ${found.doubtful} the others fit far better: is its mark right?`);
+  return said.join(' ') || 'Mark each point where the image shows it.';
+}
+
+function fitOfPoint(entry) {
+  const seen = examined.image?.points.find((one) => one.name === entry.name);
+  const placed = examined.datum?.points.find((one) => one.name === entry.name);
+  const line = (worst, text) => make('p', { class: worst ? 'warning' : 'note' }, text);
+  const found = [];
+  if (seen) {
+    const off = seen.du_px === null ? Infinity : Math.hypot(seen.du_px, seen.dv_px);
+    found.push(line(off > 3, seen.du_px === null ? 'Lies behind the camera.' : `Off by ${off.toFixed(1)} px in the polarized image.`));
+  }
+  if (placed) found.push(line(placed.rms_px > 2, `Off by ${Math.hypot(...placed.offset).toPrecision(2)} ${state.station.values.station?.unit ?? 'mm'} in the photos; its marks fit to ${placed.rms_px.toFixed(2)} px.`));
+  return found;
 }
 
 what.addEventListener('change', doing(() => showDrawing()));

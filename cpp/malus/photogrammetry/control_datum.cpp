@@ -1,0 +1,148 @@
+#include <Eigen/Geometry>
+#include <Eigen/SVD>
+#include <algorithm>
+#include <cmath>
+#include <sstream>
+
+#include "malus/core/error.h"
+#include "malus/photogrammetry/control_datum_internal.h"
+
+namespace malus {
+namespace {
+
+using Points = Eigen::Matrix3Xd;
+
+/// Points that determine a datum, in both frames.
+struct Pairs {
+  Points model, known;
+};
+
+Pairs without(const Pairs& pairs, Eigen::Index left_out) {
+  Pairs others{Points(3, pairs.model.cols() - 1), Points(3, pairs.model.cols() - 1)};
+  for (Eigen::Index i = 0, k = 0; i < pairs.model.cols(); ++i) {
+    if (i == left_out) continue;
+    others.model.col(k) = pairs.model.col(i);
+    others.known.col(k++) = pairs.known.col(i);
+  }
+  return others;
+}
+
+bool on_one_line(const Points& points) {
+  constexpr double least_width = 1e-3;
+  const Points centered = points.colwise() - points.rowwise().mean();
+  const Eigen::Vector3d extents = Eigen::JacobiSVD<Points>(centered).singularValues();
+  return !(extents[1] > least_width * extents[0]);
+}
+
+/// The similarity, about the points' means: coordinates of a national grid lose no digits.
+Eigen::Matrix4d similarity(const Pairs& pairs) {
+  const Eigen::Vector3d model_mean = pairs.model.rowwise().mean(), known_mean = pairs.known.rowwise().mean();
+  const Points model = pairs.model.colwise() - model_mean, known = pairs.known.colwise() - known_mean;
+  Eigen::Matrix4d motion = Eigen::umeyama(model, known, true);
+  motion.topRightCorner<3, 1>() += known_mean - motion.topLeftCorner<3, 3>() * model_mean;
+  return motion;
+}
+
+/// Standard deviation of a coordinate.
+double sigma_of(const Pairs& pairs, const Eigen::Matrix4d& motion) {
+  const Points moved = (motion.topLeftCorner<3, 3>() * pairs.model).colwise() + motion.topRightCorner<3, 1>().eval();
+  return std::sqrt((moved - pairs.known).squaredNorm() / static_cast<double>(3 * pairs.known.cols() - 7));
+}
+
+/// Size of the photos' pixels at the points, unit of the model.
+double pixel_size(std::span<const MarkedView> views, std::span<const KnownPoint> points,
+                  const std::vector<Eigen::Vector3d>& found) {
+  double sum = 0, count = 0;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    for (const PointMark& mark : points[i].marks) {
+      const MarkedView& view = views[mark.view];
+      sum += view.pose.cam_from_world(found[i]).z() / view.camera.pinhole().focal();
+      ++count;
+    }
+  }
+  return sum / count;
+}
+
+/// Index of the point without which the others fit at least three times as well; not asked where all fit to a pixel.
+std::optional<Eigen::Index> doubtful_point(const Pairs& pairs, double sigma, double pixel) {
+  constexpr double far_better = 3;
+  if (pairs.model.cols() < 5 || !(sigma > pixel)) return std::nullopt;
+  std::optional<Eigen::Index> found;
+  double least = sigma / far_better;
+  for (Eigen::Index i = 0; i < pairs.model.cols(); ++i) {
+    const Pairs others = without(pairs, i);
+    if (on_one_line(others.known)) continue;
+    const double left = sigma_of(others, similarity(others));
+    if (left < least) least = left, found = i;
+  }
+  return found;
+}
+
+double mark_rms_px(std::span<const MarkedView> views, const KnownPoint& known, const Eigen::Vector3d& point) {
+  double squares = 0;
+  for (const PointMark& mark : known.marks) {
+    const MarkedView& view = views[mark.view];
+    squares += (view.camera.project(view.pose.cam_from_world(point)) - mark.pixel).squaredNorm();
+  }
+  return std::sqrt(squares / static_cast<double>(known.marks.size()));
+}
+
+void require_fit(const Datum& datum, const Points& known) {
+  constexpr double tolerated_share = 0.05;
+  const double extent = (known.rowwise().maxCoeff() - known.rowwise().minCoeff()).norm();
+  if (datum.sigma <= tolerated_share * extent) return;
+  std::ostringstream message;
+  message.precision(3);
+  message << "[[control]]: coordinates and marks do not fit, " << datum.sigma << " off over " << extent << "; ";
+  if (datum.doubtful) {
+    message << "without point " << *datum.doubtful << " the others do: are its marks and its coordinates right?";
+  } else {
+    const auto& worst = *std::ranges::max_element(
+        datum.points, {}, [](const PointFit& fit) { return fit.check ? -1 : fit.offset.norm(); });
+    message << "the worst is point " << worst.name
+            << ". Is each mark that of its point, and are the axes right-handed?";
+  }
+  throw input_error(message.str());
+}
+
+}  // namespace
+
+Datum adjust_datum(std::span<const MarkedView> views, std::span<const KnownPoint> points) {
+  constexpr Eigen::Index least_points = 3;
+  std::vector<Eigen::Vector3d> found;
+  std::vector<std::size_t> used;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    found.push_back(intersect_rays(views, points[i].marks, "[[control]] " + points[i].name));
+    if (!points[i].check) used.push_back(i);
+  }
+  const auto count = static_cast<Eigen::Index>(used.size());
+  if (count < least_points)
+    throw input_error("[[control]]: " + std::to_string(count) +
+                      " points without check = true are marked in two registered photos or more, expected at least 3 "
+                      "to find the frame");
+  Pairs pairs{Points(3, count), Points(3, count)};
+  for (Eigen::Index i = 0; i < count; ++i) {
+    pairs.model.col(i) = found[used[static_cast<std::size_t>(i)]];
+    pairs.known.col(i) = points[used[static_cast<std::size_t>(i)]].xyz;
+  }
+  if (on_one_line(pairs.known))
+    throw input_error("[[control]]: the points lie on one line or at one place, expected points that span an area");
+
+  const Eigen::Matrix4d motion = similarity(pairs);
+  Datum datum;
+  datum.scale = std::cbrt(motion.topLeftCorner<3, 3>().determinant());
+  datum.rotation = motion.topLeftCorner<3, 3>() / datum.scale;
+  datum.translation = motion.topRightCorner<3, 1>();
+  datum.sigma = sigma_of(pairs, motion);
+  if (const auto index = doubtful_point(pairs, datum.sigma, datum.scale * pixel_size(views, points, found)))
+    datum.doubtful = points[used[static_cast<std::size_t>(*index)]].name;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const Eigen::Vector3d moved = datum.scale * datum.rotation * found[i] + datum.translation;
+    datum.points.push_back(
+        {points[i].name, points[i].check, moved - points[i].xyz, mark_rms_px(views, points[i], found[i])});
+  }
+  require_fit(datum, pairs.known);
+  return datum;
+}
+
+}  // namespace malus

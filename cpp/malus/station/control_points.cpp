@@ -1,0 +1,83 @@
+#include <algorithm>
+#include <cmath>
+#include <sstream>
+
+#include "malus/station/control_points_internal.h"
+
+namespace malus {
+namespace {
+
+double rms_px(const std::vector<ControlResidual>& residuals) {
+  double squares = 0;
+  for (const ControlResidual& residual : residuals) squares += std::pow(residual.length_px(), 2);
+  return std::sqrt(squares / static_cast<double>(residuals.size()));
+}
+
+}  // namespace
+
+double ControlResidual::length_px() const {
+  return std::hypot(du_px, dv_px);
+}
+
+std::vector<ControlResidual> control_residuals(const StationFile& station) {
+  std::vector<ControlResidual> residuals;
+  if (!station.camera) return residuals;
+  for (const ControlPoint& point : station.control) {
+    if (!point.pixel) continue;
+    const Eigen::Vector2d off = mark_residual(point.marked(), station.camera->lens, station.camera->pose);
+    residuals.push_back({point.name, point.check || !station.resection, off.x(), off.y()});
+  }
+  return residuals;
+}
+
+std::vector<std::string> control_warnings(const StationFile& station) {
+  constexpr double worth_a_warning_px = 3;
+  std::vector<std::string> warnings;
+  for (const ControlResidual& residual : control_residuals(station)) {
+    const double off = residual.length_px();
+    if (off <= worth_a_warning_px) continue;
+    std::ostringstream message;
+    message.precision(3);
+    message << "[[control]] " << residual.name << ": ";
+    if (std::isnan(off)) {
+      message << "is marked in the image, but lies behind the camera";
+    } else {
+      message << "its mark lies " << off << " px from where the camera sees the point";
+    }
+    warnings.push_back(message.str());
+  }
+  if (station.resection && station.resection->doubtful)
+    warnings.push_back("[[control]] " + *station.resection->doubtful +
+                       ": without this point the others fit far better; are its mark and its coordinates right?");
+  return warnings;
+}
+
+std::string describe_control(const StationFile& station) {
+  const std::vector<ControlResidual> residuals = control_residuals(station);
+  if (residuals.empty()) return {};
+  std::ostringstream text;
+  text.precision(3);
+  const auto used = std::ranges::count(residuals, false, &ControlResidual::check);
+  if (station.resection) {
+    text << "position of the camera from " << used << " control points, center ± " << station.resection->center_sigma
+         << " " << station.unit << "; ";
+  } else {
+    text << residuals.size() << " control points compared with the camera's position; ";
+  }
+  text << "marks fit to " << rms_px(residuals) << " px:";
+  for (const ControlResidual& residual : residuals)
+    text << (&residual == &residuals.front() ? " " : ", ") << residual.name << " " << residual.length_px();
+  return text.str();
+}
+
+Json control_json(const StationFile& station) {
+  const std::vector<ControlResidual> residuals = control_residuals(station);
+  if (residuals.empty()) return nullptr;
+  return {{"use", station.resection ? "resection" : "check"},
+          {"rms_px", fields_to_json(rms_px(residuals))},
+          {"center_sigma", station.resection ? fields_to_json(station.resection->center_sigma) : Json(nullptr)},
+          {"doubtful", station.resection ? fields_to_json(station.resection->doubtful) : Json(nullptr)},
+          {"points", fields_to_json(residuals)}};
+}
+
+}  // namespace malus

@@ -1,0 +1,105 @@
+#include "malus/io/resection.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <random>
+
+#include "malus/core/error.h"
+
+namespace malus {
+namespace {
+
+/// A camera with distortion, and points about an object that it sees, in a national grid.
+struct Site {
+  LensCamera lens{LensModel::opencv, {2400, 1600}, {5200, 5210, 1190, 806, -0.06, 0.03, 2e-4, -1e-4}};
+  Pose pose;
+  Eigen::Vector3d object{4.3e6, 5.6e6, 120};
+
+  Site() {
+    pose.rotation = Eigen::AngleAxisd(2.1, Eigen::Vector3d(1, -2, 0.5).normalized()).matrix();
+    pose.translation = Eigen::Vector3d(10, -5, 900) - pose.rotation * object;
+  }
+  /// Point at a place in the camera frame, about the object.
+  MarkedPoint point(const std::string& name, const Eigen::Vector3d& place) const {
+    const Eigen::Vector3d xyz = object + pose.rotation.transpose() * place;
+    return {name, xyz, lens.project(pose.cam_from_world(xyz))};
+  }
+  std::vector<MarkedPoint> points() const {
+    return {point("A", {-150, -90, 20}), point("B", {160, -80, -30}), point("C", {140, 95, 60}),
+            point("D", {-120, 80, -50}), point("E", {10, 5, 90}),     point("F", {60, -40, -80})};
+  }
+};
+
+std::string failure(const std::vector<MarkedPoint>& points, const LensCamera& lens) {
+  try {
+    resect(points, lens, "s.toml: [[control]]");
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::input);
+    return error.what();
+  }
+  return "no error";
+}
+
+TEST(Resection, ExactMarksGiveTheExactPose) {
+  const Site site;
+  const Resection found = resect(site.points(), site.lens, "s");
+  EXPECT_LT((found.pose.rotation - site.pose.rotation).norm(), 1e-6);
+  EXPECT_LT((found.pose.centre() - site.pose.centre()).norm(), 1e-3);
+  EXPECT_LT(found.rms_px, 1e-3);
+  EXPECT_FALSE(found.doubtful);
+}
+
+TEST(Resection, CoplanarPointsDo) {
+  const Site site;
+  const std::vector<MarkedPoint> plane{site.point("A", {-150, -90, 60}), site.point("B", {160, -80, -90}),
+                                       site.point("C", {140, 95, -90}), site.point("D", {-150, 95, 60})};
+  const Resection found = resect(plane, site.lens, "s");
+  EXPECT_LT((found.pose.centre() - site.pose.centre()).norm(), 1);
+}
+
+TEST(Resection, ErrorsAreWithinTheirSigma) {
+  const Site site;
+  std::mt19937 random(3);
+  std::normal_distribution<double> noise(0, 0.4);
+  double squares = 0, expected = 0;
+  constexpr int trials = 100;
+  for (int trial = 0; trial < trials; ++trial) {
+    std::vector<MarkedPoint> points = site.points();
+    for (MarkedPoint& point : points) point.pixel += Eigen::Vector2d(noise(random), noise(random));
+    const Resection found = resect(points, site.lens, "s");
+    squares += (found.pose.centre() - site.pose.centre()).squaredNorm() / trials;
+    expected += found.center_sigma * found.center_sigma / trials;
+  }
+  // The stated one is of the most uncertain of three directions: the whole error is 1 to √3 times as large.
+  EXPECT_GT(std::sqrt(squares / expected), 0.9);
+  EXPECT_LT(std::sqrt(squares / expected), 1.8);
+}
+
+TEST(Resection, AWrongMarkIsNamed) {
+  const Site site;
+  std::vector<MarkedPoint> points = site.points();
+  points[2].pixel += Eigen::Vector2d(12, -5);
+  EXPECT_EQ(resect(points, site.lens, "s").doubtful, "C");
+  points[2].pixel += Eigen::Vector2d(120, -50);
+  const std::string message = failure(points, site.lens);
+  EXPECT_NE(message.find("s.toml: [[control]]"), std::string::npos);
+  EXPECT_NE(message.find("without point C the others do"), std::string::npos) << message;
+}
+
+TEST(Resection, WhatCannotDetermineAPose) {
+  const Site site;
+  std::vector<MarkedPoint> three = site.points();
+  three.resize(3);
+  EXPECT_NE(failure(three, site.lens).find("expected at least 4"), std::string::npos);
+  std::vector<MarkedPoint> line;
+  for (int i = 0; i < 5; ++i) line.push_back(site.point(std::to_string(i), {20.0 * i, 10.0 * i, 0}));
+  EXPECT_NE(failure(line, site.lens).find("on one line"), std::string::npos);
+  // A small plane far away, nearly across the view: without perspective its tilt has two signs.
+  const std::vector<MarkedPoint> small{site.point("A", {-9, -8, 2}), site.point("B", {9, -8, 2}),
+                                       site.point("C", {9, 8, -2}), site.point("D", {-9, 8, -2})};
+  EXPECT_NE(failure(small, site.lens).find("two positions of the camera"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace malus

@@ -1,0 +1,91 @@
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <numbers>
+
+#include "malus/core/error.h"
+#include "malus/photogrammetry/control_datum_internal.h"
+
+namespace malus {
+namespace {
+
+/// Four photos about the model's origin, and points known in a national grid far away.
+struct Site {
+  std::vector<MarkedView> views;
+  double scale = 3.7;
+  Eigen::Matrix3d rotation = Eigen::AngleAxisd(2.1, Eigen::Vector3d(1, -2, 0.5).normalized()).matrix();
+  Eigen::Vector3d translation{4.3e6, 5.6e6, 120};
+
+  Site() {
+    const LensCamera camera{LensModel::opencv, {960, 640}, {2100, 2110, 478, 322, -0.05, 0.02, 1e-4, -2e-4}};
+    for (int i = 0; i < 4; ++i) {
+      const double turn = std::numbers::pi * i / 2;
+      Pose pose;
+      pose.rotation = Eigen::AngleAxisd(0.4, Eigen::Vector3d(std::cos(turn), std::sin(turn), 0)).matrix();
+      pose.translation = {0, 0, 170};
+      views.push_back({"photo_" + std::to_string(i), camera, pose});
+    }
+  }
+  KnownPoint point(const std::string& name, const Eigen::Vector3d& model) const {
+    KnownPoint known{name, scale * rotation * model + translation, {}, false};
+    for (std::size_t i = 0; i < views.size(); ++i)
+      known.marks.push_back({i, views[i].camera.project(views[i].pose.cam_from_world(model)), 0.3});
+    return known;
+  }
+  std::vector<KnownPoint> points() const {
+    return {point("A", {-20, -15, 1}), point("B", {22, 14, -2}), point("C", {21, -13, 3}), point("D", {-18, 12, 6}),
+            point("E", {2, 1, -5})};
+  }
+};
+
+std::string failure(const std::vector<MarkedView>& views, const std::vector<KnownPoint>& points) {
+  try {
+    adjust_datum(views, points);
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::input);
+    return error.what();
+  }
+  return "no error";
+}
+
+TEST(AdjustDatum, ExactMarksGiveTheExactFrame) {
+  const Site site;
+  std::vector<KnownPoint> points = site.points();
+  points[3].check = true;
+  const Datum datum = adjust_datum(site.views, points);
+  EXPECT_NEAR(datum.scale, site.scale, 1e-9);
+  EXPECT_LT((datum.rotation - site.rotation).norm(), 1e-9);
+  EXPECT_LT((datum.translation - site.translation).norm(), 1e-6);
+  EXPECT_LT(datum.sigma, 1e-6);
+  EXPECT_FALSE(datum.doubtful);
+  ASSERT_EQ(datum.points.size(), 5U);
+  EXPECT_TRUE(datum.points[3].check);
+  for (const PointFit& fit : datum.points) EXPECT_LT(fit.offset.norm(), 1e-6) << fit.name;
+}
+
+TEST(AdjustDatum, AWrongPointIsNamedAndAHeldOutOneShowsItsError) {
+  const Site site;
+  std::vector<KnownPoint> points = site.points();
+  points[2].xyz += Eigen::Vector3d(0, 0, 4);
+  EXPECT_EQ(adjust_datum(site.views, points).doubtful, "C");
+  points[2].check = true;
+  const Datum datum = adjust_datum(site.views, points);
+  EXPECT_FALSE(datum.doubtful);
+  EXPECT_LT((datum.points[2].offset - Eigen::Vector3d(0, 0, -4)).norm(), 1e-6);
+  points[2].check = false;
+  points[2].xyz += Eigen::Vector3d(0, 0, 400);
+  EXPECT_NE(failure(site.views, points).find("without point C the others do"), std::string::npos);
+}
+
+TEST(AdjustDatum, TooFewOrOnALine) {
+  const Site site;
+  std::vector<KnownPoint> points = site.points();
+  points.resize(2);
+  EXPECT_NE(failure(site.views, points).find("expected at least 3"), std::string::npos);
+  const std::vector<KnownPoint> line{site.point("A", {0, 0, 0}), site.point("B", {5, 1, 0}),
+                                     site.point("C", {10, 2, 0})};
+  EXPECT_NE(failure(site.views, line).find("on one line"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace malus

@@ -1,0 +1,207 @@
+"""Each step alone on arrays, against the truth; and docs/steps.md: every step that it lists is there by every name, and tested."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import malus
+from conftest import ROOT, malus_here
+from malus import synthetic
+from malus.camera import Camera
+
+ROWS = [
+    [cell.strip() for cell in line.strip("| \n").split("|")]
+    for line in (ROOT / "docs" / "steps.md").read_text(encoding="utf-8").splitlines()
+    if line.startswith("| ") and not line.startswith("| step")
+]
+
+
+def of_python(cell: str) -> list[str]:
+    """Names as they are called: those after the first of a row are of its module."""
+    names = re.findall(r"`([\w.]+)`", cell)
+    module = names[0].rpartition(".")[0] if names else ""
+    return [name if "." in name else f"{module}.{name}" for name in names]
+
+
+#: Towards the lamp, so far aside that nothing mirrors it.
+LAMP = (-0.6, -0.6, -0.53)
+ANGLES = np.radians([0, 30, 60, 90, 120, 150])
+
+
+@dataclass
+class Dome:
+    """A matte bump with ripples, of one albedo, under one lamp: images without noise, and the truth."""
+
+    scene: synthetic.Scene
+    normals: np.ndarray
+    images: list[np.ndarray]
+    state: malus.polarization.PolarizationState
+
+    @property
+    def camera(self) -> Camera:
+        return self.scene.camera
+
+    def detail_gsd(self, depth: np.ndarray) -> float:
+        """Robust spread of the error against neighbors, inside."""
+        error = (depth - self.scene.depth)[8:-8, 8:-8] / self.scene.gsd
+        error = error - 0.25 * sum(np.roll(error, shift, axis) for axis in (0, 1) for shift in (-3, 3))
+        return 1.48 * float(np.nanmedian(np.abs(error[4:-4, 4:-4])))
+
+
+@pytest.fixture(scope="module")
+def dome() -> Dome:
+    size, distance, focal = 96, 800.0, 1600.0
+    camera = Camera("PINHOLE", size, size, [focal, focal, 47.5, 47.5])
+    v, u = np.mgrid[:size, :size].astype(float)
+    r2 = ((u - 47.5) ** 2 + (v - 47.5) ** 2) / 48**2
+    depth = distance + 4 * r2 + 0.1 * np.sin(u / 2.5) * np.sin(v / 2.5)
+    scene = synthetic.Scene(depth, np.full((size, size), 0.6, np.float32), camera)
+    matte = synthetic.Reflectance(sky=0.0, roughness=0.01, light=LAMP)
+    bands = list(synthetic.stokes(scene, matte))
+    s0, s1, s2 = (np.concatenate([band[k] for band in bands]) for k in (1, 2, 3))
+    images = [0.5 * (s0 + s1 * np.cos(2 * a) + s2 * np.sin(2 * a)) for a in ANGLES]
+    normals = malus.surface.normals_from_depth(depth, camera)
+    return Dome(scene, normals, images, malus.polarization.decompose(images, ANGLES))
+
+
+def test_capture_on_arrays() -> None:
+    dn = np.array([[64.0, 500.0, 1023.0]])
+    linear = malus.capture.linearize(dn, response="gamma:2.0", black_level=64, white_level=1023)
+    np.testing.assert_allclose(linear, ((dn - 64) / 959) ** 2, atol=1e-6)
+
+    mosaic = np.zeros((16, 16))
+    for (row, column), value in {(0, 0): 0.1, (0, 1): 0.2, (1, 0): 0.3, (1, 1): 0.4}.items():
+        mosaic[row::2, column::2] = value
+    for value, image in zip((0.1, 0.2, 0.3, 0.4), malus.capture.demosaic(mosaic), strict=True):
+        np.testing.assert_allclose(image, value, atol=1e-6)
+
+    lens = Camera("SIMPLE_RADIAL", 64, 48, [60.0, 31.5, 23.5, 0.05])
+    v, u = np.mgrid[:48, :64].astype(float)
+    # Brightness that is the ideal column, as the lens shows it: undistorted it is the column itself.
+    measured = np.hypot(u - 31.5, v - 23.5) / 60
+    ideal = measured.copy()
+    for _ in range(30):
+        ideal = measured / (1 + 0.05 * ideal**2)
+    column = 31.5 + (u - 31.5) * np.where(measured > 0, ideal / np.maximum(measured, 1e-12), 1)
+    flat = malus.capture.undistort(column / 64, lens)
+    # OpenCV's bicubic weights are off by up to a twentieth of a pixel on a slope; without the lens it is 0.5 px.
+    np.testing.assert_allclose(flat[4:-4, 4:-4] * 64, u[4:-4, 4:-4], atol=0.06)
+
+
+def test_polarization_on_arrays(dome: Dome) -> None:
+    wrong = ANGLES + np.radians([0, 2, -1, 1, 0, -2])
+    found = malus.polarization.calibrate(dome.images, wrong, full_well_e=1e9, read_noise_e=0)
+    turned = found["angles_rad"] - ANGLES
+    assert np.abs(np.degrees(turned - turned.mean())).max() < 0.3  # of 2°; the zero they cannot tell
+    np.testing.assert_allclose(found["gains"], 1, atol=5e-3)
+
+    zenith = np.linspace(0.05, 0.9, 20)
+    degree = malus.polarization.specular_degree(zenith)
+    np.testing.assert_allclose(malus.polarization.specular_zenith(degree), zenith, atol=1e-6)
+    beyond = malus.polarization.specular_zenith(degree[-1:], above_brewster=True)
+    assert beyond[0] > malus.polarization.brewster_angle()
+    np.testing.assert_allclose(malus.polarization.specular_degree(beyond), degree[-1:], atol=1e-6)
+
+
+def test_priors_on_arrays(dome: Dome) -> None:
+    camera, truth = dome.camera, dome.scene.depth
+    v, u = np.mgrid[:96, :96].astype(float)
+    smooth = 800 + 4 * ((u - 47.5) ** 2 + (v - 47.5) ** 2) / 48**2
+    points = np.stack([(u - 47.5) / 1600 * smooth, (v - 47.5) / 1600 * smooth, smooth], -1)
+    cloud = malus.prior.project_points(points[::3, ::3].reshape(-1, 3), camera)
+    inside = np.s_[4:-4, 4:-4]
+    gsd = dome.scene.gsd
+    assert np.abs(cloud.depth - smooth)[inside].max() < 0.2 * gsd and (cloud.sigma[inside] > 0).all()
+
+    first = (np.arange(95)[:, None] * 96 + np.arange(95)).reshape(-1)
+    triangles = np.concatenate(
+        [np.stack([first, first + 1, first + 97], -1), np.stack([first, first + 97, first + 96], -1)]
+    )
+    mesh = malus.prior.project_mesh(points.reshape(-1, 3), triangles, camera)
+    assert np.abs(mesh.depth - smooth)[inside].max() < 0.2 * gsd
+
+    holed = truth.copy()
+    holed[40:44, 40:44] = np.nan
+    depth = malus.prior.project_depth(holed, camera)
+    assert np.abs(depth.depth - truth)[inside].max() < 1.5 * gsd
+
+
+def test_light_on_arrays(dome: Dome) -> None:
+    """The lamp's direction, from known normals and from the polarization alone."""
+    direction = np.array(LAMP) / np.linalg.norm(LAMP)
+    found = malus.height.light(dome.state.unpolarized, dome.normals, camera=dome.camera)["light"]
+    assert direction @ found[:3] / np.linalg.norm(found[:3]) > np.cos(np.radians(3))
+    reflection = malus.polarization.map_reflection(dome.state, camera=dome.camera, reflection="diffuse")
+    found = malus.height.light_from_polarization(dome.state, reflection, camera=dome.camera)["light"]
+    assert direction @ found[:3] / np.linalg.norm(found[:3]) > np.cos(np.radians(15))
+
+
+def test_fusions_on_arrays(dome: Dome) -> None:
+    """A prior that lost the ripples: each of the three ways brings most of them back."""
+    v, u = np.mgrid[:96, :96].astype(float)
+    smooth = 800 + 4 * ((u - 47.5) ** 2 + (v - 47.5) ** 2) / 48**2
+    camera = dome.camera
+    prior = malus.prior.project_depth(smooth, camera)
+    normals = malus.surface.normals_from_depth(smooth, camera)
+    reflection = malus.polarization.map_reflection(
+        dome.state, camera=camera, prior_normals=normals, reflection="diffuse"
+    )
+    height = malus.height.solve(dome.state, reflection, camera=camera, prior_normals=normals, threads=2)
+    assert height.status == "converged"
+    by_grid = malus.fusion.fuse_grid(height, prior, threads=2)
+    together = malus.fusion.optimize_grid(by_grid, dome.state, reflection, prior, height, threads=2)
+    refined = malus.fusion.refine(dome.state, prior, threads=2)
+    before = dome.detail_gsd(prior.depth)
+    after = {"grid": by_grid, "together": together, "refined": refined}
+    errors = {name: dome.detail_gsd(surface.depth) / before for name, surface in after.items()}
+    assert max(errors.values()) < 0.5, errors
+    assert by_grid is not together and not np.array_equal(by_grid.depth, together.depth)
+
+
+def test_mesh_and_assessment_on_arrays() -> None:
+    camera = Camera("PINHOLE", 40, 30, [400.0, 400.0, 19.5, 14.5])
+    u = np.indices((30, 40))[1].astype(float)
+    depth = 100 / (1 + 0.1 * (u - 19.5) / 400)  # the plane z + 0.1 x = 100
+    normal = np.array([-0.1, 0, -1]) / np.hypot(0.1, 1)
+    surface = malus.fusion.FusedSurface(depth, np.broadcast_to(normal, (30, 40, 3)), np.full((30, 40), 0.01), camera)
+    mesh = malus.surface.mesh_from_depth(surface)
+    assert len(mesh.vertices) == 1200 and len(mesh.triangles) == 2 * 29 * 39
+    np.testing.assert_allclose(mesh.vertices @ normal, -100 / np.hypot(0.1, 1), atol=1e-4)
+
+    patch = malus.assess.fit_patch(depth, camera, (5, 5, 34, 24), 0.25)
+    assert patch is not None and patch["count"] == 600 and patch["rmse_gsd"] < 1e-4
+    step = depth.copy()
+    step[:, 20:] -= 0.5
+    section = malus.assess.profile(step, camera, (2, 15), (37, 15), 0.25, prior=depth)
+    assert np.nanmax(section["surface"]) - np.nanmin(section["surface"]) == pytest.approx(0.5, rel=0.2)
+    assert section["difference_rms_gsd"] > 0.5
+
+
+@pytest.mark.parametrize("row", ROWS, ids=[row[0] for row in ROWS])
+def test_each_step_is_where_the_table_says(row: list[str]) -> None:
+    step, command, python, library = row
+    assert of_python(python), f"{step} has no function in Python"
+    tests = "".join(path.read_text(encoding="utf-8") for path in Path(__file__).parent.glob("test_*.py"))
+    for name in of_python(python):
+        parent, _, last = name.rpartition(".")
+        try:
+            thing = importlib.import_module(parent)
+        except ModuleNotFoundError:
+            thing = getattr(malus, parent.rpartition(".")[2])
+        function = getattr(thing, last)
+        assert callable(function) and inspect.getdoc(function), name
+        # Tests that run a command call what is behind it.
+        assert re.search(rf"\b{last}\(", tests) or command == "`malus paper`", f"{name} is called by no test"
+    for word in re.findall(r"`malus (\w+)", command):
+        with pytest.raises(SystemExit) as ended:
+            malus_here(word, "--help")
+        assert ended.value.code == 0
+    for function, header in re.findall(r"`(\w+)` \(`([\w/]+\.h)`\)", library):
+        assert re.search(rf"\b{function}\(", (ROOT / "cpp" / "malus" / header).read_text(encoding="utf-8"))
