@@ -550,6 +550,8 @@ class SurfaceSection(Section):
     """depth steps between neighboring pixels up to this many GSD are never cut by step_ratio"""
     step_ratio: float
     """a larger step is cut if it exceeds this many times the steps right before and after it"""
+    max_sigma_gsd: float
+    """the mesh ends where the standard deviation of depth exceeds this many GSD: ragged rims, and guesses"""
     white_percentile: float
     """intensity percentile that becomes white in the vertex colors"""
     dem_pixel: float | Literal["auto"]
@@ -567,6 +569,7 @@ class SurfaceValues(TypedDict, total=False):
     max_incidence_deg: float
     min_step_gsd: float
     step_ratio: float
+    max_sigma_gsd: float
     white_percentile: float
     dem_pixel: float | Literal["auto"]
     glb_triangles: int

@@ -99,9 +99,21 @@ def test_stereo_counts_where_no_station_looks_and_not_off_the_object(views: list
     direction = np.array([0.0, 0.0, 1.0])
     cloud = np.array([RADIUS * direction, -RADIUS * direction, 1.3 * RADIUS * direction, [30.0, 0, 0]])
     normals = np.array([direction, -direction, direction, direction])
-    kept = unseen_stereo(cloud, normals, 0.1, views[:5])  # nobody sees the sphere from below
+    points, _ = combine(views[:5])  # nobody sees the sphere from below
+    kept = unseen_stereo(cloud, normals, 0.1, views[:5], points)
     assert kept.points == pytest.approx(cloud[1:2])
     assert kept.stations.tolist() == [0]
+
+
+def test_stereo_beside_what_stations_see_is_left_out(views: list[View]) -> None:
+    # A crease that no station's surface enters: what the cloud has there is off the surface beside it.
+    angles = np.radians([100.0, 175.0])
+    cloud = (RADIUS - 0.3) * np.stack([np.sin(angles), 0 * angles, np.cos(angles)], 1)
+    normals = np.tile([0.0, 1.0, 0.0], (2, 1))
+    points, _ = combine(views[:5])
+    unbounded = unseen_stereo(cloud, normals, 0.1, views[:5], points.select(np.zeros(len(points.points), bool)))
+    assert unbounded.points == pytest.approx(cloud)
+    assert unseen_stereo(cloud, normals, 0.1, views[:5], points).points == pytest.approx(cloud[1:])
 
 
 @pytest.fixture(scope="module")

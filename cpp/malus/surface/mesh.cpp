@@ -7,6 +7,7 @@
 #include <numbers>
 #include <numeric>
 #include <optional>
+#include <sstream>
 #include <vector>
 
 #include "malus/core/depth_normals.h"
@@ -79,9 +80,11 @@ class Grid {
  public:
   Grid(const FusedSurface& surface, const SurfaceOptions& options, const Context& context)
       : depth_(surface.depth),
+        sigma_(surface.sigma),
         camera_(surface.camera),
         step_(options.subsample),
         min_cosine_(std::cos(options.max_incidence_deg * std::numbers::pi / 180)),
+        max_sigma_(options.max_sigma_gsd / surface.camera.fx),
         size_{(depth_.width() - 1) / step_ + 1, (depth_.height() - 1) / step_ + 1},
         strip_rows_(std::max(1, pixels_of_strip / (depth_.width() * step_))) {
     if (size_.width < 2 || size_.height < 2) return;
@@ -152,14 +155,22 @@ class Grid {
     return false;
   }
 
+  /// Whether the standard deviation of this vertex is small enough; a surface without any has none that is too large.
+  bool is_known(int i, int j) const {
+    const int u = pixel(i), v = pixel(j);
+    return sigma_.empty() || !(sigma_(u, v) > max_sigma_ * depth_(u, v));
+  }
+
   std::uint8_t triangles_of_cell(const Cuts& cuts, int i, int j) const {
     const bool top = !is_cut(cuts, i, j, cut_right), left = !is_cut(cuts, i, j, cut_down);
     const bool bottom = !is_cut(cuts, i, j + 1, cut_right), right = !is_cut(cuts, i + 1, j, cut_down);
-    const std::array<bool, 4> possible{top && left, top && right, bottom && left, bottom && right};
+    const bool a = is_known(i, j), b = is_known(i + 1, j), c = is_known(i, j + 1), d = is_known(i + 1, j + 1);
+    const std::array<bool, 4> possible{top && left && a && b && c, top && right && a && b && d,
+                                       bottom && left && a && c && d, bottom && right && b && c && d};
     const std::array points = corners(i, j);
     std::uint8_t present = 0;
-    for (std::size_t c = 0; c < 4; ++c) {
-      if (possible[c] && faces_camera(points, corner_triangles[c])) present |= static_cast<std::uint8_t>(1 << c);
+    for (std::size_t k = 0; k < 4; ++k) {
+      if (possible[k] && faces_camera(points, corner_triangles[k])) present |= static_cast<std::uint8_t>(1 << k);
     }
     constexpr std::uint8_t split_falling = 1 << 1 | 1 << 2, split_rising = 1 << 0 | 1 << 3;  // diagonal 0–3 and 1–2
     const auto count = [&](std::uint8_t split) { return static_cast<int>(triangle_count[present & split]); };
@@ -178,9 +189,11 @@ class Grid {
   }
 
   const Image<float>& depth_;
+  const Image<float>& sigma_;
   Pinhole camera_;
   int step_;
   double min_cosine_;
+  double max_sigma_;  ///< over the depth
   Size size_;
   int strip_rows_;
   Mask cells_;
@@ -200,6 +213,7 @@ void require_consistent(const FusedSurface& surface, const Image<float>& color) 
     if (surface.normals.channels() != 3)
       throw input_error("the normal map has " + std::to_string(surface.normals.channels()) + " channels, expected 3");
   }
+  if (!surface.sigma.empty()) require_size(surface.sigma, surface.camera.size, "the sigma map");
   if (color.empty()) return;
   require_size(color, surface.camera.size, "the color image");
   if (color.channels() != 1 && color.channels() != 3) {
@@ -317,7 +331,10 @@ MeshInStrips mesh_in_strips(const FusedSurface& surface, const Image<float>& col
   context.progress("mesh", 0, "triangulating");
   const auto maker = std::make_shared<const StripMaker>(surface, color, options, context);
   if (maker->vertices() == 0) {
-    throw data_error("the fused depth has no connected pixels, so there is no surface to mesh");
+    std::ostringstream message;
+    message << "the fused depth has no connected pixels whose standard deviation is at most " << options.max_sigma_gsd
+            << " GSD (surface.max_sigma_gsd), so there is no surface to mesh";
+    throw data_error(message.str());
   }
   if (maker->vertices() >= unused)
     throw resource_error("the mesh would have more than 4294967294 vertices; raise surface.subsample");

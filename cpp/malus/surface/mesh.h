@@ -13,6 +13,7 @@ struct SurfaceOptions {
   double max_incidence_deg = 85;
   double min_step_gsd = 4;
   double step_ratio = 3;
+  double max_sigma_gsd = 10;
   double white_percentile = 99.5;
   std::optional<double> dem_pixel;
   int glb_triangles = 500000;
@@ -27,6 +28,8 @@ struct SurfaceOptions {
           "depth steps between neighboring pixels up to this many GSD are never cut by step_ratio");
     visit("step_ratio", self.step_ratio, Range{1, 1e6},
           "a larger step is cut if it exceeds this many times the steps right before and after it");
+    visit("max_sigma_gsd", self.max_sigma_gsd, Range{0.1, 1e9},
+          "the mesh ends where the standard deviation of depth exceeds this many GSD: ragged rims, and guesses");
     visit("white_percentile", self.white_percentile, Range{1, 100},
           "intensity percentile that becomes white in the vertex colors");
     visit("dem_pixel", self.dem_pixel, Range{1e-9, 1e9},
@@ -41,11 +44,12 @@ struct SurfaceOptions {
 /// Triangle mesh of the fused depth in the world frame, station unit, counter-clockwise seen from the camera.
 ///
 /// Every cell of the pixel grid becomes two triangles (split along its shorter diagonal in space), one, or none: a
-/// triangle needs three finite depths, must not be flatter to the ray than max_incidence_deg, and must not cross a
-/// depth discontinuity. Two neighboring pixels are separated by one if their depth step exceeds min_step_gsd GSD
-/// (depth / focal) and step_ratio times the larger of the two steps that continue it on either side, so that steep
-/// relief, whose neighbors are steep too, stays whole, and an occlusion edge does not. With subsample > 1 these
-/// tests still see every pixel. Vertices without a triangle are dropped.
+/// triangle needs three finite depths whose standard deviations do not exceed max_sigma_gsd GSD (depth / focal), must
+/// not be flatter to the ray than max_incidence_deg, and must not cross a depth discontinuity. Two neighboring pixels
+/// are separated by one if their depth step exceeds min_step_gsd GSD (depth / focal) and step_ratio times the larger of
+/// the two steps that continue it on either side, so that steep relief, whose neighbors are steep too, stays whole, and
+/// an occlusion edge does not. With subsample > 1 these tests still see every pixel. Vertices without a triangle are
+/// dropped.
 ///
 /// Vertex normals are the fused normals (or differences of the depth if the surface has none). `color` is linear, 1 or
 /// 3 channels of the surface's size, or empty for a mesh without colors; one factor for all channels takes its

@@ -126,11 +126,15 @@ def _mean_with_others(view: View, others: Sequence[View]) -> tuple[OrientedPoint
     return kept, Agreement(view.name, ratio, np.concatenate(distances or [[]]), np.concatenate(expected or [[]]))
 
 
-def unseen_stereo(points: Floats, normals: Floats, sigma: float, views: Sequence[View]) -> OrientedPoints:
+def unseen_stereo(
+    points: Floats, normals: Floats, sigma: float, views: Sequence[View], seen_points: OrientedPoints
+) -> OrientedPoints:
     """Of a cloud's points (N×3, with normals) those where no station looks; `sigma`: their standard deviation.
 
-    Points that a station looks through are left out, and those that most stations see beside the object: the ground.
+    Points that a station looks through are left out, and those that most stations see beside the object: the ground. So is
+    what lies near `seen_points`, those of the stations: a good point would be one of their surface, the rest are errors.
     """
+    spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
     free = np.ones(len(points), bool)
     votes = np.zeros(len(points), np.int64)
     for view in views:
@@ -143,6 +147,8 @@ def unseen_stereo(points: Floats, normals: Floats, sigma: float, views: Sequence
         inside, within = view.placed(points)
         votes += np.where(within, 1, -1) * inside
     free &= votes > 0
+    if len(seen_points.points):
+        free[free] = spatial.cKDTree(seen_points.points).query(points[free], workers=1)[0] > _MOST_RATIO * sigma
     count = int(free.sum())
     return OrientedPoints(points[free], normals[free], np.full(count, sigma), np.zeros(count, np.int64))
 

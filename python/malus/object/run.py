@@ -184,7 +184,7 @@ def _fuse(
     gsd = float(np.median([view.gsd for view in views]))
     say(0.1, "combining what stations see")
     points, agreements = agreement.combine(views)
-    stereo = _stereo(thing, done, views, folder.parent)
+    stereo = _stereo(thing, done, views, points, folder.parent)
     everything = agreement.without_outliers(agreement.joined([points, stereo]), gsd)
     say(0.3, f"a mesh of {len(everything.points)} points")
     closed = meshing.poisson_mesh(everything, gsd, folder, colmap)
@@ -223,8 +223,10 @@ def seen_by(mesh: ObjectMesh, views: Sequence[View]) -> NDArray[np.bool_]:
     return seen
 
 
-def _stereo(thing: Object, done: Sequence[Outcome], views: Sequence[View], output: Path) -> OrientedPoints:
-    """Points with normals of the stations' clouds, where no station looks."""
+def _stereo(
+    thing: Object, done: Sequence[Outcome], views: Sequence[View], points: OrientedPoints, output: Path
+) -> OrientedPoints:
+    """Points with normals of the stations' clouds, where no station looks and away from the `points` of those that do."""
     parts = []
     clouds: dict[str, str] = {}
     for outcome in done:
@@ -232,10 +234,10 @@ def _stereo(thing: Object, done: Sequence[Outcome], views: Sequence[View], outpu
         if cloud is not None:
             clouds.setdefault(cloud, outcome["station"])
     for cloud, station in clouds.items():
-        points, normals = _read_cloud(Path(cloud), thing.unit)
+        cloud_points, normals = _read_cloud(Path(cloud), thing.unit)
         noise = Workspace(output / "stations" / station).manifest["steps"]["prior"]["notes"]["noise"]
         if normals is not None:
-            parts.append(agreement.unseen_stereo(points, normals, float(noise), views))
+            parts.append(agreement.unseen_stereo(cloud_points, normals, float(noise), views, points))
     return agreement.joined(parts)
 
 

@@ -113,7 +113,7 @@ class Bench:
         self.colmap.run("bundle_adjuster", {"input_path": filtered, "output_path": target, **refine}, log)
         shutil.rmtree(filtered)
 
-    def match(self, stage: str, target: Path, pairs: list[tuple[str, str]]) -> None:
+    def match(self, stage: str, target: Path, pairs: list[tuple[str, str]], *, guided: bool) -> None:
         """Match pairs of images in a database and have COLMAP verify them.
 
         The search among descriptors is ours, with COLMAP's criteria: its own takes most of a run on a processor.
@@ -141,7 +141,7 @@ class Bench:
                 "match_type": "pairs",
                 "SiftMatching.use_gpu": 0,
                 "SiftMatching.num_threads": self.colmap.threads,
-                "SiftMatching.guided_matching": photos.guided_matching,
+                "SiftMatching.guided_matching": int(guided),
                 "SiftMatching.min_num_inliers": photos.min_inliers,
             },
             self.log_file(stage),

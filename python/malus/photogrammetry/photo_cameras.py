@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,8 @@ SELF_CALIBRATED = "OPENCV"
 FOCAL_ASSUMPTIONS = (1.2, 2.4, 5.0)
 MIN_PHOTOS = 3
 _ENOUGH_SHARE = 0.8
+#: Matches that place a photo, by COLMAP's default. Where photos share less, as many as make a pair.
+_PLACING_MATCHES = 30
 #: What COLMAP's mapper says when photos match, but no pair of them fixes the geometry: no fault of the program.
 _NO_MODEL = "failed to create sparse model"
 _PHOTOS_A_SEARCH_LIMIT = 20
@@ -85,6 +87,8 @@ class PhotoCameras:
     calibrated: bool
     unregistered: list[str]
     pairs: int
+    sparing: bool
+    """Whether matches are so few that they were searched for again, and that fewer place an image."""
 
 
 def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) -> PhotoCameras:
@@ -112,21 +116,20 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
         lambda: _find_features(bench, groups),
     )
     diagnosis.check_features(features["counts"], bench.log)
-    matches = stage(
-        "matches",
-        {
-            "guided": options.guided_matching,
-            "min_inliers": options.min_inliers,
-            "exhaustive": len(photos) <= options.exhaustive_limit,
-        },
-        ["matches.db"],
-        lambda: _match(bench, [photo.name for photo in photos]),
-    )
-    pairs = {(first, second): count for first, second, count in matches["pairs"]}
-    diagnosis.check_connections([photo.name for photo in photos], pairs, bench.log)
-    mapping = stage("mapping", {"min_inliers": options.min_inliers}, ["sparse", "mapping.db"],
-                    lambda: _map(bench, groups, pairs))  # fmt: skip
-    diagnosis.check_mapping(mapping, [photo.name for photo in photos], pairs, bench.log)
+    names = [photo.name for photo in photos]
+    pairs, mapping = _connect(bench, groups, names, sparing=False)
+    sparing = False
+    if not _is_enough(mapping, names, pairs):
+        more_pairs, again = _connect(bench, groups, names, sparing=True)
+        sparing = _largest(again) > _largest(mapping)
+    if sparing:
+        pairs, mapping = more_pairs, again
+        bench.log(
+            "warning",
+            f"the photos share few features: {options.min_inliers} matches place a photo here instead of {_PLACING_MATCHES}, "
+            "so their positions are less sure; more photos in between, or texture around the object, make them surer",
+        )
+    diagnosis.check_mapping(mapping, names, pairs, bench.log)
     stage(
         "adjustment",
         {"max_error_px": options.max_error_px},
@@ -136,12 +139,59 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
     model = SparseModel.read(bench.folder / "adjusted")
     return PhotoCameras(
         folder=bench.folder / "adjusted",
-        database=bench.folder / "mapping.db",
+        database=bench.folder / f"{_prefix(sparing)}mapping.db",
         model=model,
         calibrated=known is not None,
         unregistered=[photo.name for photo in photos if photo.name not in model.images],
         pairs=len(pairs),
+        sparing=sparing,
     )
+
+
+def _prefix(sparing: bool) -> str:
+    """Of the files and stages of the second attempt."""
+    return "sparing_" if sparing else ""
+
+
+def _largest(mapping: Mapping[str, Any]) -> int:
+    """Photos in the best model."""
+    return len(mapping["models"].get(mapping["best"], []))
+
+
+def _is_enough(mapping: Mapping[str, Any], names: list[str], pairs: dict[tuple[str, str], int]) -> bool:
+    """Whether most photos that matches link to each other are in one model."""
+    return bool(_largest(mapping) >= _ENOUGH_SHARE * len(database.connected_groups(names, pairs)[0]))
+
+
+def _connect(
+    bench: Bench, groups: Sequence[CameraGroup], names: Sequence[str], *, sparing: bool
+) -> tuple[dict[tuple[str, str], int], dict[str, Any]]:
+    """Verified pairs of photos with their matches, and the models that COLMAP's mapper makes of them.
+
+    sparing: for photos that share few features; matches are searched for again along epipolar lines, and fewer place a photo.
+    """
+    options, prefix = bench.options.photos, _prefix(sparing)
+    guided = sparing or options.guided_matching
+    matches = bench.journal.stage(
+        f"{prefix}matches",
+        {
+            "guided": guided,
+            "min_inliers": options.min_inliers,
+            "exhaustive": len(names) <= options.exhaustive_limit,
+        },
+        [f"{prefix}matches.db"],
+        lambda: _match(bench, names, prefix, guided),
+    )
+    pairs = {(first, second): count for first, second, count in matches["pairs"]}
+    if not sparing:  # They stay linked.
+        diagnosis.check_connections(names, pairs, bench.log)
+    mapping = bench.journal.stage(
+        f"{prefix}mapping",
+        {"min_inliers": options.min_inliers},
+        [f"{prefix}sparse", f"{prefix}mapping.db"],
+        lambda: _map(bench, groups, pairs, sparing=sparing),
+    )
+    return pairs, mapping
 
 
 def _copy(bench: Bench, photos: Sequence[Photo]) -> dict[str, Any]:
@@ -159,10 +209,10 @@ def _find_features(bench: Bench, groups: Sequence[CameraGroup]) -> dict[str, Any
     return {"counts": {photo.name: counts.get(photo.name, 0) for group in groups for photo in group.photos}}
 
 
-def _match(bench: Bench, names: Sequence[str]) -> dict[str, Any]:
-    target = bench.folder / "matches.db"
+def _match(bench: Bench, names: Sequence[str], prefix: str, guided: bool) -> dict[str, Any]:
+    target = bench.folder / f"{prefix}matches.db"
     database.copy(bench.folder / "features.db", target)
-    bench.match("matches", target, pairs_to_match(names, bench.options.photos.exhaustive_limit))
+    bench.match("matches", target, pairs_to_match(names, bench.options.photos.exhaustive_limit), guided=guided)
     return {"pairs": [[*pair, count] for pair, count in sorted(database.verified_pairs(target).items())]}
 
 
@@ -176,21 +226,23 @@ def pairs_to_match(names: Sequence[str], exhaustive_limit: int) -> list[tuple[st
     return [(names[i], names[i + d]) for d in distances for i in range(count - d)]
 
 
-def _map(bench: Bench, groups: Sequence[CameraGroup], pairs: dict[tuple[str, str], int]) -> dict[str, Any]:
+def _map(
+    bench: Bench, groups: Sequence[CameraGroup], pairs: dict[tuple[str, str], int], *, sparing: bool
+) -> dict[str, Any]:
     """Map with the lens as known, or with one assumption on the focal length after the other until most photos fit."""
     names = [photo.name for group in groups for photo in group.photos]
     reachable = len(database.connected_groups(names, pairs)[0])
     unknown = [group for group in groups if group.known is None and group.focal_px is None]
     tried: list[dict[str, Any]] = []
     for factor in FOCAL_ASSUMPTIONS if unknown else (None,):
-        source = bench.folder / "mapping.db"
-        database.copy(bench.folder / "matches.db", source)
+        source = bench.folder / f"{_prefix(sparing)}mapping.db"
+        database.copy(bench.folder / f"{_prefix(sparing)}matches.db", source)
         for group in unknown:
             first = group.photos[0]
             focal = float(factor or 1) * max(first.width, first.height)
             params = np.array([focal, focal, first.width / 2, first.height / 2, 0, 0, 0, 0])
             database.set_camera(source, database.camera_of(source, first.name), params)
-        models, stopped = _run_mapper(bench, source, len(tried), groups, len(names))
+        models, stopped = _run_mapper(bench, source, len(tried), groups, len(names), sparing)
         best = max(models, key=lambda name: len(models[name]), default=None)
         tried.append({"focal": factor, "models": models, "best": best, "stopped": stopped})
         if best is not None and len(models[best]) >= _ENOUGH_SHARE * reachable:
@@ -201,11 +253,16 @@ def _map(bench: Bench, groups: Sequence[CameraGroup], pairs: dict[tuple[str, str
     return chosen
 
 
+def placing(bench: Bench, sparing: bool) -> dict[str, object]:
+    """The mapper's options for how many matches place an image."""
+    return {"Mapper.abs_pose_min_num_inliers": bench.options.photos.min_inliers} if sparing else {}
+
+
 def _run_mapper(
-    bench: Bench, source: Path, attempt: int, groups: Sequence[CameraGroup], count: int
+    bench: Bench, source: Path, attempt: int, groups: Sequence[CameraGroup], count: int, sparing: bool
 ) -> tuple[dict[str, list[str]], bool]:
     """Models by folder (below the bench's), each with the names of its photos, and whether the search was given up."""
-    target = bench.folder / "sparse" / f"attempt_{attempt}"
+    target = bench.folder / f"{_prefix(sparing)}sparse" / f"attempt_{attempt}"
     target.mkdir(parents=True)
     fixed = all(group.known is not None for group in groups)
     arguments: dict[str, object] = {
@@ -215,6 +272,7 @@ def _run_mapper(
         "Mapper.num_threads": bench.colmap.threads,
         "Mapper.min_num_matches": bench.options.photos.min_inliers,
         "Mapper.min_model_size": MIN_PHOTOS,
+        **placing(bench, sparing),
     }
     if fixed:
         arguments |= {

@@ -42,6 +42,7 @@ _MAPPER = {
         )
     },
     "Mapper.init_min_tri_angle": "mapper.init_min_tri_angle",
+    "Mapper.abs_pose_min_num_inliers": "mapper.abs_pose_min_num_inliers",
 }
 _ADJUSTMENT = {
     f"BundleAdjustment.{name}": name

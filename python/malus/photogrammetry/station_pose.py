@@ -18,7 +18,7 @@ from malus.errors import DataError
 from malus.photogrammetry import database, diagnosis
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.model import SparseModel, colmap_params
-from malus.photogrammetry.photo_cameras import SELF_CALIBRATED, PhotoCameras
+from malus.photogrammetry.photo_cameras import SELF_CALIBRATED, PhotoCameras, placing
 from malus.photogrammetry.photos import to_bytes
 
 #: Name of the station's image in COLMAP's database and models.
@@ -96,7 +96,7 @@ def _place(
     for image, view in stations.items():
         _core.write_png(str(bench.images / image), pixels[image])
         bench.extract_features("station", source, [image], _reader(view, source, pixels[image].shape))
-    matches = _match(bench, source, sorted(photos.model.images), list(stations))
+    matches = _match(bench, source, photos, list(stations))
     best = max(matches.values(), key=lambda found: max(found.values(), default=0))
     failure = DataError(diagnosis.station_not_registered(best, bench.options.photos.min_inliers))
     if not best:
@@ -113,7 +113,7 @@ def _place(
     bench.colmap.run(
         "image_registrator",
         {"database_path": source, "input_path": photos.folder, "output_path": registered, **mapper,
-         "Mapper.min_num_matches": bench.options.photos.min_inliers},
+         "Mapper.min_num_matches": bench.options.photos.min_inliers, **placing(bench, photos.sparing)},
         log,
     )  # fmt: skip
     if not any(image in SparseModel.read(registered).images for image in stations):
@@ -153,10 +153,11 @@ def _reader(station: StationView, source: Path, shape: tuple[int, ...]) -> dict[
     return {"camera_model": SELF_CALIBRATED}
 
 
-def _match(bench: Bench, source: Path, photos: list[str], stations: list[str]) -> dict[str, dict[str, int]]:
+def _match(bench: Bench, source: Path, photos: PhotoCameras, stations: list[str]) -> dict[str, dict[str, int]]:
     """Verified matches of each station's image with the photos and with the other stations' images."""
     bench.report("station", 0.1, "matches of the station's image")
-    bench.match("station", source, [*product(photos, stations), *combinations(stations, 2)])
+    pairs = [*product(sorted(photos.model.images), stations), *combinations(stations, 2)]
+    bench.match("station", source, pairs, guided=photos.sparing or bench.options.photos.guided_matching)
     found: dict[str, dict[str, int]] = {image: {} for image in stations}
     for (first, second), count in database.verified_pairs(source).items():
         for image, other in ((first, second), (second, first)):

@@ -83,6 +83,19 @@ TEST(Mesh, CutsAnOcclusionAndKeepsSteepRelief) {
   EXPECT_EQ(triangle_count(ramp, strict), 2u * 59u * 59u - 5u * 2u * 59u);
 }
 
+TEST(Mesh, EndsWhereTheDepthIsTooUncertain) {
+  FusedSurface plane = surface_of({50, 40}, 1000, [](int, int) { return 500.0; });
+  plane.sigma = Image<float>({50, 40}, 1, 0.5f);  // 1 GSD
+  for (int v = 0; v < 40; ++v) plane.sigma(0, v) = plane.sigma(1, v) = 6;
+  plane.sigma(20, 20) = none;  // not known to be too large
+  EXPECT_EQ(triangle_count(plane), 2u * 47u * 39u);
+  SurfaceOptions generous;
+  generous.max_sigma_gsd = 13;
+  EXPECT_EQ(triangle_count(plane, generous), 2u * 49u * 39u);
+  plane.sigma = Image<float>({3, 3}, 1, 1);
+  EXPECT_THROW(mesh_from_depth(plane, {}, {}, {}), Error);
+}
+
 TEST(Mesh, SubsampledMeshKeepsTheCutsOfTheFullOne) {
   const FusedSurface step = surface_of({61, 61}, 1000, [](int u, int) { return u < 30 ? 500.0 : 510.0; });
   SurfaceOptions options;
