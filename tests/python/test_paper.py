@@ -17,9 +17,8 @@ from conftest import ROOT, edit
 from conftest import malus as run_malus
 from malus import _core
 from malus.demo import example_station
-from malus.figures import Plates
 from malus.paper.contact_sheet import contact_sheet
-from malus.paper.plates import oblique, sinusoids
+from malus.paper.plates import oblique
 from malus.paper.tables import table_2
 
 COIN = ROOT / "examples" / "coin"
@@ -72,15 +71,13 @@ def test_sinusoid_plate_fits_what_was_measured(paper_work: Path) -> None:
     assert np.all(np.diff([row["degree"] for row in rows[::6]]) > 0), "weakly to strongly polarized"
 
 
-def test_sinusoid_plate_of_chosen_pixels(small_station: Path, tmp_path: Path) -> None:
+def test_curves_of_chosen_pixels(small_station: Path, tmp_path: Path) -> None:
     edit(small_station, "white_level = 16383", "white_level = 16383\ncurve_pixels = [[10, 20], [150, 140]]")
     work = tmp_path / "work"
     outcome = run_malus("decompose", small_station, "-o", work, "--threads", "2", "--quiet")
     assert outcome.code == 0, outcome.err
     curves = malus.Workspace(work).manifest["steps"]["polarization"]["notes"]["curves"]
     assert [(curve["u"], curve["v"]) for curve in curves] == [(10, 20), (150, 140)]
-    (plate,) = sinusoids(Plates(malus.Workspace(work)))
-    assert sorted({(row[0], row[1]) for row in plate.rows}) == [(10, 20), (150, 140)]
 
 
 def test_tables_are_those_of_quality_json(paper_work: Path) -> None:
