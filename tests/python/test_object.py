@@ -342,7 +342,7 @@ def test_check_counts_shared_photos_once(photographed: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "old", "new", "expected"),
     [
-        ("object.toml", "[options]", '[photos]\nfolder = "none"\n[options]', "object.toml, line"),
+        ("object.toml", "[options]", '[photos]\nfolder = "none"\n[options]', "object.toml, line 8: [photos].folder"),
         ("object.toml", "[options]", '[photos]\nfoldr = "views"\n[options]', "foldr"),
         ("object.toml", "[options]", "[[scale]]\ndistance = 3\n[options]", "[[scale]] needs [photos]"),
         ("o1/station.toml", 'folder = "../views"', 'folder = "../views"\nexclude = ["0.png"]', "are not those of"),
