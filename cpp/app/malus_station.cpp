@@ -180,6 +180,8 @@ void end_at_signals() {
   };
   std::signal(SIGINT, interrupt);
   std::signal(SIGTERM, interrupt);
+  // A shell that closes; whoever ignores it (nohup) wants the run to go on.
+  if (std::signal(SIGHUP, interrupt) == SIG_IGN) std::signal(SIGHUP, SIG_IGN);
   std::signal(SIGALRM, [](int) {
     constexpr std::string_view message = "malus-station: did not end by itself; finished steps are kept\n";
     static_cast<void>(!::write(STDERR_FILENO, message.data(), message.size()));

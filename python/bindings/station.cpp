@@ -10,9 +10,11 @@
 #include "interruptible.h"
 #include "malus/io/given_station_internal.h"
 #include "malus/io/sha256_internal.h"
+#include "malus/io/station_file.h"
 #include "malus/io/workspace_internal.h"
 #include "malus/station/check.h"
 #include "malus/station/check_picture_internal.h"
+#include "malus/station/json_fields_internal.h"
 #include "malus/station/options.h"
 #include "malus/station/presets_internal.h"
 #include "malus/station/reconstruct.h"
@@ -177,6 +179,12 @@ void bind_run(py::module_& module) {
       .def("with_photogrammetry", &with_photogrammetry, py::arg("camera"), py::arg("prior_depth"),
            py::arg("prior_sigma"), py::arg("prior_shape"), py::arg("figures"), py::arg("times"), py::arg("warnings"));
   py::class_<Results, std::shared_ptr<Results>>(module, "Results");
+  module.def("photos_tables", [](const std::string& path) {
+    const StationFile file = read_photos_tables(path);
+    Json json = {{"scale", fields_to_json(file.scale_bars)}, {"control", fields_to_json(file.control)}};
+    if (file.photos) json["photos"] = fields_to_json(*file.photos);
+    return json.dump();
+  });
 
   module.def(
       "reconstruct",

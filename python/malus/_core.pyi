@@ -67,6 +67,7 @@ class Station:
 
 class Results: ...
 
+def photos_tables(path: str) -> str: ...
 def reconstruct(
     station: Station,
     options: str,

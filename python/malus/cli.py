@@ -629,6 +629,14 @@ def _start_with_utf8() -> None:
         os.execv(sys.executable, [sys.executable, "-X", "utf8", *sys.orig_argv[1:]])
 
 
+def _end_at_signals() -> None:
+    """What a batch system, or a shell that closes, sends ends a run like Ctrl-C: programs that it has started end too."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    # Whoever ignores it (nohup) wants the run to go on without its shell.
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.default_int_handler)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code (docs: INTERFACES; 0, 2, 3, 4, 5 or 130)."""
     if arguments is None:
@@ -636,8 +644,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # a terminal that has not every sign shall not end a run
             stream.reconfigure(errors="backslashreplace")
-    # What a batch system, or a shell that closes, sends ends a run like Ctrl-C: programs that it has started end too.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    _end_at_signals()
     try:
         _run(arguments)
     except KeyboardInterrupt:

@@ -6,8 +6,10 @@ import csv
 import json
 import os
 import resource
+import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -94,6 +96,29 @@ def test_a_run_that_does_not_end_by_itself_is_ended(small_station: Path, tmp_pat
     assert "did not end by itself" in err
 
 
+@pytest.mark.parametrize(("ignored", "code"), [(False, 130), (True, 0)])
+def test_a_shell_that_closes_ends_a_run_unless_told_not_to(
+    small_station: Path, tmp_path: Path, ignored: bool, code: int
+) -> None:
+    arguments = (small_station, "-o", tmp_path / "work", "--quiet")
+    program = Path(os.environ.get("MALUS_STATION", Path(__file__).parents[2] / "build/malus-station"))
+    commands: list[list[str | Path]] = [[sys.executable, "-m", "malus.cli", "height", *arguments]]
+    if program.exists():
+        commands.append([program, *arguments, "--until", "height"])
+    for command in commands:
+        run = subprocess.Popen(
+            command,
+            stderr=subprocess.DEVNULL,
+            preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL),
+        )
+        while not (tmp_path / "work/polarization/valid.png").exists():
+            assert run.poll() is None
+            time.sleep(0.01)
+        run.send_signal(signal.SIGHUP)
+        assert run.wait(300) == code
+        shutil.rmtree(tmp_path / "work")
+
+
 @pytest.mark.parametrize("pattern", ["/*/*/../*/../*/../*/../*", "*/../*/../*/../*/../*/../*/../*/../*"])
 def test_patterns_that_go_through_the_whole_disk_end_soon(small_station: Path, tmp_path: Path, pattern: str) -> None:
     text = small_station.read_text()
@@ -162,7 +187,7 @@ def test_another_coding_of_the_system_garbles_nothing(small_station: Path, tmp_p
     folder = tmp_path / "größe"
     small_station.parent.rename(folder)
     system = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-    outcome = malus("check", folder / "station.toml", env=system)
+    outcome = malus("check", folder / "station.toml", env=system, cwd=tmp_path)
     assert outcome.code == 0, outcome.err
 
 

@@ -358,7 +358,7 @@ def test_check_counts_shared_photos_once(photographed: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "old", "new", "expected"),
     [
-        ("object.toml", "[options]", '[photos]\nfolder = "none"\n[options]', "object.toml, line"),
+        ("object.toml", "[options]", '[photos]\nfolder = "none"\n[options]', "object.toml, line 8: [photos].folder"),
         ("object.toml", "[options]", '[photos]\nfoldr = "views"\n[options]', "foldr"),
         ("object.toml", "[options]", "[[scale]]\ndistance = 3\n[options]", "[[scale]] needs [photos]"),
         ("object.toml", "[options]", "[[control]]\nxyz = [1, 2, 3]\n[options]", "[[control]] needs [photos]"),

@@ -65,6 +65,13 @@ const toml::table* section(const TomlTable& document, std::string_view key) {
   return node ? node->as_table() : nullptr;
 }
 
+/// The same with its keys checked.
+std::optional<TomlTable> checked_section(const TomlTable& document, std::string_view key,
+                                         const std::vector<std::string_view>& keys) {
+  const toml::table* table = section(document, key);
+  return table ? std::optional(TomlTable(*table, document.file(), "[" + std::string(key) + "]", keys)) : std::nullopt;
+}
+
 /// Tables of an array like [[scale]]; `element` is "a table".
 std::vector<const toml::table*> tables(const TomlTable& table, std::string_view key, const std::string& expected) {
   std::vector<const toml::table*> result;
@@ -740,8 +747,7 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
   if (given == nullptr) known.insert(known.end(), {"camera", "photos", "control"});
   const TomlTable document(root, path, "", known);
   const auto optional_section = [&](std::string_view key, const std::vector<std::string_view>& keys) {
-    const toml::table* table = section(document, key);
-    return table ? std::optional(TomlTable(*table, path, "[" + std::string(key) + "]", keys)) : std::nullopt;
+    return checked_section(document, key, keys);
   };
 
   station.name = path.parent_path().filename().string();
@@ -789,6 +795,20 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
 StationFile read_station_file(const std::filesystem::path& given_path) {
   const std::filesystem::path path = std::filesystem::absolute(given_path).lexically_normal();
   return read_station_tables(read_toml(path, "station file"), path, nullptr);
+}
+
+StationFile read_photos_tables(const std::filesystem::path& path) {
+  StationFile station;
+  station.path = std::filesystem::absolute(path).lexically_normal();
+  const toml::table root = read_toml(station.path, "file");
+  std::vector<std::string_view> all;
+  for (const auto& entry : root) all.push_back(entry.first.str());
+  const TomlTable document(root, station.path, "", all);
+  if (const auto table = checked_section(document, "photos", keys_of(PhotosSpec{})))
+    station.photos = read_photos(*table);
+  station.control = read_control(document, station);
+  read_scale_bars(document, station, false);
+  return station;
 }
 
 }  // namespace malus

@@ -14,4 +14,8 @@ namespace malus {
 /// modulo 180°.
 StationFile read_station_file(const std::filesystem::path& path);
 
+/// As read_station_file, but only [photos] and the [[scale]] bars and [[control]] points marked in them, of a file
+/// whose other tables say something else: an object file's. The rest of the result is not set.
+StationFile read_photos_tables(const std::filesystem::path& path);
+
 }  // namespace malus

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import tempfile
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from malus import photogrammetry
+from malus import _core, photogrammetry
 from malus.campaign import Campaign, options_of, read_tables, stations_of, value_of
 from malus.errors import InputError
 from malus.options import Options
@@ -137,12 +136,12 @@ def _shared(
     file: Path, content: Mapping[str, Any], stations: Mapping[Path, Mapping[str, Any]]
 ) -> dict[str, Any] | None:
     """The photos and known distances in which all stations are found: the object file's, or those of the stations."""
-    tables = {name: content[name] for name in ("photos", "scale", "control") if name in content}
     first, *others = stations
-    if "photos" in tables:
-        return _read_shared(file, tables, stations[first])
-    if tables:
-        raise InputError(f"{file}: [[{next(iter(tables))}]] needs [photos], in which its points are marked")
+    if "photos" in content:
+        shared: dict[str, Any] = json.loads(_core.photos_tables(str(file)))
+        return shared
+    if names := [name for name in ("scale", "control") if name in content]:
+        raise InputError(f"{file}: [[{names[0]}]] needs [photos], in which its points are marked")
     if stations[first]["prior"] != "photos":
         return None
     photos = stations[first]["photos"]
@@ -159,32 +158,3 @@ def _of_all(stations: Mapping[Path, Mapping[str, Any]], name: str) -> list[Any]:
     # A control point's place in the polarized image is another one for each station.
     entries = {json.dumps({**entry, "pixel": None}): entry for station in stations.values() for entry in station[name]}
     return list(entries.values())
-
-
-def _read_shared(file: Path, tables: Mapping[str, Any], station: Mapping[str, Any]) -> dict[str, Any]:
-    """[photos], [[scale]] and [[control]] of an object file, read as those of a station file are."""
-    photos = tables["photos"]
-    if isinstance(photos, dict) and isinstance(photos.get("folder"), str):
-        photos = {**photos, "folder": str(file.parent.resolve() / photos["folder"])}
-    image = station["images"][0]
-    lines = [f"polarized = {{ images = {_as_toml([image])}, mosaic = [[90, 45], [135, 0]] }}"]
-    lines += [f"{name} = {_as_toml(table)}" for name, table in {**tables, "photos": photos}.items()]
-    with tempfile.TemporaryDirectory(prefix="malus-") as folder:
-        path = Path(folder) / "station.toml"
-        path.write_text("\n".join(lines), encoding="utf-8")
-        try:
-            description = Station.load(path).describe()
-        except InputError as error:
-            raise InputError(str(error).replace(str(path), str(file))) from None
-    return {name: description[name] for name in ("photos", "scale", "control")}
-
-
-def _as_toml(value: Any) -> str:
-    """A value of a TOML file as TOML."""
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{json.dumps(key)} = {_as_toml(entry)}" for key, entry in value.items()) + " }"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_as_toml, value)) + "]"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    return str(value).lower() if isinstance(value, bool) else str(value)
