@@ -43,6 +43,7 @@ struct Change {
     value.emplace();
   }
   void operator()(std::vector<double>& value) const { value.push_back(1); }
+  void operator()(std::vector<std::array<double, 2>>& value) const { value.push_back({1, 2}); }
 };
 
 TEST_F(StationInputsTest, EveryFieldOfASpecCounts) {
