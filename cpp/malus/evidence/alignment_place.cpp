@@ -83,10 +83,12 @@ Gain gain_of(const AlignmentProblem& problem, const Evidence& evidence, const Si
 }
 
 /// A place is told from another by 3 standard deviations of the gain, or by 2 if it is also 3 of its own standard
-/// deviations beyond the tolerance: the former scatter over the image, the latter follow from how sharp the fit is.
-constexpr double clear = 3, fair = 2;
+/// deviations beyond the tolerance: the former scatter over the image, the latter follow from how sharp the fit is. A
+/// place that is better than the given one, but may as well lie within the tolerance, is none to warn of.
+constexpr double clear = 3, fair = 2, surely = 1;
 bool is_clear(const Gain& gain, double beyond_sigmas) {
-  return std::max(gain.largest, gain.joint) > clear || (gain.joint > fair && beyond_sigmas > clear);
+  return (std::max(gain.largest, gain.joint) > clear && beyond_sigmas > surely) ||
+         (gain.joint > fair && beyond_sigmas > clear);
 }
 
 /// Offsets of a kind, to be tried for being told.
@@ -187,7 +189,7 @@ const Tolerance& AlignmentPlace::tolerance() const {
 bool AlignmentPlace::is_offset(double object_covered) const {
   const bool one_loses = std::ranges::any_of(
       evidence, [](const AlignmentEvidence& cue) { return cue.informative && cue.gain_sigmas < loss_sigmas; });
-  if (!(beyond_sigmas > 0) || one_loses) return false;
+  if (!(beyond_sigmas > surely) || one_loses) return false;
   if (object_covered < PriorAlignment::poorly_covered) return largest_gain > clear;
   return is_clear({largest_gain, gain_sigmas}, beyond_sigmas);
 }
