@@ -292,15 +292,18 @@ class Refiner {
     // Body light and refined slopes fit each other whatever they are, and drift away together. A prior whose slopes
     // explain the mirror image, and not only as a plane does, holds the light.
     is_mirror_known_ = mean_over_object(at_prior.shares(true, context_)) > nearly_all;
-    const bool is_mirror = specular_share(image_) > 0.5 && by_labels > options_.explained_least;
+    const bool mirrors = specular_share(image_) > 0.5, is_mirror = mirrors && by_labels > options_.explained_least;
     if (is_mirror || by_labels > well || !has_usable(image_)) return;
     const Image<std::uint8_t> labels = image_.kind;
     const ReflectionModel model = image_.reflection;
     image_.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
     map_.material.index = model.eta;
     const SurroundingsFit dielectric = fit_mirrored(image_, report_, map_, context_);
+    // All light of a metal is mirrored, and polarized that way.
     constexpr std::size_t few = 1500;
-    if (const auto metal = find_metal(collect_samples(image_, Reflection::diffuse, few), dielectric.cost, context_)) {
+    std::optional<std::pair<MirrorMaterial, SurroundingsFit>> metal;
+    if (mirrors) metal = find_metal(collect_samples(image_, Reflection::diffuse, few), dielectric.cost, context_);
+    if (metal) {
       map_ = {metal->first};
       take_surroundings(metal->second, image_, report_, map_, context_);
       return;
