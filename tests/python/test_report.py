@@ -315,7 +315,7 @@ def test_scale_and_photos_are_shown_when_they_are_known(finished_grid: Path, tmp
     shown = {path: text for path, _, text in Page(text).numbers}
     assert shown["scale.distances.0.residual"] == "0.0031" and shown["scale.distances.0.adjusted"] == "31.5071"
     assert shown["photogrammetry.station.matches"] == "345" and shown["photogrammetry.program"] == "COLMAP 3.8"
-    assert shown["control.datum.points.0.offset.1"] == "-0.20" and shown["control.image.points.0.du_px"] == "1.5"
+    assert shown["control.datum.points.0.offset.1"] == "-0.2" and shown["control.image.points.0.du_px"] == "1.5"
     assert "without point P&lt;1&gt;" in text and "check the camera's place" in text
     assert "bar &lt;1&gt;" in text and "bar <1>" not in text
 
