@@ -114,13 +114,14 @@ def _robust_fit(predicted: Callable[[Floats], Floats], target: Floats, x: Floats
 def albedo_of(workspace: Workspace) -> NDArray[np.float32]:
     """Albedo of a finished workspace, up to one factor; H×W, or H×W×3 if it was taken in color, NaN where there is no surface.
 
-    DataError for a surface without a reflection model (`--fusion grid`): nothing tells its highlights from its color.
+    DataError for a surface without a reflection model (`--fusion grid`), and for bare metal: nothing tells their highlights from
+    their color.
     """
     mirrored = workspace.mirrored_share()
     if mirrored is None:
         raise DataError(
-            f"{workspace.folder}: has no reflection model, which tells highlights from the object's color; "
-            "expected a workspace of --fusion refined"
+            f"{workspace.folder}: nothing tells highlights from the object's color; expected a workspace of --fusion refined, "
+            "and an object that is not bare metal"
         )
     color = workspace.color()
     found = diffuse_albedo(

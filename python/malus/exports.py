@@ -273,7 +273,7 @@ def _write_iiif(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         "photograph": ("Photograph, without polarized light", exporter.picture()),
         "relief": ("Relief, light from the upper left", np.repeat(relief, 3, axis=-1)),
     }
-    if exporter.workspace.has("fused/mirrored.tif"):
+    if exporter.workspace.mirrored_share() is not None:
         own = Exporter(exporter.workspace, exporter.threads, albedo=True, chart=exporter.chart)
         pictures["albedo"] = ("Color without highlights and shading", own.picture())
     write_iiif(

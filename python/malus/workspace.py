@@ -127,12 +127,15 @@ class Workspace:
     def mirrored_share(self) -> Raster | None:
         """Share of the unpolarized intensity that was mirrored at the surface, H×W in [0, 1]; NaN where it is not known.
 
-        None for a surface without a reflection model (`--fusion grid`).
+        None for a surface without a reflection model (`--fusion grid`), and for bare metal, of which it is not known anywhere.
         """
         if not self.has("fused/mirrored.tif"):
             return None
+        mirrored = self.raster("fused/mirrored.tif")
+        if not np.isfinite(mirrored).any():
+            return None
         with np.errstate(invalid="ignore", divide="ignore"):
-            share = self.raster("fused/mirrored.tif") / self.raster("polarization/unpolarized.tif")
+            share = mirrored / self.raster("polarization/unpolarized.tif")
         return np.asarray(np.clip(share, 0, 1), dtype=np.float32)
 
     @cached_property

@@ -11,7 +11,7 @@ from PIL import Image
 
 import malus
 from conftest import malus as run_malus
-from malus import albedo, synthetic
+from malus import albedo, rti, synthetic
 
 
 def spread(estimate: np.ndarray, truth: np.ndarray) -> float:
@@ -92,3 +92,18 @@ def test_relighting_names_its_colors_as_they_are(dates: tuple[Path, Path], tmp_p
     for work, name, other in ((dates[0], "albedo", "unshaded"), (finished_grid, "unshaded", "albedo")):
         folder = malus.export(work, "relight", tmp_path / name)
         assert (folder / f"{name}.png").exists() and not (folder / f"{other}.png").exists()
+
+
+def test_bare_metal_has_no_albedo(dates: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    raster = malus.Workspace.raster
+    # As the refinement leaves it of a metal.
+    monkeypatch.setattr(
+        malus.Workspace,
+        "raster",
+        lambda work, name: raster(work, name) * (np.nan if name == "fused/mirrored.tif" else 1),
+    )
+    work = malus.Workspace(dates[0])
+    assert work.mirrored_share() is None
+    with pytest.raises(malus.DataError, match="not bare metal"):
+        albedo.albedo_of(work)
+    assert not rti.relightable(work).without_highlights
