@@ -81,6 +81,7 @@ def main() -> None:
         "photos": {"folder": str(arguments.folder), "exclude": [arguments.station], "camera": lens},
         "camera": lens,
         "scale": [],
+        "control": [],
     }
     options = Options()
     for assignment in arguments.set:

@@ -181,7 +181,7 @@ void bind_run(py::module_& module) {
   py::class_<Results, std::shared_ptr<Results>>(module, "Results");
   module.def("photos_tables", [](const std::string& path) {
     const StationFile file = read_photos_tables(path);
-    Json json = {{"scale", fields_to_json(file.scale_bars)}, {"control", fields_to_json(file.control)}};
+    Json json = {{"path", path}, {"scale", fields_to_json(file.scale_bars)}, {"control", fields_to_json(file.control)}};
     if (file.photos) json["photos"] = fields_to_json(*file.photos);
     return json.dump();
   });

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, Required, TypedDict
@@ -14,6 +15,7 @@ from malus import _core
 from malus._arrays import as_images, as_mask
 from malus._files import require_utf8
 from malus.camera import Camera
+from malus.errors import InputError
 
 
 class PolarizedValues(TypedDict, total=False):
@@ -32,6 +34,7 @@ class PolarizedValues(TypedDict, total=False):
     frames_averaged: int
     full_well_e: float | None
     read_noise_e: float | None
+    curve_pixels: Sequence[Sequence[int]]
 
 
 class OpticsValues(TypedDict, total=False):
@@ -169,7 +172,7 @@ class Station:
         self._core = _core.Station.from_arrays(
             images=stack,
             camera=camera.values(),
-            tables=json.dumps(tables, default=_plain, allow_nan=False),
+            tables=json.dumps(_plain(tables, "station: ")),
             prior_points=points,
             prior_normals=normals,
             prior_depth=depth,
@@ -232,6 +235,15 @@ def _oriented_points(
     return checked, directions
 
 
-def _plain(value: Any) -> Any:
-    """Arrays, numbers of numpy and paths for JSON."""
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
+def _plain(value: Any, where: str) -> Any:
+    """Arrays, numbers of numpy and paths for JSON; InputError for numbers that are not finite, which JSON does not have."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        inner = f"{where}[{{}}]" if where.endswith(": ") else f"{where}.{{}}"
+        return {key: _plain(item, inner.format(key)) for key, item in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_plain(item, f"{where}[{k}]") for k, item in enumerate(value)]
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InputError(f"{where} = {value}, expected a finite number")
+    return value if value is None or isinstance(value, bool | int | float | str) else str(value)

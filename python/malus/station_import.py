@@ -95,7 +95,8 @@ def import_station(
     note = [f"# To come: {' and '.join(missing)}."] if missing else []
     if len(missing) == 2:
         note = [
-            "# To come: [camera] and [prior], or [photos]; without them `malus decompose` makes the polarization maps."
+            "# To come: [camera] and [prior], or [photos] with [[scale]] or [[control]]; without them `malus decompose` makes "
+            "the polarization maps."
         ]
     head = ["[station]", f"name = {_text(folder.resolve().name)}", f"unit = {_text(unit)}", ""]
     write_text(output, "\n".join([*head, "[polarized]", *lines, "", *camera, *prior, *note, ""]))

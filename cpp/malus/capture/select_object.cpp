@@ -6,7 +6,6 @@
 #include "malus/core/opencv_threads_internal.h"
 
 namespace malus {
-namespace {}  // namespace
 
 Mask select_similar(const Image<std::uint8_t>& picture, int u, int v, int tolerance) {
   if (!picture.contains(u, v)) {

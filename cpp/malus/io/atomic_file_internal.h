@@ -30,8 +30,6 @@ class AtomicFile {
   void write_at(std::size_t offset, const void* data, std::size_t size);
   void commit();
 
-  /// Open for reading and writing until `commit`, for libraries that seek in their output.
-  int descriptor() const { return descriptor_; }
   const std::filesystem::path& path() const { return path_; }
 
  private:

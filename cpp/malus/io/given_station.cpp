@@ -8,16 +8,16 @@ namespace {
 
 using Json = nlohmann::json;
 
-toml::table table_of(const Json& json);
-toml::array array_of(const Json& json);
+toml::table table_of(const Json& json, const std::string& where);
+toml::array array_of(const Json& json, const std::string& where);
 
-/// Calls `put` with the value as TOML has it; null is left out.
+/// Calls `put` with the value as TOML has it. `where`: its place, for messages.
 template <class Put>
-void with_toml(const Json& json, const Put& put) {
+void with_toml(const Json& json, const std::string& where, const Put& put) {
   if (json.is_object()) {
-    put(table_of(json));
+    put(table_of(json, where));
   } else if (json.is_array()) {
-    put(array_of(json));
+    put(array_of(json, where));
   } else if (json.is_string()) {
     put(json.get<std::string>());
   } else if (json.is_boolean()) {
@@ -26,19 +26,28 @@ void with_toml(const Json& json, const Put& put) {
     put(json.get<std::int64_t>());
   } else if (json.is_number()) {
     put(json.get<double>());
+  } else {
+    throw input_error(where + " is null, expected a value");
   }
 }
 
-toml::table table_of(const Json& json) {
+/// What is null is left out.
+toml::table table_of(const Json& json, const std::string& where) {
   toml::table table;
-  for (const auto& [key, value] : json.items())
-    with_toml(value, [&table, name = key](auto&& node) { table.insert(name, std::move(node)); });
+  for (const auto& [key, value] : json.items()) {
+    if (value.is_null()) continue;
+    const std::string place = where.ends_with(": ") ? where + "[" + key + "]" : where + "." + key;
+    with_toml(value, place, [&table, name = key](auto&& node) { table.insert(name, std::move(node)); });
+  }
   return table;
 }
 
-toml::array array_of(const Json& json) {
+toml::array array_of(const Json& json, const std::string& where) {
   toml::array array;
-  for (const Json& value : json) with_toml(value, [&array](auto&& node) { array.push_back(std::move(node)); });
+  for (std::size_t k = 0; k < json.size(); ++k) {
+    const std::string place = where + "[" + std::to_string(k) + "]";
+    with_toml(json[k], place, [&array](auto&& node) { array.push_back(std::move(node)); });
+  }
   return array;
 }
 
@@ -48,7 +57,7 @@ StationFile read_given_station(const std::string& json, std::size_t image_count,
                                bool has_prior) {
   GivenInMemory given{{}, camera, has_prior};
   for (std::size_t k = 0; k < image_count; ++k) given.images.push_back("images[" + std::to_string(k) + "]");
-  StationFile station = read_station_tables(table_of(Json::parse(json)), "station", &given);
+  StationFile station = read_station_tables(table_of(Json::parse(json), "station: "), "station", &given);
   station.path.clear();
   return station;
 }

@@ -8,6 +8,7 @@
 #include <opencv2/core/eigen.hpp>
 #include <sstream>
 
+#include "malus/core/better_fit_internal.h"
 #include "malus/core/error.h"
 
 namespace malus {
@@ -131,12 +132,20 @@ double rms_px(const std::vector<MarkedPoint>& points, const LensCamera& lens, co
   return std::sqrt(squares / static_cast<double>(points.size()));
 }
 
-/// The point without which the others fit at least three times as well, if there is one.
-std::optional<std::string> doubtful_point(const std::vector<MarkedPoint>& points, const LensCamera& lens, double rms) {
-  constexpr double worth_a_search_px = 1, far_better = 3;
-  if (points.size() < 5 || !(rms > worth_a_search_px)) return std::nullopt;
-  std::optional<std::string> name;
-  double least = rms / far_better;
+/// A point that is likely wrong, and how well the others fit without it.
+struct Doubt {
+  std::string name;
+  double rms_px = 0;
+};
+
+/// The point without which the others fit far better than chance explains, if there is one.
+std::optional<Doubt> doubtful_point(const std::vector<MarkedPoint>& points, const LensCamera& lens, double rms) {
+  constexpr double worth_a_search_px = 1;
+  if (points.size() < BetterFit::least_points || !(rms > worth_a_search_px)) return std::nullopt;
+  const auto count = static_cast<double>(points.size());
+  BetterFit fit{
+      .all = rms * rms * count, .others = rms * rms * count, .points = count, .coordinates = 2, .unknowns = 6};
+  Doubt doubt;
   for (std::size_t left_out = 0; left_out < points.size(); ++left_out) {
     std::vector<MarkedPoint> others = points;
     others.erase(others.begin() + static_cast<std::ptrdiff_t>(left_out));
@@ -146,18 +155,25 @@ std::optional<std::string> doubtful_point(const std::vector<MarkedPoint>& points
     const std::vector<Solution> found = solutions(marked, extent[2] < least_thickness * extent[0]);
     if (found.empty()) continue;
     const double without = rms_px(others, lens, pose_of(found.front(), marked.origin));
-    if (without < least) least = without, name = points[left_out].name;
+    const double squares = without * without * (count - 1);
+    if (squares < fit.others) fit.others = squares, doubt = {points[left_out].name, without};
   }
-  return name;
+  return fit.is_telling() ? std::optional(doubt) : std::nullopt;
+}
+
+double tolerated_px(const LensCamera& lens) {
+  constexpr double tolerated_share = 0.01;
+  return tolerated_share * std::max(lens.size.width, lens.size.height);
 }
 
 /// Why marks and coordinates are refused.
-std::string misfit(const std::vector<MarkedPoint>& points, const LensCamera& lens, const Resection& found) {
+std::string misfit(const std::vector<MarkedPoint>& points, const LensCamera& lens, const Resection& found,
+                   const std::optional<Doubt>& doubt) {
   std::ostringstream message;
   message.precision(3);
   message << "marks and coordinates do not fit, " << found.rms_px << " px RMS; ";
-  if (found.doubtful) {
-    message << "without point " << *found.doubtful << " the others do: are its mark and its coordinates right?";
+  if (doubt && doubt->rms_px <= tolerated_px(lens)) {
+    message << "without point " << doubt->name << " the others do: are its mark and its coordinates right?";
     return message.str();
   }
   const auto off = [&](const MarkedPoint& point) { return mark_residual(point, lens, found.pose).norm(); };
@@ -176,7 +192,7 @@ Eigen::Vector2d mark_residual(const MarkedPoint& point, const LensCamera& lens, 
 
 Resection resect(const std::vector<MarkedPoint>& points, const LensCamera& lens, const std::string& where) {
   constexpr std::size_t least_points = 4;
-  constexpr double tolerated_share = 0.01, least_mark_sigma_px = 0.1;
+  constexpr double least_mark_sigma_px = 0.1;
   if (points.size() < least_points)
     throw input_error(where + ": " + std::to_string(points.size()) +
                       " points are marked in the polarized image without check = true, expected at least 4 to find the "
@@ -193,9 +209,9 @@ Resection resect(const std::vector<MarkedPoint>& points, const LensCamera& lens,
     if (mark_residual(point, lens, result.pose).hasNaN())
       throw input_error(where + ": point " + point.name + " would be behind the camera; are its coordinates right?");
   result.rms_px = rms_px(points, lens, result.pose);
-  result.doubtful = doubtful_point(points, lens, result.rms_px);
-  if (result.rms_px > tolerated_share * std::max(lens.size.width, lens.size.height))
-    throw input_error(where + ": " + misfit(points, lens, result));
+  const std::optional<Doubt> doubt = doubtful_point(points, lens, result.rms_px);
+  if (result.rms_px > tolerated_px(lens)) throw input_error(where + ": " + misfit(points, lens, result, doubt));
+  if (doubt) result.doubtful = doubt->name;
   const double count = static_cast<double>(points.size());
   const double mark_sigma_px = std::max(result.rms_px * std::sqrt(count / (2 * count - 6)), least_mark_sigma_px);
   result.center_sigma = center_sigma(marked, best, mark_sigma_px / focal_px);

@@ -484,10 +484,27 @@ void read_colmap_camera(const TomlTable& table, StationFile& station) {
   station.camera_files = colmap_model_files(folder);
 }
 
-void read_camera(const TomlTable& document, const TomlTable& table, StationFile& station) {
+/// Size of the polarized images; nothing for RAW files, which say it when they are developed.
+std::optional<Size> size_of_images(const StationFile& station, const std::string& where) {
+  const std::filesystem::path& first = station.polarized.images.front();
+  return is_raw_name(first) ? std::nullopt : std::optional(read_image_size(first, where));
+}
+
+/// `images`: size of the polarized images, as far as it is known.
+void require_camera_size(const TomlTable& document, const LensCamera& lens, const std::optional<Size>& images,
+                         const StationFile& station) {
+  if (!images || lens.size == *images) return;
+  throw input_error(document.where("[camera]") + " is for " + to_string(lens.size) +
+                    " pixels, but the polarized image " + station.polarized.images.front().string() + " has " +
+                    to_string(*images));
+}
+
+void read_camera(const TomlTable& document, const TomlTable& table, const std::optional<Size>& images,
+                 StationFile& station) {
   station.camera_image = table.text("image");
   if (table.has("colmap_model")) {
     read_colmap_camera(table, station);
+    require_camera_size(document, station.camera->lens, images, station);
     return;
   }
   if (!table.has("model")) {
@@ -495,6 +512,7 @@ void read_camera(const TomlTable& document, const TomlTable& table, StationFile&
     throw table.error("model", "is missing, expected colmap_model and image, or model, width, height and params");
   }
   const LensCamera lens = read_lens(table);
+  require_camera_size(document, lens, images, station);
   const std::optional<Pose> pose = read_pose(table);
   if (pose) {
     station.camera = CameraSpec{lens, *pose};
@@ -691,13 +709,6 @@ ProfileSpec read_profile(const TomlTable& table, std::string name, Size size) {
   return profile;
 }
 
-void check_camera_size(const TomlTable& document, const LensCamera& lens, Size image,
-                       const std::filesystem::path& file) {
-  if (lens.size == image) return;
-  throw input_error(document.where("[camera]") + " is for " + to_string(lens.size) +
-                    " pixels, but the polarized image " + file.string() + " has " + to_string(image));
-}
-
 /// Keys of [polarized]; where the images are in memory, without those of files.
 std::vector<std::string_view> polarized_keys(const GivenInMemory* given) {
   if (given == nullptr) return keys_of(PolarizedSpec{}, {"angle_pattern"});
@@ -727,14 +738,6 @@ void read_regions(const TomlTable& document, Size size, StationFile& station) {
     const TomlTable table(*entry, document.file(), "[[profile]] " + std::to_string(index + 1), keys_of(ProfileSpec{}));
     station.profiles.push_back(read_profile(table, read_name(table, index, names), size));
   }
-}
-
-/// Size of the polarized images. A RAW file says it when it is developed; until then it is the camera's.
-Size polarized_size(const StationFile& station, const std::string& where) {
-  const std::filesystem::path& first = station.polarized.images.front();
-  if (!is_raw_name(first)) return read_image_size(first, where);
-  if (station.camera) return station.camera->lens.size;
-  return station.lens ? station.lens->size : Size{65536, 65536};
 }
 
 }  // namespace
@@ -769,26 +772,27 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
     station.prior_sigma = table->number("sigma", length_range);
   }
   station.control = read_control(document, station);
-  if (given != nullptr) station.camera = given->camera;
+  std::optional<Size> images;
+  if (given != nullptr) {
+    station.camera = given->camera;
+    images = given->camera.lens.size;
+  } else {
+    images = size_of_images(station, polarized.where("images"));
+  }
   const Keys camera_keys = joined({{"colmap_model", "image"}, lens_keys, pose_keys, brown_keys});
-  if (const auto table = optional_section("camera", camera_keys)) read_camera(document, *table, station);
+  if (const auto table = optional_section("camera", camera_keys)) read_camera(document, *table, images, station);
   if (station.prior && !station.camera && !station.photos) {
     throw document.error("camera", "is missing, expected [camera], in whose view the prior is to be seen");
   }
   read_scale_bars(document, station, station.prior || prior_in_memory);
 
-  if (given != nullptr) {
-    station.polarized.images.clear();
-    read_regions(document, given->camera.lens.size, station);
-    return station;
-  }
-  const Size size = polarized_size(station, polarized.where("images"));
-  if (station.camera) check_camera_size(document, station.camera->lens, size, station.polarized.images.front());
-  if (station.lens) check_camera_size(document, *station.lens, size, station.polarized.images.front());
-  require_control_in_image(document, station, size);
+  if (given != nullptr) station.polarized.images.clear();
   if (!station.control.empty() && !station.camera && !station.frame_is_of_photos())
     throw document.error("control", "needs [camera] with the lens (model, width, height, params), whose pose it gives");
-  read_regions(document, size, station);
+  constexpr Size anything{65536, 65536};
+  if (!images) images = station.known_lens() ? station.known_lens()->size : anything;
+  require_control_in_image(document, station, *images);
+  read_regions(document, *images, station);
   return station;
 }
 

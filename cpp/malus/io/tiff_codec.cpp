@@ -1,11 +1,10 @@
 #include <tiffio.h>
-#include <unistd.h>
 
 #include <algorithm>
-#include <cerrno>
 #include <cstdarg>
 #include <cstdio>
 #include <cstring>
+#include <exception>
 #include <memory>
 #include <stdexcept>
 #include <vector>
@@ -23,13 +22,11 @@ using Handle = std::unique_ptr<TIFF, Close>;
 /// Keeps the first error of one file; libtiff's own handler prints.
 struct Errors {
   std::string message;
-  int error_number = 0;
 };
 
 int keep_error(TIFF*, void* user, const char*, const char* format, va_list arguments) {
   auto& errors = *static_cast<Errors*>(user);
   if (errors.message.empty()) {
-    errors.error_number = errno;
     char text[512];
     std::vsnprintf(text, sizeof text, format, arguments);
     errors.message = text;
@@ -58,6 +55,38 @@ struct Source {
   toff_t position = 0;
 };
 
+/// The same for a file that is written. Its errors name the file and the system's reason.
+struct Target {
+  AtomicFile& file;
+  toff_t position = 0, size = 0;
+  std::exception_ptr failure = nullptr;  ///< libtiff is C: no exception may pass it
+};
+
+tmsize_t target_read(thandle_t, void*, tmsize_t) {
+  return -1;  // only asked of files with several images
+}
+tmsize_t target_write(thandle_t handle, void* data, tmsize_t size) {
+  auto& target = *static_cast<Target*>(handle);
+  try {
+    target.file.write_at(target.position, data, static_cast<std::size_t>(size));
+  } catch (...) {
+    if (!target.failure) target.failure = std::current_exception();
+    return -1;
+  }
+  target.position += static_cast<toff_t>(size);
+  target.size = std::max(target.size, target.position);
+  return size;
+}
+toff_t target_seek(thandle_t handle, toff_t offset, int whence) {
+  auto& target = *static_cast<Target*>(handle);
+  const toff_t base = whence == SEEK_CUR ? target.position : whence == SEEK_END ? target.size : 0;
+  target.position = base + offset;
+  return target.position;
+}
+toff_t target_size(thandle_t handle) {
+  return static_cast<Target*>(handle)->size;
+}
+
 tmsize_t source_read(thandle_t handle, void* target, tmsize_t size) {
   auto& source = *static_cast<Source*>(handle);
   if (source.position >= source.bytes.size()) return 0;
@@ -76,7 +105,7 @@ toff_t source_seek(thandle_t handle, toff_t offset, int whence) {
   source.position = base + offset;
   return source.position;
 }
-int source_close(thandle_t) {
+int keep_open(thandle_t) {
   return 0;
 }
 toff_t source_size(thandle_t handle) {
@@ -226,14 +255,14 @@ void encode(AtomicFile& file, const Image<Sample>& image, int format, int compre
   const Options options(errors);
   const std::size_t data_bytes = image.count() * sizeof(Sample);
   const char* mode = data_bytes > (std::size_t{1} << 32) - (std::size_t{1} << 26) ? "w8" : "w";
-  const auto fail = [&] {
-    if (errors.error_number != 0) return file_error("cannot write", file.path(), errors.error_number);
-    return resource_error("cannot write " + file.path().string() + ": " + errors.message);
+  Target target{.file = file};
+  const auto require = [&](bool done) {
+    if (target.failure) std::rethrow_exception(target.failure);
+    if (!done) throw resource_error("cannot write " + file.path().string() + ": " + errors.message);
   };
-  errno = 0;  // what libtiff's first error finds there is then the system's reason
-  // libtiff closes the descriptor that it is given.
-  Handle tiff(TIFFFdOpenExt(::dup(file.descriptor()), "image", mode, options.options));
-  if (!tiff) throw fail();
+  Handle tiff(TIFFClientOpenExt("image", mode, &target, target_read, target_write, target_seek, keep_open, target_size,
+                                nullptr, nullptr, options.options));
+  require(tiff != nullptr);
   const std::size_t row_samples = static_cast<std::size_t>(image.width()) * static_cast<std::size_t>(image.channels());
   const auto rows_per_strip = static_cast<int>(std::max<std::size_t>(1, (1 << 20) / (row_samples * sizeof(Sample))));
   TIFFSetField(tiff.get(), TIFFTAG_IMAGEWIDTH, static_cast<std::uint32_t>(image.width()));
@@ -255,12 +284,11 @@ void encode(AtomicFile& file, const Image<Sample>& image, int format, int compre
     const std::size_t samples = static_cast<std::size_t>(std::min(rows_per_strip, image.height() - v)) * row_samples;
     // libtiff's interface is not const-correct; it copies before it would swap bytes or predict.
     auto* data = const_cast<Sample*>(image.row(v));
-    if (TIFFWriteEncodedStrip(tiff.get(), strip, data, static_cast<tmsize_t>(samples * sizeof(Sample))) < 0)
-      throw fail();
+    require(TIFFWriteEncodedStrip(tiff.get(), strip, data, static_cast<tmsize_t>(samples * sizeof(Sample))) >= 0);
   }
-  if (!TIFFFlush(tiff.get())) throw fail();
+  require(TIFFFlush(tiff.get()) != 0);
   tiff.reset();
-  if (!errors.message.empty()) throw fail();
+  require(errors.message.empty());
 }
 
 }  // namespace
@@ -269,7 +297,7 @@ RawImage decode_tiff(std::string_view bytes, const HeaderCheck& check) {
   Errors errors;
   const Options options(errors);
   Source source{.bytes = bytes};
-  const Handle tiff(TIFFClientOpenExt("image", "rm", &source, source_read, source_write, source_seek, source_close,
+  const Handle tiff(TIFFClientOpenExt("image", "rm", &source, source_read, source_write, source_seek, keep_open,
                                       source_size, nullptr, nullptr, options.options));
   if (!tiff) throw std::runtime_error("is not a readable TIFF (" + errors.message + ")");
   const Layout layout = read_layout(tiff.get());

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <sstream>
 
+#include "malus/core/better_fit_internal.h"
 #include "malus/core/error.h"
 #include "malus/photogrammetry/control_datum_internal.h"
 
@@ -43,10 +44,14 @@ Eigen::Matrix4d similarity(const Pairs& pairs) {
   return motion;
 }
 
-/// Standard deviation of a coordinate.
-double sigma_of(const Pairs& pairs, const Eigen::Matrix4d& motion) {
+double squared_residuals(const Pairs& pairs, const Eigen::Matrix4d& motion) {
   const Points moved = (motion.topLeftCorner<3, 3>() * pairs.model).colwise() + motion.topRightCorner<3, 1>().eval();
-  return std::sqrt((moved - pairs.known).squaredNorm() / static_cast<double>(3 * pairs.known.cols() - 7));
+  return (moved - pairs.known).squaredNorm();
+}
+
+/// Standard deviation of a coordinate.
+double sigma_of(double squares, Eigen::Index points) {
+  return std::sqrt(squares / static_cast<double>(3 * points - 7));
 }
 
 /// Size of the photos' pixels at the points, unit of the model.
@@ -63,19 +68,27 @@ double pixel_size(std::span<const MarkedView> views, std::span<const KnownPoint>
   return sum / count;
 }
 
-/// Index of the point without which the others fit at least three times as well; not asked where all fit to a pixel.
-std::optional<Eigen::Index> doubtful_point(const Pairs& pairs, double sigma, double pixel) {
-  constexpr double far_better = 3;
-  if (pairs.model.cols() < 5 || !(sigma > pixel)) return std::nullopt;
-  std::optional<Eigen::Index> found;
-  double least = sigma / far_better;
-  for (Eigen::Index i = 0; i < pairs.model.cols(); ++i) {
+/// A point that is likely wrong, and how well the others fit without it.
+struct Doubt {
+  Eigen::Index index = 0;
+  double sigma = 0;
+};
+
+/// The point without which the others fit far better than chance explains; not asked where all fit to a pixel.
+std::optional<Doubt> doubtful_point(const Pairs& pairs, double squares, double pixel) {
+  const Eigen::Index count = pairs.model.cols();
+  if (static_cast<std::size_t>(count) < BetterFit::least_points || !(sigma_of(squares, count) > pixel))
+    return std::nullopt;
+  BetterFit fit{
+      .all = squares, .others = squares, .points = static_cast<double>(count), .coordinates = 3, .unknowns = 7};
+  Doubt doubt;
+  for (Eigen::Index i = 0; i < count; ++i) {
     const Pairs others = without(pairs, i);
     if (on_one_line(others.known)) continue;
-    const double left = sigma_of(others, similarity(others));
-    if (left < least) least = left, found = i;
+    const double left = squared_residuals(others, similarity(others));
+    if (left < fit.others) fit.others = left, doubt = {i, sigma_of(left, count - 1)};
   }
-  return found;
+  return fit.is_telling() ? std::optional(doubt) : std::nullopt;
 }
 
 double mark_rms_px(std::span<const MarkedView> views, const KnownPoint& known, const Eigen::Vector3d& point) {
@@ -87,14 +100,14 @@ double mark_rms_px(std::span<const MarkedView> views, const KnownPoint& known, c
   return std::sqrt(squares / static_cast<double>(known.marks.size()));
 }
 
-void require_fit(const Datum& datum, const Points& known) {
+void require_fit(const Datum& datum, const Points& known, const std::optional<Doubt>& doubt) {
   constexpr double tolerated_share = 0.05;
   const double extent = (known.rowwise().maxCoeff() - known.rowwise().minCoeff()).norm();
   if (datum.sigma <= tolerated_share * extent) return;
   std::ostringstream message;
   message.precision(3);
   message << "[[control]]: coordinates and marks do not fit, " << datum.sigma << " off over " << extent << "; ";
-  if (datum.doubtful) {
+  if (doubt && doubt->sigma <= tolerated_share * extent) {
     message << "without point " << *datum.doubtful << " the others do: are its marks and its coordinates right?";
   } else {
     const auto& worst = *std::ranges::max_element(
@@ -133,15 +146,16 @@ Datum adjust_datum(std::span<const MarkedView> views, std::span<const KnownPoint
   datum.scale = std::cbrt(motion.topLeftCorner<3, 3>().determinant());
   datum.rotation = motion.topLeftCorner<3, 3>() / datum.scale;
   datum.translation = motion.topRightCorner<3, 1>();
-  datum.sigma = sigma_of(pairs, motion);
-  if (const auto index = doubtful_point(pairs, datum.sigma, datum.scale * pixel_size(views, points, found)))
-    datum.doubtful = points[used[static_cast<std::size_t>(*index)]].name;
+  const double squares = squared_residuals(pairs, motion);
+  datum.sigma = sigma_of(squares, count);
+  const auto doubt = doubtful_point(pairs, squares, datum.scale * pixel_size(views, points, found));
+  if (doubt) datum.doubtful = points[used[static_cast<std::size_t>(doubt->index)]].name;
   for (std::size_t i = 0; i < points.size(); ++i) {
     const Eigen::Vector3d moved = datum.scale * datum.rotation * found[i] + datum.translation;
     datum.points.push_back(
         {points[i].name, points[i].check, moved - points[i].xyz, mark_rms_px(views, points[i], found[i])});
   }
-  require_fit(datum, pairs.known);
+  require_fit(datum, pairs.known, doubt);
   return datum;
 }
 

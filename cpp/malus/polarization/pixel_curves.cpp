@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <numbers>
+#include <sstream>
 
 namespace malus {
 namespace {
@@ -23,6 +24,16 @@ std::vector<std::size_t> pixels_at_ranks(const PolarizationState& state) {
   return chosen;
 }
 
+std::size_t index_of(const std::array<double, 2>& pixel, Size size) {
+  const auto& [u, v] = pixel;
+  if (u >= 0 && v >= 0 && u < size.width && v < size.height)
+    return static_cast<std::size_t>(v) * static_cast<std::size_t>(size.width) + static_cast<std::size_t>(u);
+  std::ostringstream message;
+  message << "[polarized].curve_pixels has [" << u << ", " << v << "], expected pixels within the polarized image of "
+          << to_string(size) << " pixels";
+  throw input_error(message.str());
+}
+
 }  // namespace
 
 std::vector<PixelCurve> pixel_curves(const PolarizationState& state, const std::vector<Image<float>>& images,
@@ -30,7 +41,7 @@ std::vector<PixelCurve> pixel_curves(const PolarizationState& state, const std::
                                      const std::vector<std::array<double, 2>>& pixels) {
   const auto width = static_cast<std::size_t>(state.size().width);
   std::vector<std::size_t> shown;
-  for (const auto& [u, v] : pixels) shown.push_back(static_cast<std::size_t>(v) * width + static_cast<std::size_t>(u));
+  for (const auto& pixel : pixels) shown.push_back(index_of(pixel, state.size()));
   if (pixels.empty()) shown = pixels_at_ranks(state);
   std::vector<PixelCurve> curves;
   for (const std::size_t pixel : shown) {

@@ -25,6 +25,7 @@ struct PixelCurve {
 
 /// Curves of the pixels (column, row), or if none are given of up to four valid ones: those in the middle of the
 /// object's weakly, moderately, strongly and very strongly polarized ones (ranks 10, 50, 90 and 99 % of the degree).
+/// Throws an input error for a pixel outside the images.
 std::vector<PixelCurve> pixel_curves(const PolarizationState& state, const std::vector<Image<float>>& images,
                                      const std::vector<double>& angles_rad,
                                      const std::vector<std::array<double, 2>>& pixels);

@@ -150,7 +150,8 @@ def _shared(
             raise InputError(
                 f"{path}: [photos] are not those of {first}; the stations of an object are found in the same photos"
             )
-    return {"photos": photos, **{name: _of_all(stations, name) for name in ("scale", "control")}}
+    files = ", ".join(str(path) for path in stations)
+    return {"path": files, "photos": photos, **{name: _of_all(stations, name) for name in ("scale", "control")}}
 
 
 def _of_all(stations: Mapping[Path, Mapping[str, Any]], name: str) -> list[Any]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from malus import _core, stereo
 from malus.camera import Camera
-from malus.errors import DataError
+from malus.errors import DataError, InputError
 from malus.options import Options
 from malus.photogrammetry import diagnosis
 from malus.photogrammetry.bench import Bench
@@ -119,7 +119,7 @@ def find_object_cameras(
 ) -> dict[str, StationCameras]:
     """Cameras of an object's photos and of its stations in one model, by the stations' names.
 
-    shared: `photos`, `scale` and `control` as `Station.describe` says them. stations: lens and H×W unpolarized intensity, undistorted. Stations
+    shared: `path`, `photos`, `scale` and `control` as `Station.describe` says them. stations: lens and H×W unpolarized intensity, undistorted. Stations
     that find no place are left out. The images of the other stations count as photos of each. Raises what `find_cameras` does.
     """
     bench = _bench(folder, options, threads, progress, log)
@@ -177,18 +177,21 @@ def _placed_and_scaled(
     said: Mapping[str, Any],
 ) -> tuple[PlacedStations, SparseModel, dict[str, Any]]:
     """Stations among the photos, measured by windows, and the model in their unit, and in the frame of control points if
-    there are any (`said`: `scale` and `control`), with its figures.
+    there are any (`said`: `scale` and `control`, and the `path` of their file), with its figures.
     """
     matched = match_windows(bench, photos, solved, views, place_stations(bench, solved, views))
     placed = matched.placed
     registered = {name: image.camera for name, image in placed.model.images.items() if name not in views}
     scale, datum = None, None
-    if said["control"]:
-        bench.report("scale", 0.0, "frame from control points")
-        datum = adjust_datum(said["control"], registered, bench.options.photos.mark_sigma_px, bench.log)
-    else:
-        bench.report("scale", 0.0, "scale from known distances")
-        scale = adjust_scale(said["scale"], photos, registered, bench.options, bench.log)
+    try:
+        if said["control"]:
+            bench.report("scale", 0.0, "frame from control points")
+            datum = adjust_datum(said["control"], registered, bench.options.photos.mark_sigma_px, bench.log)
+        else:
+            bench.report("scale", 0.0, "scale from known distances")
+            scale = adjust_scale(said["scale"], photos, registered, bench.options, bench.log)
+    except (InputError, DataError) as error:
+        raise type(error)(f"{said['path']}: {error}") from error
     bench.journal.require_unchanged()
     factor = 1.0 if scale is None else float(scale["scale"])
     unmoved = {"scale": factor, "rotation": np.eye(3), "translation": np.zeros(3)}

@@ -172,7 +172,7 @@ def polarized_images(root: Root, station: Path, values: Mapping[str, Any]) -> li
 
 
 def photos_of(root: Root, station: Path, values: Mapping[str, Any]) -> list[str]:
-    """The photos in which a station's known distances are marked: those of [photos], or else those of its COLMAP model,
+    """The photos in which a station's known distances and control points are marked: those of [photos], or else those of its COLMAP model,
     from the folder that has most of them.
     """
     folder = values.get("photos", {}).get("folder")

@@ -1,6 +1,8 @@
 #include "malus/io/image_file.h"
 
+#include <sys/resource.h>
 #include <tiffio.h>
+#include <unistd.h>
 
 #include <cmath>
 #include <cstring>
@@ -170,6 +172,22 @@ TEST(ImageFile, FloatTiffKeepsEveryBit) {
     ASSERT_EQ(other.channels(), channels);
     EXPECT_EQ(other.ptr<float>(7)[11 * channels + (channels == 3 ? 2 : 0)], raster(11, 7, 0));
   }
+}
+
+TEST(ImageFile, ATiffTakesOneDescriptor) {
+  const TemporaryFolder folder;
+  const Image<float> raster({3, 2}, 1, 1.5F);
+  rlimit before{};
+  ASSERT_EQ(getrlimit(RLIMIT_NOFILE, &before), 0);
+  const int next = dup(0);
+  ASSERT_GE(next, 0);
+  close(next);
+  const rlimit one_more{static_cast<rlim_t>(next) + 1, before.rlim_max};
+  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &one_more), 0);
+  const auto write = [&] { write_float_tiff(folder / "depth.tif", raster); };
+  EXPECT_NO_THROW(write());
+  setrlimit(RLIMIT_NOFILE, &before);
+  EXPECT_EQ(read_float_raster(folder / "depth.tif"), raster);
 }
 
 TEST(ImageFile, SixteenBitTiffSurvivesAndIsReadByOpenCv) {

@@ -87,6 +87,54 @@ TEST(Resection, AWrongMarkIsNamed) {
   EXPECT_NE(message.find("without point C the others do"), std::string::npos) << message;
 }
 
+TEST(Resection, NoiseAloneNamesNoPoint) {
+  const Site site;
+  std::mt19937 random(11);
+  std::normal_distribution<double> noise(0, 3);
+  for (const std::size_t count : {5, 6}) {
+    std::vector<MarkedPoint> exact = site.points();
+    exact.resize(count);
+    int named = 0;
+    constexpr int trials = 200;
+    for (int trial = 0; trial < trials; ++trial) {
+      std::vector<MarkedPoint> points = exact;
+      for (MarkedPoint& point : points) point.pixel += Eigen::Vector2d(noise(random), noise(random));
+      named += resect(points, site.lens, "s").doubtful.has_value();
+    }
+    EXPECT_LE(named, trials / 50) << count << " points";
+  }
+}
+
+TEST(Resection, AWrongMarkIsNamedInNoise) {
+  const Site site;
+  std::mt19937 random(12);
+  std::normal_distribution<double> noise(0, 0.5);
+  int right = 0, wrong = 0;
+  constexpr int trials = 100;
+  for (int trial = 0; trial < trials; ++trial) {
+    std::vector<MarkedPoint> points = site.points();
+    for (MarkedPoint& point : points) point.pixel += Eigen::Vector2d(noise(random), noise(random));
+    MarkedPoint& blunder = points[random() % points.size()];
+    blunder.pixel += 20 * Eigen::Vector2d(noise(random), noise(random)).normalized();
+    const std::optional<std::string> doubtful = resect(points, site.lens, "s").doubtful;
+    if (doubtful) ++(*doubtful == blunder.name ? right : wrong);
+  }
+  EXPECT_GE(right, 0.8 * trials);
+  EXPECT_LE(wrong, 0.02 * trials);
+}
+
+TEST(Resection, OthersAreOnlySaidToFitIfTheyDo) {
+  const Site site;
+  std::vector<MarkedPoint> points = site.points();
+  points.push_back(site.point("G", {-60, 60, 30}));
+  points.push_back(site.point("H", {-20, -70, 10}));
+  points[0].pixel += Eigen::Vector2d(110, 40);
+  points[2].pixel += Eigen::Vector2d(-700, 600);
+  const std::string message = failure(points, site.lens);
+  EXPECT_EQ(message.find("the others do"), std::string::npos) << message;
+  EXPECT_NE(message.find("the worst is point"), std::string::npos) << message;
+}
+
 TEST(Resection, WhatCannotDetermineAPose) {
   const Site site;
   std::vector<MarkedPoint> three = site.points();

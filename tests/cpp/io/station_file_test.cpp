@@ -524,6 +524,12 @@ TEST_F(StationFileTest, ControlPointsGiveThePose) {
   sections.camera = Sections().camera;  // with a pose they only check it
   EXPECT_FALSE(read(sections).resection);
 
+  // A lens of another size is said before its points are called wrong.
+  sections.camera = "[camera]\nmodel = \"PINHOLE\"\nwidth = 6\nheight = 4\nparams = [50, 50.5, 3.0, 2.25]\n";
+  sections.rest = control_text("[5.5, 4.0]");
+  rejects(sections, "[camera]", "is for 6 x 4 pixels", "has 12 x 8");
+  sections.camera = Sections().camera;
+
   sections.rest = control_text("[12.0, 4.0]");
   rejects(sections, "control", "point P5 has pixel = [12, 4]", "12 x 8");
   sections.rest = control_text("[5.5, 4.0]\n[[scale]]\ndistance = 3\na_xyz = [0, 0, 0]\nb_xyz = [1, 0, 0]");

@@ -2,6 +2,7 @@
 
 #include <Eigen/Geometry>
 #include <numbers>
+#include <random>
 
 #include "malus/core/error.h"
 #include "malus/photogrammetry/control_datum_internal.h"
@@ -75,6 +76,20 @@ TEST(AdjustDatum, AWrongPointIsNamedAndAHeldOutOneShowsItsError) {
   points[2].check = false;
   points[2].xyz += Eigen::Vector3d(0, 0, 400);
   EXPECT_NE(failure(site.views, points).find("without point C the others do"), std::string::npos);
+}
+
+TEST(AdjustDatum, NoiseAloneNamesNoPoint) {
+  const Site site;
+  std::mt19937 random(5);
+  std::normal_distribution<double> noise(0, 1.5);
+  int named = 0;
+  constexpr int trials = 200;
+  for (int trial = 0; trial < trials; ++trial) {
+    std::vector<KnownPoint> points = site.points();
+    for (KnownPoint& point : points) point.xyz += Eigen::Vector3d(noise(random), noise(random), noise(random));
+    named += adjust_datum(site.views, points).doubtful.has_value();
+  }
+  EXPECT_LE(named, trials / 50);
 }
 
 TEST(AdjustDatum, TooFewOrOnALine) {

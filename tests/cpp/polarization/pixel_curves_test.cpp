@@ -1,0 +1,29 @@
+#include "malus/polarization/pixel_curves.h"
+
+#include "thrown_error.h"
+
+namespace malus {
+namespace {
+
+TEST(PixelCurves, ChosenPixelsLieInTheImages) {
+  PolarizationState state;
+  state.i_un = Image<float>({4, 3});
+  std::vector<Image<float>> images(3, Image<float>({4, 3}));
+  images[2](3, 2) = 0.5F;
+  const std::vector<double> angles_rad{0, 1, 2};
+  const std::vector<PixelCurve> curves = pixel_curves(state, images, angles_rad, {{3, 2}, {0, 1}});
+  ASSERT_EQ(curves.size(), 2U);
+  EXPECT_EQ(curves[0].u, 3);
+  EXPECT_EQ(curves[0].v, 2);
+  EXPECT_EQ(curves[0].intensities, (std::vector<double>{0, 0, 0.5}));
+  // As a station of RAW files may have them, whose size is not known when the station file is read.
+  for (const std::array<double, 2> outside : {std::array{4.0, 0.0}, {0.0, 3.0}, {-1.0, 0.0}}) {
+    const auto [code, message] = error_of([&] { pixel_curves(state, images, angles_rad, {{0, 0}, outside}); });
+    EXPECT_EQ(code, ErrorCode::input);
+    expect_contains(message, "curve_pixels");
+    expect_contains(message, "4 x 3");
+  }
+}
+
+}  // namespace
+}  // namespace malus
