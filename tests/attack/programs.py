@@ -319,11 +319,13 @@ def disturbances(attack: Attack) -> list[Callable[[], None]]:
         return tasks
 
     def in_group(level: int) -> None:
-        group.write_text(str(level * MB))
-        enter = group.parent / "cgroup.procs"
-        attack.limited("control group, MB", level, lambda: enter.write_text(str(os.getpid())) and None, (5, -signal.SIGKILL))  # fmt: skip
+        def enter() -> None:
+            (group.parent / "cgroup.procs").write_text(str(os.getpid()))
 
-    return tasks + [lambda level=level: in_group(level) for level in MEMORY_MB]  # type: ignore[misc]
+        group.write_text(str(level * MB))
+        attack.limited("control group, MB", level, enter, (5, -signal.SIGKILL))
+
+    return tasks + [lambda level=level: in_group(level) for level in MEMORY_MB]
 
 
 QUIET = ["--quiet", "--threads", "2"]
