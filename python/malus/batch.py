@@ -6,6 +6,7 @@ import csv
 import hashlib
 import io
 import json
+import logging
 import multiprocessing
 import os
 import signal
@@ -228,10 +229,19 @@ def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[Outcome]:
             client.submit(run_station, task, key=f"malus-{task.identifier}-{task.key()}", pure=False): task
             for task in tasks
         }
+        # What Dask has to say of a scheduler that is lost, with a traceback, is said below.
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         for future in distributed.as_completed(futures):
-            failed_with = future.exception()
-            if failed_with is None:
-                yield future.result()
+            try:
+                failed_with = future.exception()
+                outcome = future.result() if failed_with is None else None
+            except distributed.CancelledError:
+                raise ExternalError(
+                    f"--scheduler {address}: the Dask scheduler was lost or the stations were canceled there; "
+                    "what is done is kept, and the same command goes on"
+                ) from None
+            if outcome is not None:
+                yield outcome
             elif isinstance(failed_with, distributed.KilledWorker):
                 yield _killed(futures[future], "its workers were killed again and again, perhaps out of memory")
             else:

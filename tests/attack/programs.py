@@ -1,5 +1,5 @@
-"""Attack on whole runs: kills at random moments, limits of memory and of file size at many levels, disks that are full,
-read-only or forbidden at every step.
+"""Attack on whole runs: kills at random moments (of a campaign also of its shards, workers and scheduler), limits of memory
+and of file size at many levels, disks that are full, read-only or forbidden at every step.
 
 After each the run is repeated without the attack, and must leave what an undisturbed run leaves, bit for bit. Small disks
 and limits of a control group take root's rights; without them they are left out, which is said.
@@ -12,19 +12,25 @@ from __future__ import annotations
 import argparse
 import atexit
 import hashlib
+import json
 import os
 import random
 import re
 import resource
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
+
+import numpy as np
+from PIL import Image
 
 from malus import Options, _core, synthetic
 
@@ -59,6 +65,17 @@ def state_of(work: Path) -> dict[str, str]:
 
 def _without_times(path: Path) -> bytes:
     return TIMES.sub(b"", path.read_bytes()) if path.name == "index.html" else path.read_bytes()
+
+
+def tiny_station(folder: Path, *, seed: int = 0) -> Path:
+    """The smallest station there is, an object of 48 x 40 pixels: a run of it takes a fraction of a second."""
+    station = synthetic.write_station(folder, 120, 120, seed=seed)
+    mask = np.zeros((120, 120), np.uint8)
+    mask[40:80, 36:84] = 255
+    Image.fromarray(mask).save(folder / "mask.png")
+    text = station.read_text(encoding="utf-8")
+    station.write_text(text.replace("[polarized]", '[polarized]\nmask = "mask.png"', 1), encoding="utf-8")
+    return station
 
 
 @contextmanager
@@ -161,6 +178,18 @@ class Attack:
         wrong = sorted(name for name in now.keys() | self.expected.keys() if now.get(name) != self.expected.get(name))
         self.expect(not wrong, f"{after}, then resumed: {', '.join(wrong)} differ")
 
+    def nothing_false(self, work: Path, after: str) -> None:
+        """Every file of a step that a manifest calls done is there, as the undisturbed run makes it."""
+        now = state_of(work)
+        for manifest in work.rglob("manifest.json"):
+            folder = manifest.parent.relative_to(work)
+            steps = json.loads(manifest.read_text(encoding="utf-8"))["steps"]
+            done = [
+                str(folder / name) for step in steps.values() if step["status"] == "done" for name in step["outputs"]
+            ]
+            wrong = sorted(name for name in done if now.get(name) != self.expected.get(name))
+            self.expect(not wrong, f"{after}: {', '.join(wrong)} are not what {manifest} says is done")
+
     def refused(self, work: Path, what: str, codes: tuple[int, ...], before: Callable[[], None] | None = None) -> None:
         """A run that ends with one of these codes, or 0, and looks finished only then."""
         try:
@@ -186,7 +215,39 @@ class Attack:
             run.wait()
             self.runs["kills"] += 1
             self.expect(group_ended(run.pid), f"killed after {moment} s: processes that it started go on")
+            self.nothing_false(work, f"killed after {moment} s")
         self.resume(work, f"killed after {moments_s} s")
+        shutil.rmtree(work)
+
+    def killed_together(self, commands: dict[str, list[str]], victim: str, moment_s: float) -> None:
+        """One of several programs that work on it together is killed at this moment; the others end as they do, or are ended
+        when the last one, whose work it is, has ended.
+        """
+        work = self.new_folder("work")
+        runs = {
+            name: subprocess.Popen(
+                [word.replace("WORK", str(work)) for word in command], cwd=self.folder, stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE, text=True, errors="replace", start_new_session=True,
+            )
+            for name, command in commands.items()
+        }  # fmt: skip
+        what = f"{victim} killed after {moment_s} s"
+        time.sleep(moment_s)
+        runs[victim].send_signal(signal.SIGKILL)
+        self.runs[f"kills of a {victim.split()[0]}"] += 1
+        last = next(reversed(runs.values()))
+        try:
+            _, error = last.communicate(timeout=LONGEST_S)
+            self.expect(last.returncode in (0, 4, 5, -signal.SIGKILL), f"{what}: ends with {last.returncode}: {error}")
+            self.expect("Traceback" not in error, f"{what}: {error}")
+        except subprocess.TimeoutExpired:
+            self.expect(False, f"{what}: did not end")
+        for run in runs.values():
+            run.terminate()
+            run.communicate()
+            self.expect(group_ended(run.pid), f"{what}: processes that it started go on")
+        self.nothing_false(work, what)
+        self.resume(work, what)
         shutil.rmtree(work)
 
     def limited(self, name: str, level: int, before: Callable[[], None], codes: tuple[int, ...]) -> None:
@@ -258,42 +319,71 @@ def disturbances(attack: Attack) -> list[Callable[[], None]]:
         return tasks
 
     def in_group(level: int) -> None:
+        def enter() -> None:
+            (group.parent / "cgroup.procs").write_text(str(os.getpid()))
+
         group.write_text(str(level * MB))
-        enter = group.parent / "cgroup.procs"
-        attack.limited("control group, MB", level, lambda: enter.write_text(str(os.getpid())) and None, (5, -signal.SIGKILL))  # fmt: skip
+        attack.limited("control group, MB", level, enter, (5, -signal.SIGKILL))
 
-    return tasks + [lambda level=level: in_group(level) for level in MEMORY_MB]  # type: ignore[misc]
+    return tasks + [lambda level=level: in_group(level) for level in MEMORY_MB]
 
 
-def attacks_on(program: Path, folder: Path) -> dict[str, Attack]:
-    """malus-station with both fusions, the report, and a campaign in two processes."""
+QUIET = ["--quiet", "--threads", "2"]
+
+
+def attacks_on_station(program: Path, folder: Path) -> dict[str, Attack]:
+    """malus-station with both fusions."""
     # Where another user finds them too.
     folder.chmod(0o755)
     program = Path(shutil.copy(program, folder))
-    station = synthetic.write_station(folder / "station", 160, 120)
-    python = [sys.executable, "-m", "malus.cli"]
-    quiet = ["--quiet", "--threads", "2"]
+    station = tiny_station(folder / "station")
     attacks = {}
     for fusion in ("grid", "refined"):
         (folder / fusion).mkdir()
         attacks[fusion] = Attack(
             fusion, folder / fusion,
-            lambda work, fusion=fusion: [str(program), str(station), "-o", str(work), "--fusion", fusion, *quiet],  # type: ignore[misc]
+            lambda work, fusion=fusion: [str(program), str(station), "-o", str(work), "--fusion", fusion, *QUIET],  # type: ignore[misc]
         )  # fmt: skip
+    return attacks
+
+
+def attacks_on(program: Path, folder: Path) -> dict[str, Attack]:
+    """malus-station with both fusions, the report, and a campaign in two processes."""
+    attacks = attacks_on_station(program, folder)
+    python = [sys.executable, "-m", "malus.cli"]
     (folder / "report").mkdir()
     attacks["report"] = Attack(
         "report", folder / "report", lambda work: [*python, "report", str(work)], folder / "grid" / "undisturbed"
     )
     for k in range(3):
-        synthetic.write_station(folder / "campaign" / f"o{k}", 120, 120, seed=k)
+        tiny_station(folder / "campaign" / f"o{k}", seed=k)
     file = folder / "campaign" / "campaign.toml"
     file.write_text('[campaign]\nstations = ["o*/station.toml"]\nreport = false\n[options]\nfusion = "grid"\n')
     (folder / "batch").mkdir()
     attacks["batch"] = Attack(
         "batch", folder / "batch",
-        lambda work: [*python, "batch", str(file), "-o", str(work), "--jobs", "2", *quiet],
+        lambda work: [*python, "batch", str(file), "-o", str(work), "--jobs", "2", *QUIET],
     )  # fmt: skip
     return attacks
+
+
+def killed_beside_others(batch: Attack, chance: random.Random) -> None:
+    """A campaign of which a shard is killed beside the other one, or a part of a Dask cluster."""
+    whole = batch.command(Path("WORK"))
+    commands = {f"shard {k}": [*whole, "--shard", f"{k}/2"] for k in (1, 2)}
+    if find_spec("distributed") is not None and chance.random() < 0.5:
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            port = str(free.getsockname()[1])
+        address = f"tcp://127.0.0.1:{port}"
+        dask = [sys.executable, "-m", "distributed.cli.dask_"]
+        worker = [*dask[:-1], dask[-1] + "worker", address, "--nthreads", "1", "--no-dashboard"]
+        commands = {
+            "scheduler": [*dask[:-1], dask[-1] + "scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard"],
+            "worker 1": worker,
+            "worker 2": worker,
+            "client": [*whole, "--scheduler", address],
+        }
+    batch.killed_together(commands, chance.choice(list(commands)), chance.uniform(0, 2 * batch.seconds))
 
 
 def main() -> int:
@@ -312,6 +402,8 @@ def main() -> int:
     while time.monotonic() < end:
         if once:
             once.pop()()
+        if chance.random() < 0.1:
+            killed_beside_others(attacks["batch"], chance)
         attack = chance.choice(list(attacks.values()))
         attack.killed([chance.uniform(0, attack.seconds) for _ in range(chance.randint(1, 3))])
     for name, attack in attacks.items():

@@ -18,8 +18,10 @@ IMAGES = "images = ["
 ANGLES = "angles_deg = [0, 30, 60, 90, 120, 150]"
 
 
-def expect(station: Path, work: Path, code: int, *words: str, arguments: tuple[str, ...] = ()) -> None:
-    """Both programs must fail alike: exit code, words of the message, no result left behind."""
+def expect(
+    station: Path, work: Path, code: int, *words: str, arguments: tuple[str, ...] = (), warnings: int = 0
+) -> None:
+    """Both programs must fail alike: exit code, words of the one message, so many warnings, no result left behind."""
     for program in (malus, malus_station):
         run_words = ("run",) if program is malus else ()
         outcome = program(*run_words, station, "-o", work, "--quiet", *arguments)
@@ -27,8 +29,9 @@ def expect(station: Path, work: Path, code: int, *words: str, arguments: tuple[s
         for word in words:
             assert word in outcome.err, f"{program.__name__}: {word!r} is not in {outcome.err!r}"
         assert "Traceback" not in outcome.err
-        errors = [line for line in outcome.err.strip().splitlines() if not line.startswith("warning: ")]
-        assert len(errors) == 1, outcome.err
+        lines = outcome.err.strip().splitlines()
+        assert sum(line.startswith("warning: ") for line in lines) == warnings, outcome.err
+        assert len(lines) == warnings + 1, outcome.err
         assert not (work / "fused" / "depth.tif").exists()
         assert not (work / "quality.json").exists()
         assert not half_written(work)
@@ -88,6 +91,29 @@ def test_folders_that_no_system_can_make(small_station: Path, tmp_path: Path) ->
     assert malus_station(small_station, "-o", "", "--quiet").code == 2
 
 
+@pytest.mark.parametrize("name", ["x" * 300, "circle/file"])
+@pytest.mark.parametrize(
+    ("old", "new", "field"),
+    [
+        ("pol/pol_030.tif", "NAME", "images"),
+        (ANGLES, ANGLES + '\nmask = "NAME"', "mask"),
+        (ANGLES, ANGLES + '\nresponse = "NAME"', "response"),
+        ("[camera]", '[optics]\nreflection = "NAME"\n\n[camera]', "reflection"),
+        ("dense/cloud.ply", "NAME", "cloud"),
+    ],
+)
+def test_paths_that_the_system_cannot_look_at_name_their_field(
+    small_station: Path, work: Path, old: str, new: str, field: str, name: str
+) -> None:
+    """A name that is too long, links in a circle."""
+    (small_station.parent / "circle").symlink_to("circle")
+    edit(small_station, old, new.replace("NAME", name))
+    outcome = malus_station(small_station, "-o", work, "--quiet")
+    assert outcome.code == 2, outcome
+    assert f"].{field}" in outcome.err and name in outcome.err
+    assert "too long" in outcome.err or "symbolic links" in outcome.err
+
+
 def test_unknown_key_names_the_nearest(small_station: Path, work: Path) -> None:
     edit(small_station, "white_level", "whitelevel")
     expect(small_station, work, 2, "whitelevel", "white_level")
@@ -137,7 +163,8 @@ def test_mask_of_another_size(small_station: Path, work: Path) -> None:
 def test_all_saturated(small_station: Path, work: Path) -> None:
     for path in (small_station.parent / "pol").glob("*.tif"):
         tifffile.imwrite(path, np.full((160, 200), 16383, np.uint16))
-    expect(small_station, work, 3, "saturated")
+    # Five of the six images are to be moved onto the first, and none has anything to be moved by.
+    expect(small_station, work, 3, "saturated", warnings=5)
 
 
 def _write_cloud(station: Path, points: np.ndarray) -> None:

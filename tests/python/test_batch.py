@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -289,3 +291,47 @@ def test_a_killed_worker_costs_no_result(small_station_source: Path, tmp_path: P
     assert [outcome["status"] for outcome in outcomes] == ["failed" if k == 7 else "done" for k in range(12)]
     malus.batch.run_campaign(campaign, tmp_path / "serial", threads=1)
     assert results(tmp_path / "cluster") == results(tmp_path / "serial")
+
+
+@needs_distributed
+@pytest.mark.filterwarnings("ignore")  # Dask's own, while it loses its scheduler
+def test_a_killed_scheduler_is_said_and_costs_no_result(
+    small_station_source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(malus.batch, "_SCHEDULER_TIMEOUT", "5s")
+    campaign = Campaign.load(campaign_of(tmp_path, small_station_source, 3))
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+
+    def dask(part: str, *words: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", f"distributed.cli.dask_{part}", *words, "--no-dashboard"]
+        return subprocess.Popen(command, stderr=subprocess.DEVNULL)
+
+    scheduler = dask("scheduler", "--host", "127.0.0.1", "--port", str(port))
+    worker = dask("worker", address, "--nthreads", "1")
+    try:
+        for _ in range(1200):
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port)):
+                break
+            time.sleep(0.1)
+        ended: list[str] = []
+
+        def kill(done: int, total: int, outcome: malus.batch.Outcome) -> None:
+            ended.append(outcome["station"])
+            scheduler.kill()
+
+        with pytest.raises(malus.ExternalError, match="scheduler was lost.*the same command goes on"):
+            malus.batch.run_campaign(campaign, tmp_path / "out", threads=1, scheduler=address, progress=kill)
+    finally:
+        scheduler.kill()
+        worker.terminate()
+        scheduler.wait()
+        worker.wait()
+    assert not [record for record in caplog.records if record.exc_info], "no traceback of Dask's"
+    malus.batch.run_campaign(
+        campaign, tmp_path / "out", threads=1, progress=lambda *told: ended.append(told[2]["station"])
+    )
+    assert len(set(ended)) == len(ended), "none is run twice"
+    malus.batch.run_campaign(campaign, tmp_path / "serial", threads=1)
+    assert results(tmp_path / "out") == results(tmp_path / "serial")

@@ -8,6 +8,7 @@
 #include <optional>
 #include <set>
 #include <span>
+#include <system_error>
 
 #include "malus/core/error.h"
 #include "malus/io/angles_of_names_internal.h"
@@ -144,10 +145,13 @@ std::vector<std::filesystem::path> list_images(const std::filesystem::path& base
                                                const std::string& where) {
   std::vector<std::filesystem::path> files;
   const std::filesystem::path folder = (base / folder_or_glob).lexically_normal();
-  if (std::filesystem::is_directory(folder)) {
-    for (const auto& entry : std::filesystem::directory_iterator(folder)) {
-      if (entry.is_regular_file() && is_image_name(entry.path())) files.push_back(entry.path());
+  std::error_code failure, not_looked_at;
+  if (std::filesystem::is_directory(folder, not_looked_at)) {
+    for (std::filesystem::directory_iterator entry(folder, failure), end; !failure && entry != end;
+         entry.increment(failure)) {
+      if (is_image_name(entry->path()) && entry->is_regular_file(not_looked_at)) files.push_back(entry->path());
     }
+    if (failure) throw input_error(where + " = " + folder.string() + ": " + failure.message());
     // Cameras write RAW and JPEG side by side: the RAW files are the linear ones.
     if (std::ranges::any_of(files, is_raw_name))
       std::erase_if(files, [](const auto& file) { return !is_raw_name(file); });

@@ -122,7 +122,7 @@ std::vector<std::filesystem::path> read_image_list(const TomlTable& table) {
   } else {
     const auto names =
         table.required(table.texts("images"), "images", "a list of files, a folder or a pattern like \"pol/*.png\"");
-    for (const std::string& name : names) images.push_back(table.resolve(name));
+    for (const std::string& name : names) images.push_back(table.resolve("images", name));
   }
   constexpr std::size_t most_images = 1000;
   if (images.size() > most_images) {
@@ -211,7 +211,7 @@ std::string read_response(const TomlTable& table) {
     }
     return value;
   }
-  const auto path = table.resolve(value);
+  const auto path = table.resolve("response", value);
   if (!std::filesystem::exists(path))
     throw table.wrong("response", "\"linear\", \"srgb\", \"gamma:2.2\" or the file of a lookup table");
   require_file(path, table.where("response"));
@@ -326,7 +326,7 @@ OpticsSpec read_optics(const TomlTable& table) {
     spec.reflection = *choice;
     return spec;
   }
-  if (!std::filesystem::exists(table.resolve(reflection))) {
+  if (!std::filesystem::exists(table.resolve("reflection", reflection))) {
     throw table.wrong("reflection", "\"diffuse\", \"specular\", \"auto\" or the file of a label image");
   }
   spec.label_image = table.existing_file("reflection");
@@ -474,7 +474,7 @@ void read_colmap_camera(const TomlTable& table, StationFile& station) {
   for (const std::string_view key : joined({lens_keys, pose_keys})) {
     if (table.has(key)) throw table.error(key, "cannot be given together with colmap_model");
   }
-  const auto folder = table.resolve(*table.text("colmap_model"));
+  const auto folder = table.resolve("colmap_model", *table.text("colmap_model"));
   const std::string name = table.required(table.text("image"), "image", "the station's image name in the COLMAP model");
   if (!std::filesystem::is_directory(folder))
     throw table.wrong("colmap_model", "a folder with cameras and images files");
@@ -585,7 +585,7 @@ std::optional<PriorFile> read_prior(const TomlTable& table, bool in_memory) {
   }
   if (table.has("mesh")) return MeshFile{*table.existing_file("mesh")};
   if (table.has("depth")) return DepthFile{*table.existing_file("depth")};
-  const std::filesystem::path folder = table.resolve(*table.text("cloud"));
+  const std::filesystem::path folder = table.resolve("cloud", *table.text("cloud"));
   if (!std::filesystem::is_directory(folder)) return CloudFile{*table.existing_file("cloud")};
   try {
     colmap_workspace_files(folder);
@@ -597,7 +597,8 @@ std::optional<PriorFile> read_prior(const TomlTable& table, bool in_memory) {
 
 PhotosSpec read_photos(const TomlTable& table) {
   PhotosSpec spec;
-  spec.folder = table.resolve(table.required(table.text("folder"), "folder", "the folder of the photographs"));
+  spec.folder =
+      table.resolve("folder", table.required(table.text("folder"), "folder", "the folder of the photographs"));
   if (!std::filesystem::is_directory(spec.folder)) throw table.wrong("folder", "an existing folder");
   spec.exclude = table.texts("exclude").value_or(std::vector<std::string>{});
   if (const toml::table* camera = section(table, "camera")) {
@@ -673,7 +674,7 @@ void read_scale_bars(const TomlTable& document, StationFile& station, bool has_p
   std::optional<ColmapModel> model;
   const toml::table* camera = section(document, "camera");
   if (const auto folder = camera != nullptr ? (*camera)["colmap_model"].value<std::string>() : std::nullopt)
-    model = read_colmap_model(document.resolve(*folder), ColmapParts::cameras_and_images);
+    model = read_colmap_model(document.resolve("camera", *folder), ColmapParts::cameras_and_images);
   GivenScale scale = given_scale(station.scale_bars, model ? &*model : nullptr, station.path.string() + ": [[scale]]");
   station.prior_scale = scale.factor;
   station.scale_errors = std::move(scale.errors);

@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <cmath>
 #include <sstream>
+#include <system_error>
 
 #include "malus/io/input_file_internal.h"
 #include "malus/io/nearest_name_internal.h"
@@ -133,14 +134,19 @@ std::optional<std::vector<std::string>> TomlTable::texts(std::string_view key) c
   return values;
 }
 
-std::filesystem::path TomlTable::resolve(const std::string& path) const {
-  return (file_.parent_path() / path).lexically_normal();
+std::filesystem::path TomlTable::resolve(std::string_view key, const std::string& path) const {
+  const std::filesystem::path resolved = (file_.parent_path() / path).lexically_normal();
+  std::error_code failure;
+  const auto status = std::filesystem::status(resolved, failure);
+  if (failure && status.type() != std::filesystem::file_type::not_found)
+    throw error(key, resolved.string() + ": " + failure.message());
+  return resolved;
 }
 
 std::optional<std::filesystem::path> TomlTable::existing_file(std::string_view key) const {
   const auto path = text(key);
   if (!path) return std::nullopt;
-  const std::filesystem::path resolved = resolve(*path);
+  const std::filesystem::path resolved = resolve(key, *path);
   require_file(resolved, where(key) + " =");
   return resolved;
 }

@@ -49,7 +49,9 @@ class TomlTable {
 
   /// Path of a file that exists, is readable and not empty; relative ones start at the station file's folder.
   std::optional<std::filesystem::path> existing_file(std::string_view key) const;
-  std::filesystem::path resolve(const std::string& path) const;
+  /// The path that the key names. There need not be such a file, but the system must be able to look: names that are
+  /// too long, circles of links and folders without permission are errors.
+  std::filesystem::path resolve(std::string_view key, const std::string& path) const;
 
   /// Input error "<file>, line L: <table>.<key> = <value>, expected <expected>".
   Error wrong(std::string_view key, const std::string& expected) const;

@@ -1,0 +1,111 @@
+"""Attack on single operations on files: each of them fails, as on a network's disk or over a quota, or is the run's last.
+
+strace counts a run's operations, chooses one at random, and lets the system refuse it, or kill the program at it: far more
+kinds of failures, and in far narrower places, than disks that are full and kills at random moments. After each the run is
+repeated, and must leave what an undisturbed one leaves, bit for bit. Where a process may not watch another, as in some
+containers, all of it is left out, which is said.
+
+    operations.py PROGRAM FOLDER --seconds N [--seed S]
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import shutil
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+from programs import Attack, attacks_on_station
+
+#: Operation → what the system may say of it. ESTALE, EBUSY: another machine moved or holds the file; EDQUOT: the quota is
+#: used up, of which a network's disk tells at fsync and close only.
+ERRORS = {
+    "openat": ("EACCES", "EIO", "EMFILE", "ENOSPC", "ESTALE"),
+    "write": ("EDQUOT", "EIO", "ENOSPC", "ESTALE"),
+    "pwrite64": ("EDQUOT", "EIO", "ENOSPC"),
+    "fallocate": ("EDQUOT", "ENOSPC", "EOPNOTSUPP"),
+    "fsync": ("EDQUOT", "EIO", "ENOSPC"),
+    "close": ("EDQUOT", "EIO"),
+    "rename": ("EACCES", "EBUSY", "EIO", "ESTALE"),
+    "unlink": ("EACCES", "EBUSY", "ESTALE"),
+    "mkdir": ("EACCES", "EDQUOT", "EROFS"),
+}
+KILLED = "signal=SIGKILL"
+#: The loader's own code, before a program begins.
+NOT_LOADED = 127
+
+
+class Operations:
+    """The operations of one way to work on a station."""
+
+    def __init__(self, attack: Attack) -> None:
+        self.attack = attack
+        self.done: Counter[str] = Counter()
+        self.count = self._counted()
+
+    def disturb(self, operation: str, number: int, what: str) -> None:
+        """The operation with this number fails (error=…), or ends the program (signal=SIGKILL)."""
+        attack = self.attack
+        work = attack.new_folder("work")
+        inject = f"inject={operation}:{what}:when={number}"
+        command = ["strace", "-f", "-qq", "-e", f"trace={operation}", "-e", inject, "-o", "/dev/null"]
+        run = subprocess.run([*command, *attack.command(work)], capture_output=True, text=True, errors="replace")
+        self.done["killed at" if what == KILLED else what.removeprefix("error=")] += 1
+        code, said = run.returncode, f"{inject}: ends with {run.returncode}: {run.stderr}"
+        attack.expect(code in ((-9, 0) if what == KILLED else (0, 2, 5, NOT_LOADED)), said)
+        attack.expect("Traceback" not in run.stderr and "error of its own" not in run.stderr, said)
+        attack.expect(code in (-9, 0) or bool(run.stderr.strip()), f"{inject}: ends with {code} and says nothing")
+        attack.nothing_false(work, inject)
+        attack.resume(work, inject)
+        shutil.rmtree(work)
+
+    def _counted(self) -> dict[str, int]:
+        """How often the first process of a run does each: strace counts each thread's on its own."""
+        work = self.attack.new_folder("work")
+        log = self.attack.folder / "operations.txt"
+        command = ["strace", "-f", "-qq", "-e", f"trace={','.join(ERRORS)}", "-o", str(log)]
+        subprocess.run([*command, *self.attack.command(work)], check=True, capture_output=True)
+        shutil.rmtree(work)
+        lines = [line.split(maxsplit=1) for line in log.read_text(errors="replace").splitlines()]
+        count = Counter(what.split("(")[0] for process, what in lines if process == lines[0][0])
+        return {operation: count[operation] for operation in ERRORS if count[operation] > 0}
+
+
+def may_watch() -> bool:
+    """Whether strace works here."""
+    return subprocess.run(["strace", "-o", "/dev/null", "true"], capture_output=True).returncode == 0
+
+
+def main() -> int:
+    """Attack for so many seconds; the exit code is 1 if there were findings."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("program", type=Path)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--seconds", type=float, default=120)
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    if not may_watch():
+        print("strace may not watch other processes here: left out")
+        return 0
+    end = time.monotonic() + arguments.seconds
+    attacks = attacks_on_station(arguments.program.resolve(), arguments.folder.resolve())
+    chance = random.Random(arguments.seed)
+    all_operations = [Operations(attack) for attack in attacks.values()]
+    while time.monotonic() < end:
+        operations = chance.choice(all_operations)
+        operation = chance.choice(list(operations.count))
+        what = KILLED if chance.random() < 0.5 else f"error={chance.choice(ERRORS[operation])}"
+        operations.disturb(operation, chance.randint(1, operations.count[operation]), what)
+    for operations in all_operations:
+        print(f"{operations.attack.name}: {dict(operations.done)} of {operations.count}")
+    findings = sum(len(attack.findings) for attack in attacks.values())
+    print(f"{findings} findings")
+    return 1 if findings else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
