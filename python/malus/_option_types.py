@@ -482,7 +482,7 @@ class RefineSection(Section):
     albedo_contrast: float
     """log-albedo step between pixels that counts half"""
     smoothness: float
-    """weight of the second differences"""
+    """weight of the second differences of the change to the prior, where all that is wrong with the polarization is noise; less by the share of other errors"""
     search_sharpening: float
     """factor on the prior's detail that the search for a better minimum starts with"""
     search: bool

@@ -45,7 +45,7 @@ struct RefineOptions {
   double prior_robust_gsd = 2;
   double albedo_weight = 10;
   double albedo_contrast = 0.04;
-  double smoothness = 0.05;
+  double smoothness = 3;
   double search_sharpening = 2.5;
   bool search = true;
   bool environment = true;
@@ -87,7 +87,10 @@ struct RefineOptions {
     visit("albedo_weight", self.albedo_weight, not_negative,
           "weight of the albedo gradient in diffuse regions, up to 2.5 times that where albedo varies little");
     visit("albedo_contrast", self.albedo_contrast, Range{1e-4, 10}, "log-albedo step between pixels that counts half");
-    visit("smoothness", self.smoothness, not_negative, "weight of the second differences");
+    visit(
+        "smoothness", self.smoothness, not_negative,
+        "weight of the second differences of the change to the prior, where all that is wrong with the polarization is "
+        "noise; less by the share of other errors");
     visit("search_sharpening", self.search_sharpening, Range{-10, 10},
           "factor on the prior's detail that the search for a better minimum starts with");
     visit("search", self.search, any_value,
