@@ -482,7 +482,7 @@ class RefineSection(Section):
     albedo_contrast: float
     """log-albedo step between pixels that counts half"""
     smoothness: float
-    """weight of the second differences"""
+    """weight of the second differences of the change to the prior, where all that is wrong with the polarization is noise; less by the share of other errors"""
     search_sharpening: float
     """factor on the prior's detail that the search for a better minimum starts with"""
     search: bool
@@ -495,6 +495,8 @@ class RefineSection(Section):
     """down-weigh regions that fit badly"""
     surroundings: bool
     """where that explains more of the polarization, take the object as matt and mirroring its surroundings"""
+    correct_index: bool
+    """with a map of the surroundings: replace a refractive index that the polarization clearly contradicts"""
     evidence: bool
     """keep the prior's surface where the reflection model does not explain the polarization"""
     explained_least: float
@@ -533,6 +535,7 @@ class RefineValues(TypedDict, total=False):
     lobe: bool
     regional_weights: bool
     surroundings: bool
+    correct_index: bool
     evidence: bool
     explained_least: float
     explained_enough: float

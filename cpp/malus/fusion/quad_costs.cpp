@@ -178,6 +178,7 @@ SmoothnessCost::SmoothnessCost(const RefinementField& field, QuadIndex quad, Axi
 
 void SmoothnessCost::evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
   const Neighbourhood around(field_, quads_.front(), quads_, parameters);
+  const auto change = [&](int du, int dv) { return around.value(du, dv) - field_.x_prior(around.u(du), around.v(dv)); };
   const int step_u = axis_ == Axis::u, step_v = axis_ == Axis::v;
   int residual = 0;
   for (int line = 0; line < quad_px; ++line) {
@@ -185,8 +186,8 @@ void SmoothnessCost::evaluate(double const* const* parameters, double* residuals
       const int du = step_u * at + step_v * line, dv = step_v * at + step_u * line;
       if (!around.has(du, dv) || !around.has(du - step_u, dv - step_v) || !around.has(du + step_u, dv + step_v))
         continue;
-      residuals[residual] = weight_ * (around.value(du - step_u, dv - step_v) + around.value(du + step_u, dv + step_v) -
-                                       2 * around.value(du, dv));
+      residuals[residual] =
+          weight_ * (change(du - step_u, dv - step_v) + change(du + step_u, dv + step_v) - 2 * change(du, dv));
       if (jacobians == nullptr) continue;
       around.add(jacobians, residual, du - step_u, dv - step_v, weight_);
       around.add(jacobians, residual, du + step_u, dv + step_v, weight_);

@@ -308,6 +308,7 @@ class Refiner {
       take_surroundings(metal->second, image_, report_, map_, context_);
       return;
     }
+    if (options_.correct_index) correct_index();
     if (mean_over_object(explained(nullptr).shares(false, context_)) > by_labels + clearly) return;
     image_.kind = labels;
     image_.reflection = model;
@@ -363,14 +364,14 @@ class Refiner {
     const Image<float> after = with_map ? explained_by_surroundings(false) : Image<float>();
     const Image<float> in_metal = explained_as_metal ? trust_in_metal(after) : Image<float>();
     // A metal's slopes are not those that a dielectric's formulas give, however well these fit.
-    const bool is_metal = looks_like_metal(image_);
+    const bool is_metal = looks_like_metal(image_), settled = has_settled(report_);
     parallel_rows(context_, size.height, [&](int v) {
       for (int u = 0; u < size.width; ++u) {
         if (!image_.object(u, v)) continue;
         const auto share = [&](const Image<float>& cells) {
           return between_cells(cells, ExplainedPolarization::cell_px, u, v);
         };
-        const double trust = is_metal             ? 0
+        const double trust = is_metal || !settled ? 0
                              : !with_map          ? trust_of(share(shares))
                              : explained_as_metal ? share(in_metal)
                                                   : trust_with_surroundings(share(shares), share(after));
@@ -495,6 +496,18 @@ class Refiner {
     if (regional && options_.regional_weights && lobe_gain_ > telling_gain)
       weights.regional_sigma_px = regional_sigma_px;
     return weights;
+  }
+
+  /// Takes the refractive index with which surroundings explain the polarization, where it is clearly not the supposed
+  /// one. At the prior's slopes: refined ones would confirm whatever index they were found with.
+  void correct_index() {
+    constexpr std::size_t samples = 4000;
+    const double index = index_of_body(collect_samples(image_, Reflection::diffuse, samples), image_.reflection.eta,
+                                       report_.surroundings.roughness, context_);
+    if (index == image_.reflection.eta) return;
+    image_.reflection.eta = index;
+    map_.material.index = index;
+    fit_mirrored(image_, report_, map_, context_);
   }
 
   /// Takes the refractive index from the data, at the surface as it is.
@@ -680,15 +693,21 @@ RefineResult refine(const PolarizationState& state, const DepthPrior& prior, con
   const auto start = std::chrono::steady_clock::now();
   validate_fields(options, "fusion");
   RefinementImage image = make_image(state, prior, context);
-  image.reflection.eta = input.refractive_index.value_or(1.5);
+  const double supposed_index = input.refractive_index.value_or(1.5);
+  image.reflection.eta = supposed_index;
   RefineResult result;
   Refiner refiner(image, options, result.report, context);
   refiner.label(input);
   if (options.surroundings && input.reflection == ReflectionChoice::automatic) refiner.choose_model();
-  // The index would be that of the reflection model which the surroundings took the place of.
-  const bool leaves_index_open = image.reflection.mirrored != nullptr;
-  refiner.run(!input.refractive_index && !leaves_index_open);
-  if (!input.refractive_index && leaves_index_open) result.report.eta_sigma = std::numeric_limits<double>::quiet_NaN();
+  // With surroundings the index was found, if they tell it.
+  const bool with_map = image.reflection.mirrored != nullptr;
+  refiner.run(!input.refractive_index && !with_map);
+  if (with_map && image.reflection.eta != supposed_index) {
+    result.report.eta_sigma = index_of_body_sigma;
+    result.report.stated_eta = input.refractive_index;
+  } else if (with_map && !input.refractive_index) {
+    result.report.eta_sigma = std::numeric_limits<double>::quiet_NaN();
+  }
   refiner.weigh_evidence(prior);
   result.surface = refiner.finish(prior);
   judge(result.report, options.explained_least, result.surface);

@@ -45,13 +45,14 @@ struct RefineOptions {
   double prior_robust_gsd = 2;
   double albedo_weight = 10;
   double albedo_contrast = 0.04;
-  double smoothness = 0.05;
+  double smoothness = 3;
   double search_sharpening = 2.5;
   bool search = true;
   bool environment = true;
   bool lobe = true;
   bool regional_weights = true;
   bool surroundings = true;
+  bool correct_index = true;
   bool evidence = true;
   double explained_least = 0.35;
   double explained_enough = 0.55;
@@ -86,7 +87,10 @@ struct RefineOptions {
     visit("albedo_weight", self.albedo_weight, not_negative,
           "weight of the albedo gradient in diffuse regions, up to 2.5 times that where albedo varies little");
     visit("albedo_contrast", self.albedo_contrast, Range{1e-4, 10}, "log-albedo step between pixels that counts half");
-    visit("smoothness", self.smoothness, not_negative, "weight of the second differences");
+    visit(
+        "smoothness", self.smoothness, not_negative,
+        "weight of the second differences of the change to the prior, where all that is wrong with the polarization is "
+        "noise; less by the share of other errors");
     visit("search_sharpening", self.search_sharpening, Range{-10, 10},
           "factor on the prior's detail that the search for a better minimum starts with");
     visit("search", self.search, any_value,
@@ -96,6 +100,8 @@ struct RefineOptions {
     visit("regional_weights", self.regional_weights, any_value, "down-weigh regions that fit badly");
     visit("surroundings", self.surroundings, any_value,
           "where that explains more of the polarization, take the object as matt and mirroring its surroundings");
+    visit("correct_index", self.correct_index, any_value,
+          "with a map of the surroundings: replace a refractive index that the polarization clearly contradicts");
     visit("evidence", self.evidence, any_value,
           "keep the prior's surface where the reflection model does not explain the polarization");
     visit("explained_least", self.explained_least, Range{-1, 1},
@@ -127,8 +133,9 @@ struct RefineReport {
   Surroundings surroundings;   ///< without radiance if they are not the model
   /// n + i k of the metal that the model with surroundings takes the object for; 0 = not for a metal.
   std::complex<double> metal_index = 0;
-  double eta_sigma = 0;           ///< 0 = the index is given, NaN = neither given nor estimated
-  bool eta_undetermined = false;  ///< it was asked for, but the data do not tell it
+  double eta_sigma = 0;              ///< 0 = the index is given, NaN = neither given nor estimated
+  std::optional<double> stated_eta;  ///< only where another index explains the polarization clearly better
+  bool eta_undetermined = false;     ///< it was asked for, but the data do not tell it
   std::array<double, EnvironmentProfile::node_count> environment_sigma{};
   double lobe_strength_sigma = 0, lobe_roughness_sigma = 0, light_sigma_rad = 0;
   double mirror_body_sigma = 0, mirror_environment_sigma = 0;

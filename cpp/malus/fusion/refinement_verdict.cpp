@@ -27,16 +27,18 @@ void warn(ConfidenceLevel most, const std::string& text, FusedSurface& surface) 
   surface.confidence.limit(most, text);
 }
 
+const RefineIteration& last_round(const RefineReport& report) {
+  return *std::ranges::find(report.iterations.rbegin(), report.iterations.rend(), false, &RefineIteration::search);
+}
+
 /// What the solver says of a surface is of no interest where the prior's stayed.
 void judge_solver(const RefineReport& report, FusedSurface& surface) {
   constexpr int many_rejections = 4;  // of a tile: no step was accepted
-  constexpr double settled_gsd = 1;
-  const RefineIteration& last =
-      *std::ranges::find(report.iterations.rbegin(), report.iterations.rend(), false, &RefineIteration::search);
+  const RefineIteration& last = last_round(report);
   std::string problem;
   if (last.rejected_steps >= many_rejections * report.tiles) {
     problem = "The refinement found no better surface than the prior in most of the image.";
-  } else if (!(last.change_gsd <= settled_gsd)) {
+  } else if (!has_settled(report)) {
     problem = "The surface still moved by " + rounded(last.change_gsd) + " GSD in the last round.";
   }
   surface.status = problem.empty() ? "converged" : "not converged";
@@ -67,9 +69,15 @@ void judge_model(const RefineReport& report, FusedSurface& surface) {
         "of "
         "the object disagree), so 1.5 was taken; give the material's index if it is known.");
   } else if (std::isnan(report.eta_sigma)) {
+    surface.warnings.push_back("The refractive index is not known, and the polarization does not tell it: " +
+                               rounded(report.reflection.eta) + " is taken. State it as refractive_index in [optics].");
+  } else if (report.stated_eta) {
+    const double stated = *report.stated_eta, found = report.reflection.eta;
     surface.warnings.push_back(
-        "The refractive index is not known, and a map of the surroundings leaves no way to estimate it: " +
-        rounded(report.reflection.eta) + " is taken. State it as refractive_index in [optics].");
+        "The polarization contradicts optics.refractive_index = " + rounded(stated) +
+        ": it is explained clearly better with " + rounded(found) +
+        ", which the refinement takes. If the stated one is certain, the prior's slopes are too " +
+        (found > stated ? "small" : "large") + "; set refine.correct_index = false then.");
   }
 }
 
@@ -82,6 +90,10 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
   if (std::isnan(report.trusted_share)) {
     confidence.limit(ConfidenceLevel::partial,
                      "refine.evidence is off: nothing holds the refined surface against its prior.");
+    return;
+  }
+  if (!has_settled(report)) {
+    warn(ConfidenceLevel::partial, "The surface is the prior's: the refined one did not settle.", surface);
     return;
   }
   if (is_the_prior(report)) {
@@ -120,6 +132,11 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
 }
 
 }  // namespace
+
+bool has_settled(const RefineReport& report) {
+  constexpr double settled_gsd = 1;
+  return last_round(report).change_gsd <= settled_gsd;
+}
 
 void judge(const RefineReport& report, double explained_least, FusedSurface& surface) {
   judge_evidence(report, explained_least, surface);

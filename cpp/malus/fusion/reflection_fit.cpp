@@ -10,6 +10,7 @@
 #include "malus/core/median_internal.h"
 #include "malus/core/robust_spread_internal.h"
 #include "malus/fusion/fresnel_factors_internal.h"
+#include "malus/fusion/index_search_internal.h"
 #include "malus/fusion/reflection_fit_internal.h"
 #include "malus/polarization/fresnel.h"
 
@@ -445,7 +446,6 @@ SpecularFit fit_specular(const std::vector<ReflectionSample>& samples, double et
 
 namespace {
 
-constexpr double first_index = 1.3, index_step = 0.1;
 constexpr std::size_t index_tries = 6;
 using IndexCosts = std::array<double, index_tries>;
 
@@ -461,17 +461,6 @@ IndexCosts costs_by_index(const std::vector<ReflectionSample>& diffuse, const st
     if (!specular.empty()) costs[i] += static_cast<double>(specular.size()) * fit_specular(specular, eta).cost;
   }
   return costs;
-}
-
-/// Least of the parabola through the lowest costs; an end of the range where they do not bend upwards.
-double index_of_least(const IndexCosts& costs) {
-  const auto lowest = static_cast<std::size_t>(std::min_element(costs.begin(), costs.end()) - costs.begin());
-  const std::size_t middle = std::clamp<std::size_t>(lowest, 1, index_tries - 2);
-  const double slope = 0.5 * (costs[middle + 1] - costs[middle - 1]);
-  const double curvature = costs[middle + 1] - 2 * costs[middle] + costs[middle - 1];
-  if (curvature <= 0) return first_index + index_step * static_cast<double>(lowest);
-  return std::clamp(first_index + index_step * (static_cast<double>(middle) - slope / curvature), first_index,
-                    first_index + index_step * (index_tries - 1));
 }
 
 }  // namespace

@@ -235,12 +235,31 @@ class TileProblem {
     return true;
   }
 
+  /// Share of noise in what the polarization of a quad's diffuse pixels may be off, at least a little. The rest is the
+  /// model's error, which smoothing does not average out. A mirror's polarization is far above its noise, and with a map
+  /// of the surroundings the slopes are held otherwise.
+  double noise_share(QuadIndex quad) const {
+    constexpr double least = 0.02;
+    double sum = 0;
+    int count = 0;
+    for (int v = quad_px * quad.row; v < quad_px * (quad.row + 1); ++v) {
+      for (int u = quad_px * quad.column; u < quad_px * (quad.column + 1); ++u) {
+        if (!field_.is_object(u, v)) continue;
+        ++count;
+        if (field_.kind_at(u, v) != Reflection::diffuse || field_.reflection.mirrored) continue;
+        const double precision = field_.stokes_precision(u, v);
+        sum += precision > 0 ? std::min(precision * field_.variance(u, v), 1.0) : 1;
+      }
+    }
+    return std::max(sum / std::max(count, 1), least);
+  }
+
   void add_costs(const TileOptions& options) {
     for_each_quad([&](QuadIndex quad) {
       if (!is_whole(quad)) add(std::make_unique<OutsideCost>(field_, quad));
       for (const Axis axis : {Axis::u, Axis::v}) {
         if (quad_has_object(field_, next_quad(quad, axis)))
-          add(std::make_unique<SmoothnessCost>(field_, quad, axis, options.smoothness));
+          add(std::make_unique<SmoothnessCost>(field_, quad, axis, options.smoothness * noise_share(quad)));
       }
       for (int v = quad_px * quad.row; v < quad_px * (quad.row + 1); ++v) {
         for (int u = quad_px * quad.column; u < quad_px * (quad.column + 1); ++u) {

@@ -44,7 +44,8 @@ Json refine_report_json(const RefineReport& report) {
       metal = {{"refractive_index", {report.metal_index.real(), report.metal_index.imag()}},
                {"intensity_error", model.metal_error}};
   }
-  return {{"refractive_index", {{"value", model.eta}, {"sigma", fields_to_json(report.eta_sigma)}}},
+  const Json stated = report.stated_eta ? Json(*report.stated_eta) : Json();
+  return {{"refractive_index", {{"value", model.eta}, {"sigma", fields_to_json(report.eta_sigma)}, {"stated", stated}}},
           {"light", light},
           {"lobe", lobe},
           {"environment", environment},

@@ -43,7 +43,7 @@ TEST(Verdict, NothingSpeaksAgainstAGoodSurface) {
 
 TEST(Verdict, EveryReasonIsKeptAndTheWorstComesFirst) {
   RefineReport report = good();
-  report.iterations[1].change_gsd = 1.23456789;
+  report.iterations[1].rejected_steps = 100;
   report.metal = true;
   report.median_residual = 4.123456789;
   const FusedSurface surface = judged(report);
@@ -51,22 +51,34 @@ TEST(Verdict, EveryReasonIsKeptAndTheWorstComesFirst) {
   EXPECT_EQ(surface.confidence.level, ConfidenceLevel::low);
   ASSERT_EQ(surface.confidence.reasons.size(), 3u);
   EXPECT_TRUE(mentions({surface.confidence.reasons[0]}, "metal"));
-  EXPECT_TRUE(mentions(surface.confidence.reasons, "moved by 1.2 GSD"));
+  EXPECT_TRUE(mentions(surface.confidence.reasons, "no better surface"));
   EXPECT_TRUE(mentions(surface.confidence.reasons, "residual is 4.1 standard"));
   EXPECT_EQ(surface.warnings.size(), 3u);
+}
+
+TEST(Verdict, WhatDidNotSettleIsThePriors) {
+  RefineReport report = good();
+  report.iterations[1].change_gsd = 1.23456789;
+  report.trusted_share = 0;
+  const FusedSurface surface = judged(report);
+  EXPECT_EQ(surface.status, "not converged");
+  EXPECT_EQ(surface.confidence.level, ConfidenceLevel::partial);
+  ASSERT_EQ(surface.confidence.reasons.size(), 1u);
+  EXPECT_TRUE(mentions(surface.confidence.reasons, "did not settle"));
+  EXPECT_TRUE(mentions(surface.warnings, "moved by 1.2 GSD"));
 }
 
 TEST(Verdict, AWrongModelDoesNoHarmWhereThePriorStayed) {
   RefineReport report = good();
   report.trusted_share = 0.01;
   report.metal = true;
-  report.iterations[1].change_gsd = 5;
+  report.iterations[1].rejected_steps = 100;
   const FusedSurface surface = judged(report);
   EXPECT_EQ(surface.confidence.level, ConfidenceLevel::partial);
   EXPECT_TRUE(mentions({surface.confidence.reasons[0]}, "The surface is the prior's"));
   EXPECT_TRUE(mentions(surface.confidence.reasons, "metal"));
-  EXPECT_FALSE(mentions(surface.confidence.reasons, "moved")) << "of a surface that is not the result";
-  EXPECT_TRUE(mentions(surface.warnings, "moved"));
+  EXPECT_FALSE(mentions(surface.confidence.reasons, "no better")) << "of a surface that is not the result";
+  EXPECT_TRUE(mentions(surface.warnings, "no better"));
 }
 
 TEST(Verdict, WhatOnlyAPlaneExplainsIsNoEvidenceOfRelief) {

@@ -97,10 +97,8 @@ TEST(Surroundings, PredictionOfAMetalHasTheDerivativesOfItsValues) {
   }
 }
 
-TEST(Surroundings, AreFoundFromWhatTheyMirror) {
-  // Pixels of many slopes under a window, of a body that varies; noise and some pixels that are wrong.
-  const Surroundings truth = window(0.2);
-  const MirroredLightTable table(truth, 1.5, camera, Context{});
+/// Pixels of many slopes under a window, of a body that varies; noise and some pixels that are wrong.
+std::vector<ReflectionSample> samples_under_window(const MirroredLightTable& table, double index) {
   std::mt19937 random(5);
   std::normal_distribution<double> slope(0, 0.4), noise(0, 0.001);
   std::uniform_real_distribution<double> body(0.2, 0.6), column(0, 599), row(0, 399);
@@ -111,7 +109,7 @@ TEST(Surroundings, AreFoundFromWhatTheyMirror) {
     s.q = slope(random);
     s.frame = ray_frame(&camera, column(random), row(random));
     const MirroredLight light = table.at(s.p, s.q, s.frame);
-    const double d = body(random), diffuse = fresnel_factors(s.tan2(), 1.5).diffuse;
+    const double d = body(random), diffuse = fresnel_factors(s.tan2(), index).diffuse;
     s.s0 = d + light.stokes[0];
     s.s1 = d * diffuse * (s.p * s.p - s.q * s.q) + light.stokes[1] + noise(random);
     s.s2 = d * diffuse * 2 * s.p * s.q + light.stokes[2] + noise(random);
@@ -119,6 +117,13 @@ TEST(Surroundings, AreFoundFromWhatTheyMirror) {
     s.sigma = 0.002;
     samples.push_back(s);
   }
+  return samples;
+}
+
+TEST(Surroundings, AreFoundFromWhatTheyMirror) {
+  const Surroundings truth = window(0.2);
+  const MirroredLightTable table(truth, 1.5, camera, Context{});
+  const std::vector<ReflectionSample> samples = samples_under_window(table, 1.5);
   const std::array tried{0.05, 0.1, 0.2, 0.4};
   const SurroundingsFit fit = fit_surroundings(samples, {1.5}, tried, Context{});
   EXPECT_EQ(fit.surroundings.roughness, 0.2);
@@ -182,6 +187,38 @@ TEST(Surroundings, AMetalIsFoundAndRefinedByItsLightAndPolarization) {
     return warning.find("taken for bare metal") != std::string::npos;
   }));
   EXPECT_LT(step_error(result.surface.depth, station.truth), 0.7 * step_error(station.prior.depth, station.truth));
+}
+
+TEST(Surroundings, TellTheRefractiveIndexOfTheBody) {
+  for (const double index : {1.7, 1.9}) {
+    const MirroredLightTable table(window(0.2), index, camera, Context{});
+    EXPECT_NEAR(index_of_body(samples_under_window(table, index), 1.5, 0.2, Context{}), index, 0.04);
+  }
+  const MirroredLightTable usual(window(0.2), 1.5, camera, Context{});
+  EXPECT_EQ(index_of_body(samples_under_window(usual, 1.5), 1.5, 0.2, Context{}), 1.5) << "kept to the bit";
+}
+
+TEST(Surroundings, CorrectAStatedIndexThatIsContradicted) {
+  SyntheticOptions scene;
+  scene.size = {160, 128};
+  scene.model.eta = 1.8;
+  scene.bump_gsd = 0.5;  // a prior whose slopes tell the index
+  const Pinhole view = make_station(scene).prior.camera;
+  scene.model.mirrored = std::make_shared<MirroredLightTable>(window(0.2), 1.8, view, Context{});
+  const SyntheticStation station = make_station(scene);
+  RefineOptions options;
+  const RefineResult corrected = refine(station.state, station.prior, {}, options, Context{});
+  ASSERT_TRUE(corrected.report.reflection.mirrored) << "the model must be the map";
+  EXPECT_NEAR(corrected.report.reflection.eta, 1.8, 0.1);
+  EXPECT_EQ(corrected.report.stated_eta, 1.5);
+  EXPECT_TRUE(std::ranges::any_of(corrected.surface.warnings, [](const std::string& warning) {
+    return warning.find("contradicts optics.refractive_index = 1.5") != std::string::npos;
+  }));
+  options.correct_index = false;
+  const RefineResult as_stated = refine(station.state, station.prior, {}, options, Context{});
+  EXPECT_EQ(as_stated.report.reflection.eta, 1.5);
+  EXPECT_FALSE(as_stated.report.stated_eta);
+  EXPECT_LT(step_error(corrected.surface.depth, station.truth), step_error(as_stated.surface.depth, station.truth));
 }
 
 TEST(Surroundings, LeaveNoIndexToBeEstimated) {
