@@ -515,6 +515,13 @@ def test_labels_and_distances_are_drawn(served: Served, page: Any) -> None:
     pictured(page, "scale")
 
 
+#: What is said of points too few to tell how sure the camera's place is.
+OF_THREE_POINTS = {
+    "problem": "", "lines": [], "datum": None,
+    "image": {"use": "resection", "center_sigma": None, "doubtful": None, "points": [{"name": "T2", "check": False, "du_px": 0, "dv_px": 0}]},
+}  # fmt: skip
+
+
 @needs_browser
 def test_control_points_are_marked(served: Served, page: Any) -> None:
     go(page, "Draw")
@@ -531,6 +538,20 @@ def test_control_points_are_marked(served: Served, page: Any) -> None:
     require_accessible(page)
     text = (served.folder / "station.toml").read_text()
     assert 'name = "T1"' in text and "xyz = [10.5, 20, 3]" in text and "pixel = [" in text
+    page.get_by_label("X", exact=True).fill("")
+    page.get_by_label("X", exact=True).press("Tab")
+    page.get_by_text("Expected a number; it stays 10.5.").wait_for()
+    named = page.locator("#draw-side").get_by_label("name", exact=True)
+    named.fill("")
+    named.press("Tab")
+    page.get_by_role("group", name="point 1").get_by_text(re.compile(r"Off by [\d.]+ px")).wait_for()
+    text = (served.folder / "station.toml").read_text()
+    assert "T1" not in text and "xyz = [10.5, 20, 3]" in text
+    page.route("**/api/control", lambda route: route.fulfill(json=OF_THREE_POINTS))
+    named.fill("T2")
+    named.press("Tab")
+    page.get_by_text("The camera stands where 1 points put it.").wait_for()
+    page.unroute("**/api/control")
     page.get_by_role("button", name="Remove").click()
     page.get_by_text("Mark each point where the image shows it.").wait_for()
     assert "[[control]]" not in (served.folder / "station.toml").read_text()
