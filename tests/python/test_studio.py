@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -276,8 +277,6 @@ def test_options_outside_the_folder_are_not_read(served: Served) -> None:
 
 
 def test_tiles_make_up_the_image(tmp_path: Path) -> None:
-    import io
-
     import tifffile
     from PIL import Image
 
@@ -296,6 +295,26 @@ def test_tiles_make_up_the_image(tmp_path: Path) -> None:
     for place in ((3, 0, 0), (0, 3, 0), (0, -1, 0)):
         with pytest.raises(InputError):
             pictures.tile(path, *place)
+
+
+def test_the_edge_that_is_found_has_no_specks(tmp_path: Path) -> None:
+    """A dark disc with highlights on ground with dark pebbles, painted roughly."""
+    import tifffile
+    from PIL import Image
+
+    from malus.studio import masks
+
+    v, u = np.mgrid[:240, :320]
+    away = np.hypot(u - 160, v - 120)
+    disc = away < 70
+    seen = np.where(disc, 60, 200).astype(np.uint8) + np.random.default_rng(1).integers(0, 10, disc.shape, np.uint8)
+    for row, column, value in ((60, 70, 60), (190, 230, 60), (100, 150, 210), (140, 180, 210)):
+        seen[row : row + 5, column : column + 5] = value
+    tifffile.imwrite(tmp_path / "disc.tif", seen)
+    hints = np.where(away < 115, 3, 0).astype(np.uint8)
+    with Image.open(io.BytesIO(masks.cut_out(tmp_path / "disc.tif", hints, 2))) as found:
+        object_ = np.asarray(found) != 0
+    assert (object_ != disc)[np.abs(away - 70) > 3].sum() == 0
 
 
 def test_marks_are_judged_at_once(served: Served) -> None:
@@ -483,6 +502,8 @@ def test_patches_by_keyboard_alone_and_undone(served: Served, page: Any) -> None
         page.keyboard.press(key)
     page.get_by_role("group", name="patch 1").wait_for()
     assert "box = [97, 80, 103, 84]" in station.read_text()
+    page.keyboard.press("Tab")  # the image does not keep the keyboard
+    assert page.evaluate("document.activeElement.closest('#draw-side') !== null")
     pictured(page, "patch")
     page.get_by_role("button", name="Undo the last change").click()
     page.get_by_role("group", name="patch 1").wait_for(state="detached")

@@ -250,8 +250,7 @@ function makeView() {
 }
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
-stage.addEventListener('keydown', doing(async (event) => {
-  if (!view?.size || event.target !== stage) return;
+const onKey = doing(async (event) => {
   cursor ??= [Math.round(view.size.x / 2), Math.round(view.size.y / 2)];
   if (event.key in ARROWS) {
     const step = event.shiftKey ? 1 : Math.max(1, Math.round(view.size.x / 60));
@@ -261,12 +260,16 @@ stage.addEventListener('keydown', doing(async (event) => {
   else if (event.key === 'Escape') { if (tool === 'polygon') endPolygon(); points = []; pressed = false; }
   else if (event.key === '+') view.zoom(1.5);
   else if (event.key === '-') view.zoom(1 / 1.5);
-  else if (event.key === 'z' && event.ctrlKey) await (layer ? layer.undo() : undo());
-  else if (event.key === 'y' && event.ctrlKey) await (layer ? layer.redo() : redo());
+  else if (event.key === 'z') await (layer ? layer.undo() : undo());
+  else if (event.key === 'y') await (layer ? layer.redo() : redo());
   byId('draw-state').textContent = `Crosshair at ${cursor[0]}, ${cursor[1]}${pressed ? ', pressed' : ''}`;
   view.redraw();
-}));
-stage.addEventListener('keydown', (event) => { if (event.key in ARROWS) event.preventDefault(); }, true);
+});
+// All other keys are the browser's: Tab goes on, Ctrl and + enlarges the page.
+stage.addEventListener('keydown', (event) => {
+  const known = event.ctrlKey || event.metaKey ? ['z', 'y'] : [...Object.keys(ARROWS), 'Enter', 'Escape', '+', '-'];
+  if (view?.size && event.target === stage && known.includes(event.key)) onKey(event);
+});
 
 // ---- what lies over the image ----
 
