@@ -48,21 +48,28 @@ def on_terminal(words: list[str], *, interrupt_at: str = "") -> tuple[int, str, 
         if interrupt_at and interrupt_at in said.decode(errors="replace"):
             interrupt_at = ""
             os.killpg(process.pid, signal.SIGINT)
-    code = process.wait()
-    text = said.decode(errors="replace").replace("\r\n", "\n")
-    states = [_CONTROL.sub("", state) for line in text.split("\n") for state in line.split("\r")]
-    return code, "\n".join(shown(line) for line in text.split("\n")), states
+    text = said.decode(errors="replace")
+    states = [_CONTROL.sub("", state) for state in re.split(r"[\r\n]", text)]
+    return process.wait(), screen(text), states
 
 
-def shown(line: str) -> str:
-    """A terminal's line after all that was written over it."""
-    cells = ""
-    for state in line.split("\r"):
-        if "\x1b[K" in state or "\x1b[2K" in state:
-            cells = ""
-        state = _CONTROL.sub("", state)
-        cells = state + cells[len(state) :]
-    return cells.rstrip()
+def screen(text: str) -> str:
+    """What a terminal shows in the end, as far as lines are written over or cleared."""
+    lines, row, column = [""], 0, 0
+    for part in re.findall(r"\x1b\[[0-9;?]*[A-Za-z]|\r|\n|[^\x1b\r\n]+", text):
+        if part == "\r":
+            column = 0
+        elif part == "\n":
+            row, column = row + 1, 0
+            lines += [""] * (row == len(lines))
+        elif part.endswith("A") and part.startswith("\x1b"):
+            row = max(0, row - int(part[2:-1] or 1))
+        elif part == "\x1b[2K":
+            lines[row] = ""
+        elif not part.startswith("\x1b"):
+            lines[row] = lines[row][:column].ljust(column) + part + lines[row][column + len(part) :]
+            column += len(part)
+    return "\n".join(line.rstrip() for line in lines)
 
 
 def problems(code: int, expected: int, text: str, states: list[str]) -> list[str]:
