@@ -28,13 +28,13 @@ def chromium() -> Iterator[Any]:
 class Person:
     """Somebody in front of a page. keyboard: never touches the mouse. Every step is timed from the first on, pictured and examined by axe."""
 
-    def __init__(self, page: Any, pictures: Path, name: str, *, keyboard: bool = False, timeout_s: float = 900) -> None:
+    def __init__(self, page: Any, pictures: Path, name: str, *, keyboard: bool = False) -> None:
         self.page, self.keyboard = page, keyboard
         self.steps: list[tuple[str, float]] = []
         self.serious: list[str] = []
         self._pictures, self._name = pictures, name
         self._start = time.monotonic()
-        page.set_default_timeout(timeout_s * 1000)
+        page.set_default_timeout(900_000)
         page.on("pageerror", lambda error: self.serious.append(f"script error: {error}"))
 
     def press(self, what: Any) -> None:

@@ -150,7 +150,7 @@ def large_and_dark(person: Person) -> None:
 def walk(browser: Any, kind: str, pictures: Path, fusion: str) -> Person:
     with served(folder_of(kind, pictures / "folders")) as address:
         page = browser.new_context(viewport={"width": 1280, "height": 900}).new_page()
-        person = Person(page, pictures, kind, keyboard=kind == "raw", timeout_s=60)
+        person = Person(page, pictures, kind, keyboard=kind == "raw")
         page.goto(address)
         page.get_by_role("button", name="pol (6 images)").wait_for()
         create(person)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import json
 import os
@@ -250,6 +251,18 @@ def test_wrong_requests_are_answered_in_words(served: Served) -> None:
     ):
         status, said = served.tell(name, body)
         assert status == 400 and words in said["error"], said
+
+
+def test_what_is_cut_off_when_studio_ends_is_no_failure() -> None:
+    app = pytest.importorskip("malus.studio.app")
+
+    async def ended() -> int:
+        answer = asyncio.create_task(app._answer(lambda: time.sleep(0.2)))
+        await asyncio.sleep(0.05)
+        answer.cancel()
+        return int((await answer).status_code)
+
+    assert asyncio.run(ended()) == 503
 
 
 def test_results_go_to_a_folder_of_their_own(served: Served) -> None:
