@@ -323,6 +323,8 @@ def test_the_edge_that_is_found_has_no_specks(tmp_path: Path) -> None:
     seen = np.where(disc, 60, 200).astype(np.uint8) + np.random.default_rng(1).integers(0, 10, disc.shape, np.uint8)
     for row, column, value in ((60, 70, 60), (190, 230, 60), (100, 150, 210), (140, 180, 210)):
         seen[row : row + 5, column : column + 5] = value
+    ring = np.hypot(u - 250, v - 80) < 6
+    seen[ring & (np.hypot(u - 250, v - 80) > 2.5)] = 60
     tifffile.imwrite(tmp_path / "disc.tif", seen)
     hints = np.where(away < 115, 3, 0).astype(np.uint8)
     with Image.open(io.BytesIO(masks.cut_out(tmp_path / "disc.tif", hints, 2))) as found:

@@ -81,7 +81,7 @@ def without_specks(mask: Bytes) -> Bytes:
     ndimage = extra("scipy.ndimage", "scipy", "finding the edge", "studio")
     cleaned = mask.copy()
     for value in (255, 0):
-        parts, _ = ndimage.label(mask == value)
+        parts, _ = ndimage.label(cleaned == value)
         small = np.bincount(parts.ravel()) < _SPECK * np.count_nonzero(mask)
         small[0] = False  # what has the other value
         cleaned[small[parts]] = 255 - value
