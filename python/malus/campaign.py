@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 from malus import _core
 from malus.errors import InputError, MalusError
 from malus.options import Options
+from malus.photogrammetry.shared_frame import content_of
 from malus.station import Station
 
 _KEYS = {"": ("campaign", "options"), "campaign": ("name", "stations", "report")}
@@ -59,7 +60,7 @@ class Task:
             except OSError:
                 states.append([str(path)])
         if self.cameras:
-            states.append([_core.sha256_of_file(self.cameras)])
+            states.append([content_of(Path(self.cameras))])
         return hashlib.sha256(
             json.dumps([_core.version, self.station, self.options, self.report, states]).encode()
         ).hexdigest()

@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import signal
 import sys
+import textwrap
 from collections.abc import Sequence
 from io import TextIOWrapper
 from pathlib import Path
@@ -378,6 +380,18 @@ def _require_own_folder(work: Path, station: Path) -> None:
         )
 
 
+def _print_lines(*lines: str) -> None:
+    """Lines for a person: on a terminal no wider than that, without breaking words; to a file as they are."""
+    for line in lines:
+        if sys.stdout.isatty():
+            indent = " " * (len(line) - len(line.lstrip()) + 2)
+            columns = max(40, shutil.get_terminal_size().columns)
+            line = textwrap.fill(
+                line, columns, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+            )
+        print(line)
+
+
 def _print_files(work: Path, step: str) -> None:
     """What lies in the folder that the last step has written to."""
     workspace = malus.Workspace(work)
@@ -393,11 +407,11 @@ def _print_summary(work: Path, level: str, reasons: Sequence[str], assessed: boo
             print(*malus.report.confidence_lines(level, reasons, assessed), sep="\n", file=sys.stderr)
     elif assessed:
         workspace = malus.Workspace(work)
-        print(*malus.report.summary_lines(workspace.quality, size_of_object(workspace)), sep="\n")
+        _print_lines(*malus.report.summary_lines(workspace.quality, size_of_object(workspace)))
         if workspace.has("report/index.html"):
             print(f"  report: malus view {work}")
     else:
-        print(*malus.report.confidence_lines(level, reasons, assessed), sep="\n")
+        _print_lines(*malus.report.confidence_lines(level, reasons, assessed))
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -429,11 +443,9 @@ def _check(args: argparse.Namespace) -> None:
 
 def _print_plan(plan: dict[str, Any]) -> None:
     print(f"station {plan['name']}: {plan['width']} x {plan['height']} px, {plan['object_pixels']:.0f} on the object")
-    for line in plan["does"]:
-        print(f"  {line}")
+    _print_lines(*(f"  {line}" for line in plan["does"]))
     print(f"expected: {plan['seconds']:.0f} s, {plan['memory_mb']:.0f} MB")
-    for warning in plan["warnings"]:
-        print(f"warning: {warning}")
+    _print_lines(*(f"warning: {warning}" for warning in plan["warnings"]))
     if "overlay" in plan:
         picture = plan["overlay"] or "none, this folder cannot be written to (--overlay)"
         print(f"picture of the cloud upon the image: {picture}")
@@ -470,8 +482,7 @@ def _print_object(folder: Path, outcomes: Sequence[batch.Outcome], quiet: bool) 
         for warning in quality["warnings"]:
             print(f"warning: {warning}", file=sys.stderr)
         return
-    for line in object_summary(quality):
-        print(line)
+    _print_lines(*object_summary(quality))
 
 
 def _compare(args: argparse.Namespace) -> None:
@@ -489,7 +500,7 @@ def _compare(args: argparse.Namespace) -> None:
             for warning in change.figures["warnings"]:
                 view.log("warning", warning)
     if not (args.json or args.quiet):
-        print(*change_summary(change.figures), f"  page: {change.folder / 'index.html'}", sep="\n")
+        _print_lines(*change_summary(change.figures), f"  page: {change.folder / 'index.html'}")
 
 
 def _batch(args: argparse.Namespace) -> None:

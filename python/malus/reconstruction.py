@@ -275,11 +275,16 @@ _REPORT_SECONDS = (4.0, 3.0)
 
 
 def expected_times(
-    station: Station, options: Options | None = None, *, until: str | None = None, threads: int = ALL_CORES
+    station: Station,
+    options: Options | None = None,
+    *,
+    until: str | None = None,
+    cameras_known: bool = False,
+    threads: int = ALL_CORES,
 ) -> list[tuple[str, float]]:
     """Steps of a run in their order and the seconds that each is expected to take, the report at the end among them.
 
-    Only the images' size and the mask are read. Raises what a run would raise for those.
+    cameras_known: as `check` has it. Only the images' size and the mask are read. Raises what a run would raise for those.
     """
     settings = options or Options()
     description = station.describe()
@@ -287,9 +292,12 @@ def expected_times(
     size = raw.image_size(first) if first is not None and raw.is_raw(first) else None
     times = _core.expected_times(station._core, settings.to_json(), until, size, threads)
     if _needs_photos(station, until):
-        _, _, seconds = photogrammetry.plan(description, settings, threads)
-        fused_twice = sum(time for step, time in times if step != "mesh") if settings.sweep.again else 0.0
-        times = [*times[:1], ("photos", 0.7 * seconds), ("sweep", 0.3 * seconds + fused_twice), *times[1:]]
+        planned = photogrammetry.plan(description, settings, threads)
+        # The second sweep lies on the surface fused with the first, for which the images are ready.
+        between = sum(seconds for step, seconds in times[1:] if step not in ("mesh", "assess"))
+        swept = planned.sweep_seconds + (between if settings.sweep.again else 0.0)
+        found = [] if cameras_known else [("photos", planned.photos_seconds)]
+        times = [*times[:1], *found, ("sweep", swept), *times[1:]]
     if until is None:
         width, height = size or _core.image_size(str(first)) if first is not None else (0, 0)
         fixed, per_megapixel = _REPORT_SECONDS
@@ -331,14 +339,13 @@ def check(
             if overlay is not None and picture is not None:
                 write_overlay(Path(overlay), picture, station, [str(error)])
             raise
-    if cameras_known:
-        plan["does"][1:1] = [photogrammetry.sweep_line(settings)]
-    elif _needs_photos(station, None):
-        does, warnings, seconds = photogrammetry.plan(station.describe(), settings, threads)
+    if _needs_photos(station, None):
+        planned = photogrammetry.plan(station.describe(), settings, threads)
         # After the polarization step, whose image is placed among the photos.
-        plan["does"][1:1] = does
-        plan["warnings"] += warnings
-        plan["seconds"] += seconds
+        plan["does"][1:1] = [planned.sweep] if cameras_known else [*planned.photos, planned.sweep]
+        plan["warnings"] += [] if cameras_known else planned.warnings
+    times = expected_times(station, settings, cameras_known=cameras_known, threads=threads)
+    plan["seconds"] = sum(seconds for _, seconds in times)
     if overlay is not None and picture is not None:
         said = [line.split(": ", 1)[1] for line in plan["does"] if line.startswith(("prior: ", "evidence: "))]
         write_overlay(Path(overlay), picture, station, [*said, *plan["warnings"]])

@@ -10,7 +10,7 @@ import pytest
 
 import malus
 from conftest import malus as run_malus
-from malus import progress
+from malus import cli, progress
 from malus.options import MAIN
 from malus.progress import JsonProgress, Overall, duration
 
@@ -50,6 +50,20 @@ def test_json_events_say_how_far_everything_is(capsys: pytest.CaptureFixture[str
     event = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert (event["step"], event["overall"]) == ("a", 0.25)
     assert event["seconds_left"] > 0
+
+
+def test_lines_fit_on_a_terminal_and_stay_whole_in_a_file(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = "  reasons: " + "the reflection-model explains some " * 5
+    cli._print_lines(said)
+    assert capsys.readouterr().out == said + "\n"
+    monkeypatch.setattr(cli.sys.stdout, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("COLUMNS", "60")
+    cli._print_lines(said)
+    first, *others = capsys.readouterr().out.splitlines()
+    assert max(map(len, (first, *others))) <= 60 and all(line.startswith("    ") for line in others)
+    assert " ".join((first + " " + " ".join(others)).split()) == " ".join(said.split())
 
 
 def test_json_result_lists_a_warning_once(capsys: pytest.CaptureFixture[str]) -> None:

@@ -170,6 +170,15 @@ def test_a_photo_model_is_brought_into_the_frame_of_known_points(tmp_path: Path)
         for mark in entry["marks"]:
             assert np.hypot(*(seen(moved[mark["image"]], np.array(entry["xyz"])) - [mark["x"], mark["y"]])) < 0.02
 
+    # A point that only checks says nothing about how large the frame is.
+    size = float(np.linalg.norm(np.ptp(known[:5], axis=0)))
+    apart = [{**entry, "xyz": [*entry["xyz"][:2], entry["xyz"][2] + shift * size]} for entry, shift in
+             zip(entries, [.012, -.012, .012, -.012, .012, 20], strict=True)]  # fmt: skip
+    sigma = adjust_datum(apart, cameras, 0.3, lambda level, text: said.append((level, text)))["sigma"]
+    assert 0.005 * size < sigma < 0.05 * size
+    assert said.pop(0)[1].startswith(f"[[control]]: coordinates and marks differ by {sigma:.3g} over ")
+    said.clear()
+
     entries[1]["xyz"][2] += 2
     datum = adjust_datum(entries, cameras, 0.3, lambda level, text: said.append((level, text)))
     assert datum["doubtful"] == "P1" and "[[control]] P1" in said[-1][1] and said[-1][0] == "warning"

@@ -17,7 +17,8 @@ from PIL import Image
 
 from conftest import demo_with_photos, edit, half_written, needs_distributed
 from conftest import malus as run_malus
-from malus import InputError, Station, reconstruct
+from malus import InputError, Options, Progress, Station, reconstruct
+from malus._files import write_record
 from malus.object import (
     Object,
     OrientedPoints,
@@ -30,12 +31,15 @@ from malus.object import (
     trimmed,
     unseen_stereo,
 )
+from malus.object.meshing import ObjectMesh
 from malus.object.ply import read_mesh, write_ply
+from malus.object.run import _warnings as object_warnings
 from malus.object.run import find_frame, is_closed
 from malus.object.texture import write_glb
 from malus.object.views import LEAST_COSINE
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.shared_frame import load_cameras
+from malus.reconstruction import expected_times
 
 RADIUS, FAR, FOCAL, SIDE = 10.0, 60.0, 300.0, 128
 SIGMA = 0.05
@@ -315,9 +319,13 @@ def test_stations_are_found_in_the_photos_they_share(tmp_path: Path) -> None:
     assert find_frame(thing, tmp_path / "out", 2, lambda *_: None) == frame
     assert (tmp_path / "out/photogrammetry/done/mapping.json").stat().st_mtime_ns == written
     # A station runs with them as it does with cameras of its own.
+    events: list[Progress] = []
     result = reconstruct(
-        Station.load(tmp_path / "a/station.toml"), thing.campaign.options, cameras=first, until="prior"
-    )
+        Station.load(tmp_path / "a/station.toml"), thing.campaign.options, cameras=first, until="prior",
+        workspace=tmp_path / "out/stations/a", replace=True, progress=events.append,
+    )  # fmt: skip
+    # It begins with the polarization that it was found with.
+    assert {event.message for event in events if event.step == "polarization"} == {"kept from an earlier run"}
     assert result.prior_depth is not None and np.isfinite(result.prior_depth).mean() > 0.5
 
 
@@ -335,16 +343,63 @@ def photographed(pair: Path, tmp_path: Path) -> Path:
     return pair
 
 
+def in_stations(object_file: Path, text: str, number: int | None = None) -> None:
+    """Put tables at the end of the stations' files, or of one's."""
+    for k in range(2) if number is None else [number]:
+        station = object_file.parent / f"o{k}/station.toml"
+        station.write_text(station.read_text() + text)
+
+
+def point(name: str = "T", xyz: str = "[1, 2, 3]", **marked: str) -> str:
+    places = {"marks": '[{ image = "0.png", x = 4.0, y = 5.0 }]'} if not marked else marked
+    return f'\n[[control]]\nname = "{name}"\nxyz = {xyz}\n' + "".join(
+        f"{key} = {value}\n" for key, value in places.items()
+    )
+
+
 def test_photos_of_an_object_stand_in_its_file_or_in_its_stations(photographed: Path) -> None:
     shared = Object.load(photographed).shared
     assert shared is not None and Path(shared["photos"]["folder"]).name == "views" and shared["scale"] == []
-    edit(photographed, "[options]", '[photos]\nfolder = "views"\nexclude = ["2.png"]\n[options]')
+    edit(photographed, "[options]", '[photos]\nfolder = "views"\n' + point() + "[options]")
     shared = Object.load(photographed).shared
-    assert shared is not None and shared["photos"]["exclude"] == ["2.png"]
-    point = '[[control]]\nname = "T"\nxyz = [1, 2, 3]\nmarks = [{ image = "0.png", x = 4.0, y = 5.0 }]\n'
-    edit(photographed, "[options]", point + "[options]")
+    assert shared is not None and Path(shared["photos"]["folder"]).name == "views"
+    assert [point["name"] for point in shared["control"]] == ["T"]
+
+
+def test_control_points_of_stations_count_together(photographed: Path) -> None:
+    in_stations(photographed, point("both"))
+    in_stations(photographed, point("first") + point("seen", pixel="[7, 8]"), 0)
+    in_stations(photographed, point("second") + point("seen"), 1)
     shared = Object.load(photographed).shared
-    assert shared is not None and [point["name"] for point in shared["control"]] == ["T"]
+    assert shared is not None
+    assert [(point["name"], len(point["marks"])) for point in shared["control"]] == [
+        ("both", 1), ("first", 1), ("seen", 1), ("second", 1)
+    ]  # fmt: skip
+    in_stations(photographed, point("third"), 0)
+    in_stations(photographed, point("third", xyz="[1, 2, 4]"), 1)
+    with pytest.raises(InputError, match=r"o1/station.toml: \[\[control\]\] third: xyz is not what .*o0/station.toml"):
+        Object.load(photographed)
+
+
+@pytest.mark.parametrize(
+    ("said", "expected"),
+    [
+        (point(), "[[control]] T with marks does not count"),
+        (
+            '\n[[scale]]\ndistance = 3\n' + "".join(
+                f'{end} = [{{ image = "0.png", x = 4, y = 5 }}, {{ image = "1.png", x = 4, y = 5 }}]\n' for end in "ab"
+            ),
+            "[[scale]] does not count",
+        ),
+    ],
+)  # fmt: skip
+def test_what_stations_say_of_an_objects_own_photos_is_not_lost(photographed: Path, said: str, expected: str) -> None:
+    edit(photographed, "[options]", '[photos]\nfolder = "views"\n[options]')
+    assert Object.load(photographed).shared is not None
+    in_stations(photographed, said, 1)
+    with pytest.raises(InputError) as caught:
+        Object.load(photographed)
+    assert "o1/station.toml: " in str(caught.value) and expected in str(caught.value)
 
 
 @pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
@@ -353,6 +408,52 @@ def test_check_counts_shared_photos_once(photographed: Path) -> None:
     said = [line.split(":")[0] for plan in plans for line in plan["does"]]
     assert [said.count(step) for step in ("photos", "scale", "sweep")] == [1, 1, 2]
     assert plans[0]["seconds"] > plans[1]["seconds"]
+    # Every station sweeps, and what a station takes by itself it takes here, less the photos' cameras.
+    alone = dict(expected_times(Station.load(photographed.parent / "o1/station.toml"), Options(fusion="grid")))
+    times = expected_times(
+        Station.load(photographed.parent / "o1/station.toml"), Options(fusion="grid"), cameras_known=True
+    )
+    assert dict(times) == {step: seconds for step, seconds in alone.items() if step != "photos"}
+    assert dict(times)["sweep"] > dict(times)["fuse"] > 0
+
+
+def test_where_cameras_lie_and_what_they_took_changes_no_task(pair: Path) -> None:
+    folder = pair.parent / "cameras"
+    task = Object.load(pair).campaign.tasks(pair.parent / "out", 1, folder)[0]
+    said = {
+        "model": "/a",
+        "times": {"seconds": 1},
+        "photos": [{"name": "1", "path": "/a/1", "sha256": "1"}],
+        "station": [1],
+    }
+    write_record(Path(task.cameras), said)
+    key = task.key()
+    write_record(
+        Path(task.cameras),
+        {**said, "model": "/b", "times": {}, "photos": [{"name": "1", "path": "/b/1", "sha256": "1"}]},
+    )
+    assert task.key() == key
+    for change in ({"station": [2]}, {"photos": [{"name": "1", "path": "/a/1", "sha256": "2"}]}, {"failure": "lost"}):
+        write_record(Path(task.cameras), {**said, **change})
+        assert task.key() != key
+
+
+def test_warnings_of_finding_the_stations_come_once(
+    pair: Path, views: list[View], sphere: ObjectMesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Reported:
+        """A station's workspace, whose report has the warnings of finding it, and its own."""
+
+        def __init__(self, folder: Path) -> None:
+            self.quality = {"warnings": ["photos: a lens is doubtful", f"fuse: {folder.name} is dark"]}
+
+    monkeypatch.setattr("malus.object.run.Workspace", Reported)
+    outcomes = [{"station": name, "status": "done"} for name in ("o0", "o1")]
+    outcomes.append({"station": "o2", "status": "failed", "reason": "no light"})
+    said = object_warnings(outcomes, ["a lens is doubtful"], sphere, Object.load(pair), pair.parent)
+    assert said == [
+        "photos: a lens is doubtful", "o0: fuse: o0 is dark", "o1: fuse: o1 is dark", "o2: is not in the surface: no light"
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -362,6 +463,18 @@ def test_check_counts_shared_photos_once(photographed: Path) -> None:
         ("object.toml", "[options]", '[photos]\nfoldr = "views"\n[options]', "foldr"),
         ("object.toml", "[options]", "[[scale]]\ndistance = 3\n[options]", "[[scale]] needs [photos]"),
         ("object.toml", "[options]", "[[control]]\nxyz = [1, 2, 3]\n[options]", "[[control]] needs [photos]"),
+        (
+            "object.toml",
+            "[options]",
+            '[photos]\nfolder = "views"\n' + point(pixel="[1, 2]") + "[options]",
+            "pixel is a place in one",
+        ),
+        (
+            "object.toml",
+            "[options]",
+            '[photos]\nfolder = "views"\nexclude = ["2.png"]\n[options]',
+            "o0/station.toml: [photos] are not those of",
+        ),
         ("o1/station.toml", 'folder = "../views"', 'folder = "../views"\nexclude = ["0.png"]', "are not those of"),
         ("o1/station.toml", "80.0]", "80.0]\nqvec = [1, 0, 0, 0]\ntvec = [0, 0, 0]", "has a pose"),
     ],

@@ -26,6 +26,7 @@ from malus.photogrammetry import database, photo_cameras
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.photos import list_photos, to_bytes
+from malus.photogrammetry.program import Colmap
 from malus.reconstruction import STEPS
 
 #: A program that behaves like `colmap` as far as the environment variable FAKE says, and notes what it was asked.
@@ -204,6 +205,16 @@ def test_cpp_program_says_who_can(photo_station: Path, tmp_path: Path) -> None:
     outcome = malus_station(photo_station, "-o", tmp_path / "work", "--quiet")
     assert outcome.code == 2
     assert "malus run" in outcome.err
+
+
+def test_a_program_named_by_a_relative_path_starts_in_every_folder(
+    fake_colmap: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(fake_colmap.parent)
+    monkeypatch.setenv("MALUS_COLMAP", "./colmap")
+    (tmp_path / "elsewhere").mkdir()
+    Colmap(1).run("model_converter", {}, tmp_path / "log", working_folder=tmp_path / "elsewhere")
+    assert fake_colmap.read_text() == "model_converter\n"
 
 
 def test_folder_belongs_to_one_process(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import io
 import json
 import os
 import re
@@ -251,6 +253,18 @@ def test_wrong_requests_are_answered_in_words(served: Served) -> None:
         assert status == 400 and words in said["error"], said
 
 
+def test_what_is_cut_off_when_studio_ends_is_no_failure() -> None:
+    app = pytest.importorskip("malus.studio.app")
+
+    async def ended() -> int:
+        answer = asyncio.create_task(app._answer(lambda: time.sleep(0.2)))
+        await asyncio.sleep(0.05)
+        answer.cancel()
+        return int((await answer).status_code)
+
+    assert asyncio.run(ended()) == 503
+
+
 def test_results_go_to_a_folder_of_their_own(served: Served) -> None:
     (served.folder / "mine.toml").write_text('[polarized]\nimages = "pol"\n')
     for work, words in ((".", "holds the inputs"), ("pol", "holds other files"), ("../out", "outside the folder")):
@@ -276,8 +290,6 @@ def test_options_outside_the_folder_are_not_read(served: Served) -> None:
 
 
 def test_tiles_make_up_the_image(tmp_path: Path) -> None:
-    import io
-
     import tifffile
     from PIL import Image
 
@@ -296,6 +308,28 @@ def test_tiles_make_up_the_image(tmp_path: Path) -> None:
     for place in ((3, 0, 0), (0, 3, 0), (0, -1, 0)):
         with pytest.raises(InputError):
             pictures.tile(path, *place)
+
+
+def test_the_edge_that_is_found_has_no_specks(tmp_path: Path) -> None:
+    """A dark disc with highlights on ground with dark pebbles, painted roughly."""
+    import tifffile
+    from PIL import Image
+
+    from malus.studio import masks
+
+    v, u = np.mgrid[:240, :320]
+    away = np.hypot(u - 160, v - 120)
+    disc = away < 70
+    seen = np.where(disc, 60, 200).astype(np.uint8) + np.random.default_rng(1).integers(0, 10, disc.shape, np.uint8)
+    for row, column, value in ((60, 70, 60), (190, 230, 60), (100, 150, 210), (140, 180, 210)):
+        seen[row : row + 5, column : column + 5] = value
+    ring = np.hypot(u - 250, v - 80) < 6
+    seen[ring & (np.hypot(u - 250, v - 80) > 2.5)] = 60
+    tifffile.imwrite(tmp_path / "disc.tif", seen)
+    hints = np.where(away < 115, 3, 0).astype(np.uint8)
+    with Image.open(io.BytesIO(masks.cut_out(tmp_path / "disc.tif", hints, 2))) as found:
+        object_ = np.asarray(found) != 0
+    assert (object_ != disc)[np.abs(away - 70) > 3].sum() == 0
 
 
 def test_marks_are_judged_at_once(served: Served) -> None:
@@ -483,6 +517,8 @@ def test_patches_by_keyboard_alone_and_undone(served: Served, page: Any) -> None
         page.keyboard.press(key)
     page.get_by_role("group", name="patch 1").wait_for()
     assert "box = [97, 80, 103, 84]" in station.read_text()
+    page.keyboard.press("Tab")  # the image does not keep the keyboard
+    assert page.evaluate("document.activeElement.closest('#draw-side') !== null")
     pictured(page, "patch")
     page.get_by_role("button", name="Undo the last change").click()
     page.get_by_role("group", name="patch 1").wait_for(state="detached")
@@ -515,6 +551,13 @@ def test_labels_and_distances_are_drawn(served: Served, page: Any) -> None:
     pictured(page, "scale")
 
 
+#: What is said of points too few to tell how sure the camera's place is.
+OF_THREE_POINTS = {
+    "problem": "", "lines": [], "datum": None,
+    "image": {"use": "resection", "center_sigma": None, "doubtful": None, "points": [{"name": "T2", "check": False, "du_px": 0, "dv_px": 0}]},
+}  # fmt: skip
+
+
 @needs_browser
 def test_control_points_are_marked(served: Served, page: Any) -> None:
     go(page, "Draw")
@@ -531,6 +574,20 @@ def test_control_points_are_marked(served: Served, page: Any) -> None:
     require_accessible(page)
     text = (served.folder / "station.toml").read_text()
     assert 'name = "T1"' in text and "xyz = [10.5, 20, 3]" in text and "pixel = [" in text
+    page.get_by_label("X", exact=True).fill("")
+    page.get_by_label("X", exact=True).press("Tab")
+    page.get_by_text("Expected a number; it stays 10.5.").wait_for()
+    named = page.locator("#draw-side").get_by_label("name", exact=True)
+    named.fill("")
+    named.press("Tab")
+    page.get_by_role("group", name="point 1").get_by_text(re.compile(r"Off by [\d.]+ px")).wait_for()
+    text = (served.folder / "station.toml").read_text()
+    assert "T1" not in text and "xyz = [10.5, 20, 3]" in text
+    page.route("**/api/control", lambda route: route.fulfill(json=OF_THREE_POINTS))
+    named.fill("T2")
+    named.press("Tab")
+    page.get_by_text("The camera stands where 1 points put it.").wait_for()
+    page.unroute("**/api/control")
     page.get_by_role("button", name="Remove").click()
     page.get_by_text("Mark each point where the image shows it.").wait_for()
     assert "[[control]]" not in (served.folder / "station.toml").read_text()

@@ -5,3 +5,6 @@ for (const compare of document.querySelectorAll('.compare')) {
   input.addEventListener('input', move);
   move();
 }
+// A table that is wider than the screen is scrolled by keyboard, too.
+const watch = new ResizeObserver((parts) => { for (const { target } of parts) if (target.scrollWidth > target.clientWidth) target.tabIndex = 0; else target.removeAttribute('tabindex'); });
+for (const part of document.querySelectorAll('.scroll')) watch.observe(part);

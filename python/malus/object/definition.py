@@ -86,10 +86,10 @@ class Object:
         ]
         if self.shared is not None:
             description = {**Station.load(self.campaign.stations[0]).describe(), **self.shared}
-            does, warnings, seconds = photogrammetry.plan(description, settings, threads)
-            plans[0]["does"][1:2] = does
-            plans[0]["warnings"] += warnings
-            plans[0]["seconds"] += seconds
+            photos = photogrammetry.plan(description, settings, threads)
+            plans[0]["does"][1:1] = photos.photos
+            plans[0]["warnings"] += photos.warnings
+            plans[0]["seconds"] += photos.photos_seconds
         return plans
 
 
@@ -136,12 +136,11 @@ def _shared(
     file: Path, content: Mapping[str, Any], stations: Mapping[Path, Mapping[str, Any]]
 ) -> dict[str, Any] | None:
     """The photos and known distances in which all stations are found: the object file's, or those of the stations."""
-    first, *others = stations
     if "photos" in content:
-        shared: dict[str, Any] = json.loads(_core.photos_tables(str(file)))
-        return shared
+        return _own(file, stations)
     if names := [name for name in ("scale", "control") if name in content]:
         raise InputError(f"{file}: [[{names[0]}]] needs [photos], in which its points are marked")
+    first, *others = stations
     if stations[first]["prior"] != "photos":
         return None
     photos = stations[first]["photos"]
@@ -151,11 +150,50 @@ def _shared(
                 f"{path}: [photos] are not those of {first}; the stations of an object are found in the same photos"
             )
     files = ", ".join(str(path) for path in stations)
-    return {"path": files, "photos": photos, **{name: _of_all(stations, name) for name in ("scale", "control")}}
+    marks = {"scale": _distances_of_all(stations), "control": _points_of_all(stations)}
+    return {"path": files, "photos": photos, **marks}
 
 
-def _of_all(stations: Mapping[Path, Mapping[str, Any]], name: str) -> list[Any]:
-    """Entries of a list that any of the stations has, each once."""
-    # A control point's place in the polarized image is another one for each station.
-    entries = {json.dumps({**entry, "pixel": None}): entry for station in stations.values() for entry in station[name]}
-    return list(entries.values())
+def _own(file: Path, stations: Mapping[Path, Mapping[str, Any]]) -> dict[str, Any]:
+    """The object file's photos, distances and points; nothing that the stations say about photos would count beside them."""
+    own: dict[str, Any] = json.loads(_core.photos_tables(str(file)))
+    for point in own["control"]:
+        if point["pixel"] is not None:
+            raise InputError(
+                f"{file}: [[control]] {point['name']}: pixel is a place in one station's image; expected it in that station's "
+                "file, and here marks in the photos"
+            )
+    for path, station in stations.items():
+        if station.get("photos", own["photos"]) != own["photos"]:
+            raise InputError(
+                f"{path}: [photos] are not those of {file}, which count for all stations; expected the same folder, exclude and "
+                "camera"
+            )
+        marked = [f"[[control]] {point['name']} with marks" for point in station["control"] if point["marks"]]
+        if given := ["[[scale]]"] * bool(station["scale"]) + marked:
+            raise InputError(f"{path}: {given[0]} does not count, since {file} has [photos]; expected it in that file")
+    return own
+
+
+def _distances_of_all(stations: Mapping[Path, Mapping[str, Any]]) -> list[Any]:
+    """Known distances that any of the stations has, each once."""
+    return list({json.dumps(entry): entry for station in stations.values() for entry in station["scale"]}.values())
+
+
+def _points_of_all(stations: Mapping[Path, Mapping[str, Any]]) -> list[Any]:
+    """Control points that any of the stations has, each once. One point has one place, and its marks are in the same photos;
+    its pixel is another one in each station's image.
+    """
+    found: dict[str, tuple[Path, dict[str, Any]]] = {}
+    for path, station in stations.items():
+        for entry in station["control"]:
+            point = {**entry, "pixel": None}
+            first, known = found.setdefault(point["name"], (path, point))
+            if not known["marks"] or not point["marks"]:  # marked in the polarized image alone
+                known["marks"] = point["marks"] = known["marks"] or point["marks"]
+            if different := [key for key in point if point[key] != known[key]]:
+                raise InputError(
+                    f"{path}: [[control]] {point['name']}: {different[0]} is not what {first} says of the point of this name; "
+                    "expected the same, or another name"
+                )
+    return [point for _, point in found.values()]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus import _core, batch, scans
-from malus._files import read_record, sha256_of, write_record
+from malus._files import new_folder, read_record, sha256_of, write_record
 from malus.batch import Outcome
 from malus.errors import DataError, InputError, MalusError
 from malus.object import agreement, color, meshing, page, texture
@@ -103,19 +104,18 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
         views = {}
         for count, task in enumerate(tasks):
             say("photos", 0.3 * count / len(tasks), f"polarization of {task.identifier}")
-            station = Station.load(task.station)
+            station, begun = Station.load(task.station), folder / "polarization" / task.identifier
             try:
-                views[task.identifier] = (
-                    camera_of(station.describe()["camera"]),
-                    unpolarized_scene(station, options, folder / "polarization" / task.identifier, threads),
-                )
+                scene = unpolarized_scene(station, options, begun, threads)
+                views[task.identifier] = (camera_of(station.describe()["camera"]), scene)
+                _begin(task.workspace, begun)
             except MalusError as error:
                 save_failure(Path(task.cameras), error)
         if not views:
             return Frame(kept, {}, warnings)
         found = find_object_cameras(
             thing.shared, views, folder, options=options, threads=threads,
-            log=lambda level, text: warnings.append(f"photos: {text}") if level == "warning" else None,
+            log=lambda level, text: warnings.append(text) if level == "warning" else None,
             progress=lambda share, message: say("photos", 0.3 + 0.7 * share, message),
         )  # fmt: skip
         for task in tasks:
@@ -142,6 +142,13 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
         },
         warnings,
     )
+
+
+def _begin(workspace: Path, begun: Path) -> None:
+    """Let a station's own run begin with the polarization step that it was found with."""
+    if not workspace.exists():
+        with new_folder(workspace) as new:
+            shutil.copytree(begun, new, ignore=shutil.ignore_patterns(".lock"), dirs_exist_ok=True)
 
 
 def _key(thing: Object, done: Sequence[Outcome]) -> str:
@@ -204,7 +211,7 @@ def _fuse(
         "points": {"stations": int((everything.stations > 0).sum()), "stereo": int((everything.stations == 0).sum())},
         "mesh": mesh_figures(mesh, gsd), "agreement": agreement.agreement_figures(agreements, gsd),
         "photogrammetry": None if frame is None else frame.figures,
-        "warnings": [*(frame.warnings if frame is not None else ()), *_warnings(outcomes, mesh, thing)], "seconds": round(time.monotonic() - start, 1),
+        "warnings": _warnings(outcomes, [] if frame is None else frame.warnings, mesh, thing, folder.parent), "seconds": round(time.monotonic() - start, 1),
     }  # fmt: skip
     report = page.write_page(folder, quality, baked, seen, mesh, views[0], linked=thing.campaign.report)
     files = [folder / "mesh.ply", folder / "mesh.glb", *maps, report]
@@ -303,14 +310,21 @@ def _station_figures(
     return rows
 
 
-def _warnings(outcomes: Sequence[Outcome], mesh: ObjectMesh, thing: Object) -> list[str]:
-    """Every warning of every station, and the object's own."""
-    warnings = []
+def _warnings(
+    outcomes: Sequence[Outcome], found: Sequence[str], mesh: ObjectMesh, thing: Object, output: Path
+) -> list[str]:
+    """Every warning of every station, and the object's own. Those of finding the stations (`found`), which each of them repeats,
+    come once.
+    """
+    shared = [f"photos: {warning}" for warning in found]
+    warnings = list(shared)
     for outcome in outcomes:
+        name = outcome["station"]
         if outcome["status"] != "done":
-            warnings.append(f"{outcome['station']}: is not in the surface: {outcome['reason']}")
-        elif outcome["figures"].get("warnings"):
-            warnings.append(f"{outcome['station']}: {outcome['figures']['warnings']}")
+            warnings.append(f"{name}: is not in the surface: {outcome['reason']}")
+            continue
+        own = Workspace(output / "stations" / name).quality["warnings"]
+        warnings += [f"{name}: {warning}" for warning in own if warning not in shared]
     if thing.closed and not is_closed(mesh.triangles):
         warnings.append("object: the mesh was to be closed, but it has open edges")
     return warnings

@@ -17,7 +17,7 @@ from malus.photogrammetry.front_end import (
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.model import RegisteredImage, SparseModel
 from malus.photogrammetry.photos import Photo, list_photos
-from malus.photogrammetry.plan import plan, sweep_line
+from malus.photogrammetry.plan import plan
 
 __all__ = [
     "FusedOnce",
@@ -32,6 +32,5 @@ __all__ = [
     "list_photos",
     "plan",
     "read_metashape",
-    "sweep_line",
     "sweep_station",
 ]

@@ -51,7 +51,7 @@ def adjust_datum(
 
 
 def _warn(datum: Mapping[str, Any], known: Sequence[Any], log: Log) -> None:
-    places = np.array([xyz for _, xyz, _, _ in known])
+    places = np.array([xyz for _, xyz, _, check in known if not check])
     extent = float(np.linalg.norm(np.ptp(places, axis=0)))
     if datum["sigma"] > _LARGE * extent:
         worst = max(datum["points"], key=lambda fit: 0.0 if fit["check"] else float(np.linalg.norm(fit["offset"])))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,24 @@ _SECONDS_A_MEGAPIXEL = 2.4
 _SECONDS_A_PAIR = 0.4
 _SECONDS_A_PHOTO = 8.6
 _FEATURES = 8192
+#: Share of that which is the sweep's.
+_SWEEP_SHARE = 0.3
 
 
-def sweep_line(options: Options) -> str:
-    """What the sweep of a station whose cameras are known does."""
+@dataclass(frozen=True)
+class Plan:
+    """What would be done: lines about the photos and their scale, the line of a station's sweep, warnings, and the seconds that
+    finding the cameras and the sweeps of one station are expected to take.
+    """
+
+    photos: list[str]
+    sweep: str
+    warnings: list[str]
+    photos_seconds: float
+    sweep_seconds: float
+
+
+def _sweep_line(options: Options) -> str:
     again = ", then again about the surface fused with it" if options.sweep.again else ""
     return f"sweep: depth of the station's view from the photos{again}"
 
@@ -34,8 +49,8 @@ def _scale_line(station: Mapping[str, Any]) -> str:
     return f"scale: {len(station['scale'])} known distances" if station["scale"] else "scale: none, arbitrary unit"
 
 
-def plan(station: Mapping[str, Any], options: Options, threads: int) -> tuple[list[str], list[str], float]:
-    """Lines that say what would be done, warnings, and the expected seconds, for what `Station.describe` says.
+def plan(station: Mapping[str, Any], options: Options, threads: int) -> Plan:
+    """What would be done for what `Station.describe` says.
 
     Raises what a run would raise before it starts: InputError for unreadable or wrong photos, DataError for too few,
     ExternalError when COLMAP is missing.
@@ -53,7 +68,6 @@ def plan(station: Mapping[str, Any], options: Options, threads: int) -> tuple[li
     does = [
         f"photos: {len(photos)} with {lens}, {len(pairs)} pairs to match, {program.title}",
         _scale_line(station),
-        sweep_line(options),
     ]
     if known is None and any(group.focal_px is None for group in groups):
         warnings.append("[photos]: neither camera nor EXIF focal length is known; flat scenes cannot be solved so")
@@ -64,4 +78,5 @@ def plan(station: Mapping[str, Any], options: Options, threads: int) -> tuple[li
     megapixels = sum(photo.width * photo.height for photo in photos) / 1e6
     work = (options.photos.max_features / _FEATURES) ** 2
     seconds = megapixels * _SECONDS_A_MEGAPIXEL + (len(pairs) + len(photos)) * _SECONDS_A_PAIR * work
-    return does, warnings, (seconds + len(photos) * _SECONDS_A_PHOTO) / min(threads, 2)
+    seconds = (seconds + len(photos) * _SECONDS_A_PHOTO) / min(threads, 2)
+    return Plan(does, _sweep_line(options), warnings, (1 - _SWEEP_SHARE) * seconds, _SWEEP_SHARE * seconds)

@@ -170,7 +170,7 @@ def _find(backend: str) -> tuple[str, list[str]]:
     # A program that is named is wanted, even if the package could do its work.
     named = name != DEFAULT_PROGRAM
     if backend != PACKAGE and program is not None:
-        return "colmap", [program]
+        return "colmap", [os.path.abspath(program)]  # It is started in other folders, too.
     if backend == PACKAGE or (backend == "auto" and not named):
         if package:
             return PACKAGE, [sys.executable, "-P", str(_DRIVER)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +40,14 @@ def save_cameras(file: Path, cameras: StationCameras, model: Path) -> None:
 def save_failure(file: Path, error: MalusError) -> None:
     """Keep why a station has no cameras."""
     write_record(file, {"failure": str(error), "exit_code": error.exit_code})
+
+
+def content_of(file: Path) -> str:
+    """SHA-256 of what a file of cameras says of them, wherever its photos lie and however long it took; of nothing without one."""
+    content = read_record(file) or {}
+    photos = [{**said, "path": ""} for said in content.get("photos", ())]
+    said = {key: value for key, value in content.items() if key not in ("model", "times")} | {"photos": photos}
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
 
 def load_cameras(file: Path) -> StationCameras:

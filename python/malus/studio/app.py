@@ -310,6 +310,8 @@ async def _answer(function: Callable[[], Any]) -> Response:
     """What a function returns, computed on another thread, or its error in the page's form."""
     try:
         result = await asyncio.get_running_loop().run_in_executor(_WORKERS, function)
+    except asyncio.CancelledError:  # Studio is being ended, and this took longer than it waits.
+        return Response("Malus Studio has been ended.", 503)
     except MalusError as error:
         return JSONResponse({"error": str(error), "field": checks.field_of(str(error))}, 400)
     except (KeyError, ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:

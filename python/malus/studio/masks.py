@@ -12,6 +12,7 @@ from PIL import Image, UnidentifiedImageError
 
 import malus
 from malus import _core
+from malus._extra import extra
 from malus._files import write_bytes
 from malus.errors import DataError, InputError
 from malus.figures import encode, step_for
@@ -22,6 +23,9 @@ from malus.studio.pictures import displayed
 #: Long side of the picture in which GrabCut works: seconds, also for large images.
 _CUT_SIDE_PX = 640
 _CUT_ITERATIONS = 4
+#: Parts of what GrabCut finds that are smaller than this share of all of it are specks: bits of the ground that look like the
+#: object, and highlights upon it.
+_SPECK = 0.01
 
 Bytes = NDArray[np.uint8]
 
@@ -66,8 +70,22 @@ def cut_out(image: Path, hints: Bytes, threads: int) -> bytes:
     step = step_for(picture.shape, _CUT_SIDE_PX)
     small = np.ascontiguousarray(picture[::step, ::step])
     found = _core.cut_out_object(small, np.ascontiguousarray(hints[::step, ::step]), _CUT_ITERATIONS, threads)
-    whole = Image.fromarray(found).resize((picture.shape[1], picture.shape[0]), Image.Resampling.BILINEAR)
+    whole = Image.fromarray(without_specks(found)).resize(
+        (picture.shape[1], picture.shape[0]), Image.Resampling.BILINEAR
+    )
     return encode(np.where(np.asarray(whole) >= 128, 255, 0).astype(np.uint8), "PNG")
+
+
+def without_specks(mask: Bytes) -> Bytes:
+    """The mask (255 or 0) without loose bits and pinholes: each becomes what surrounds it."""
+    ndimage = extra("scipy.ndimage", "scipy", "finding the edge", "studio")
+    cleaned = mask.copy()
+    for value in (255, 0):
+        parts, _ = ndimage.label(cleaned == value)
+        small = np.bincount(parts.ravel()) < _SPECK * np.count_nonzero(mask)
+        small[0] = False  # what has the other value
+        cleaned[small[parts]] = 255 - value
+    return cleaned
 
 
 def _prior_in_view(station: malus.Station, threads: int) -> NDArray[np.float32]:

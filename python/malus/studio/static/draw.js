@@ -80,7 +80,7 @@ async function showImage() {
 // Where what is being marked lies in this photo by its marks in others, and how well everything fits.
 async function examine() {
   if (what.value === 'scale') examined = await tell('marks', { path: state.station.path, image: here(), distance: end.distance, end: end.name });
-  if (what.value === 'control') examined = await tell('control', { path: state.station.path, image: polarized() ? '' : here(), name: entries('control')[point]?.name ?? '' });
+  if (what.value === 'control') examined = await tell('control', { path: state.station.path, image: polarized() ? '' : here(), name: entries('control')[point] ? nameOf(entries('control')[point], point) : '' });
 }
 
 async function loadLayer() {
@@ -107,7 +107,7 @@ function drawTools() {
   const tools = TOOLS[painted() ? 'paint' : what.value].map(([name, text]) => button(text, () => { tool = name; points = []; drawTools(); }, { 'aria-pressed': String(tool === name), 'data-tool': name }));
   const extra = [button('−', () => view.zoom(1 / 1.5), { 'aria-label': 'Zoom out' }), button('+', () => view.zoom(1.5), { 'aria-label': 'Zoom in' })];
   if (painted()) {
-    const number = (text, value, low, high, set) => make('label', {}, `${text} `, make('input', { type: 'number', min: low, max: high, value, change: (event) => set(Number(event.target.value)) }));
+    const number = (text, value, low, high, set) => make('label', {}, `${text} `, make('input', { type: 'number', min: low, max: high, value, change: doing((event) => set(numberIn(event.target))) }));
     if (LABELS[what.value].length > 1) {
       extra.unshift(make('label', {}, 'label ', make('select', { change: (event) => { label = LABELS[what.value][event.target.selectedIndex]; } }, ...LABELS[what.value].map((kind) => make('option', { selected: kind === label }, kind.name)))));
     }
@@ -158,6 +158,22 @@ async function saveLayer() {
   take(await send('PUT', 'mask', { path: state.station.path, kind: shown.what, digest: state.station.digest }, values));
   layer.changed = false;
   byId('draw-state').textContent = `Saved, and named in ${state.station.path}.`;
+}
+
+// The number in a field; one that says none keeps what it said before.
+function numberIn(field) {
+  if (field.value.trim() !== '') return Number(field.value);
+  field.value = field.defaultValue;
+  throw new Error(`Expected a number; it stays ${field.value}.`);
+}
+
+// As many numbers as a field's list had before.
+function numbersIn(field, count) {
+  const numbers = field.value.trim().split(/[,;\s]+/).map((part) => part === '' ? NaN : Number(part));
+  if (numbers.length === count && numbers.every(Number.isFinite)) return numbers;
+  const wrong = field.value;
+  field.value = field.defaultValue;
+  throw new Error(`“${wrong}” is not ${count} numbers; it stays ${field.value}.`);
 }
 
 const boxOf = (list, margin) => [Math.min(...list.map((p) => p[0])) - margin, Math.min(...list.map((p) => p[1])) - margin, Math.max(...list.map((p) => p[0])) + margin + 1, Math.max(...list.map((p) => p[1])) + margin + 1];
@@ -234,8 +250,7 @@ function makeView() {
 }
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
-stage.addEventListener('keydown', doing(async (event) => {
-  if (!view?.size || event.target !== stage) return;
+const onKey = doing(async (event) => {
   cursor ??= [Math.round(view.size.x / 2), Math.round(view.size.y / 2)];
   if (event.key in ARROWS) {
     const step = event.shiftKey ? 1 : Math.max(1, Math.round(view.size.x / 60));
@@ -245,12 +260,16 @@ stage.addEventListener('keydown', doing(async (event) => {
   else if (event.key === 'Escape') { if (tool === 'polygon') endPolygon(); points = []; pressed = false; }
   else if (event.key === '+') view.zoom(1.5);
   else if (event.key === '-') view.zoom(1 / 1.5);
-  else if (event.key === 'z' && event.ctrlKey) await (layer ? layer.undo() : undo());
-  else if (event.key === 'y' && event.ctrlKey) await (layer ? layer.redo() : redo());
+  else if (event.key === 'z') await (layer ? layer.undo() : undo());
+  else if (event.key === 'y') await (layer ? layer.redo() : redo());
   byId('draw-state').textContent = `Crosshair at ${cursor[0]}, ${cursor[1]}${pressed ? ', pressed' : ''}`;
   view.redraw();
-}));
-stage.addEventListener('keydown', (event) => { if (event.key in ARROWS) event.preventDefault(); }, true);
+});
+// All other keys are the browser's: Tab goes on, Ctrl and + enlarges the page.
+stage.addEventListener('keydown', (event) => {
+  const known = event.ctrlKey || event.metaKey ? ['z', 'y'] : [...Object.keys(ARROWS), 'Enter', 'Escape', '+', '-'];
+  if (view?.size && event.target === stage && known.includes(event.key)) onKey(event);
+});
 
 // ---- what lies over the image ----
 
@@ -315,7 +334,13 @@ function cross(context, [x, y], text) {
 // ---- lists beside the image: patches, profiles, distances ----
 
 const entries = (list) => structuredClone(state.station.values[list] ?? []);
-const store = async (list, all) => { await change([{ list, entries: all }]); await examine(); drawSide(); view.redraw(); };
+const store = async (list, all) => {
+  await change([{ list, entries: all }]);
+  if (what.value !== list) return;  // Something else is being shown by now, and draws itself.
+  await examine();
+  drawSide();
+  view.redraw();
+};
 
 async function addShape([[u0, v0], [u1, v1]]) {
   if (Math.hypot(u1 - u0, v1 - v0) < 2) return;
@@ -343,8 +368,8 @@ function shapeSide(list) {
   const all = entries(list);
   const keys = list === 'patch' ? ['box'] : ['from', 'to'];
   const row = (entry, at) => make('fieldset', {}, make('legend', {}, `${list} ${entry.name ?? at + 1}`),
-    make('label', {}, 'name ', make('input', { value: entry.name ?? '', change: doing((event) => { entry.name = event.target.value; return store(list, all); }) })),
-    ...keys.map((key) => make('label', {}, `${key} [px] `, make('input', { value: entry[key].join(', '), change: doing((event) => { entry[key] = event.target.value.split(/[,;\s]+/).map(Number); return store(list, all); }) }))),
+    make('label', {}, 'name ', make('input', { value: entry.name ?? '', change: doing((event) => { entry.name = event.target.value || undefined; return store(list, all); }) })),
+    ...keys.map((key) => make('label', {}, `${key} [px] `, make('input', { value: entry[key].join(', '), change: doing((event) => { entry[key] = numbersIn(event.target, entry[key].length); return store(list, all); }) }))),
     button('Remove', () => store(list, all.filter((other) => other !== entry))));
   return [...all.map(row), button(`Add one by numbers`, () => addShape([[0.4 * view.size.x, 0.4 * view.size.y], [0.6 * view.size.x, 0.6 * view.size.y]]))];
 }
@@ -369,7 +394,7 @@ async function setEnd([x, y]) {
 function scaleSide() {
   const all = entries('scale');
   const row = (entry, at) => make('fieldset', {}, make('legend', {}, `distance ${at + 1}`),
-    make('label', {}, `length [${state.station.values.station?.unit ?? 'mm'}] `, make('input', { type: 'number', step: 'any', value: entry.distance, change: doing((event) => { entry.distance = Number(event.target.value); return store('scale', all); }) })),
+    make('label', {}, `length [${state.station.values.station?.unit ?? 'mm'}] `, make('input', { type: 'number', step: 'any', value: entry.distance, change: doing((event) => { entry.distance = numberIn(event.target); return store('scale', all); }) })),
     ...['a', 'b'].map((name) => make('p', {}, button(`Mark end ${name}`, async () => { end = { distance: at, name }; tool = 'mark'; await examine(); drawTools(); drawSide(); stage.focus(); }, { 'aria-pressed': String(tool === 'mark' && end.distance === at && end.name === name) }),
       ` in ${(entry[name] ?? []).length} photos: ${(entry[name] ?? []).map((mark) => mark.image).join(', ') || 'none yet, two or more are needed'}`)),
     at === end.distance ? offTheLines() : null, fitOf(at),
@@ -402,7 +427,9 @@ function fitOf(at) {
 
 const polarized = () => state.station.images.includes(image.value);
 const markOf = (entry) => polarized() ? entry.pixel : (entry.marks ?? []).filter((mark) => mark.image === here()).map((mark) => [mark.x, mark.y])[0];
-const pointsHere = () => entries('control').flatMap((entry) => markOf(entry) ? [[entry.name, markOf(entry)]] : []);
+// A point without a name is called by its number, as the program does.
+const nameOf = (entry, at) => entry.name ?? String(at + 1);
+const pointsHere = () => entries('control').flatMap((entry, at) => markOf(entry) ? [[nameOf(entry, at), markOf(entry)]] : []);
 
 async function setPoint([x, y]) {
   const all = entries('control');
@@ -420,7 +447,7 @@ async function takeCoordinates(text) {
     const [name, ...xyz] = line.split(/[;,\s]+/);
     const numbers = xyz.map(Number);
     if (numbers.length !== 3 || !numbers.every(Number.isFinite)) throw new Error(`“${line}” is not a name and three numbers X Y Z, with a point as decimal sign.`);
-    const known = all.find((entry) => entry.name === name);
+    const known = all.find((entry, at) => nameOf(entry, at) === name);
     if (known) known.xyz = numbers;
     else all.push({ name, xyz: numbers });
   }
@@ -430,13 +457,13 @@ async function takeCoordinates(text) {
 function controlSide() {
   const all = entries('control');
   const kept = () => store('control', all);
-  const axis = (entry, at) => make('label', {}, `${'XYZ'[at]} `, make('input', { type: 'number', step: 'any', value: entry.xyz[at], change: doing((event) => { entry.xyz[at] = Number(event.target.value); return kept(); }) }));
-  const row = (entry, at) => make('fieldset', {}, make('legend', {}, `point ${entry.name ?? at + 1}`),
-    make('label', {}, 'name ', make('input', { value: entry.name ?? '', change: doing((event) => { entry.name = event.target.value; return kept(); }) })),
+  const axis = (entry, at) => make('label', {}, `${'XYZ'[at]} `, make('input', { type: 'number', step: 'any', value: entry.xyz[at], change: doing((event) => { entry.xyz[at] = numberIn(event.target); return kept(); }) }));
+  const row = (entry, at) => make('fieldset', {}, make('legend', {}, `point ${nameOf(entry, at)}`),
+    make('label', {}, 'name ', make('input', { value: entry.name ?? '', change: doing((event) => { entry.name = event.target.value || undefined; return kept(); }) })),
     ...[0, 1, 2].map((index) => axis(entry, index)),
     make('label', {}, 'only to check ', make('input', { type: 'checkbox', checked: entry.check ?? false, change: doing((event) => { entry.check = event.target.checked || undefined; return kept(); }) })),
     make('p', {}, button('Mark it', async () => { point = at; tool = 'mark'; await examine(); drawTools(); drawSide(); stage.focus(); }, { 'aria-pressed': String(tool === 'mark' && point === at) }), ` ${markedIn(entry)}`),
-    ...fitOfPoint(entry), button('Remove', () => store('control', all.filter((other) => other !== entry))));
+    ...fitOfPoint(nameOf(entry, at)), button('Remove', () => store('control', all.filter((other) => other !== entry))));
   const pasted = make('textarea', { rows: 4, placeholder: 'P1 104.2 88.0 12.5', 'aria-label': 'Coordinates, a point a line: name X Y Z' });
   return [make('p', { class: 'note' }, examined.problem || verdict()), ...all.map(row),
     make('fieldset', {}, make('legend', {}, 'add points'), pasted, button('Take these coordinates', () => takeCoordinates(pasted.value)))];
@@ -450,15 +477,16 @@ function markedIn(entry) {
 function verdict() {
   const { image: seen, datum } = examined;
   const said = [];
-  if (seen?.use === 'resection') said.push(`The camera stands where ${seen.points.filter((one) => !one.check).length} points put it, ± ${seen.center_sigma.toPrecision(2)} ${state.station.values.station?.unit ?? 'mm'}.`);
+  const accuracy = seen?.center_sigma == null ? '' : `, ± ${seen.center_sigma.toPrecision(2)} ${state.station.values.station?.unit ?? 'mm'}`;
+  if (seen?.use === 'resection') said.push(`The camera stands where ${seen.points.filter((one) => !one.check).length} points put it${accuracy}.`);
   if (datum) said.push(`Coordinates fit to ${datum.sigma.toPrecision(2)} ${state.station.values.station?.unit ?? 'mm'}.`);
   for (const found of [seen, datum]) if (found?.doubtful) said.push(`Without point ${found.doubtful} the others fit far better: is its mark right?`);
   return said.join(' ') || 'Mark each point where the image shows it.';
 }
 
-function fitOfPoint(entry) {
-  const seen = examined.image?.points.find((one) => one.name === entry.name);
-  const placed = examined.datum?.points.find((one) => one.name === entry.name);
+function fitOfPoint(name) {
+  const seen = examined.image?.points.find((one) => one.name === name);
+  const placed = examined.datum?.points.find((one) => one.name === name);
   const line = (worst, text) => make('p', { class: worst ? 'warning' : 'note' }, text);
   const found = [];
   if (seen) {

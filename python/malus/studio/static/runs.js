@@ -52,7 +52,7 @@ function card(run) {
 function update(element, run) {
   const part = (selector) => element.querySelector(selector);
   const percent = `${Math.floor(100 * run.fraction)} %`;
-  const said = run.state === 'running' ? `${percent}, ${run.step ? `${run.step}: ${run.message || '…'}, ` : ''}about ${duration(run.seconds_left ?? 0)} left` : STATES[run.state];
+  const said = run.state === 'running' ? `${percent}, ${run.step ? `${run.step}: ${run.message || '…'}, ` : ''}${run.seconds_left === null ? 'starting' : `about ${duration(run.seconds_left)} left`}` : STATES[run.state];
   if (part('[data-state]').textContent !== said) part('[data-state]').textContent = said;
   part('progress').value = run.state === 'done' ? 1 : run.fraction;
   part('ol').replaceChildren(...Object.entries(run.steps).map(([step, fraction]) => make('li', {}, `${fraction >= 1 ? '✓' : `${Math.round(100 * fraction)} %`} ${step}`)));

@@ -1,0 +1,116 @@
+"""What a person reads on the console: a run at 80 columns, redirected, interrupted and resumed.
+
+    python benchmarks/walk/console.py STATION.toml -o TEXTS [--fusion grid]
+
+TEXTS gets a text for each, the terminal's as it stood on the screen at the end. Printed: what is wrong with them. Exit code 1 then.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import os
+import pty
+import re
+import select
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import termios
+import time
+from pathlib import Path
+
+COLUMNS = 80
+_CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
+
+
+def command(station: Path, work: Path, fusion: str) -> list[str]:
+    return [sys.executable, "-m", "malus", "run", str(station), "-o", str(work), "--fusion", fusion]
+
+
+def on_terminal(words: list[str], *, interrupt_at: str = "") -> tuple[int, str, list[str]]:
+    """Exit code, what the screen showed at the end, and every state of a line. Ctrl-C is pressed once `interrupt_at` is shown."""
+    main, other = pty.openpty()
+    fcntl.ioctl(other, termios.TIOCSWINSZ, struct.pack("HHHH", 24, COLUMNS, 0, 0))
+    process = subprocess.Popen(words, stdin=other, stdout=other, stderr=other, start_new_session=True)
+    os.close(other)
+    said = b""
+    while True:
+        if not select.select([main], [], [], 600)[0]:
+            raise AssertionError("nothing was said for ten minutes")
+        try:
+            block = os.read(main, 65536)
+        except OSError:  # the other end is closed
+            break
+        said += block
+        if interrupt_at and interrupt_at in said.decode(errors="replace"):
+            interrupt_at = ""
+            os.killpg(process.pid, signal.SIGINT)
+    text = said.decode(errors="replace")
+    states = [_CONTROL.sub("", state) for state in re.split(r"[\r\n]", text)]
+    return process.wait(), screen(text), states
+
+
+def screen(text: str) -> str:
+    """What a terminal shows in the end, as far as lines are written over or cleared."""
+    lines, row, column = [""], 0, 0
+    for part in re.findall(r"\x1b\[[0-9;?]*[A-Za-z]|\r|\n|[^\x1b\r\n]+", text):
+        if part == "\r":
+            column = 0
+        elif part == "\n":
+            row, column = row + 1, 0
+            lines += [""] * (row == len(lines))
+        elif part.endswith("A") and part.startswith("\x1b"):
+            row = max(0, row - int(part[2:-1] or 1))
+        elif part == "\x1b[2K":
+            lines[row] = ""
+        elif not part.startswith("\x1b"):
+            lines[row] = lines[row][:column].ljust(column) + part + lines[row][column + len(part) :]
+            column += len(part)
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def problems(code: int, expected: int, text: str, states: list[str]) -> list[str]:
+    found = [] if code == expected else [f"exit code {code}, expected {expected}"]
+    found += [f"wider than {COLUMNS}: {state}" for state in states if len(state) > COLUMNS]
+    return found + ["a traceback"] * ("Traceback" in text)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("station", type=Path)
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="TEXTS")
+    parser.add_argument("--fusion", default="refined", choices=("refined", "grid"))
+    args = parser.parse_args()
+    args.output.mkdir(parents=True, exist_ok=True)
+    wrong: list[str] = []
+
+    def keep(name: str, seconds: float, text: str, found: list[str]) -> None:
+        (args.output / f"{name}.txt").write_text(text)
+        print(f"{name}: {seconds:.1f} s", *found, sep="\n  ", flush=True)
+        wrong.extend(found)
+
+    with tempfile.TemporaryDirectory() as folder:
+        words = command(args.station, Path(folder) / "work", args.fusion)
+        for name, expected, at in (("interrupted", 130, "height"), ("resumed", 0, "")):
+            start = time.monotonic()
+            code, text, states = on_terminal(words, interrupt_at=at)
+            keep(name, time.monotonic() - start, text, problems(code, expected, text, states))
+        words = command(args.station, Path(folder) / "again", args.fusion)
+        start = time.monotonic()
+        code, text, states = on_terminal(words)
+        keep("terminal", time.monotonic() - start, text, problems(code, 0, text, states))
+        words = command(args.station, Path(folder) / "third", args.fusion)
+        start = time.monotonic()
+        done = subprocess.run(words, capture_output=True, text=True)
+        text = f"standard output:\n{done.stdout}\nstandard error:\n{done.stderr}"
+        found = problems(done.returncode, 0, text, [])
+        found += ["control characters in a file"] * bool(re.search(r"[\x1b\r]", text))
+        keep("redirected", time.monotonic() - start, text, found)
+    return int(bool(wrong))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
