@@ -4,7 +4,7 @@
     thing = malus.Object.load("object.toml")
     malus.object.run_object(thing, "OUT", jobs=2)          # OUT/object/mesh.ply, mesh.glb, quality.json, report/index.html
 
-`combine` joins stations' surfaces to oriented points, `pieces` and `joined_mesh` make a mesh of those, `poisson_mesh` closes it,
+`combine` joins stations' surfaces to oriented points, `pieces` and `joined_mesh` make a mesh of those, `closed_surface` closes it,
 `levels_of_detail` gives it textures.
 """
 
@@ -13,7 +13,7 @@ from malus.object.color import Paint
 from malus.object.definition import Object
 from malus.object.implicit import pieces
 from malus.object.joining import Piece, joined_mesh
-from malus.object.meshing import ObjectMesh, poisson_mesh
+from malus.object.meshing import ObjectMesh, closed_surface, poisson_mesh
 from malus.object.run import run_object
 from malus.object.texture import TexturedMesh, levels_of_detail, textured
 from malus.object.views import View, load_view
@@ -28,6 +28,7 @@ __all__ = [
     "TexturedMesh",
     "View",
     "agreement_figures",
+    "closed_surface",
     "combine",
     "joined_mesh",
     "levels_of_detail",

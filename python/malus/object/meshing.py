@@ -25,6 +25,8 @@ _POINT_WEIGHT = 4.0
 #: A vertex is measured if a point lies within as many times the points' own spacing there.
 _REACH = 2.0
 _SPACING_NEIGHBOR = 2
+#: What COLMAP reads and writes.
+_FILES = ("points.ply", "poisson.ply")
 #: Separate pieces with a smaller share of the triangles are crumbs.
 _LEAST_PIECE = 0.005
 
@@ -53,7 +55,7 @@ def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colma
     local = (points.points - middle).astype(np.float32)
     extent = float(np.ptp(local, axis=0).max())
     depth = int(np.clip(math.ceil(math.log2(1.1 * extent / (_CELL_GSD * gsd))), _LEAST_DEPTH, _MOST_DEPTH))
-    cloud, raw = folder / "points.ply", folder / "poisson.ply"
+    cloud, raw = (folder / name for name in _FILES)
     properties = {name: (local[:, axis], "f4") for axis, name in enumerate(("x", "y", "z"))}
     properties |= {name: (points.normals[:, axis], "f4") for axis, name in enumerate(("nx", "ny", "nz"))}
     grey = (np.zeros(len(local), np.uint8), "u1")  # COLMAP 3.8 wants colors.
@@ -75,6 +77,19 @@ def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colma
     if not len(triangles):
         raise DataError("Poisson reconstruction found no surface in the points that stations agree on")
     return _with_uncertainty(vertices, triangles, points, gsd)
+
+
+def closed_surface(mesh: ObjectMesh, gsd: float, folder: Path, colmap: Colmap) -> ObjectMesh:
+    """A closed mesh about the one given: the same surface where there is one, and a guess, marked so, over its holes.
+
+    `folder` keeps COLMAP's log. Raises what `poisson_mesh` raises.
+    """
+    points = OrientedPoints(mesh.vertices, mesh.normals, mesh.sigma, np.ones(len(mesh.vertices), np.int64))
+    try:
+        return poisson_mesh(points, gsd, folder, colmap)
+    finally:
+        for name in _FILES:
+            (folder / name).unlink(missing_ok=True)
 
 
 def _with_uncertainty(vertices: Floats, triangles: NDArray[np.int64], points: OrientedPoints, gsd: float) -> ObjectMesh:

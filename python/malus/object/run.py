@@ -200,7 +200,9 @@ def _fuse(
     everything = agreement.without_outliers(agreement.joined([points, stereo]), gsd)
     say(0.3, f"a mesh of {len(everything.points)} points")
     with tempfile.TemporaryDirectory(prefix=".mesh-", dir=folder) as scratch:
-        mesh = _surface(thing, everything, gsd, Path(scratch))
+        mesh = joined_mesh(pieces(everything, gsd), Path(scratch) / "open", thing.max_sigma_gsd * gsd)
+        if thing.closed:
+            mesh = meshing.closed_surface(mesh, gsd, folder, Colmap(1))
         paint = Paint.of(views, mesh.vertices, mesh.normals)
         say(0.5, f"texture of {len(mesh.triangles)} triangles")
         simpler = _simpler(thing, mesh, everything, gsd, Path(scratch))
@@ -223,15 +225,6 @@ def _fuse(
         ]
         quality["files"] = {str(path.relative_to(folder)): _core.sha256_of_file(str(path)) for path in files}
         write_record(folder / "quality.json", quality)
-
-
-def _surface(thing: Object, points: OrientedPoints, gsd: float, scratch: Path) -> ObjectMesh:
-    """The surface through the points; if it is to be closed, with Poisson's guess where nothing was seen."""
-    found = joined_mesh(pieces(points, gsd), scratch / "open", thing.max_sigma_gsd * gsd)
-    if not thing.closed:
-        return found
-    whole = OrientedPoints(found.vertices, found.normals, found.sigma, np.ones(len(found.vertices), np.int64))
-    return meshing.poisson_mesh(whole, gsd, scratch, Colmap(1))
 
 
 def _simpler(thing: Object, mesh: ObjectMesh, points: OrientedPoints, gsd: float, scratch: Path) -> ObjectMesh | None:
