@@ -29,6 +29,13 @@ _CLIPPED = 0.98
 _MOST_DELTA_E = 12.0
 
 
+def srgb_bytes(linear: Floats) -> NDArray[np.uint8]:
+    """8-bit sRGB of linear sRGB, any shape; black where there is none."""
+    value = np.clip(np.nan_to_num(linear), 0, 1)
+    curved = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+    return np.asarray(np.rint(255 * curved), dtype=np.uint8)
+
+
 @dataclass(frozen=True)
 class ColorCorrection:
     """linear sRGB (D65) = matrix (3×3) · linear RGB of the camera, 1 = the chart's white under that light.
@@ -49,9 +56,7 @@ class ColorCorrection:
 
     def encoded(self, color: NDArray[np.floating]) -> NDArray[np.uint8]:
         """8-bit sRGB of the camera's linear color, H×W×3; black where there is none."""
-        linear = np.clip(np.nan_to_num(self.apply(color)), 0, 1)
-        curved = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-        return np.asarray(np.rint(255 * curved), dtype=np.uint8)
+        return srgb_bytes(self.apply(color))
 
     def summary(self) -> str:
         """The color differences as a sentence."""

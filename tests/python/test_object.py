@@ -13,29 +13,38 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 
 from conftest import demo_with_photos, edit, half_written, needs_distributed
 from conftest import malus as run_malus
-from malus import InputError, Options, Progress, Station, reconstruct
+from malus import DataError, InputError, Options, Progress, Station, reconstruct
 from malus._files import write_record
 from malus.object import (
     Object,
     OrientedPoints,
+    Paint,
+    TexturedMesh,
     View,
     agreement_figures,
+    closed_surface,
     combine,
+    implicit,
+    joined_mesh,
+    levels_of_detail,
+    pieces,
     poisson_mesh,
     run_object,
+    texture,
     textured,
-    trimmed,
     unseen_stereo,
 )
+from malus.object.glb import write_levels
 from malus.object.meshing import ObjectMesh
 from malus.object.ply import read_mesh, write_ply
 from malus.object.run import _warnings as object_warnings
 from malus.object.run import find_frame, is_closed
-from malus.object.texture import write_glb
+from malus.object.texture import NearestVertices
 from malus.object.views import LEAST_COSINE
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.shared_frame import load_cameras
@@ -142,36 +151,157 @@ def test_closed_mesh_is_manifold_as_others_see_it(sphere) -> None:  # type: igno
     assert np.unique(np.sort(sphere.triangles, 1), axis=0).shape == sphere.triangles.shape
 
 
-def test_what_nobody_sees_is_marked_and_trimmed(views: list[View], tmp_path: Path) -> None:
+def test_what_nobody_sees_is_marked(views: list[View], tmp_path: Path) -> None:
     points, _ = combine(views[:5])
     closed = poisson_mesh(points, views[0].gsd, tmp_path, Colmap(1))
     assert is_closed(closed.triangles)
     below = closed.vertices[:, 2] < -0.99 * RADIUS
     assert not closed.measured[below].any()
     assert (closed.sigma[below] > 5 * SIGMA).all()
-    open_one = trimmed(closed, 1.0)
-    assert not is_closed(open_one.triangles)
-    assert open_one.measured.all()
-    assert len(open_one.triangles) < len(closed.triangles)
 
 
-def test_texture_has_the_color_of_the_place_in_any_light(sphere, views: list[View], tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+@pytest.fixture(scope="module")
+def thin(views: list[View]) -> OrientedPoints:
+    """Every fifth point of the sphere: about one in a square of two GSD."""
+    points, _ = combine(views)
+    return points.select(np.arange(len(points.points)) % 5 == 0)
+
+
+CELL = 2 * FAR / FOCAL
+
+
+def test_open_mesh_lies_on_the_sphere_and_ends_where_nobody_looks(thin: OrientedPoints, tmp_path: Path) -> None:
+    mesh = joined_mesh(pieces(thin.select(thin.points[:, 2] > -0.5 * RADIUS), CELL), tmp_path, 1.0)
+    assert not is_closed(mesh.triangles)
+    assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - RADIUS).max() < 0.1
+    outward = (mesh.normals * mesh.vertices).sum(1) / np.linalg.norm(mesh.vertices, axis=1)
+    assert np.degrees(np.arccos(np.clip(outward, -1, 1))).max() < 5
+    corners = mesh.vertices[mesh.triangles]
+    faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((faces * corners[:, 0]).sum(1) >= 0).all()
+    assert -0.5 * RADIUS - 4 * CELL < mesh.vertices[:, 2].min() < -0.5 * RADIUS
+    assert mesh.sigma == pytest.approx(SIGMA, rel=0.01)
+
+
+def test_closed_surface_is_the_open_one_and_a_marked_guess(thin: OrientedPoints, tmp_path: Path) -> None:
+    mesh = joined_mesh(pieces(thin.select(thin.points[:, 2] > -0.5 * RADIUS), CELL), tmp_path / "open", 1.0)
+    closed = closed_surface(mesh, CELL, tmp_path / "closed", Colmap(1))
+    assert is_closed(closed.triangles)
+    assert [path.name for path in (tmp_path / "closed").iterdir()] == ["poisson.log"]
+    off = np.abs(np.linalg.norm(closed.vertices, axis=1) - RADIUS)
+    assert off[closed.measured & (closed.vertices[:, 2] > -0.4 * RADIUS)].max() < 0.2
+    assert closed.measured[closed.vertices[:, 2] > -0.4 * RADIUS].all()
+    below = closed.vertices[:, 2] < -0.5 * RADIUS - 4 * CELL
+    assert below.any() and not closed.measured[below].any()
+
+
+def test_blocks_meet_exactly_and_change_nothing(
+    thin: OrientedPoints, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = joined_mesh(pieces(thin, CELL), tmp_path / "whole", 1.0)
+    assert is_closed(whole.triangles)
+    monkeypatch.setattr(implicit, "BLOCK_CELLS", 20)
+    many = list(pieces(thin, CELL))
+    assert len(many) > 20
+    joined = joined_mesh(many, tmp_path / "many", 1.0)
+    assert is_closed(joined.triangles)
+    assert len(joined.triangles) == pytest.approx(len(whole.triangles), abs=20)
+    assert len(joined.vertices) < sum(len(piece.mesh.vertices) for piece in many)  # seams are made one
+    x, y = (np.sort(mesh.vertices[:, 0])[[0, 100, -100, -1]] for mesh in (joined, whole))
+    assert x == pytest.approx(y, abs=1e-3)
+
+
+def test_crumbs_and_what_is_unsure_are_left_out(thin: OrientedPoints, tmp_path: Path) -> None:
+    sigma = np.where(thin.points[:, 2] > 0, 1.0, SIGMA)
+    near = np.linalg.norm(thin.points - [0, 0, -RADIUS], axis=1) < 3 * CELL
+    points, normals = (
+        np.concatenate([thin.points, thin.points[near] - [0, 0, RADIUS]]),
+        np.concatenate([thin.normals, thin.normals[near]]),
+    )
+    sigma = np.concatenate([sigma, sigma[near]])
+    with_crumb = list(pieces(OrientedPoints(points, normals, sigma, np.ones(len(sigma), np.int64)), CELL))
+    assert min(piece.mesh.vertices[:, 2].min() for piece in with_crumb) < -1.9 * RADIUS
+    mesh = joined_mesh(with_crumb, tmp_path, 0.5)
+    assert -1.1 * RADIUS < mesh.vertices[:, 2].min() < -0.99 * RADIUS
+    assert mesh.vertices[:, 2].max() < 2 * CELL
+    with pytest.raises(DataError, match="agree on no surface"):
+        joined_mesh(with_crumb, tmp_path, 0.01)
+
+
+def test_texture_has_the_color_of_the_place_in_any_light(sphere) -> None:  # type: ignore[no-untyped-def]
     lit = [sphere_view(f"s{k}", axis, light=1.0 if k % 2 else 0.5) for k, axis in enumerate(AXES)]
-    mesh = textured(sphere, 2000, lit, lit[0].gsd)
+    paint = Paint.of(lit, sphere.vertices, sphere.normals)
+    mesh = textured(sphere, 2000, paint, lit[0].gsd)
     assert len(mesh.triangles) <= 2100
     corner = np.minimum((mesh.uv * mesh.color.shape[0]).astype(int), mesh.color.shape[0] - 1)
-    paint = mesh.color[corner[:, 1], corner[:, 0]].mean(1)
+    shown = mesh.color[corner[:, 1], corner[:, 0]].mean(1)
     above, below = mesh.vertices[:, 2] > 2, mesh.vertices[:, 2] < -2
-    assert np.ptp(np.percentile(paint[above], [5, 95])) < 12 and np.ptp(np.percentile(paint[below], [5, 95])) < 12
-    assert paint[above].mean() > paint[below].mean() + 60
+    assert np.ptp(np.percentile(shown[above], [5, 95])) < 12 and np.ptp(np.percentile(shown[below], [5, 95])) < 12
+    assert shown[above].mean() > shown[below].mean() + 60
     # A fine normal is a third component near 1: the decimated sphere is smooth.
     assert np.median(mesh.normal_map[corner[:, 1], corner[:, 0], 2]) > 250
-    write_glb(tmp_path / "mesh.glb", mesh, "mm", "sphere")
-    content = (tmp_path / "mesh.glb").read_bytes()
-    assert struct.unpack("<4sII", content[:12]) == (b"glTF", 2, len(content))
+
+
+def normals_of_texels(mesh: TexturedMesh) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """World normals that the normal map gives at the middle of triangles, and these places."""
+    places, uv, normals = (values[mesh.triangles].mean(1) for values in (mesh.vertices, mesh.uv, mesh.normals))
+    along = mesh.tangents[mesh.triangles, :3].mean(1)
+    side = len(mesh.color)
+    local = mesh.normal_map[(uv[:, 1] * side).astype(int), (uv[:, 0] * side).astype(int)] / 127.5 - 1
+    n = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    t = along - n * (along * n).sum(1, keepdims=True)
+    t /= np.linalg.norm(t, axis=1, keepdims=True)
+    b = np.cross(n, t) * mesh.tangents[mesh.triangles[:, 0], 3:]
+    return local[:, :1] * t + local[:, 1:2] * b + local[:, 2:] * n, places
+
+
+def test_levels_of_detail_get_smaller_and_keep_the_full_normals(
+    thin: OrientedPoints, views: list[View], tmp_path: Path
+) -> None:
+    full = joined_mesh(pieces(thin, CELL), tmp_path / "full", 1.0)
+    paint = Paint.of(views, full.vertices, full.normals)
+    levels = levels_of_detail(full, 4000, paint, CELL)
+    assert [len(level.triangles) for level in levels] == pytest.approx([4000, 1000], rel=0.02)
+    assert len(levels[1].color) < 0.75 * len(levels[0].color)
+    assert levels[0].deviation < levels[1].deviation < 0.1
+    simpler = joined_mesh(pieces(thin, 2 * CELL), tmp_path / "simpler", 1.0)
+    (coarse,) = levels_of_detail(full, 1000, paint, CELL, simpler)
+    assert len(coarse.triangles) == pytest.approx(1000, rel=0.02) and coarse.deviation < 0.3
+    for level in levels:
+        normals, places = normals_of_texels(level)
+        cosine = (normals * places).sum(1) / np.linalg.norm(places, axis=1) / np.linalg.norm(normals, axis=1)
+        # The triangles of the last are 5 degrees off the sphere at their corners.
+        assert np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1))) < 2
+    files, figures = write_levels(tmp_path, levels, "mm", "sphere")
+    assert [path.name for path in files] == ["mesh.glb", "0.glb", "1.glb"]
+    assert [row["triangles"] for row in figures] == [len(level.triangles) for level in levels]
+    assert [row["bytes"] for row in figures] == [path.stat().st_size for path in files[1:]]
+    for path in files:
+        content = path.read_bytes()
+        assert struct.unpack("<4sII", content[:12]) == (b"glTF", 2, len(content))
+        document = json.loads(content[20 : 20 + struct.unpack("<I", content[12:16])[0]])
+        assert document.get("extensionsRequired", []) == ([] if path.name == "mesh.glb" else ["EXT_texture_webp"])
+        assert {image["mimeType"] for image in document["images"]} == (
+            {"image/jpeg", "image/png"} if path.name == "mesh.glb" else {"image/webp"}
+        )
     trimesh = pytest.importorskip("trimesh")
-    scene = trimesh.load(tmp_path / "mesh.glb")
-    assert scene.extents == pytest.approx([0.02, 0.02, 0.02], rel=0.05)
+    for path, level in zip(files, [levels[0], *levels], strict=True):
+        scene = trimesh.load(path)
+        (read,) = scene.geometry.values()
+        assert scene.extents == pytest.approx([0.02, 0.02, 0.02], rel=0.05)
+        assert len(read.faces) == len(level.triangles)
+        assert np.asarray(read.visual.material.baseColorTexture).shape[:2] == level.color.shape[:2]
+        fine = np.asarray(read.visual.material.normalTexture)[..., :3]
+        assert (fine == level.normal_map).all()  # lossless
+
+
+def test_large_meshes_are_searched_in_parts(sphere, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
+    places = 1.01 * sphere.vertices[::40]
+    expected = NearestVertices(sphere)(places)
+    monkeypatch.setattr(texture, "_MOST_IN_MEMORY", 10)
+    find = NearestVertices(sphere)
+    assert (np.concatenate([find(part) for part in np.array_split(places, 9)]) == expected).all()
+    assert (find(places[:1]) == expected[:1]).all()
 
 
 def test_meshes_are_written_as_they_are_read(tmp_path: Path) -> None:
@@ -179,7 +309,7 @@ def test_meshes_are_written_as_they_are_read(tmp_path: Path) -> None:
     triangles = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
     write_ply(
         tmp_path / "a.ply",
-        {**dict(zip("xyz", vertices.T, strict=True)), "sigma": np.ones(4, np.float32)},
+        {**{name: (vertices[:, k], "f8") for k, name in enumerate("xyz")}, "sigma": (np.ones(4), "f4")},
         triangles,
         "test",
     )
@@ -228,7 +358,7 @@ def test_command_line_makes_one_surface_and_does_nothing_twice(pair: Path) -> No
     assert [row["station"] for row in quality["stations"]] == ["o0", "o1"]
     assert quality["agreement"]["rms_ratio"] < 0.05
     assert quality["mesh"]["triangles"] > 10000 and not quality["mesh"]["closed"]
-    assert {"mesh.ply", "mesh.glb", "report/index.html"} <= set(quality["files"])
+    assert {"mesh.ply", "mesh.glb", "levels/0.glb", "report/index.html"} <= set(quality["files"])
     assert "pair: 2 of 2 stations" in first.out
     assert not half_written(output)
     written = (output / "object/mesh.ply").stat().st_mtime_ns
@@ -487,8 +617,6 @@ def test_shared_photos_that_are_wrong(photographed: Path, file: str, old: str, n
 
 
 def test_points_too_few_for_a_surface(tmp_path: Path) -> None:
-    from malus import DataError
-
     few = OrientedPoints(np.zeros((5, 3)), np.ones((5, 3)), np.ones(5), np.ones(5, np.int64))
     with pytest.raises(DataError, match="5 points"):
         poisson_mesh(few, 1.0, tmp_path, Colmap(1))

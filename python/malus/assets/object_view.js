@@ -20,21 +20,17 @@
   }
   // 8-bit sRGB as three.js wants colors: linear.
   const linear = value => Math.pow(value / 255, 2.2);
-  const geometry = new THREE.BufferGeometry();
-  geometry.setAttribute('position', await attribute(data.positions, Uint16Array, 3, (x, c) => x / 65535 * data.size - data.extent[c] / 2));
-  geometry.setAttribute('normal', await attribute(data.normals, Int16Array, 3, x => x / 32767));
-  geometry.setAttribute('uv', await attribute(data.uv, Uint16Array, 2, x => x / 65535));
-  geometry.setIndex(new THREE.BufferAttribute(await unpack.indices(data.indices), 1));
+  const bytes = Uint8Array.from(atob(data.glb), character => character.charCodeAt(0));
+  const content = await new THREE.GLTFLoader().parseAsync(bytes.buffer, '');
+  const {geometry, material: {map: texture, normalMap}} = content.scene.getObjectByProperty('isMesh', true);
+  geometry.computeBoundingBox();
+  geometry.translate(...geometry.boundingBox.getCenter(new THREE.Vector3()).negate().toArray());
   const paints = {
     stations: await attribute(data.stations, Uint16Array, 3, linear), sigma: await attribute(data.sigma, Uint16Array, 3, linear)
   };
-  const texture = new THREE.Texture(await unpack.picture(data.color, 'image/webp'));
-  texture.colorSpace = THREE.SRGBColorSpace;
-  texture.flipY = false;
-  texture.anisotropy = 4;
-  texture.needsUpdate = true;
+  texture.anisotropy = normalMap.anisotropy = 4;
 
-  const material = new THREE.MeshStandardMaterial({roughness: 0.85, metalness: 0, side: THREE.DoubleSide});
+  const material = new THREE.MeshStandardMaterial({roughness: 0.85, metalness: 0, side: THREE.DoubleSide, normalMap});
   const scene = new THREE.Scene(), lamp = new THREE.DirectionalLight(0xffffff, 2.6);
   scene.add(new THREE.Mesh(geometry, material), new THREE.AmbientLight(0xffffff, 0.7), lamp, lamp.target);
   const renderer = new THREE.WebGLRenderer({canvas, antialias: true, alpha: true, preserveDrawingBuffer: true});
@@ -69,6 +65,7 @@
   function paint() {
     const chosen = control('paint').value;
     material.map = chosen === 'color' ? texture : null;
+    material.normalMap = control('fine').checked ? normalMap : null;
     material.vertexColors = chosen in paints;
     if (chosen in paints) geometry.setAttribute('color', paints[chosen]);
     material.color.set(chosen === 'plain' ? 0x9a958c : 0xffffff);

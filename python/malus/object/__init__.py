@@ -4,14 +4,18 @@
     thing = malus.Object.load("object.toml")
     malus.object.run_object(thing, "OUT", jobs=2)          # OUT/object/mesh.ply, mesh.glb, quality.json, report/index.html
 
-`combine` joins stations' surfaces to oriented points, `poisson_mesh` makes a mesh of those, `textured` its texture.
+`combine` joins stations' surfaces to oriented points, `pieces` and `joined_mesh` make a mesh of those, `closed_surface` closes it,
+`levels_of_detail` gives it textures.
 """
 
 from malus.object.agreement import Agreement, OrientedPoints, agreement_figures, combine, unseen_stereo
+from malus.object.color import Paint
 from malus.object.definition import Object
-from malus.object.meshing import ObjectMesh, poisson_mesh, trimmed
+from malus.object.implicit import pieces
+from malus.object.joining import Piece, joined_mesh
+from malus.object.meshing import ObjectMesh, closed_surface, poisson_mesh
 from malus.object.run import run_object
-from malus.object.texture import TexturedMesh, textured
+from malus.object.texture import TexturedMesh, levels_of_detail, textured
 from malus.object.views import View, load_view
 
 __all__ = [
@@ -19,14 +23,19 @@ __all__ = [
     "Object",
     "ObjectMesh",
     "OrientedPoints",
+    "Paint",
+    "Piece",
     "TexturedMesh",
     "View",
     "agreement_figures",
+    "closed_surface",
     "combine",
+    "joined_mesh",
+    "levels_of_detail",
     "load_view",
+    "pieces",
     "poisson_mesh",
     "run_object",
     "textured",
-    "trimmed",
     "unseen_stereo",
 ]

@@ -34,8 +34,8 @@ class OrientedPoints:
     sigma: Floats
     stations: NDArray[np.int64]
 
-    def select(self, chosen: NDArray[np.bool_]) -> OrientedPoints:
-        """Some of the points."""
+    def select(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> OrientedPoints:
+        """Some of the points, by mask or number."""
         return OrientedPoints(self.points[chosen], self.normals[chosen], self.sigma[chosen], self.stations[chosen])
 
 

@@ -3,23 +3,61 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from malus import _core
+from malus.chart import srgb_bytes
+from malus.object.arrays import chunks
 from malus.object.views import LEAST_COSINE, Floats, View
 
 #: Beyond this many GSD before or behind a station's surface a place is not seen by it.
 _NEAR_GSD = 4.0
 _WHITE_PERCENTILE = 99.5
+#: Places that brightness and white are found from, at most about.
+_SAMPLE = 200000
 
 
-def blended(points: Floats, normals: Floats, views: Sequence[View]) -> Floats:
-    """Linear color (N×C) of places on the surface, NaN where no station looks.
+@dataclass(frozen=True)
+class Paint:
+    """How stations' images are blended: a factor for each, the linear value that is shown white, and the color (C) of what none sees."""
 
-    Stations count by the square of the cosine under which they see a place; their brightness is made alike first, by one gain each.
-    """
+    views: Sequence[View]
+    gains: Floats
+    white: float
+    missing: Floats
+
+    @staticmethod
+    def of(views: Sequence[View], points: Floats, normals: Floats) -> Paint:
+        """Found from what several stations see of the surface with these points and normals (N×3)."""
+        some = slice(None, None, max(1, len(points) // _SAMPLE))
+        weights, colors = _sights(points[some], normals[some], views)
+        gains = np.exp(_log_gains(weights, colors))
+        mean = _mean(weights, colors * gains[:, None, None])
+        known = mean[np.isfinite(mean).all(1)]
+        if not len(known):
+            return Paint(views, gains, 1.0, np.full(colors.shape[2], 0.5))
+        return Paint(views, gains, max(float(np.percentile(known, _WHITE_PERCENTILE)), 1e-12), np.median(known, axis=0))
+
+    def linear(self, points: Floats, normals: Floats) -> Floats:
+        """Linear color (N×3, 1 = white) of places; stations count by the square of the cosine under which they see them."""
+        parts = [np.empty((0, len(self.missing)))]
+        for rows in chunks(len(points)):
+            weights, colors = _sights(points[rows], normals[rows], self.views)
+            parts.append(_mean(weights, colors * self.gains[:, None, None]))
+        color = np.concatenate(parts)
+        known = np.asarray(np.isfinite(color).all(axis=1))
+        color = np.where(known[:, None], color, self.missing) / self.white
+        return np.asarray(np.repeat(color, 3, axis=1) if color.shape[1] == 1 else color)
+
+    def srgb(self, points: Floats, normals: Floats) -> NDArray[np.uint8]:
+        """8-bit sRGB (N×3) of places."""
+        return srgb_bytes(self.linear(points, normals))
+
+
+def _sights(points: Floats, normals: Floats, views: Sequence[View]) -> tuple[Floats, Floats]:
+    """Weight (V×N) and linear color (V×N×C) of places in each view."""
     channels = max(view.color.shape[2] for view in views)
     weights = np.zeros((len(views), len(points)))
     colors = np.zeros((len(views), len(points), channels))
@@ -30,10 +68,13 @@ def blended(points: Floats, normals: Floats, views: Sequence[View]) -> Floats:
         seen = (at.weight > 0) & near & (facing > LEAST_COSINE)
         weights[k] = np.where(seen, facing**2, 0)
         colors[k] = view.color[at.v, at.u]
-    colors *= np.exp(_log_gains(weights, colors))[:, None, None]
+    return weights, colors
+
+
+def _mean(weights: Floats, colors: Floats) -> Floats:
+    """Weighted mean over the views, NaN where no station looks."""
     total = weights.sum(0)
-    with np.errstate(invalid="ignore"):
-        return np.asarray((weights[..., None] * colors).sum(0) / np.where(total > 0, total, np.nan)[:, None])
+    return np.asarray((weights[..., None] * colors).sum(0) / np.where(total > 0, total, np.nan)[:, None])
 
 
 def _log_gains(weights: Floats, colors: Floats) -> Floats:
@@ -51,15 +92,3 @@ def _log_gains(weights: Floats, colors: Floats) -> Floats:
             rows.append(row)
             values.append(-float(np.median(bright[i, both] - bright[j, both])))
     return np.asarray(np.linalg.lstsq(np.array(rows), np.array(values), rcond=None)[0])
-
-
-def display(color: Floats) -> NDArray[np.uint8]:
-    """8-bit sRGB (N×3) of linear color (N×C); what has none takes the median."""
-    known = np.asarray(np.isfinite(color).all(axis=1))
-    missing = np.median(color[known], axis=0) if known.any() else np.full(color.shape[1], 0.5)
-    filled = np.where(known[:, None], color, missing)
-    image = np.repeat(filled, 3, axis=1) if filled.shape[1] == 1 else filled
-    encoded: NDArray[np.uint8] = _core.display_image(
-        np.ascontiguousarray(image[None], np.float32), np.ones((1, len(image)), np.float32), _WHITE_PERCENTILE
-    )
-    return np.asarray(encoded[0], np.uint8)

@@ -25,6 +25,8 @@ _POINT_WEIGHT = 4.0
 #: A vertex is measured if a point lies within as many times the points' own spacing there.
 _REACH = 2.0
 _SPACING_NEIGHBOR = 2
+#: What COLMAP reads and writes.
+_FILES = ("points.ply", "poisson.ply")
 #: Separate pieces with a smaller share of the triangles are crumbs.
 _LEAST_PIECE = 0.005
 
@@ -53,10 +55,10 @@ def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colma
     local = (points.points - middle).astype(np.float32)
     extent = float(np.ptp(local, axis=0).max())
     depth = int(np.clip(math.ceil(math.log2(1.1 * extent / (_CELL_GSD * gsd))), _LEAST_DEPTH, _MOST_DEPTH))
-    cloud, raw = folder / "points.ply", folder / "poisson.ply"
-    properties = dict(zip(("x", "y", "z"), local.T, strict=True))
-    properties |= dict(zip(("nx", "ny", "nz"), points.normals.astype(np.float32).T, strict=True))
-    grey = np.zeros(len(local), np.uint8)  # COLMAP 3.8 wants colors.
+    cloud, raw = (folder / name for name in _FILES)
+    properties = {name: (local[:, axis], "f4") for axis, name in enumerate(("x", "y", "z"))}
+    properties |= {name: (points.normals[:, axis], "f4") for axis, name in enumerate(("nx", "ny", "nz"))}
+    grey = (np.zeros(len(local), np.uint8), "u1")  # COLMAP 3.8 wants colors.
     write_ply(cloud, {**properties, "red": grey, "green": grey, "blue": grey}, None, "points of the object")
     colmap.run(
         "poisson_mesher",
@@ -75,6 +77,19 @@ def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colma
     if not len(triangles):
         raise DataError("Poisson reconstruction found no surface in the points that stations agree on")
     return _with_uncertainty(vertices, triangles, points, gsd)
+
+
+def closed_surface(mesh: ObjectMesh, gsd: float, folder: Path, colmap: Colmap) -> ObjectMesh:
+    """A closed mesh about the one given: the same surface where there is one, and a guess, marked so, over its holes.
+
+    `folder` keeps COLMAP's log. Raises what `poisson_mesh` raises.
+    """
+    points = OrientedPoints(mesh.vertices, mesh.normals, mesh.sigma, np.ones(len(mesh.vertices), np.int64))
+    try:
+        return poisson_mesh(points, gsd, folder, colmap)
+    finally:
+        for name in _FILES:
+            (folder / name).unlink(missing_ok=True)
 
 
 def _with_uncertainty(vertices: Floats, triangles: NDArray[np.int64], points: OrientedPoints, gsd: float) -> ObjectMesh:
@@ -108,14 +123,14 @@ def vertex_normals(vertices: Floats, triangles: NDArray[np.int64]) -> Floats:
 def without_crumbs(vertices: Floats, triangles: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
     """The mesh without small separate pieces, and without vertices that no triangle has."""
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
-    piece = _connected(edges, len(vertices))[triangles[:, 0]]
+    piece = connected(edges, len(vertices))[triangles[:, 0]]
     size = np.bincount(piece)
     kept = triangles[size[piece] >= _LEAST_PIECE * len(triangles)]
     used, renumbered = np.unique(kept, return_inverse=True)
     return vertices[used], renumbered.reshape(-1, 3)
 
 
-def _connected(edges: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+def connected(edges: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     """The piece that each of `count` vertices belongs to."""
     sparse = extra("scipy.sparse", "scipy", "the mesh of an object", "object")
     graph = extra("scipy.sparse.csgraph", "scipy", "the mesh of an object", "object")
@@ -133,20 +148,8 @@ def closed_up(vertices: Floats, triangles: NDArray[np.int64]) -> tuple[Floats, N
         return vertices, triangles
     used, ends = np.unique(border, return_inverse=True)
     ends = ends.reshape(-1, 2)
-    loop = _connected(ends, len(used))
+    loop = connected(ends, len(used))
     sums = np.stack([np.bincount(loop, vertices[used, axis]) for axis in range(3)], 1)
     middles = sums / np.bincount(loop)[:, None]
     fans = np.stack([border[:, 1], border[:, 0], count + loop[ends[:, 0]]], 1)
     return np.concatenate([vertices, middles]), np.concatenate([triangles, fans])
-
-
-def trimmed(mesh: ObjectMesh, most_sigma: float) -> ObjectMesh:
-    """The part of a mesh that was measured to within `most_sigma`: open where nobody looked."""
-    good = mesh.measured & (mesh.sigma <= most_sigma)
-    kept = mesh.triangles[good[mesh.triangles].all(1)]
-    if not len(kept):
-        raise DataError(f"no part of the surface has a standard deviation below {most_sigma:.3g}")
-    used, renumbered = np.unique(kept, return_inverse=True)
-    return ObjectMesh(
-        mesh.vertices[used], mesh.normals[used], renumbered.reshape(-1, 3), mesh.sigma[used], mesh.measured[used]
-    )

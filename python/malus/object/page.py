@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,12 @@ from PIL import Image
 from malus import _core
 from malus._files import replacing, write_text
 from malus.object.agreement import Agreement
+from malus.object.glb import glb
 from malus.object.meshing import ObjectMesh
-from malus.object.texture import TexturedMesh, encoded
-from malus.object.views import View
+from malus.object.texture import NearestVertices, TexturedMesh
+from malus.object.views import View, sees
 from malus.pages import template
-from malus.viewer import base64_text, pack, pack_indices
+from malus.viewer import base64_text, pack
 
 #: Longest side of the texture in the page.
 _TEXTURE_SIDE = 2048
@@ -45,52 +47,49 @@ def write_maps(folder: Path, agreements: Sequence[Agreement]) -> list[Path]:
     return paths
 
 
-def _turntable(
-    mesh: TexturedMesh, seen: NDArray[np.bool_], full: ObjectMesh, gsd: float, first: View
-) -> dict[str, Any]:
-    """Packed vertices, normals, texture coordinates and triangles, and colors for what was measured.
+def _turntable(mesh: TexturedMesh, full: ObjectMesh, gsd: float, views: Sequence[View]) -> dict[str, Any]:
+    """The textured mesh as a GLB file, and colors of its vertices for what was measured.
 
-    It opens as the `first` station sees the object.
+    It opens as the first station sees the object.
     """
+    first = views[0]
     to_eye = first.eye - (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
-    low, high = mesh.vertices.min(0), mesh.vertices.max(0)
-    size = float((high - low).max())
-    whole = np.rint((mesh.vertices - low) / size * 65535).astype(np.uint16)
-    count = seen[mesh.source].sum(1) / max(seen.shape[1], 1)
-    sigma = np.where(full.measured[mesh.source], full.sigma[mesh.source] / (2 * gsd), np.nan)
-    picture = Image.fromarray(mesh.color)
-    picture.thumbnail((_TEXTURE_SIDE, _TEXTURE_SIDE))
+    nearest = NearestVertices(full)(mesh.vertices)
+    count = np.stack([sees(view, mesh.vertices, full.normals[nearest]) for view in views]).mean(0)
+    sigma = np.where(full.measured[nearest], full.sigma[nearest] / (2 * gsd), np.nan)
     return {
         "vertices": len(mesh.vertices),
         "triangles": len(mesh.triangles),
-        "positions": pack(whole.T),
-        "normals": pack(np.rint(mesh.normals.T * 32767).astype(np.int16)),
-        "uv": pack(np.rint(np.clip(mesh.uv.T, 0, 1) * 65535).astype(np.uint16)),
-        "indices": pack_indices(mesh.triangles.astype(np.uint32)),
+        "glb": base64_text(glb(_for_the_page(mesh), "m", "object", webp=True)),
         "stations": pack(colors_of(1 - count).T),
         "sigma": pack(colors_of(sigma).T),
-        "size": size,
-        "extent": (high - low).tolist(),
+        "extent": np.ptp(mesh.vertices, axis=0).tolist(),
         "eye": (to_eye / np.linalg.norm(to_eye)).tolist(),
         "up": (-first.rotation[1]).tolist(),
-        "color": base64_text(encoded(np.asarray(picture), "WEBP")),
     }
+
+
+def _for_the_page(mesh: TexturedMesh) -> TexturedMesh:
+    """The mesh with textures that a page can carry."""
+    pictures = [Image.fromarray(texture) for texture in (mesh.color, mesh.normal_map)]
+    for picture in pictures:
+        picture.thumbnail((_TEXTURE_SIDE, _TEXTURE_SIDE))
+    return replace(mesh, color=np.asarray(pictures[0]), normal_map=np.asarray(pictures[1]))
 
 
 def write_page(
     folder: Path,
     quality: Mapping[str, Any],
     mesh: TexturedMesh,
-    seen: NDArray[np.bool_],
     full: ObjectMesh,
-    first: View,
+    views: Sequence[View],
     *,
     linked: bool,
 ) -> Path:
     """Write report/index.html in `folder` (self-contained but for the links to the stations' reports); returns its path."""
     page = template("object.html.j2").render(
         quality=quality,
-        view=_turntable(mesh, seen, full, quality["gsd"], first),
+        view=_turntable(mesh, full, quality["gsd"], views),
         maps={path.stem: base64_text(path.read_bytes()) for path in sorted((folder / "agreement").glob("*.png"))},
         linked=linked,
         version=_core.version,

@@ -4,35 +4,42 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from malus._files import replacing
 from malus.errors import ExternalError
+from malus.object.arrays import chunks
 
 _TYPES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int"}
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
 def write_ply(
-    path: Path, vertices: Mapping[str, NDArray[np.generic]], triangles: NDArray[np.integer] | None, comment: str
+    path: Path, vertices: Mapping[str, tuple[NDArray[Any], str]], triangles: NDArray[np.integer] | None, comment: str
 ) -> None:
-    """Write a cloud, or a mesh with triangles M×3. vertices: N values by property (float32, float64, uint8 or int32)."""
-    kinds = [(name, values.dtype.newbyteorder("<")) for name, values in vertices.items()]
-    table = np.empty(len(next(iter(vertices.values()))), np.dtype(kinds))
-    for name, values in vertices.items():
-        table[name] = values
-    lines = ["ply", "format binary_little_endian 1.0", f"comment {comment}", f"element vertex {len(table)}"]
-    lines += [f"property {_TYPES[kind.str[1:]]} {name}" for name, kind in kinds]
+    """Write a cloud, or a mesh with triangles M×3. vertices: N values by property, and their type: f4, f8, u1 or i4.
+
+    Rows are written some at a time, so that arrays on disk need no memory.
+    """
+    kind = np.dtype([(name, "<" + type_) for name, (_, type_) in vertices.items()])
+    count = len(next(iter(vertices.values()))[0])
+    lines = ["ply", "format binary_little_endian 1.0", f"comment {comment}", f"element vertex {count}"]
+    lines += [f"property {_TYPES[type_]} {name}" for name, (_, type_) in vertices.items()]
     if triangles is not None:
         lines += [f"element face {len(triangles)}", "property list uchar int vertex_indices"]
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(("\n".join([*lines, "end_header"]) + "\n").encode())
-        table.tofile(file)
-        if triangles is not None:
-            faces = np.empty(len(triangles), _FACE)
-            faces["count"], faces["corners"] = 3, triangles
+        for rows in chunks(count):
+            table = np.empty(rows.stop - rows.start, kind)
+            for name, (values, _) in vertices.items():
+                table[name] = values[rows]
+            table.tofile(file)
+        for rows in chunks(0 if triangles is None else len(triangles)):
+            faces = np.empty(rows.stop - rows.start, _FACE)
+            faces["count"], faces["corners"] = 3, triangles[rows] if triangles is not None else 0
             faces.tofile(file)
 
 

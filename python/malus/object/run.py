@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import shutil
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,12 +20,17 @@ from malus import _core, batch, scans
 from malus._files import new_folder, read_record, sha256_of, write_record
 from malus.batch import Outcome
 from malus.errors import DataError, InputError, MalusError
-from malus.object import agreement, color, meshing, page, texture
+from malus.object import agreement, meshing, page, texture
 from malus.object.agreement import Agreement, OrientedPoints
+from malus.object.arrays import GrowingArray, chunks
+from malus.object.color import Paint
 from malus.object.definition import Object
+from malus.object.glb import write_levels
+from malus.object.implicit import pieces
+from malus.object.joining import joined_mesh
 from malus.object.meshing import ObjectMesh
 from malus.object.ply import write_ply
-from malus.object.views import LEAST_COSINE, Floats, View, load_view
+from malus.object.views import Floats, View, load_view, sees
 from malus.photogrammetry import exclusive, find_object_cameras
 from malus.photogrammetry.front_end import camera_of
 from malus.photogrammetry.program import Colmap
@@ -35,6 +42,8 @@ from malus.workspace import Workspace
 
 #: What fusion tells of its course: how much of it is done, and with what it goes on.
 Progress = Callable[[float, str], None]
+#: Triangles of a mesh that is simplified as a whole.
+_MOST_TO_SIMPLIFY = 4_000_000
 
 
 def run_object(
@@ -56,7 +65,8 @@ def run_object(
     """
     say = progress or (lambda *_: None)
     texture.require_packages()
-    colmap = Colmap(threads or 1)
+    if thing.closed:
+        Colmap(1)  # If it is missing, that is said before hours of work.
     frame = None if thing.shared is None else find_frame(thing, Path(output), threads or ALL_CORES, say)
     outcomes = batch.run_campaign(
         thing.campaign, output, jobs=jobs, threads=threads, scheduler=scheduler, shard=shard,
@@ -73,7 +83,7 @@ def run_object(
     # Of two shards that end at once one makes the surface; the other is told so.
     with exclusive(folder):
         if not _is_made(folder, key):
-            _fuse(thing, outcomes, frame, folder, key, colmap, lambda share, message: say("object", share, message))
+            _fuse(thing, outcomes, frame, folder, key, lambda share, message: say("object", share, message))
     say("object", 1.0, str(folder / "report" / "index.html"))
     return outcomes
 
@@ -177,12 +187,13 @@ def _fuse(
     frame: Frame | None,
     folder: Path,
     key: str,
-    colmap: Colmap,
     say: Progress,
 ) -> None:
     start = time.monotonic()
     done = [outcome for outcome in outcomes if outcome["status"] == "done"]
     (folder / "quality.json").unlink(missing_ok=True)
+    for left in (folder / "levels", *folder.glob(".mesh-*")):  # of an earlier surface, or of a run that was ended
+        shutil.rmtree(left, ignore_errors=True)
     say(0.0, "reading the stations")
     views = [
         load_view(outcome["station"], folder.parent / "stations" / outcome["station"], thing.max_sigma_gsd)
@@ -194,40 +205,40 @@ def _fuse(
     stereo = _stereo(thing, done, views, points, folder.parent)
     everything = agreement.without_outliers(agreement.joined([points, stereo]), gsd)
     say(0.3, f"a mesh of {len(everything.points)} points")
-    closed = meshing.poisson_mesh(everything, gsd, folder, colmap)
-    mesh = closed if thing.closed else meshing.trimmed(closed, thing.max_sigma_gsd * gsd)
-    say(0.6, f"texture of {len(mesh.triangles)} triangles")
-    seen = seen_by(mesh, views)
-    baked = texture.textured(mesh, thing.faces, views, gsd)
-    say(0.9, "writing")
-    _write_mesh(folder / "mesh.ply", mesh, seen, views, thing)
-    texture.write_glb(folder / "mesh.glb", baked, thing.unit, thing.name)
-    maps = page.write_maps(folder / "agreement", agreements)
-    for name in ("points.ply", "poisson.ply"):
-        (folder / name).unlink()
-    quality = {
-        "name": thing.name, "unit": thing.unit, "version": _core.version, "key": key, "gsd": gsd,
-        "stations": _station_figures(outcomes, views, agreements, seen),
-        "points": {"stations": int((everything.stations > 0).sum()), "stereo": int((everything.stations == 0).sum())},
-        "mesh": mesh_figures(mesh, gsd), "agreement": agreement.agreement_figures(agreements, gsd),
-        "photogrammetry": None if frame is None else frame.figures,
-        "warnings": _warnings(outcomes, [] if frame is None else frame.warnings, mesh, thing, folder.parent), "seconds": round(time.monotonic() - start, 1),
-    }  # fmt: skip
-    report = page.write_page(folder, quality, baked, seen, mesh, views[0], linked=thing.campaign.report)
-    files = [folder / "mesh.ply", folder / "mesh.glb", *maps, report]
-    quality["files"] = {str(path.relative_to(folder)): _core.sha256_of_file(str(path)) for path in files}
-    write_record(folder / "quality.json", quality)
+    with tempfile.TemporaryDirectory(prefix=".mesh-", dir=folder) as scratch:
+        mesh = joined_mesh(pieces(everything, gsd), Path(scratch) / "open", thing.max_sigma_gsd * gsd)
+        if thing.closed:
+            mesh = meshing.closed_surface(mesh, gsd, folder, Colmap(1))
+        paint = Paint.of(views, mesh.vertices, mesh.normals)
+        say(0.5, f"texture of {len(mesh.triangles)} triangles")
+        simpler = _simpler(thing, mesh, everything, gsd, Path(scratch))
+        baked = texture.levels_of_detail(mesh, thing.faces, paint, gsd, simpler)
+        say(0.8, "writing")
+        coverage = _write_mesh(folder / "mesh.ply", mesh, paint, thing, Path(scratch))
+        files, levels = write_levels(folder, baked, thing.unit, thing.name)
+        files += page.write_maps(folder / "agreement", agreements)
+        quality = {
+            "name": thing.name, "unit": thing.unit, "version": _core.version, "key": key, "gsd": gsd,
+            "stations": _station_figures(outcomes, views, agreements, coverage),
+            "points": {"stations": int((everything.stations > 0).sum()), "stereo": int((everything.stations == 0).sum())},
+            "mesh": mesh_figures(mesh, gsd), "levels": levels, "agreement": agreement.agreement_figures(agreements, gsd),
+            "photogrammetry": None if frame is None else frame.figures,
+            "warnings": _warnings(outcomes, [] if frame is None else frame.warnings, mesh, thing, folder.parent), "seconds": round(time.monotonic() - start, 1),
+        }  # fmt: skip
+        files += [
+            folder / "mesh.ply",
+            page.write_page(folder, quality, baked[0], mesh, views, linked=thing.campaign.report),
+        ]
+        quality["files"] = {str(path.relative_to(folder)): _core.sha256_of_file(str(path)) for path in files}
+        write_record(folder / "quality.json", quality)
 
 
-def seen_by(mesh: ObjectMesh, views: Sequence[View]) -> NDArray[np.bool_]:
-    """Which station (columns) sees which vertex (rows)."""
-    seen = np.zeros((len(mesh.vertices), len(views)), bool)
-    for k, view in enumerate(views):
-        at = view.meet(mesh.vertices)
-        off = np.abs((at.normals * (at.points - mesh.vertices)).sum(1))
-        facing = view.facing(mesh.vertices, mesh.normals) > LEAST_COSINE
-        seen[:, k] = (at.weight > 0) & facing & (off < 4 * np.hypot(at.sigma, view.gsd))
-    return seen
+def _simpler(thing: Object, mesh: ObjectMesh, points: OrientedPoints, gsd: float, scratch: Path) -> ObjectMesh | None:
+    """What a mesh too large to be simplified at once is simplified from: the same surface on a coarser lattice."""
+    if thing.closed or len(mesh.triangles) <= _MOST_TO_SIMPLIFY:
+        return None
+    cell = gsd * math.sqrt(len(mesh.triangles) / _MOST_TO_SIMPLIFY)
+    return joined_mesh(pieces(points, cell), scratch / "coarse", thing.max_sigma_gsd * gsd)
 
 
 def _stereo(
@@ -256,18 +267,36 @@ def _read_cloud(path: Path, unit: str) -> tuple[Floats, Floats | None]:
     return _core.read_oriented_points(str(path))
 
 
-def _write_mesh(path: Path, mesh: ObjectMesh, seen: NDArray[np.bool_], views: Sequence[View], thing: Object) -> None:
-    paint = color.display(color.blended(mesh.vertices, mesh.normals, views))
+@dataclass(frozen=True)
+class Coverage:
+    """Shares of the vertices that each station sees, and that it alone sees."""
+
+    seen: Floats
+    alone: Floats
+
+
+def _write_mesh(path: Path, mesh: ObjectMesh, paint: Paint, thing: Object, scratch: Path) -> Coverage:
+    colors, stations = GrowingArray(scratch / "colors", np.uint8, 3), GrowingArray(scratch / "stations", np.uint8)
+    seen, alone = np.zeros(len(paint.views)), np.zeros(len(paint.views))
+    for rows in chunks(len(mesh.vertices)):
+        points, normals = mesh.vertices[rows], mesh.normals[rows]
+        by = np.stack([sees(view, points, normals) for view in paint.views])
+        colors.add(paint.srgb(points, normals))
+        stations.add(by.sum(0))
+        seen += by.sum(1)
+        alone += (by & (by.sum(0) == 1)).sum(1)
     # Coordinates far from the origin need more than single precision.
     far = np.abs(mesh.vertices).max() > 1e4 * np.ptp(mesh.vertices, axis=0).max() / 1e3
-    values: dict[str, NDArray[Any]] = dict(
-        zip(("x", "y", "z"), mesh.vertices.T.astype(np.float64 if far else np.float32), strict=True)
-    )
-    values |= dict(zip(("nx", "ny", "nz"), mesh.normals.T.astype(np.float32), strict=True))
-    values |= dict(zip(("red", "green", "blue"), paint.T, strict=True))
-    values |= {"sigma": mesh.sigma.astype(np.float32), "measured": mesh.measured.astype(np.uint8)}
-    values["stations"] = seen.sum(1).astype(np.uint8)
+    values: dict[str, tuple[NDArray[Any], str]] = {
+        name: (mesh.vertices[:, axis], "f8" if far else "f4") for axis, name in enumerate(("x", "y", "z"))
+    }
+    values |= {name: (mesh.normals[:, axis], "f4") for axis, name in enumerate(("nx", "ny", "nz"))}
+    paints = colors.array()
+    values |= {name: (paints[:, axis], "u1") for axis, name in enumerate(("red", "green", "blue"))}
+    values |= {"sigma": (mesh.sigma, "f4"), "measured": (mesh.measured, "u1"), "stations": (stations.array(), "u1")}
     write_ply(path, values, mesh.triangles, f"{thing.name}, lengths in {thing.unit}, world frame")
+    count = len(mesh.vertices)
+    return Coverage(seen / count, alone / count)
 
 
 def is_closed(triangles: NDArray[np.int64]) -> bool:
@@ -283,7 +312,8 @@ def mesh_figures(mesh: ObjectMesh, gsd: float) -> dict[str, Any]:
     return {
         "vertices": len(mesh.vertices),
         "triangles": len(mesh.triangles),
-        "closed": is_closed(mesh.triangles),
+        # What is so large was made with open borders.
+        "closed": len(mesh.triangles) <= _MOST_TO_SIMPLIFY and is_closed(mesh.triangles),
         "measured_fraction": float(mesh.measured.mean()),
         "sigma_median_gsd": float(np.median(mesh.sigma[mesh.measured]) / gsd) if mesh.measured.any() else None,
         "extent": np.ptp(mesh.vertices, axis=0).tolist(),
@@ -291,7 +321,7 @@ def mesh_figures(mesh: ObjectMesh, gsd: float) -> dict[str, Any]:
 
 
 def _station_figures(
-    outcomes: Sequence[Outcome], views: Sequence[View], agreements: Sequence[Agreement], seen: NDArray[np.bool_]
+    outcomes: Sequence[Outcome], views: Sequence[View], agreements: Sequence[Agreement], coverage: Coverage
 ) -> list[dict[str, Any]]:
     known = {view.name: k for k, view in enumerate(views)}
     rows = []
@@ -302,8 +332,8 @@ def _station_figures(
             row |= {
                 "gsd": views[k].gsd,
                 "quality": outcome["figures"].get("quality"),
-                "seen_fraction": float(seen[:, k].mean()),
-                "alone_fraction": float((seen[:, k] & (seen.sum(1) == 1)).mean()),
+                "seen_fraction": float(coverage.seen[k]),
+                "alone_fraction": float(coverage.alone[k]),
                 "agreement": agreement.agreement_figures([agreements[k]], views[k].gsd),
             }
         rows.append(row)

@@ -1,41 +1,39 @@
-"""The mesh for viewers: fewer triangles, a texture atlas (xatlas), color and full-resolution normals baked into it, as GLB."""
+"""The mesh for viewers: fewer triangles, a texture atlas (xatlas), color and full-resolution normals baked into it."""
 
 from __future__ import annotations
 
-import io
-import json
 import math
-import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from malus._extra import extra
-from malus._files import write_bytes
-from malus.object.color import blended, display
+from malus.chart import srgb_bytes
+from malus.object.arrays import CHUNK, chunks
+from malus.object.color import Paint
 from malus.object.meshing import ObjectMesh, vertex_normals
-from malus.object.views import Floats, View
-from malus.units import METRES
+from malus.object.views import Floats
 
 #: Texels to a GSD, and the longest side of the texture.
 _TEXELS_PER_GSD = 1.5
 _MOST_SIDE = 8192
 #: Empty texels about a chart that take its border's values, so that filtering finds no seam.
 _MARGIN_PX = 4
-_QUALITY = 92
-_FLOAT, _UINT = 5126, 5125
+#: Levels of detail, and the triangles that the simplest may have.
+_MOST_LEVELS = 5
+_LEAST_FACES = 500
+#: Vertices of a mesh that is searched as a whole.
+_MOST_IN_MEMORY = 4_000_000
 
 
 @dataclass(frozen=True)
 class TexturedMesh:
     """vertices, normals: N×3, world, station unit. tangents: N×4 (glTF). uv: N×2, from the top left. triangles: M×3.
 
-    color, normal_map: H×W×3, 8 bit; the second in the tangent frame, OpenGL convention. source: N, the nearest vertex of the full mesh.
+    color, normal_map: H×W×3, 8 bit; the second in the tangent frame, OpenGL convention. deviation: RMS distance from the full mesh.
     """
 
     vertices: Floats
@@ -45,53 +43,145 @@ class TexturedMesh:
     triangles: NDArray[np.int64]
     color: NDArray[np.uint8]
     normal_map: NDArray[np.uint8]
-    source: NDArray[np.int64]
+    deviation: float
 
 
 def require_packages() -> None:
     """Raise ExternalError if a package that objects need is missing."""
-    for module, package in (("scipy", "scipy"), ("xatlas", "xatlas"), ("fast_simplification", "fast-simplification")):
+    for module, package in (
+        ("scipy", "scipy"),
+        ("xatlas", "xatlas"),
+        ("fast_simplification", "fast-simplification"),
+        ("skimage", "scikit-image"),
+    ):
         extra(module, package, "the surface of an object", "object")
 
 
-def textured(mesh: ObjectMesh, faces: int, views: Sequence[View], gsd: float) -> TexturedMesh:
-    """The mesh with about `faces` triangles at most, and what the stations see of it baked into its texture."""
-    spatial = extra("scipy.spatial", "scipy", "the texture of an object", "object")
-    middle = mesh.vertices.mean(0)
-    points, triangles = mesh.vertices - middle, mesh.triangles
+def textured(
+    mesh: ObjectMesh, faces: int, paint: Paint, gsd: float, *, simpler: ObjectMesh | None = None, coarseness: int = 1
+) -> TexturedMesh:
+    """The mesh with about `faces` triangles at most, and color and normals of the full one baked into its texture.
+
+    simpler: the same surface with fewer triangles, to begin with. coarseness: texels are so many times larger than usual, and hold means.
+    """
+    low = mesh if simpler is None else simpler
+    middle = low.vertices.mean(0)
+    points, triangles = low.vertices - middle, np.asarray(low.triangles)
     if len(triangles) > faces:
         library = extra("fast_simplification", "fast-simplification", "the texture of an object", "object")
         points, triangles = library.simplify(points.astype(np.float32), triangles.astype(np.int32), target_count=faces)
         points = points.astype(np.float64)
-    side, original, triangles, uv = _atlas(points, triangles, gsd)
+    side, original, triangles, uv = _atlas(points, triangles, gsd, coarseness)
     normals = vertex_normals(points, _welded(triangles, original))[original]
     points = points[original] + middle
-    tree = spatial.cKDTree(mesh.vertices)
-    rows, columns, owner, shares = _texels(uv * side, triangles, side)
-    places = (shares[..., None] * points[triangles[owner]]).sum(1)
-    nearest = tree.query(places, workers=1)[1]
     tangents = _tangents(points, normals, uv, triangles)
-    frame = (shares[..., None] * normals[triangles[owner]]).sum(1)
-    along = (shares[..., None] * tangents[triangles[owner], :3]).sum(1)
-    sign = tangents[triangles[owner, None], 3][:, 0, 0] if len(owner) else np.ones(0)
-    color = np.zeros((side, side, 3), np.uint8)
-    fine = np.zeros((side, side, 3), np.uint8)
-    color[rows, columns] = display(blended(mesh.vertices[nearest], mesh.normals[nearest], views))
-    fine[rows, columns] = _tangent_space(mesh.normals[nearest], frame, along, sign)
+    color, fine = (np.zeros((side, side, 3), np.uint8) for _ in range(2))
+    flat = TexturedMesh(points, normals, tangents, uv, triangles, color, fine, 0.0)
+    return _baked(flat, mesh, paint, coarseness)
+
+
+def levels_of_detail(
+    mesh: ObjectMesh, faces: int, paint: Paint, gsd: float, simpler: ObjectMesh | None = None
+) -> list[TexturedMesh]:
+    """The textured mesh, and simpler ones: each with a quarter of the triangles of the one before and half its texture's side."""
+    levels: list[TexturedMesh] = []
+    for level in range(_MOST_LEVELS):
+        wanted = faces // 4**level
+        if level and (wanted < _LEAST_FACES or wanted >= len(levels[-1].triangles)):
+            break
+        levels.append(textured(mesh, wanted, paint, gsd, simpler=simpler, coarseness=2**level))
+    return levels
+
+
+def _baked(flat: TexturedMesh, full: ObjectMesh, paint: Paint, coarseness: int) -> TexturedMesh:
+    """A mesh with color, normals and distance of the full one, some triangles at a time."""
+    side = len(flat.color)
+    find = NearestVertices(full)
     covered = np.zeros((side, side), bool)
-    covered[rows, columns] = True
-    _grow(covered, (color, fine))
-    return TexturedMesh(points, normals, tangents, uv, triangles, color, fine, tree.query(points, workers=1)[1])
+    away = []
+    # Triangles beside each other, so that few vertices of the full mesh are needed at a time.
+    order = np.lexsort(
+        np.floor(flat.vertices[flat.triangles[:, 0]] / (64 * np.ptp(flat.vertices, axis=0).max() / side)).T
+    )
+    for some in _in_portions(flat, order, coarseness):
+        triangles = flat.triangles[some]
+        rows, columns, owner, shares = _texels(flat.uv * side, triangles, side, coarseness)
+        places = (shares[..., None] * flat.vertices[triangles[owner]]).sum(1)
+        nearest = find(places)
+        near, near_normals = full.vertices[nearest], full.normals[nearest]
+        away.append(np.abs(((places - near) * near_normals).sum(1)))
+        frame, along = (
+            (shares[..., None] * values[triangles[owner]]).sum(1) for values in (flat.normals, flat.tangents[:, :3])
+        )
+        texel, where = np.unique(rows * side + columns, return_inverse=True)
+        color, local = (
+            _means(where, values, len(texel))
+            for values in (
+                paint.linear(near, near_normals),
+                _tangent_space(near_normals, frame, along, flat.tangents[triangles[owner, 0], 3]),
+            )
+        )
+        local /= np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-30)
+        at = np.unravel_index(texel, (side, side))
+        flat.color[at], flat.normal_map[at] = srgb_bytes(color), np.rint((local + 1) * 127.5).astype(np.uint8)
+        covered[at] = True
+    _grow(covered, (flat.color, flat.normal_map))
+    return replace(flat, deviation=float(np.sqrt((np.concatenate(away) ** 2).mean())))
+
+
+def _in_portions(flat: TexturedMesh, order: NDArray[np.int64], finer: int) -> list[NDArray[np.int64]]:
+    """The triangles in this order, as many at a time as have about CHUNK samples together."""
+    corners = flat.uv[flat.triangles[order]] * len(flat.color) * finer
+    boxes = (np.ptp(corners, axis=1) + 1).prod(1)
+    return np.split(order, np.flatnonzero(np.diff(np.cumsum(boxes) // CHUNK)) + 1)
+
+
+def _means(where: NDArray[np.int64], values: Floats, count: int) -> Floats:
+    """Means (count×3) of the values (N×3) that belong together."""
+    number = np.maximum(np.bincount(where, minlength=count), 1)
+    return np.stack([np.bincount(where, values[:, k], count) / number for k in range(3)], 1)
+
+
+class NearestVertices:
+    """Finds the vertices of a mesh next to places; of a large one only those about the places are in memory."""
+
+    def __init__(self, mesh: ObjectMesh) -> None:
+        self._mesh = mesh
+        self._spatial = extra("scipy.spatial", "scipy", "the texture of an object", "object")
+        self._whole = self._among(np.arange(len(mesh.vertices))) if len(mesh.vertices) <= _MOST_IN_MEMORY else None
+
+    def _among(self, rows: NDArray[np.int64]) -> tuple[Any, NDArray[np.int64]]:
+        return self._spatial.cKDTree(self._mesh.vertices[rows]), rows
+
+    def __call__(self, places: Floats) -> NDArray[np.int64]:
+        """Their numbers (N)."""
+        tree, rows = self._whole or self._among(self._about(places))
+        return np.asarray(rows[tree.query(places, workers=1)[1]])
+
+    def _about(self, places: Floats) -> NDArray[np.int64]:
+        low, high = places.min(0), places.max(0)
+        margin = 0.25 * (high - low).max()
+        while True:
+            parts = [
+                rows.start
+                + np.flatnonzero(
+                    ((self._mesh.vertices[rows] >= low - margin) & (self._mesh.vertices[rows] <= high + margin)).all(1)
+                )
+                for rows in chunks(len(self._mesh.vertices))
+            ]
+            if len(found := np.concatenate(parts)):
+                return found
+            margin = 2 * margin + 1e-9
 
 
 def _atlas(
-    points: Floats, triangles: NDArray[Any], gsd: float
+    points: Floats, triangles: NDArray[Any], gsd: float, coarseness: int
 ) -> tuple[int, NDArray[np.int64], NDArray[np.int64], Floats]:
     """Side of the texture in texels, the point of each vertex of the atlas, its triangles, and texture coordinates."""
     xatlas = extra("xatlas", "xatlas", "the texture of an object", "object")
     corners = points[triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
-    side = int(np.clip(math.sqrt(area / 0.6) * _TEXELS_PER_GSD / gsd, 64, _MOST_SIDE))
+    side = int(np.clip(math.sqrt(area / 0.6) * _TEXELS_PER_GSD / gsd, 64, _MOST_SIDE)) // coarseness
     atlas = xatlas.Atlas()
     atlas.add_mesh(points.astype(np.float32), triangles.astype(np.uint32))
     packing = xatlas.PackOptions()
@@ -109,9 +199,17 @@ def _welded(triangles: NDArray[np.int64], original: NDArray[np.int64]) -> NDArra
 
 
 def _texels(
+    corners_px: Floats, triangles: NDArray[np.int64], side: int, finer: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Floats]:
+    """Row, column, triangle and barycentric shares (N×3) of every sample that a triangle holds: finer × finer in a texel."""
+    rows, columns, owner, shares = _samples(corners_px * finer, triangles, side * finer)
+    return rows // finer, columns // finer, owner, shares
+
+
+def _samples(
     corners_px: Floats, triangles: NDArray[np.int64], side: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Row, column, triangle and barycentric shares (N×3) of every texel whose center a triangle holds."""
+    """Row, column, triangle and barycentric shares (N×3) of every sample whose center a triangle holds."""
     a, b, c = (corners_px[triangles[:, k]] - 0.5 for k in range(3))
     low = np.floor(np.minimum(np.minimum(a, b), c)).astype(np.int64)
     size = np.ceil(np.maximum(np.maximum(a, b), c)).astype(np.int64) - low + 1
@@ -149,15 +247,15 @@ def _tangents(points: Floats, normals: Floats, uv: Floats, triangles: NDArray[np
     return np.concatenate([unit, np.where(side < 0, -1.0, 1.0)[:, None]], 1)
 
 
-def _tangent_space(fine: Floats, normals: Floats, along: Floats, sign: Floats) -> NDArray[np.uint8]:
+def _tangent_space(fine: Floats, normals: Floats, along: Floats, sign: Floats) -> Floats:
+    """Unit normals in the frame of the coarse surface, tangent first (glTF)."""
     n = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     t = along - n * (along * n).sum(1, keepdims=True)
     t /= np.maximum(np.linalg.norm(t, axis=1, keepdims=True), 1e-30)
     b = np.cross(n, t) * sign[:, None]
     local = np.stack([(fine * axis).sum(1) for axis in (t, b, n)], 1)
     local[:, 2] = np.maximum(local[:, 2], 0.05)
-    local /= np.linalg.norm(local, axis=1, keepdims=True)
-    return np.rint((local + 1) * 127.5).astype(np.uint8)
+    return np.asarray(local / np.linalg.norm(local, axis=1, keepdims=True))
 
 
 def _grow(covered: NDArray[np.bool_], images: Sequence[NDArray[np.uint8]]) -> None:
@@ -167,61 +265,3 @@ def _grow(covered: NDArray[np.bool_], images: Sequence[NDArray[np.uint8]]) -> No
             for image in images:
                 image[from_there] = np.roll(image, shift, axis)[from_there]
             covered |= from_there
-
-
-def encoded(image: NDArray[np.uint8], kind: str) -> bytes:
-    """An image file in memory: JPEG, PNG or WEBP."""
-    content = io.BytesIO()
-    Image.fromarray(image).save(content, kind, quality=_QUALITY)
-    return content.getvalue()
-
-
-def write_glb(path: Path, mesh: TexturedMesh, unit: str, name: str) -> None:
-    """Write a textured mesh as binary glTF 2.0: meters, with its origin at the middle of the object."""
-    middle = (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
-    points = ((mesh.vertices - middle) * METRES[unit]).astype("<f4")
-    arrays: list[tuple[str, NDArray[Any], int]] = [
-        ("VEC3", points, _FLOAT),
-        ("VEC3", mesh.normals.astype("<f4"), _FLOAT),
-        ("VEC4", mesh.tangents.astype("<f4"), _FLOAT),
-        ("VEC2", mesh.uv.astype("<f4"), _FLOAT),
-        ("SCALAR", mesh.triangles.astype("<u4").ravel(), _UINT),
-    ]
-    blocks = [array.tobytes() for _, array, _ in arrays]
-    blocks += [encoded(mesh.color, "JPEG"), encoded(mesh.normal_map, "PNG")]
-    padded = [block + bytes(-len(block) % 4) for block in blocks]
-    starts = np.cumsum([0, *map(len, padded)]).tolist()
-    accessors: list[dict[str, Any]] = [
-        {"bufferView": k, "componentType": kind, "count": len(array), "type": shape}
-        for k, (shape, array, kind) in enumerate(arrays)
-    ]
-    accessors[0] |= {"min": points.min(0).tolist(), "max": points.max(0).tolist()}
-    attributes = {"POSITION": 0, "NORMAL": 1, "TANGENT": 2, "TEXCOORD_0": 3}
-    document = {
-        "asset": {"version": "2.0", "generator": "Malus"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": name, "extras": {"origin": middle.tolist(), "unit": unit}}],
-        "meshes": [{"primitives": [{"attributes": attributes, "indices": 4, "material": 0}]}],
-        "materials": [
-            {
-                "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "metallicFactor": 0, "roughnessFactor": 0.9},
-                "normalTexture": {"index": 1},
-            }
-        ],
-        "textures": [{"source": 0}, {"source": 1}],
-        "images": [{"bufferView": 5, "mimeType": "image/jpeg"}, {"bufferView": 6, "mimeType": "image/png"}],
-        "accessors": accessors,
-        "bufferViews": [
-            {"buffer": 0, "byteOffset": start, "byteLength": len(block)}
-            for start, block in zip(starts, blocks, strict=False)
-        ],
-        "buffers": [{"byteLength": starts[-1]}],
-    }
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    body = b"".join(padded)
-    head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(body))
-    write_bytes(
-        path, head + struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(body), b"BIN\0") + body
-    )

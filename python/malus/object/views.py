@@ -108,6 +108,14 @@ class View:
         return np.asarray((at.weight > 0) & (gap > allowed))
 
 
+def sees(view: View, points: Floats, normals: Floats) -> Bools:
+    """Which places of a surface (N×3, with normals) are those that the view has measured."""
+    at = view.meet(points)
+    off = np.abs((at.normals * (at.points - points)).sum(1))
+    facing = view.facing(points, normals) > LEAST_COSINE
+    return np.asarray((at.weight > 0) & facing & (off < 4 * np.hypot(at.sigma, view.gsd)))
+
+
 def load_view(name: str, folder: Path, most_sigma_gsd: float) -> View:
     """The surface of a station's finished workspace. What is less sure than `most_sigma_gsd` GSD is not usable."""
     workspace = Workspace(folder)

@@ -1,0 +1,127 @@
+"""Pieces of a surface become one mesh: vertices on seams are made one, crumbs are left out. What is large stays on disk."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malus.errors import DataError
+from malus.object.arrays import GrowingArray, chunks
+from malus.object.meshing import ObjectMesh, connected
+
+Ints = NDArray[np.int64]
+
+#: Separate parts with a smaller share of the triangles are crumbs.
+_LEAST_PART = 0.005
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Part of a mesh. seam: N, the same number for a vertex here and in the piece beside it; -1 for vertices that no other piece has.
+
+    Seam numbers are never less than the `first_seam` of their piece, which does not fall from piece to piece.
+    """
+
+    mesh: ObjectMesh
+    seam: Ints
+    first_seam: int
+
+
+class _GrowingMesh:
+    def __init__(self, folder: Path) -> None:
+        self.vertices, self.normals = (GrowingArray(folder / name, np.float64, 3) for name in ("vertices", "normals"))
+        self.sigma = GrowingArray(folder / "sigma", np.float64)
+        self.triangles = GrowingArray(folder / "triangles", np.int64, 3)
+
+    def add(self, mesh: ObjectMesh, chosen: NDArray[np.bool_], triangles: Ints) -> None:
+        """Some of the vertices of a mesh, and triangles between any vertices."""
+        self.vertices.add(mesh.vertices[chosen])
+        self.normals.add(mesh.normals[chosen])
+        self.sigma.add(mesh.sigma[chosen])
+        self.triangles.add(triangles)
+
+    def mesh(self) -> ObjectMesh:
+        return ObjectMesh(
+            self.vertices.array(), self.normals.array(), self.triangles.array(), self.sigma.array(),
+            np.ones(self.vertices.rows, bool),
+        )  # fmt: skip
+
+
+class _Seams:
+    """Vertices that pieces to come may have, too: seam numbers in order, with the mesh's number and part of each."""
+
+    def __init__(self) -> None:
+        self.seam, self.number, self.part = (np.empty(0, np.int64) for _ in range(3))
+
+    def find(self, seam: Ints) -> tuple[NDArray[np.bool_], Ints]:
+        """Which of these vertices are known, and where."""
+        if not len(self.seam):
+            return np.zeros(len(seam), bool), np.zeros(len(seam), np.int64)
+        at = np.minimum(np.searchsorted(self.seam, seam), len(self.seam) - 1)
+        return (seam >= 0) & (self.seam[at] == seam), at
+
+    def add(self, seam: Ints, number: Ints, part: Ints, first: int) -> None:
+        """Remember more, and forget what no later piece can have."""
+        kept = self.seam >= first
+        rows = [
+            np.concatenate([old[kept], new])
+            for old, new in zip((self.seam, self.number, self.part), (seam, number, part), strict=True)
+        ]
+        order = np.argsort(rows[0], kind="stable")
+        self.seam, self.number, self.part = (row[order] for row in rows)
+
+
+def joined_mesh(pieces: Iterable[Piece], folder: Path, most_sigma: float) -> ObjectMesh:
+    """One mesh of pieces, without what is less sure than `most_sigma` and without crumbs, its arrays in files in `folder`.
+
+    Raises DataError if nothing is left.
+    """
+    raw, parts_of = _GrowingMesh(folder / "raw"), GrowingArray(folder / "raw" / "parts", np.int64)
+    seams, links, sizes = _Seams(), [np.empty((0, 2), np.int64)], [np.empty(0, np.int64)]
+    parts = 0
+    for piece in pieces:
+        mesh = piece.mesh
+        found, at = seams.find(piece.seam)
+        numbers = np.empty(len(found), np.int64)
+        numbers[~found] = raw.vertices.rows + np.arange(int((~found).sum()))
+        numbers[found] = seams.number[at[found]]
+        sure = (mesh.sigma <= most_sigma)[mesh.triangles].all(1)
+        part = parts + connected(
+            np.concatenate([mesh.triangles[sure][:, [0, 1]], mesh.triangles[sure][:, [1, 2]]]), len(found)
+        )
+        links.append(np.stack([part[found], seams.part[at[found]]], 1))
+        new = ~found & (piece.seam >= 0)
+        seams.add(piece.seam[new], numbers[new], part[new], piece.first_seam)
+        triangles = numbers[mesh.triangles[sure]]
+        # Where two vertices of a seam lie at one place a triangle between them has no area.
+        real = (triangles != np.roll(triangles, 1, 1)).all(1)
+        raw.add(mesh, ~found, triangles[real])
+        of = part[mesh.triangles[sure][real, 0]]
+        parts_of.add(of)
+        sizes.append(np.bincount(of - parts, minlength=part.max(initial=parts - 1) + 1 - parts))
+        parts += len(sizes[-1])
+    whole = connected(np.concatenate(links), parts)
+    size = np.bincount(whole, np.concatenate(sizes), max(parts, 1))
+    good = (size >= _LEAST_PART * raw.triangles.rows)[whole] & (size[whole] > 0)
+    return _selected(raw.mesh(), good, parts_of.array(), folder)
+
+
+def _selected(mesh: ObjectMesh, good: NDArray[np.bool_], parts_of: Ints, folder: Path) -> ObjectMesh:
+    """The triangles of good parts, and the vertices that they have."""
+    used = np.zeros(len(mesh.vertices), bool)
+    for rows in chunks(len(mesh.triangles)):
+        used[mesh.triangles[rows][good[parts_of[rows]]]] = True
+    if not used.any():
+        raise DataError("stations agree on no surface, expected points that lie beside each other")
+    numbers = np.cumsum(used, dtype=np.int32) - 1
+    kept = _GrowingMesh(folder / "kept")
+    for rows in chunks(len(mesh.vertices)):
+        part = ObjectMesh(mesh.vertices[rows], mesh.normals[rows], mesh.triangles[:0], mesh.sigma[rows], used[rows])
+        kept.add(part, used[rows], mesh.triangles[:0])
+    for rows in chunks(len(mesh.triangles)):
+        kept.triangles.add(numbers[mesh.triangles[rows][good[parts_of[rows]]]])
+    return kept.mesh()
