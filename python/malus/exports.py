@@ -33,7 +33,7 @@ from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
 from malus.threads import ALL_CORES
 from malus.units import METRES
 from malus.workspace import Raster, Workspace
-from malus.xmp import packet, save_png, tag_png, tag_tiff
+from malus.xmp import header_lines, packet, save_png, tag_png, tag_tiff
 
 
 class Exporter:
@@ -102,6 +102,10 @@ class Exporter:
         """The catalogue's words for image files."""
         return packet(self.name, self.workspace.quality.get("object") or {})
 
+    def words(self) -> list[str]:
+        """The catalogue's words for headers of text, one line each."""
+        return header_lines(self.workspace.quality.get("object") or {})
+
     def pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Where world points (…×3) are seen in the station's image, …×2."""
         camera = self.workspace.camera
@@ -164,6 +168,12 @@ class Wishes:
 def _write_ply(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     mesh = exporter.simplified(wishes.faces)
     _core.write_ply(str(path), mesh.vertices, mesh.normals, mesh.colors, mesh.triangles, exporter.threads)
+    words = [f"comment {line}\n".encode() for line in exporter.words()]
+    if not words:
+        return
+    with replacing(path) as temporary, path.open("rb") as bare, temporary.open("wb") as file:
+        file.writelines([bare.readline(), bare.readline(), *words])  # behind "ply" and the format
+        shutil.copyfileobj(bare, file)
 
 
 def _write_glb(exporter: Exporter, path: Path, wishes: Wishes) -> None:
@@ -299,6 +309,7 @@ def _write_obj(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     # OBJ counts from 1.
     corners = np.repeat(mesh.triangles.astype(np.int64) + 1, 3, axis=1)
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+        file.writelines(f"# {line}\n" for line in exporter.words())
         file.write(f"# {exporter.name}, lengths in {exporter.unit}, world frame\nmtllib {material.name}\n")
         np.savetxt(file, mesh.vertices, "v %.9g %.9g %.9g")
         np.savetxt(file, exporter.texture_coordinates(mesh.vertices), "vt %.7f %.7f")
@@ -361,6 +372,10 @@ def _write_las(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     header.scales = np.full(3, 10.0 ** np.floor(np.log10(1e-3 * exporter.workspace.quality["gsd"])))
     for name in ("sigma", "normal_x", "normal_y", "normal_z"):
         header.add_extra_dim(library.ExtraBytesParams(name=name, type=np.float32))
+    if words := exporter.words():
+        # The text record of the LAS specification, 65 535 bytes at most.
+        text = "\n".join(words).encode()[:65535]
+        header.vlrs.append(library.VLR("LASF_Spec", 3, "[object]", text))
     points = library.LasData(header)
     points.x, points.y, points.z = cloud.vertices.T
     points.red, points.green, points.blue = cloud.colors.T.astype(np.uint16) * 257
@@ -452,7 +467,8 @@ def export(
 
     albedo: colors are the object's own, without highlights and shading (malus.albedo), instead of those of the photograph. chart: file of
     `malus chart`, which takes the camera's colors to sRGB. trim: leaves out of meshes what has a larger standard deviation (GSD); fill: closes
-    holes that the surface surrounds, in magenta, for nothing was measured there. Images say their color space (PNG) and the words of [object] (XMP).
+    holes that the surface surrounds, in magenta, for nothing was measured there. Images say their color space (PNG); images, GLB, OBJ, PLY and LAS the words of
+    [object].
 
     Raises malus.InputError, DataError for the albedo of a surface without a reflection model, or ExternalError if the format needs a package that is not installed.
     """

@@ -1,4 +1,4 @@
-"""Words of the catalogue in image files (XMP, ISO 16684-1), and the color space of their numbers (ICC)."""
+"""Words of the catalogue in image files (XMP, ISO 16684-1) and in headers of text, and the color space of images (ICC)."""
 
 from __future__ import annotations
 
@@ -57,6 +57,11 @@ def packet(name: str, words: Mapping[str, str]) -> str:
         "  </rdf:Description>\n </rdf:RDF>\n</x:xmpmeta>\n"
         '<?xpacket end="w"?>'
     )
+
+
+def header_lines(words: Mapping[str, str]) -> list[str]:
+    """[object]'s words for a header of text, one line each: "title: Carved stone"."""
+    return [f"{key}: {' '.join(str(value).split())}" for key, value in words.items() if value]
 
 
 @cache

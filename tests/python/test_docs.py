@@ -24,8 +24,8 @@ BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 def prepare(kind: str, target: Path) -> None:
     """The folder that a page begins with, from the example station."""
-    if kind.startswith("examples/relief"):
-        shutil.copytree(EXAMPLE, target, dirs_exist_ok=True, ignore=shutil.ignore_patterns("views"))
+    if kind.startswith("examples/"):
+        shutil.copytree(ROOT / kind.split()[0], target, dirs_exist_ok=True, ignore=shutil.ignore_patterns("views"))
         if "without station.toml" in kind:
             (target / "station.toml").unlink()
         return
@@ -61,6 +61,10 @@ def test_commands_and_programs_of_a_tutorial_run(page: Path, tmp_path: Path, req
         pytest.importorskip("cv2")
         for work in request.getfixturevalue("dates"):
             shutil.copytree(work, tmp_path / work.name)
+    for name in re.findall(r"<!-- two stations: (\S+) -->", text):
+        pytest.importorskip("xatlas")
+        for side in ("front", "side"):
+            shutil.copytree(request.getfixturevalue("small_station_source"), tmp_path / name / side)
     for name, kind in re.findall(r"<!-- folder: (\S+) = (.*?) -->", text):
         prepare(kind, tmp_path / name)
     program = ""

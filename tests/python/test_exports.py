@@ -287,6 +287,22 @@ def test_orthophoto_lies_on_the_elevation_model(workspace: malus.Workspace, tmp_
     assert np.abs(picture[:3, known].T - expected).max() <= 0.5 + 1e-9
 
 
+def test_meshes_and_clouds_say_whose_they_are(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
+    told = ["identifier: X 1907.4", "title: Relief & label", "license: CC-BY-4.0"]
+    ply = malus.export(workspace.folder, "ply", tmp_path / "a.ply")
+    head = ply.read_bytes().split(b"end_header")[0].decode().splitlines()
+    assert head[1].startswith("format") and all(f"comment {line}" in head for line in told)
+    mesh, _ = load_scene(ply)
+    assert len(mesh.faces) == len(exports.Exporter(workspace).mesh().triangles)
+    np.testing.assert_allclose(mesh.bounds, [points.min((0, 1)), points.max((0, 1))], atol=1e-4)
+    obj = malus.export(workspace.folder, "obj", tmp_path / "a.obj").read_text(encoding="utf-8").splitlines()
+    assert all(f"# {line}" in obj for line in told)
+    laspy = pytest.importorskip("laspy")
+    with laspy.open(malus.export(workspace.folder, "las", tmp_path / "a.las")) as file:
+        (record,) = [vlr for vlr in file.header.vlrs if vlr.user_id == "LASF_Spec" and vlr.record_id == 3]
+    assert set(told) <= set(record.record_data.decode().splitlines())
+
+
 def test_images_say_whose_they_are(workspace: malus.Workspace, tmp_path: Path) -> None:
     from xml.etree import ElementTree
 

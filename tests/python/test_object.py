@@ -44,7 +44,7 @@ from malus.object.meshing import ObjectMesh
 from malus.object.ply import read_mesh, write_ply
 from malus.object.run import _warnings as object_warnings
 from malus.object.run import find_frame, is_closed
-from malus.object.texture import NearestVertices
+from malus.object.texture import NearestVertices, _tangents
 from malus.object.views import LEAST_COSINE
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.shared_frame import load_cameras
@@ -302,6 +302,17 @@ def test_large_meshes_are_searched_in_parts(sphere, monkeypatch: pytest.MonkeyPa
     find = NearestVertices(sphere)
     assert (np.concatenate([find(part) for part in np.array_split(places, 9)]) == expected).all()
     assert (find(places[:1]) == expected[:1]).all()
+
+
+def test_tangents_are_unit_vectors_where_the_texture_has_no_area() -> None:
+    """The second triangle is one point of the texture."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]])
+    uv = np.array([[0.0, 0], [1, 0], [0, 1], [0.5, 0.5], [0.5, 0.5], [0.5, 0.5]])
+    normals = np.tile([0.0, 0, 1], (6, 1))
+    tangents = _tangents(points, normals, uv, np.array([[0, 1, 2], [3, 4, 5]]))
+    np.testing.assert_allclose(tangents[:3, :3], np.tile([1.0, 0, 0], (3, 1)), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(tangents[:, :3], axis=1), 1)
+    np.testing.assert_allclose((tangents[:, :3] * normals).sum(1), 0, atol=1e-12)
 
 
 def test_meshes_are_written_as_they_are_read(tmp_path: Path) -> None:

@@ -241,6 +241,10 @@ def _tangents(points: Floats, normals: Floats, uv: Floats, triangles: NDArray[np
     turn = np.sign(u1 * v2 - u2 * v1)
     along = (e1 * v2[:, None] - e2 * v1[:, None]) * turn[:, None]
     sums = np.stack([np.bincount(triangles.ravel(), np.repeat(along[:, k], 3), len(points)) for k in range(3)], 1)
+    # Where the texture has no area, u grows nowhere: along any axis, as glTF wants unit vectors everywhere.
+    length = np.linalg.norm(sums - normals * (sums * normals).sum(1, keepdims=True), axis=1)
+    nowhere = length < 1e-12 * max(float(length.max(initial=0)), 1e-300)
+    sums[nowhere] = np.eye(3)[np.abs(normals[nowhere]).argmin(1)]
     sums -= normals * (sums * normals).sum(1, keepdims=True)
     side = np.bincount(triangles.ravel(), np.repeat(turn, 3), len(points))
     unit = sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-30)
