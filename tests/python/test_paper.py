@@ -79,6 +79,25 @@ def test_curves_of_chosen_pixels(small_station: Path, tmp_path: Path) -> None:
     assert [(curve["u"], curve["v"]) for curve in curves] == [(10, 20), (150, 140)]
 
 
+def test_curves_of_pixels_in_place_of_the_stations(small_station: Path, tmp_path: Path) -> None:
+    station = malus.Station.load(small_station).with_curves_of([(10, 20), (150, 140)])
+    malus.reconstruct(station, workspace=tmp_path / "work", until="polarization", threads=2)
+    curves = malus.Workspace(tmp_path / "work").manifest["steps"]["polarization"]["notes"]["curves"]
+    assert [(curve["u"], curve["v"]) for curve in curves] == [(10, 20), (150, 140)]
+
+
+def test_pixels_that_are_none_are_named(small_station: Path, tmp_path: Path) -> None:
+    for words, said in (
+        (["10"], "--pixels 10: expected X,Y"),
+        (["1,1", "9999,0"], "pixel [9999, 0]: expected pixels within the polarized image of"),
+        (["1,1"] * 9, "expected at most 8"),
+    ):
+        outcome = run_malus("paper", small_station, "-o", tmp_path / "work", "--pixels", *words)
+        assert outcome.code == 2 and said in " ".join(outcome.err.split()), outcome.err
+    outcome = run_malus("paper", "--campaign", tmp_path, "-o", tmp_path / "all", "--pixels", "1,1")
+    assert outcome.code == 2 and "--pixels is for a station" in outcome.err
+
+
 def test_tables_are_those_of_quality_json(paper_work: Path) -> None:
     quality = json.loads((paper_work / "quality.json").read_text())
     with (paper_work / "paper/table_2.csv").open() as file:
@@ -331,6 +350,28 @@ def test_height_without_a_prior(small_station: Path, tmp_path: Path) -> None:
     )
     edit(small_station, "light = [0.5, -0.4, -0.7]", "light = [0, 0, 1]")
     assert run_malus("height", small_station, "-o", tmp_path / "known").code == 2
+
+
+def test_light_of_a_rendered_bust_without_its_prior() -> None:
+    """Both ways to find it, against the light by the true normals: 8.1° and 1.4° were measured."""
+    folder = ROOT / "examples/bust"
+    images = [np.array(Image.open(path)).astype(np.float32) / 16383 for path in sorted((folder / "pol").glob("*.png"))]
+    mask = np.array(Image.open(folder / "mask.png")) > 0
+    truth = Truth(folder)
+    height, width = mask.shape
+    camera = malus.Camera("PINHOLE", width, height, (truth.focal, truth.focal, truth.cx - 0.5, truth.cy - 0.5))
+    state = malus.polarization.decompose(images, np.radians(range(0, 180, 30)).tolist(), mask=mask, frames_averaged=16)
+    reflection = malus.polarization.map_reflection(state, camera=camera)
+    right = malus.height.light(
+        state.unpolarized, truth.normals, mask=state.valid == 255, camera=camera, threads=2
+    )["light"][:3]  # fmt: skip
+    for assumption, limit_deg in (("contour", 9.5), ("convex", 2.0)):
+        options = malus.Options(light={"without_prior": assumption})
+        found = malus.height.light_from_polarization(state, reflection, camera=camera, options=options, threads=2)
+        light = found["light"][:3]
+        cosine = light @ right / np.linalg.norm(light) / np.linalg.norm(right)
+        assert np.degrees(np.arccos(cosine)) < limit_deg, assumption
+        assert found["of_contour"] == (assumption == "contour")
 
 
 def test_index_that_grid_fusion_does_not_estimate_is_said(small_station: Path, tmp_path: Path) -> None:
