@@ -5,7 +5,7 @@
 Without files: a sphere (zenith to 60°) and a bumpy surface (to 40°), 256², six angles, refractive index 1.5, albedo 1, Gaussian
 noise of 0 and 0.5 %. A file has images (H, W, K), angles [rad], mask, light (x right, y up, z to the viewer), normal (same axes).
 Mean normal error in degrees by central differences: `likelihood` is the default, `literal` the linear system as printed
-there and in the paper, `no light` the default with the light taken from the polarization (convex objects only).
+there and in the paper, `no light` the default with the light taken from the polarization of a convex object.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def errors(data: Data, columns: Sequence[str] = COLUMNS) -> dict[str, float]:
     result = {}
     for name in columns:
         method, light = ("likelihood", None) if name == "no light" else (name, [x, -y, -z, 0.0])
-        options = malus.Options(height={"perspective": False, "method": method})
+        options = malus.Options(height={"perspective": False, "method": method}, light={"without_prior": "convex"})
         height = malus.height.solve(state, reflection, light=light, options=options, threads=2).height
         result[name] = normal_error_deg(height.astype(float), data["normal"], mask)
     return result

@@ -5,8 +5,9 @@
 
 Each scene's station.toml (--station names another) goes through `malus-station`, once with default options and once by the
 preset "paper"; --set adds options to both. OUT/SCENE-PRESET are the workspaces, OUT/figures.json every score, and
-OUT/tables.md the tables: prior → fused, and the paper's route by its stages. Scenes whose workspace is finished with the same
-inputs are not computed again. Needs numpy, scipy and tifffile; rendering needs renderer/requirements.txt.
+OUT/tables.md the tables: prior → fused, and the paper's route by its stages. --ablation makes another table in place of these:
+default options with one part of the refinement left out at a time. Scenes whose workspace is finished with the same inputs are
+not computed again. Needs numpy, scipy and tifffile; rendering needs renderer/requirements.txt.
 """
 
 from __future__ import annotations
@@ -24,6 +25,24 @@ RUNS: dict[str, list[str]] = {
     "refined": [],
     "paper": ["--preset", "paper"],
     "paper, Eq 16": ["--preset", "paper", "--set", "optimize.enabled=false"],
+}
+#: What each part of the refinement is, and the options that leave it out.
+PARTS = {
+    "highlight": "refine.lobe=false",
+    "mirrored surroundings": "refine.environment=false",
+    "map of the surroundings": "refine.surroundings=false",
+    "evidence": "refine.evidence=false",
+    "regional weights": "refine.regional_weights=false",
+    "albedo": "refine.albedo_weight=0",
+    "robust Stokes residuals": "refine.robust_scale=100",
+    "slope error of the model": "refine.slope_error=0",
+    "prior": "refine.prior_weight=0.01 refine.good_prior_weight=0.01",
+    "prior's weight by its sigma": "refine.good_prior_weight=5",
+    "robust prior": "refine.prior_robust_gsd=1000",
+    "second start": "refine.search=false",
+    "coarse to fine": "refine.coarsest_px=100000",
+    "graduated start": "refine.graduation=1",
+    "second differences": "refine.smoothness=0",
 }
 FIGURES = {
     "rmse_gsd": "RMSE",
@@ -48,9 +67,11 @@ def score(scene: Path, work: Path) -> dict[str, float]:
     return figures
 
 
-def run_scene(scene: Path, station: str, program: str, output: Path, options: list[str]) -> dict[str, Any]:
+def run_scene(
+    scene: Path, station: str, program: str, output: Path, runs: dict[str, list[str]], options: list[str]
+) -> dict[str, Any]:
     found: dict[str, Any] = {}
-    for name, added in RUNS.items():
+    for name, added in runs.items():
         work = output / f"{scene.name}-{name.replace(', ', '-').replace(' ', '')}"
         command = [program, str(scene / station), "-o", str(work), "--quiet", *added, *options]
         done = subprocess.run(command, capture_output=True, text=True)
@@ -79,6 +100,25 @@ def table(name: str, figures: dict[str, dict[str, Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def ablation(figures: dict[str, dict[str, Any]]) -> str:
+    """Detail / MAD / normals without each part; – where the station does not use it."""
+    lines = ["| without | " + " | ".join(figures) + " |", "|---" * (len(figures) + 1) + "|"]
+    for name in ("nothing", *PARTS):
+        cells = []
+        for runs in figures.values():
+            row, whole = runs[name], runs["nothing"]
+            if "exit code" in row:
+                cells.append(f"exit code {row['exit code']}")
+            elif name != "nothing" and row == whole:
+                cells.append("–")
+            else:
+                cells.append(
+                    f"{row['detail_rmse_gsd']:.3f} / {row['detail_mad_gsd']:.3f} / {row['normal_median_deg']:.2f}"
+                )
+        lines.append(f"| {name}" + (f" (`{PARTS[name]}`)" if name in PARTS else "") + " | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, required=True)
@@ -89,6 +129,7 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", help="of --data; default: all that have the station file")
     parser.add_argument("--station", default="station.toml")
     parser.add_argument("--program", default=str(HERE.parents[1] / "build" / "malus-station"))
+    parser.add_argument("--ablation", action="store_true", help="what each part of the refinement buys, instead")
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
     args, for_renderer = parser.parse_known_args()
     if for_renderer and not args.render:
@@ -101,12 +142,22 @@ def main() -> None:
     if not names:
         parser.error(f"--data {data}: no folder in it has a {args.station}")
     options = [word for assignment in args.set for word in ("--set", assignment)]
+    runs = (
+        {"nothing": []}
+        | {
+            part: [word for assignment in assignments.split() for word in ("--set", assignment)]
+            for part, assignments in PARTS.items()
+        }
+        if args.ablation
+        else RUNS
+    )
     figures: dict[str, dict[str, Any]] = {}
     for name in names:
-        figures[name] = run_scene(data / name, args.station, args.program, args.output, options)
+        figures[name] = run_scene(data / name, args.station, args.program, args.output, runs, options)
         print(name, json.dumps(figures[name]), flush=True)
     (args.output / "figures.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-    (args.output / "tables.md").write_text("\n".join(table(run, figures) for run in RUNS), encoding="utf-8")
+    text = ablation(figures) if args.ablation else "\n".join(table(run, figures) for run in RUNS)
+    (args.output / "tables.md").write_text(text, encoding="utf-8")
     print(args.output / "tables.md")
 
 

@@ -20,6 +20,7 @@ py::dict light_to_dict(const LightEstimate& light) {
   result["rms"] = light.rms;
   result["robust_sigma"] = light.robust_sigma;
   result["pixels"] = light.pixels;
+  result["of_contour"] = light.of_contour;
   return result;
 }
 

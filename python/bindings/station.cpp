@@ -65,6 +65,13 @@ Station with_photogrammetry(const Station& station, const CameraValues& camera,
   return result;
 }
 
+/// The station with other pixels whose intensities are shown against the angle.
+Station with_curves_of(const Station& station, const std::vector<std::array<double, 2>>& pixels) {
+  Station result = station;
+  result.file = with_curve_pixels(std::move(result.file), pixels);
+  return result;
+}
+
 /// The station with a cloud in place of the file that it names.
 Station with_cloud(const Station& station, const Array<double>& points, const std::optional<Array<float>>& normals) {
   Station result = station;
@@ -175,6 +182,7 @@ void bind_run(py::module_& module) {
       .def("describe", &describe_station_json)
       .def("with_developed", &with_developed, py::arg("images"), py::arg("full_well_e"), py::arg("read_noise_e"))
       .def("with_file_doubts", &with_file_doubts, py::arg("doubts"))
+      .def("with_curves_of", &with_curves_of, py::arg("pixels"))
       .def("with_cloud", &with_cloud, py::arg("points"), py::arg("normals"))
       .def("with_photogrammetry", &with_photogrammetry, py::arg("camera"), py::arg("prior_depth"),
            py::arg("prior_sigma"), py::arg("prior_shape"), py::arg("figures"), py::arg("times"), py::arg("warnings"));

@@ -329,6 +329,8 @@ class LightSection(Section):
 
     model: Literal["directional", "first_order"]
     """shading as a function of the normal"""
+    without_prior: Literal["contour", "convex"]
+    """what tells a bump from a hollow where there is neither a prior nor [optics] light: the object's outline, or that it is convex in the whole"""
     iterations: int
     """of the robust fit"""
     outlier_scale: float
@@ -345,6 +347,7 @@ class LightValues(TypedDict, total=False):
     """The same as a mapping, any of them."""
 
     model: Literal["directional", "first_order"]
+    without_prior: Literal["contour", "convex"]
     iterations: int
     outlier_scale: float
     max_condition: float

@@ -144,6 +144,12 @@ def _add_runs(add: _Add) -> None:
     paper.add_argument(
         "--campaign", nargs="+", type=Path, metavar="WORK", help="one table of these workspaces, in the folder of -o"
     )
+    paper.add_argument(
+        "--pixels",
+        nargs="+",
+        metavar="X,Y",
+        help="show intensity against polarizer angle (Fig. 1c) at these pixels, at most eight, instead of the station's",
+    )
     _work_of(paper, required=True, help="workspace folder, or folder for the merged tables")
     check = add("check", "read everything, say what would be done, what it would take and what is wrong", work=False)
     check.add_argument(
@@ -323,6 +329,8 @@ def _reconstruct(
         options.assess.alignment = "rigid"  # what is found is right to a few pixels
     _require_own_folder(args.output, station_path)
     station = malus.Station.load(station_path)
+    if getattr(args, "pixels", None):
+        station = station.with_curves_of([_pixel(text) for text in args.pixels])
     with _view(args) as view:
         view.expect(expected_times(station, options, until=until, threads=args.threads))
 
@@ -365,6 +373,14 @@ def _reconstruct(
         _print_files(args.output, until)
     if confidence is not None:
         _print_summary(args.output, *confidence, quiet=args.quiet)
+
+
+def _pixel(text: str) -> tuple[int, int]:
+    """X,Y of --pixels."""
+    match text.split(","):
+        case [x, y] if x.strip().isdecimal() and y.strip().isdecimal():
+            return int(x), int(y)
+    raise InputError(f"--pixels {text}: expected X,Y, two whole numbers from the top left pixel 0,0 on")
 
 
 def _require_own_folder(work: Path, station: Path) -> None:
@@ -547,6 +563,8 @@ def _list_options(preset: str | None, *, main_only: bool) -> None:
 def _paper(args: argparse.Namespace) -> None:
     if (args.station is None) == (args.campaign is None):
         raise InputError("malus paper: expected either STATION.toml or --campaign WORK…")
+    if args.campaign is not None and args.pixels:
+        raise InputError("--pixels is for a station, expected no --campaign beside it")
     if args.campaign is not None:
         for path in malus.merge_campaign(args.campaign, args.output):
             print(path)

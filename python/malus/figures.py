@@ -340,13 +340,13 @@ class Plates:
         pixel = self.gsd * self.step
         length, label = scale_bar(width_px * pixel, self.unit)
         left, low = 0.03, 0.045
-        for color, width in (("black", 4.5), ("white", 2.2)):
+        for color, width in (("white", 4.5), ("black", 2.2)):
             axes.plot(
                 [left, left + length / (width_px * pixel)], [low, low], color=color, lw=width, solid_capstyle="butt",
                 transform=axes.transAxes, zorder=5,
             )  # fmt: skip
-        text = axes.text(left, low + 0.015, label, color="white", fontsize=LETTERS_PT, transform=axes.transAxes)
-        text.set_path_effects([withStroke(linewidth=2.5, foreground="black")])
+        text = axes.text(left, low + 0.015, label, color="black", fontsize=LETTERS_PT, transform=axes.transAxes)
+        text.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
 
     def shadings(self) -> Iterator[Figure]:
         """Relief shading of prior and fused surface, the fused one from two more directions."""
@@ -581,6 +581,9 @@ class Plates:
                 axes.margins(x=0.01)
                 style(axes)
                 axes.yaxis.set_major_locator(MaxNLocator(5))
+            cut = _without_spikes(list(details.values()))
+            if cut is not None:
+                below.set_ylim(*cut)
             above.set_ylabel(f"height [{self.unit}]", fontsize=LETTERS_PT)
             above.legend(fontsize=LETTERS_PT, frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0, 1),
                          borderaxespad=0, columnspacing=1, handlelength=1.2)  # fmt: skip
@@ -591,7 +594,8 @@ class Plates:
             yield self.figure(
                 f"profile_{number}", f"Profile {profile['name']}",
                 "Above: height over the chord of the fused section, towards the camera; polarization alone has no absolute "
-                f"height. Below: what is finer than {sigma_px:g} px ({shown(sigma_px * self.gsd, self.unit)}), its form taken out.",
+                f"height. Below: what is finer than {sigma_px:g} px ({shown(sigma_px * self.gsd, self.unit)}), its form taken out"
+                + ("." if cut is None else "; single spikes reach beyond the scale."),
                 drawing, [f"position_{self.unit}", *(f"{name}_{self.unit}" for name in present)],
                 list(zip(*columns, strict=True)), f"A section of {along[-1] if len(along) else 0:.3g} {self.unit}. Spread of the detail: {spread}.",
             )  # fmt: skip
@@ -668,6 +672,18 @@ def without_form(section: NDArray[np.float64], sigma: float) -> NDArray[np.float
     with np.errstate(divide="ignore", invalid="ignore"):
         form = np.where(determinant > 1e-9 * s0 * s2, (s2 * t0 - s1 * t1) / determinant, t0 / s0)
     return np.where(known, section - form, np.nan)
+
+
+def _without_spikes(lines: Sequence[NDArray[np.float64]]) -> tuple[float, float] | None:
+    """Limits of an axis that leave a few far values out, so that the others can be read; None where there are none."""
+    values = np.concatenate([line[np.isfinite(line)] for line in lines]) if lines else np.empty(0)
+    if values.size == 0:
+        return None
+    low, high = (float(p) for p in np.percentile(values, (2, 98)))
+    low, high = low - (high - low), high + (high - low)
+    if values.min() >= low and values.max() <= high:
+        return None
+    return max(low, float(values.min())), min(high, float(values.max()))
 
 
 def numbers(values: Sequence[float | None]) -> NDArray[np.float64]:

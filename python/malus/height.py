@@ -50,10 +50,12 @@ def light_from_polarization(
     options: Options | None = None,
     threads: int = ALL_CORES,
 ) -> dict[str, Any]:
-    """Light of an object of one albedo from its polarization alone (after Smith et al. 2016); figures as of `light`.
+    """Light of an object of one albedo from its polarization alone; figures as of `light`, and `of_contour`.
 
-    A hollow lit from one side looks like a bump lit from the other: the object is taken to be convex in the whole, unless
-    `direction` (3, camera frame, towards the source) is given, of which only the strength is then found.
+    A hollow lit from one side looks like a bump lit from the other. Option light.without_prior says what tells them apart:
+    "contour", the outline of the state's mask, where the surface turns away from the view (`of_contour` is False if it
+    does not, and convexity decides), or "convex", that the object is convex in the whole (after Smith et al. 2016). With
+    `direction` (3, camera frame, towards the source) only the strength is found.
     """
     vector = None
     if direction is not None:
@@ -76,8 +78,8 @@ def solve(
     """Solve the height system; `height` is H×W, in pixels (GSD), positive towards the camera, mean 0, NaN outside.
 
     camera None = orthographic. light: 4 numbers, i_un = light[:3] · n + light[3], n in the camera frame (x right, y down,
-    z forward, towards the camera); left out = estimated with prior_normals (H×W×3), or without them from the polarization itself,
-    for an object of one albedo that is convex in the whole (of a hollow one the height comes upside down). `status` says how it ended.
+    z forward, towards the camera); left out = estimated with prior_normals (H×W×3), or without them as by
+    `light_from_polarization` (of a hollow object the height comes upside down). `status` says how it ended.
     """
     vector = None
     if light is not None:

@@ -187,6 +187,15 @@ class Station:
         station._core = _core.Station.load(str(path))
         return station
 
+    def with_curves_of(self, pixels: Sequence[tuple[int, int]]) -> Station:
+        """The same station, but with intensity against angle shown (Fig. 1c of the paper) at these pixels (x, y) of its images.
+
+        At most eight, instead of `curve_pixels` in its file. Raises `malus.InputError` for more, or outside of the images.
+        """
+        station = Station.__new__(Station)
+        station._core = self._core.with_curves_of([(int(x), int(y)) for x, y in pixels])
+        return station
+
     @property
     def name(self) -> str:
         """The station's name."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -427,3 +428,19 @@ def test_rendered_scenes_are_run_scored_and_tabled(station: Path, tmp_path: Path
     assert figures["paper, Eq 16"] == {"exit code": 1, "message": "no light"}
     tables = (tmp_path / "out/tables.md").read_text()
     assert "| rendered | 0.25 → 0.5 |" in tables and "| rendered | exit code 1: no light |" in tables
+
+
+def test_parts_of_the_refinement_are_left_out_one_at_a_time(station: Path, tmp_path: Path) -> None:
+    truth = dict(np.load(station / "gt/depth_normal_mask.npz"))
+    np.savez(station / "gt/depth_normal_mask.npz", **truth, mask=np.ones((HEIGHT, WIDTH), bool))
+    program = tmp_path / "program"
+    text = _PROGRAM.format(python=sys.executable, gsd=GSD)
+    program.write_text(text.replace('"optimize.enabled=false" in', '"refine.lobe=false" in'))
+    program.chmod(0o755)
+    command = [sys.executable, ROOT / "benchmarks/rendered/run.py", "-o", tmp_path / "out", "--data", tmp_path]
+    done = subprocess.run([*command, "--program", program, "--ablation"], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    rows = (tmp_path / "out/tables.md").read_text().splitlines()
+    assert re.fullmatch(r"\| nothing \| [\d.]+ / [\d.]+ / [\d.]+ \|", rows[2])
+    assert rows[3] == "| highlight (`refine.lobe=false`) | exit code 1 |"
+    assert rows[4] == "| mirrored surroundings (`refine.environment=false`) | – |", "the same figures to the digit"

@@ -192,6 +192,17 @@ def test_scale_bars_are_round_and_about_a_fifth(extent: float, unit: str, bar: t
     assert (length, label) == (pytest.approx(bar[0]), bar[1])
 
 
+def test_scale_of_a_section_leaves_out_single_spikes() -> None:
+    wave = np.sin(np.arange(500) / 7)
+    assert figures._without_spikes([wave, 2 * wave]) is None
+    spiked = wave.copy()
+    spiked[250] = 300
+    spiked[251] = np.nan
+    low, high = figures._without_spikes([spiked]) or (0, 0)
+    assert low == pytest.approx(-1, abs=0.01) and 2 < high < 4
+    assert figures._without_spikes([]) is None
+
+
 def test_detail_of_a_section_is_free_of_its_form() -> None:
     along = np.arange(200.0)
     wave = np.sin(along / 3)

@@ -247,9 +247,8 @@ std::vector<std::array<double, 2>> read_pixels(const TomlTable& table, std::stri
   std::vector<std::array<double, 2>> pixels;
   const toml::node* node = table.find(key);
   if (!node) return pixels;
-  constexpr std::size_t most_pixels = 8;
   const std::string expected = "a list of at most 8 pixels, [[x, y], …], in whole numbers";
-  if (!node->is_array() || node->as_array()->size() > most_pixels) throw table.wrong(key, expected);
+  if (!node->is_array() || node->as_array()->size() > most_curve_pixels) throw table.wrong(key, expected);
   for (const toml::node& entry : *node->as_array()) {
     const toml::array* pair = entry.as_array();
     if (pair == nullptr || pair->size() != 2) throw table.wrong(key, expected);
@@ -718,15 +717,19 @@ std::vector<std::string_view> polarized_keys(const GivenInMemory* given) {
   return keys;
 }
 
-/// [[patch]], [[profile]], and whether [polarized].curve_pixels lie in the image.
-void read_regions(const TomlTable& document, Size size, StationFile& station) {
-  for (const auto& [x, y] : station.polarized.curve_pixels) {
+void require_in_image(const std::vector<std::array<double, 2>>& curve_pixels, Size size, const std::string& where) {
+  for (const auto& [x, y] : curve_pixels) {
     if (x >= 0 && y >= 0 && x < size.width && y < size.height) continue;
     std::ostringstream message;
-    message << "has curve_pixels [" << x << ", " << y << "], expected pixels within the polarized image of "
-            << to_string(size) << " pixels";
-    throw document.error("polarized", message.str());
+    message << where << " [" << x << ", " << y << "]: expected pixels within the polarized image of " << to_string(size)
+            << " pixels";
+    throw input_error(message.str());
   }
+}
+
+/// [[patch]], [[profile]], and whether [polarized].curve_pixels lie in the image.
+void read_regions(const TomlTable& document, Size size, StationFile& station) {
+  require_in_image(station.polarized.curve_pixels, size, document.where("[polarized].curve_pixels"));
   std::set<std::string> names;
   for (const toml::table* entry : tables(document, "patch", "tables [[patch]]")) {
     const std::size_t index = station.patches.size();
@@ -813,6 +816,15 @@ StationFile read_photos_tables(const std::filesystem::path& path) {
     station.photos = read_photos(*table);
   station.control = read_control(document, station);
   read_scale_bars(document, station, false);
+  return station;
+}
+
+StationFile with_curve_pixels(StationFile station, std::vector<std::array<double, 2>> pixels) {
+  if (pixels.size() > most_curve_pixels)
+    throw input_error("pixels: " + std::to_string(pixels.size()) + ", expected at most " +
+                      std::to_string(most_curve_pixels));
+  require_in_image(pixels, polarized_size(station, "[polarized].images"), "pixel");
+  station.polarized.curve_pixels = std::move(pixels);
   return station;
 }
 

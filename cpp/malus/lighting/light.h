@@ -18,8 +18,18 @@ constexpr auto names_of(LightModel) {
   return std::to_array<std::string_view>({"directional", "first_order"});
 }
 
+/// What tells a bump from a hollow where neither a prior nor a light is given.
+enum class LightWithoutPrior {
+  contour,  ///< the object's outline, where its surface turns away from the view; convex if it does not do so
+  convex,   ///< the object is convex in the whole
+};
+constexpr auto names_of(LightWithoutPrior) {
+  return std::to_array<std::string_view>({"contour", "convex"});
+}
+
 struct LightOptions {
   LightModel model = LightModel::directional;
+  LightWithoutPrior without_prior = LightWithoutPrior::contour;
   int iterations = 20;
   double outlier_scale = 2;
   double max_condition = 1e4;
@@ -29,6 +39,9 @@ struct LightOptions {
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
     visit("model", self.model, any_value, "shading as a function of the normal");
+    visit("without_prior", self.without_prior, any_value,
+          "what tells a bump from a hollow where there is neither a prior nor [optics] light: the object's outline, or "
+          "that it is convex in the whole");
     visit("iterations", self.iterations, Range{1, 1000}, "of the robust fit");
     visit("outlier_scale", self.outlier_scale, Range{0.1, 100},
           "residual, in robust standard deviations, at which a pixel has half its weight");
@@ -61,6 +74,7 @@ struct LightEstimate {
   double condition = 0;     ///< of the normal equations
   double tangential = 0;    ///< sine of the angle between light and view, RMS over the image
   std::size_t pixels = 0;   ///< used
+  bool of_contour = false;  ///< found by the object's outline (LightWithoutPrior::contour)
   LightStatus status = LightStatus::not_run;
 };
 

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "malus/core/robust_spread_internal.h"
+#include "malus/lighting/light_from_contour_internal.h"
 #include "malus/lighting/light_from_polarization_internal.h"
 #include "malus/polarization/ray_frame.h"
 
@@ -117,6 +118,9 @@ LightEstimate light_from_polarization(const PolarizationState& state, const Refl
                                       const LightOptions& options, const Context& context) {
   validate_fields(options, "light");
   require_size(reflection.zenith, state.size(), "zenith");
+  if (!direction && options.without_prior == LightWithoutPrior::contour) {
+    if (const auto found = light_from_contour(state, reflection, camera, options, context)) return *found;
+  }
   LightEstimate light;
   const std::vector<Sample> samples = take_samples(state, reflection, camera);
   light.pixels = samples.size();

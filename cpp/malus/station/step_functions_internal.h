@@ -32,8 +32,8 @@ InputEvidence check_inputs(const Job& job, const ImageFindings& of_images, const
 /// What stereo says, seen from the station.
 std::tuple<DepthPrior, PriorPoints> make_prior(const Job& job, const MeasuredPolarization& measured,
                                                const StationView& view);
-/// The paper's height from polarization alone (Eq 9 to 11). Without a prior its light is the station's, or that of a
-/// convex object.
+/// The paper's height from polarization alone (Eq 9 to 11). Without a prior its light is the station's, or found by
+/// light_from_polarization.
 HeightMap make_height(const Job& job, const CalibratedPolarization& polarization, const StationView& view,
                       const DepthPrior* prior, const ReflectionMap& reflection);
 /// One surface of both: the paper's grid transfer (Eq 14 to 16), and all equations together from there on if asked for.

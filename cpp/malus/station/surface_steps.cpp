@@ -156,11 +156,14 @@ HeightMap make_height(const Job& job, const CalibratedPolarization& polarization
     std::optional<Eigen::Vector3d> known;
     if (station.optics.light) known = Eigen::Vector3d(station.optics.light->data());
     light = light_from_polarization(state, reflection, known, camera, options.light, job.context);
-    if (!known)
-      job.context.log(
-          LogLevel::warning,
-          "the light comes from the polarization alone, for an object that is convex in the whole and of one "
-          "albedo; if it is hollow, the height is upside down: give [optics] light = [x, y, z]");
+    if (!known) {
+      const std::string assumed = light.of_contour ? "an object whose surface turns away from the view at its outline"
+                                                   : "an object that is convex in the whole";
+      job.context.log(LogLevel::warning,
+                      "the light comes from the polarization alone, for " + assumed +
+                          " and has one albedo; if it is hollow there, the height is upside down: give [optics] light "
+                          "= [x, y, z]");
+    }
   } else {
     // The normals are the largest of the maps, and only the light is asked of them.
     light = light_on_surface(state, normals_from_depth(prior->depth, view.camera, job.context), camera, options.light,

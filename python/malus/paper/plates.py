@@ -19,6 +19,8 @@ _VIEW_PX, _TILT_DEG = 700, 50.0
 _RELIEF_PERCENTILES = (0.2, 99.8)
 #: Points drawn at most, evenly chosen.
 _MOST_POINTS = 40_000
+#: Area of all points of the surface together, in square points of print.
+_POINTS_PT2 = 20_000
 #: As many as a station may name pixels.
 _CURVE_COLORS = ("#2f7fb3", "#35a7a0", "#b0702a", "#d1495b", "#6b4c9a", "#5a8f29", "#8c8c8c", "#c2579f")
 
@@ -77,8 +79,11 @@ def cloud(plates: Plates) -> Iterator[Figure]:
         v, u = np.nonzero(which)
         chosen = slice(None, None, max(1, -(-len(u) // _MOST_POINTS)))
         u, v = u[chosen], v[chosen]
+        # Few points are drawn larger, so that they are found in the picture.
         look: dict[str, Any] = (
-            {"c": depth[v, u], "cmap": "viridis_r", "s": 8} if which is on else {"c": "#d1495b", "s": 1.5}
+            {"c": depth[v, u], "cmap": "viridis_r", "s": np.clip(_POINTS_PT2 / max(1, len(u)), 8, 40)}
+            if which is on
+            else {"c": "#d1495b", "s": 1.5}
         )
         axes.scatter(u / plates.step, v / plates.step, marker=".", linewidths=0, rasterized=True, **look)
     yield plates.figure(

@@ -81,6 +81,23 @@ inline Surface sphere(int size) {
   };
 }
 
+/// Round lid seen orthographically: a narrow rim that turns away to 70°, and inside of it a hollow, up to 30° steep.
+inline Surface dish(int size) {
+  return [size](int u, int v, double& height, Eigen::Vector3d& normal) {
+    const double radius = 0.5 * size - 2, x = u - 0.5 * (size - 1), y = v - 0.5 * (size - 1), r = std::hypot(x, y);
+    if (r > radius) return false;
+    // The slope outwards: rising to the crest, falling beyond.
+    const double crest = 0.93 * radius, rise = std::tan(30 * degree), fall = std::tan(70 * degree);
+    const double t = (r - crest) / (radius - crest);
+    const double slope = r < crest ? rise * std::sin(std::numbers::pi * r / crest) : -fall * t;
+    height = r < crest ? rise * crest / std::numbers::pi * (1 - std::cos(std::numbers::pi * r / crest))
+                       : 2 * rise * crest / std::numbers::pi - 0.5 * fall * t * t * (radius - crest);
+    const double a = r > 0 ? slope / r : 0;
+    normal = Eigen::Vector3d(-a * x, -a * y, -1).normalized();
+    return true;
+  };
+}
+
 /// Bumps of up to about 40° seen orthographically.
 inline Surface bumps(int size) {
   return [size](int u, int v, double& height, Eigen::Vector3d& normal) {

@@ -152,6 +152,59 @@ TEST(Height, NeedsNoPriorForAConvexObject) {
   }
 }
 
+/// Angle between a light found and the true one [°].
+double light_error(const LightEstimate& light, const Eigen::Vector4d& truth) {
+  const Eigen::Vector3d found = light.coefficients.head<3>(), right = truth.head<3>();
+  return std::acos(std::clamp(found.normalized().dot(right.normalized()), -1.0, 1.0)) / degree;
+}
+
+LightOptions assuming(LightWithoutPrior assumption) {
+  LightOptions options;
+  options.without_prior = assumption;
+  return options;
+}
+
+TEST(Height, LightFromTheOutlineOfABall) {
+  const Pinhole camera{{160, 120}, 700, 700, 79.5, 59.5};
+  const Eigen::Vector4d oblique(0.3, 0.25, -0.6, 0);
+  for (const double noise : {0.0, 0.003}) {
+    const Scene scene = render(ball(camera, 45), camera.size, &camera, oblique, noise);
+    const LightEstimate light = light_from_polarization(scene.state, scene.reflection, std::nullopt, &camera,
+                                                        assuming(LightWithoutPrior::contour), {});
+    EXPECT_EQ(light.status, LightStatus::estimated);
+    EXPECT_TRUE(light.of_contour);
+    EXPECT_LT(light_error(light, oblique), noise > 0 ? 1.5 : 0.2);
+    EXPECT_NEAR(light.coefficients.head<3>().norm() / oblique.head<3>().norm(), 1, noise > 0 ? 0.03 : 0.003);
+  }
+}
+
+TEST(Height, AnOutlineTellsALidWithAHollowFromABump) {
+  // Most of it slopes inwards: as a convex object it is lit from the other side.
+  const Eigen::Vector4d oblique(0.3, 0.25, -0.6, 0);
+  const Scene scene = render(dish(200), {200, 200}, nullptr, oblique, 0.002);
+  const auto found = [&](LightWithoutPrior assumption) {
+    return light_from_polarization(scene.state, scene.reflection, std::nullopt, nullptr, assuming(assumption), {});
+  };
+  EXPECT_LT(light_error(found(LightWithoutPrior::contour), oblique), 2);
+  EXPECT_LT(light_error(found(LightWithoutPrior::convex), {-0.3, -0.25, -0.6, 0}), 2);
+  const HeightMap map =
+      solve_height({scene.state, scene.reflection, nullptr, std::nullopt, nullptr, nullptr}, {}, {}, {});
+  EXPECT_LT(normal_error(scene, map), 3);
+}
+
+TEST(Height, AnOutlineThatTheSurfaceDoesNotTurnAwayAtTellsNothing) {
+  // Bumps cut off by a straight edge, and an object that fills the image.
+  for (const Size size : {Size{96, 96}, Size{88, 88}}) {
+    const Surface whole = [](int u, int v, double& height, Eigen::Vector3d& normal) {
+      return bumps(96)(u + 4, v + 4, height, normal);
+    };
+    const Scene scene = render(size.width == 96 ? bumps(96) : whole, size, nullptr, light_right, 0.002);
+    const LightEstimate light = light_from_polarization(scene.state, scene.reflection, std::nullopt, nullptr, {}, {});
+    EXPECT_FALSE(light.of_contour);
+    EXPECT_EQ(light.status, LightStatus::estimated);
+  }
+}
+
 TEST(Height, OfAKnownDirectionOnlyTheStrengthIsFound) {
   // Bumps are neither convex nor hollow: the direction is what tells the two apart.
   const Eigen::Vector4d oblique(0.35, -0.2, -0.6, 0);
