@@ -489,6 +489,12 @@ std::optional<Size> size_of_images(const StationFile& station, const std::string
   return is_raw_name(first) ? std::nullopt : std::optional(read_image_size(first, where));
 }
 
+/// Of RAW files that are not developed yet: the camera's, if it is said.
+Size size_before_development(const StationFile& station) {
+  constexpr Size anything{65536, 65536};
+  return station.known_lens() ? station.known_lens()->size : anything;
+}
+
 /// `images`: size of the polarized images, as far as it is known.
 void require_camera_size(const TomlTable& document, const LensCamera& lens, const std::optional<Size>& images,
                          const StationFile& station) {
@@ -793,10 +799,9 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
   if (given != nullptr) station.polarized.images.clear();
   if (!station.control.empty() && !station.camera && !station.frame_is_of_photos())
     throw document.error("control", "needs [camera] with the lens (model, width, height, params), whose pose it gives");
-  constexpr Size anything{65536, 65536};
-  if (!images) images = station.known_lens() ? station.known_lens()->size : anything;
-  require_control_in_image(document, station, *images);
-  read_regions(document, *images, station);
+  const Size size = images ? *images : size_before_development(station);
+  require_control_in_image(document, station, size);
+  read_regions(document, size, station);
   return station;
 }
 
@@ -823,7 +828,8 @@ StationFile with_curve_pixels(StationFile station, std::vector<std::array<double
   if (pixels.size() > most_curve_pixels)
     throw input_error("pixels: " + std::to_string(pixels.size()) + ", expected at most " +
                       std::to_string(most_curve_pixels));
-  require_in_image(pixels, polarized_size(station, "[polarized].images"), "pixel");
+  const std::optional<Size> images = size_of_images(station, "[polarized].images");
+  require_in_image(pixels, images ? *images : size_before_development(station), "pixel");
   station.polarized.curve_pixels = std::move(pixels);
   return station;
 }
