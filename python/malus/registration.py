@@ -124,7 +124,7 @@ def register_reference(work: str | Path, reference: str | Path) -> Path:
     moved = scan @ placement.rotation.T + placement.translation
     folder = workspace.folder / "reference"
     folder.mkdir(exist_ok=True)
-    columns = {axis: np.ascontiguousarray(moved[:, k]) for k, axis in enumerate("xyz")}
+    columns = {axis: (moved[:, k], "f8") for k, axis in enumerate("xyz")}
     write_ply(folder / "registered.ply", columns, None, "reference moved onto the surface")
     write_text(folder / "registration.json", json.dumps(figures, indent=2) + "\n")
     return folder / "registered.ply"
