@@ -75,8 +75,9 @@ class Camera:
         deviation of the projection center along its most uncertain direction, unit of the points), `residuals_px` (N×2, mark
         less image of the point) and `doubtful`, the index of a point without which the others fit far better, or None.
 
-        Raises ValueError for wrong shapes, malus.InputError for points that do not determine a pose, or do not fit. Method:
-        SQPnP (Terzakis and Lourakis 2020) and, near a plane, IPPE (Collins and Bartoli 2014), then least squares.
+        Raises ValueError for wrong shapes, malus.InputError for numbers that are not finite and for points that do not
+        determine a pose, or do not fit. Method: SQPnP (Terzakis and Lourakis 2020) and, near a plane, IPPE (Collins and
+        Bartoli 2014), then least squares.
         """
         known = np.asarray(points, dtype=np.float64)
         marks = np.asarray(pixels, dtype=np.float64)

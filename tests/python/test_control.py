@@ -79,6 +79,9 @@ def test_pose_of_a_camera_on_arrays() -> None:
         camera.resected(points[:, :2], pixels)
     with pytest.raises(package.InputError, match="at least 4"):
         camera.resected(points[:3], pixels[:3])
+    points[2, 1] = np.nan
+    with pytest.raises(package.InputError, match="point 2 has a coordinate or a mark that is not a finite number"):
+        camera.resected(points, pixels)
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ import tifffile
 from PIL import Image
 
 import malus
-from conftest import ROOT, edit
+from conftest import ROOT, edit, malus_station
 from conftest import malus as run_malus
 from malus import _core
 from malus.demo import example_station
@@ -312,15 +312,24 @@ def cloud_scaled(folder: Path, factor: float) -> None:
     images.write_text("\n".join(lines) + "\n")
 
 
-def test_scale_of_a_given_cloud(small_station: Path) -> None:
+def test_scale_of_a_given_cloud(small_station: Path, tmp_path: Path) -> None:
     """The prior of a cloud in an unknown unit is that of the metric one when a known distance is given."""
+
+    def findings(name: str) -> dict[str, tuple[str, str]]:
+        outcome = malus_station(small_station, "-o", tmp_path / name, "--until", "evidence")
+        assert outcome.code == 0, outcome.err
+        said = json.loads((tmp_path / name / "evidence/findings.json").read_text())
+        return {finding["check"]: (finding["severity"], finding["message"]) for finding in said}
+
     metric = malus.reconstruct(malus.Station.load(small_station), until="prior", threads=2)
+    of_metric = findings("metric")
     cloud_scaled(small_station.parent, 0.01)
     with small_station.open("a") as file:
         file.write("\n[[scale]]\ndistance = 50\na_xyz = [0, 0, 0]\nb_xyz = [0.3, 0.4, 0]\n")
     scaled = malus.reconstruct(malus.Station.load(small_station), until="prior", threads=2)
     assert metric.prior_depth is not None and scaled.prior_depth is not None
     np.testing.assert_allclose(scaled.prior_depth, metric.prior_depth, rtol=1e-5)
+    assert findings("scaled") == of_metric, "the cloud's place is checked as it is used"
 
 
 def test_scale_that_would_not_be_used_is_refused(small_station: Path) -> None:

@@ -197,6 +197,9 @@ Resection resect(const std::vector<MarkedPoint>& points, const LensCamera& lens,
     throw input_error(where + ": " + std::to_string(points.size()) +
                       " points are marked in the polarized image without check = true, expected at least 4 to find the "
                       "camera's position");
+  for (const MarkedPoint& point : points)
+    if (!point.xyz.allFinite() || !point.pixel.allFinite())
+      throw input_error(where + ": point " + point.name + " has a coordinate or a mark that is not a finite number");
   const Marked marked = marked_points(points, lens);
   const Eigen::Vector3d extent = extents(marked);
   if (!(extent[1] > least_width * extent[0]))

@@ -28,9 +28,10 @@ struct Resection {
 /// Pose of a lens from four points or more: SQPnP (Terzakis and Lourakis 2020), for points near one plane also both
 /// solutions of IPPE (Collins and Bartoli 2014), then least squares on the marks (all by OpenCV); the one with the
 /// least residuals is taken. `center_sigma` follows from the marks' residuals, at least 0.1 px; NaN where it has no
-/// finite value. `where` names file and table in messages. Throws an input error for fewer than four points, points on
-/// one line, points of which two poses fit alike (a plane seen nearly without perspective), a pose that has a point
-/// behind the camera, and marks that do not fit the coordinates (RMS above 1 % of the image's longer side).
+/// finite value. `where` names file and table in messages. Throws an input error for fewer than four points, numbers
+/// that are not finite, points on one line, points of which two poses fit alike (a plane seen nearly without
+/// perspective), a pose that has a point behind the camera, and marks that do not fit the coordinates (RMS above 1 % of
+/// the image's longer side).
 Resection resect(const std::vector<MarkedPoint>& points, const LensCamera& lens, const std::string& where);
 
 /// Mark minus image of the point, in pixels as taken; NaN for a point behind the camera.

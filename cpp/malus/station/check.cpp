@@ -15,6 +15,8 @@
 #include "malus/io/point_cloud_file.h"
 #include "malus/station/check_inputs_internal.h"
 #include "malus/station/control_points_internal.h"
+#include "malus/station/prior_scale_internal.h"
+#include "malus/station/station_warnings_internal.h"
 #include "malus/station/step_internal.h"
 
 namespace malus {
@@ -88,7 +90,8 @@ struct PriorCheck {
 
   std::string operator()(std::monostate) const { return "from the photos"; }
   std::string operator()(const CloudFile& file) const { return (*this)(read_cloud(file.path, context)); }
-  std::string operator()(const PointCloud& cloud) const {
+  std::string operator()(PointCloud given) const {
+    const PointCloud cloud = scaled(std::move(given), station.file.prior_scale);
     const CameraSpec& camera = *station.file.camera;
     const std::string& unit = station.file.unit;
     const std::vector<Eigen::Vector3d> found = points_on_object(cloud, camera, object);
@@ -179,11 +182,12 @@ Plan check_station(const Station& station, const Options& options, const Context
     plan.warnings.emplace_back("there is no [prior]: only the polarization maps can be made");
   }
 
+  if (const std::string scale = describe_scale(station.file); !scale.empty()) plan.does.push_back("scale: " + scale);
   if (!station.file.frame_is_of_photos()) {
     if (const std::string control = describe_control(station.file); !control.empty())
       plan.does.push_back("control: " + control);
-    for (const std::string& warning : control_warnings(station.file)) plan.warnings.push_back(warning);
   }
+  for (const std::string& warning : station_warnings(station)) plan.warnings.push_back(warning);
   const Station planned = with_prior_of_photos(station);
   const Workload work{planned, options, plan.size, plan.object_pixels / 1e6, context.threads};
   for (const Step* step : steps_of_run(step_table(), planned, options, std::nullopt)) {

@@ -7,10 +7,16 @@
 namespace malus {
 namespace {
 
-double rms_px(const std::vector<ControlResidual>& residuals) {
-  double squares = 0;
-  for (const ControlResidual& residual : residuals) squares += std::pow(residual.length_px(), 2);
-  return std::sqrt(squares / static_cast<double>(residuals.size()));
+/// Of the marks that gave the pose, or of all if the pose was known. Points behind the camera have no distance and are
+/// left out; NaN if all are.
+double rms_px(const StationFile& station, const std::vector<ControlResidual>& residuals) {
+  double squares = 0, count = 0;
+  for (const ControlResidual& residual : residuals) {
+    if ((station.resection && residual.check) || std::isnan(residual.length_px())) continue;
+    squares += std::pow(residual.length_px(), 2);
+    ++count;
+  }
+  return std::sqrt(squares / count);
 }
 
 }  // namespace
@@ -64,9 +70,16 @@ std::string describe_control(const StationFile& station) {
   } else {
     text << residuals.size() << " control points compared with the camera's position; ";
   }
-  text << "marks fit to " << rms_px(residuals) << " px:";
-  for (const ControlResidual& residual : residuals)
-    text << (&residual == &residuals.front() ? " " : ", ") << residual.name << " " << residual.length_px();
+  if (const double rms = rms_px(station, residuals); std::isfinite(rms)) text << "marks fit to " << rms << " px: ";
+  for (const ControlResidual& residual : residuals) {
+    text << (&residual == &residuals.front() ? "" : ", ") << residual.name;
+    if (station.resection && residual.check) text << " (check)";
+    if (std::isnan(residual.length_px())) {
+      text << " behind the camera";
+    } else {
+      text << " " << residual.length_px();
+    }
+  }
   return text.str();
 }
 
@@ -74,7 +87,7 @@ Json control_json(const StationFile& station) {
   const std::vector<ControlResidual> residuals = control_residuals(station);
   if (residuals.empty()) return nullptr;
   return {{"use", station.resection ? "resection" : "check"},
-          {"rms_px", fields_to_json(rms_px(residuals))},
+          {"rms_px", fields_to_json(rms_px(station, residuals))},
           {"center_sigma", station.resection ? fields_to_json(station.resection->center_sigma) : Json(nullptr)},
           {"doubtful", station.resection ? fields_to_json(station.resection->doubtful) : Json(nullptr)},
           {"points", fields_to_json(residuals)}};

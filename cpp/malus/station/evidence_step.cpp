@@ -7,6 +7,7 @@
 #include "malus/evidence/response_check_internal.h"
 #include "malus/io/colmap_workspace_internal.h"
 #include "malus/station/json_fields_internal.h"
+#include "malus/station/prior_scale_internal.h"
 #include "malus/station/state_views_internal.h"
 #include "malus/station/step_functions_internal.h"
 
@@ -15,14 +16,19 @@ namespace {
 
 std::vector<Finding> compare_with_prior(const Job& job, const PolarizationState& state, const StationView& view,
                                         const Scene& scene, const DepthPrior& prior, const ImageFindings& of_images) {
-  std::optional<PointCloud> read;
-  if (const auto* file = std::get_if<CloudFile>(&job.station.prior)) read = read_cloud(file->path, job.context);
-  const PointCloud* cloud = read ? &*read : std::get_if<PointCloud>(&job.station.prior);
+  const double scale = job.station.file.prior_scale;
+  const auto* const given = std::get_if<PointCloud>(&job.station.prior);
+  std::optional<PointCloud> made;
+  if (const auto* file = std::get_if<CloudFile>(&job.station.prior)) {
+    made = scaled(read_cloud(file->path, job.context), scale);
+  } else if (given != nullptr && scale != 1) {
+    made = scaled(*given, scale);
+  }
   const Mask object = object_mask(state);
   return findings_before_fusion({.images = {state, scene.image, object, view.camera, job.station.file.unit},
                                  .pose = prior.pose,
                                  .prior_depth = prior.depth,
-                                 .cloud = cloud,
+                                 .cloud = made ? &*made : given,
                                  .known_linear = std::ranges::any_of(of_images.findings, says_linear),
                                  .response = job.station.file.polarized.response},
                                 job.context);

@@ -139,7 +139,6 @@ Json StationInputs::prior() {
   Json json = std::visit(Source{*this}, station_.prior);
   if (station_.file.prior_scale != 1) json["scale"] = station_.file.prior_scale;
   if (station_.file.prior_sigma) json["sigma"] = *station_.file.prior_sigma;
-  if (!station_.file.control.empty()) json["control"] = fields_to_json(station_.file.control);
   return json;
 }
 

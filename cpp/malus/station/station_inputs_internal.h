@@ -45,7 +45,7 @@ class StationInputs {
   /// Lens and pose.
   Json camera();
   Json prior();
-  /// [[patch]] and [[profile]].
+  /// [[patch]], [[profile]] and [[control]], whose figures are told; that they fit is said afresh by every run.
   Json regions();
   /// What the reference scan is, and what the photogrammetry says of itself.
   Json comparison();

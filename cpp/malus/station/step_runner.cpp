@@ -6,6 +6,7 @@
 
 #include "malus/core/version.h"
 #include "malus/io/sha256_internal.h"
+#include "malus/station/station_warnings_internal.h"
 #include "malus/station/step_runner_internal.h"
 #include "malus/station/step_watch_internal.h"
 
@@ -56,6 +57,7 @@ Results StepRunner::run() {
   std::vector<StationInputs::Values> values;
   for (const Step* step : steps_) values.push_back(inputs_.of(step->station));
   if (station_.photogrammetry) warnings_->all = station_.photogrammetry->warnings;
+  repeat("station", station_warnings(station_));
   for (std::size_t k = 0; k < steps_.size(); ++k) {
     release(k);
     const Step& step = *steps_[k];

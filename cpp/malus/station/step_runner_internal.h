@@ -31,7 +31,7 @@ class StepRunner {
   bool is_done(const Step& step, const std::string& key);
   /// The step's results of an earlier run in memory; nothing unless all of them are there with this key.
   std::optional<std::vector<std::shared_ptr<const void>>> known(const Step& step, const std::string& key) const;
-  /// Repeats the warnings of a step that is not run.
+  /// Says warnings that no step of this run logs: of a step that is not run, or of the station itself.
   void repeat(const std::string& step, const std::vector<std::string>& warnings);
   /// Its warnings of the earlier run in memory.
   std::vector<std::string> known_warnings(const std::string& step) const;

@@ -13,7 +13,7 @@
 #include "malus/lighting/light.h"
 #include "malus/lighting/light_from_polarization_internal.h"
 #include "malus/prior/project_prior.h"
-#include "malus/station/control_points_internal.h"
+#include "malus/station/prior_scale_internal.h"
 #include "malus/station/quality_json_internal.h"
 #include "malus/station/state_views_internal.h"
 #include "malus/station/step_functions_internal.h"
@@ -50,31 +50,6 @@ Mask seen_points(const PointCloud& cloud, const DepthPrior& prior) {
   return map;
 }
 
-/// Bars that the scale of a given prior leaves wrong.
-void warn_of_scale(const StationFile& file, const Context& context) {
-  constexpr double worth_a_warning = 0.005;  // of the distance
-  for (std::size_t i = 0; i < file.scale_errors.size(); ++i) {
-    const ScaleBar& bar = file.scale_bars[i];
-    std::ostringstream message;
-    message << "[[scale]] " << i + 1 << (bar.check ? " (check)" : "") << ": " << bar.distance << " " << file.unit
-            << " known, off by " << file.scale_errors[i] << " " << file.unit;
-    const bool is_large = std::abs(file.scale_errors[i]) > worth_a_warning * bar.distance;
-    context.log(is_large ? LogLevel::warning : LogLevel::info, message.str());
-  }
-}
-
-void scale_lengths(PlaneShape& plane, double scale) {
-  plane.point *= scale;
-}
-void scale_lengths(SphereShape& sphere, double scale) {
-  sphere.center *= scale;
-  sphere.radius *= scale;
-}
-void scale_lengths(CylinderShape& cylinder, double scale) {
-  cylinder.point *= scale;
-  cylinder.radius *= scale;
-}
-
 /// The surface of each kind of source.
 struct PriorMaker {
   const Job& job;
@@ -86,19 +61,9 @@ struct PriorMaker {
 
   /// The source with its lengths in the station's unit.
   template <class T>
-  T scaled(T source) const {
+  T in_unit(const T& source) const {
     const double scale = job.station.file.prior_scale;
-    if (scale == 1) return source;
-    if constexpr (std::same_as<T, PointCloud>) {
-      for (Eigen::Vector3d& point : source.points) point *= scale;
-    } else if constexpr (std::same_as<T, TriangleMesh>) {
-      for (Eigen::Vector3d& point : source.vertices.points) point *= scale;
-    } else if constexpr (std::same_as<T, Shape>) {
-      std::visit([scale](auto& shape) { scale_lengths(shape, scale); }, source);
-    } else {
-      for (float& depth : source) depth = static_cast<float>(scale * depth);
-    }
-    return source;
+    return scale == 1 ? source : scaled(source, scale);
   }
 
   DepthPrior operator()(const SweptDepth& swept) const {
@@ -106,10 +71,10 @@ struct PriorMaker {
   }
   template <class T>
   DepthPrior operator()(const T& source) const {
-    return project_prior(scaled(source), camera, pose, mask, options, job.context);
+    return project_prior(in_unit(source), camera, pose, mask, options, job.context);
   }
   DepthPrior operator()(const PointCloud& given) const {
-    const PointCloud cloud = scaled(given);
+    const PointCloud cloud = in_unit(given);
     DepthPrior prior = project_prior(cloud, camera, pose, mask, options, job.context);
     points.map = seen_points(cloud, prior);
     return prior;
@@ -135,10 +100,10 @@ std::tuple<DepthPrior, PriorPoints> make_prior(const Job& job, const MeasuredPol
                                                const StationView& view) {
   const Pose& pose = require_camera(job.station.file).pose;
   PriorPoints points;
-  warn_of_scale(job.station.file, job.context);
+  if (const std::string scale = describe_scale(job.station.file); !scale.empty())
+    job.context.log(LogLevel::info, scale);
   PriorOptions options = job.options.prior;
   if (!options.sigma) options.sigma = job.station.file.prior_sigma;
-  for (const std::string& warning : control_warnings(job.station.file)) job.context.log(LogLevel::warning, warning);
   DepthPrior prior =
       std::visit(PriorMaker{job, view.camera, pose, object_mask(*measured.state), options, points}, job.station.prior);
   return {std::move(prior), std::move(points)};

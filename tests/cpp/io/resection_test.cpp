@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
+#include <cmath>
 #include <random>
 
 #include "malus/core/error.h"
@@ -133,6 +134,13 @@ TEST(Resection, OthersAreOnlySaidToFitIfTheyDo) {
   const std::string message = failure(points, site.lens);
   EXPECT_EQ(message.find("the others do"), std::string::npos) << message;
   EXPECT_NE(message.find("the worst is point"), std::string::npos) << message;
+}
+
+TEST(Resection, NumbersThatAreNone) {
+  const Site site;
+  std::vector<MarkedPoint> points = site.points();
+  points[3].pixel.x() = std::nan("");
+  EXPECT_NE(failure(points, site.lens).find("point D"), std::string::npos);
 }
 
 TEST(Resection, WhatCannotDetermineAPose) {

@@ -127,6 +127,14 @@ TEST_F(StationInputsTest, ChangedFilesAreFoundAgain) {
       ErrorCode::input, [&] { inputs.require_unchanged(values); }, "cloud.ply", "was changed while it was read");
 }
 
+TEST_F(StationInputsTest, NamesOfControlPointsOnlyCountForWhatIsTold) {
+  station_.file.control = {{"A", {1, 2, 3}, std::array{4.0, 5.0}, {}, true}};
+  const Json prior = json(&StationInputs::prior), regions = json(&StationInputs::regions);
+  station_.file.control[0].name = "B";
+  EXPECT_EQ(json(&StationInputs::prior), prior);
+  EXPECT_NE(json(&StationInputs::regions), regions);
+}
+
 TEST_F(StationInputsTest, TheReferenceAndTheFrontEndCountForTheComparison) {
   const Json before = json(&StationInputs::comparison);
   reference_ = folder_ / "cloud.ply";

@@ -321,6 +321,23 @@ TEST_F(StepRunnerTest, ResultsAreLetGoOnceNoLaterStepReadsThem) {
   }
 }
 
+TEST_F(StepRunnerTest, WhatIsWrongWithTheStationIsSaidByEveryRun) {
+  station_.file.scale_bars.emplace_back().distance = 10;
+  station_.file.scale_errors = {1};
+  const Names said{"[[scale]] 1: 10 mm known, off by 1 mm"}, prefixed{"station: " + said[0]};
+  const Results first = run();
+  EXPECT_EQ(logged_, said);
+  EXPECT_EQ(first.warnings, prefixed);
+  EXPECT_EQ(first.get<Sum>()->warnings, prefixed);
+  EXPECT_EQ(run().warnings, prefixed);
+  EXPECT_EQ(logged_, said) << "every step is kept";
+
+  station_.file.scale_errors = {0.01};
+  const Results mended = run();
+  EXPECT_TRUE(mended.warnings.empty());
+  EXPECT_EQ(ran_, Names{"sum"}) << "which reads the warnings";
+}
+
 TEST_F(StepRunnerTest, TheManifestSaysWhatEveryStepTook) {
   run();
   for (const char* name : {"seed", "twice", "side", "sum"}) {

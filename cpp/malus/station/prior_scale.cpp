@@ -1,0 +1,67 @@
+#include <cmath>
+#include <sstream>
+
+#include "malus/station/prior_scale_internal.h"
+
+namespace malus {
+namespace {
+
+void scale_lengths(PlaneShape& plane, double scale) {
+  plane.point *= scale;
+}
+void scale_lengths(SphereShape& sphere, double scale) {
+  sphere.center *= scale;
+  sphere.radius *= scale;
+}
+void scale_lengths(CylinderShape& cylinder, double scale) {
+  cylinder.point *= scale;
+  cylinder.radius *= scale;
+}
+
+}  // namespace
+
+PointCloud scaled(PointCloud cloud, double scale) {
+  for (Eigen::Vector3d& point : cloud.points) point *= scale;
+  return cloud;
+}
+
+TriangleMesh scaled(TriangleMesh mesh, double scale) {
+  mesh.vertices = scaled(std::move(mesh.vertices), scale);
+  return mesh;
+}
+
+Shape scaled(Shape shape, double scale) {
+  std::visit([scale](auto& some) { scale_lengths(some, scale); }, shape);
+  return shape;
+}
+
+Image<float> scaled(Image<float> depth, double scale) {
+  for (float& z : depth) z = static_cast<float>(scale * z);
+  return depth;
+}
+
+std::string describe_scale(const StationFile& station) {
+  if (station.scale_errors.empty()) return {};
+  std::ostringstream text;
+  text << "known distances make the prior " << station.prior_scale << " times as large; they are then off by";
+  for (std::size_t i = 0; i < station.scale_errors.size(); ++i)
+    text << (i == 0 ? " " : ", ") << station.scale_errors[i] << (station.scale_bars[i].check ? " (check)" : "");
+  text << " " << station.unit;
+  return text.str();
+}
+
+std::vector<std::string> scale_warnings(const StationFile& station) {
+  constexpr double worth_a_warning = 0.005;  // of the distance
+  std::vector<std::string> warnings;
+  for (std::size_t i = 0; i < station.scale_errors.size(); ++i) {
+    const ScaleBar& bar = station.scale_bars[i];
+    if (std::abs(station.scale_errors[i]) <= worth_a_warning * bar.distance) continue;
+    std::ostringstream message;
+    message << "[[scale]] " << i + 1 << (bar.check ? " (check)" : "") << ": " << bar.distance << " " << station.unit
+            << " known, off by " << station.scale_errors[i] << " " << station.unit;
+    warnings.push_back(message.str());
+  }
+  return warnings;
+}
+
+}  // namespace malus

@@ -1,0 +1,27 @@
+#pragma once
+
+// Private to the station room: a given prior made metric by known distances.
+
+#include <string>
+#include <vector>
+
+#include "malus/core/image.h"
+#include "malus/core/shape.h"
+#include "malus/io/point_cloud_file.h"
+#include "malus/io/station_spec.h"
+
+namespace malus {
+
+/// A prior's source with its lengths times `scale` (StationFile::prior_scale).
+PointCloud scaled(PointCloud cloud, double scale);
+TriangleMesh scaled(TriangleMesh mesh, double scale);
+Shape scaled(Shape shape, double scale);
+Image<float> scaled(Image<float> depth, double scale);
+
+/// The scale, and how far each bar is off with it, in one line; empty without bars that scale a given prior.
+std::string describe_scale(const StationFile& station);
+
+/// Bars that the scale leaves wrong.
+std::vector<std::string> scale_warnings(const StationFile& station);
+
+}  // namespace malus

@@ -1,0 +1,56 @@
+#include "malus/station/check.h"
+
+#include <gtest/gtest.h>
+
+#include "malus/station/check_picture_internal.h"
+#include "thrown_error.h"
+
+namespace malus {
+namespace {
+
+/// Looks along z at a prior that known distances make twice as large.
+Station scaled_station() {
+  Station station;
+  constexpr Size size{40, 30};
+  station.images = {Image<float>(size, 1, 0.5F)};
+  station.file.polarized.angles_deg = {0};
+  station.file.camera = CameraSpec{{LensModel::pinhole, size, {200, 200, 19.5, 14.5}}, {}};
+  station.file.prior_scale = 2;
+  station.file.scale_bars.emplace_back().distance = 10;
+  station.file.scale_errors = {0.001};
+  return station;
+}
+
+/// Fills the view at depth 100.
+PointCloud cloud_of(const Station& station) {
+  PointCloud cloud;
+  const Pinhole pinhole = station.file.camera->lens.pinhole();
+  for (int v = 0; v < pinhole.size.height; ++v)
+    for (int u = 0; u < pinhole.size.width; ++u) cloud.points.push_back(100 * pinhole.ray(u, v));
+  return cloud;
+}
+
+TEST(CheckPicture, ShowsThePriorAsKnownDistancesMakeIt) {
+  Station station = scaled_station();
+  const std::vector<PriorSource> sources{cloud_of(station), Image<float>({40, 30}, 1, 100.0F),
+                                         Shape(PlaneShape{{0, 0, 100}, {0, 0, -1}})};
+  for (const PriorSource& source : sources) {
+    station.prior = source;
+    const std::vector<Eigen::Vector3f> points = check_picture(station, {}).points;
+    ASSERT_EQ(points.size(), 1200U) << source.index();
+    for (const Eigen::Vector3f& point : points) ASSERT_NEAR(point.z(), 200, 1e-3) << source.index();
+  }
+}
+
+TEST(CheckStation, MeasuresThePriorAsKnownDistancesMakeIt) {
+  Station station = scaled_station();
+  station.prior = cloud_of(station);
+  const Plan plan = check_station(station, {}, {});
+  std::string does;
+  for (const std::string& line : plan.does) does += line + "\n";
+  expect_contains(does, "known distances make the prior 2 times as large; they are then off by 0.001 mm");
+  expect_contains(does, "200 mm from the camera");
+}
+
+}  // namespace
+}  // namespace malus

@@ -1,0 +1,39 @@
+#include <gtest/gtest.h>
+
+#include "malus/station/control_points_internal.h"
+#include "thrown_error.h"
+
+namespace malus {
+namespace {
+
+/// A camera at the origin that looks along z, and points marked off their images by some pixels along u.
+StationFile marked(const std::vector<std::tuple<std::string, double, bool>>& points) {
+  StationFile station;
+  station.camera = CameraSpec{{LensModel::pinhole, {20, 10}, {10, 10, 9.5, 4.5}}, {}};
+  for (const auto& [name, off, check] : points)
+    station.control.push_back({name, {0, 0, 5}, std::array{9.5 + off, 4.5}, {}, check});
+  return station;
+}
+
+TEST(ControlPoints, TheFitIsThatOfThePointsThatGaveThePose) {
+  StationFile station = marked({{"A", 3, false}, {"B", 4, false}, {"F", 60, true}});
+  station.resection = Resection{};
+  EXPECT_NEAR(control_json(station)["rms_px"].get<double>(), std::sqrt(12.5), 1e-9);
+  expect_contains(describe_control(station), "marks fit to 3.54 px: A 3, B 4, F (check) 60");
+  station.resection.reset();  // with a known pose all of them check it
+  EXPECT_NEAR(control_json(station)["rms_px"].get<double>(), std::sqrt((9 + 16 + 3600) / 3.0), 1e-9);
+}
+
+TEST(ControlPoints, APointBehindTheCameraHasNoDistance) {
+  StationFile station = marked({{"A", 2, false}, {"B", 1, false}});
+  station.control[1].xyz[2] = -5;
+  EXPECT_NEAR(control_json(station)["rms_px"].get<double>(), 2, 1e-9);
+  const std::string said = describe_control(station);
+  expect_contains(said, "marks fit to 2 px: A 2, B behind the camera");
+  station.control[0].xyz[2] = -5;
+  EXPECT_TRUE(control_json(station)["rms_px"].is_null());
+  EXPECT_EQ(describe_control(station).find("nan"), std::string::npos) << describe_control(station);
+}
+
+}  // namespace
+}  // namespace malus
