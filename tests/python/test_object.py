@@ -31,6 +31,7 @@ from malus.object import (
     combine,
     implicit,
     joined_mesh,
+    joining,
     levels_of_detail,
     pieces,
     poisson_mesh,
@@ -211,7 +212,10 @@ def test_blocks_meet_exactly_and_change_nothing(
     assert x == pytest.approx(y, abs=1e-3)
 
 
-def test_crumbs_and_what_is_unsure_are_left_out(thin: OrientedPoints, tmp_path: Path) -> None:
+def test_crumbs_and_what_is_unsure_are_left_out(
+    thin: OrientedPoints, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(joining, "_LEAST_PART", 0.02)  # the crumb is 1.2 % of this small mesh
     sigma = np.where(thin.points[:, 2] > 0, 1.0, SIGMA)
     near = np.linalg.norm(thin.points - [0, 0, -RADIUS], axis=1) < 3 * CELL
     points, normals = (
