@@ -10,7 +10,6 @@ containers, all of it is left out, which is said.
 
 from __future__ import annotations
 
-import argparse
 import random
 import shutil
 import subprocess
@@ -19,7 +18,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from programs import Attack, attacks_on_station
+from programs import Attack, arguments_of_attack, attacks_on_station
 
 #: Operation → what the system may say of it. ESTALE, EBUSY: another machine moved or holds the file; EDQUOT: the quota is
 #: used up, of which a network's disk tells at fsync and close only.
@@ -82,12 +81,7 @@ def may_watch() -> bool:
 
 def main() -> int:
     """Attack for so many seconds; the exit code is 1 if there were findings."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("program", type=Path)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--seconds", type=float, default=120)
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args()
+    arguments = arguments_of_attack(__doc__)
     if not may_watch():
         print("strace may not watch other processes here: left out")
         return 0

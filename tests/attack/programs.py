@@ -386,14 +386,19 @@ def killed_beside_others(batch: Attack, chance: random.Random) -> None:
     batch.killed_together(commands, chance.choice(list(commands)), chance.uniform(0, 2 * batch.seconds))
 
 
-def main() -> int:
-    """Attack for so many seconds; the exit code is 1 if there were findings."""
-    parser = argparse.ArgumentParser(description=__doc__)
+def arguments_of_attack(description: str | None) -> argparse.Namespace:
+    """Which program is attacked, where, for how long, and with which chance."""
+    parser = argparse.ArgumentParser(description=description)
     parser.add_argument("program", type=Path)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seconds", type=float, default=120)
     parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args()
+    return parser.parse_args()
+
+
+def main() -> int:
+    """Attack for so many seconds; the exit code is 1 if there were findings."""
+    arguments = arguments_of_attack(__doc__)
     end = time.monotonic() + arguments.seconds
     attacks = attacks_on(arguments.program.resolve(), arguments.folder.resolve())
     chance = random.Random(arguments.seed)
