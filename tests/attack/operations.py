@@ -16,7 +16,6 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from pathlib import Path
 
 from programs import Attack, arguments_of_attack, attacks_on_station
 
