@@ -9,9 +9,9 @@
 namespace malus {
 namespace {
 
-std::string rounded(double value) {
+std::string rounded(double value, int digits = 2) {
   std::ostringstream text;
-  text.precision(2);
+  text.precision(digits);
   text << value;
   return text.str();
 }
