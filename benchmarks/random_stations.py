@@ -178,13 +178,13 @@ def import_untyped(name: str) -> Any:
     return importlib.import_module(name)
 
 
-def render_one(seed: int, number: int, out: Path, quality: float) -> bool:
+def render_one(seed: int, number: int, out: Path, quality: float, chances: dict[str, int]) -> bool:
     """Render station `number`; False if it is there already."""
     # The renderer's modules; its own interpreter finds them only once --renderer is known.
     render, lights, noise, scenes = map(import_untyped, ("render", "lights", "noise", "scenes"))
     random = np.random.default_rng([seed, number])
-    weights = np.array(list(SCENES.values()), float)
-    name = str(random.choice(list(SCENES), p=weights / weights.sum()))
+    weights = np.array(list(chances.values()), float)
+    name = str(random.choice(list(chances), p=weights / weights.sum()))
     light, object_seed = str(random.choice(LIGHTS)), int(random.integers(1, 4_000_000))
     folder = out / f"{number:03d}_{name}_{light}"
     if (folder / "random.json").exists():
@@ -212,14 +212,16 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--quality", type=float, default=0.4, help="mesh density, as render.py's")
+    parser.add_argument("--scenes", nargs="+", metavar="SCENE", help="draw among these alone, with equal chances")
     args = parser.parse_args()
     if not (args.renderer / "render.py").exists():
         parser.error(f"--renderer {args.renderer}: expected a folder with render.py")
     sys.path.insert(0, str(args.renderer.resolve()))
+    chances = dict.fromkeys(args.scenes, 1) if args.scenes else SCENES
     failed = []
     for number in range(args.first, args.first + args.count):
         try:
-            render_one(args.seed, number, args.output, args.quality)
+            render_one(args.seed, number, args.output, args.quality, chances)
         except Exception:  # one object that cannot be rendered does not end the rest
             traceback.print_exc()
             failed.append(number)

@@ -234,3 +234,30 @@ def close_holes(V, N, F):
         N.append(n / max(np.linalg.norm(n), 1e-12))
         F.append(fan)
     return np.concatenate(V), np.concatenate(N), np.concatenate(F)
+
+
+def star_shaped(radius, n):
+    """Vertices, normals, faces and directions of the surface at radius(direction): a cube of n x n vertices a side, blown up."""
+    A, B = np.meshgrid(*[np.tan(np.linspace(-np.pi / 4, np.pi / 4, n))] * 2)
+    o = np.ones_like(A)
+    i = np.arange(n * n, dtype=np.int32).reshape(n, n)
+    a, b, c, e = i[:-1, :-1], i[:-1, 1:], i[1:, 1:], i[1:, :-1]
+    F0 = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, e], -1).reshape(-1, 3)])
+    unit = lambda v: v / np.linalg.norm(v, axis=-1, keepdims=True)
+    V, N, F, D = [], [], [], []
+    for side in ((A, B, o), (-A, B, -o), (o, B, -A), (-o, B, A), (A, o, -B), (A, -o, B)):
+        d = unit(np.stack(side, -1))
+        r, h, slope = radius(d), 1e-4, 0
+        t1 = unit(np.cross(np.where(np.abs(d[..., 1:2]) < 0.9, [0, 1.0, 0], [1.0, 0, 0]), d))
+        for t in (t1, np.cross(d, t1)):
+            slope = slope + t * ((radius(unit(d + h * t)) - radius(unit(d - h * t))) / (2 * np.arctan(h)))[..., None]
+        P, f = (d * r[..., None]).reshape(-1, 3), F0
+        tri = P[f[len(f) // 4]]
+        if np.cross(tri[1] - tri[0], tri[2] - tri[0]) @ tri.mean(0) < 0:
+            f = f[:, ::-1]
+        F.append(f + n * n * len(V))
+        V.append(P)
+        N.append(unit(d - slope / r[..., None]).reshape(-1, 3))
+        D.append(d.reshape(-1, 3))
+    faces = np.ascontiguousarray(np.concatenate(F)).astype(np.int32)
+    return np.concatenate(V), np.concatenate(N), faces, np.concatenate(D)

@@ -19,4 +19,5 @@ The description has
 import importlib
 import pkgutil
 
-SCENES = {m.name: importlib.import_module(f"{__name__}.{m.name}") for m in pkgutil.iter_modules(__path__)}
+_MODULES = {m.name: importlib.import_module(f"{__name__}.{m.name}") for m in pkgutil.iter_modules(__path__)}
+SCENES = {name: module for name, module in _MODULES.items() if hasattr(module, "scene")}

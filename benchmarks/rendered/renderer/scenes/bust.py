@@ -2,7 +2,7 @@
 
 import lights
 import numpy as np
-from geometry import board
+from geometry import board, star_shaped
 
 
 def bump(d, az, el, sa, se, amplitude):
@@ -52,38 +52,17 @@ def head(d, g, waves, style):
 
 
 def scene(style, rng, quality):
-    n = int(640 * quality)
-    A, B = np.meshgrid(*[np.tan(np.linspace(-np.pi / 4, np.pi / 4, n))] * 2)
-    o = np.ones_like(A)
     g, waves = rng.uniform(-1, 1, 40), [(rng.normal(size=3), rng.uniform(0, 6)) for _ in range(24)]
-    radius = lambda d: head(d, g, waves, style)
-    i = np.arange(n * n, dtype=np.int32).reshape(n, n)
-    a, b, c, e = i[:-1, :-1], i[:-1, 1:], i[1:, 1:], i[1:, :-1]
-    F0 = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, e], -1).reshape(-1, 3)])
-    unit = lambda v: v / np.linalg.norm(v, axis=-1, keepdims=True)
-    V, N, F = [], [], []
-    for side in ((A, B, o), (-A, B, -o), (o, B, -A), (-o, B, A), (A, o, -B), (A, -o, B)):  # a cube blown up
-        d = unit(np.stack(side, -1))
-        r, h, slope = radius(d), 1e-4, 0
-        t1 = unit(np.cross(np.where(np.abs(d[..., 1:2]) < 0.9, [0, 1.0, 0], [1.0, 0, 0]), d))
-        for t in (t1, np.cross(d, t1)):
-            slope = slope + t * ((radius(unit(d + h * t)) - radius(unit(d - h * t))) / (2 * np.arctan(h)))[..., None]
-        P, f = (d * r[..., None]).reshape(-1, 3), F0
-        tri = P[f[len(f) // 4]]
-        if np.cross(tri[1] - tri[0], tri[2] - tri[0]) @ tri.mean(0) < 0:
-            f = f[:, ::-1]
-        F.append(f + n * n * len(V))
-        V.append(P)
-        N.append(unit(d - slope / r[..., None]).reshape(-1, 3))
+    V, N, F, _ = star_shaped(lambda d: head(d, g, waves, style), int(640 * quality))
     points = {"P1": (-125.0, -85.0), "P2": (128.0, -84.0), "P3": (124.0, 86.0)}
     s, sky = lights.direction(*style["light"]), 0.04
     return dict(
         meshes=[
             dict(
                 name="object",
-                V=np.concatenate(V),
-                N=np.concatenate(N),
-                F=np.ascontiguousarray(np.concatenate(F)).astype(np.int32),
+                V=V,
+                N=N,
+                F=F,
                 albedo=0.6,
                 uv=None,
                 bsdf=dict(type="pplastic", int_ior=1.5, specular_reflectance=1.0, alpha=0.15),
