@@ -1,23 +1,26 @@
 #pragma once
 
-#include <algorithm>
-#include <cstddef>
-#include <span>
+#include <functional>
+
+#include "malus/core/context.h"
 
 namespace malus {
 
-/// Refractive indices that are tried one after the other, from the first one on.
-inline constexpr double first_index = 1.3, index_step = 0.1;
+/// What a series of tries tells of the refractive index.
+struct IndexSearch {
+  double index = 1.5;   ///< of least cost, from 1.3 to 2.0
+  double gain = 0;      ///< cost of the supposed index less that of the cheapest try
+  bool within = false;  ///< not at an end of the range: there something else is wrong, such as light from the object
 
-/// The index of least cost: least of the parabola through the lowest of the tries' costs; an end of their range where
-/// they do not bend upwards.
-inline double index_of_least(std::span<const double> costs) {
-  const auto lowest = static_cast<std::size_t>(std::min_element(costs.begin(), costs.end()) - costs.begin());
-  const std::size_t middle = std::clamp<std::size_t>(lowest, 1, costs.size() - 2);
-  const double slope = 0.5 * (costs[middle + 1] - costs[middle - 1]);
-  const double curvature = costs[middle + 1] - 2 * costs[middle] + costs[middle - 1];
-  const double least = curvature > 0 ? static_cast<double>(middle) - slope / curvature : static_cast<double>(lowest);
-  return first_index + index_step * std::clamp(least, 0.0, static_cast<double>(costs.size() - 1));
-}
+  /// Whether the samples contradict the supposed index.
+  bool contradicts() const;
+};
+
+/// Cost of an index: mean over the samples of ln(1 + r² / 4), everything else fitted.
+using IndexCost = std::function<double(double)>;
+
+/// Tries refractive indices from 1.3 to 2.0 and the supposed one: least of the parabola through the lowest costs. They
+/// can be compared only if all have the same standard deviations. Tries run side by side.
+IndexSearch search_index(double supposed, const IndexCost& cost, const Context& context);
 
 }  // namespace malus

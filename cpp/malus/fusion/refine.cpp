@@ -279,6 +279,18 @@ class Refiner {
   /// Decides how each region reflects.
   void label(const RefineInput& input) { label_regions(image_, input, rows_of(strips_), context_); }
 
+  /// Takes the refractive index that the polarization tells at the prior's slopes: where the stated one is clearly
+  /// contradicted, or none is stated.
+  void find_index(std::optional<double> stated) {
+    stated_index_ = stated;
+    if (stated && !options_.correct_index) return;
+    const RefractiveIndexFit fit =
+        fit_refractive_index(image_, image_.reflection.eta, mirrored_terms(options_), context_);
+    const bool takes = stated ? fit.contradicts : fit.determined;
+    if (takes) image_.reflection.eta = fit.eta;
+    report_index(takes, fit.sigma);
+  }
+
   /// Takes the model that explains more at the prior's slopes: regions that are diffuse or specular, or an object that
   /// is matt all over and mirrors its surroundings; of the latter a metal where that explains all of the light.
   void choose_model() {
@@ -297,7 +309,9 @@ class Refiner {
     const Image<std::uint8_t> labels = image_.kind;
     const ReflectionModel model = image_.reflection;
     image_.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
-    map_.material.index = model.eta;
+    // What the regions' index was found with is not this model.
+    image_.reflection.eta = supposed_index();
+    map_.material.index = image_.reflection.eta;
     const SurroundingsFit dielectric = fit_mirrored(image_, report_, map_, context_);
     // All light of a metal is mirrored, and polarized that way.
     constexpr std::size_t few = 1500;
@@ -306,20 +320,25 @@ class Refiner {
     if (metal) {
       map_ = {metal->first};
       take_surroundings(metal->second, image_, report_, map_, context_);
+      // Its light does not depend on a dielectric's index.
+      report_.stated_eta.reset();
+      report_.eta_sigma = 0;
       return;
     }
     if (options_.correct_index) correct_index();
-    if (mean_over_object(explained(nullptr).shares(false, context_)) > by_labels + clearly) return;
+    if (mean_over_object(explained(nullptr).shares(false, context_)) > by_labels + clearly) {
+      report_index(image_.reflection.eta != supposed_index(), index_of_body_sigma);
+      return;
+    }
     image_.kind = labels;
     image_.reflection = model;
     report_.surroundings = {};
   }
 
-  /// estimate_index: the refractive index is not known. Returns what the solver took.
-  SolveStatistics run(bool estimate_index) {
+  /// Returns what the solver took.
+  SolveStatistics run() {
     mirrors_ = specular_share(image_) > worthwhile_share;
     searches_ = options_.search && mirrors_;
-    is_mirror_known_ = is_mirror_known_ && !estimate_index;
     // The search for other minima takes most of the time, and what it finds is larger than a few pixels.
     const bool coarse_first = searches_ && object_side(image_) >= 2 * options_.coarsest_px;
     if (coarse_first) {
@@ -328,20 +347,17 @@ class Refiner {
       RefinementImage coarse = coarsened(image_, context_);
       Refiner at_half(coarse, options_, report_, context_, coarse_range, 2 * binning_);
       at_half.is_mirror_known_ = is_mirror_known_;
-      total_ += at_half.run(estimate_index);
+      total_ += at_half.run();
       take_over(image_, coarse, context_);
       range_.begin = coarse_range.end;
       rounds_ = options_.fine_iterations;
       for (int i = 0; i < rounds_; ++i) round(1, true, true);
     } else {
-      constexpr int rounds_with_estimate = 3;
-      // A graduated start needs one round more, and so does an index that is found as the surface is.
-      const int first_rounds = image_.reflection.mirrored
-                                   ? options_.surroundings_iterations
-                                   : options_.iterations + (mirrors_ ? 1 : 0) + (estimate_index ? 1 : 0);
+      // A graduated start needs one round more.
+      const int first_rounds =
+          image_.reflection.mirrored ? options_.surroundings_iterations : options_.iterations + (mirrors_ ? 1 : 0);
       rounds_ = first_rounds + (searches_ ? search_rounds + heal_rounds : 0);
       for (int i = 0; i < first_rounds; ++i) {
-        if (estimate_index && i < rounds_with_estimate) estimate_refractive_index();
         const bool regional = i + 2 >= first_rounds;
         round(std::max(1.0, options_.graduation * std::pow(0.5, i)), true, regional);
       }
@@ -498,8 +514,17 @@ class Refiner {
     return weights;
   }
 
-  /// Takes the refractive index with which surroundings explain the polarization, where it is clearly not the supposed
-  /// one. At the prior's slopes: refined ones would confirm whatever index they were found with.
+  double supposed_index() const { return stated_index_.value_or(ReflectionModel().eta); }
+
+  /// Says whether the index in use was found, and if so how well it is known.
+  void report_index(bool found, double sigma) {
+    constexpr double not_known = std::numeric_limits<double>::quiet_NaN();
+    report_.stated_eta = found ? stated_index_ : std::nullopt;
+    report_.eta_sigma = found ? sigma : stated_index_ ? 0 : not_known;
+  }
+
+  /// Takes the refractive index with which surroundings explain the polarization at the prior's slopes, where it is
+  /// clearly not the supposed one.
   void correct_index() {
     constexpr std::size_t samples = 4000;
     const double index = index_of_body(collect_samples(image_, Reflection::diffuse, samples), image_.reflection.eta,
@@ -508,17 +533,6 @@ class Refiner {
     image_.reflection.eta = index;
     map_.material.index = index;
     fit_mirrored(image_, report_, map_, context_);
-  }
-
-  /// Takes the refractive index from the data, at the surface as it is.
-  void estimate_refractive_index() {
-    constexpr std::size_t index_samples = 8000;
-    const RefractiveIndexFit fit = fit_refractive_index(collect_samples(image_, Reflection::diffuse, index_samples),
-                                                        collect_samples(image_, Reflection::specular, index_samples),
-                                                        mirrored_terms(options_), context_);
-    image_.reflection.eta = fit.eta;
-    report_.eta_sigma = fit.sigma;
-    report_.eta_undetermined = !fit.determined;
   }
 
   /// How much of the polarization the reflection explains at the prior's slopes; copies the prior if asked.
@@ -675,6 +689,7 @@ class Refiner {
   std::vector<Tile> tiles_;
   std::vector<TileStrip> strips_;
   MapCourse map_;
+  std::optional<double> stated_index_;
   Eigen::Vector3d mean_normal_;  ///< of the surface that the refinement starts from
   bool mirrors_ = false;
   bool is_mirror_known_ = false;  ///< its light was fitted at the prior's slopes
@@ -693,21 +708,13 @@ RefineResult refine(const PolarizationState& state, const DepthPrior& prior, con
   const auto start = std::chrono::steady_clock::now();
   validate_fields(options, "fusion");
   RefinementImage image = make_image(state, prior, context);
-  const double supposed_index = input.refractive_index.value_or(1.5);
-  image.reflection.eta = supposed_index;
+  if (input.refractive_index) image.reflection.eta = *input.refractive_index;
   RefineResult result;
   Refiner refiner(image, options, result.report, context);
   refiner.label(input);
+  refiner.find_index(input.refractive_index);
   if (options.surroundings && input.reflection == ReflectionChoice::automatic) refiner.choose_model();
-  // With surroundings the index was found, if they tell it.
-  const bool with_map = image.reflection.mirrored != nullptr;
-  refiner.run(!input.refractive_index && !with_map);
-  if (with_map && image.reflection.eta != supposed_index) {
-    result.report.eta_sigma = index_of_body_sigma;
-    result.report.stated_eta = input.refractive_index;
-  } else if (with_map && !input.refractive_index) {
-    result.report.eta_sigma = std::numeric_limits<double>::quiet_NaN();
-  }
+  refiner.run();
   refiner.weigh_evidence(prior);
   result.surface = refiner.finish(prior);
   judge(result.report, options.explained_least, result.surface);

@@ -101,7 +101,7 @@ struct RefineOptions {
     visit("surroundings", self.surroundings, any_value,
           "where that explains more of the polarization, take the object as matt and mirroring its surroundings");
     visit("correct_index", self.correct_index, any_value,
-          "with a map of the surroundings: replace a refractive index that the polarization clearly contradicts");
+          "replace a refractive index that the polarization clearly contradicts");
     visit("evidence", self.evidence, any_value,
           "keep the prior's surface where the reflection model does not explain the polarization");
     visit("explained_least", self.explained_least, Range{-1, 1},
@@ -133,9 +133,8 @@ struct RefineReport {
   Surroundings surroundings;   ///< without radiance if they are not the model
   /// n + i k of the metal that the model with surroundings takes the object for; 0 = not for a metal.
   std::complex<double> metal_index = 0;
-  double eta_sigma = 0;              ///< 0 = the index is given, NaN = neither given nor estimated
+  double eta_sigma = 0;              ///< 0 = the index is given, NaN = neither given nor told by the data
   std::optional<double> stated_eta;  ///< only where another index explains the polarization clearly better
-  bool eta_undetermined = false;     ///< it was asked for, but the data do not tell it
   std::array<double, EnvironmentProfile::node_count> environment_sigma{};
   double lobe_strength_sigma = 0, lobe_roughness_sigma = 0, light_sigma_rad = 0;
   double mirror_body_sigma = 0, mirror_environment_sigma = 0;

@@ -63,12 +63,7 @@ void judge_model(const RefineReport& report, FusedSurface& surface) {
              rounded(report.median_residual) + " standard deviations.",
          surface);
   }
-  if (report.eta_undetermined) {
-    surface.warnings.push_back(
-        "optics.refractive_index = \"auto\": the data do not determine it (it runs to the end of its range, or parts "
-        "of "
-        "the object disagree), so 1.5 was taken; give the material's index if it is known.");
-  } else if (std::isnan(report.eta_sigma)) {
+  if (std::isnan(report.eta_sigma)) {
     surface.warnings.push_back("The refractive index is not known, and the polarization does not tell it: " +
                                rounded(report.reflection.eta) + " is taken. State it as refractive_index in [optics].");
   } else if (report.stated_eta) {

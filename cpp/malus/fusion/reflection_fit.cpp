@@ -3,7 +3,6 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <memory>
 
 #include "malus/core/even_choice_internal.h"
@@ -444,53 +443,71 @@ SpecularFit fit_specular(const std::vector<ReflectionSample>& samples, double et
   return fit;
 }
 
+double error_of_slopes(const ReflectionSample& s, Reflection kind) {
+  constexpr double slope_error = 0.03, usual_index = 1.5;
+  const FresnelFactors f = fresnel_factors(s.tan2(), usual_index);
+  const double degree = kind == Reflection::specular ? f.specular / f.reflectance : f.diffuse;
+  return slope_error * s.s0 * std::abs(degree) * 2 * std::sqrt(s.tan2());
+}
+
 namespace {
 
-constexpr std::size_t index_tries = 6;
-using IndexCosts = std::array<double, index_tries>;
+struct SamplesByKind {
+  std::vector<ReflectionSample> diffuse, specular;
 
-IndexCosts costs_by_index(const std::vector<ReflectionSample>& diffuse, const std::vector<ReflectionSample>& specular,
-                          MirroredTerms terms, const Context& context) {
-  HighlightLobe start;
-  if (!diffuse.empty()) start.light = fit_shading(diffuse).light;
-  IndexCosts costs{};
-  for (std::size_t i = 0; i < index_tries; ++i) {
-    const double eta = first_index + index_step * static_cast<double>(i);
-    if (!diffuse.empty())
-      costs[i] += static_cast<double>(diffuse.size()) * fit_diffuse(diffuse, eta, terms, start, context).cost;
-    if (!specular.empty()) costs[i] += static_cast<double>(specular.size()) * fit_specular(specular, eta).cost;
+  std::size_t count() const { return diffuse.size() + specular.size(); }
+
+  /// The k-th of n runs, which lie beside each other in the image.
+  SamplesByKind run(std::size_t k, std::size_t n) const {
+    const auto part = [&](const std::vector<ReflectionSample>& samples) {
+      const auto at = [&](std::size_t i) {
+        return samples.begin() + static_cast<std::ptrdiff_t>(samples.size() * i / n);
+      };
+      return std::vector<ReflectionSample>(at(k), at(k + 1));
+    };
+    return {part(diffuse), part(specular)};
   }
-  return costs;
+};
+
+IndexSearch search_index(const SamplesByKind& samples, double supposed, MirroredTerms terms, const Context& context) {
+  HighlightLobe start;
+  if (!samples.diffuse.empty()) start.light = fit_shading(samples.diffuse).light;
+  Context alone = context;  // the tries run side by side
+  alone.threads = 1;
+  const auto cost = [&](double eta) {
+    double sum = 0;
+    if (!samples.diffuse.empty()) {
+      sum += static_cast<double>(samples.diffuse.size()) * fit_diffuse(samples.diffuse, eta, terms, start, alone).cost;
+    }
+    if (!samples.specular.empty())
+      sum += static_cast<double>(samples.specular.size()) * fit_specular(samples.specular, eta).cost;
+    return sum / static_cast<double>(std::max<std::size_t>(samples.count(), 1));
+  };
+  return search_index(supposed, cost, context);
 }
 
 }  // namespace
 
-RefractiveIndexFit fit_refractive_index(const std::vector<ReflectionSample>& diffuse,
-                                        const std::vector<ReflectionSample>& specular, MirroredTerms terms,
+RefractiveIndexFit fit_refractive_index(const RefinementImage& image, double supposed, MirroredTerms terms,
                                         const Context& context) {
-  constexpr std::size_t parts = 8;
-  constexpr double margin = 0.01, largest_sigma = 0.15;
-  const auto run = [](const std::vector<ReflectionSample>& samples, std::size_t part) {
-    const auto at = [&](std::size_t k) {
-      return samples.begin() + static_cast<std::ptrdiff_t>(samples.size() * k / parts);
-    };
-    return std::vector<ReflectionSample>(at(part), at(part + 1));
-  };
+  constexpr std::size_t largest_count = 8000, parts = 8;
+  constexpr double largest_sigma = 0.15;
+  SamplesByKind samples{collect_samples(image, Reflection::diffuse, largest_count),
+                        collect_samples(image, Reflection::specular, largest_count)};
+  for (ReflectionSample& s : samples.diffuse) s.sigma = std::hypot(s.sigma, error_of_slopes(s, Reflection::diffuse));
+  for (ReflectionSample& s : samples.specular) s.sigma = std::hypot(s.sigma, error_of_slopes(s, Reflection::specular));
+  const IndexSearch search = search_index(samples, supposed, terms, context);
+  RefractiveIndexFit fit{search.index};
+  if (!search.within) return fit;
   double sum = 0, squares = 0;
   for (std::size_t part = 0; part < parts; ++part) {
-    const double eta = index_of_least(costs_by_index(run(diffuse, part), run(specular, part), terms, context));
+    const double eta = search_index(samples.run(part, parts), supposed, terms, context).index;
     sum += eta;
     squares += eta * eta;
   }
-  RefractiveIndexFit fit;
-  fit.eta = index_of_least(costs_by_index(diffuse, specular, terms, context));
   fit.sigma = std::sqrt(std::max(squares - sum * sum / parts, 0.0) / (parts - 1) / parts);
-  constexpr double last_index = first_index + index_step * (index_tries - 1);
-  fit.determined = fit.eta > first_index + margin && fit.eta < last_index - margin && fit.sigma < largest_sigma;
-  if (!fit.determined) {
-    fit.eta = RefractiveIndexFit().eta;
-    fit.sigma = std::numeric_limits<double>::quiet_NaN();
-  }
+  fit.determined = fit.sigma < largest_sigma;
+  fit.contradicts = fit.determined && search.contradicts();
   return fit;
 }
 

@@ -60,17 +60,20 @@ struct SpecularFit {
 /// Fits body light and the surroundings' usual radiance.
 SpecularFit fit_specular(const std::vector<ReflectionSample>& samples, double eta);
 
+/// What slopes that are taken as known and are wrong by a usual error change in the polarization of a pixel. By the
+/// formulas of the usual index, so that costs of several indices can be compared.
+double error_of_slopes(const ReflectionSample& sample, Reflection kind);
+
 struct RefractiveIndexFit {
   double eta = 1.5;
-  double sigma = 0;         ///< from how much parts of the samples differ, whose slopes are wrong in different ways
-  bool determined = false;  ///< within the range, and known to better than a third of it
+  double sigma = 0;          ///< from how much parts of the image differ, whose slopes are wrong in different ways
+  bool determined = false;   ///< within the range, and known to better than a fifth of it
+  bool contradicts = false;  ///< determined, and clearly not the supposed one
 };
 
-/// Refractive index in [1.3, 1.8] for which the samples are explained best, every other parameter fitted to each try:
-/// least of a parabola through the lowest of a series of tries. Samples are in the order of the image: eight runs of
-/// them, which lie beside each other, say how far the index is known. One that the samples do not determine is 1.5.
-RefractiveIndexFit fit_refractive_index(const std::vector<ReflectionSample>& diffuse,
-                                        const std::vector<ReflectionSample>& specular, MirroredTerms terms,
+/// Refractive index from 1.3 to 2.0 with which the pixels of the image are explained best at their slopes, every other
+/// parameter fitted to each try. At the prior's slopes: refined ones would confirm whatever index they were found with.
+RefractiveIndexFit fit_refractive_index(const RefinementImage& image, double supposed, MirroredTerms terms,
                                         const Context& context);
 
 }  // namespace malus

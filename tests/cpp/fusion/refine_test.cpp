@@ -183,20 +183,62 @@ TEST(Refine, WarnsOfMetal) {
   EXPECT_EQ(result.report.trusted_share, 0) << "the prior stays";
 }
 
+/// A body of an index that is not the usual one, with a prior whose slopes tell it.
+SyntheticStation body_of_index(double eta) {
+  SyntheticOptions scene;
+  scene.bump_gsd = 0.2;
+  scene.model.eta = eta;
+  return make_station(scene);
+}
+
+bool warns_of(const RefineResult& result, const std::string& words) {
+  return std::ranges::any_of(result.surface.warnings,
+                             [&](const std::string& warning) { return warning.find(words) != std::string::npos; });
+}
+
 TEST(Refine, EstimatesTheRefractiveIndex) {
-  for (const double eta : {1.4, 1.65}) {
-    SyntheticOptions scene;
-    scene.bump_gsd = 0.2;
-    scene.model.eta = eta;
-    const SyntheticStation station = make_station(scene);
+  for (const double eta : {1.4, 1.65, 1.85}) {
+    const SyntheticStation station = body_of_index(eta);
     RefineInput input;
     input.refractive_index.reset();
-    RefineOptions options = quick();
-    options.iterations = 3;
-    const RefineReport report = refine(station.state, station.prior, input, options, Context{}).report;
-    EXPECT_NEAR(report.reflection.eta, eta, 0.1);
-    EXPECT_GT(report.eta_sigma, 0);
+    const RefineResult result = refine(station.state, station.prior, input, quick(), Context{});
+    EXPECT_NEAR(result.report.reflection.eta, eta, 0.1);
+    EXPECT_GT(result.report.eta_sigma, 0);
+    EXPECT_FALSE(result.report.stated_eta);
+    EXPECT_FALSE(warns_of(result, "refractive"));
   }
+}
+
+TEST(Refine, TakesNoIndexAtTheEndOfTheRange) {
+  const SyntheticStation station = body_of_index(2.6);
+  RefineInput input;
+  input.refractive_index.reset();
+  const RefineResult result = refine(station.state, station.prior, input, quick(), Context{});
+  EXPECT_EQ(result.report.reflection.eta, 1.5);
+  EXPECT_TRUE(std::isnan(result.report.eta_sigma));
+  EXPECT_TRUE(warns_of(result, "refractive index is not known"));
+}
+
+TEST(Refine, ReplacesAStatedIndexThatIsContradicted) {
+  const SyntheticStation station = body_of_index(1.85);
+  RefineOptions options = quick();
+  const RefineResult corrected = refine(station.state, station.prior, {}, options, Context{});
+  EXPECT_NEAR(corrected.report.reflection.eta, 1.85, 0.1);
+  EXPECT_EQ(corrected.report.stated_eta, 1.5);
+  EXPECT_GT(corrected.report.eta_sigma, 0);
+  EXPECT_TRUE(warns_of(corrected, "contradicts optics.refractive_index = 1.5"));
+  options.correct_index = false;
+  const RefineResult as_stated = refine(station.state, station.prior, {}, options, Context{});
+  EXPECT_EQ(as_stated.report.reflection.eta, 1.5);
+  EXPECT_FALSE(as_stated.report.stated_eta);
+}
+
+TEST(Refine, KeepsAStatedIndexThatIsNot) {
+  const SyntheticStation station = body_of_index(1.5);
+  const RefineReport report = refine(station.state, station.prior, {}, quick(), Context{}).report;
+  EXPECT_EQ(report.reflection.eta, 1.5) << "to the bit";
+  EXPECT_FALSE(report.stated_eta);
+  EXPECT_EQ(report.eta_sigma, 0);
 }
 
 TEST(Refine, TakesGivenLabels) {
