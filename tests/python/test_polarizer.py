@@ -12,6 +12,7 @@ import pytest
 import tifffile
 
 from conftest import EXAMPLE, edit, malus_station
+from malus.synthetic import write_station
 
 ANGLES = "angles_deg = [0, 30, 60, 90, 120, 150]"
 
@@ -89,6 +90,14 @@ def test_wrong_zero_is_corrected_and_said(relief: Path) -> None:
     assert found["from_surface"]
     assert found["zero_error_deg"] == pytest.approx(7, abs=0.3)
     assert any("zero of the polarizer's scale" in warning for warning in found["warnings"])
+
+
+def test_exact_angles_are_not_turned_by_a_wide_highlight(tmp_path: Path) -> None:
+    station = write_station(tmp_path / "station", 612, 408, prior="depth")
+    found, _ = calibration(station)
+    assert not found["from_surface"]
+    assert found["angles_deg"] == pytest.approx(range(0, 180, 30))
+    assert not found["warnings"]
 
 
 def test_wrong_zero_is_only_said_when_off(relief: Path) -> None:

@@ -99,10 +99,11 @@ std::vector<PhaseCell> in_frame(std::vector<PhaseCell> cells, const StokesFrame&
 }
 
 /// A covariance whose turn is as uncertain as the coherence of all cells has it in the frame found, and as the turn
-/// that the coherence still asks for there.
-Eigen::Matrix3d honest_covariance(const Eigen::Matrix3d& scatter, const PhaseCoherence& in_found_frame) {
+/// that the coherence still asks for there, and as the turn that another description of the light asks for.
+Eigen::Matrix3d honest_covariance(const Eigen::Matrix3d& scatter, const PhaseCoherence& in_found_frame,
+                                  double other_turn_rad) {
   const double sigma = in_found_frame.turn_sigma_rad, left = in_found_frame.turn_rad;
-  const double variance = std::max(scatter(2, 2), sigma * sigma) + left * left;
+  const double variance = std::max(scatter(2, 2), sigma * sigma) + left * left + other_turn_rad * other_turn_rad;
   return scatter * (variance / std::max(scatter(2, 2), 1e-18));
 }
 
@@ -134,12 +135,22 @@ FrameEstimate estimate_frame(const PolarizationState& state, const Pinhole* came
   std::vector<PhaseCell> beside = cells;
   if (!estimate.specular) keep_beside_highlight(beside, from_highlight_rad, options.highlight_deg * pi / 180);
   estimate.pixels = static_cast<double>(beside.size());
-  FrameFit fit(std::move(beside), std::move(from_highlight_rad), estimate.specular);
-  estimate.frame = fit.solve(start, context);
-  const Eigen::Matrix3d scatter = fit.covariance(estimate.frame);
+  // The polarization of a wide highlight changes over a diffuse object: where that turns the frame, it is not known.
   const bool mirror_taken = estimate.mirrored && !hints.known_scale;
-  estimate.values = values_of(mirror_taken ? StokesFrame(estimate.frame * mirrored_scale()) : estimate.frame);
-  estimate.covariance = honest_covariance(scatter, phase_coherence(in_frame(std::move(cells), estimate.frame)));
+  const auto values = [&](const StokesFrame& frame) {
+    return values_of(mirror_taken ? StokesFrame(frame * mirrored_scale()) : frame);
+  };
+  double other_turn_rad = 0;
+  FrameFit fit(beside, from_highlight_rad, estimate.specular ? FrameTerms::radial : FrameTerms::none);
+  estimate.frame = fit.solve(start, context);
+  estimate.values = values(estimate.frame);
+  if (!estimate.specular) {
+    FrameFit other(std::move(beside), std::move(from_highlight_rad), FrameTerms::slopes);
+    other_turn_rad = std::remainder(values(other.solve(estimate.frame, context))[2] - estimate.values[2], pi);
+  }
+  const Eigen::Matrix3d scatter = fit.covariance(estimate.frame);
+  estimate.covariance =
+      honest_covariance(scatter, phase_coherence(in_frame(std::move(cells), estimate.frame)), other_turn_rad);
   if (estimate.specular) {
     const double lamp = mirrored_lamp * std::exp(-typical_tan2 / (mirrored_lamp_slope * mirrored_lamp_slope));
     estimate.covariance.topLeftCorner<2, 2>() += lamp * lamp * Eigen::Matrix2d::Identity();

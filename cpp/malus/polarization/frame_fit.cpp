@@ -19,11 +19,11 @@ constexpr double noise_floor = 0.003, slope_error = 0.04;
 
 }  // namespace
 
-FrameFit::FrameFit(std::vector<PhaseCell> cells, std::vector<double> from_highlight_rad, bool use_radial)
+FrameFit::FrameFit(std::vector<PhaseCell> cells, std::vector<double> from_highlight_rad, FrameTerms terms)
     : cells_(std::move(cells)),
       from_highlight_rad_(std::move(from_highlight_rad)),
       parts_(parts_of(cells_, parts_per_side)),
-      use_radial_(use_radial) {}
+      terms_(terms) {}
 
 StokesFrame FrameFit::solve(const StokesFrame& start, const Context& context) {
   StokesFrame frame = start;
@@ -37,7 +37,7 @@ StokesFrame FrameFit::solve(const StokesFrame& start, const Context& context) {
     const double length = step.head<2>().norm();
     const double share = length > 0.2 ? 0.2 / length : 1;
     frame = turned_scale(-step[2]) * boost(-share * step[0], -share * step[1]) * frame;
-    // The profile stays; what the frame took over is zero in the next step.
+    // The other terms stay; what the frame took over is zero in the next step.
     solution_.head<3>().setZero();
     if (step.cwiseAbs().maxCoeff() < 1e-7) break;
   }
@@ -59,7 +59,7 @@ Eigen::Matrix3d FrameFit::covariance(const StokesFrame& frame) {
 }
 
 /// Equations of T and R of one cell for a small change of the frame that its Stokes vectors are in now.
-std::array<FrameFit::Equation, 2> FrameFit::equations_of(const PhaseCell& cell, const Eigen::Vector3d& stokes) {
+std::array<FrameFit::Equation, 2> FrameFit::equations_of(const PhaseCell& cell, const Eigen::Vector3d& stokes) const {
   const std::complex<double> azimuth = cell.azimuth();
   const double cosine = azimuth.real(), sine = azimuth.imag();
   const double s1 = stokes[1] / stokes[0], s2 = stokes[2] / stokes[0];
@@ -70,6 +70,10 @@ std::array<FrameFit::Equation, 2> FrameFit::equations_of(const PhaseCell& cell, 
   std::array<Equation, 2> result;
   result[0].row.head<3>() << -sine, cosine, 2 * radial;
   result[0].value = across;
+  if (terms_ == FrameTerms::slopes) {
+    const double p = cell.slopes.p, q = cell.slopes.q;
+    result[0].row.segment<4>(3) << -sine * p, -sine * q, cosine * p, cosine * q;
+  }
   const double free_share = 1 - radial * radial;
   result[1].row.head<2>() << free_share * cosine, free_share * sine;
   const double at = std::atan(tangent) / profile_step_rad;
@@ -105,7 +109,7 @@ void FrameFit::accumulate(const StokesFrame& frame) {
   by_zone_.assign(zones, Vector::Zero());
   for (std::size_t i = 0; i < cells_.size(); ++i) {
     const auto equations = equations_of(cells_[i], frame * cells_[i].stokes);
-    for (std::size_t e = 0; e < (use_radial_ ? 2u : 1u); ++e) {
+    for (std::size_t e = 0; e < (terms_ == FrameTerms::radial ? 2u : 1u); ++e) {
       const Equation& equation = equations[e];
       const double weight = equation.weight / scales_[e] / (1 + squared_residual(equation) / (cauchy2 * scales_[e]));
       normal_.noalias() += weight * equation.row * equation.row.transpose();
@@ -116,7 +120,7 @@ void FrameFit::accumulate(const StokesFrame& frame) {
       by_zone_[static_cast<std::size_t>(std::min(zone, zones - 1.0))] += gradient;
     }
   }
-  // Nodes of the profile that no cell reaches.
+  // Nodes of the profile that no cell reaches, and terms that are not asked for.
   normal_.diagonal().array() += 1e-9 * normal_.diagonal().maxCoeff();
 }
 

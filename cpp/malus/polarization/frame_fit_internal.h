@@ -10,12 +10,18 @@
 
 namespace malus {
 
+/// What else is fitted with the frame.
+enum class FrameTerms {
+  none,
+  slopes,  ///< polarization of the scene that changes linearly with the slopes, as a wide highlight's does
+  radial,  ///< the component along the azimuth depends on the zenith alone, as on mirroring objects
+};
+
 /// The least squares of estimate_frame: turn and boosts for which polarization has no component across the azimuths.
 class FrameFit {
  public:
   /// from_highlight_rad: of each cell, the angle between its normal and the half vector of light and view.
-  /// use_radial: the component along the azimuth depends on the zenith alone, as on mirroring objects.
-  FrameFit(std::vector<PhaseCell> cells, std::vector<double> from_highlight_rad, bool use_radial);
+  FrameFit(std::vector<PhaseCell> cells, std::vector<double> from_highlight_rad, FrameTerms terms);
 
   /// Iterates to the frame in which the equations are balanced, from `start`.
   StokesFrame solve(const StokesFrame& start, const Context& context);
@@ -27,7 +33,7 @@ class FrameFit {
  private:
   /// Zeniths at which the radial profile of a mirroring object is free, linear between.
   static constexpr int profile_nodes = 10;
-  /// One step's unknowns: b1, b2, δ, then the radial profile.
+  /// One step's unknowns: b1, b2, δ, then the radial profile or what b1 and b2 change with p and q.
   using Vector = Eigen::Matrix<double, 3 + profile_nodes, 1>;
   using Matrix = Eigen::Matrix<double, 3 + profile_nodes, 3 + profile_nodes>;
 
@@ -36,7 +42,7 @@ class FrameFit {
     double value = 0, weight = 1;
   };
 
-  static std::array<Equation, 2> equations_of(const PhaseCell& cell, const Eigen::Vector3d& stokes);
+  std::array<Equation, 2> equations_of(const PhaseCell& cell, const Eigen::Vector3d& stokes) const;
   double squared_residual(const Equation& equation) const;
   void update_scales(const StokesFrame& frame, bool first);
   void accumulate(const StokesFrame& frame);
@@ -44,7 +50,7 @@ class FrameFit {
   std::vector<PhaseCell> cells_;
   std::vector<double> from_highlight_rad_;
   std::vector<int> parts_;
-  bool use_radial_;
+  FrameTerms terms_;
   std::array<double, 2> scales_{1, 1};  ///< robust scale (squared) of each of the two kinds of residual
   Vector solution_ = Vector::Zero(), right_ = Vector::Zero();
   Matrix normal_ = Matrix::Zero();
