@@ -5,9 +5,9 @@
 #include "cameras.h"
 #include "clouds.h"
 #include "interruptible.h"
-#include "malus/assess/comparison.h"
-#include "malus/assess/patches.h"
-#include "malus/assess/profiles.h"
+#include "malus/assess/comparison_internal.h"
+#include "malus/assess/patches_internal.h"
+#include "malus/assess/profiles_internal.h"
 #include "malus/station/options.h"
 
 namespace malus::python {

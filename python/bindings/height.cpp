@@ -1,4 +1,4 @@
-#include "malus/height/height.h"
+#include "malus/height/height_internal.h"
 
 #include <pybind11/eigen.h>
 #include <pybind11/stl.h>

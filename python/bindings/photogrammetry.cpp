@@ -7,7 +7,7 @@
 #include "bindings.h"
 #include "cameras.h"
 #include "interruptible.h"
-#include "malus/io/colmap_model.h"
+#include "malus/io/colmap_model_internal.h"
 #include "malus/photogrammetry/control_datum_internal.h"
 #include "malus/photogrammetry/epipolar_line_internal.h"
 #include "malus/photogrammetry/feature_matching_internal.h"

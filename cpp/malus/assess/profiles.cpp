@@ -1,4 +1,4 @@
-#include "malus/assess/profiles.h"
+#include "malus/assess/profiles_internal.h"
 
 #include <Eigen/Geometry>
 #include <cmath>
@@ -6,7 +6,7 @@
 #include <sstream>
 
 #include "malus/assess/high_pass_internal.h"
-#include "malus/assess/statistics.h"
+#include "malus/assess/statistics_internal.h"
 #include "malus/surface/plane_internal.h"
 
 namespace malus {

@@ -1,4 +1,4 @@
-#include "malus/assess/statistics.h"
+#include "malus/assess/statistics_internal.h"
 
 #include <algorithm>
 #include <cmath>

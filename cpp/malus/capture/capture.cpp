@@ -1,4 +1,4 @@
-#include "malus/capture/capture.h"
+#include "malus/capture/capture_internal.h"
 
 #include <algorithm>
 #include <cmath>
@@ -9,7 +9,7 @@
 
 #include "malus/capture/mosaic_internal.h"
 #include "malus/capture/noise_internal.h"
-#include "malus/capture/resampling.h"
+#include "malus/capture/resampling_internal.h"
 #include "malus/capture/response_internal.h"
 #include "malus/core/parallel_internal.h"
 

@@ -1,4 +1,4 @@
-#include "malus/capture/resampling.h"
+#include "malus/capture/resampling_internal.h"
 
 #include <cmath>
 #include <limits>

@@ -1,4 +1,4 @@
-#include "malus/core/depth_normals.h"
+#include "malus/core/depth_normals_internal.h"
 
 #include <algorithm>
 #include <cmath>

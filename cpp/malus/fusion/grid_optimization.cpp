@@ -1,4 +1,4 @@
-#include "malus/fusion/grid_optimization.h"
+#include "malus/fusion/grid_optimization_internal.h"
 
 #include <ceres/autodiff_cost_function.h>
 #include <ceres/problem.h>
@@ -11,10 +11,10 @@
 #include <numbers>
 #include <vector>
 
-#include "malus/core/depth_normals.h"
+#include "malus/core/depth_normals_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/tiled_axis_internal.h"
-#include "malus/height/height.h"
+#include "malus/height/height_internal.h"
 #include "malus/linalg/sequential_blas_internal.h"
 #include "malus/polarization/ray_frame.h"
 

@@ -1,4 +1,4 @@
-#include "malus/fusion/ray_slopes.h"
+#include "malus/fusion/ray_slopes_internal.h"
 
 #include <Eigen/Geometry>
 

@@ -1,4 +1,4 @@
-#include "malus/fusion/refine.h"
+#include "malus/fusion/refine_internal.h"
 
 #include <algorithm>
 #include <chrono>
@@ -10,7 +10,7 @@
 #include <span>
 #include <utility>
 
-#include "malus/core/depth_normals.h"
+#include "malus/core/depth_normals_internal.h"
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/masked_blur_internal.h"
 #include "malus/core/median_internal.h"

@@ -1,4 +1,4 @@
-#include "malus/fusion/surroundings.h"
+#include "malus/fusion/surroundings_internal.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "malus/io/colmap_model.h"
+#include "malus/io/colmap_model_internal.h"
 
 #include <Eigen/Geometry>
 #include <algorithm>

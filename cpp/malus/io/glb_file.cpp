@@ -1,4 +1,4 @@
-#include "malus/io/glb_file.h"
+#include "malus/io/glb_file_internal.h"
 
 #include <array>
 #include <bit>

@@ -1,4 +1,4 @@
-#include "malus/io/image_file.h"
+#include "malus/io/image_file_internal.h"
 
 #include <algorithm>
 #include <cmath>

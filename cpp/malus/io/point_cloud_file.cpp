@@ -1,4 +1,4 @@
-#include "malus/io/point_cloud_file.h"
+#include "malus/io/point_cloud_file_internal.h"
 
 #include <algorithm>
 #include <array>

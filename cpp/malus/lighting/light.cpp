@@ -1,4 +1,4 @@
-#include "malus/lighting/light.h"
+#include "malus/lighting/light_internal.h"
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>

@@ -8,9 +8,9 @@
 
 #include "malus/core/context.h"
 #include "malus/core/image.h"
-#include "malus/io/colmap_model.h"
+#include "malus/io/colmap_model_internal.h"
+#include "malus/options/prior_options.h"
 #include "malus/photogrammetry/bundle_adjustment_internal.h"
-#include "malus/photogrammetry/photos_options.h"
 
 namespace malus {
 

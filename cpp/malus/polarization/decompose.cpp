@@ -1,4 +1,4 @@
-#include "malus/polarization/decompose.h"
+#include "malus/polarization/decompose_internal.h"
 
 #include <Eigen/Eigenvalues>
 #include <Eigen/LU>

@@ -8,9 +8,9 @@
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
 #include "malus/core/image.h"
+#include "malus/options/polarization_options.h"
 #include "malus/polarization/phase_coherence_internal.h"
 #include "malus/polarization/polarization_state.h"
-#include "malus/polarization/polarizer_options.h"
 #include "malus/polarization/radial_limits_internal.h"
 #include "malus/polarization/stokes_frame_internal.h"
 

@@ -18,7 +18,7 @@
 #include "malus/core/fields.h"
 #include "malus/core/pose.h"
 #include "malus/polarization/noise_model.h"
-#include "malus/polarization/polarizer_fit.h"
+#include "malus/polarization/polarizer_fit_internal.h"
 
 namespace malus {
 

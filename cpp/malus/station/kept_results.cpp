@@ -1,4 +1,4 @@
-#include "malus/io/colmap_model.h"
+#include "malus/io/colmap_model_internal.h"
 #include "malus/station/kept_results_internal.h"
 
 namespace malus {
@@ -129,10 +129,12 @@ void keep(RefinementFindings& result, Keeper& keeper) {
 
 void keep(QualityReport& result, Keeper& keeper) {
   keeper.text("quality.json", result.json);
-  if (keeper.is_reading()) fields_from_json(result.quality, Json::parse(result.json));
-  if (result.quality.reference) {
-    keeper.raster("fused/reference_distance.tif", result.quality.reference->distance);
+  if (keeper.is_reading()) {
+    const Json json = Json::parse(result.json);
+    fields_from_json(result.status, json.at("status"));
+    fields_from_json(result.confidence, json.at("confidence"));
   }
+  keeper.raster("fused/reference_distance.tif", result.distance);
 }
 
 }  // namespace malus

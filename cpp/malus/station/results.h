@@ -6,7 +6,6 @@
 #include <typeindex>
 #include <vector>
 
-#include "malus/assess/quality.h"
 #include "malus/core/camera.h"
 #include "malus/core/confidence.h"
 #include "malus/core/finding.h"
@@ -16,7 +15,6 @@
 #include "malus/polarization/pixel_curves.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/polarization/polarizer_calibration.h"
-#include "malus/polarization/polarizer_fit.h"
 #include "malus/polarization/reflection.h"
 #include "malus/prior/depth_prior.h"
 
@@ -90,11 +88,12 @@ struct RefinementFindings {
   Image<float> mirrored;           ///< unpolarized intensity of the mirrored light, unit of the images; NaN = not known
 };
 
-/// The figures, and quality.json, which also has the station's name and what refinement and photogrammetry say of
-/// themselves.
+/// Every figure, and what refinement and photogrammetry say of themselves.
 struct QualityReport {
-  Quality quality;
-  std::string json;
+  std::string json;       ///< quality.json
+  std::string status;     ///< of the fused surface, as there
+  Confidence confidence;  ///< likewise
+  Image<float> distance;  ///< from the reference, station view and unit, NaN = not compared; empty without one
 };
 
 /// Results by their type, shared with whoever asks for them.

@@ -1,4 +1,4 @@
-#include "malus/surface/dem.h"
+#include "malus/surface/dem_internal.h"
 
 #include <Eigen/Geometry>
 #include <algorithm>

@@ -1,4 +1,4 @@
-#include "malus/assess/comparison.h"
+#include "malus/assess/comparison_internal.h"
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include "malus/assess/patches.h"
+#include "malus/assess/patches_internal.h"
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include "malus/assess/profiles.h"
+#include "malus/assess/profiles_internal.h"
 
 #include <gtest/gtest.h>
 

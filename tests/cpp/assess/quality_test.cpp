@@ -1,4 +1,4 @@
-#include "malus/assess/quality.h"
+#include "malus/assess/quality_internal.h"
 
 #include <gtest/gtest.h>
 

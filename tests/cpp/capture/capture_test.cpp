@@ -1,4 +1,4 @@
-#include "malus/capture/capture.h"
+#include "malus/capture/capture_internal.h"
 
 #include <gtest/gtest.h>
 

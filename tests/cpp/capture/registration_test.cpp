@@ -1,4 +1,4 @@
-#include "malus/capture/registration.h"
+#include "malus/capture/registration_internal.h"
 
 #include <gtest/gtest.h>
 

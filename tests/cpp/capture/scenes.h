@@ -9,7 +9,7 @@
 #include <string>
 #include <vector>
 
-#include "malus/capture/capture.h"
+#include "malus/capture/capture_internal.h"
 #include "shared_data.h"
 
 namespace malus {

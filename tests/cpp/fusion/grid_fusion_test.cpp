@@ -1,4 +1,4 @@
-#include "malus/fusion/grid_fusion.h"
+#include "malus/fusion/grid_fusion_internal.h"
 
 #include <gtest/gtest.h>
 

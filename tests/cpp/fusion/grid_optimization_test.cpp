@@ -1,4 +1,4 @@
-#include "malus/fusion/grid_optimization.h"
+#include "malus/fusion/grid_optimization_internal.h"
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include "malus/fusion/refine.h"
+#include "malus/fusion/refine_internal.h"
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include "malus/fusion/surroundings.h"
+#include "malus/fusion/surroundings_internal.h"
 
 #include <gtest/gtest.h>
 
@@ -10,8 +10,8 @@
 #include <random>
 
 #include "malus/fusion/fresnel_factors_internal.h"
-#include "malus/fusion/refine.h"
-#include "malus/fusion/reflection_model.h"
+#include "malus/fusion/refine_internal.h"
+#include "malus/fusion/reflection_model_internal.h"
 #include "malus/fusion/surroundings_fit_internal.h"
 #include "synthetic_station.h"
 

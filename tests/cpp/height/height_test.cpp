@@ -1,4 +1,4 @@
-#include "malus/height/height.h"
+#include "malus/height/height_internal.h"
 
 #include <gtest/gtest.h>
 
@@ -6,7 +6,7 @@
 #include <cmath>
 
 #include "height/height_scenes.h"
-#include "malus/core/depth_normals.h"
+#include "malus/core/depth_normals_internal.h"
 #include "malus/lighting/light_from_polarization_internal.h"
 
 namespace malus {

@@ -4,7 +4,7 @@
 #include <string>
 
 #include "malus/io/atomic_file_internal.h"
-#include "malus/io/image_file.h"
+#include "malus/io/image_file_internal.h"
 #include "malus/io/input_file_internal.h"
 #include "malus/io/record_writer_internal.h"
 #include "malus/io/sha256_internal.h"

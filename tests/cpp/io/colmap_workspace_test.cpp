@@ -2,7 +2,7 @@
 
 #include <fstream>
 
-#include "malus/io/colmap_model.h"
+#include "malus/io/colmap_model_internal.h"
 #include "malus/io/colmap_workspace_internal.h"
 #include "temporary_folder.h"
 #include "thrown_error.h"

@@ -1,4 +1,4 @@
-#include "malus/io/resection.h"
+#include "malus/io/resection_internal.h"
 
 #include <gtest/gtest.h>
 

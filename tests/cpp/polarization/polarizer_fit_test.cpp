@@ -1,4 +1,4 @@
-#include "malus/polarization/polarizer_fit.h"
+#include "malus/polarization/polarizer_fit_internal.h"
 
 #include <gtest/gtest.h>
 

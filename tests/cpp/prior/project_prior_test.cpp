@@ -1,4 +1,4 @@
-#include "malus/prior/project_prior.h"
+#include "malus/prior/project_prior_internal.h"
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include "malus/stereo/surface_sweep.h"
+#include "malus/stereo/surface_sweep_internal.h"
 
 #include <gtest/gtest.h>
 

@@ -4,12 +4,12 @@
 #include <optional>
 #include <string>
 
-#include "malus/assess/assess_options.h"
-#include "malus/assess/statistics.h"
+#include "malus/assess/statistics_internal.h"
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
 #include "malus/core/image.h"
 #include "malus/io/station_spec.h"
+#include "malus/options/surface_options.h"
 
 namespace malus {
 

@@ -4,11 +4,11 @@
 #include <string>
 #include <vector>
 
-#include "malus/assess/assess_options.h"
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
 #include "malus/core/image.h"
 #include "malus/io/station_spec.h"
+#include "malus/options/surface_options.h"
 
 namespace malus {
 

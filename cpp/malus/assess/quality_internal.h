@@ -5,9 +5,9 @@
 #include <string>
 #include <vector>
 
-#include "malus/assess/comparison.h"
-#include "malus/assess/patches.h"
-#include "malus/assess/profiles.h"
+#include "malus/assess/comparison_internal.h"
+#include "malus/assess/patches_internal.h"
+#include "malus/assess/profiles_internal.h"
 #include "malus/core/confidence.h"
 #include "malus/height/height_map.h"
 #include "malus/io/station_spec.h"

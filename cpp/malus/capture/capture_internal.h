@@ -1,44 +1,18 @@
 #pragma once
 
-#include <array>
 #include <functional>
 #include <optional>
 #include <string>
-#include <string_view>
 #include <vector>
 
-#include "malus/capture/polarized_stack.h"
-#include "malus/capture/registration.h"
+#include "malus/capture/polarized_stack_internal.h"
+#include "malus/capture/registration_internal.h"
 #include "malus/core/context.h"
-#include "malus/core/fields.h"
-#include "malus/io/image_file.h"
+#include "malus/io/image_file_internal.h"
 #include "malus/io/station_spec.h"
+#include "malus/options/capture_options.h"
 
 namespace malus {
-
-/// Whether images are registered: `on`, `off`, or `automatic`: yes, but images that already lie within
-/// `keep_below_px` (or three times the estimate's own uncertainty) of the first stay untouched, bit for bit.
-enum class RegistrationMode { automatic, on, off };
-constexpr auto names_of(RegistrationMode) {
-  return std::to_array<std::string_view>({"auto", "on", "off"});
-}
-
-struct CaptureOptions {
-  RegistrationMode mode = RegistrationMode::automatic;
-  double keep_below_px = 0.03;
-  double saturation = 0.995;
-  RegistrationOptions registration;
-
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("registration", self.mode, any_value,
-          "register the images to the first: auto leaves aligned images untouched");
-    visit("keep_below_px", self.keep_below_px, Range{0, 1},
-          "with auto: displacements below this are not resampled away");
-    visit("saturation", self.saturation, Range{0.5, 1}, "fraction of the white level from which a pixel is saturated");
-    RegistrationOptions::fields(self.registration, visit);
-  }
-};
 
 /// What a stack is made from.
 struct CaptureInput {
@@ -55,9 +29,9 @@ CaptureInput capture_input(const PolarizedSpec& polarized, const std::optional<L
 /// Station images → registered, undistorted, linear images, one a polarizer position, in the order of the input.
 ///
 /// Response, levels and channel: response_internal.h. A mosaic gives four images, in the order of its cell.
-/// Registration to the first image and undistortion are one resampling (resampling.h). Several images at one angle stay
-/// separate, as the sinusoid fit averages them, unless exposure_s states different exposures: these are merged by
-/// inverse variance, without what is saturated, at the level of the shortest. Angles: a = ±(reading − angle_zero),
+/// Registration to the first image and undistortion are one resampling (resampling_internal.h). Several images at one
+/// angle stay separate, as the sinusoid fit averages them, unless exposure_s states different exposures: these are
+/// merged by inverse variance, without what is saturated, at the level of the shortest. Angles: a = ±(reading − angle_zero),
 /// minus for "cw"; empty when angles are "auto". The mask is the object as given (all, when none), undistorted, without
 /// pixels whose support leaves an image. Without a lens, stack.camera has the size only.
 ///

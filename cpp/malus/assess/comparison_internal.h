@@ -3,11 +3,11 @@
 #include <array>
 #include <string>
 
-#include "malus/assess/assess_options.h"
-#include "malus/assess/statistics.h"
+#include "malus/assess/statistics_internal.h"
 #include "malus/core/context.h"
 #include "malus/core/geometry.h"
 #include "malus/fusion/fused_surface.h"
+#include "malus/options/surface_options.h"
 
 namespace malus {
 
