@@ -1,7 +1,7 @@
 #pragma once
 
 #include <array>
-#include <string>
+#include <string_view>
 
 #include "malus/assess/statistics_internal.h"
 #include "malus/core/context.h"
@@ -31,10 +31,16 @@ struct SimilarityTransform {
   }
 };
 
+enum class ComparisonStatus { not_run, done, nothing_near, not_aligned };
+constexpr auto names_of(ComparisonStatus) {
+  return std::to_array<std::string_view>(
+      {"not run", "done", "no pixel near the reference", "alignment did not converge"});
+}
+
 /// Signed distances of a surface's pixels to a reference, positive = the surface is in front of it (outside).
 struct ReferenceComparison {
-  std::string status = "not run";  ///< "done" | "no pixel near the reference" | "alignment did not converge"
-  std::string alignment = "none";  ///< Alignment that was asked for
+  ComparisonStatus status = ComparisonStatus::not_run;
+  Alignment alignment = Alignment::none;  ///< that was asked for
   int alignment_iterations = 0;
   SimilarityTransform reference_from_surface;
   double compared_fraction = 0;  ///< pixels within max_distance_gsd of the reference, of those with a depth

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "malus/core/camera.h"
@@ -28,6 +29,11 @@ struct ProfileDifference {
   }
 };
 
+enum class ProfileStatus { not_run, done, too_few_samples };
+constexpr auto names_of(ProfileStatus) {
+  return std::to_array<std::string_view>({"not run", "done", "fewer than two samples on the surface"});
+}
+
 /// A section through the surfaces along a line of the image (Fig. 12, 13), and what Table 1 can mean.
 ///
 /// Heights are perpendicular to the chord plane, positive towards the camera: the plane through the first and last
@@ -38,7 +44,7 @@ struct ProfileDifference {
 struct ProfileFigures {
   std::string name;
   std::array<double, 2> from_px{}, to_px{};
-  std::string status = "not run";                  ///< "done" | "fewer than two samples on the surface"
+  ProfileStatus status = ProfileStatus::not_run;
   std::vector<double> position_px;                 ///< along the line in the image
   std::vector<double> position;                    ///< along the chord, station unit
   std::vector<double> prior, polarization, fused;  ///< heights, station unit, NaN = none; empty = no such surface

@@ -1,5 +1,3 @@
-#include "malus/assess/quality_internal.h"
-
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -9,6 +7,7 @@
 
 #include "malus/assess/high_pass_internal.h"
 #include "malus/assess/polarization_depth_internal.h"
+#include "malus/assess/quality_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/percent_internal.h"
 #include "malus/core/ranked_values_internal.h"

@@ -1,5 +1,3 @@
-#include "malus/capture/capture_internal.h"
-
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -7,6 +5,7 @@
 #include <numbers>
 #include <utility>
 
+#include "malus/capture/capture_internal.h"
 #include "malus/capture/mosaic_internal.h"
 #include "malus/capture/noise_internal.h"
 #include "malus/capture/resampling_internal.h"

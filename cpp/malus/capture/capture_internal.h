@@ -31,9 +31,9 @@ CaptureInput capture_input(const PolarizedSpec& polarized, const std::optional<L
 /// Response, levels and channel: response_internal.h. A mosaic gives four images, in the order of its cell.
 /// Registration to the first image and undistortion are one resampling (resampling_internal.h). Several images at one
 /// angle stay separate, as the sinusoid fit averages them, unless exposure_s states different exposures: these are
-/// merged by inverse variance, without what is saturated, at the level of the shortest. Angles: a = ±(reading − angle_zero),
-/// minus for "cw"; empty when angles are "auto". The mask is the object as given (all, when none), undistorted, without
-/// pixels whose support leaves an image. Without a lens, stack.camera has the size only.
+/// merged by inverse variance, without what is saturated, at the level of the shortest. Angles: a = ±(reading −
+/// angle_zero), minus for "cw"; empty when angles are "auto". The mask is the object as given (all, when none),
+/// undistorted, without pixels whose support leaves an image. Without a lens, stack.camera has the size only.
 ///
 /// Errors: input — sizes that differ between images, mask or lens (both are named), counts that do not fit, unusable
 /// levels, response or files; data — images that cannot be registered, more than 99 % of the object saturated,

@@ -1,5 +1,3 @@
-#include "malus/fusion/grid_fusion_internal.h"
-
 #include <algorithm>
 #include <atomic>
 #include <cmath>
@@ -8,6 +6,7 @@
 
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/fusion/grid_fusion_internal.h"
 #include "malus/height/height_internal.h"
 
 namespace malus {

@@ -1,5 +1,3 @@
-#include "malus/fusion/refine_internal.h"
-
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -18,6 +16,7 @@
 #include "malus/core/robust_spread_internal.h"
 #include "malus/fusion/coarse_level_internal.h"
 #include "malus/fusion/mirrored_light_internal.h"
+#include "malus/fusion/refine_internal.h"
 #include "malus/fusion/refinement_verdict_internal.h"
 #include "malus/fusion/refinement_weights_internal.h"
 #include "malus/fusion/reflection_fit_internal.h"

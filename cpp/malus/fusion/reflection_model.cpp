@@ -1,9 +1,8 @@
-#include "malus/fusion/reflection_model_internal.h"
-
 #include <algorithm>
 #include <cmath>
 
 #include "malus/fusion/fresnel_factors_internal.h"
+#include "malus/fusion/reflection_model_internal.h"
 #include "malus/fusion/surroundings_internal.h"
 
 namespace malus {

@@ -1,5 +1,3 @@
-#include "malus/io/station_file_internal.h"
-
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <charconv>
@@ -19,6 +17,7 @@
 #include "malus/io/input_file_internal.h"
 #include "malus/io/polarized_files_internal.h"
 #include "malus/io/resection_internal.h"
+#include "malus/io/station_file_internal.h"
 #include "malus/io/station_tables_internal.h"
 #include "malus/io/toml_document_internal.h"
 #include "malus/io/toml_table_internal.h"

@@ -16,9 +16,9 @@ namespace malus {
 
 /// What a refinement did to a model.
 struct ModelRefinement {
-  std::string status = "not run";  ///< "converged" | "not converged" | "too few matches" (the model is as it was)
-  std::size_t points = 0;          ///< matched in two or more images
-  std::size_t matches = 0;         ///< of their windows
+  AdjustmentStatus status = AdjustmentStatus::not_run;
+  std::size_t points = 0;   ///< matched in two or more images
+  std::size_t matches = 0;  ///< of their windows
   double matches_a_point = 0;
   double sigma_px = 0;     ///< median standard deviation of a match
   double keypoint_px = 0;  ///< robust standard deviation of the keypoints that were there before

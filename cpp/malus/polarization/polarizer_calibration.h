@@ -2,7 +2,9 @@
 
 #include <Eigen/Core>
 #include <algorithm>
+#include <array>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "malus/options/polarization_options.h"
@@ -37,15 +39,22 @@ struct PolarizerFit {
   }
 };
 
+/// How the check of the scale against a surface ended.
+enum class FrameStatus { not_run, ok, no_slopes, no_polarization };
+constexpr auto names_of(FrameStatus) {
+  return std::to_array<std::string_view>(
+      {"not run", "ok", "surface too flat to tell azimuths", "no polarization that follows the surface's azimuths"});
+}
+
 /// Polarizer angles and exposures of a station as used, and how well they are known. Angles in degrees,
 /// counter-clockwise from image +x; NaN = could not be measured.
 struct PolarizerCalibration {
   bool from_images = false;   ///< angles and exposures were calibrated from the images
   bool from_surface = false;  ///< the zero of the scale (and what images cannot tell) was corrected by the surface
   std::vector<double> angles_deg, angles_sigma_deg;
-  std::vector<double> gains, gains_sigma;               ///< exposure of each image relative to their geometric mean
-  double residual_before = 0, residual_after = 0;       ///< PolarizerFit's
-  std::string surface_check = "not run";                ///< FrameStatus
+  std::vector<double> gains, gains_sigma;          ///< exposure of each image relative to their geometric mean
+  double residual_before = 0, residual_after = 0;  ///< PolarizerFit's
+  FrameStatus surface_check = FrameStatus::not_run;
   double zero_error_deg = 0, zero_error_sigma_deg = 0;  ///< to be added to the angles as read, by the surface
   std::vector<double> scene_polarization;               ///< (b1, b2) that the surface finds too much, over s0
   std::vector<double> scene_polarization_sigma;

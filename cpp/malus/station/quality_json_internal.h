@@ -2,7 +2,6 @@
 
 // Private to the station room: what stands in quality.json.
 
-
 #include "malus/assess/quality_internal.h"
 #include "malus/fusion/refine_internal.h"
 #include "malus/station/json_fields_internal.h"

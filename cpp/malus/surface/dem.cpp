@@ -1,5 +1,3 @@
-#include "malus/surface/dem_internal.h"
-
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
@@ -10,6 +8,7 @@
 
 #include "malus/core/parallel_internal.h"
 #include "malus/core/ranked_values_internal.h"
+#include "malus/surface/dem_internal.h"
 #include "malus/surface/plane_internal.h"
 
 namespace malus {

@@ -1,10 +1,9 @@
-#include "malus/assess/patches_internal.h"
-
 #include <gtest/gtest.h>
 
 #include <numeric>
 #include <random>
 
+#include "malus/assess/patches_internal.h"
 #include "surface/scenes.h"
 
 namespace malus {

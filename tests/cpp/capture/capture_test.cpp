@@ -1,5 +1,3 @@
-#include "malus/capture/capture_internal.h"
-
 #include <gtest/gtest.h>
 
 #include <atomic>
@@ -7,6 +5,7 @@
 #include <thread>
 
 #include "capture/scenes.h"
+#include "malus/capture/capture_internal.h"
 #include "malus/capture/noise_internal.h"
 
 namespace malus {

@@ -1,10 +1,9 @@
-#include "malus/capture/registration_internal.h"
-
 #include <gtest/gtest.h>
 
 #include <random>
 
 #include "capture/scenes.h"
+#include "malus/capture/registration_internal.h"
 
 namespace malus {
 namespace {

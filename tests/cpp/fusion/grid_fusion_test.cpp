@@ -1,5 +1,3 @@
-#include "malus/fusion/grid_fusion_internal.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -8,6 +6,7 @@
 #include <numbers>
 
 #include "malus/core/error.h"
+#include "malus/fusion/grid_fusion_internal.h"
 
 namespace malus {
 namespace {

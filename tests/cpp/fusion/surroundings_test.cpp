@@ -1,5 +1,3 @@
-#include "malus/fusion/surroundings_internal.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -13,6 +11,7 @@
 #include "malus/fusion/refine_internal.h"
 #include "malus/fusion/reflection_model_internal.h"
 #include "malus/fusion/surroundings_fit_internal.h"
+#include "malus/fusion/surroundings_internal.h"
 #include "synthetic_station.h"
 
 namespace malus {

@@ -1,5 +1,3 @@
-#include "malus/height/height_internal.h"
-
 #include <gtest/gtest.h>
 
 #include <atomic>
@@ -7,6 +5,7 @@
 
 #include "height/height_scenes.h"
 #include "malus/core/depth_normals_internal.h"
+#include "malus/height/height_internal.h"
 #include "malus/lighting/light_from_polarization_internal.h"
 
 namespace malus {

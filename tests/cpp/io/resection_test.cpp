@@ -1,5 +1,3 @@
-#include "malus/io/resection_internal.h"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
@@ -7,6 +5,7 @@
 #include <random>
 
 #include "malus/core/error.h"
+#include "malus/io/resection_internal.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/io/station_file_internal.h"
-
 #include <cmath>
 #include <numbers>
 
@@ -7,6 +5,7 @@
 #include "malus/io/colmap_model_internal.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/io/polarized_files_internal.h"
+#include "malus/io/station_file_internal.h"
 #include "shared_data.h"
 #include "temporary_folder.h"
 

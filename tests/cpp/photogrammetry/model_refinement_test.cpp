@@ -153,7 +153,7 @@ TEST_F(Refinement, TurnsCamerasBackThatFeaturesLeftAskew) {
   ColmapModel model = scene_->model;
   const double before = station_turn(model, scene_->truth);
   const ModelRefinement done = refine_model(model, scene_->pictures, "station.png", {}, {}, {});
-  EXPECT_EQ(done.status, "converged");
+  EXPECT_EQ(done.status, AdjustmentStatus::converged);
   EXPECT_GT(done.points, 350U);
   EXPECT_GT(done.matches_a_point, 4);
   EXPECT_LT(done.sigma_px, 0.1);
@@ -189,7 +189,7 @@ TEST_F(Refinement, CalibratesALensAndSaysHowWell) {
   lens[1] += 2;
   lens[4] += 0.01;
   const ModelRefinement done = refine_model(model, scene_->pictures, "station.png", {{1, LensFreedom::all}}, {}, {});
-  EXPECT_EQ(done.status, "converged");
+  EXPECT_EQ(done.status, AdjustmentStatus::converged);
   const std::vector<double>& truth = scene_->truth.cameras.at(1).params;
   const std::vector<double>& sigma = done.lens_sigma.at(1);
   ASSERT_EQ(sigma.size(), truth.size());
@@ -241,7 +241,7 @@ TEST_F(Refinement, LeavesTheModelWhenNothingMatches) {
   auto pictures = scene_->pictures;
   pictures.at("station.png").fill(0.5F);
   const ModelRefinement done = refine_model(model, pictures, "station.png", {}, {}, {});
-  EXPECT_EQ(done.status, "too few matches");
+  EXPECT_EQ(done.status, AdjustmentStatus::too_few_matches);
   EXPECT_EQ(model.images.at(7).pose.translation, scene_->model.images.at(7).pose.translation);
 }
 

@@ -60,7 +60,7 @@ TEST(AdjustScale, ExactMarksGiveTheExactScale) {
   const auto views = photos_around_origin(4, 170, 25);
   auto distances = distances_of(views, 1e-9, random);
   const ScaleAdjustment result = adjust_scale(views, distances, {});
-  EXPECT_EQ(result.status, "converged");
+  EXPECT_EQ(result.status, AdjustmentStatus::converged);
   EXPECT_NEAR(result.scale, scale, 1e-9);
   EXPECT_EQ(result.redundancy, 3 * 16 + 3 - 19);
   for (const DistanceFit& fit : result.distances) EXPECT_NEAR(fit.residual, 0, 1e-7);

@@ -1,5 +1,3 @@
-#include "malus/polarization/decompose_internal.h"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/LU>
@@ -7,6 +5,7 @@
 #include <random>
 
 #include "degree.h"
+#include "malus/polarization/decompose_internal.h"
 
 namespace malus {
 namespace {

@@ -1,10 +1,9 @@
-#include "malus/polarization/polarizer_fit_internal.h"
-
 #include <gtest/gtest.h>
 
 #include <numeric>
 
 #include "malus/polarization/frame_calibration_internal.h"
+#include "malus/polarization/polarizer_fit_internal.h"
 #include "polarizer_scene.h"
 #include "thrown_error.h"
 

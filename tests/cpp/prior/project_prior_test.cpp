@@ -1,5 +1,3 @@
-#include "malus/prior/project_prior_internal.h"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
@@ -11,6 +9,7 @@
 #include <string>
 
 #include "malus/core/error.h"
+#include "malus/prior/project_prior_internal.h"
 #include "malus/prior/rasterize_mesh_internal.h"
 #include "thrown_error.h"
 

@@ -1,5 +1,3 @@
-#include "malus/stereo/surface_sweep_internal.h"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
@@ -13,6 +11,7 @@
 #include <vector>
 
 #include "malus/core/error.h"
+#include "malus/stereo/surface_sweep_internal.h"
 #include "stereo/sweep_scenes.h"
 #include "thrown_error.h"
 

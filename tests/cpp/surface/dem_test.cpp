@@ -1,7 +1,6 @@
-#include "malus/surface/dem_internal.h"
-
 #include <gtest/gtest.h>
 
+#include "malus/surface/dem_internal.h"
 #include "surface/scenes.h"
 
 namespace malus {
