@@ -7,6 +7,7 @@
 
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
+#include "malus/core/field_list.h"
 #include "malus/core/image.h"
 #include "malus/io/station_spec.h"
 #include "malus/options/surface_options.h"
@@ -20,13 +21,7 @@ struct ProfileDifference {
   double rms_gsd = 0;           ///< about zero
   double rms_centered_gsd = 0;  ///< about the mean: the free constant of a polarization height does not count
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("count", self.count);
-    visit("mean_gsd", self.mean_gsd);
-    visit("rms_gsd", self.rms_gsd);
-    visit("rms_centered_gsd", self.rms_centered_gsd);
-  }
+  MALUS_FIELDS(count, mean_gsd, rms_gsd, rms_centered_gsd)
 };
 
 enum class ProfileStatus { not_run, done, too_few_samples };
@@ -52,24 +47,9 @@ struct ProfileFigures {
   /// RMS of the heights' high-pass (detail_sigma_px) along the line, GSD; NaN = no such surface.
   double roughness_prior_gsd = 0, roughness_polarization_gsd = 0, roughness_fused_gsd = 0;
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("name", self.name);
-    visit("from_px", self.from_px);
-    visit("to_px", self.to_px);
-    visit("status", self.status);
-    visit("position_px", self.position_px);
-    visit("position", self.position);
-    visit("prior", self.prior);
-    visit("polarization", self.polarization);
-    visit("fused", self.fused);
-    visit("fused_minus_prior", self.fused_minus_prior);
-    visit("polarization_minus_prior", self.polarization_minus_prior);
-    visit("fused_minus_polarization", self.fused_minus_polarization);
-    visit("roughness_prior_gsd", self.roughness_prior_gsd);
-    visit("roughness_polarization_gsd", self.roughness_polarization_gsd);
-    visit("roughness_fused_gsd", self.roughness_fused_gsd);
-  }
+  MALUS_FIELDS(name, from_px, to_px, status, position_px, position, prior, polarization, fused, fused_minus_prior,
+               polarization_minus_prior, fused_minus_polarization, roughness_prior_gsd, roughness_polarization_gsd,
+               roughness_fused_gsd)
 };
 
 /// Bilinear value of a one-channel raster at (u, v); NaN outside or if a pixel that has weight is NaN.

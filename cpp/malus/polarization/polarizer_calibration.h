@@ -7,6 +7,7 @@
 #include <string_view>
 #include <vector>
 
+#include "malus/core/field_list.h"
 #include "malus/options/polarization_options.h"
 
 namespace malus {
@@ -27,6 +28,9 @@ struct PolarizerFit {
 
   double largest_angle_change_rad = 0;  ///< from the nominal angles; 0 when there are none
   double largest_gain_change = 0;       ///< of ln gain
+
+  MALUS_FIELDS(angles_rad, gains, image_information, nominal_weight, residual_before, residual_after, pixels,
+               largest_angle_change_rad, largest_gain_change)
 
   /// Whether the changes are such as errors of a scale and of exposures make: within five standard deviations.
   bool is_plausible(const PolarizerOptions& options) const;
@@ -63,26 +67,9 @@ struct PolarizerCalibration {
   double coherence = 0, coherence_opposite = 0, direction_sigmas = 0;
   std::vector<std::string> warnings;
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("from_images", self.from_images);
-    visit("from_surface", self.from_surface);
-    visit("angles_deg", self.angles_deg);
-    visit("angles_sigma_deg", self.angles_sigma_deg);
-    visit("gains", self.gains);
-    visit("gains_sigma", self.gains_sigma);
-    visit("residual_before", self.residual_before);
-    visit("residual_after", self.residual_after);
-    visit("surface_check", self.surface_check);
-    visit("zero_error_deg", self.zero_error_deg);
-    visit("zero_error_sigma_deg", self.zero_error_sigma_deg);
-    visit("scene_polarization", self.scene_polarization);
-    visit("scene_polarization_sigma", self.scene_polarization_sigma);
-    visit("coherence", self.coherence);
-    visit("coherence_opposite", self.coherence_opposite);
-    visit("direction_sigmas", self.direction_sigmas);
-    visit("warnings", self.warnings);
-  }
+  MALUS_FIELDS(from_images, from_surface, angles_deg, angles_sigma_deg, gains, gains_sigma, residual_before,
+               residual_after, surface_check, zero_error_deg, zero_error_sigma_deg, scene_polarization,
+               scene_polarization_sigma, coherence, coherence_opposite, direction_sigmas, warnings)
 };
 
 }  // namespace malus

@@ -8,6 +8,7 @@
 
 #include "malus/core/camera.h"
 #include "malus/core/confidence.h"
+#include "malus/core/field_list.h"
 #include "malus/core/finding.h"
 #include "malus/core/image.h"
 #include "malus/fusion/fused_surface.h"
@@ -35,6 +36,8 @@ struct MeasuredPolarization {
 struct StationView {
   Pinhole camera;
   std::vector<double> registration_rms_px;  ///< PolarizedStack::registration_rms_px
+
+  MALUS_FIELDS(camera, registration_rms_px)
 };
 
 /// What the images say of themselves: "order" and "response", and if it gives cause for caution, "registration",
