@@ -108,15 +108,4 @@ inline CaptureInput input_of(std::vector<Image<float>> images, std::vector<doubl
   return input;
 }
 
-/// The message of the error that `call` throws, with its code checked; "" when it throws none.
-template <class Call>
-std::string error_of(ErrorCode code, Call&& call) {
-  try {
-    call();
-  } catch (const Error& error) {
-    return error.code() == code ? error.what() : std::string("wrong code: ") + error.what();
-  }
-  return "";
-}
-
 }  // namespace malus

@@ -9,6 +9,7 @@
 #include "malus/io/record_writer_internal.h"
 #include "malus/io/sha256_internal.h"
 #include "temporary_folder.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {

@@ -7,6 +7,7 @@
 #include "malus/io/input_file_internal.h"
 #include "shared_data.h"
 #include "temporary_folder.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {

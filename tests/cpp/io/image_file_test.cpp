@@ -10,6 +10,7 @@
 #include "malus/io/image_file_internal.h"
 #include "malus/io/input_file_internal.h"
 #include "temporary_folder.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {

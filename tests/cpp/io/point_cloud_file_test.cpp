@@ -8,6 +8,7 @@
 #include "malus/io/point_cloud_file_internal.h"
 #include "shared_data.h"
 #include "temporary_folder.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {

@@ -16,6 +16,7 @@
 #include "malus/surface/display_image_internal.h"
 #include "malus/surface/mesh.h"
 #include "surface/scenes.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {
