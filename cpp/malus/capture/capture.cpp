@@ -146,7 +146,7 @@ void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>&
   const std::string name = exposures.names[0];
   // Samples that make a pixel: its neighbors twice, once through their smoothed contrasts; in color those two
   // further.
-  const Mask saturated = spread_flags(exposures.saturated[0], spec.mosaic_colors ? 4 : 3, context);
+  const Mask saturated = spread_flags(exposures.saturated[0], spec.mosaic_colors ? 4 : 3);
   exposures.images.assign(4, {});
   if (!spec.mosaic_colors) {
     MosaicSplit split = demosaic(mosaic, name, context);

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <random>
 #include <string>
 
 #include "capture/scenes.h"
@@ -41,10 +42,29 @@ TEST(Mosaic, measured_samples_pass_through_in_the_order_of_the_cell) {
 TEST(Mosaic, a_saturated_sample_marks_the_pixels_it_makes) {
   Mask saturated({24, 24});
   saturated(10, 10) = 255;
-  const Mask spread = spread_flags(saturated, 2, two_threads());
+  const Mask spread = spread_flags(saturated, 2);
   EXPECT_EQ(spread(12, 8), 255);
   EXPECT_EQ(spread(13, 10), 0);
   EXPECT_EQ(std::count(spread.begin(), spread.end(), 255), 25);
+}
+
+TEST(Mosaic, the_smallest_mosaic_is_mirrored_as_often_as_filters_reach) {
+  // The widest filter reaches nine pixels to each side of eight. Mirrored once by hand, with seven pixels more on each
+  // side, the mosaic is the same to a filter; its polarizers are then the other way round in the cell.
+  constexpr int side = 8, more = 7;
+  Image<float> small({side, side}), large({side + 2 * more, side + 2 * more});
+  std::mt19937 random(5);
+  for (float& value : small) value = std::uniform_real_distribution<float>(0.1f, 0.9f)(random);
+  const auto mirrored = [](int i) { return i < 0 ? -i : i >= side ? 2 * side - 2 - i : i; };
+  for (int v = 0; v < large.height(); ++v) {
+    for (int u = 0; u < large.width(); ++u) large(u, v) = small(mirrored(u - more), mirrored(v - more));
+  }
+  const auto of_small = demosaic(small, "m.png", Context{}).channels, of_large = demosaic(large, "m.png", {}).channels;
+  for (std::size_t p = 0; p < 4; ++p) {
+    for (int v = 0; v < side; ++v) {
+      for (int u = 0; u < side; ++u) EXPECT_NEAR(of_small[p](u, v), of_large[3 - p](u + more, v + more), 1e-5);
+    }
+  }
 }
 
 TEST(Mosaic, odd_or_tiny_mosaics_are_input_errors) {
