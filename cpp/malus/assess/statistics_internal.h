@@ -29,8 +29,8 @@ Histogram histogram(std::span<const double> values, double low, double high, int
 /// Value below which this fraction of the values lies, linear between order statistics; NaN if there are none.
 double percentile(std::vector<double> values, double fraction);
 
-/// The same for several fractions of values that are too many to be copied, over a positive divisor.
-std::vector<double> percentiles(const RankedValues& values, double divisor, std::initializer_list<double> fractions);
+/// The same for several fractions, of the values over a positive divisor.
+std::vector<double> percentiles(RankedValues values, double divisor, std::initializer_list<double> fractions);
 
 /// 1.4826 × median of |x|: the standard deviation of normal values about zero that outliers do not touch.
 double robust_sigma(std::vector<double> values);
