@@ -8,8 +8,8 @@
 #include <stdexcept>
 #include <string>
 
-#include "malus/io/glb_file.h"
-#include "malus/io/point_cloud_file.h"
+#include "malus/io/glb_file_internal.h"
+#include "malus/io/point_cloud_file_internal.h"
 
 using namespace malus;
 

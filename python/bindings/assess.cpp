@@ -5,9 +5,10 @@
 #include "cameras.h"
 #include "clouds.h"
 #include "interruptible.h"
-#include "malus/assess/comparison.h"
-#include "malus/assess/patches.h"
-#include "malus/assess/profiles.h"
+#include "malus/assess/comparison_internal.h"
+#include "malus/assess/patches_internal.h"
+#include "malus/assess/profiles_internal.h"
+#include "malus/core/fields.h"
 #include "malus/station/options.h"
 
 namespace malus::python {
@@ -21,7 +22,7 @@ void bind_assess(py::module_& module) {
     const ProfileFigures profile =
         section({"profile", from, to}, before, {}, to_image(surface), view.camera, gsd, options.assess, {});
     py::dict result;
-    result["status"] = profile.status;
+    result["status"] = enum_name(profile.status);
     result["position"] = profile.position;
     result["surface"] = profile.fused;
     result["prior"] = profile.prior;
@@ -43,7 +44,7 @@ void bind_assess(py::module_& module) {
       comparison = compare_with_reference(surface, reference, gsd, options.assess, context);
     });
     py::dict result;
-    result["status"] = comparison.status;
+    result["status"] = enum_name(comparison.status);
     result["compared_fraction"] = comparison.compared_fraction;
     result["rmse_gsd"] = comparison.distance_gsd.rmse;
     result["mad_gsd"] = comparison.distance_gsd.mad;

@@ -5,9 +5,9 @@
 #include "bindings.h"
 #include "cameras.h"
 #include "interruptible.h"
-#include "malus/fusion/grid_fusion.h"
-#include "malus/fusion/grid_optimization.h"
-#include "malus/fusion/refine.h"
+#include "malus/fusion/grid_fusion_internal.h"
+#include "malus/fusion/grid_optimization_internal.h"
+#include "malus/fusion/refine_internal.h"
 #include "malus/station/options.h"
 
 namespace malus::python {

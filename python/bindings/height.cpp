@@ -1,5 +1,3 @@
-#include "malus/height/height.h"
-
 #include <pybind11/eigen.h>
 #include <pybind11/stl.h>
 
@@ -7,6 +5,7 @@
 #include "bindings.h"
 #include "cameras.h"
 #include "interruptible.h"
+#include "malus/height/height_internal.h"
 #include "malus/lighting/light_from_polarization_internal.h"
 #include "malus/station/options.h"
 

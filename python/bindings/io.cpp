@@ -5,9 +5,9 @@
 #include "bindings.h"
 #include "cameras.h"
 #include "malus/io/angles_of_names_internal.h"
-#include "malus/io/image_file.h"
-#include "malus/io/point_cloud_file.h"
-#include "malus/io/resection.h"
+#include "malus/io/image_file_internal.h"
+#include "malus/io/point_cloud_file_internal.h"
+#include "malus/io/resection_internal.h"
 
 namespace malus::python {
 namespace {

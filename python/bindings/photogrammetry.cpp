@@ -7,7 +7,8 @@
 #include "bindings.h"
 #include "cameras.h"
 #include "interruptible.h"
-#include "malus/io/colmap_model.h"
+#include "malus/core/fields.h"
+#include "malus/io/colmap_model_internal.h"
 #include "malus/photogrammetry/control_datum_internal.h"
 #include "malus/photogrammetry/epipolar_line_internal.h"
 #include "malus/photogrammetry/feature_matching_internal.h"
@@ -33,7 +34,7 @@ std::vector<PointMark> to_marks(const std::vector<MarkValues>& values) {
 
 py::dict to_dict(const ScaleAdjustment& adjustment) {
   py::dict result;
-  result["status"] = adjustment.status;
+  result["status"] = enum_name(adjustment.status);
   result["scale"] = adjustment.scale;
   result["sigma"] = adjustment.sigma;
   result["unit_weight"] = adjustment.unit_weight;
@@ -175,7 +176,7 @@ py::dict refine(ColmapModel& model, const std::map<std::string, Array<float>>& p
     done = refine_model(model, images, preferred, lenses, options.photos, context);
   });
   py::dict result;
-  result["status"] = done.status;
+  result["status"] = enum_name(done.status);
   result["points"] = done.points;
   result["matches"] = done.matches;
   result["matches_a_point"] = done.matches_a_point;

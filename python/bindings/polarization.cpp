@@ -4,9 +4,9 @@
 #include "bindings.h"
 #include "cameras.h"
 #include "interruptible.h"
-#include "malus/polarization/decompose.h"
+#include "malus/polarization/decompose_internal.h"
 #include "malus/polarization/fresnel.h"
-#include "malus/polarization/polarizer_fit.h"
+#include "malus/polarization/polarizer_fit_internal.h"
 #include "malus/polarization/reflection.h"
 #include "malus/station/options.h"
 

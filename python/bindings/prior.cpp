@@ -6,7 +6,7 @@
 #include "cameras.h"
 #include "clouds.h"
 #include "interruptible.h"
-#include "malus/prior/project_prior.h"
+#include "malus/prior/project_prior_internal.h"
 #include "malus/station/options.h"
 
 namespace malus::python {

@@ -10,7 +10,7 @@
 #include "interruptible.h"
 #include "malus/io/given_station_internal.h"
 #include "malus/io/sha256_internal.h"
-#include "malus/io/station_file.h"
+#include "malus/io/station_file_internal.h"
 #include "malus/io/workspace_internal.h"
 #include "malus/station/check.h"
 #include "malus/station/check_picture_internal.h"
@@ -134,8 +134,8 @@ py::dict to_dict(const std::shared_ptr<Results>& run, const Pose& pose) {
                      : prior ? py::cast(RasterView{prior->camera, prior->pose})
                      : view  ? py::cast(RasterView{view->camera, pose})
                              : py::none();
-  result["status"] = surface ? py::cast(surface->status) : report ? py::cast(report->quality.status) : py::none();
-  const Confidence* const confidence = report ? &report->quality.confidence : surface ? &surface->confidence : nullptr;
+  result["status"] = surface ? py::cast(surface->status) : report ? py::cast(report->status) : py::none();
+  const Confidence* const confidence = report ? &report->confidence : surface ? &surface->confidence : nullptr;
   result["confidence"] =
       confidence ? py::make_tuple(enum_name(confidence->level), confidence->reasons) : py::object(py::none());
   result["warnings"] = run->warnings;

@@ -12,7 +12,7 @@
 #include "interruptible.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/station/options.h"
-#include "malus/stereo/surface_sweep.h"
+#include "malus/stereo/surface_sweep_internal.h"
 
 namespace malus::python {
 namespace {

@@ -19,7 +19,7 @@ from malus._files import replacing, sha256_of
 from malus.errors import InputError
 from malus.exif import tags_of
 
-#: What C++ takes for RAW by its name (io/image_file.h, is_raw_name).
+#: What C++ takes for RAW by its name (io/image_file_internal.h, is_raw_name).
 SUFFIXES = frozenset(
     (".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dng", ".iiq", ".nef", ".nrw", ".orf", ".pef", ".raf", ".rw2", ".sr2")
     + (".srw",)

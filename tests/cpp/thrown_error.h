@@ -3,22 +3,25 @@
 #include <gtest/gtest.h>
 
 #include <string>
-#include <utility>
 
 #include "malus/core/error.h"
 
 namespace malus {
 
-/// Code and message of the error that a call throws.
-template <class Call>
-std::pair<ErrorCode, std::string> error_of(Call&& call) {
+/// Calls `action`, expects a malus::Error with this code whose message contains every one of `parts`.
+template <class Action, class... Parts>
+void expect_error(ErrorCode code, Action&& action, const Parts&... parts) {
   try {
-    call();
+    action();
   } catch (const Error& error) {
-    return {error.code(), error.what()};
+    EXPECT_EQ(static_cast<int>(error.code()), static_cast<int>(code)) << error.what();
+    const std::string message = error.what();
+    for (const std::string& part : {std::string(parts)...}) {
+      EXPECT_NE(message.find(part), std::string::npos) << "\"" << part << "\" is not in: " << message;
+    }
+    return;
   }
-  ADD_FAILURE() << "no error";
-  return {};
+  ADD_FAILURE() << "no error, expected one";
 }
 
 inline void expect_contains(const std::string& text, const std::string& part) {

@@ -14,12 +14,12 @@
 
 #include "malus/core/error.h"
 #include "malus/io/angles_of_names_internal.h"
-#include "malus/io/colmap_model.h"
+#include "malus/io/colmap_model_internal.h"
 #include "malus/io/file_glob_internal.h"
-#include "malus/io/image_file.h"
-#include "malus/io/point_cloud_file.h"
+#include "malus/io/image_file_internal.h"
+#include "malus/io/point_cloud_file_internal.h"
 #include "malus/io/polarized_files_internal.h"
-#include "malus/io/station_file.h"
+#include "malus/io/station_file_internal.h"
 #include "malus/io/toml_json_internal.h"
 #include "malus/io/workspace_internal.h"
 

@@ -1,4 +1,4 @@
-"""How the source is kept: functions that can be read at a glance."""
+"""How the source is kept: functions that can be read at a glance, and few headers that others may rely on."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 LONGEST = 80
+MOST_INSTALLED_HEADERS = 37
 
 
 def python_functions(file: Path) -> Iterator[tuple[str, int]]:
@@ -56,3 +57,26 @@ def test_long_functions_are_found(tmp_path: Path) -> None:
     assert [lines for _, lines in cpp_functions(tmp_path / "a.cpp")] == [3, LONGEST + 3]
     (tmp_path / "a.py").write_text("def long_one():\n" + body.replace(";", "") + "\n")
     assert list(python_functions(tmp_path / "a.py")) == [("long_one", LONGEST + 1)]
+
+
+def installed_headers() -> dict[str, Path]:
+    folder = ROOT / "cpp"
+    return {
+        file.relative_to(folder).as_posix(): file
+        for file in (folder / "malus").rglob("*.h")
+        if not file.name.endswith("_internal.h")
+    } | {"malus/core/version.h": folder / "malus/core/version.h.in"}
+
+
+def test_installed_headers_are_few_and_stand_alone() -> None:
+    """Decision 50. A header that is not installed, included by one that is, breaks every other program's build."""
+    installed = installed_headers()
+    assert len(installed) <= MOST_INSTALLED_HEADERS
+    for name, file in installed.items():
+        included = re.findall(r'#include [<"](malus/[^>"]+)', file.read_text(encoding="utf-8"))
+        assert set(included) <= installed.keys(), name
+
+
+def test_documents_say_how_many_headers_are_installed() -> None:
+    decision = (ROOT / "docs" / "decisions" / "0050-public-surface.md").read_text(encoding="utf-8")
+    assert f"{len(installed_headers())} headers" in decision

@@ -1,10 +1,9 @@
-#include "malus/assess/comparison.h"
-
 #include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
 #include <cmath>
 #include <limits>
 
+#include "malus/assess/comparison_internal.h"
 #include "malus/assess/reference_surface_internal.h"
 #include "malus/core/parallel_internal.h"
 
@@ -124,13 +123,13 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
   const ReferenceSurface target(reference, surface.pose.centre(), options.reference_neighbors, context);
   const double max_distance = options.max_distance_gsd * gsd;
   ReferenceComparison result;
-  result.alignment = enum_name(options.alignment);
-  result.status = "done";
+  result.alignment = options.alignment;
+  result.status = ComparisonStatus::done;
   if (options.alignment != Alignment::none) {
     const Icp icp = align(surface, target, max_distance, options.alignment, context);
     result.reference_from_surface = icp.transform;
     result.alignment_iterations = icp.iterations;
-    if (!icp.converged) result.status = "alignment did not converge";
+    if (!icp.converged) result.status = ComparisonStatus::not_aligned;
   }
   result.distance = Image<float>(surface.depth.size(), 1, std::numeric_limits<float>::quiet_NaN());
   parallel_rows(context, surface.depth.height(), [&](int v) {
@@ -148,7 +147,7 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
   }
   const auto known =
       std::count_if(surface.depth.begin(), surface.depth.end(), [](float z) { return std::isfinite(z); });
-  if (distances_gsd.empty()) result.status = "no pixel near the reference";
+  if (distances_gsd.empty()) result.status = ComparisonStatus::nothing_near;
   result.compared_fraction = known > 0 ? static_cast<double>(distances_gsd.size()) / static_cast<double>(known) : 0;
   result.histogram_gsd =
       histogram(distances_gsd, -options.histogram_range_gsd, options.histogram_range_gsd, options.histogram_bins);

@@ -1,8 +1,7 @@
-#include "malus/assess/patches.h"
-
 #include <cmath>
 
 #include "malus/assess/high_pass_internal.h"
+#include "malus/assess/patches_internal.h"
 #include "malus/surface/plane_internal.h"
 
 namespace malus {

@@ -1,12 +1,11 @@
-#include "malus/assess/profiles.h"
-
 #include <Eigen/Geometry>
 #include <cmath>
 #include <limits>
 #include <sstream>
 
 #include "malus/assess/high_pass_internal.h"
-#include "malus/assess/statistics.h"
+#include "malus/assess/profiles_internal.h"
+#include "malus/assess/statistics_internal.h"
 #include "malus/surface/plane_internal.h"
 
 namespace malus {
@@ -114,7 +113,7 @@ ProfileFigures section(const ProfileSpec& profile, const Image<float>& prior, co
   figures.to_px = profile.to;
   const std::optional<Chord> chord = chord_of(points_at(fused, pixels, camera));
   if (!chord) {
-    figures.status = "fewer than two samples on the surface";
+    figures.status = ProfileStatus::too_few_samples;
     return figures;
   }
   for (const Eigen::Vector2d& p : pixels) {
@@ -134,7 +133,7 @@ ProfileFigures section(const ProfileSpec& profile, const Image<float>& prior, co
   figures.roughness_prior_gsd = roughness(figures.prior, sigma, context) / gsd;
   figures.roughness_polarization_gsd = roughness(figures.polarization, sigma, context) / gsd;
   figures.roughness_fused_gsd = roughness(figures.fused, sigma, context) / gsd;
-  figures.status = "done";
+  figures.status = ProfileStatus::done;
   return figures;
 }
 

@@ -1,14 +1,14 @@
-#include "malus/assess/quality.h"
-
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <functional>
 #include <limits>
 #include <numbers>
+#include <utility>
 
 #include "malus/assess/high_pass_internal.h"
 #include "malus/assess/polarization_depth_internal.h"
+#include "malus/assess/quality_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/percent_internal.h"
 #include "malus/core/ranked_values_internal.h"
@@ -94,12 +94,12 @@ std::optional<SigmaFigures> measure_sigma(const FusedSurface& surface, double gs
                                           const Context& context) {
   const Image<float>& sigma = surface.sigma;
   if (sigma.empty()) return std::nullopt;
-  const RankedValues values = rank_values(sigma, context);
+  RankedValues values = rank_values(sigma, context);
   const auto [below] = sum_pixels<1>(sigma.count(), context, [&](std::size_t i, Sums<1>& sums) {
     sums[0] += std::isfinite(sigma[i]) && sigma[i] / gsd <= limit_gsd;
   });
   const double share = fraction_of(below, static_cast<double>(values.size()));
-  const std::vector<double> gsds = percentiles(values, gsd, {0.5, 0.95});
+  const std::vector<double> gsds = percentiles(std::move(values), gsd, {0.5, 0.95});
   return SigmaFigures{gsds[0], gsds[1], limit_gsd, share, 1 - share};
 }
 
@@ -223,9 +223,9 @@ double ground_sampling_distance(const Image<float>& depth, const Pinhole& camera
     }
   }
   if (!depths.empty()) return percentile(std::move(depths), 0.5) / camera.focal();
-  const RankedValues all = rank_values(depth, context);
+  RankedValues all = rank_values(depth, context);
   if (all.size() == 0) throw data_error("the surface has no depth at all, so there is nothing to assess");
-  return percentiles(all, 1, {0.5})[0] / camera.focal();
+  return percentiles(std::move(all), 1, {0.5})[0] / camera.focal();
 }
 
 namespace {

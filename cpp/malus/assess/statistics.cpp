@@ -1,10 +1,9 @@
-#include "malus/assess/statistics.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <numeric>
 
+#include "malus/assess/statistics_internal.h"
 #include "malus/core/ranked_values_internal.h"
 #include "malus/core/robust_spread_internal.h"
 
@@ -45,7 +44,7 @@ double percentile(std::vector<double> values, double fraction) {
   return percentile_in_place(values, fraction);
 }
 
-std::vector<double> percentiles(const RankedValues& values, double divisor, std::initializer_list<double> fractions) {
+std::vector<double> percentiles(RankedValues values, double divisor, std::initializer_list<double> fractions) {
   if (values.size() == 0) return std::vector<double>(fractions.size(), nan);
   std::vector<std::size_t> ranks;  // the last one not above, and the next
   std::vector<double> parts;

@@ -1,5 +1,3 @@
-#include "malus/capture/capture.h"
-
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -7,9 +5,10 @@
 #include <numbers>
 #include <utility>
 
+#include "malus/capture/capture_internal.h"
 #include "malus/capture/mosaic_internal.h"
 #include "malus/capture/noise_internal.h"
-#include "malus/capture/resampling.h"
+#include "malus/capture/resampling_internal.h"
 #include "malus/capture/response_internal.h"
 #include "malus/core/parallel_internal.h"
 
@@ -147,7 +146,7 @@ void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>&
   const std::string name = exposures.names[0];
   // Samples that make a pixel: its neighbors twice, once through their smoothed contrasts; in color those two
   // further.
-  const Mask saturated = spread_flags(exposures.saturated[0], spec.mosaic_colors ? 4 : 3, context);
+  const Mask saturated = spread_flags(exposures.saturated[0], spec.mosaic_colors ? 4 : 3);
   exposures.images.assign(4, {});
   if (!spec.mosaic_colors) {
     MosaicSplit split = demosaic(mosaic, name, context);

@@ -1,11 +1,11 @@
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
 #include <numbers>
+#include <opencv2/imgproc.hpp>
 #include <string_view>
-#include <vector>
 
 #include "malus/capture/mosaic_internal.h"
+#include "malus/core/opencv_mat_internal.h"
 #include "malus/core/parallel_internal.h"
 
 namespace malus {
@@ -31,43 +31,17 @@ constexpr float smallest_ratio = 0.02f;
 /// Intensity below which ratios are differences: they would be of noise alone.
 constexpr float dark = 1e-3f;
 
-int mirrored(int i, int length) {
-  return i < 0 ? -i : i >= length ? 2 * length - 2 - i : i;
+/// Weights of a Gaussian, cut at three standard deviations.
+cv::Mat gaussian_kernel(double sigma) {
+  return cv::getGaussianKernel(2 * static_cast<int>(std::ceil(3 * sigma)) + 1, sigma, CV_32F);
 }
 
-/// The raster convolved with the same symmetric kernel (its weights from the middle outwards) along both axes, mirrored
-/// at the border (without repeating it, so that a pixel keeps its place in the cell).
-Image<float> convolve(const Image<float>& source, const std::vector<float>& half_kernel, const Context& context) {
-  const Size size = source.size();
-  const int reach = static_cast<int>(half_kernel.size()) - 1;
-  const auto tap = [&](int distance) { return half_kernel[static_cast<std::size_t>(std::abs(distance))]; };
-  Image<float> rows(size), result(size);
-  parallel_rows(context, size.height, [&](int v) {
-    for (int u = 0; u < size.width; ++u) {
-      float sum = 0;
-      for (int i = -reach; i <= reach; ++i) sum += tap(i) * source(mirrored(u + i, size.width), v);
-      rows(u, v) = sum;
-    }
-  });
-  parallel_rows(context, size.height, [&](int v) {
-    for (int u = 0; u < size.width; ++u) {
-      float sum = 0;
-      for (int i = -reach; i <= reach; ++i) sum += tap(i) * rows(u, mirrored(v + i, size.height));
-      result(u, v) = sum;
-    }
-  });
+/// The raster convolved with the same kernel along both axes, mirrored at the border (without repeating it, so that a
+/// pixel keeps its place in the cell).
+Image<float> convolve(const Image<float>& source, const cv::Mat& kernel) {
+  auto result = Image<float>::uninitialized(source.size());
+  cv::sepFilter2D(as_mat(source), as_mat(result), CV_32F, kernel, kernel, {-1, -1}, 0, cv::BORDER_REFLECT_101);
   return result;
-}
-
-std::vector<float> gaussian_kernel(double sigma) {
-  std::vector<float> kernel;
-  float sum = 0;
-  for (int i = 0; i <= std::ceil(3 * sigma); ++i) {
-    kernel.push_back(static_cast<float>(std::exp(-i * i / (2 * sigma * sigma))));
-    sum += i == 0 ? kernel.back() : 2 * kernel.back();
-  }
-  for (float& weight : kernel) weight /= sum;
-  return kernel;
 }
 
 /// Place of a pixel in its 2 × 2 cell, by rows.
@@ -77,12 +51,12 @@ std::size_t cell_of(int u, int v) {
 
 /// Bilinear interpolation of what `value(u, v)` is at the pixels of one place in the cell.
 template <class Value>
-Image<float> interpolate(Size size, std::size_t place, const Value& value, const Context& context) {
+Image<float> interpolate(Size size, std::size_t place, const Value& value) {
   Image<float> samples(size);
   for (int v = static_cast<int>(place) / 2; v < size.height; v += 2) {
     for (int u = static_cast<int>(place) % 2; u < size.width; u += 2) samples(u, v) = value(u, v);
   }
-  return convolve(samples, {1.0f, 0.5f}, context);
+  return convolve(samples, cv::Mat(cv::Matx31f(0.5f, 1.0f, 0.5f)));
 }
 
 /// Color filter over a pixel.
@@ -103,7 +77,7 @@ void require_color_cells(const Image<float>& mosaic, const std::string& name) {
 /// Ratio of one color's samples to what is expected of them without color, between and around these samples; where the
 /// mean weighs a cell's four polarizers alike, their differences drop out.
 Image<float> color_ratio(const Image<float>& mosaic, const Image<float>& expected, const std::string& colors,
-                         char color, const std::vector<float>& cells, const Context& context) {
+                         char color, const cv::Mat& cells) {
   const Size size = mosaic.size();
   Image<float> ratios(size), weights(size);
   for (int v = 0; v < size.height; ++v) {
@@ -113,9 +87,9 @@ Image<float> color_ratio(const Image<float>& mosaic, const Image<float>& expecte
       weights(u, v) = 1;
     }
   }
-  const std::vector<float> kernel = gaussian_kernel(color_smoothing_px);
-  ratios = convolve(convolve(ratios, cells, context), kernel, context);
-  weights = convolve(convolve(weights, cells, context), kernel, context);
+  const cv::Mat kernel = gaussian_kernel(color_smoothing_px);
+  ratios = convolve(convolve(ratios, cells), kernel);
+  weights = convolve(convolve(weights, cells), kernel);
   for (std::size_t i = 0; i < ratios.count(); ++i) ratios[i] /= weights[i];
   return ratios;
 }
@@ -131,19 +105,18 @@ Contrasts contrasts(const Image<float>& mosaic, const Smoothing& smoothing, cons
   Contrasts result{.of_polarizer = {}, .mean = Image<float>(size)};
   Image<float>& mean = result.mean;
   for (std::size_t p = 0; p < 4; ++p) {
-    const Image<float> bilinear = interpolate(
-        size, p, [&](int u, int v) { return mosaic(u, v); }, context);
+    const Image<float> bilinear = interpolate(size, p, [&](int u, int v) { return mosaic(u, v); });
     for (std::size_t i = 0; i < mean.count(); ++i) mean[i] += 0.25f * bilinear[i];
   }
-  const std::vector<float> kernel = gaussian_kernel(smoothing.sigma_px);
+  const cv::Mat kernel = gaussian_kernel(smoothing.sigma_px);
   for (int round = 0; round < smoothing.rounds; ++round) {
-    for (std::size_t p = 0; p < 4; ++p) {
+    parallel_for(context, 4, 1, [&](std::size_t p, std::size_t) {
       const auto contrast = [&](int u, int v) {
         // No polarizer lets more through than twice the mean: 0 to s0.
         return std::clamp((mosaic(u, v) - mean(u, v)) / std::max(mean(u, v), dark), -1.0f, 1.0f);
       };
-      result.of_polarizer[p] = convolve(interpolate(size, p, contrast, context), kernel, context);
-    }
+      result.of_polarizer[p] = convolve(interpolate(size, p, contrast), kernel);
+    });
     parallel_rows(context, size.height, [&](int v) {
       for (int u = 0; u < size.width; ++u) {
         float sum = 0;
@@ -160,17 +133,17 @@ Contrasts contrasts(const Image<float>& mosaic, const Smoothing& smoothing, cons
 
 /// How much the fine contrasts count at every pixel, 0 … 1: little where texture is so much stronger than polarization
 /// that what it leaves in them is, too.
-Image<float> share_of_fine(const Contrasts& smooth, const Context& context) {
+Image<float> share_of_fine(const Contrasts& smooth) {
   const Size size = smooth.mean.size();
-  const Image<float> around = convolve(smooth.mean, gaussian_kernel(texture_px), context);
+  const Image<float> around = convolve(smooth.mean, gaussian_kernel(texture_px));
   Image<float> texture(size), degree(size);
   for (std::size_t i = 0; i < texture.count(); ++i) {
     const float relative = smooth.mean[i] / std::max(around[i], dark) - 1;
     texture[i] = relative * relative;
     for (const Image<float>& channel : smooth.of_polarizer) degree[i] += 0.5f * channel[i] * channel[i];
   }
-  texture = convolve(texture, gaussian_kernel(around_px), context);
-  degree = convolve(degree, gaussian_kernel(around_px), context);
+  texture = convolve(texture, gaussian_kernel(around_px));
+  degree = convolve(degree, gaussian_kernel(around_px));
   Image<float> share(size);
   for (std::size_t i = 0; i < share.count(); ++i) {
     const float ratio = texture[i] / (strong_texture * std::max(degree[i], 1e-8f));
@@ -190,7 +163,7 @@ MosaicSplit demosaic(const Image<float>& mosaic, const std::string& name, const 
   }
   const Contrasts smooth = contrasts(mosaic, coarse, context);
   Contrasts sharp = contrasts(mosaic, fine, context);
-  const Image<float> share = share_of_fine(smooth, context);
+  const Image<float> share = share_of_fine(smooth);
   MosaicSplit result{.channels = std::move(sharp.of_polarizer), .shared = Image<float>(size)};
   parallel_rows(context, size.height, [&](int v) {
     for (int u = 0; u < size.width; ++u) {
@@ -244,12 +217,12 @@ ColorMosaic demosaic_color(const Image<float>& mosaic, const std::string& colors
   require_color_cells(mosaic, name);
   const Size size = mosaic.size();
   // Weights with which any four pixels in a row or column count alike: a mean over whole cells of 4 x 4.
-  const std::vector<float> cells{0.25f, 0.25f, 0.125f};
+  const cv::Mat cells(cv::Matx<float, 5, 1>(0.125f, 0.25f, 0.25f, 0.25f, 0.125f));
   ColorMosaic result;
-  Image<float> expected = convolve(mosaic, cells, context);
+  Image<float> expected = convolve(mosaic, cells);
   for (int round = 0; round < color_rounds; ++round) {
     for (std::size_t c = 0; c < 3; ++c) {
-      result.ratios[c] = color_ratio(mosaic, expected, colors, "RGB"[c], cells, context);
+      result.ratios[c] = color_ratio(mosaic, expected, colors, "RGB"[c], cells);
     }
     Image<float> grey(size);
     parallel_rows(context, size.height, [&](int v) {
@@ -266,17 +239,9 @@ ColorMosaic demosaic_color(const Image<float>& mosaic, const std::string& colors
   return result;
 }
 
-Mask spread_flags(const Mask& flags, int reach, const Context& context) {
+Mask spread_flags(const Mask& flags, int reach) {
   Mask result(flags.size());
-  parallel_rows(context, flags.height(), [&](int v) {
-    for (int u = 0; u < flags.width(); ++u) {
-      bool any = false;
-      for (int j = -reach; j <= reach && !any; ++j) {
-        for (int i = -reach; i <= reach && !any; ++i) any = flags.contains(u + i, v + j) && flags(u + i, v + j) != 0;
-      }
-      result(u, v) = any ? 255 : 0;
-    }
-  });
+  cv::dilate(as_mat(flags), as_mat(result), cv::Mat::ones(2 * reach + 1, 2 * reach + 1, CV_8U));
   return result;
 }
 

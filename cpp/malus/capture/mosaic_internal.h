@@ -49,6 +49,6 @@ ColorMosaic demosaic_color(const Image<float>& mosaic, const std::string& colors
                            const Context& context);
 
 /// 255 where a saturated sample is among the `reach` pixels around: those that make a demosaicked pixel.
-Mask spread_flags(const Mask& flags, int reach, const Context& context);
+Mask spread_flags(const Mask& flags, int reach);
 
 }  // namespace malus

@@ -1,5 +1,3 @@
-#include "malus/capture/registration.h"
-
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
 #include <algorithm>
@@ -9,6 +7,7 @@
 #include <sstream>
 
 #include "malus/capture/contrast_band_internal.h"
+#include "malus/capture/registration_internal.h"
 #include "malus/capture/registration_rows_internal.h"
 #include "malus/core/opencv_mat_internal.h"
 #include "malus/core/opencv_threads_internal.h"

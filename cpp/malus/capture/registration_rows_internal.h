@@ -4,7 +4,7 @@
 #include <span>
 #include <vector>
 
-#include "malus/capture/resampling.h"
+#include "malus/capture/resampling_internal.h"
 
 namespace malus {
 

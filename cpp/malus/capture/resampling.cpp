@@ -1,8 +1,7 @@
-#include "malus/capture/resampling.h"
-
 #include <cmath>
 #include <limits>
 
+#include "malus/capture/resampling_internal.h"
 #include "malus/core/parallel_internal.h"
 
 namespace malus {

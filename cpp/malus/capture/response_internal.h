@@ -7,7 +7,7 @@
 
 #include "malus/core/context.h"
 #include "malus/core/image.h"
-#include "malus/io/image_file.h"
+#include "malus/io/image_file_internal.h"
 #include "malus/io/station_spec.h"
 
 namespace malus {

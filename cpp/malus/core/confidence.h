@@ -7,6 +7,8 @@
 #include <utility>
 #include <vector>
 
+#include "malus/core/field_list.h"
+
 namespace malus {
 
 /// How far a surface may be trusted, from evidence and not from the solver.
@@ -29,11 +31,7 @@ struct Confidence {
     level = std::max(level, most);
   }
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("level", self.level);
-    visit("reasons", self.reasons);
-  }
+  MALUS_FIELDS(level, reasons)
 };
 
 }  // namespace malus

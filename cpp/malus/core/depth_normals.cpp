@@ -1,10 +1,9 @@
-#include "malus/core/depth_normals.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <vector>
 
+#include "malus/core/depth_normals_internal.h"
 #include "malus/core/parallel_internal.h"
 
 namespace malus {

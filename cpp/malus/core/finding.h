@@ -6,6 +6,8 @@
 #include <utility>
 #include <vector>
 
+#include "malus/core/field_list.h"
+
 namespace malus {
 
 /// How much a finding matters.
@@ -29,14 +31,7 @@ struct Finding {
   std::string suggestion;                               ///< what to do; empty = nothing
   std::vector<std::pair<std::string, double>> figures;  ///< what the message rests on, by name
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("check", self.check);
-    visit("severity", self.severity);
-    visit("message", self.message);
-    visit("suggestion", self.suggestion);
-    visit("figures", self.figures);
-  }
+  MALUS_FIELDS(check, severity, message, suggestion, figures)
 
   /// Message and suggestion as one line.
   std::string text() const { return suggestion.empty() ? message : message + "; " + suggestion; }

@@ -1,7 +1,7 @@
 #include <cmath>
 #include <utility>
 
-#include "malus/core/depth_normals.h"
+#include "malus/core/depth_normals_internal.h"
 #include "malus/evidence/before_fusion_internal.h"
 #include "malus/evidence/contrast_check_internal.h"
 #include "malus/evidence/object_size_internal.h"

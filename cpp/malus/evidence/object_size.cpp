@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "malus/core/error.h"
-#include "malus/core/length_unit.h"
+#include "malus/core/length_unit_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/evidence/object_size_internal.h"
 

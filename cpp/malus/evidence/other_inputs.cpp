@@ -3,7 +3,7 @@
 #include <cmath>
 #include <sstream>
 
-#include "malus/core/length_unit.h"
+#include "malus/core/length_unit_internal.h"
 #include "malus/evidence/other_inputs_internal.h"
 
 namespace malus {

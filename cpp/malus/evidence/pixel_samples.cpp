@@ -3,7 +3,7 @@
 #include <cmath>
 
 #include "malus/evidence/pixel_samples_internal.h"
-#include "malus/polarization/polarizer_fit.h"
+#include "malus/polarization/polarizer_fit_internal.h"
 
 namespace malus {
 namespace {

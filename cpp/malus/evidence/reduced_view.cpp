@@ -4,7 +4,7 @@
 #include <opencv2/imgproc.hpp>
 #include <vector>
 
-#include "malus/core/depth_normals.h"
+#include "malus/core/depth_normals_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/opencv_mat_internal.h"
 #include "malus/evidence/reduced_view_internal.h"

@@ -5,6 +5,7 @@
 
 #include "malus/core/camera.h"
 #include "malus/core/confidence.h"
+#include "malus/core/field_list.h"
 #include "malus/core/image.h"
 #include "malus/core/pose.h"
 
@@ -21,6 +22,9 @@ struct FusedSurface {
   std::string status = "not run";     ///< the solver's: "converged", …
   std::vector<std::string> warnings;  ///< one sentence each, for people
   Confidence confidence;              ///< from what the surface was held against
+
+  // Without the maps.
+  MALUS_FIELDS(camera, pose, method, status, warnings, confidence)
 };
 
 }  // namespace malus

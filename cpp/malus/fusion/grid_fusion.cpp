@@ -1,14 +1,13 @@
-#include "malus/fusion/grid_fusion.h"
-
 #include <algorithm>
 #include <atomic>
 #include <cmath>
 #include <limits>
 #include <vector>
 
-#include "malus/core/depth_normals.h"
+#include "malus/core/depth_normals_internal.h"
 #include "malus/core/parallel_internal.h"
-#include "malus/height/height.h"
+#include "malus/fusion/grid_fusion_internal.h"
+#include "malus/height/height_internal.h"
 
 namespace malus {
 namespace {

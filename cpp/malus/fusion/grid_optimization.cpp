@@ -1,5 +1,3 @@
-#include "malus/fusion/grid_optimization.h"
-
 #include <ceres/autodiff_cost_function.h>
 #include <ceres/problem.h>
 #include <ceres/solver.h>
@@ -11,10 +9,11 @@
 #include <numbers>
 #include <vector>
 
-#include "malus/core/depth_normals.h"
+#include "malus/core/depth_normals_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/tiled_axis_internal.h"
-#include "malus/height/height.h"
+#include "malus/fusion/grid_optimization_internal.h"
+#include "malus/height/height_internal.h"
 #include "malus/linalg/sequential_blas_internal.h"
 #include "malus/polarization/ray_frame.h"
 

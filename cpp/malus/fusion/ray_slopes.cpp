@@ -1,6 +1,6 @@
-#include "malus/fusion/ray_slopes.h"
-
 #include <Eigen/Geometry>
+
+#include "malus/fusion/ray_slopes_internal.h"
 
 namespace malus {
 

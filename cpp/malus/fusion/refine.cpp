@@ -1,5 +1,3 @@
-#include "malus/fusion/refine.h"
-
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -10,7 +8,7 @@
 #include <span>
 #include <utility>
 
-#include "malus/core/depth_normals.h"
+#include "malus/core/depth_normals_internal.h"
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/masked_blur_internal.h"
 #include "malus/core/median_internal.h"
@@ -18,6 +16,7 @@
 #include "malus/core/robust_spread_internal.h"
 #include "malus/fusion/coarse_level_internal.h"
 #include "malus/fusion/mirrored_light_internal.h"
+#include "malus/fusion/refine_internal.h"
 #include "malus/fusion/refinement_verdict_internal.h"
 #include "malus/fusion/refinement_weights_internal.h"
 #include "malus/fusion/reflection_fit_internal.h"

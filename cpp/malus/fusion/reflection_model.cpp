@@ -1,10 +1,9 @@
-#include "malus/fusion/reflection_model.h"
-
 #include <algorithm>
 #include <cmath>
 
 #include "malus/fusion/fresnel_factors_internal.h"
-#include "malus/fusion/surroundings.h"
+#include "malus/fusion/reflection_model_internal.h"
+#include "malus/fusion/surroundings_internal.h"
 
 namespace malus {
 namespace {

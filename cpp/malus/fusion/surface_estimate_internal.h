@@ -6,8 +6,8 @@
 #include "malus/core/camera.h"
 #include "malus/core/image.h"
 #include "malus/core/pixel_rect_internal.h"
-#include "malus/fusion/ray_slopes.h"
-#include "malus/fusion/reflection_model.h"
+#include "malus/fusion/ray_slopes_internal.h"
+#include "malus/fusion/reflection_model_internal.h"
 
 namespace malus {
 

@@ -1,11 +1,10 @@
-#include "malus/fusion/surroundings.h"
-
 #include <algorithm>
 #include <cmath>
 #include <numbers>
 
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/fresnel_factors_internal.h"
+#include "malus/fusion/surroundings_internal.h"
 
 namespace malus {
 namespace {

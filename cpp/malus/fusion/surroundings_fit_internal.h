@@ -6,7 +6,7 @@
 
 #include "malus/core/context.h"
 #include "malus/fusion/reflection_fit_internal.h"
-#include "malus/fusion/surroundings.h"
+#include "malus/fusion/surroundings_internal.h"
 
 namespace malus {
 

@@ -1,5 +1,3 @@
-#include "malus/height/height.h"
-
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -10,6 +8,7 @@
 #include "malus/core/finite_mean_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/tiled_axis_internal.h"
+#include "malus/height/height_internal.h"
 #include "malus/height/height_problem_internal.h"
 #include "malus/lighting/light_from_polarization_internal.h"
 

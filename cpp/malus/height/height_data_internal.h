@@ -4,7 +4,7 @@
 #include <optional>
 
 #include "malus/core/pixel_rect_internal.h"
-#include "malus/height/height.h"
+#include "malus/height/height_internal.h"
 
 namespace malus {
 

@@ -4,6 +4,7 @@
 #include <array>
 #include <string_view>
 
+#include "malus/core/field_list.h"
 #include "malus/core/image.h"
 
 namespace malus {
@@ -39,6 +40,10 @@ struct HeightMap {
   double last_update = 0;     ///< RMS change of the slope in the last of them
   int solver_iterations = 0;  ///< of conjugate gradients, all systems together; 0 if they were factorized
   double solver_bytes = 0;    ///< memory of the factor, complete or incomplete
+
+  // Without the map.
+  MALUS_FIELDS(perspective, light, status, residual_rms, unknowns, iterations, last_update, solver_iterations,
+               solver_bytes)
 };
 
 }  // namespace malus

@@ -1,5 +1,3 @@
-#include "malus/io/colmap_model.h"
-
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <charconv>
@@ -9,6 +7,7 @@
 #include <string_view>
 
 #include "malus/io/atomic_file_internal.h"
+#include "malus/io/colmap_model_internal.h"
 #include "malus/io/input_file_internal.h"
 
 namespace malus {

@@ -4,9 +4,9 @@
 #include <string>
 
 #include "malus/core/error.h"
-#include "malus/io/colmap_model.h"
+#include "malus/io/colmap_model_internal.h"
 #include "malus/io/colmap_workspace_internal.h"
-#include "malus/io/point_cloud_file.h"
+#include "malus/io/point_cloud_file_internal.h"
 
 namespace malus {
 namespace {

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "malus/core/image.h"
-#include "malus/core/length_unit.h"
+#include "malus/core/length_unit_internal.h"
 
 namespace malus {
 

@@ -3,7 +3,7 @@
 #include <string>
 #include <vector>
 
-#include "malus/io/colmap_model.h"
+#include "malus/io/colmap_model_internal.h"
 #include "malus/io/station_spec.h"
 
 namespace malus {

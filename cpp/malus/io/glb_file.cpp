@@ -1,5 +1,3 @@
-#include "malus/io/glb_file.h"
-
 #include <array>
 #include <bit>
 #include <cmath>
@@ -13,6 +11,7 @@
 
 #include "malus/core/version.h"
 #include "malus/io/atomic_file_internal.h"
+#include "malus/io/glb_file_internal.h"
 #include "malus/io/image_codecs_internal.h"
 #include "malus/io/record_writer_internal.h"
 

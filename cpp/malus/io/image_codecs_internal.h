@@ -3,7 +3,6 @@
 // Private to the io room: one decoder a format, each on the bytes of a whole file.
 
 #include <cstdint>
-#include <filesystem>
 #include <functional>
 #include <string>
 #include <string_view>
@@ -11,7 +10,7 @@
 #include "malus/core/error.h"
 #include "malus/core/image.h"
 #include "malus/io/atomic_file_internal.h"
-#include "malus/io/image_file.h"
+#include "malus/io/image_file_internal.h"
 
 struct tiff;  // libtiff's TIFF
 

@@ -1,5 +1,3 @@
-#include "malus/io/image_file.h"
-
 #include <algorithm>
 #include <cmath>
 #include <optional>
@@ -10,6 +8,7 @@
 
 #include "malus/io/atomic_file_internal.h"
 #include "malus/io/image_codecs_internal.h"
+#include "malus/io/image_file_internal.h"
 #include "malus/io/input_file_internal.h"
 
 namespace malus {

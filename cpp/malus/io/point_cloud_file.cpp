@@ -1,5 +1,3 @@
-#include "malus/io/point_cloud_file.h"
-
 #include <algorithm>
 #include <array>
 #include <bit>
@@ -16,6 +14,7 @@
 #include "malus/io/atomic_file_internal.h"
 #include "malus/io/input_file_internal.h"
 #include "malus/io/ply_header_internal.h"
+#include "malus/io/point_cloud_file_internal.h"
 #include "malus/io/record_writer_internal.h"
 
 namespace malus {

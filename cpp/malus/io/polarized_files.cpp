@@ -13,7 +13,7 @@
 #include "malus/core/error.h"
 #include "malus/io/angles_of_names_internal.h"
 #include "malus/io/file_glob_internal.h"
-#include "malus/io/image_file.h"
+#include "malus/io/image_file_internal.h"
 #include "malus/io/polarized_files_internal.h"
 
 namespace malus {

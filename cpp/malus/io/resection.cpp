@@ -1,5 +1,3 @@
-#include "malus/io/resection.h"
-
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
@@ -10,6 +8,7 @@
 
 #include "malus/core/better_fit_internal.h"
 #include "malus/core/error.h"
+#include "malus/io/resection_internal.h"
 
 namespace malus {
 namespace {

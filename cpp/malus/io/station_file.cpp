@@ -1,5 +1,3 @@
-#include "malus/io/station_file.h"
-
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <charconv>
@@ -9,15 +7,17 @@
 #include <set>
 #include <sstream>
 
-#include "malus/core/length_unit.h"
+#include "malus/core/length_unit_internal.h"
 #include "malus/core/refractive_index_internal.h"
 #include "malus/io/angles_of_names_internal.h"
-#include "malus/io/colmap_model.h"
+#include "malus/io/colmap_model_internal.h"
 #include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/given_scale_internal.h"
-#include "malus/io/image_file.h"
+#include "malus/io/image_file_internal.h"
 #include "malus/io/input_file_internal.h"
 #include "malus/io/polarized_files_internal.h"
+#include "malus/io/resection_internal.h"
+#include "malus/io/station_file_internal.h"
 #include "malus/io/station_tables_internal.h"
 #include "malus/io/toml_document_internal.h"
 #include "malus/io/toml_table_internal.h"

@@ -5,6 +5,7 @@
 #include <limits>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <variant>
 #include <vector>
 
@@ -13,7 +14,6 @@
 #include "malus/core/pose.h"
 #include "malus/core/reflection_choice.h"
 #include "malus/core/shape.h"
-#include "malus/io/resection.h"
 
 namespace malus {
 
@@ -190,6 +190,13 @@ struct ScaleBar {
   }
 };
 
+/// A point of known coordinates and where an image shows it.
+struct MarkedPoint {
+  std::string name;
+  Eigen::Vector3d xyz = Eigen::Vector3d::Zero();
+  Eigen::Vector2d pixel = Eigen::Vector2d::Zero();  ///< as taken (distorted), memory pixel convention
+};
+
 /// [[control]]: a point of known coordinates, marked in photos, in the polarized image, or in both.
 struct ControlPoint {
   std::string name;
@@ -210,6 +217,14 @@ struct ControlPoint {
     visit("marks", self.marks, own_form);
     visit("check", self.check, any_value);
   }
+};
+
+/// Pose of a camera by points of known coordinates.
+struct Resection {
+  Pose pose;
+  double rms_px = 0;        ///< of the marks' distances from their points' images
+  double center_sigma = 0;  ///< standard deviation of the projection center along its most uncertain direction
+  std::optional<std::string> doubtful;  ///< point without which all others fit far better: its mark is likely wrong
 };
 
 /// [[patch]]: flat reference area in the polarized image.

@@ -1,5 +1,3 @@
-#include "malus/lighting/light.h"
-
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <algorithm>
@@ -10,6 +8,7 @@
 
 #include "malus/core/parallel_internal.h"
 #include "malus/core/robust_spread_internal.h"
+#include "malus/lighting/light_internal.h"
 #include "malus/polarization/ray_frame.h"
 
 namespace malus {

@@ -5,7 +5,7 @@
 
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
-#include "malus/lighting/light.h"
+#include "malus/lighting/light_internal.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/polarization/reflection.h"
 

@@ -282,7 +282,8 @@ BundleReport adjust_bundle(Bundle& bundle, const Context& context) {
   context.check_cancel();
 
   for (std::size_t k = 0; k < poses.size(); ++k) bundle.views[k].pose = poses[k].pose();
-  report.status = summary.termination_type == ceres::CONVERGENCE ? "converged" : "not converged";
+  const bool converged = summary.termination_type == ceres::CONVERGENCE;
+  report.status = converged ? AdjustmentStatus::converged : AdjustmentStatus::not_converged;
   report.iterations = static_cast<int>(summary.iterations.size());
   report.rms_after_px = rms_px(bundle);
   report.unit_weight = unit_weight(bundle);

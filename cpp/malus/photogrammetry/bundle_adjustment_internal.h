@@ -8,6 +8,7 @@
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
 #include "malus/core/pose.h"
+#include "malus/photogrammetry/adjustment_status_internal.h"
 
 namespace malus {
 
@@ -42,7 +43,7 @@ struct Bundle {
 };
 
 struct BundleReport {
-  std::string status = "not run";  ///< "converged" | "not converged" once it ran
+  AdjustmentStatus status = AdjustmentStatus::not_run;
   int iterations = 0;
   double rms_before_px = 0, rms_after_px = 0;  ///< of the residuals' lengths
   /// Robust standard deviation of the residuals over that stated; 1 = observations as good as stated.

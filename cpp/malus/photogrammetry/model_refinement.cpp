@@ -227,7 +227,7 @@ ModelRefinement refine_model(ColmapModel& model, const std::map<std::string, Ima
   const Arrays arrays = arrays_of(model, pictures);
   std::vector<Eigen::Vector3d> positions;
   for (const std::uint64_t id : arrays.point_ids) positions.push_back(model.points.at(id).position);
-  result.status = "too few matches";
+  result.status = AdjustmentStatus::too_few_matches;
   if (positions.size() < static_cast<std::size_t>(neighbors)) return result;
   result.keypoint_px = keypoint_sigma(arrays, positions);
   std::size_t preferred_view = arrays.views.size();

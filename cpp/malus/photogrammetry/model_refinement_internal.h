@@ -8,17 +8,17 @@
 
 #include "malus/core/context.h"
 #include "malus/core/image.h"
-#include "malus/io/colmap_model.h"
+#include "malus/io/colmap_model_internal.h"
+#include "malus/options/prior_options.h"
 #include "malus/photogrammetry/bundle_adjustment_internal.h"
-#include "malus/photogrammetry/photos_options.h"
 
 namespace malus {
 
 /// What a refinement did to a model.
 struct ModelRefinement {
-  std::string status = "not run";  ///< "converged" | "not converged" | "too few matches" (the model is as it was)
-  std::size_t points = 0;          ///< matched in two or more images
-  std::size_t matches = 0;         ///< of their windows
+  AdjustmentStatus status = AdjustmentStatus::not_run;
+  std::size_t points = 0;   ///< matched in two or more images
+  std::size_t matches = 0;  ///< of their windows
   double matches_a_point = 0;
   double sigma_px = 0;     ///< median standard deviation of a match
   double keypoint_px = 0;  ///< robust standard deviation of the keypoints that were there before

@@ -193,10 +193,10 @@ ScaleAdjustment adjust_scale(std::span<const MarkedView> views, std::span<const 
   if (determining == 0) throw data_error("no known distance determines the scale: expected one without check = true");
 
   ScaleAdjustment result;
-  result.status = "not converged";
+  result.status = AdjustmentStatus::not_converged;
   double log_scale = ratio / determining;
   Normal normal;
-  for (int iteration = 0; iteration < 50 && result.status != "converged"; ++iteration) {
+  for (int iteration = 0; iteration < 50 && result.status != AdjustmentStatus::converged; ++iteration) {
     context.check_cancel();
     normal = normal_equations(ends, distances, log_scale);
     const Eigen::VectorXd step = normal.matrix.ldlt().solve(normal.right);
@@ -210,7 +210,7 @@ ScaleAdjustment adjust_scale(std::span<const MarkedView> views, std::span<const 
         moved = std::max(moved, change.norm() / length);
       }
     }
-    if (moved < 1e-12) result.status = "converged";
+    if (moved < 1e-12) result.status = AdjustmentStatus::converged;
   }
 
   normal = normal_equations(ends, distances, log_scale);

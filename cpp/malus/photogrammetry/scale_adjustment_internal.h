@@ -9,6 +9,7 @@
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
 #include "malus/core/pose.h"
+#include "malus/photogrammetry/adjustment_status_internal.h"
 
 namespace malus {
 
@@ -50,11 +51,11 @@ struct DistanceFit {
 
 /// Outcome of the adjustment.
 struct ScaleAdjustment {
-  std::string status = "not run";  ///< "converged" | "not converged" once it ran
-  double scale = 1;                ///< station units a model unit
-  double sigma = 0;                ///< standard deviation of the scale
-  double unit_weight = 1;          ///< a posteriori standard deviation of unit weight; 1 = marks as good as stated
-  int redundancy = 0;              ///< observations less unknowns
+  AdjustmentStatus status = AdjustmentStatus::not_run;
+  double scale = 1;        ///< station units a model unit
+  double sigma = 0;        ///< standard deviation of the scale
+  double unit_weight = 1;  ///< a posteriori standard deviation of unit weight; 1 = marks as good as stated
+  int redundancy = 0;      ///< observations less unknowns
   std::vector<DistanceFit> distances;
 };
 

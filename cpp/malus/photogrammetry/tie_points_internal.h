@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "malus/core/context.h"
-#include "malus/photogrammetry/photos_options.h"
-#include "malus/stereo/surface_sweep.h"
+#include "malus/options/prior_options.h"
+#include "malus/stereo/surface_sweep_internal.h"
 
 namespace malus {
 

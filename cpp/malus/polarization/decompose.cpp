@@ -1,5 +1,3 @@
-#include "malus/polarization/decompose.h"
-
 #include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 #include <cmath>
@@ -9,6 +7,7 @@
 #include <string>
 
 #include "malus/core/parallel_internal.h"
+#include "malus/polarization/decompose_internal.h"
 #include "malus/polarization/sinusoid_block_internal.h"
 
 namespace malus {

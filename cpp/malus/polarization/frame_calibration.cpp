@@ -141,14 +141,14 @@ CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool 
   CalibratedFrame result;
   PolarizerCalibration& calibration = result.calibration;
   calibration = calibration_without_surface(fit, from_images, true);
-  calibration.surface_check = enum_name(surface.status);
+  calibration.surface_check = surface.status;
   calibration.coherence = surface.coherence.direct;
   calibration.coherence_opposite = surface.coherence.opposite;
   calibration.direction_sigmas = surface.coherence.ahead();
   if (surface.status != FrameStatus::ok) {
     if (!known_scale) {
       throw data_error("angles_deg = \"auto\": zero and direction of the polarizer's scale cannot be found: " +
-                       calibration.surface_check + "; expected angles in degrees, or a prior with slopes");
+                       std::string(enum_name(surface.status)) + "; expected angles in degrees, or a prior with slopes");
     }
     return result;
   }

@@ -4,7 +4,7 @@
 
 #include "malus/polarization/frame_estimate_internal.h"
 #include "malus/polarization/polarizer_calibration.h"
-#include "malus/polarization/polarizer_fit.h"
+#include "malus/polarization/polarizer_fit_internal.h"
 
 namespace malus {
 

@@ -1,27 +1,19 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <array>
 #include <optional>
-#include <string_view>
 
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
 #include "malus/core/image.h"
+#include "malus/options/polarization_options.h"
 #include "malus/polarization/phase_coherence_internal.h"
 #include "malus/polarization/polarization_state.h"
-#include "malus/polarization/polarizer_options.h"
+#include "malus/polarization/polarizer_calibration.h"
 #include "malus/polarization/radial_limits_internal.h"
 #include "malus/polarization/stokes_frame_internal.h"
 
 namespace malus {
-
-/// How the check of the scale against a surface ended.
-enum class FrameStatus { not_run, ok, no_slopes, no_polarization };
-constexpr auto names_of(FrameStatus) {
-  return std::to_array<std::string_view>(
-      {"not run", "ok", "surface too flat to tell azimuths", "no polarization that follows the surface's azimuths"});
-}
 
 /// What the surface's azimuths say about the frame of the Stokes vectors.
 struct FrameEstimate {

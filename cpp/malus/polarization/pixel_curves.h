@@ -3,6 +3,7 @@
 #include <array>
 #include <vector>
 
+#include "malus/core/field_list.h"
 #include "malus/core/image.h"
 #include "malus/polarization/polarization_state.h"
 
@@ -14,13 +15,7 @@ struct PixelCurve {
   std::vector<double> angles_deg;  ///< one an image, as the fit used them
   std::vector<double> intensities;
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("u", self.u);
-    visit("v", self.v);
-    visit("angles_deg", self.angles_deg);
-    visit("intensities", self.intensities);
-  }
+  MALUS_FIELDS(u, v, angles_deg, intensities)
 };
 
 /// Curves of the pixels (column, row), or if none are given of up to four valid ones: those in the middle of the

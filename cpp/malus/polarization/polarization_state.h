@@ -2,14 +2,13 @@
 
 #include <Eigen/Core>
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstdint>
 #include <numbers>
-#include <string_view>
 #include <vector>
 
 #include "malus/core/image.h"
+#include "malus/options/polarization_options.h"
 #include "malus/polarization/noise_model.h"
 
 namespace malus {
@@ -22,15 +21,6 @@ enum class PixelState : std::uint8_t {
   misfit = 128,    ///< does not follow the sinusoid (moved, changed light)
   valid = 255,
 };
-
-/// Weights of the images in the sinusoid fit.
-enum class FitWeighting {
-  uniform,  ///< every image the same: the textbook least-squares fit
-  noise,    ///< by the noise model at the intensities of a first, uniform fit
-};
-constexpr auto names_of(FitWeighting) {
-  return std::to_array<std::string_view>({"uniform", "noise"});
-}
 
 /// Linear polarization of every pixel. Phase and angles as in docs/conventions.md: counter-clockwise from image +x as
 /// displayed, I(a) = i_un (1 + rho cos 2(a − phi)). All rasters have the size of the undistorted image; NaN outside.

@@ -1,5 +1,3 @@
-#include "malus/polarization/polarizer_fit.h"
-
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <Eigen/QR>
@@ -12,6 +10,7 @@
 
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/polarization/polarizer_fit_internal.h"
 
 namespace malus {
 namespace {

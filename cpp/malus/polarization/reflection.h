@@ -4,9 +4,9 @@
 
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
-#include "malus/core/fields.h"
 #include "malus/core/image.h"
 #include "malus/core/reflection_choice.h"
+#include "malus/options/polarization_options.h"
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/polarization_state.h"
 
@@ -14,26 +14,6 @@ namespace malus {
 
 /// Which reflection governs the polarization of a pixel; the values of ReflectionMap::label.
 enum class Reflection : std::uint8_t { outside = 0, diffuse = 1, specular = 2 };
-
-struct ReflectionOptions {
-  // What is known about the object, from the station and so not among the option fields.
-  ReflectionChoice reflection = ReflectionChoice::automatic;
-  double refractive_index = 1.5;
-
-  int region_px = 16;
-  double region_strength = 0.02;
-  double beyond_diffuse_share = 0.01;
-
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("region_px", self.region_px, Range{1, 4096},
-          "auto: side of the cells whose pooled azimuth test decides between diffuse and specular");
-    visit("region_strength", self.region_strength, not_negative,
-          "auto: mean sin² of the zenith a region needs to weigh as much as the whole object");
-    visit("beyond_diffuse_share", self.beyond_diffuse_share, fraction_range,
-          "auto without a prior: specular if more of the pixels exceed the largest diffuse degree");
-  }
-};
 
 /// Labels and zeniths of a station.
 struct ReflectionMap {

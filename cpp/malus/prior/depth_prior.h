@@ -1,8 +1,7 @@
 #pragma once
 
-#include <string>
-
 #include "malus/core/camera.h"
+#include "malus/core/field_list.h"
 #include "malus/core/image.h"
 #include "malus/core/pose.h"
 
@@ -23,6 +22,16 @@ struct DepthPrior {
   double smoothing_px = 0;  ///< chosen smoothing length
   /// Share of object pixels farther than 2 · spacing from any point; of rasters and photos, those without a depth.
   double filled_fraction = 0;
+
+  // Without the maps.
+  MALUS_FIELDS(camera, pose, points_total, points_used, noise, spacing_px, smoothing_px, filled_fraction)
+};
+
+/// A depth map that was measured over windows (the surface sweep), unit of the station, camera's size.
+struct SweptDepth {
+  Image<float> depth;  ///< z, NaN = none
+  Image<float> sigma;  ///< standard deviation of each pixel
+  Image<float> shape;  ///< z of the surface that it was measured about, all over the object; empty = no such surface
 };
 
 }  // namespace malus

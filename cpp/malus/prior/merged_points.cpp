@@ -88,7 +88,7 @@ class ProjectedCloud {
         values[i - begin] = filled ? points_[i].depth : std::numeric_limits<float>::quiet_NaN();
       }
     };
-    const RankedValues ranked(points_.size(), depths, context);
+    RankedValues ranked(points_.size(), depths, context);
     return ranked.at(std::array{ranked.size() / 2}).front();
   }
 

@@ -1,5 +1,3 @@
-#include "malus/prior/project_prior.h"
-
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
@@ -23,6 +21,7 @@
 #include "malus/core/robust_spread_internal.h"
 #include "malus/core/tiled_axis_internal.h"
 #include "malus/prior/choose_smoothing_internal.h"
+#include "malus/prior/project_prior_internal.h"
 #include "malus/prior/rasterize_mesh_internal.h"
 #include "malus/prior/shape_depth_internal.h"
 #include "malus/prior/smoothing_spline_internal.h"

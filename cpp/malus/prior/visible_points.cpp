@@ -21,7 +21,7 @@ double spacing_of(const PointJudgement& judgement, int neighbors, const Context&
     for (std::size_t i = begin; i < end; ++i)
       values[i - begin] = judgement.hidden[i] ? std::numeric_limits<float>::quiet_NaN() : judgement.distance2[i];
   };
-  const RankedValues ranked(judgement.distance2.size(), distances, context);
+  RankedValues ranked(judgement.distance2.size(), distances, context);
   const std::size_t found = std::min(static_cast<std::size_t>(neighbors), ranked.size() - 1);
   if (found == 0) return 0;
   return std::sqrt(std::numbers::pi * ranked.at(std::array{ranked.size() / 2}).front() / static_cast<double>(found));

@@ -1,6 +1,7 @@
 #include <optional>
 
-#include "malus/io/point_cloud_file.h"
+#include "malus/assess/quality_internal.h"
+#include "malus/io/point_cloud_file_internal.h"
 #include "malus/station/quality_json_internal.h"
 #include "malus/station/state_views_internal.h"
 #include "malus/station/step_functions_internal.h"
@@ -14,25 +15,25 @@ QualityReport make_quality(const Job& job, const FusedSurface& surface, const Ca
   std::optional<TriangleMesh> reference;
   if (job.run.reference) reference = read_cloud_or_mesh(*job.run.reference, job.context, "reference");
   const Mask object = object_mask(*polarization.state);
-  QualityReport report;
-  report.quality = assess({.surface = &surface,
-                           .prior = &prior,
-                           .height = height,
-                           .polarization = polarization.state.get(),
-                           .object = &object,
-                           .reference = reference ? &*reference : nullptr,
-                           .registration_rms_px = view.registration_rms_px,
-                           .patches = station.patches,
-                           .profiles = station.profiles,
-                           .unit = station.unit},
-                          job.options.assess, job.context);
-  report.quality.warnings = warnings.all;
+  Quality quality = assess({.surface = &surface,
+                            .prior = &prior,
+                            .height = height,
+                            .polarization = polarization.state.get(),
+                            .object = &object,
+                            .reference = reference ? &*reference : nullptr,
+                            .registration_rms_px = view.registration_rms_px,
+                            .patches = station.patches,
+                            .profiles = station.profiles,
+                            .unit = station.unit},
+                           job.options.assess, job.context);
+  quality.warnings = warnings.all;
   const auto& photogrammetry = job.station.photogrammetry;
-  report.json = quality_json(station, report.quality, polarization.polarizer, clamped, refinement,
-                             photogrammetry ? &*photogrammetry : nullptr)
-                    .dump(2) +
-                "\n";
-  return report;
+  const Json json = quality_json(station, quality, polarization.polarizer, clamped, refinement,
+                                 photogrammetry ? &*photogrammetry : nullptr);
+  return {.json = json.dump(2) + "\n",
+          .status = quality.status,
+          .confidence = quality.confidence,
+          .distance = quality.reference ? std::move(quality.reference->distance) : Image<float>()};
 }
 
 }  // namespace malus

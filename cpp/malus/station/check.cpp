@@ -8,11 +8,11 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
-#include "malus/capture/capture.h"
+#include "malus/capture/capture_internal.h"
 #include "malus/evidence/object_size_internal.h"
 #include "malus/evidence/prior_alignment_internal.h"
 #include "malus/io/colmap_workspace_internal.h"
-#include "malus/io/point_cloud_file.h"
+#include "malus/io/point_cloud_file_internal.h"
 #include "malus/station/check_inputs_internal.h"
 #include "malus/station/control_points_internal.h"
 #include "malus/station/prior_scale_internal.h"

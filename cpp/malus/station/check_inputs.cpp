@@ -1,7 +1,7 @@
 #include <Eigen/Geometry>
 #include <cmath>
 
-#include "malus/io/image_file.h"
+#include "malus/io/image_file_internal.h"
 #include "malus/station/check_inputs_internal.h"
 
 namespace malus {

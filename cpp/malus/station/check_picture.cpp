@@ -1,8 +1,8 @@
 #include <variant>
 
 #include "malus/io/colmap_workspace_internal.h"
-#include "malus/io/image_file.h"
-#include "malus/io/point_cloud_file.h"
+#include "malus/io/image_file_internal.h"
+#include "malus/io/point_cloud_file_internal.h"
 #include "malus/prior/shape_depth_internal.h"
 #include "malus/station/check_inputs_internal.h"
 #include "malus/station/check_picture_internal.h"

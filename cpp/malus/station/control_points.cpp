@@ -2,6 +2,7 @@
 #include <cmath>
 #include <sstream>
 
+#include "malus/io/resection_internal.h"
 #include "malus/station/control_points_internal.h"
 
 namespace malus {

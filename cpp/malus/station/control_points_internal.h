@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "malus/core/field_list.h"
 #include "malus/io/station_spec.h"
 #include "malus/station/json_fields_internal.h"
 
@@ -18,13 +19,7 @@ struct ControlResidual {
 
   double length_px() const;
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("name", self.name);
-    visit("check", self.check);
-    visit("du_px", self.du_px);
-    visit("dv_px", self.dv_px);
-  }
+  MALUS_FIELDS(name, check, du_px, dv_px)
 };
 
 /// Of every point that is marked in the polarized image; none without a camera.

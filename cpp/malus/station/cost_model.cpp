@@ -1,7 +1,7 @@
 #include <algorithm>
 
 #include "malus/fusion/tile_solver_internal.h"
-#include "malus/height/height.h"
+#include "malus/height/height_internal.h"
 #include "malus/station/cost_model_internal.h"
 
 namespace malus {

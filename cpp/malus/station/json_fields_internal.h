@@ -18,7 +18,6 @@
 #include "malus/core/fields.h"
 #include "malus/core/pose.h"
 #include "malus/polarization/noise_model.h"
-#include "malus/polarization/polarizer_fit.h"
 
 namespace malus {
 
@@ -68,19 +67,6 @@ void visit_fields(Self& noise, Visitor&& visit) {
   visit("read_noise_e", noise.read_noise_e);
   visit("quantization", noise.quantization);
   visit("frames_averaged", noise.frames_averaged);
-}
-
-template <Some<PolarizerFit> Self, class Visitor>
-void visit_fields(Self& fit, Visitor&& visit) {
-  visit("angles_rad", fit.angles_rad);
-  visit("gains", fit.gains);
-  visit("image_information", fit.image_information);
-  visit("nominal_weight", fit.nominal_weight);
-  visit("residual_before", fit.residual_before);
-  visit("residual_after", fit.residual_after);
-  visit("pixels", fit.pixels);
-  visit("largest_angle_change_rad", fit.largest_angle_change_rad);
-  visit("largest_gain_change", fit.largest_gain_change);
 }
 
 template <class T>

@@ -3,7 +3,7 @@
 
 #include "malus/core/parallel_internal.h"
 #include "malus/io/atomic_file_internal.h"
-#include "malus/io/image_file.h"
+#include "malus/io/image_file_internal.h"
 #include "malus/io/input_file_internal.h"
 #include "malus/station/keeper_internal.h"
 

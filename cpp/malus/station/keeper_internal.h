@@ -68,6 +68,12 @@ class Keeper {
     }
   }
 
+  /// All fields that a result lists, each as a value.
+  template <class T>
+  void fields(T& result) {
+    T::fields(result, [this](const char* name, auto& member) { value(name, member); });
+  }
+
   /// A part that is shared: a new one to read into, or the one that is there, which is not changed.
   template <class T>
   T& shared(std::shared_ptr<const T>& part) {

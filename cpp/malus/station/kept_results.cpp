@@ -1,4 +1,4 @@
-#include "malus/io/colmap_model.h"
+#include "malus/io/colmap_model_internal.h"
 #include "malus/station/kept_results_internal.h"
 
 namespace malus {
@@ -29,8 +29,7 @@ void keep(MeasuredPolarization& result, Keeper& keeper) {
 }
 
 void keep(StationView& result, Keeper& keeper) {
-  keeper.value("camera", result.camera);
-  keeper.value("registration_rms_px", result.registration_rms_px);
+  keeper.fields(result);
 }
 
 void keep(ImageFindings& result, Keeper& keeper) {
@@ -59,14 +58,7 @@ void keep(CalibratedPolarization& result, Keeper& keeper) {
 void keep(DepthPrior& result, Keeper& keeper) {
   keeper.raster("prior/depth.tif", result.depth);
   keeper.raster("prior/sigma.tif", result.sigma);
-  keeper.value("camera", result.camera);
-  keeper.value("pose", result.pose);
-  keeper.value("points_total", result.points_total);
-  keeper.value("points_used", result.points_used);
-  keeper.value("noise", result.noise);
-  keeper.value("spacing_px", result.spacing_px);
-  keeper.value("smoothing_px", result.smoothing_px);
-  keeper.value("filled_fraction", result.filled_fraction);
+  keeper.fields(result);
 }
 
 void keep(PriorPoints& result, Keeper& keeper) {
@@ -94,15 +86,7 @@ void keep(ClampedZeniths& result, Keeper& keeper) {
 
 void keep(HeightMap& result, Keeper& keeper) {
   keeper.raster("height/height.tif", result.height);
-  keeper.value("perspective", result.perspective);
-  keeper.value("light", result.light);
-  keeper.value("status", result.status);
-  keeper.value("residual_rms", result.residual_rms);
-  keeper.value("unknowns", result.unknowns);
-  keeper.value("iterations", result.iterations);
-  keeper.value("last_update", result.last_update);
-  keeper.value("solver_iterations", result.solver_iterations);
-  keeper.value("solver_bytes", result.solver_bytes);
+  keeper.fields(result);
 }
 
 void keep(FusedSurface& result, Keeper& keeper) {
@@ -111,12 +95,7 @@ void keep(FusedSurface& result, Keeper& keeper) {
   keeper.raster("fused/sigma.tif", result.sigma);
   keeper.extra("fused/camera.txt", colmap_text(result.camera));
   keeper.extra("fused/image.txt", colmap_text(result.pose, "depth.tif"));
-  keeper.value("camera", result.camera);
-  keeper.value("pose", result.pose);
-  keeper.value("method", result.method);
-  keeper.value("status", result.status);
-  keeper.value("warnings", result.warnings);
-  keeper.value("confidence", result.confidence);
+  keeper.fields(result);
 }
 
 void keep(RefinementFindings& result, Keeper& keeper) {
@@ -129,10 +108,12 @@ void keep(RefinementFindings& result, Keeper& keeper) {
 
 void keep(QualityReport& result, Keeper& keeper) {
   keeper.text("quality.json", result.json);
-  if (keeper.is_reading()) fields_from_json(result.quality, Json::parse(result.json));
-  if (result.quality.reference) {
-    keeper.raster("fused/reference_distance.tif", result.quality.reference->distance);
+  if (keeper.is_reading()) {
+    const Json json = Json::parse(result.json);
+    fields_from_json(result.status, json.at("status"));
+    fields_from_json(result.confidence, json.at("confidence"));
   }
+  keeper.raster("fused/reference_distance.tif", result.distance);
 }
 
 }  // namespace malus

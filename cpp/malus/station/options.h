@@ -1,37 +1,17 @@
 #pragma once
 
-#include <array>
 #include <filesystem>
 #include <string>
 #include <string_view>
 
-#include "malus/assess/assess_options.h"
-#include "malus/capture/capture.h"
-#include "malus/core/fields.h"
-#include "malus/evidence/evidence_options.h"
-#include "malus/fusion/grid_fusion.h"
-#include "malus/fusion/grid_optimization.h"
-#include "malus/fusion/refine.h"
-#include "malus/height/height.h"
-#include "malus/lighting/light.h"
-#include "malus/photogrammetry/photos_options.h"
-#include "malus/polarization/decompose.h"
-#include "malus/polarization/polarizer_options.h"
-#include "malus/polarization/reflection.h"
-#include "malus/prior/project_prior.h"
-#include "malus/stereo/surface_sweep.h"
-#include "malus/surface/mesh.h"
+#include "malus/options/capture_options.h"
+#include "malus/options/fusion_options.h"
+#include "malus/options/height_options.h"
+#include "malus/options/polarization_options.h"
+#include "malus/options/prior_options.h"
+#include "malus/options/surface_options.h"
 
 namespace malus {
-
-/// Which fusion makes the result.
-enum class Fusion {
-  grid,     ///< the paper's transfer of polarization detail onto the prior (Eq 14 to 16)
-  refined,  ///< nonlinear least squares on log depth
-};
-constexpr auto names_of(Fusion) {
-  return std::to_array<std::string_view>({"grid", "refined"});
-}
 
 /// Options of every step. The sections' fields are listed once, in each step's own options struct.
 struct Options {

@@ -5,15 +5,15 @@
 #include <utility>
 #include <vector>
 
-#include "malus/capture/capture.h"
-#include "malus/core/depth_normals.h"
+#include "malus/capture/capture_internal.h"
+#include "malus/core/depth_normals_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/percent_internal.h"
 #include "malus/evidence/image_order_internal.h"
 #include "malus/evidence/response_check_internal.h"
-#include "malus/io/image_file.h"
-#include "malus/polarization/decompose.h"
+#include "malus/io/image_file_internal.h"
+#include "malus/polarization/decompose_internal.h"
 #include "malus/polarization/frame_calibration_internal.h"
 #include "malus/polarization/interpolation_error_internal.h"
 #include "malus/polarization/pixel_curves.h"

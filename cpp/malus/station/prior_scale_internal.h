@@ -7,7 +7,7 @@
 
 #include "malus/core/image.h"
 #include "malus/core/shape.h"
-#include "malus/io/point_cloud_file.h"
+#include "malus/io/point_cloud_file_internal.h"
 #include "malus/io/station_spec.h"
 
 namespace malus {

@@ -2,9 +2,8 @@
 
 // Private to the station room: what stands in quality.json.
 
-#include <string>
-
-#include "malus/fusion/refine.h"
+#include "malus/assess/quality_internal.h"
+#include "malus/fusion/refine_internal.h"
 #include "malus/station/json_fields_internal.h"
 #include "malus/station/results.h"
 #include "malus/station/station.h"

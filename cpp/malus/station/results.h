@@ -6,9 +6,9 @@
 #include <typeindex>
 #include <vector>
 
-#include "malus/assess/quality.h"
 #include "malus/core/camera.h"
 #include "malus/core/confidence.h"
+#include "malus/core/field_list.h"
 #include "malus/core/finding.h"
 #include "malus/core/image.h"
 #include "malus/fusion/fused_surface.h"
@@ -16,7 +16,6 @@
 #include "malus/polarization/pixel_curves.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/polarization/polarizer_calibration.h"
-#include "malus/polarization/polarizer_fit.h"
 #include "malus/polarization/reflection.h"
 #include "malus/prior/depth_prior.h"
 
@@ -37,6 +36,8 @@ struct MeasuredPolarization {
 struct StationView {
   Pinhole camera;
   std::vector<double> registration_rms_px;  ///< PolarizedStack::registration_rms_px
+
+  MALUS_FIELDS(camera, registration_rms_px)
 };
 
 /// What the images say of themselves: "order" and "response", and if it gives cause for caution, "registration",
@@ -90,11 +91,12 @@ struct RefinementFindings {
   Image<float> mirrored;           ///< unpolarized intensity of the mirrored light, unit of the images; NaN = not known
 };
 
-/// The figures, and quality.json, which also has the station's name and what refinement and photogrammetry say of
-/// themselves.
+/// Every figure, and what refinement and photogrammetry say of themselves.
 struct QualityReport {
-  Quality quality;
-  std::string json;
+  std::string json;       ///< quality.json
+  std::string status;     ///< of the fused surface, as there
+  Confidence confidence;  ///< likewise
+  Image<float> distance;  ///< from the reference, station view and unit, NaN = not compared; empty without one
 };
 
 /// Results by their type, shared with whoever asks for them.

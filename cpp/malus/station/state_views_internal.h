@@ -3,7 +3,7 @@
 // Private to the station room: what several steps take from the polarization.
 
 #include "malus/core/camera.h"
-#include "malus/lighting/light.h"
+#include "malus/lighting/light_internal.h"
 #include "malus/polarization/polarization_state.h"
 
 namespace malus {

@@ -1,6 +1,7 @@
 #include "malus/station/station.h"
 
 #include "malus/io/colmap_workspace_internal.h"
+#include "malus/io/station_file_internal.h"
 #include "malus/station/control_points_internal.h"
 #include "malus/station/json_fields_internal.h"
 
@@ -52,6 +53,13 @@ std::vector<std::filesystem::path> files_of(const StationFile& file) {
 }
 
 }  // namespace
+
+Station Station::load(const std::filesystem::path& path) {
+  Station station;
+  station.file = read_station_file(path);
+  if (station.file.prior) std::visit([&](const auto& file) { station.prior = file; }, *station.file.prior);
+  return station;
+}
 
 std::string describe_station_json(const Station& station) {
   const StationFile& file = station.file;

@@ -9,8 +9,9 @@
 #include "malus/core/finding.h"
 #include "malus/core/geometry.h"
 #include "malus/core/image.h"
-#include "malus/io/station_file.h"
-#include "malus/prior/project_prior.h"
+#include "malus/core/shape.h"
+#include "malus/io/station_spec.h"
+#include "malus/prior/depth_prior.h"
 
 namespace malus {
 
@@ -42,12 +43,7 @@ struct Station {
   bool has_prior() const { return !std::holds_alternative<std::monostate>(prior); }
 
   /// Reads and checks a station file (not the images). Throws ErrorCode::input.
-  static Station load(const std::filesystem::path& path) {
-    Station station;
-    station.file = read_station_file(path);
-    if (station.file.prior) std::visit([&](const auto& file) { station.prior = file; }, *station.file.prior);
-    return station;
-  }
+  static Station load(const std::filesystem::path& path);
 };
 
 /// What a station says, as JSON for people and programs: name, unit, images, angles, camera, prior, patches, profiles.

@@ -7,7 +7,7 @@
 
 #include "malus/core/error.h"
 #include "malus/core/parallel_internal.h"
-#include "malus/prior/project_prior.h"
+#include "malus/prior/project_prior_internal.h"
 #include "malus/stereo/first_surface_internal.h"
 
 namespace malus {

@@ -4,7 +4,7 @@
 
 #include "malus/core/context.h"
 #include "malus/core/image.h"
-#include "malus/stereo/surface_sweep.h"
+#include "malus/stereo/surface_sweep_internal.h"
 
 namespace malus {
 

@@ -1,5 +1,3 @@
-#include "malus/stereo/surface_sweep.h"
-
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -18,6 +16,7 @@
 #include "malus/stereo/highlights_internal.h"
 #include "malus/stereo/intensity_pyramid_internal.h"
 #include "malus/stereo/surface_raster_internal.h"
+#include "malus/stereo/surface_sweep_internal.h"
 #include "malus/stereo/sweep_pass_internal.h"
 #include "malus/stereo/view_choice_internal.h"
 

@@ -1,5 +1,3 @@
-#include "malus/surface/dem.h"
-
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
@@ -10,6 +8,7 @@
 
 #include "malus/core/parallel_internal.h"
 #include "malus/core/ranked_values_internal.h"
+#include "malus/surface/dem_internal.h"
 #include "malus/surface/plane_internal.h"
 
 namespace malus {
@@ -29,7 +28,7 @@ double median_gsd(const FusedSurface& surface, const Context& context) {
     std::transform(depth.data() + begin, depth.data() + end, to,
                    [](float z) { return z > 0 ? z : std::numeric_limits<float>::quiet_NaN(); });
   };
-  const RankedValues depths(depth.count(), usable, context);
+  RankedValues depths(depth.count(), usable, context);
   return depths.at(std::array{depths.size() / 2}).front() / surface.camera.focal();
 }
 

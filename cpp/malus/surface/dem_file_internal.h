@@ -3,8 +3,8 @@
 #include <filesystem>
 #include <string>
 
-#include "malus/core/length_unit.h"
-#include "malus/surface/dem.h"
+#include "malus/core/length_unit_internal.h"
+#include "malus/surface/dem_internal.h"
 
 namespace malus {
 

@@ -10,7 +10,7 @@
 #include <sstream>
 #include <vector>
 
-#include "malus/core/depth_normals.h"
+#include "malus/core/depth_normals_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/surface/display_image_internal.h"
 

@@ -1,45 +1,12 @@
 #pragma once
 
 #include "malus/core/context.h"
-#include "malus/core/fields.h"
 #include "malus/core/geometry.h"
 #include "malus/core/image.h"
 #include "malus/fusion/fused_surface.h"
+#include "malus/options/surface_options.h"
 
 namespace malus {
-
-struct SurfaceOptions {
-  int subsample = 1;
-  double max_incidence_deg = 85;
-  double min_step_gsd = 4;
-  double step_ratio = 3;
-  double max_sigma_gsd = 10;
-  double white_percentile = 99.5;
-  std::optional<double> dem_pixel;
-  int glb_triangles = 500000;
-  int glb_texture_px = 4096;
-
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("subsample", self.subsample, Range{1, 64}, "the mesh has every n-th pixel as a vertex");
-    visit("max_incidence_deg", self.max_incidence_deg, Range{45, 90},
-          "triangles seen flatter than this (normal to viewing ray) are left out: the sides of depth steps");
-    visit("min_step_gsd", self.min_step_gsd, not_negative,
-          "depth steps between neighboring pixels up to this many GSD are never cut by step_ratio");
-    visit("step_ratio", self.step_ratio, Range{1, 1e6},
-          "a larger step is cut if it exceeds this many times the steps right before and after it");
-    visit("max_sigma_gsd", self.max_sigma_gsd, Range{0.1, 1e9},
-          "the mesh ends where the standard deviation of depth exceeds this many GSD: ragged rims, and guesses");
-    visit("white_percentile", self.white_percentile, Range{1, 100},
-          "intensity percentile that becomes white in the vertex colors");
-    visit("dem_pixel", self.dem_pixel, Range{1e-9, 1e9},
-          "pixel of the elevation model in the station's unit; auto = GSD x subsample");
-    visit("glb_triangles", self.glb_triangles, Range{100, 1e9},
-          "surface.glb takes every n-th pixel as a vertex, n so large that it has about as many triangles at most");
-    visit("glb_texture_px", self.glb_texture_px, Range{16, 16384},
-          "longest side of the texture in surface.glb; larger images are reduced by averaging");
-  }
-};
 
 /// Triangle mesh of the fused depth in the world frame, station unit, counter-clockwise seen from the camera.
 ///

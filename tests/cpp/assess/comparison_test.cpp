@@ -1,9 +1,8 @@
-#include "malus/assess/comparison.h"
-
 #include <gtest/gtest.h>
 
 #include <random>
 
+#include "malus/assess/comparison_internal.h"
 #include "malus/assess/reference_surface_internal.h"
 #include "malus/surface/mesh.h"
 #include "surface/scenes.h"
@@ -86,7 +85,7 @@ TEST(Comparison, SphereAgainstItsMeshAndItsCloud) {
   AssessOptions options;
   options.histogram_range_gsd = 3;
   const ReferenceComparison to_mesh = compare_with_reference(surface, reference, gsd, options, {});
-  EXPECT_EQ(to_mesh.status, "done");
+  EXPECT_EQ(to_mesh.status, ComparisonStatus::done);
   EXPECT_NEAR(to_mesh.distance_gsd.median, 2, 2e-3) << "in front of the reference by 1 mm";
   EXPECT_NEAR(to_mesh.distance_gsd.mean, 2, 0.02);
   reference.triangles.clear();
@@ -113,7 +112,7 @@ TEST(Comparison, FarPixelsAreLeftOutAndNamed) {
   EXPECT_LT(std::abs(result.distance(40, 60)), 1e-4);
   EXPECT_TRUE(std::isnan(result.distance(120, 60)));
   const ReferenceComparison nothing = compare_with_reference(wavy(50), mesh_of(reference_view), gsd, options, {});
-  EXPECT_EQ(nothing.status, "no pixel near the reference");
+  EXPECT_EQ(nothing.status, ComparisonStatus::nothing_near);
 }
 
 TEST(Comparison, IcpUndoesAKnownMotionAndIsOffByDefault) {
@@ -129,7 +128,7 @@ TEST(Comparison, IcpUndoesAKnownMotionAndIsOffByDefault) {
     EXPECT_GT(compare_with_reference(surface, moved, gsd, options, {}).distance_gsd.rmse, 0.5);
     options.alignment = scale == 1 ? Alignment::rigid : Alignment::similarity;
     const ReferenceComparison aligned = compare_with_reference(surface, moved, gsd, options, {});
-    EXPECT_EQ(aligned.status, "done");
+    EXPECT_EQ(aligned.status, ComparisonStatus::done);
     EXPECT_LT(aligned.distance_gsd.rmse, 0.002);
     EXPECT_NEAR(aligned.reference_from_surface.scale, scale, 1e-5);
     EXPECT_LT((aligned.reference_from_surface.apply(middle) - middle - Eigen::Vector3d(0.5, -0.4, 0.6)).norm(), 0.01);

@@ -1,11 +1,11 @@
-#include "malus/assess/patches.h"
-
 #include <gtest/gtest.h>
 
 #include <numeric>
 #include <random>
 
+#include "malus/assess/patches_internal.h"
 #include "surface/scenes.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {
@@ -59,13 +59,8 @@ TEST(Patches, CornersAreInclusiveAndNaNIsLeftOut) {
 TEST(Patches, BoxOutsideOfTheImageIsAnErrorThatNamesIt) {
   for (const PatchSpec& patch : {PatchSpec{"far", -1, 0, 20, 20}, PatchSpec{"far", 0, 0, 120, 20},
                                  PatchSpec{"far", 0, 0, 20, 100}, PatchSpec{"far", 20, 0, 10, 20}}) {
-    try {
-      fit_patch(noisy_plane(0), patch_camera, patch, 0.5, {}, {});
-      FAIL();
-    } catch (const Error& error) {
-      EXPECT_EQ(error.code(), ErrorCode::input);
-      EXPECT_NE(std::string(error.what()).find("\"far\": box = ["), std::string::npos);
-    }
+    expect_error(
+        ErrorCode::input, [&] { fit_patch(noisy_plane(0), patch_camera, patch, 0.5, {}, {}); }, "\"far\": box = [");
   }
 }
 

@@ -1,7 +1,6 @@
-#include "malus/assess/profiles.h"
-
 #include <gtest/gtest.h>
 
+#include "malus/assess/profiles_internal.h"
 #include "surface/scenes.h"
 
 namespace malus {
@@ -27,7 +26,7 @@ ProfileFigures across(const Image<float>& prior, const Image<float>& polarizatio
 
 TEST(Profiles, HeightIsPerpendicularToTheChordAndTowardsTheCamera) {
   const ProfileFigures p = across(bumped_plane(0), {}, bumped_plane(2));
-  ASSERT_EQ(p.status, "done");
+  ASSERT_EQ(p.status, ProfileStatus::done);
   ASSERT_EQ(p.fused.size(), 121u);
   EXPECT_TRUE(p.polarization.empty());
   for (std::size_t i = 0; i < p.fused.size(); ++i) {
@@ -68,7 +67,7 @@ TEST(Profiles, HolesStayHoles) {
   EXPECT_NEAR(p.position[10], 0, 1e-9) << "counted from the first point on the surface";
   EXPECT_EQ(p.fused_minus_prior.count, 121u - 11);
   fused.fill(none);
-  EXPECT_EQ(across({}, {}, fused).status, "fewer than two samples on the surface");
+  EXPECT_EQ(across({}, {}, fused).status, ProfileStatus::too_few_samples);
 }
 
 TEST(Profiles, BilinearSampleIsExactForABilinearImageAndStopsAtNaN) {

@@ -1,5 +1,3 @@
-#include "malus/assess/quality.h"
-
 #include <gtest/gtest.h>
 
 #include <numbers>
@@ -7,6 +5,7 @@
 #include <set>
 
 #include "malus/assess/polarization_depth_internal.h"
+#include "malus/assess/quality_internal.h"
 #include "malus/surface/mesh.h"
 #include "surface/scenes.h"
 
@@ -82,7 +81,7 @@ TEST(Quality, FiguresOfAKnownCase) {
   EXPECT_NEAR(q.patches[0].fused->rmse_gsd, 0.2 / q.gsd, 1e-3);
   EXPECT_LT(q.patches[0].prior->rmse_gsd, 1e-6);
   EXPECT_LT(q.patches[0].polarization->rmse_gsd, 1e-6);
-  EXPECT_EQ(q.profiles[0].status, "done");
+  EXPECT_EQ(q.profiles[0].status, ProfileStatus::done);
   EXPECT_FALSE(q.reference);
 }
 

@@ -1,9 +1,9 @@
-#include "malus/assess/statistics.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <random>
+
+#include "malus/assess/statistics_internal.h"
 
 namespace malus {
 namespace {

@@ -3,7 +3,7 @@
 #include <random>
 
 #include "capture/scenes.h"
-#include "malus/capture/capture.h"
+#include "malus/capture/capture_internal.h"
 
 namespace malus {
 namespace {

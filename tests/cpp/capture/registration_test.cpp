@@ -1,10 +1,10 @@
-#include "malus/capture/registration.h"
-
 #include <gtest/gtest.h>
 
 #include <random>
 
 #include "capture/scenes.h"
+#include "malus/capture/registration_internal.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {
@@ -134,21 +134,20 @@ TEST(Registration, one_iteration_has_not_converged) {
 }
 
 TEST(Registration, sizes_must_agree) {
-  EXPECT_NE(error_of(ErrorCode::input,
-                     [&] {
-                       register_images({Image<float>({64, 64}), Image<float>({64, 65})}, NoiseModel{}, {}, Context{});
-                     })
-                .find("64 x 65"),
-            std::string::npos);
+  expect_error(
+      ErrorCode::input,
+      [&] {
+        register_images({Image<float>({64, 64}), Image<float>({64, 65})}, NoiseModel{}, {}, Context{});
+      },
+      "64 x 65");
 }
 
 TEST(Registration, stops_when_cancelled) {
   const std::atomic<bool> cancel{true};
   Context context;
   context.cancel = &cancel;
-  EXPECT_NE(error_of(ErrorCode::interrupted,
-                     [&] { register_images(scene_images(moved_maps, 0), NoiseModel{}, {}, context); }),
-            "");
+  expect_error(ErrorCode::interrupted,
+               [&] { register_images(scene_images(moved_maps, 0), NoiseModel{}, {}, context); });
 }
 
 }  // namespace

@@ -1,8 +1,7 @@
-#include "malus/capture/resampling.h"
-
 #include <gtest/gtest.h>
 
 #include "capture/scenes.h"
+#include "malus/capture/resampling_internal.h"
 
 namespace malus {
 namespace {

@@ -9,7 +9,7 @@
 #include <string>
 #include <vector>
 
-#include "malus/capture/capture.h"
+#include "malus/capture/capture_internal.h"
 #include "shared_data.h"
 
 namespace malus {
@@ -106,17 +106,6 @@ inline CaptureInput input_of(std::vector<Image<float>> images, std::vector<doubl
   for (std::size_t k = 0; k < images.size(); ++k) input.names.push_back("image " + std::to_string(k) + ".tif");
   input.load = [images = std::move(images)](std::size_t k) { return RawImage{images[k], 32, true, 1.0}; };
   return input;
-}
-
-/// The message of the error that `call` throws, with its code checked; "" when it throws none.
-template <class Call>
-std::string error_of(ErrorCode code, Call&& call) {
-  try {
-    call();
-  } catch (const Error& error) {
-    return error.code() == code ? error.what() : std::string("wrong code: ") + error.what();
-  }
-  return "";
 }
 
 }  // namespace malus

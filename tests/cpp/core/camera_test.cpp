@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include "malus/core/error.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {
@@ -82,13 +83,9 @@ TEST(LensCamera, BrownDecenteringByHand) {
 
 TEST(LensCamera, ValidateNamesTheProblem) {
   LensCamera lens{LensModel::opencv, {640, 480}, {500, 510, 320}};
-  try {
-    lens.validate("station.toml: camera.params");
-    FAIL();
-  } catch (const Error& error) {
-    EXPECT_EQ(error.code(), ErrorCode::input);
-    EXPECT_STREQ(error.what(), "station.toml: camera.params: 3 parameters for camera model OPENCV, expected 8");
-  }
+  expect_error(
+      ErrorCode::input, [&] { lens.validate("station.toml: camera.params"); },
+      "station.toml: camera.params: 3 parameters for camera model OPENCV, expected 8");
   EXPECT_THROW(lens_model("FISHEYE", "f"), Error);
 }
 

@@ -1,9 +1,9 @@
-#include "malus/core/depth_normals.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <limits>
+
+#include "malus/core/depth_normals_internal.h"
 
 namespace malus {
 namespace {

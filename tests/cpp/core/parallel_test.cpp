@@ -7,6 +7,7 @@
 #include <thread>
 
 #include "malus/core/parallel_internal.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {
@@ -43,20 +44,17 @@ TEST(Parallel, RethrowsTheErrorOfTheFirstBlockThatFails) {
   context.threads = 3;
   // The second and third fail long before the first does.
   std::atomic<int> others{0};
-  try {
-    parallel_for(context, 100, 1, [&](std::size_t block, std::size_t) {
-      if (block > 0) {
-        others.fetch_add(1);
-        throw data_error("another");
-      }
-      while (others.load() == 0) std::this_thread::yield();
-      std::this_thread::sleep_for(std::chrono::milliseconds(20));
-      throw data_error("the first");
-    });
-    FAIL();
-  } catch (const Error& error) {
-    EXPECT_STREQ(error.what(), "the first");
-  }
+  const auto work = [&](std::size_t block, std::size_t) {
+    if (block > 0) {
+      others.fetch_add(1);
+      throw data_error("another");
+    }
+    while (others.load() == 0) std::this_thread::yield();
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    throw data_error("the first");
+  };
+  expect_error(
+      ErrorCode::data, [&] { parallel_for(context, 100, 1, work); }, "the first");
 }
 
 TEST(Parallel, StopsAtErrorsAndWhenCancelled) {
@@ -65,12 +63,7 @@ TEST(Parallel, StopsAtErrorsAndWhenCancelled) {
   EXPECT_THROW(parallel_for(context, 100, 1, [](std::size_t, std::size_t) { throw data_error("x"); }), Error);
   std::atomic<bool> cancel{true};
   context.cancel = &cancel;
-  try {
-    parallel_for(context, 100, 1, [](std::size_t, std::size_t) {});
-    FAIL();
-  } catch (const Error& error) {
-    EXPECT_EQ(error.code(), ErrorCode::interrupted);
-  }
+  expect_error(ErrorCode::interrupted, [&] { parallel_for(context, 100, 1, [](std::size_t, std::size_t) {}); });
 }
 
 }  // namespace

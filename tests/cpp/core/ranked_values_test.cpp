@@ -32,7 +32,7 @@ TEST(RankedValues, AreThoseOfTheSortedListWithAnyNumberOfThreads) {
   for (const int threads : {1, 3}) {
     Context context;
     context.threads = threads;
-    const RankedValues ranked(values.size(), source_of(values), context);
+    RankedValues ranked(values.size(), source_of(values), context);
     ASSERT_EQ(ranked.size(), sorted.size());
     const std::vector<float> found = ranked.at(ranks);
     for (std::size_t k = 0; k < ranks.size(); ++k) EXPECT_EQ(found[k], sorted[ranks[k]]) << ranks[k];
@@ -44,7 +44,7 @@ TEST(RankedValues, OfNeighbouringNumbersAndOfNone) {
   for (float value = 1; values.size() < 300; value = std::nextafter(value, 2.0f)) values.push_back(value);
   std::ranges::reverse(values);
   values.push_back(-0.0f);
-  const RankedValues ranked(values.size(), source_of(values), {});
+  RankedValues ranked(values.size(), source_of(values), {});
   EXPECT_EQ(ranked.at(std::array{std::size_t{0}, std::size_t{1}, std::size_t{300}}),
             (std::vector<float>{0, 1, values.front()}));
   const std::vector<float> none(5, std::nanf(""));

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "malus/core/camera.h"
-#include "malus/core/depth_normals.h"
+#include "malus/core/depth_normals_internal.h"
 #include "malus/core/geometry.h"
 #include "malus/core/pose.h"
 #include "malus/evidence/prior_alignment_internal.h"

@@ -3,7 +3,7 @@
 #include <cmath>
 
 #include "malus/fusion/coarse_level_internal.h"
-#include "malus/fusion/refine.h"
+#include "malus/fusion/refine_internal.h"
 #include "synthetic_station.h"
 
 namespace malus {

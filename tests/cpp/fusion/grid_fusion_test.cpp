@@ -1,5 +1,3 @@
-#include "malus/fusion/grid_fusion.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -8,6 +6,8 @@
 #include <numbers>
 
 #include "malus/core/error.h"
+#include "malus/fusion/grid_fusion_internal.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {
@@ -157,29 +157,18 @@ TEST(GridFusion, IsTheSameWithMoreThreads) {
   EXPECT_EQ(a.sigma, b.sigma);
 }
 
-template <class Call>
-ErrorCode code_of(Call&& call) {
-  try {
-    call();
-  } catch (const Error& error) {
-    return error.code();
-  }
-  ADD_FAILURE() << "no error";
-  return ErrorCode::interrupted;
-}
-
 TEST(GridFusion, RejectsWhatDoesNotFit) {
   const Size size{32, 32};
   const DepthPrior prior = prior_of(size, [](int, int) { return 0; });
   const HeightMap height = map_of(size, [](int, int) { return 0; });
-  EXPECT_EQ(code_of([&] { fuse_grid(map_of({32, 31}, [](int, int) { return 0; }), prior, {}, {}); }), ErrorCode::input);
-  EXPECT_EQ(code_of([&] { fuse_grid(map_of(size, [](int, int) { return none; }), prior, {}, {}); }), ErrorCode::data);
+  expect_error(ErrorCode::input, [&] { fuse_grid(map_of({32, 31}, [](int, int) { return 0; }), prior, {}, {}); });
+  expect_error(ErrorCode::data, [&] { fuse_grid(map_of(size, [](int, int) { return none; }), prior, {}, {}); });
   GridFusionOptions options;
   options.grid_px = 0;
-  EXPECT_EQ(code_of([&] { fuse_grid(height, prior, options, {}); }), ErrorCode::input);
+  expect_error(ErrorCode::input, [&] { fuse_grid(height, prior, options, {}); });
   options = {};
   options.sigma_nodes = -1;
-  EXPECT_EQ(code_of([&] { fuse_grid(height, prior, options, {}); }), ErrorCode::input);
+  expect_error(ErrorCode::input, [&] { fuse_grid(height, prior, options, {}); });
 }
 
 }  // namespace

@@ -1,5 +1,3 @@
-#include "malus/fusion/grid_optimization.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -7,6 +5,7 @@
 #include <numbers>
 
 #include "malus/core/error.h"
+#include "malus/fusion/grid_optimization_internal.h"
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/ray_frame.h"
 #include "synthetic_station.h"

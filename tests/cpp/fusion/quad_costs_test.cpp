@@ -7,7 +7,7 @@
 
 #include "malus/fusion/quad_costs_internal.h"
 #include "malus/fusion/refinement_weights_internal.h"
-#include "malus/fusion/surroundings.h"
+#include "malus/fusion/surroundings_internal.h"
 #include "synthetic_station.h"
 
 namespace malus {

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "malus/fusion/refine.h"
+#include "malus/fusion/refine_internal.h"
 
 namespace malus {
 

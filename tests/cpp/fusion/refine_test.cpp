@@ -1,5 +1,3 @@
-#include "malus/fusion/refine.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -8,6 +6,7 @@
 #include <limits>
 
 #include "malus/core/error.h"
+#include "malus/fusion/refine_internal.h"
 #include "malus/fusion/refinement_field_internal.h"
 #include "malus/fusion/tile_solver_internal.h"
 #include "quick_refinement.h"

@@ -1,5 +1,3 @@
-#include "malus/fusion/reflection_model.h"
-
 #include <ceres/jet.h>
 #include <gtest/gtest.h>
 
@@ -9,8 +7,9 @@
 #include <random>
 
 #include "malus/fusion/fresnel_factors_internal.h"
-#include "malus/fusion/ray_slopes.h"
+#include "malus/fusion/ray_slopes_internal.h"
 #include "malus/fusion/refinement_field_internal.h"
+#include "malus/fusion/reflection_model_internal.h"
 #include "malus/polarization/fresnel.h"
 
 namespace malus {

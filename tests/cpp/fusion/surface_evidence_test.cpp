@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "malus/fusion/refine.h"
+#include "malus/fusion/refine_internal.h"
 #include "malus/fusion/refinement_weights_internal.h"
 #include "malus/fusion/surface_evidence_internal.h"
 #include "quick_refinement.h"

@@ -1,5 +1,3 @@
-#include "malus/fusion/surroundings.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -10,9 +8,10 @@
 #include <random>
 
 #include "malus/fusion/fresnel_factors_internal.h"
-#include "malus/fusion/refine.h"
-#include "malus/fusion/reflection_model.h"
+#include "malus/fusion/refine_internal.h"
+#include "malus/fusion/reflection_model_internal.h"
 #include "malus/fusion/surroundings_fit_internal.h"
+#include "malus/fusion/surroundings_internal.h"
 #include "synthetic_station.h"
 
 namespace malus {

@@ -3,11 +3,11 @@
 #include <cmath>
 #include <random>
 
-#include "malus/core/depth_normals.h"
+#include "malus/core/depth_normals_internal.h"
 #include "malus/fusion/fresnel_factors_internal.h"
-#include "malus/fusion/ray_slopes.h"
-#include "malus/fusion/reflection_model.h"
-#include "malus/fusion/surroundings.h"
+#include "malus/fusion/ray_slopes_internal.h"
+#include "malus/fusion/reflection_model_internal.h"
+#include "malus/fusion/surroundings_internal.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/prior/depth_prior.h"
 

@@ -7,8 +7,8 @@
 #include <random>
 #include <vector>
 
-#include "malus/height/height.h"
-#include "malus/polarization/decompose.h"
+#include "malus/height/height_internal.h"
+#include "malus/polarization/decompose_internal.h"
 #include "malus/polarization/ray_frame.h"
 
 namespace malus::height_scenes {

@@ -1,12 +1,11 @@
-#include "malus/height/height.h"
-
 #include <gtest/gtest.h>
 
 #include <atomic>
 #include <cmath>
 
 #include "height/height_scenes.h"
-#include "malus/core/depth_normals.h"
+#include "malus/core/depth_normals_internal.h"
+#include "malus/height/height_internal.h"
 #include "malus/lighting/light_from_polarization_internal.h"
 
 namespace malus {

@@ -4,11 +4,12 @@
 #include <string>
 
 #include "malus/io/atomic_file_internal.h"
-#include "malus/io/image_file.h"
+#include "malus/io/image_file_internal.h"
 #include "malus/io/input_file_internal.h"
 #include "malus/io/record_writer_internal.h"
 #include "malus/io/sha256_internal.h"
 #include "temporary_folder.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {

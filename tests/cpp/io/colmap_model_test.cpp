@@ -1,13 +1,13 @@
-#include "malus/io/colmap_model.h"
-
 #include <Eigen/Geometry>
 #include <cmath>
 #include <cstring>
 #include <random>
 
+#include "malus/io/colmap_model_internal.h"
 #include "malus/io/input_file_internal.h"
 #include "shared_data.h"
 #include "temporary_folder.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {

@@ -2,7 +2,7 @@
 
 #include <fstream>
 
-#include "malus/io/colmap_model.h"
+#include "malus/io/colmap_model_internal.h"
 #include "malus/io/colmap_workspace_internal.h"
 #include "temporary_folder.h"
 #include "thrown_error.h"
@@ -81,16 +81,20 @@ TEST(ColmapWorkspace, ManyPixelsAreThinned) {
 TEST(ColmapWorkspace, WhatIsMissingIsNamed) {
   const Workspace workspace;
   const TemporaryFolder empty;
-  expect_contains(error_of([&] { read_colmap_workspace(empty.path()); }).second, "depth_maps");
+  expect_error(
+      ErrorCode::input, [&] { read_colmap_workspace(empty.path()); }, "depth_maps");
   fs::create_directories(empty.path() / "stereo/depth_maps");
   std::ofstream(empty.path() / "stereo/depth_maps/a.jpg.photometric.bin") << "x";
-  expect_contains(error_of([&] { read_colmap_workspace(empty.path()); }).second, "geom_consistency");
+  expect_error(
+      ErrorCode::input, [&] { read_colmap_workspace(empty.path()); }, "geom_consistency");
   const fs::path stranger = workspace.root() / "stereo/depth_maps/stranger.jpg.geometric.bin";
   write_array(stranger, Image<float>({30, 20}, 1, 50.0F));
-  expect_contains(error_of([&] { read_colmap_workspace(workspace.root()); }).second, "stranger");
+  expect_error(
+      ErrorCode::input, [&] { read_colmap_workspace(workspace.root()); }, "stranger");
   fs::remove(stranger);
   write_array(workspace.root() / "stereo/depth_maps/view_1.jpg.geometric.bin", Image<float>({30, 30}, 1, 50.0F));
-  expect_contains(error_of([&] { read_colmap_workspace(workspace.root()); }).second, "60 x 40");
+  expect_error(
+      ErrorCode::input, [&] { read_colmap_workspace(workspace.root()); }, "60 x 40");
 }
 
 }  // namespace

@@ -1,5 +1,3 @@
-#include "malus/io/image_file.h"
-
 #include <sys/resource.h>
 #include <tiffio.h>
 #include <unistd.h>
@@ -9,8 +7,10 @@
 #include <opencv2/imgcodecs.hpp>
 #include <random>
 
+#include "malus/io/image_file_internal.h"
 #include "malus/io/input_file_internal.h"
 #include "temporary_folder.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {

@@ -1,5 +1,3 @@
-#include "malus/io/point_cloud_file.h"
-
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -7,8 +5,10 @@
 #include <random>
 
 #include "malus/io/input_file_internal.h"
+#include "malus/io/point_cloud_file_internal.h"
 #include "shared_data.h"
 #include "temporary_folder.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {

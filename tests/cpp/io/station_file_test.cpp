@@ -1,14 +1,14 @@
-#include "malus/io/station_file.h"
-
 #include <cmath>
 #include <numbers>
 
 #include "malus/io/angles_of_names_internal.h"
-#include "malus/io/colmap_model.h"
-#include "malus/io/image_file.h"
+#include "malus/io/colmap_model_internal.h"
+#include "malus/io/image_file_internal.h"
 #include "malus/io/polarized_files_internal.h"
+#include "malus/io/station_file_internal.h"
 #include "shared_data.h"
 #include "temporary_folder.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {

@@ -40,20 +40,4 @@ class TemporaryFolder {
   std::filesystem::path path_;
 };
 
-/// Calls `action`, expects a malus::Error with this code whose message contains every one of `parts`.
-template <class Action, class... Parts>
-void expect_error(ErrorCode code, Action&& action, const Parts&... parts) {
-  try {
-    action();
-  } catch (const Error& error) {
-    EXPECT_EQ(static_cast<int>(error.code()), static_cast<int>(code)) << error.what();
-    const std::string message = error.what();
-    for (const std::string& part : {std::string(parts)...}) {
-      EXPECT_NE(message.find(part), std::string::npos) << "\"" << part << "\" is not in: " << message;
-    }
-    return;
-  }
-  ADD_FAILURE() << "no error, expected one";
-}
-
 }  // namespace malus

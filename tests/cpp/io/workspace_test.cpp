@@ -8,6 +8,7 @@
 #include "malus/io/sha256_internal.h"
 #include "malus/io/workspace_internal.h"
 #include "temporary_folder.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {

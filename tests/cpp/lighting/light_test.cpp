@@ -1,9 +1,9 @@
-#include "malus/lighting/light.h"
-
 #include <gtest/gtest.h>
 
 #include <functional>
 #include <random>
+
+#include "malus/lighting/light_internal.h"
 
 namespace malus {
 namespace {

@@ -141,12 +141,7 @@ TEST(GridSolver, StopsWhenCancelled) {
   for (const int direct_unknowns : {0, pixels.count()}) {
     Eigen::VectorXd x;
     GridSolver solver(pixels, context, direct_unknowns);
-    try {
-      solver.solve(system, 1e-9, x);
-      FAIL();
-    } catch (const Error& error) {
-      EXPECT_EQ(error.code(), ErrorCode::interrupted);
-    }
+    expect_error(ErrorCode::interrupted, [&] { solver.solve(system, 1e-9, x); });
   }
 }
 

@@ -8,6 +8,7 @@
 #include "malus/linalg/grid_system_internal.h"
 #include "malus/linalg/nested_dissection_internal.h"
 #include "malus/linalg/symmetric_solver_internal.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {
@@ -105,12 +106,7 @@ TEST(SymmetricSolver, StopsWhenCancelled) {
   context.cancel = &cancel;
   const PixelIndex pixels(disc(12));
   SymmetricSolver solver{context};
-  try {
-    solver.factorize(plate(pixels, 1).lower(0));
-    FAIL();
-  } catch (const Error& error) {
-    EXPECT_EQ(error.code(), ErrorCode::interrupted);
-  }
+  expect_error(ErrorCode::interrupted, [&] { solver.factorize(plate(pixels, 1).lower(0)); });
 }
 
 TEST(SymmetricSolver, ColumnsAreSolvedLikeOneAfterTheOther) {

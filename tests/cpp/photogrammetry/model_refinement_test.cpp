@@ -153,7 +153,7 @@ TEST_F(Refinement, TurnsCamerasBackThatFeaturesLeftAskew) {
   ColmapModel model = scene_->model;
   const double before = station_turn(model, scene_->truth);
   const ModelRefinement done = refine_model(model, scene_->pictures, "station.png", {}, {}, {});
-  EXPECT_EQ(done.status, "converged");
+  EXPECT_EQ(done.status, AdjustmentStatus::converged);
   EXPECT_GT(done.points, 350U);
   EXPECT_GT(done.matches_a_point, 4);
   EXPECT_LT(done.sigma_px, 0.1);
@@ -189,7 +189,7 @@ TEST_F(Refinement, CalibratesALensAndSaysHowWell) {
   lens[1] += 2;
   lens[4] += 0.01;
   const ModelRefinement done = refine_model(model, scene_->pictures, "station.png", {{1, LensFreedom::all}}, {}, {});
-  EXPECT_EQ(done.status, "converged");
+  EXPECT_EQ(done.status, AdjustmentStatus::converged);
   const std::vector<double>& truth = scene_->truth.cameras.at(1).params;
   const std::vector<double>& sigma = done.lens_sigma.at(1);
   ASSERT_EQ(sigma.size(), truth.size());
@@ -241,7 +241,7 @@ TEST_F(Refinement, LeavesTheModelWhenNothingMatches) {
   auto pictures = scene_->pictures;
   pictures.at("station.png").fill(0.5F);
   const ModelRefinement done = refine_model(model, pictures, "station.png", {}, {}, {});
-  EXPECT_EQ(done.status, "too few matches");
+  EXPECT_EQ(done.status, AdjustmentStatus::too_few_matches);
   EXPECT_EQ(model.images.at(7).pose.translation, scene_->model.images.at(7).pose.translation);
 }
 
@@ -249,11 +249,11 @@ TEST_F(Refinement, NamesAPictureThatIsMissingOrOfAnotherSize) {
   ColmapModel model = scene_->model;
   auto pictures = scene_->pictures;
   pictures.erase("photo_2");
-  expect_contains(error_of([&] { refine_model(model, pictures, "station.png", {}, {}, {}); }).second, "photo_2");
+  expect_error(
+      ErrorCode::input, [&] { refine_model(model, pictures, "station.png", {}, {}, {}); }, "photo_2");
   pictures["photo_2"] = Image<float>({10, 10});
-  const auto [code, message] = error_of([&] { refine_model(model, pictures, "station.png", {}, {}, {}); });
-  EXPECT_EQ(code, ErrorCode::input);
-  expect_contains(message, "260 x 200");
+  expect_error(
+      ErrorCode::input, [&] { refine_model(model, pictures, "station.png", {}, {}, {}); }, "260 x 200");
 }
 
 TEST(BundleAdjustment, RefusesWhatCannotBeAdjusted) {
@@ -262,11 +262,12 @@ TEST(BundleAdjustment, RefusesWhatCannotBeAdjusted) {
   bundle.views.push_back({0, {}});
   bundle.points.emplace_back(0, 0, 1);
   bundle.observations.push_back({0, 1, {50, 50}, 1});
-  EXPECT_EQ(error_of([&] { adjust_bundle(bundle, {}); }).first, ErrorCode::input);
+  expect_error(ErrorCode::input, [&] { adjust_bundle(bundle, {}); });
   bundle.observations[0] = {0, 0, {50, 50}, 0};
-  EXPECT_EQ(error_of([&] { adjust_bundle(bundle, {}); }).first, ErrorCode::input);
+  expect_error(ErrorCode::input, [&] { adjust_bundle(bundle, {}); });
   bundle.observations[0].sigma_px = 1;
-  expect_contains(error_of([&] { adjust_bundle(bundle, {}); }).second, "view 0");
+  expect_error(
+      ErrorCode::input, [&] { adjust_bundle(bundle, {}); }, "view 0");
 }
 
 }  // namespace

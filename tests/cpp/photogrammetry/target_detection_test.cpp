@@ -5,6 +5,7 @@
 
 #include "malus/core/error.h"
 #include "malus/photogrammetry/target_detection_internal.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {
@@ -42,13 +43,12 @@ TEST(DetectTargets, FindsNothingInAnEmptyPhoto) {
 }
 
 TEST(DetectTargets, NamesTheNearestDictionary) {
-  try {
-    detect_targets(Image<std::uint8_t>({32, 24}, 1, 128), "aruco_4x4_5");
-    FAIL() << "an unknown dictionary was accepted";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.code(), ErrorCode::input);
-    EXPECT_NE(std::string(error.what()).find("aruco_4x4_50"), std::string::npos);
-  }
+  expect_error(
+      ErrorCode::input,
+      [] {
+        detect_targets(Image<std::uint8_t>({32, 24}, 1, 128), "aruco_4x4_5");
+      },
+      "aruco_4x4_50");
 }
 
 }  // namespace

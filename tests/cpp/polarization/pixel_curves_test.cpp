@@ -18,10 +18,12 @@ TEST(PixelCurves, ChosenPixelsLieInTheImages) {
   EXPECT_EQ(curves[0].intensities, (std::vector<double>{0, 0, 0.5}));
   // As a station of RAW files may have them, whose size is not known when the station file is read.
   for (const std::array<double, 2> outside : {std::array{4.0, 0.0}, {0.0, 3.0}, {-1.0, 0.0}}) {
-    const auto [code, message] = error_of([&] { pixel_curves(state, images, angles_rad, {{0, 0}, outside}); });
-    EXPECT_EQ(code, ErrorCode::input);
-    expect_contains(message, "curve_pixels");
-    expect_contains(message, "4 x 3");
+    expect_error(
+        ErrorCode::input,
+        [&] {
+          pixel_curves(state, images, angles_rad, {{0, 0}, outside});
+        },
+        "curve_pixels", "4 x 3");
   }
 }
 

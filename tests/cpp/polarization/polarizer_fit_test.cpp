@@ -1,10 +1,9 @@
-#include "malus/polarization/polarizer_fit.h"
-
 #include <gtest/gtest.h>
 
 #include <numeric>
 
 #include "malus/polarization/frame_calibration_internal.h"
+#include "malus/polarization/polarizer_fit_internal.h"
 #include "polarizer_scene.h"
 #include "thrown_error.h"
 
@@ -82,14 +81,12 @@ TEST(PolarizerFit, SaysWhatItNeeds) {
   const PolarizerScene scene;
   const auto images = scene.images(radians({0, 45, 90, 135}), {1, 1, 1, 1}, low_noise);
   const Mask mask(scene.size, 1, 255);
-  const auto call = [&](const std::vector<double>& given, const Mask& object) {
-    return error_of([&] { fit_polarizer(images, given, low_noise, object, {}, {}, {}); });
+  const auto fit = [&](const std::vector<double>& given, const Mask& object) {
+    return [&] { fit_polarizer(images, given, low_noise, object, {}, {}, {}); };
   };
-  const auto [code, message] = call({}, mask);
-  EXPECT_EQ(code, ErrorCode::data);
-  expect_contains(message, "4 polarized images, expected at least 5");
-  EXPECT_EQ(call({0, 1}, mask).first, ErrorCode::input);
-  EXPECT_EQ(call(radians({0, 45, 90, 135}), Mask(scene.size)).first, ErrorCode::data);
+  expect_error(ErrorCode::data, fit({}, mask), "4 polarized images, expected at least 5");
+  expect_error(ErrorCode::input, fit({0, 1}, mask));
+  expect_error(ErrorCode::data, fit(radians({0, 45, 90, 135}), Mask(scene.size)));
 }
 
 }  // namespace

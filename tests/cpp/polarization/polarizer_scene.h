@@ -8,7 +8,7 @@
 #include "degree.h"
 #include "malus/core/image.h"
 #include "malus/polarization/fresnel.h"
-#include "malus/polarization/polarizer_fit.h"
+#include "malus/polarization/polarizer_fit_internal.h"
 #include "malus/polarization/ray_frame.h"
 #include "malus/polarization/stokes_frame_internal.h"
 

@@ -1,5 +1,3 @@
-#include "malus/prior/project_prior.h"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
@@ -11,6 +9,7 @@
 #include <string>
 
 #include "malus/core/error.h"
+#include "malus/prior/project_prior_internal.h"
 #include "malus/prior/rasterize_mesh_internal.h"
 #include "thrown_error.h"
 
@@ -328,40 +327,43 @@ TEST(PriorOfCloud, StopsWhenCancelled) {
   const std::atomic<bool> cancel{true};
   Context context;
   context.cancel = &cancel;
-  EXPECT_EQ(error_of([&] { project(sample(plane_depth, 500, 0), {}, full_mask(), context); }).first,
-            ErrorCode::interrupted);
+  expect_error(ErrorCode::interrupted, [&] { project(sample(plane_depth, 500, 0), {}, full_mask(), context); });
 }
 
 TEST(PriorOfCloud, SaysWhereThePointsFellWhenTheyMissTheObject) {
   PointCloud cloud;
   for (int i = 0; i < 7; ++i) cloud.points.push_back(test_pose().world_from_cam({0, 0, -10}));
   for (int i = 0; i < 5; ++i) cloud.points.push_back(test_pose().world_from_cam({1000, 0, 100}));
-  const auto [code, message] = error_of([&] { project(cloud); });
-  EXPECT_EQ(code, ErrorCode::data);
-  expect_contains(message, "0 of 12 points");
-  expect_contains(message, "7 behind");
-  expect_contains(message, "5 outside the image");
+  expect_error(
+      ErrorCode::data, [&] { project(cloud); }, "0 of 12 points", "7 behind", "5 outside the image");
 }
 
 TEST(PriorOfCloud, RejectsUnusableInput) {
   PointCloud cloud = sample(plane_depth, 500, 0);
   cloud.points[3].y() = std::numeric_limits<double>::quiet_NaN();
-  auto [code, message] = error_of([&] { project(cloud); });
-  EXPECT_EQ(code, ErrorCode::input);
-  expect_contains(message, "point 3");
+  expect_error(
+      ErrorCode::input, [&] { project(cloud); }, "point 3");
 
   cloud = sample(plane_depth, 500, 0);
   cloud.normals.resize(2);
-  expect_contains(error_of([&] { project(cloud); }).second, "2 normals");
+  expect_error(
+      ErrorCode::input, [&] { project(cloud); }, "2 normals");
   cloud.normals.clear();
-  expect_contains(error_of([&] { project(cloud, {}, Mask({3, 2}, 1, 1)); }).second, "3 x 2");
-  expect_contains(error_of([&] { project(cloud, {}, Mask(test_camera().size)); }).second, "no pixel");
+  expect_error(
+      ErrorCode::input,
+      [&] {
+        project(cloud, {}, Mask({3, 2}, 1, 1));
+      },
+      "3 x 2");
+  expect_error(
+      ErrorCode::input, [&] { project(cloud, {}, Mask(test_camera().size)); }, "no pixel");
   PriorOptions options;
   options.neighbors = 1;
-  expect_contains(error_of([&] { project(cloud, options); }).second, "prior.neighbors = 1");
+  expect_error(
+      ErrorCode::input, [&] { project(cloud, options); }, "prior.neighbors = 1");
   Pose pose = test_pose();
   pose.translation.x() = std::numeric_limits<double>::infinity();
-  EXPECT_EQ(error_of([&] { project_prior(cloud, test_camera(), pose, full_mask(), {}, {}); }).first, ErrorCode::input);
+  expect_error(ErrorCode::input, [&] { project_prior(cloud, test_camera(), pose, full_mask(), {}, {}); });
 }
 
 /// Two triangles that show the tilted plane on columns [u0, u1] and all rows, `nearer` times as far away.
@@ -402,10 +404,9 @@ TEST(PriorOfMesh, KnowsItsNoiseAsACloudDoes) {
 TEST(PriorOfMesh, RejectsWildIndicesAndAMissedView) {
   TriangleMesh mesh = plane_mesh(-5, 125, 1);
   mesh.triangles.push_back({0, 1, 9});
-  const auto [code, message] = error_of([&] { project(mesh); });
-  EXPECT_EQ(code, ErrorCode::input);
-  expect_contains(message, "triangle 2 names vertex 9");
-  EXPECT_EQ(error_of([&] { project(plane_mesh(500, 600, 1)); }).first, ErrorCode::data);
+  expect_error(
+      ErrorCode::input, [&] { project(mesh); }, "triangle 2 names vertex 9");
+  expect_error(ErrorCode::data, [&] { project(plane_mesh(500, 600, 1)); });
 }
 
 /// World point that a prior has at a pixel.
@@ -442,11 +443,12 @@ TEST(PriorOfShape, IsSeenFromInsideAndFilledBesideIt) {
   const DepthPrior small = project(Shape(SphereShape{test_pose().world_from_cam({0, 0, 400}), 15}));
   EXPECT_GT(small.filled_fraction, 0.5);
   for (const float depth : small.depth) ASSERT_TRUE(std::isfinite(depth));
-  const auto [code, message] = error_of([&] {
-    project(Shape(PlaneShape{test_pose().world_from_cam({0, 0, -50}), test_pose().rotation.row(2).transpose()}));
-  });
-  EXPECT_EQ(code, ErrorCode::data) << "behind the camera";
-  expect_contains(message, "prior plane: 0 object pixels have a depth");
+  expect_error(
+      ErrorCode::data,
+      [&] {
+        project(Shape(PlaneShape{test_pose().world_from_cam({0, 0, -50}), test_pose().rotation.row(2).transpose()}));
+      },
+      "prior plane: 0 object pixels have a depth");
 }
 
 TEST(PriorOfDepthMap, KeepsPixelsAndFillsHoles) {
@@ -497,16 +499,16 @@ TEST(PriorOfDepthMap, SmoothsWhatWasMeasuredOverWindows) {
   // Five pixels into the hole of a radius of six, with a standard slope of 1.
   EXPECT_GT(prior.sigma(50, 40), 5 * gsd_mm);
   EXPECT_LT(prior.sigma(50, 40), 8 * gsd_mm);
-  const auto [code, message] = error_of([&] {
-    const Image<float> nowhere(size, 1, std::numeric_limits<float>::quiet_NaN());
-    project_prior({nowhere, nowhere, {}}, test_camera(), test_pose(), full_mask(), {}, {});
+  expect_error(
+      ErrorCode::data,
+      [&] {
+        const Image<float> nowhere(size, 1, std::numeric_limits<float>::quiet_NaN());
+        project_prior({nowhere, nowhere, {}}, test_camera(), test_pose(), full_mask(), {}, {});
+      },
+      "agree nowhere");
+  expect_error(ErrorCode::input, [&] {
+    project_prior({depth, Image<float>({3, 3}), {}}, test_camera(), test_pose(), full_mask(), {}, {});
   });
-  EXPECT_EQ(code, ErrorCode::data);
-  expect_contains(message, "agree nowhere");
-  EXPECT_EQ(error_of([&] {
-              project_prior({depth, Image<float>({3, 3}), {}}, test_camera(), test_pose(), full_mask(), {}, {});
-            }).first,
-            ErrorCode::input);
 }
 
 TEST(PriorOfDepthMap, GoesOnAsTheShapeItWasMeasuredAbout) {
@@ -528,14 +530,14 @@ TEST(PriorOfDepthMap, GoesOnAsTheShapeItWasMeasuredAbout) {
   EXPECT_LT(rms_gsd(with_shape.depth, truth), 0.1);
   EXPECT_NEAR(with_shape.depth(50, 40), truth(50, 40), 0.3 * gsd_mm);
   swept.shape(3, 3) = std::numeric_limits<float>::quiet_NaN();
-  EXPECT_EQ(error_of(project_swept).first, ErrorCode::input);
+  expect_error(ErrorCode::input, project_swept);
   swept.shape = {};
   EXPECT_GT(std::abs(project_swept().depth(50, 40) - truth(50, 40)), gsd_mm);
 }
 
 TEST(PriorOfDepthMap, RejectsOtherSizesAndEmptyMaps) {
-  EXPECT_EQ(error_of([] { project(Image<float>({10, 10}, 1, 400.0F)); }).first, ErrorCode::input);
-  EXPECT_EQ(error_of([] { project(Image<float>(test_camera().size)); }).first, ErrorCode::data);
+  expect_error(ErrorCode::input, [] { project(Image<float>({10, 10}, 1, 400.0F)); });
+  expect_error(ErrorCode::data, [] { project(Image<float>(test_camera().size)); });
 }
 
 }  // namespace

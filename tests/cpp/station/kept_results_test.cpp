@@ -3,6 +3,7 @@
 #include "io/temporary_folder.h"
 #include "malus/io/input_file_internal.h"
 #include "malus/station/kept_results_internal.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {

@@ -1,6 +1,7 @@
 #include "io/temporary_folder.h"
 #include "malus/io/sha256_internal.h"
 #include "malus/station/station_inputs_internal.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {

@@ -8,6 +8,7 @@
 #include "malus/io/input_file_internal.h"
 #include "malus/io/sha256_internal.h"
 #include "malus/station/step_runner_internal.h"
+#include "thrown_error.h"
 
 namespace malus {
 

@@ -84,18 +84,16 @@ TEST(StepTable, WithoutAPriorThereArePolarizationAndItsHeightOnly) {
   for (const bool all : {true, false}) {
     RunOptions run;
     if (!all) run.until = "fuse";
-    const auto [code, message] = error_of([&] { reconstruct({}, {}, run, {}); });
-    EXPECT_EQ(code, ErrorCode::input);
-    expect_contains(message, "[prior] is missing");
+    expect_error(
+        ErrorCode::input, [&] { reconstruct({}, {}, run, {}); }, "[prior] is missing");
   }
 }
 
 TEST(StepTable, StepsThatDoNotExistAreNamedWithThoseThatDo) {
   for (const char* name : {"refine", "report", "Fuse"}) {
-    const auto [code, message] = error_of([&] { describe_run({}, name); });
-    EXPECT_EQ(code, ErrorCode::input);
-    expect_contains(message, std::string("step ") + name + " does not exist");
-    expect_contains(message, "zenith, height, fuse, mesh, assess");
+    expect_error(
+        ErrorCode::input, [&] { describe_run({}, name); }, std::string("step ") + name + " does not exist",
+        "zenith, height, fuse, mesh, assess");
   }
   EXPECT_EQ(describe_run({}, "prior").back().leaves, (Names{"prior/depth.tif", "prior/sigma.tif"}));
 }

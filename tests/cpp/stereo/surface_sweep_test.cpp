@@ -1,5 +1,3 @@
-#include "malus/stereo/surface_sweep.h"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
@@ -13,6 +11,7 @@
 #include <vector>
 
 #include "malus/core/error.h"
+#include "malus/stereo/surface_sweep_internal.h"
 #include "stereo/sweep_scenes.h"
 #include "thrown_error.h"
 
@@ -134,13 +133,13 @@ TEST_F(SweepOfBumps, SearchesAsFarAsAKnownSurfaceIsUncertain) {
 TEST_F(SweepOfBumps, RejectsAKnownSurfaceThatSaysNothing) {
   SweepInput input = scene_->input;
   input.surface = input.surface_sigma = Image<float>(station_size);
-  auto [code, message] = error_of([&] { sweep_surface(input, scene_->views, test_options(), {}); });
-  EXPECT_EQ(code, ErrorCode::input);
-  expect_contains(message, "known surface: expected a depth");
+  expect_error(
+      ErrorCode::input, [&] { sweep_surface(input, scene_->views, test_options(), {}); },
+      "known surface: expected a depth");
   input.surface_sigma = Image<float>({3, 3}, 1, 1.0F);
-  std::tie(code, message) = error_of([&] { sweep_surface(input, scene_->views, test_options(), {}); });
-  EXPECT_EQ(code, ErrorCode::input);
-  expect_contains(message, "standard deviation of the known surface is 3 x 3 pixels");
+  expect_error(
+      ErrorCode::input, [&] { sweep_surface(input, scene_->views, test_options(), {}); },
+      "standard deviation of the known surface is 3 x 3 pixels");
 }
 
 TEST_F(SweepOfBumps, LeavesOutWhereTheStationShines) {
@@ -244,63 +243,48 @@ TEST_F(SweepOfBumps, WhatDoesNotMatchHasNoDepthOrALargeSigma) {
 }
 
 TEST_F(SweepOfBumps, SaysWhatIsMissing) {
-  const auto run = [](const SweepInput& input, const std::vector<SweepView>& views) {
-    return error_of([&] { sweep_surface(input, views, test_options(), {}); });
+  const auto sweep = [](const SweepInput& input, const std::vector<SweepView>& views) {
+    return [&] { sweep_surface(input, views, test_options(), {}); };
   };
-  auto [code, message] = run(scene_->input, {});
-  EXPECT_EQ(code, ErrorCode::data);
-  expect_contains(message, "no photos");
+  const std::vector<SweepView> nothing;
+  expect_error(ErrorCode::data, sweep(scene_->input, nothing), "no photos");
 
   std::vector<SweepView> elsewhere = scene_->views;
   const Eigen::DiagonalMatrix<double, 3> about_face(-1, 1, -1);
   for (SweepView& view : elsewhere) view.pose = {about_face * view.pose.rotation, about_face * view.pose.translation};
-  std::tie(code, message) = run(scene_->input, elsewhere);
-  EXPECT_EQ(code, ErrorCode::data);
-  expect_contains(message, "none of 6 photos sees the object");
+  expect_error(ErrorCode::data, sweep(scene_->input, elsewhere), "none of 6 photos sees the object");
 
   SweepInput input = scene_->input;
   input.points.resize(4);
-  std::tie(code, message) = run(input, scene_->views);
-  EXPECT_EQ(code, ErrorCode::data);
-  expect_contains(message, "4 of 4 triangulated points");
+  expect_error(ErrorCode::data, sweep(input, scene_->views), "4 of 4 triangulated points");
 
   input = scene_->input;
   input.points.front().x() = std::numeric_limits<double>::quiet_NaN();
-  std::tie(code, message) = run(input, scene_->views);
-  EXPECT_EQ(code, ErrorCode::input);
-  expect_contains(message, "points: coordinates must be finite");
+  expect_error(ErrorCode::input, sweep(input, scene_->views), "points: coordinates must be finite");
 
   input = scene_->input;
   input.mask = Mask({10, 10}, 1, 255);
-  std::tie(code, message) = run(input, scene_->views);
-  EXPECT_EQ(code, ErrorCode::input);
-  expect_contains(message, "mask is 10 x 10 pixels, expected 160 x 120");
+  expect_error(ErrorCode::input, sweep(input, scene_->views), "mask is 10 x 10 pixels, expected 160 x 120");
   input.mask = Mask(station_size);
-  std::tie(code, message) = run(input, scene_->views);
-  expect_contains(message, "mask: no pixel is set");
+  expect_error(ErrorCode::input, sweep(input, scene_->views), "mask: no pixel is set");
 
   std::vector<SweepView> views = scene_->views;
   views[2].intensity(3, 3) = std::numeric_limits<float>::infinity();
-  std::tie(code, message) = run(scene_->input, views);
-  EXPECT_EQ(code, ErrorCode::input);
-  expect_contains(message, "photo 2: intensities must be finite");
+  expect_error(ErrorCode::input, sweep(scene_->input, views), "photo 2: intensities must be finite");
   views[2].intensity = Image<float>({5, 5});
-  std::tie(code, message) = run(scene_->input, views);
-  expect_contains(message, "photo 2 is 5 x 5 pixels, expected 190 x 140");
+  expect_error(ErrorCode::input, sweep(scene_->input, views), "photo 2 is 5 x 5 pixels, expected 190 x 140");
 
   SweepOptions options = test_options();
   options.window_radius = 9;
-  std::tie(code, message) = error_of([&] { sweep_surface(scene_->input, scene_->views, options, {}); });
-  EXPECT_EQ(code, ErrorCode::input);
-  expect_contains(message, "sweep.window_radius = 9");
+  expect_error(
+      ErrorCode::input, [&] { sweep_surface(scene_->input, scene_->views, options, {}); }, "sweep.window_radius = 9");
 }
 
 TEST_F(SweepOfBumps, StopsWhenCancelled) {
   const std::atomic<bool> cancel{true};
   Context context;
   context.cancel = &cancel;
-  EXPECT_EQ(error_of([&] { sweep_surface(scene_->input, scene_->views, test_options(), context); }).first,
-            ErrorCode::interrupted);
+  expect_error(ErrorCode::interrupted, [&] { sweep_surface(scene_->input, scene_->views, test_options(), context); });
 }
 
 }  // namespace

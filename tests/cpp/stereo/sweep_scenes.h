@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "looking_pose.h"
-#include "malus/stereo/surface_sweep.h"
+#include "malus/stereo/surface_sweep_internal.h"
 
 namespace malus::sweep_scenes {
 

@@ -1,8 +1,8 @@
-#include "malus/surface/dem.h"
-
 #include <gtest/gtest.h>
 
+#include "malus/surface/dem_internal.h"
 #include "surface/scenes.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {
@@ -92,12 +92,7 @@ TEST(Dem, RefusesAnEmptyMeshAndAHugeRaster) {
   EXPECT_THROW(dem_from_mesh(TriangleMesh{}, surface, {}, {}), Error);
   SurfaceOptions tiny;
   tiny.dem_pixel = 1e-4;
-  try {
-    dem_from_mesh(mesh_from_depth(surface, {}, {}, {}), surface, tiny, {});
-    FAIL();
-  } catch (const Error& error) {
-    EXPECT_EQ(error.code(), ErrorCode::resource);
-  }
+  expect_error(ErrorCode::resource, [&] { dem_from_mesh(mesh_from_depth(surface, {}, {}, {}), surface, tiny, {}); });
 }
 
 }  // namespace

@@ -5,6 +5,7 @@
 #include <set>
 
 #include "surface/scenes.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {
@@ -136,25 +137,21 @@ TEST(Mesh, IsTheSameWithAnyNumberOfThreads) {
 
 TEST(Mesh, RefusesWhatItCannotMesh) {
   const FusedSurface flat = surface_of({40, 40}, 1000, [](int, int) { return 500.0; });
-  const auto code = [&](const FusedSurface& surface, const Image<float>& color, const SurfaceOptions& options) {
-    try {
-      mesh_from_depth(surface, color, options, {});
-    } catch (const Error& error) {
-      return static_cast<int>(error.code());
-    }
-    return 0;
+  const auto expect_refused = [](ErrorCode code, const FusedSurface& surface, const Image<float>& color,
+                                 const SurfaceOptions& options) {
+    expect_error(code, [&] { mesh_from_depth(surface, color, options, {}); });
   };
   SurfaceOptions zero;
   zero.subsample = 0;
-  EXPECT_EQ(code(flat, {}, zero), 2);
-  EXPECT_EQ(code(flat, Image<float>({39, 40}), {}), 2);
-  EXPECT_EQ(code(flat, Image<float>({40, 40}, 2), {}), 2);
+  expect_refused(ErrorCode::input, flat, {}, zero);
+  expect_refused(ErrorCode::input, flat, Image<float>({39, 40}), {});
+  expect_refused(ErrorCode::input, flat, Image<float>({40, 40}, 2), {});
   FusedSurface other = flat;
   other.normals = Image<float>({40, 40}, 1);
-  EXPECT_EQ(code(other, {}, {}), 2);
+  expect_refused(ErrorCode::input, other, {}, {});
   other = flat;
   other.depth.fill(none);
-  EXPECT_EQ(code(other, {}, {}), 3);
+  expect_refused(ErrorCode::data, other, {}, {});
 }
 
 }  // namespace

@@ -7,15 +7,16 @@
 #include <set>
 
 #include "io/temporary_folder.h"
-#include "malus/core/depth_normals.h"
-#include "malus/io/glb_file.h"
-#include "malus/io/image_file.h"
+#include "malus/core/depth_normals_internal.h"
+#include "malus/io/glb_file_internal.h"
+#include "malus/io/image_file_internal.h"
 #include "malus/io/input_file_internal.h"
-#include "malus/io/point_cloud_file.h"
+#include "malus/io/point_cloud_file_internal.h"
 #include "malus/surface/dem_file_internal.h"
 #include "malus/surface/display_image_internal.h"
 #include "malus/surface/mesh.h"
 #include "surface/scenes.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {

@@ -3,35 +3,13 @@
 #include <Eigen/Core>
 
 #include "malus/core/context.h"
-#include "malus/core/fields.h"
 #include "malus/fusion/fused_surface.h"
+#include "malus/options/fusion_options.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/polarization/reflection.h"
 #include "malus/prior/depth_prior.h"
 
 namespace malus {
-
-struct OptimizeOptions {
-  bool enabled = false;
-  double phase_weight = 1;    ///< of Eq 9, for the unit normal
-  double shading_weight = 1;  ///< of Eq 11, in shares of the light
-  double zenith_weight = 1;   ///< of the cosine of the zenith by Eq 7 or Eq 8
-  double prior_weight = 0.15;
-  int iterations = 15;
-
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("enabled", self.enabled, any_value, "grid fusion: optimize the fused surface by all equations together");
-    visit("phase_weight", self.phase_weight, not_negative,
-          "how much the directions of slopes count that the polarization shows");
-    visit("shading_weight", self.shading_weight, not_negative, "how much the slopes count that the brightness shows");
-    visit("zenith_weight", self.zenith_weight, not_negative,
-          "how much the steepness counts that the degree of polarization shows");
-    visit("prior_weight", self.prior_weight, not_negative,
-          "how much the difference to the prior counts, mean over a cell of the grid, in GSD");
-    visit("iterations", self.iterations, Range{1, 1000}, "largest number of steps in a tile");
-  }
-};
 
 /// What the equations say at each pixel. Rasters have the surface's size.
 struct OptimizeInput {

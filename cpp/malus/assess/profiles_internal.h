@@ -2,13 +2,15 @@
 
 #include <array>
 #include <string>
+#include <string_view>
 #include <vector>
 
-#include "malus/assess/assess_options.h"
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
+#include "malus/core/field_list.h"
 #include "malus/core/image.h"
 #include "malus/io/station_spec.h"
+#include "malus/options/surface_options.h"
 
 namespace malus {
 
@@ -19,14 +21,13 @@ struct ProfileDifference {
   double rms_gsd = 0;           ///< about zero
   double rms_centered_gsd = 0;  ///< about the mean: the free constant of a polarization height does not count
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("count", self.count);
-    visit("mean_gsd", self.mean_gsd);
-    visit("rms_gsd", self.rms_gsd);
-    visit("rms_centered_gsd", self.rms_centered_gsd);
-  }
+  MALUS_FIELDS(count, mean_gsd, rms_gsd, rms_centered_gsd)
 };
+
+enum class ProfileStatus { not_run, done, too_few_samples };
+constexpr auto names_of(ProfileStatus) {
+  return std::to_array<std::string_view>({"not run", "done", "fewer than two samples on the surface"});
+}
 
 /// A section through the surfaces along a line of the image (Fig. 12, 13), and what Table 1 can mean.
 ///
@@ -38,7 +39,7 @@ struct ProfileDifference {
 struct ProfileFigures {
   std::string name;
   std::array<double, 2> from_px{}, to_px{};
-  std::string status = "not run";                  ///< "done" | "fewer than two samples on the surface"
+  ProfileStatus status = ProfileStatus::not_run;
   std::vector<double> position_px;                 ///< along the line in the image
   std::vector<double> position;                    ///< along the chord, station unit
   std::vector<double> prior, polarization, fused;  ///< heights, station unit, NaN = none; empty = no such surface
@@ -46,24 +47,9 @@ struct ProfileFigures {
   /// RMS of the heights' high-pass (detail_sigma_px) along the line, GSD; NaN = no such surface.
   double roughness_prior_gsd = 0, roughness_polarization_gsd = 0, roughness_fused_gsd = 0;
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("name", self.name);
-    visit("from_px", self.from_px);
-    visit("to_px", self.to_px);
-    visit("status", self.status);
-    visit("position_px", self.position_px);
-    visit("position", self.position);
-    visit("prior", self.prior);
-    visit("polarization", self.polarization);
-    visit("fused", self.fused);
-    visit("fused_minus_prior", self.fused_minus_prior);
-    visit("polarization_minus_prior", self.polarization_minus_prior);
-    visit("fused_minus_polarization", self.fused_minus_polarization);
-    visit("roughness_prior_gsd", self.roughness_prior_gsd);
-    visit("roughness_polarization_gsd", self.roughness_polarization_gsd);
-    visit("roughness_fused_gsd", self.roughness_fused_gsd);
-  }
+  MALUS_FIELDS(name, from_px, to_px, status, position_px, position, prior, polarization, fused, fused_minus_prior,
+               polarization_minus_prior, fused_minus_polarization, roughness_prior_gsd, roughness_polarization_gsd,
+               roughness_fused_gsd)
 };
 
 /// Bilinear value of a one-channel raster at (u, v); NaN outside or if a pixel that has weight is NaN.

@@ -1,44 +1,15 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <algorithm>
 #include <span>
-#include <vector>
 
 #include "malus/core/context.h"
 #include "malus/core/image.h"
+#include "malus/options/polarization_options.h"
 #include "malus/polarization/noise_model.h"
-#include "malus/polarization/polarizer_options.h"
+#include "malus/polarization/polarizer_calibration.h"
 
 namespace malus {
-
-/// Polarizer angle and relative exposure of every image, from the images alone.
-struct PolarizerFit {
-  std::vector<double> angles_rad;  ///< one an image, counter-clockwise from image +x
-  std::vector<double> gains;       ///< one an image; their geometric mean is 1
-  /// What the images say of (angles [rad], ln gains): inverse covariance, 2K × 2K, of rank 2K − 4.
-  Eigen::MatrixXd image_information;
-  /// Inverse variances of the nominal angles and ln gains, 2K; next to nothing for angles that are not known.
-  Eigen::VectorXd nominal_weight;
-  /// RMS of the sinusoid's residuals with the nominal values, of means over cells, in standard deviations of their
-  /// noise.
-  double residual_before = 0;
-  double residual_after = 0;  ///< the same with these
-  double pixels = 0;          ///< that took part
-
-  double largest_angle_change_rad = 0;  ///< from the nominal angles; 0 when there are none
-  double largest_gain_change = 0;       ///< of ln gain
-
-  /// Whether the changes are such as errors of a scale and of exposures make: within five standard deviations.
-  bool is_plausible(const PolarizerOptions& options) const;
-
-  /// Share of what the squared residuals have beyond the noise, and of a fifth of them at least, that the calibration
-  /// removes. Errors of angles or exposures leave nothing beyond noise behind; images that moved leave most.
-  double improvement() const {
-    const double before = residual_before * residual_before;
-    return before > 0 ? (before - residual_after * residual_after) / std::max(before - 1, 0.2 * before) : 0;
-  }
-};
 
 /// Smallest number of images whose angles can be found without knowing any.
 inline constexpr std::size_t min_images_for_free_angles = 5;

@@ -6,9 +6,9 @@
 
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
-#include "malus/core/fields.h"
 #include "malus/core/image.h"
 #include "malus/core/pose.h"
+#include "malus/options/prior_options.h"
 
 namespace malus {
 
@@ -29,60 +29,6 @@ struct SweepInput {
   /// A surface known beforehand, from which the search starts instead of the points, and its standard deviation: z, of
   /// the camera's size, NaN = none. Empty = no such surface.
   Image<float> surface, surface_sigma;
-};
-
-struct SweepOptions {
-  double station_gamma = 2.2;
-  int window_radius = 3;
-  int known_window_radius = 7;
-  int best_views = 5;
-  int max_views = 10;
-  int min_level_px = 100;
-  int min_points = 10;
-  double noise = 0.002;
-  double min_parallax = 0.6;
-  double max_angle_deg = 70;
-  int max_search = 64;
-  double small_step = 0.02;
-  double large_step = 0.15;
-  double min_score = 0.3;
-  double min_agreement = 0.6;
-  int min_region_px = 400;
-  double sigma_scale = 2.6;
-  double sigma_floor_gsd = 0.2;
-  bool again = true;
-
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("station_gamma", self.station_gamma, Range{0.2, 5},
-          "the station's linear intensity is raised to 1 / this, to be coded like the photos; 1 = as it is");
-    visit("window_radius", self.window_radius, Range{1, 4}, "of the square windows that are compared, in px");
-    visit("known_window_radius", self.known_window_radius, Range{1, 8},
-          "the same in a sweep about a known surface, on which large windows lie exactly");
-    visit("best_views", self.best_views, Range{1, 16}, "photos that count at a pixel: those that match best");
-    visit("max_views", self.max_views, Range{1, 64}, "photos that are compared in one part of the image");
-    visit("min_level_px", self.min_level_px, Range{16, 1e6}, "shorter side of the coarsest image, at least, in px");
-    visit("min_points", self.min_points, Range{3, 1e9}, "fewest triangulated points on the object");
-    visit("noise", self.noise, Range{1e-5, 1}, "standard deviation of an intensity, coded, of white");
-    visit("min_parallax", self.min_parallax, fraction_range,
-          "photos with less parallax than this, of the photos' median, are left out if others suffice");
-    visit("max_angle_deg", self.max_angle_deg, Range{1, 89}, "largest angle between a photo's view and the station's");
-    visit("max_search", self.max_search, Range{4, 1000},
-          "farthest offset from the triangulated points' surface, in px of the coarsest image");
-    visit("small_step", self.small_step, not_negative, "penalty of neighbors one offset apart, in correlation");
-    visit("large_step", self.large_step, not_negative, "penalty of neighbors farther apart, in correlation");
-    visit("min_score", self.min_score, fraction_range, "lowest mean correlation of a pixel that is kept");
-    visit("min_agreement", self.min_agreement, fraction_range,
-          "share of the pixels around it at which the two halves of the photos must agree for a pixel to be kept");
-    visit("min_region_px", self.min_region_px, not_negative,
-          "fewest connected pixels that are kept: what agrees by chance comes in small regions");
-    visit("sigma_scale", self.sigma_scale, Range{0, 100},
-          "standard deviation of depth over half the difference of the halves");
-    visit("sigma_floor_gsd", self.sigma_floor_gsd, not_negative, "smallest standard deviation, in GSD");
-    visit("again", self.again, any_value,
-          "sweep a station again about its fused surface, and fuse with that; where the photos agree on too little, "
-          "leave out what that surface contradicts instead");
-  }
 };
 
 /// One sweep, for the report.

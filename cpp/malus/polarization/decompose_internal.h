@@ -4,35 +4,12 @@
 #include <span>
 
 #include "malus/core/context.h"
-#include "malus/core/fields.h"
 #include "malus/core/image.h"
+#include "malus/options/polarization_options.h"
 #include "malus/polarization/noise_model.h"
 #include "malus/polarization/polarization_state.h"
 
 namespace malus {
-
-struct DecomposeOptions {
-  FitWeighting weighting = FitWeighting::uniform;
-  bool recover_outliers = false;
-  double misfit_sigmas = 6;
-  double misfit_fraction = 0.03;
-  double dark_sigmas = 5;
-  double max_condition = 100;
-
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("weighting", self.weighting, any_value, "weights of the images in the sinusoid fit");
-    visit("recover_outliers", self.recover_outliers, any_value,
-          "where a pixel does not fit, try it without one image (needs five or more)");
-    visit("misfit_sigmas", self.misfit_sigmas, not_negative,
-          "a pixel does not follow the sinusoid beyond this many standard deviations of the noise …");
-    visit("misfit_fraction", self.misfit_fraction, fraction_range, "… and beyond this share of its intensity");
-    visit("dark_sigmas", self.dark_sigmas, not_negative,
-          "a pixel is dark below this many standard deviations of the noise without light");
-    visit("max_condition", self.max_condition, Range{1, 1e6},
-          "largest condition number of the normal equations of the angle set");
-  }
-};
 
 /// Condition number (2-norm) of the normal equations of the sinusoid fit at these polarizer angles: 2 for evenly spread
 /// ones, infinite for fewer than three distinct ones modulo π.

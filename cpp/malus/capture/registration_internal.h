@@ -5,39 +5,13 @@
 #include <string_view>
 #include <vector>
 
-#include "malus/capture/resampling.h"
+#include "malus/capture/resampling_internal.h"
 #include "malus/core/context.h"
-#include "malus/core/fields.h"
 #include "malus/core/image.h"
+#include "malus/options/capture_options.h"
 #include "malus/polarization/noise_model.h"
 
 namespace malus {
-
-struct RegistrationOptions {
-  Interpolation interpolation = Interpolation::bicubic;
-  double fine_sigma_px = 0.7;  ///< of the band-pass that images are compared in
-  double coarse_sigma_px = 8;
-  double cauchy_scale = 2;
-  int max_iterations = 15;  ///< at each level of the pyramid
-  double max_shift = 0.04;  ///< of the image width
-  double max_uncertainty_px = 0.3;
-
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("interpolation", self.interpolation, any_value,
-          "of the one resampling, and of registration: bicubic as OpenCV (a = -0.75) or keys (a = -0.5)");
-    visit("fine_sigma_px", self.fine_sigma_px, Range{0.3, 10},
-          "registration compares images in a band of scales: its fine end");
-    visit("coarse_sigma_px", self.coarse_sigma_px, Range{1, 100}, "and its coarse end");
-    visit("cauchy_scale", self.cauchy_scale, Range{0.1, 100},
-          "disagreement between images, in units of the noise, that halves a pixel's weight");
-    visit("max_iterations", self.max_iterations, Range{1, 1000}, "Gauss-Newton steps at each level of the pyramid");
-    visit("max_shift", self.max_shift, Range{0, 0.5},
-          "largest displacement that is believed, as a fraction of the image width");
-    visit("max_uncertainty_px", self.max_uncertainty_px, Range{0.001, 10},
-          "displacements known less well than this count as not found");
-  }
-};
 
 /// How the registration of one image ended.
 enum class RegistrationStatus { not_run, ok, no_texture, not_converged, implausible };

@@ -1,57 +1,15 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
+#include <string_view>
 
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
-#include "malus/core/fields.h"
 #include "malus/core/image.h"
+#include "malus/options/height_options.h"
 
 namespace malus {
-
-/// Shading as a function of the normal n (Eq 11).
-enum class LightModel {
-  directional,  ///< i = l · n: one distant source
-  first_order,  ///< i = l · n + ambient: first-order spherical harmonics
-};
-constexpr auto names_of(LightModel) {
-  return std::to_array<std::string_view>({"directional", "first_order"});
-}
-
-/// What tells a bump from a hollow where neither a prior nor a light is given.
-enum class LightWithoutPrior {
-  contour,  ///< the object's outline, where its surface turns away from the view; convex if it does not do so
-  convex,   ///< the object is convex in the whole
-};
-constexpr auto names_of(LightWithoutPrior) {
-  return std::to_array<std::string_view>({"contour", "convex"});
-}
-
-struct LightOptions {
-  LightModel model = LightModel::directional;
-  LightWithoutPrior without_prior = LightWithoutPrior::contour;
-  int iterations = 20;
-  double outlier_scale = 2;
-  double max_condition = 1e4;
-  double min_tangential = 0.03;
-  int max_samples = 400000;
-
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("model", self.model, any_value, "shading as a function of the normal");
-    visit("without_prior", self.without_prior, any_value,
-          "what tells a bump from a hollow where there is neither a prior nor [optics] light: the object's outline, or "
-          "that it is convex in the whole");
-    visit("iterations", self.iterations, Range{1, 1000}, "of the robust fit");
-    visit("outlier_scale", self.outlier_scale, Range{0.1, 100},
-          "residual, in robust standard deviations, at which a pixel has half its weight");
-    visit("max_condition", self.max_condition, Range{1, 1e12},
-          "largest condition number of the normal equations; above it the normals vary too little");
-    visit("min_tangential", self.min_tangential, fraction_range,
-          "sine of the smallest angle between light and view; below it shading does not tell slopes apart");
-    visit("max_samples", self.max_samples, Range{100, 1e9}, "pixels used; larger images are sampled regularly");
-  }
-};
 
 enum class LightStatus {
   not_run,

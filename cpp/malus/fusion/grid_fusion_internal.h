@@ -1,26 +1,12 @@
 #pragma once
 
 #include "malus/core/context.h"
-#include "malus/core/fields.h"
 #include "malus/fusion/fused_surface.h"
 #include "malus/height/height_map.h"
+#include "malus/options/fusion_options.h"
 #include "malus/prior/depth_prior.h"
 
 namespace malus {
-
-struct GridFusionOptions {
-  int grid_px = 4;
-  double sigma_nodes = 1;
-  bool unit_scaling = false;
-
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("grid_px", self.grid_px, Range{1, 4096}, "distance of the grid's nodes");
-    visit("sigma_nodes", self.sigma_nodes, Range{0, 1000}, "Gaussian on the grid, standard deviation in nodes");
-    visit("unit_scaling", self.unit_scaling, any_value,
-          "scale both surfaces to 0 … 1 before combining them, as printed; loses the metric relation of their scales");
-  }
-};
 
 /// The paper's transfer of polarization detail onto the photogrammetric surface (Eq 14 to 16).
 ///

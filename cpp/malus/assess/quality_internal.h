@@ -5,10 +5,11 @@
 #include <string>
 #include <vector>
 
-#include "malus/assess/comparison.h"
-#include "malus/assess/patches.h"
-#include "malus/assess/profiles.h"
+#include "malus/assess/comparison_internal.h"
+#include "malus/assess/patches_internal.h"
+#include "malus/assess/profiles_internal.h"
 #include "malus/core/confidence.h"
+#include "malus/core/field_list.h"
 #include "malus/height/height_map.h"
 #include "malus/io/station_spec.h"
 #include "malus/polarization/polarization_state.h"
@@ -23,13 +24,7 @@ struct CoverageFigures {
   double fraction = 0;
   double prior_fraction = 0;  ///< the same of the prior; 0 without one
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("object_pixels", self.object_pixels);
-    visit("depth_pixels", self.depth_pixels);
-    visit("fraction", self.fraction);
-    visit("prior_fraction", self.prior_fraction);
-  }
+  MALUS_FIELDS(object_pixels, depth_pixels, fraction, prior_fraction)
 };
 
 /// What fusion changed, measured without a truth. "Detail" is depth minus its Gaussian mean (detail_sigma_px); RMS and
@@ -42,18 +37,9 @@ struct DetailFigures {
   double fused_detail_rms_gsd = 0, fused_detail_mad_gsd = 0;
   double within_2_prior_sigma_fraction = 0;  ///< |fused − prior| < 2 · prior sigma; NaN without prior sigma
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("difference_rms_gsd", self.difference_rms_gsd);
-    visit("difference_bias_gsd", self.difference_bias_gsd);
-    visit("difference_detail_rms_gsd", self.difference_detail_rms_gsd);
-    visit("difference_detail_mad_gsd", self.difference_detail_mad_gsd);
-    visit("prior_detail_rms_gsd", self.prior_detail_rms_gsd);
-    visit("prior_detail_mad_gsd", self.prior_detail_mad_gsd);
-    visit("fused_detail_rms_gsd", self.fused_detail_rms_gsd);
-    visit("fused_detail_mad_gsd", self.fused_detail_mad_gsd);
-    visit("within_2_prior_sigma_fraction", self.within_2_prior_sigma_fraction);
-  }
+  MALUS_FIELDS(difference_rms_gsd, difference_bias_gsd, difference_detail_rms_gsd, difference_detail_mad_gsd,
+               prior_detail_rms_gsd, prior_detail_mad_gsd, fused_detail_rms_gsd, fused_detail_mad_gsd,
+               within_2_prior_sigma_fraction)
 };
 
 /// The surface's own standard deviations.
@@ -63,14 +49,7 @@ struct SigmaFigures {
   double below_limit_fraction = 0;
   double above_limit_fraction = 0;
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("median_gsd", self.median_gsd);
-    visit("p95_gsd", self.p95_gsd);
-    visit("limit_gsd", self.limit_gsd);
-    visit("below_limit_fraction", self.below_limit_fraction);
-    visit("above_limit_fraction", self.above_limit_fraction);
-  }
+  MALUS_FIELDS(median_gsd, p95_gsd, limit_gsd, below_limit_fraction, above_limit_fraction)
 };
 
 /// The sinusoid fit. Shares are of the object's pixels.
@@ -81,19 +60,8 @@ struct PolarizationFigures {
   std::vector<double> angles_deg;
   std::vector<int> exposures;
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("valid_fraction", self.valid_fraction);
-    visit("saturated_fraction", self.saturated_fraction);
-    visit("dark_fraction", self.dark_fraction);
-    visit("misfit_fraction", self.misfit_fraction);
-    visit("residual_median", self.residual_median);
-    visit("residual_p95", self.residual_p95);
-    visit("degree_median", self.degree_median);
-    visit("degree_p95", self.degree_p95);
-    visit("angles_deg", self.angles_deg);
-    visit("exposures", self.exposures);
-  }
+  MALUS_FIELDS(valid_fraction, saturated_fraction, dark_fraction, misfit_fraction, residual_median, residual_p95,
+               degree_median, degree_p95, angles_deg, exposures)
 };
 
 /// The polarization height and its light: s0-shading = light · (normal, 1), camera frame.
@@ -106,15 +74,7 @@ struct HeightFigures {
   double light_to_view_deg =
       0;  ///< angle between light and the direction back along the optical axis; NaN without light
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("status", self.status);
-    visit("perspective", self.perspective);
-    visit("residual_rms", self.residual_rms);
-    visit("unknowns", self.unknowns);
-    visit("light", self.light);
-    visit("light_to_view_deg", self.light_to_view_deg);
-  }
+  MALUS_FIELDS(status, perspective, residual_rms, unknowns, light, light_to_view_deg)
 };
 
 /// Where the prior comes from (DepthPrior), lengths in station unit.
@@ -123,16 +83,7 @@ struct PriorFigures {
   double noise = 0, noise_gsd = 0;
   double spacing_px = 0, smoothing_px = 0, filled_fraction = 0;
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("points_total", self.points_total);
-    visit("points_used", self.points_used);
-    visit("noise", self.noise);
-    visit("noise_gsd", self.noise_gsd);
-    visit("spacing_px", self.spacing_px);
-    visit("smoothing_px", self.smoothing_px);
-    visit("filled_fraction", self.filled_fraction);
-  }
+  MALUS_FIELDS(points_total, points_used, noise, noise_gsd, spacing_px, smoothing_px, filled_fraction)
 };
 
 /// Every figure of the report. Lengths without a suffix are in `unit`; NaN = could not be measured; an optional that is
@@ -156,27 +107,8 @@ struct Quality {
   std::vector<ProfileFigures> profiles;
   std::optional<ReferenceComparison> reference;
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("status", self.status);
-    visit("confidence", self.confidence);
-    visit("method", self.method);
-    visit("warnings", self.warnings);
-    visit("unit", self.unit);
-    visit("width", self.width);
-    visit("height", self.height);
-    visit("gsd", self.gsd);
-    visit("coverage", self.coverage);
-    visit("sigma", self.sigma);
-    visit("prior_vs_fused", self.prior_vs_fused);
-    visit("prior", self.prior);
-    visit("polarization", self.polarization);
-    visit("polarization_height", self.polarization_height);
-    visit("registration_rms_px", self.registration_rms_px);
-    visit("patches", self.patches);
-    visit("profiles", self.profiles);
-    visit("reference", self.reference);
-  }
+  MALUS_FIELDS(status, confidence, method, warnings, unit, width, height, gsd, coverage, sigma, prior_vs_fused, prior,
+               polarization, polarization_height, registration_rms_px, patches, profiles, reference)
 };
 
 /// What is assessed. Only `surface` must be there; null = not available. All rasters have the surface's size.

@@ -1,13 +1,14 @@
 #pragma once
 
 #include <array>
-#include <string>
+#include <string_view>
 
-#include "malus/assess/assess_options.h"
-#include "malus/assess/statistics.h"
+#include "malus/assess/statistics_internal.h"
 #include "malus/core/context.h"
+#include "malus/core/field_list.h"
 #include "malus/core/geometry.h"
 #include "malus/fusion/fused_surface.h"
+#include "malus/options/surface_options.h"
 
 namespace malus {
 
@@ -23,18 +24,19 @@ struct SimilarityTransform {
            Eigen::Map<const Eigen::Vector3d>(translation.data());
   }
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("scale", self.scale);
-    visit("rotation", self.rotation);
-    visit("translation", self.translation);
-  }
+  MALUS_FIELDS(scale, rotation, translation)
 };
+
+enum class ComparisonStatus { not_run, done, nothing_near, not_aligned };
+constexpr auto names_of(ComparisonStatus) {
+  return std::to_array<std::string_view>(
+      {"not run", "done", "no pixel near the reference", "alignment did not converge"});
+}
 
 /// Signed distances of a surface's pixels to a reference, positive = the surface is in front of it (outside).
 struct ReferenceComparison {
-  std::string status = "not run";  ///< "done" | "no pixel near the reference" | "alignment did not converge"
-  std::string alignment = "none";  ///< Alignment that was asked for
+  ComparisonStatus status = ComparisonStatus::not_run;
+  Alignment alignment = Alignment::none;  ///< that was asked for
   int alignment_iterations = 0;
   SimilarityTransform reference_from_surface;
   double compared_fraction = 0;  ///< pixels within max_distance_gsd of the reference, of those with a depth
@@ -42,16 +44,8 @@ struct ReferenceComparison {
   Histogram histogram_gsd;
   Image<float> distance;  ///< station view and unit, NaN = not compared; a map, not a field
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("status", self.status);
-    visit("alignment", self.alignment);
-    visit("alignment_iterations", self.alignment_iterations);
-    visit("reference_from_surface", self.reference_from_surface);
-    visit("compared_fraction", self.compared_fraction);
-    visit("distance_gsd", self.distance_gsd);
-    visit("histogram_gsd", self.histogram_gsd);
-  }
+  MALUS_FIELDS(status, alignment, alignment_iterations, reference_from_surface, compared_fraction, distance_gsd,
+               histogram_gsd)
 };
 
 /// Compares every pixel's point with a reference in the world frame: a mesh (outward = counter-clockwise), or a cloud

@@ -1,29 +1,55 @@
 #pragma once
 
 #include <array>
-#include <complex>
-#include <limits>
-#include <optional>
-#include <string>
-#include <vector>
+#include <string_view>
 
-#include "malus/core/context.h"
 #include "malus/core/fields.h"
-#include "malus/core/image.h"
-#include "malus/fusion/fused_surface.h"
-#include "malus/fusion/reflection_model.h"
-#include "malus/fusion/surroundings.h"
-#include "malus/polarization/polarization_state.h"
-#include "malus/polarization/reflection.h"
-#include "malus/prior/depth_prior.h"
 
 namespace malus {
 
-/// What the station file says about the object's surface.
-struct RefineInput {
-  std::optional<double> refractive_index = 1.5;  ///< none = estimated from the data
-  ReflectionChoice reflection = ReflectionChoice::automatic;
-  Mask labels;  ///< with ReflectionChoice::labels: 1 = diffuse, 2 = specular, 0 = not known; else empty
+/// Which fusion makes the result.
+enum class Fusion {
+  grid,     ///< the paper's transfer of polarization detail onto the prior (Eq 14 to 16)
+  refined,  ///< nonlinear least squares on log depth
+};
+constexpr auto names_of(Fusion) {
+  return std::to_array<std::string_view>({"grid", "refined"});
+}
+
+struct GridFusionOptions {
+  int grid_px = 4;
+  double sigma_nodes = 1;
+  bool unit_scaling = false;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("grid_px", self.grid_px, Range{1, 4096}, "distance of the grid's nodes");
+    visit("sigma_nodes", self.sigma_nodes, Range{0, 1000}, "Gaussian on the grid, standard deviation in nodes");
+    visit("unit_scaling", self.unit_scaling, any_value,
+          "scale both surfaces to 0 … 1 before combining them, as printed; loses the metric relation of their scales");
+  }
+};
+
+struct OptimizeOptions {
+  bool enabled = false;
+  double phase_weight = 1;    ///< of Eq 9, for the unit normal
+  double shading_weight = 1;  ///< of Eq 11, in shares of the light
+  double zenith_weight = 1;   ///< of the cosine of the zenith by Eq 7 or Eq 8
+  double prior_weight = 0.15;
+  int iterations = 15;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("enabled", self.enabled, any_value, "grid fusion: optimize the fused surface by all equations together");
+    visit("phase_weight", self.phase_weight, not_negative,
+          "how much the directions of slopes count that the polarization shows");
+    visit("shading_weight", self.shading_weight, not_negative, "how much the slopes count that the brightness shows");
+    visit("zenith_weight", self.zenith_weight, not_negative,
+          "how much the steepness counts that the degree of polarization shows");
+    visit("prior_weight", self.prior_weight, not_negative,
+          "how much the difference to the prior counts, mean over a cell of the grid, in GSD");
+    visit("iterations", self.iterations, Range{1, 1000}, "largest number of steps in a tile");
+  }
 };
 
 struct RefineOptions {
@@ -113,68 +139,5 @@ struct RefineOptions {
           "their distance (px), in px; 0 = not");
   }
 };
-
-/// One round of the refinement.
-struct RefineIteration {
-  int binning = 1;                         ///< 2 = at half the resolution, and so on
-  bool search = false;                     ///< on the way to a second solution, not to the result
-  double cost_before = 0, cost_after = 0;  ///< of the solve, summed over tiles
-  double stokes_cost = 0;                  ///< mean of ln(1 + r² / 4) over usable pixels, before the solve
-  double median_residual = 0;              ///< of the Stokes vectors, in standard deviations, before the solve
-  double change_gsd = 0;                   ///< RMS change of depth
-  int rejected_steps = 0;
-  double seconds = 0;
-};
-
-/// What the refinement found out beside the surface.
-struct RefineReport {
-  std::vector<RefineIteration> iterations;
-  ReflectionModel reflection;  ///< with eta
-  Surroundings surroundings;   ///< without radiance if they are not the model
-  /// n + i k of the metal that the model with surroundings takes the object for; 0 = not for a metal.
-  std::complex<double> metal_index = 0;
-  double eta_sigma = 0;              ///< 0 = the index is given, NaN = neither given nor told by the data
-  std::optional<double> stated_eta;  ///< only where another index explains the polarization clearly better
-  std::array<double, EnvironmentProfile::node_count> environment_sigma{};
-  double lobe_strength_sigma = 0, lobe_roughness_sigma = 0, light_sigma_rad = 0;
-  double mirror_body_sigma = 0, mirror_environment_sigma = 0;
-  bool metal = false;              ///< mirrors like a metal, for which the formulas do not hold
-  double specular_share = 0;       ///< of the object's pixels
-  Image<std::uint8_t> label;       ///< 0 = outside, 1 = diffuse, 2 = specular
-  Image<std::uint8_t> confidence;  ///< weight of the polarization of each pixel, 0 … 255
-  Image<float> mirrored;           ///< unpolarized intensity of the mirrored light, unit of the images; NaN = not known
-  /// Share of the refined surface in the result, 0 (prior) … 255. Empty, and the shares NaN, without `evidence`.
-  Image<std::uint8_t> trust;
-  double trusted_share = std::numeric_limits<double>::quiet_NaN();  ///< its mean over usable pixels, 0 … 1
-  /// Of the polarization at the prior's slopes, mean over the object, −1 … 1: all of it (with surroundings that beyond
-  /// a plane's), and that beyond a plane's.
-  double explained_share = std::numeric_limits<double>::quiet_NaN();
-  double explained_beyond_plane = std::numeric_limits<double>::quiet_NaN();
-  double stokes_cost = 0;                       ///< mean of ln(1 + r² / 4) over usable pixels, of the result
-  double median_residual = 0;                   ///< of the result's Stokes vectors, in standard deviations
-  int regions_compared = 0, regions_taken = 0;  ///< of the search for a better minimum
-  int tiles = 0;
-  double seconds = 0;
-  double linear_solver_share = 0;  ///< of the time spent in Ceres
-};
-
-struct RefineResult {
-  FusedSurface surface;
-  RefineReport report;
-};
-
-/// Refines the prior with the polarization: nonlinear least squares on log-depth with Ceres, docs/method.md section 4.
-///
-/// Unknown: x = f (ln z − mean) at the corners of every pixel with a finite prior and a known Stokes vector. Residuals:
-/// (s1, s2) against the forward model, neighboring albedos in diffuse regions, block means of the prior, small second
-/// differences. Reflection parameters, light and robust weights are fitted between
-/// solves. Throws an input error for sizes and options that do not fit, a data error when nothing is left to refine.
-/// The reflection model is either of two, whichever explains more at the prior's slopes: regions that are diffuse or
-/// specular, with an environment by zenith, or an object that is matt all over and mirrors its surroundings
-/// (surroundings.h). Where the model does not explain the polarization at the prior's slopes, the prior's surface stays
-/// (see surface_evidence_internal.h), which surface.confidence and report.trust tell. What the data cannot support
-/// otherwise is in surface.confidence and warnings; surface.status is the solver's ("converged", "not converged").
-RefineResult refine(const PolarizationState& state, const DepthPrior& prior, const RefineInput& input,
-                    const RefineOptions& options, const Context& context);
 
 }  // namespace malus

@@ -5,6 +5,8 @@
 #include <span>
 #include <vector>
 
+#include "malus/core/field_list.h"
+
 namespace malus {
 
 class RankedValues;
@@ -17,14 +19,7 @@ struct Histogram {
   std::vector<std::size_t> counts;
   std::size_t below = 0, above = 0;  ///< values outside of the bins
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("low", self.low);
-    visit("bin_width", self.bin_width);
-    visit("counts", self.counts);
-    visit("below", self.below);
-    visit("above", self.above);
-  }
+  MALUS_FIELDS(low, bin_width, counts, below, above)
 };
 
 /// Histogram over [low, high]; a value on an inner border belongs to the bin right of it, `high` to the last bin. NaN
@@ -34,8 +29,8 @@ Histogram histogram(std::span<const double> values, double low, double high, int
 /// Value below which this fraction of the values lies, linear between order statistics; NaN if there are none.
 double percentile(std::vector<double> values, double fraction);
 
-/// The same for several fractions of values that are too many to be copied, over a positive divisor.
-std::vector<double> percentiles(const RankedValues& values, double divisor, std::initializer_list<double> fractions);
+/// The same for several fractions, of the values over a positive divisor.
+std::vector<double> percentiles(RankedValues values, double divisor, std::initializer_list<double> fractions);
 
 /// 1.4826 × median of |x|: the standard deviation of normal values about zero that outliers do not touch.
 double robust_sigma(std::vector<double> values);
@@ -51,18 +46,7 @@ struct Summary {
   double mad = 0;   ///< 1.4826 × median |x − median|
   double minimum = 0, p05 = 0, median = 0, p95 = 0, maximum = 0;
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("count", self.count);
-    visit("mean", self.mean);
-    visit("rmse", self.rmse);
-    visit("mad", self.mad);
-    visit("minimum", self.minimum);
-    visit("p05", self.p05);
-    visit("median", self.median);
-    visit("p95", self.p95);
-    visit("maximum", self.maximum);
-  }
+  MALUS_FIELDS(count, mean, rmse, mad, minimum, p05, median, p95, maximum)
 };
 
 /// Summary of finite values; every figure is NaN if there are none.

@@ -1,13 +1,12 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <array>
 #include <optional>
-#include <string_view>
 
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
 #include "malus/core/image.h"
+#include "malus/options/capture_options.h"
 
 namespace malus {
 
@@ -34,15 +33,6 @@ class ResamplingMap {
   Affine image_from_base_;
   bool identity_ = true;
 };
-
-/// Cubic convolution (Keys 1981) with a = −0.75, sharper and the same as OpenCV's bicubic, or a = −0.5, which
-/// reproduces straight ramps exactly. The former displaces smooth content by up to 0.048 px, depending on the sub-pixel
-/// position. Registration must use the interpolation that the images are resampled with: it then fits that displacement
-/// too.
-enum class Interpolation { bicubic, keys };
-constexpr auto names_of(Interpolation) {
-  return std::to_array<std::string_view>({"bicubic", "keys"});
-}
 
 /// A resampled image and where it is good.
 struct Resampled {

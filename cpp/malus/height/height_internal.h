@@ -6,68 +6,14 @@
 
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
-#include "malus/core/fields.h"
 #include "malus/core/image.h"
 #include "malus/height/height_map.h"
-#include "malus/lighting/light.h"
+#include "malus/lighting/light_internal.h"
+#include "malus/options/height_options.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/polarization/reflection.h"
 
 namespace malus {
-
-/// How the height follows from polarization and shading.
-enum class HeightMethod {
-  likelihood,  ///< Gauss–Newton from the likeliest of the other two and the prior: intensity and Stokes components as
-               ///< measured, weighted by their noise
-  linear,      ///< one linear system, rows weighted by what the slope lets the phase tell
-  literal,     ///< one linear system as printed, all rows alike
-};
-constexpr auto names_of(HeightMethod) {
-  return std::to_array<std::string_view>({"likelihood", "linear", "literal"});
-}
-
-/// Height at the border of the object.
-enum class HeightBoundary {
-  natural,  ///< free
-  prior,    ///< that of the prior
-};
-constexpr auto names_of(HeightBoundary) {
-  return std::to_array<std::string_view>({"natural", "prior"});
-}
-
-struct HeightOptions {
-  HeightMethod method = HeightMethod::likelihood;
-  bool perspective = true;
-  double smoothness = 0.05;
-  HeightBoundary boundary = HeightBoundary::natural;
-  double boundary_weight = 100;
-  int iterations = 12;
-  double tolerance = 0.01;
-  std::optional<double> shading_error;
-  double stokes_error = 0.002;
-  double outlier_scale = 5;
-  double damping = 30;
-
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("method", self.method, any_value, "how the height follows from polarization and shading");
-    visit("perspective", self.perspective, any_value, "metric perspective form; false = orthographic as printed");
-    visit("smoothness", self.smoothness, not_negative, "weight of the second differences");
-    visit("boundary", self.boundary, any_value, "height at the border of the object");
-    visit("boundary_weight", self.boundary_weight, not_negative,
-          "weight of the prior's height at the border, per pixel");
-    visit("iterations", self.iterations, Range{1, 1000}, "largest number of Gauss-Newton steps");
-    visit("tolerance", self.tolerance, not_negative, "RMS change of the slope at which they end");
-    visit("shading_error", self.shading_error, fraction_range,
-          "standard deviation of the shading model, share of the intensity; auto = from the fit of the light");
-    visit("stokes_error", self.stokes_error, fraction_range,
-          "standard deviation of the polarization model, share of the intensity");
-    visit("damping", self.damping, not_negative,
-          "weight of the change of the slope in one Gauss-Newton step; holds slopes that nothing determines");
-    visit("outlier_scale", self.outlier_scale, Range{0.1, 1e6},
-          "residual of a pixel, in standard deviations, at which it has half its weight");
-  }
-};
 
 /// What a height is made from. Rasters have the size of the polarization state.
 struct HeightInput {

@@ -8,7 +8,7 @@
 #include "malus/core/context.h"
 #include "malus/core/geometry.h"
 #include "malus/core/image.h"
-#include "malus/core/length_unit.h"
+#include "malus/core/length_unit_internal.h"
 #include "malus/core/pose.h"
 
 namespace malus {

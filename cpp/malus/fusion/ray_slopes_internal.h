@@ -1,7 +1,5 @@
 #pragma once
 
-#include <Eigen/Core>
-
 #include "malus/core/camera.h"
 #include "malus/polarization/ray_frame.h"
 

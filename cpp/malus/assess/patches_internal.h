@@ -4,12 +4,13 @@
 #include <optional>
 #include <string>
 
-#include "malus/assess/assess_options.h"
-#include "malus/assess/statistics.h"
+#include "malus/assess/statistics_internal.h"
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
+#include "malus/core/field_list.h"
 #include "malus/core/image.h"
 #include "malus/io/station_spec.h"
+#include "malus/options/surface_options.h"
 
 namespace malus {
 
@@ -23,16 +24,7 @@ struct PatchFit {
   double roughness_gsd = 0;  ///< RMS of the depth's high-pass on the patch (edges of the patch included), along the ray
   Histogram histogram_gsd;   ///< of the distances (Fig. 15)
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("count", self.count);
-    visit("rmse", self.rmse);
-    visit("rmse_gsd", self.rmse_gsd);
-    visit("mad_gsd", self.mad_gsd);
-    visit("max_abs_gsd", self.max_abs_gsd);
-    visit("roughness_gsd", self.roughness_gsd);
-    visit("histogram_gsd", self.histogram_gsd);
-  }
+  MALUS_FIELDS(count, rmse, rmse_gsd, mad_gsd, max_abs_gsd, roughness_gsd, histogram_gsd)
 };
 
 /// One flat patch in each surface; nothing where a surface does not exist or has too few pixels there.
@@ -41,14 +33,7 @@ struct PatchFigures {
   std::array<int, 4> box{};  ///< x0, y0, x1, y1, pixels, inclusive
   std::optional<PatchFit> prior, polarization, fused;
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("name", self.name);
-    visit("box", self.box);
-    visit("prior", self.prior);
-    visit("polarization", self.polarization);
-    visit("fused", self.fused);
-  }
+  MALUS_FIELDS(name, box, prior, polarization, fused)
 };
 
 /// Total least squares plane through the 3-D points (depth × ray) of the patch's pixels; nothing if 10 or fewer have a

@@ -1,0 +1,69 @@
+#pragma once
+
+#include <array>
+#include <string_view>
+
+#include "malus/core/fields.h"
+
+namespace malus {
+
+/// Cubic convolution (Keys 1981) with a = −0.75, sharper and the same as OpenCV's bicubic, or a = −0.5, which
+/// reproduces straight ramps exactly. The former displaces smooth content by up to 0.048 px, depending on the sub-pixel
+/// position. Registration must use the interpolation that the images are resampled with: it then fits that displacement
+/// too.
+enum class Interpolation { bicubic, keys };
+constexpr auto names_of(Interpolation) {
+  return std::to_array<std::string_view>({"bicubic", "keys"});
+}
+
+struct RegistrationOptions {
+  Interpolation interpolation = Interpolation::bicubic;
+  double fine_sigma_px = 0.7;  ///< of the band-pass that images are compared in
+  double coarse_sigma_px = 8;
+  double cauchy_scale = 2;
+  int max_iterations = 15;  ///< at each level of the pyramid
+  double max_shift = 0.04;  ///< of the image width
+  double max_uncertainty_px = 0.3;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("interpolation", self.interpolation, any_value,
+          "of the one resampling, and of registration: bicubic as OpenCV (a = -0.75) or keys (a = -0.5)");
+    visit("fine_sigma_px", self.fine_sigma_px, Range{0.3, 10},
+          "registration compares images in a band of scales: its fine end");
+    visit("coarse_sigma_px", self.coarse_sigma_px, Range{1, 100}, "and its coarse end");
+    visit("cauchy_scale", self.cauchy_scale, Range{0.1, 100},
+          "disagreement between images, in units of the noise, that halves a pixel's weight");
+    visit("max_iterations", self.max_iterations, Range{1, 1000}, "Gauss-Newton steps at each level of the pyramid");
+    visit("max_shift", self.max_shift, Range{0, 0.5},
+          "largest displacement that is believed, as a fraction of the image width");
+    visit("max_uncertainty_px", self.max_uncertainty_px, Range{0.001, 10},
+          "displacements known less well than this count as not found");
+  }
+};
+
+/// Whether images are registered: `on`, `off`, or `automatic`: yes, but images that already lie within
+/// `keep_below_px` (or three times the estimate's own uncertainty) of the first stay untouched, bit for bit.
+enum class RegistrationMode { automatic, on, off };
+constexpr auto names_of(RegistrationMode) {
+  return std::to_array<std::string_view>({"auto", "on", "off"});
+}
+
+struct CaptureOptions {
+  RegistrationMode mode = RegistrationMode::automatic;
+  double keep_below_px = 0.03;
+  double saturation = 0.995;
+  RegistrationOptions registration;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("registration", self.mode, any_value,
+          "register the images to the first: auto leaves aligned images untouched");
+    visit("keep_below_px", self.keep_below_px, Range{0, 1},
+          "with auto: displacements below this are not resampled away");
+    visit("saturation", self.saturation, Range{0.5, 1}, "fraction of the white level from which a pixel is saturated");
+    RegistrationOptions::fields(self.registration, visit);
+  }
+};
+
+}  // namespace malus

@@ -1,0 +1,109 @@
+#pragma once
+
+#include <array>
+#include <optional>
+#include <string_view>
+
+#include "malus/core/fields.h"
+
+namespace malus {
+
+/// Shading as a function of the normal n (Eq 11).
+enum class LightModel {
+  directional,  ///< i = l · n: one distant source
+  first_order,  ///< i = l · n + ambient: first-order spherical harmonics
+};
+constexpr auto names_of(LightModel) {
+  return std::to_array<std::string_view>({"directional", "first_order"});
+}
+
+/// What tells a bump from a hollow where neither a prior nor a light is given.
+enum class LightWithoutPrior {
+  contour,  ///< the object's outline, where its surface turns away from the view; convex if it does not do so
+  convex,   ///< the object is convex in the whole
+};
+constexpr auto names_of(LightWithoutPrior) {
+  return std::to_array<std::string_view>({"contour", "convex"});
+}
+
+struct LightOptions {
+  LightModel model = LightModel::directional;
+  LightWithoutPrior without_prior = LightWithoutPrior::contour;
+  int iterations = 20;
+  double outlier_scale = 2;
+  double max_condition = 1e4;
+  double min_tangential = 0.03;
+  int max_samples = 400000;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("model", self.model, any_value, "shading as a function of the normal");
+    visit("without_prior", self.without_prior, any_value,
+          "what tells a bump from a hollow where there is neither a prior nor [optics] light: the object's outline, or "
+          "that it is convex in the whole");
+    visit("iterations", self.iterations, Range{1, 1000}, "of the robust fit");
+    visit("outlier_scale", self.outlier_scale, Range{0.1, 100},
+          "residual, in robust standard deviations, at which a pixel has half its weight");
+    visit("max_condition", self.max_condition, Range{1, 1e12},
+          "largest condition number of the normal equations; above it the normals vary too little");
+    visit("min_tangential", self.min_tangential, fraction_range,
+          "sine of the smallest angle between light and view; below it shading does not tell slopes apart");
+    visit("max_samples", self.max_samples, Range{100, 1e9}, "pixels used; larger images are sampled regularly");
+  }
+};
+
+/// How the height follows from polarization and shading.
+enum class HeightMethod {
+  likelihood,  ///< Gauss–Newton from the likeliest of the other two and the prior: intensity and Stokes components as
+               ///< measured, weighted by their noise
+  linear,      ///< one linear system, rows weighted by what the slope lets the phase tell
+  literal,     ///< one linear system as printed, all rows alike
+};
+constexpr auto names_of(HeightMethod) {
+  return std::to_array<std::string_view>({"likelihood", "linear", "literal"});
+}
+
+/// Height at the border of the object.
+enum class HeightBoundary {
+  natural,  ///< free
+  prior,    ///< that of the prior
+};
+constexpr auto names_of(HeightBoundary) {
+  return std::to_array<std::string_view>({"natural", "prior"});
+}
+
+struct HeightOptions {
+  HeightMethod method = HeightMethod::likelihood;
+  bool perspective = true;
+  double smoothness = 0.05;
+  HeightBoundary boundary = HeightBoundary::natural;
+  double boundary_weight = 100;
+  int iterations = 12;
+  double tolerance = 0.01;
+  std::optional<double> shading_error;
+  double stokes_error = 0.002;
+  double outlier_scale = 5;
+  double damping = 30;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("method", self.method, any_value, "how the height follows from polarization and shading");
+    visit("perspective", self.perspective, any_value, "metric perspective form; false = orthographic as printed");
+    visit("smoothness", self.smoothness, not_negative, "weight of the second differences");
+    visit("boundary", self.boundary, any_value, "height at the border of the object");
+    visit("boundary_weight", self.boundary_weight, not_negative,
+          "weight of the prior's height at the border, per pixel");
+    visit("iterations", self.iterations, Range{1, 1000}, "largest number of Gauss-Newton steps");
+    visit("tolerance", self.tolerance, not_negative, "RMS change of the slope at which they end");
+    visit("shading_error", self.shading_error, fraction_range,
+          "standard deviation of the shading model, share of the intensity; auto = from the fit of the light");
+    visit("stokes_error", self.stokes_error, fraction_range,
+          "standard deviation of the polarization model, share of the intensity");
+    visit("damping", self.damping, not_negative,
+          "weight of the change of the slope in one Gauss-Newton step; holds slopes that nothing determines");
+    visit("outlier_scale", self.outlier_scale, Range{0.1, 1e6},
+          "residual of a pixel, in standard deviations, at which it has half its weight");
+  }
+};
+
+}  // namespace malus
