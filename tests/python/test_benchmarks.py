@@ -431,11 +431,10 @@ def test_rendered_scenes_are_run_scored_and_tabled(station: Path, tmp_path: Path
     tables = (tmp_path / "out/tables.md").read_text()
     assert "| rendered | 0.25 → 0.5 |" in tables and "| rendered | exit code 1: no light |" in tables
     assert tables.splitlines()[4].endswith("| 1.000 | 8 |"), "the sum over the steps: 2 s, and 6 s for five words"
-    some = subprocess.run(
-        [*command, "--program", program, "--runs", "paper", "--set", "a.b=c"], capture_output=True, text=True, timeout=300
-    )
+    command += ["-o", tmp_path / "some", "--program", program, "--runs", "paper", "--set", "a.b=c"]
+    some = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert some.returncode == 0, some.stderr
-    (figures,) = json.loads((tmp_path / "out/figures.json").read_text()).values()
+    (figures,) = json.loads((tmp_path / "some/figures.json").read_text()).values()
     assert list(figures) == ["paper"] and figures["paper"]["processor_seconds"] == 12
 
 
