@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure as Drawing
 from PIL import Image
 
 import malus
@@ -18,6 +20,7 @@ from conftest import ROOT, edit, malus_station
 from conftest import malus as run_malus
 from malus import _core
 from malus.demo import example_station
+from malus.figures import Plates
 from malus.paper.contact_sheet import contact_sheet
 from malus.paper.plates import oblique
 from malus.paper.tables import table_1, table_2
@@ -315,6 +318,21 @@ def test_contact_sheet_shows_every_plate() -> None:
     assert sheet.shape == (16 + 33 + 16 + 80 + 33 + 16 + 96, 5 * 496 + 16, 3), "two rows, each as high as its highest"
     levels = [np.count_nonzero((sheet == 40 * k).all(2)) for k in range(1, 7)]
     assert all(np.isclose(count, 480 * 16 * k, rtol=0.05) for k, count in enumerate(levels, 1))
+
+
+def test_names_in_pictures_hide_nothing_of_what_they_name() -> None:
+    """Small patches were half under their names; what stands at the upper border is named beside it."""
+    drawing = Drawing(figsize=(6.4, 4.3))
+    axes = drawing.add_axes((0, 0, 1, 1))
+    axes.set(xlim=(-0.5, 719.5), ylim=(479.5, -0.5))
+    places = [(380, 151), (365, 5)]
+    for place in places:
+        Plates.tag(axes, place, "field")
+    FigureCanvasAgg(drawing).draw()
+    for text, place in zip(axes.texts, places, strict=True):
+        box, (u, v) = text.get_bbox_patch().get_window_extent(), axes.transData.transform(place)
+        assert box.y0 > v + 2 or box.x1 < u - 2, place
+        assert box.x0 > 0 and box.y1 < drawing.bbox.height, place
 
 
 def test_oblique_view_closes_slopes() -> None:
