@@ -149,7 +149,7 @@ def main() -> None:
     if not names:
         parser.error(f"--data {data}: no folder in it has a {args.station}")
     options = [word for assignment in args.set for word in ("--set", assignment)]
-    runs = (
+    runs: dict[str, list[str]] = (
         {"nothing": []}
         | {
             part: [word for assignment in assignments.split() for word in ("--set", assignment)]
