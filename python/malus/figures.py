@@ -615,10 +615,14 @@ class Plates:
         drawing = Drawing(figsize=(WIDTH_IN, 4.4), layout="constrained")
         axes = drawing.subplots()
         low, high = np.inf, -np.inf
+        beyond = []
         for surface, histogram in bins.items():
             counts = np.array(histogram["counts"], dtype=float)
             edges = histogram["low"] + histogram["bin_width"] * np.arange(len(counts) + 1)
-            total = counts.sum() + histogram["below"] + histogram["above"]
+            outside = histogram["below"] + histogram["above"]
+            total = counts.sum() + outside
+            if outside:
+                beyond.append(f"{surface} {100 * outside / total:.2g} %")
             axes.stairs(
                 100 * counts / max(total, 1), edges, color=COLORS[surface], lw=1.5, fill=surface == "fused",
                 alpha=0.85 if surface == "fused" else 1, label=notes.get(surface, surface),
@@ -632,6 +636,7 @@ class Plates:
         axes.set_xlabel(axis, fontsize=LETTERS_PT)
         axes.set_ylabel("share of pixels [%]", fontsize=LETTERS_PT)
         style(axes)
+        axes.xaxis.set_major_locator(MaxNLocator(6))
         if notes:
             axes.legend(fontsize=LETTERS_PT, frameon=False, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
         rows = [
@@ -645,7 +650,10 @@ class Plates:
             for k, n in enumerate(histogram["counts"])
         ]
         header = ["surface", "from_gsd", "to_gsd", "count"]
-        return self.figure(name, title, "Share of the pixels in each class of distance.", drawing, header, rows)
+        caption = "Share of the pixels in each class of distance."
+        if beyond:
+            caption += f" Beyond the scale: {', '.join(beyond)}."
+        return self.figure(name, title, caption, drawing, header, rows)
 
     def patches(self) -> Iterator[Figure]:
         """Distances of flat patches to their fitted planes (Fig. 15)."""

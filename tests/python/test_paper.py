@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import re
 import shutil
@@ -136,6 +137,22 @@ def test_campaign_keeps_names_that_look_like_numbers(paper_work: Path, tmp_path:
     for name in ("table_1", "table_2"):
         assert "| 19470 |" in (tmp_path / f"all/{name}.md").read_text(), name
         assert "\n19470," in (tmp_path / f"all/{name}.csv").read_text(), name
+
+
+def test_histogram_of_a_rough_patch_can_be_read(paper_work: Path) -> None:
+    """The numbers of a scale from -1 to 1 ran into each other, and what lies beyond it was not said."""
+    plates = Plates(malus.Workspace(paper_work), for_print=True)
+    fit = {
+        "rmse_gsd": 1,
+        "histogram_gsd": {"low": -1, "bin_width": 0.04, "counts": [3] * 50, "below": 20, "above": 30},
+    }
+    plates.quality = plates.quality | {"patches": [{"name": "flat", "prior": None, "polarization": fit, "fused": fit}]}
+    (figure,) = plates.patches()
+    assert figure.caption.endswith("Beyond the scale: polarization 25 %, fused 25 %.")
+    assert figure.drawing is not None
+    boxes = [label.get_window_extent() for label in figure.drawing.axes[0].get_xticklabels()]
+    for left, right in itertools.pairwise(box for box in boxes if box.width > 0):
+        assert left.x1 + 4 < right.x0
 
 
 def test_campaign_merges_tables(paper_work: Path, tmp_path: Path) -> None:
