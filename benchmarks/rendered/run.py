@@ -3,11 +3,11 @@
     python benchmarks/rendered/run.py -o OUT --data DIR [--scenes relief coin …]     # DIR/SCENE as the renderer leaves it
     python benchmarks/rendered/run.py -o OUT --render relief coin --python RENDERER_VENV/bin/python [--seed 5] [--size 200x150]
 
-Each scene's station.toml (--station names another) goes through `malus-station`, once with default options and once by the
-preset "paper"; --set adds options to both. OUT/SCENE-PRESET are the workspaces, OUT/figures.json every score, and
-OUT/tables.md the tables: prior → fused, and the paper's route by its stages. --ablation makes another table in place of these:
-default options with one part of the refinement left out at a time. Scenes whose workspace is finished with the same inputs are
-not computed again. Needs numpy, scipy and tifffile; rendering needs renderer/requirements.txt.
+Each scene's station.toml (--station names another) goes through `malus-station`, once with default options and twice by the
+preset "paper"; --runs takes some of these, --set adds options to all. OUT/SCENE-RUN are the workspaces, OUT/figures.json every
+score, and OUT/tables.md the tables: prior → fused and the processor seconds of all steps, and the paper's route by its stages.
+--ablation makes another table in place of these: default options with one part of the refinement left out at a time. Scenes
+whose workspace is finished with the same inputs are not computed again. Needs numpy, scipy and tifffile; rendering needs renderer/requirements.txt.
 """
 
 from __future__ import annotations
@@ -79,16 +79,21 @@ def run_scene(
             found[name] = {"exit code": done.returncode, "message": done.stderr.strip()}
             continue
         quality = json.loads((work / "quality.json").read_text(encoding="utf-8"))
-        found[name] = {**score(scene, work), "confidence": quality["confidence"]["level"]}
+        times = json.loads((work / "manifest.json").read_text(encoding="utf-8"))["times"]
+        found[name] = {
+            **score(scene, work),
+            "confidence": quality["confidence"]["level"],
+            "processor_seconds": sum(step["cpu_seconds"] for step in times.values()),
+        }
     return found
 
 
 def table(name: str, figures: dict[str, dict[str, Any]]) -> str:
     lines = [
         f"Run: {name} (prior → fused; GSD)\n",
-        "| station | " + " | ".join(FIGURES.values()) + " | patch | 2 sigma |",
+        "| station | " + " | ".join(FIGURES.values()) + " | patch | 2 sigma | processor seconds |",
     ]
-    lines.append("|---" * (len(FIGURES) + 3) + "|")
+    lines.append("|---" * (len(FIGURES) + 4) + "|")
     for scene, runs in figures.items():
         row = runs[name]
         if "exit code" in row:
@@ -96,7 +101,8 @@ def table(name: str, figures: dict[str, dict[str, Any]]) -> str:
             continue
         cells = [f"{row['prior_' + key]:.3g} → {row[key]:.3g}" for key in FIGURES]
         patches = [f"{value:.3g}" for key, value in row.items() if key.startswith("patch_")]
-        lines.append(f"| {scene} | " + " | ".join([*cells, ", ".join(patches) or "–", f"{row['sigma_2']:.3f}"]) + " |")
+        cells += [", ".join(patches) or "–", f"{row['sigma_2']:.3f}", f"{row['processor_seconds']:.0f}"]
+        lines.append(f"| {scene} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
 
@@ -109,7 +115,7 @@ def ablation(figures: dict[str, dict[str, Any]]) -> str:
             row, whole = runs[name], runs["nothing"]
             if "exit code" in row:
                 cells.append(f"exit code {row['exit code']}")
-            elif name != "nothing" and row == whole:
+            elif name != "nothing" and row | {"processor_seconds": 0} == whole | {"processor_seconds": 0}:
                 cells.append("–")
             else:
                 cells.append(
@@ -129,6 +135,7 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", help="of --data; default: all that have the station file")
     parser.add_argument("--station", default="station.toml")
     parser.add_argument("--program", default=str(HERE.parents[1] / "build" / "malus-station"))
+    parser.add_argument("--runs", nargs="+", choices=list(RUNS), default=list(RUNS), help="default: all of them")
     parser.add_argument("--ablation", action="store_true", help="what each part of the refinement buys, instead")
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
     args, for_renderer = parser.parse_known_args()
@@ -142,21 +149,21 @@ def main() -> None:
     if not names:
         parser.error(f"--data {data}: no folder in it has a {args.station}")
     options = [word for assignment in args.set for word in ("--set", assignment)]
-    runs = (
+    runs: dict[str, list[str]] = (
         {"nothing": []}
         | {
             part: [word for assignment in assignments.split() for word in ("--set", assignment)]
             for part, assignments in PARTS.items()
         }
         if args.ablation
-        else RUNS
+        else {name: RUNS[name] for name in args.runs}
     )
     figures: dict[str, dict[str, Any]] = {}
     for name in names:
         figures[name] = run_scene(data / name, args.station, args.program, args.output, runs, options)
         print(name, json.dumps(figures[name]), flush=True)
     (args.output / "figures.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-    text = ablation(figures) if args.ablation else "\n".join(table(run, figures) for run in RUNS)
+    text = ablation(figures) if args.ablation else "\n".join(table(run, figures) for run in runs)
     (args.output / "tables.md").write_text(text, encoding="utf-8")
     print(args.output / "tables.md")
 

@@ -403,7 +403,7 @@ class Plates:
             np.degrees(self.thinned(folder + "phase.tif")),
             _Map(
                 "phase", "Phase", "Polarizer angle of the brightest image, counter-clockwise from image +x.",
-                "twilight", "°", (0, 180),
+                "twilight", "°", (0, 180), {float(angle): str(angle) for angle in range(0, 181, 45)},
             ),
         )  # fmt: skip
         if self.workspace.has(folder + "zenith.tif"):
@@ -453,10 +453,11 @@ class Plates:
             _Map(
                 "polarization_height",
                 "Height from polarization alone",
-                "In pixels, before any fusion.",
+                "In pixels, before any fusion. Relief shading over the colors.",
                 "viridis",
                 "GSD",
             ),
+            hillshade(flattened(-raster), float(self.step)),
         )
         yield self._map(
             hillshade(flattened(-raster), float(self.step)),
@@ -541,6 +542,17 @@ class Plates:
         self._scale_bar(axes, intensity.shape[1])
         return drawing, axes
 
+    @staticmethod
+    def tag(axes: Any, at: Any, word: str) -> None:
+        """A name above the upper left corner or start of something in a picture, left of it where there is no room above."""
+        bottom, top = axes.get_ylim()
+        above = at[1] - top > 0.1 * (bottom - top)
+        axes.annotate(
+            word, at, xytext=(0, 8) if above else (-8, -5), textcoords="offset points", color="white", fontsize=LETTERS_PT,
+            ha="left" if above else "right", va="bottom" if above else "top",
+            bbox={"boxstyle": "round,pad=0.25", "fc": "#d1495b", "ec": "none"},
+        )  # fmt: skip
+
     def profile_lines(self) -> Figure:
         """Where the sections run, on the picture they were taken from (Fig. 11)."""
         drawing, axes = self.on_image()
@@ -551,10 +563,7 @@ class Plates:
             line = np.array([[u0, v0], [u1, v1]]) / self.step
             axes.plot(*line.T, color="white", lw=3, solid_capstyle="round")
             axes.plot(*line.T, color="#d1495b", lw=1.6, solid_capstyle="round")
-            axes.annotate(
-                profile["name"], line[0], xytext=(6, 6), textcoords="offset points", color="white", fontsize=LETTERS_PT,
-                bbox={"boxstyle": "round,pad=0.25", "fc": "#d1495b", "ec": "none"},
-            )  # fmt: skip
+            self.tag(axes, line[0], profile["name"])
         return self.figure(
             "profile_lines", "Where the profiles run", "On the unpolarized image; the number stands at the start.",
             drawing, ["profile", "from_u_px", "from_v_px", "to_u_px", "to_v_px"], rows,
@@ -606,13 +615,18 @@ class Plates:
         drawing = Drawing(figsize=(WIDTH_IN, 4.4), layout="constrained")
         axes = drawing.subplots()
         low, high = np.inf, -np.inf
+        beyond = []
         for surface, histogram in bins.items():
             counts = np.array(histogram["counts"], dtype=float)
             edges = histogram["low"] + histogram["bin_width"] * np.arange(len(counts) + 1)
-            total = counts.sum() + histogram["below"] + histogram["above"]
+            outside = histogram["below"] + histogram["above"]
+            total = counts.sum() + outside
+            if outside:
+                beyond.append(f"{surface} {100 * outside / total:.2g} %")
             axes.stairs(
                 100 * counts / max(total, 1), edges, color=COLORS[surface], lw=1.5, fill=surface == "fused",
                 alpha=0.85 if surface == "fused" else 1, label=notes.get(surface, surface),
+                zorder=2 if surface == "fused" else 3,
             )  # fmt: skip
             used = np.nonzero(counts)[0]
             if used.size:
@@ -622,6 +636,7 @@ class Plates:
         axes.set_xlabel(axis, fontsize=LETTERS_PT)
         axes.set_ylabel("share of pixels [%]", fontsize=LETTERS_PT)
         style(axes)
+        axes.xaxis.set_major_locator(MaxNLocator(6))
         if notes:
             axes.legend(fontsize=LETTERS_PT, frameon=False, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
         rows = [
@@ -635,7 +650,10 @@ class Plates:
             for k, n in enumerate(histogram["counts"])
         ]
         header = ["surface", "from_gsd", "to_gsd", "count"]
-        return self.figure(name, title, "Share of the pixels in each class of distance.", drawing, header, rows)
+        caption = "Share of the pixels in each class of distance."
+        if beyond:
+            caption += f" Beyond the scale: {', '.join(beyond)}."
+        return self.figure(name, title, caption, drawing, header, rows)
 
     def patches(self) -> Iterator[Figure]:
         """Distances of flat patches to their fitted planes (Fig. 15)."""

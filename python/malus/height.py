@@ -54,7 +54,8 @@ def light_from_polarization(
 
     A hollow lit from one side looks like a bump lit from the other. Option light.without_prior says what tells them apart:
     "contour", the outline of the state's mask, where the surface turns away from the view (`of_contour` is False if it
-    does not, and convexity decides), or "convex", that the object is convex in the whole (after Smith et al. 2016). With
+    does not, and convexity decides; the light of all pixels on that side is taken where it is within 10° of that of the
+    outline), or "convex", that the object is convex in the whole (after Smith et al. 2016). With
     `direction` (3, camera frame, towards the source) only the strength is found.
     """
     vector = None

@@ -409,6 +409,8 @@ k = json.loads((scene / "meta.json").read_text())["station"]["K"]
     "1 PINHOLE %d %d %r %r %r %r" % (*truth.shape[::-1], k[0][0], k[1][1], k[0][2] + 0.5, k[1][2] + 0.5)
 )
 (work / "quality.json").write_text(json.dumps({{"confidence": {{"level": "high"}}}}))
+seconds = 1 + len(sys.argv)  # every run takes another time
+(work / "manifest.json").write_text(json.dumps({{"times": {{"a": {{"cpu_seconds": 2}}, "b": {{"cpu_seconds": seconds}}}}}}))
 """
 
 
@@ -428,6 +430,12 @@ def test_rendered_scenes_are_run_scored_and_tabled(station: Path, tmp_path: Path
     assert figures["paper, Eq 16"] == {"exit code": 1, "message": "no light"}
     tables = (tmp_path / "out/tables.md").read_text()
     assert "| rendered | 0.25 → 0.5 |" in tables and "| rendered | exit code 1: no light |" in tables
+    assert tables.splitlines()[4].endswith("| 1.000 | 8 |"), "the sum over the steps: 2 s, and 6 s for five words"
+    command += ["-o", tmp_path / "some", "--program", program, "--runs", "paper", "--set", "a.b=c"]
+    some = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert some.returncode == 0, some.stderr
+    (figures,) = json.loads((tmp_path / "some/figures.json").read_text()).values()
+    assert list(figures) == ["paper"] and figures["paper"]["processor_seconds"] == 12
 
 
 def test_parts_of_the_refinement_are_left_out_one_at_a_time(station: Path, tmp_path: Path) -> None:

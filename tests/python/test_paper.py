@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import re
 import shutil
@@ -11,6 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure as Drawing
 from PIL import Image
 
 import malus
@@ -18,9 +21,10 @@ from conftest import ROOT, edit, malus_station
 from conftest import malus as run_malus
 from malus import _core
 from malus.demo import example_station
+from malus.figures import Plates
 from malus.paper.contact_sheet import contact_sheet
 from malus.paper.plates import oblique
-from malus.paper.tables import table_2
+from malus.paper.tables import table_1, table_2
 
 
 @pytest.fixture(scope="module")
@@ -108,6 +112,49 @@ def test_tables_are_those_of_quality_json(paper_work: Path) -> None:
     assert table_2(malus.Workspace(paper_work)).rows[0][1] == quality["patches"][0]["name"]
 
 
+def test_objects_without_patches_and_profiles_are_in_the_tables(paper_work: Path) -> None:
+    workspace = malus.Workspace(paper_work)
+    workspace.quality = workspace.quality | {"patches": [], "profiles": [], "name": "bust | head"}
+    for table, said in ((table_1(workspace), "no profile given"), (table_2(workspace), "no flat patch given")):
+        (row,) = table.rows
+        assert row[:2] == ["bust | head", said] and len(row) == len(table.header)
+        assert set(row[3:]) == {None}
+        assert len(list(csv.DictReader(table.csv().splitlines()))) == 1
+        assert f"| bust \\| head | {said} |" in table.markdown()
+
+
+def test_campaign_keeps_names_that_look_like_numbers(paper_work: Path, tmp_path: Path) -> None:
+    """A catalogue number is no figure to round."""
+    work = tmp_path / "work"
+    shutil.copytree(paper_work, work)
+    workspace = malus.Workspace(work)
+    workspace.quality = workspace.quality | {"name": "19470"}
+    with workspace.recording("paper") as files:
+        for table in (table_1(workspace), table_2(workspace)):
+            (work / f"paper/{table.name}.csv").write_text(table.csv())
+            files.append(f"paper/{table.name}.csv")
+    malus.merge_campaign([work], tmp_path / "all")
+    for name in ("table_1", "table_2"):
+        assert "| 19470 |" in (tmp_path / f"all/{name}.md").read_text(), name
+        assert "\n19470," in (tmp_path / f"all/{name}.csv").read_text(), name
+
+
+def test_histogram_of_a_rough_patch_can_be_read(paper_work: Path) -> None:
+    """The numbers of a scale from -1 to 1 ran into each other, and what lies beyond it was not said."""
+    plates = Plates(malus.Workspace(paper_work), for_print=True)
+    fit = {
+        "rmse_gsd": 1,
+        "histogram_gsd": {"low": -1, "bin_width": 0.04, "counts": [3] * 50, "below": 20, "above": 30},
+    }
+    plates.quality = plates.quality | {"patches": [{"name": "flat", "prior": None, "polarization": fit, "fused": fit}]}
+    (figure,) = plates.patches()
+    assert figure.caption.endswith("Beyond the scale: polarization 25 %, fused 25 %.")
+    assert figure.drawing is not None
+    boxes = [label.get_window_extent() for label in figure.drawing.axes[0].get_xticklabels()]
+    for left, right in itertools.pairwise(box for box in boxes if box.width > 0):
+        assert left.x1 + 4 < right.x0
+
+
 def test_campaign_merges_tables(paper_work: Path, tmp_path: Path) -> None:
     outcome = run_malus("paper", "--campaign", paper_work, paper_work, "-o", tmp_path / "all")
     assert outcome.code == 0, outcome.err
@@ -146,8 +193,8 @@ def robust(values: np.ndarray) -> float:
     return float(1.4826 * np.nanmedian(np.abs(values)))
 
 
-#: Windows that the stages are tested on, all object: the coin's animal, the bust's face.
-WINDOWS = {"coin": (250, 160, 470, 330), "bust": (300, 150, 430, 330)}
+#: Windows that the stages are tested on, all object: the coin's animal, the bust's face, the glass's facets and rings.
+WINDOWS = {"coin": (250, 160, 470, 330), "bust": (300, 150, 430, 330), "glass": (250, 150, 470, 320)}
 
 
 def window_of(example: str, folder: Path) -> Path:
@@ -257,6 +304,17 @@ MEASURED = {
         "together_mad": 0.168,
         "together_normals_deg": 1.48,
     },
+    "glass": {
+        "phase_deg": 1.01,
+        "zenith_bias_deg": -2.74,
+        "height_normals_deg": 10.94,  # bent: the overcast sky is no distant light, as Eq 11 takes it
+        "prior_mad": 0.145,
+        "prior_normals_deg": 2.13,
+        "fused_mad": 0.1686,
+        "fused_normals_deg": 2.51,
+        "together_mad": 0.103,
+        "together_normals_deg": 1.715,
+    },
 }
 
 
@@ -264,7 +322,7 @@ MEASURED = {
 def test_every_stage_against_the_truth(example: str, tmp_path: Path) -> None:
     """Eq 1 to 16 and what comes after them, each within a twentieth of what was measured."""
     station = window_of(example, tmp_path / example)
-    by_eq_16, together = (stages(station, optimize, specular=example == "coin") for optimize in (False, True))
+    by_eq_16, together = (stages(station, optimize, specular=example != "bust") for optimize in (False, True))
     found = by_eq_16 | {f"together_{name}": together[f"fused_{name}"] for name in ("mad", "normals_deg")}
     for name, measured in MEASURED[example].items():
         assert found[name] == pytest.approx(measured, rel=0.05), name
@@ -277,6 +335,21 @@ def test_contact_sheet_shows_every_plate() -> None:
     assert sheet.shape == (16 + 33 + 16 + 80 + 33 + 16 + 96, 5 * 496 + 16, 3), "two rows, each as high as its highest"
     levels = [np.count_nonzero((sheet == 40 * k).all(2)) for k in range(1, 7)]
     assert all(np.isclose(count, 480 * 16 * k, rtol=0.05) for k, count in enumerate(levels, 1))
+
+
+def test_names_in_pictures_hide_nothing_of_what_they_name() -> None:
+    """Small patches were half under their names; what stands at the upper border is named beside it."""
+    drawing = Drawing(figsize=(6.4, 4.3))
+    axes = drawing.add_axes((0, 0, 1, 1))
+    axes.set(xlim=(-0.5, 719.5), ylim=(479.5, -0.5))
+    places = [(380, 151), (365, 5)]
+    for place in places:
+        Plates.tag(axes, place, "field")
+    FigureCanvasAgg(drawing).draw()
+    for text, place in zip(axes.texts, places, strict=True):
+        box, (u, v) = text.get_bbox_patch().get_window_extent(), axes.transData.transform(place)
+        assert box.y0 > v + 2 or box.x1 < u - 2, place
+        assert box.x0 > 0 and box.y1 < drawing.bbox.height, place
 
 
 def test_oblique_view_closes_slopes() -> None:
@@ -362,7 +435,7 @@ def test_height_without_a_prior(small_station: Path, tmp_path: Path) -> None:
 
 
 def test_light_of_a_rendered_bust_without_its_prior() -> None:
-    """Both ways to find it, against the light by the true normals: 8.1° and 1.4° were measured."""
+    """Both ways to find it, against the light by the true normals: 1.2° was measured, of the outline alone 8.1°."""
     folder = ROOT / "examples/bust"
     images = [np.array(Image.open(path)).astype(np.float32) / 16383 for path in sorted((folder / "pol").glob("*.png"))]
     mask = np.array(Image.open(folder / "mask.png")) > 0
@@ -374,7 +447,7 @@ def test_light_of_a_rendered_bust_without_its_prior() -> None:
     right = malus.height.light(
         state.unpolarized, truth.normals, mask=state.valid == 255, camera=camera, threads=2
     )["light"][:3]  # fmt: skip
-    for assumption, limit_deg in (("contour", 9.5), ("convex", 2.0)):
+    for assumption, limit_deg in (("contour", 2.0), ("convex", 2.0)):
         options = malus.Options(light={"without_prior": assumption})
         found = malus.height.light_from_polarization(state, reflection, camera=camera, options=options, threads=2)
         light = found["light"][:3]

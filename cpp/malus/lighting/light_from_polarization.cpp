@@ -22,6 +22,8 @@ struct Sample {
 
 constexpr std::size_t most_samples = 20'000, fewest_samples = 100;
 constexpr int rounds = 30;
+/// Up to this angle the light of all pixels is that of the outline, measured better.
+constexpr double same_light = 10 * std::numbers::pi / 180;
 
 std::vector<Sample> take_samples(const PolarizationState& state, const ReflectionMap& reflection,
                                  const Pinhole* camera) {
@@ -66,6 +68,14 @@ struct Fit {
   double robust_sigma = 0;
 };
 
+/// Expectation of the side, −1 … 1, for normally distributed residuals. Where the two normals' intensities differ by
+/// less than these the likelier one is a guess, and guesses that always fit bend the light.
+double expected_side(const Sample& sample, const Fit& fit) {
+  if (fit.robust_sigma == 0) return likelier_side(sample, fit.light);
+  const double product = (sample.intensity - fit.light.dot(sample.along)) * fit.light.dot(sample.aside);
+  return std::tanh(product / (fit.robust_sigma * fit.robust_sigma));
+}
+
 /// Light and sides in turns from a direction; the direction is kept if it is known.
 Fit fit_from(const std::vector<Sample>& samples, const Eigen::Vector3d& direction, bool is_known,
              double outlier_scale) {
@@ -78,9 +88,12 @@ Fit fit_from(const std::vector<Sample>& samples, const Eigen::Vector3d& directio
     Eigen::Matrix3d matrix = Eigen::Matrix3d::Zero();
     Eigen::Vector3d right = Eigen::Vector3d::Zero();
     for (std::size_t i = 0; i < samples.size(); ++i) {
-      const Eigen::Vector3d normal = samples[i].along + likelier_side(samples[i], fit.light) * samples[i].aside;
-      matrix += weights[i] * normal * normal.transpose();
-      right += weights[i] * samples[i].intensity * normal;
+      const Sample& s = samples[i];
+      const double side = expected_side(s, fit);
+      // Means over both sides of normal · normalᵀ and of the normal.
+      const Eigen::Matrix3d mixed = side * (s.along * s.aside.transpose() + s.aside * s.along.transpose());
+      matrix += weights[i] * (s.along * s.along.transpose() + s.aside * s.aside.transpose() + mixed);
+      right += weights[i] * s.intensity * (s.along + side * s.aside);
     }
     fit.light = is_known ? Eigen::Vector3d(right.dot(direction) / direction.dot(matrix * direction) * direction)
                          : Eigen::Vector3d(matrix.ldlt().solve(right));
@@ -111,6 +124,22 @@ double convexity(const std::vector<Sample>& samples, const Eigen::Vector3d& ligh
   return sum;
 }
 
+/// The best light of many starts, on either side: it explains the images as well turned by 180° about the view.
+Fit fit_of_unknown_direction(const std::vector<Sample>& samples, double outlier_scale, const Context& context) {
+  Fit best;
+  for (const double tilt_deg : {20.0, 50.0}) {
+    for (int turn = 0; turn < 8; ++turn) {
+      context.check_cancel();
+      const double tilt = tilt_deg * std::numbers::pi / 180, azimuth = turn * std::numbers::pi / 4;
+      const Eigen::Vector3d start(std::sin(tilt) * std::cos(azimuth), -std::sin(tilt) * std::sin(azimuth),
+                                  -std::cos(tilt));
+      const Fit fit = fit_from(samples, start, false, outlier_scale);
+      if (fit.robust_sigma < best.robust_sigma || !std::isfinite(best.rms)) best = fit;
+    }
+  }
+  return best;
+}
+
 }  // namespace
 
 LightEstimate light_from_polarization(const PolarizationState& state, const ReflectionMap& reflection,
@@ -118,9 +147,9 @@ LightEstimate light_from_polarization(const PolarizationState& state, const Refl
                                       const LightOptions& options, const Context& context) {
   validate_fields(options, "light");
   require_size(reflection.zenith, state.size(), "zenith");
-  if (!direction && options.without_prior == LightWithoutPrior::contour) {
-    if (const auto found = light_from_contour(state, reflection, camera, options, context)) return *found;
-  }
+  std::optional<LightEstimate> of_outline;
+  if (!direction && options.without_prior == LightWithoutPrior::contour)
+    of_outline = light_from_contour(state, reflection, camera, options, context);
   LightEstimate light;
   const std::vector<Sample> samples = take_samples(state, reflection, camera);
   light.pixels = samples.size();
@@ -128,26 +157,21 @@ LightEstimate light_from_polarization(const PolarizationState& state, const Refl
     light.status = LightStatus::too_few_pixels;
     return light;
   }
-  Fit best;
-  if (direction) {
-    best = fit_from(samples, direction->normalized(), true, options.outlier_scale);
-  } else {
-    for (const double tilt_deg : {20.0, 50.0}) {
-      for (int turn = 0; turn < 8; ++turn) {
-        context.check_cancel();
-        const double tilt = tilt_deg * std::numbers::pi / 180, azimuth = turn * std::numbers::pi / 4;
-        const Eigen::Vector3d start(std::sin(tilt) * std::cos(azimuth), -std::sin(tilt) * std::sin(azimuth),
-                                    -std::cos(tilt));
-        const Fit fit = fit_from(samples, start, false, options.outlier_scale);
-        if (fit.robust_sigma < best.robust_sigma || !std::isfinite(best.rms)) best = fit;
-      }
-    }
-    if (convexity(samples, best.light) < 0) best.light.head<2>() *= -1;
+  const Fit best = direction ? fit_from(samples, direction->normalized(), true, options.outlier_scale)
+                             : fit_of_unknown_direction(samples, options.outlier_scale, context);
+  Eigen::Vector3d found = best.light;
+  if (of_outline) {
+    const Eigen::Vector3d outline = of_outline->coefficients.head<3>();
+    if (found.head<2>().dot(outline.head<2>()) < 0) found.head<2>() *= -1;
+    if (found.dot(outline) < std::cos(same_light) * found.norm() * outline.norm()) return *of_outline;
+    light.of_contour = true;
+  } else if (!direction && convexity(samples, found) < 0) {
+    found.head<2>() *= -1;
   }
-  light.coefficients.head<3>() = best.light;
+  light.coefficients.head<3>() = found;
   light.rms = best.rms;
   light.robust_sigma = best.robust_sigma;
-  light.tangential = tangential_light(best.light, camera, state.size());
+  light.tangential = tangential_light(found, camera, state.size());
   light.status = light.tangential < options.min_tangential ? LightStatus::along_view : LightStatus::estimated;
   return light;
 }

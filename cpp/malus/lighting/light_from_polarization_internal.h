@@ -17,8 +17,9 @@ namespace malus {
 /// light, i_un = l · n, and the likelier of the two normals take turns, from a number of directions. Light and normals
 /// turned by 180° about the view explain the images as well: a hollow looks like a bump that is lit from the other
 /// side. Of the two, that is returned whose normals point away from the middle of the object in the mean, as those of a
-/// convex one do. Unless options.without_prior says so, that is only done where light_from_contour finds nothing. With
-/// a known `direction` (camera frame, towards the source, any length) only the strength is found.
+/// convex one do. Unless options.without_prior says so, that is only done where light_from_contour finds nothing: else
+/// its light says which of the two it is, and is returned itself where the two lights are more than 10° apart. With a
+/// known `direction` (camera frame, towards the source, any length) only the strength is found.
 ///
 /// camera null = orthographic. Its status is `too_few_pixels`, `along_view` or `estimated`.
 LightEstimate light_from_polarization(const PolarizationState& state, const ReflectionMap& reflection,

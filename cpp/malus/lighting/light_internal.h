@@ -32,7 +32,7 @@ struct LightEstimate {
   double condition = 0;     ///< of the normal equations
   double tangential = 0;    ///< sine of the angle between light and view, RMS over the image
   std::size_t pixels = 0;   ///< used
-  bool of_contour = false;  ///< found by the object's outline (LightWithoutPrior::contour)
+  bool of_contour = false;  ///< its side is that of the object's outline (LightWithoutPrior::contour)
   LightStatus status = LightStatus::not_run;
 };
 

@@ -11,6 +11,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from malus.figures import LETTERS_PT, WIDTH_IN, Figure, Plates, flattened, grey, hillshade, style
+from malus.lengths import shown
 from malus.workspace import Raster
 
 #: Long side of the oblique views' data, and how far the object is tilted back in them.
@@ -86,10 +87,12 @@ def cloud(plates: Plates) -> Iterator[Figure]:
             else {"c": "#d1495b", "s": 1.5}
         )
         axes.scatter(u / plates.step, v / plates.step, marker=".", linewidths=0, rasterized=True, **look)
+    depths = depth[on & np.isfinite(depth)]
+    low, high = (shown(float(d), plates.unit, 4) for d in (depths.min(), depths.max())) if depths.size else ("–", "–")
     yield plates.figure(
         "cloud", "Cloud in the station's view",
-        "Points of the cloud, projected into the unpolarized image: on the surface, by depth (bright is near), and red those "
-        "behind it or off it.",
+        f"Points of the cloud, projected into the unpolarized image: on the surface, by depth (bright is near; {low} to "
+        f"{high}), and red those behind it or off it.",
         drawing, ["points", "pixels"], [["on the surface", counts[0]], ["behind or off", counts[1]]],
     )  # fmt: skip
 
@@ -107,10 +110,7 @@ def patch_boxes(plates: Plates) -> Iterator[Figure]:
         size = ((u1 - u0 + 1) / plates.step, (v1 - v0 + 1) / plates.step)
         axes.add_patch(Rectangle(corner, *size, fill=False, ec="white", lw=3))
         axes.add_patch(Rectangle(corner, *size, fill=False, ec="#d1495b", lw=1.6))
-        axes.annotate(
-            patch["name"], corner, xytext=(0, 5), textcoords="offset points", color="white", fontsize=LETTERS_PT,
-            bbox={"boxstyle": "round,pad=0.2", "fc": "#d1495b", "ec": "none"},
-        )  # fmt: skip
+        plates.tag(axes, corner, patch["name"])
     yield plates.figure(
         "patch_boxes", "Flat patches", "Where the distances to planes are measured.",
         drawing, ["patch", "u0_px", "v0_px", "u1_px", "v1_px"], rows,

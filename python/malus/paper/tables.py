@@ -16,6 +16,8 @@ from malus.workspace import Raster, Workspace
 
 #: The surfaces by their names in quality.json, and as the paper calls them.
 SURFACES = {"prior": "photogrammetry", "polarization": "polarization", "fused": "fusion"}
+#: Columns that hold words, also where these look like numbers.
+WORDS = ("object", "profile", "surface", "patch")
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class Table:
         lines = [
             list(self.header),
             ["---"] * len(self.header),
-            *([cell_text(cell) for cell in row] for row in self.rows),
+            *([cell_text(cell).replace("|", "\\|") for cell in row] for row in self.rows),
         ]
         return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
@@ -99,6 +101,8 @@ def table_1(workspace: Workspace) -> Table:
         else None
     )
     rows: list[list[str | float | None]] = []
+    if not quality["profiles"]:
+        rows.append([str(quality["name"]), "no profile given", None, *[None] * 6])
     for profile in quality["profiles"]:
         errors = _errors(profile, distance)
         differences = {
@@ -125,10 +129,15 @@ def table_1(workspace: Workspace) -> Table:
 
 
 def table_2(workspace: Workspace) -> Table:
-    """Distances of flat patches from the planes that fit them, one patch of an object a row."""
+    """Distances of flat patches from the planes that fit them, one patch of an object a row.
+
+    An object without patches has one row that says so: left out of a table of many it would seem forgotten.
+    """
     quality = workspace.quality
     unit, gsd = str(quality["unit"]), float(quality["gsd"])
     rows: list[list[str | float | None]] = []
+    if not quality["patches"]:
+        rows.append([str(quality["name"]), "no flat patch given", gsd, *[None] * 6])
     for patch in quality["patches"]:
         row: list[str | float | None] = [str(quality["name"]), str(patch["name"]), gsd]
         for name in SURFACES:

@@ -11,7 +11,7 @@ from malus.errors import InputError
 from malus.figures import Figure, Plates, encode
 from malus.paper import plates as own
 from malus.paper.contact_sheet import contact_sheet
-from malus.paper.tables import Table, table_1, table_2
+from malus.paper.tables import WORDS, Table, table_1, table_2
 from malus.workspace import Workspace
 
 TABLES = ("table_1", "table_2")
@@ -90,16 +90,13 @@ def merge_campaign(works: Sequence[str | Path], output: str | Path) -> list[Path
             if header and first != header:
                 raise InputError(f"{path}: columns {', '.join(first)}, expected {', '.join(header)} as in {works[0]}")
             header = first
-            rows += [[_cell(cell) for cell in row] for row in others]
+            rows += [[_cell(*cell) for cell in zip(header, row, strict=True)] for row in others]
         table = Table(name, f"Table {name[-1]} of {len(works)} objects", header, rows)
         paths += [Path(output) / written for written in _write_table(Path(output), table)]
     return paths
 
 
-def _cell(text: str) -> str | float | None:
-    if not text:
-        return None
-    try:
-        return float(text)
-    except ValueError:
-        return text
+def _cell(column: str, text: str) -> str | float | None:
+    if column in WORDS:
+        return text or None
+    return float(text) if text else None
