@@ -684,7 +684,7 @@ def test_what_is_drawn_outlives_changes_by_others(served: Served, page: Any) -> 
     page.locator("#plan", has_text="Ready").wait_for()
     with station.open("a") as file:
         file.write("# once more\n")
-    title = page.get_by_label("Name of the object")
+    title = page.get_by_role("textbox", name="Name of the object")
     title.fill("Other")
     title.press("Tab")
     page.locator("#message", has_text="please make your last change once more").wait_for()
