@@ -25,7 +25,7 @@ from malus.errors import InputError, ending_of
 from malus.exports import COLORED, FORMATS, MESHES
 from malus.object import Object, run_object
 from malus.object.definition import is_object_file
-from malus.object.run import object_summary
+from malus.object.run import doubted_stations, object_summary
 from malus.options import MAIN
 from malus.progress import BarProgress, JsonProgress, ProgressView, WarningsOnly
 from malus.reconstruction import expected_times
@@ -495,8 +495,8 @@ def _print_object(folder: Path, outcomes: Sequence[batch.Outcome], quiet: bool) 
         return
     quality = json.loads((folder / "quality.json").read_text(encoding="utf-8"))
     if quiet:  # nobody shall miss them
-        for warning in quality["warnings"]:
-            print(f"warning: {warning}", file=sys.stderr)
+        for line in (*doubted_stations(quality), *(f"warning: {warning}" for warning in quality["warnings"])):
+            print(line, file=sys.stderr)
         return
     _print_lines(*object_summary(quality))
 
