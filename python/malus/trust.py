@@ -1,4 +1,4 @@
-"""How far a surface may be trusted, in words: for the report's head, and for files that leave the workspace without it."""
+"""How far a surface may be trusted, in words: for the report's head, and for files that leave the workspace."""
 
 from __future__ import annotations
 
