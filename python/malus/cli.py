@@ -53,7 +53,7 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> None:  # type: ignore[override]
         self.print_usage(sys.stderr)
-        raise InputError(message)
+        raise InputError(f"{message} (malus --help lists the commands)" if message.endswith(": COMMAND") else message)
 
 
 def _leaves(until: str, fusion: str | None) -> str:
@@ -327,6 +327,8 @@ def _reconstruct(
             raise InputError(f"--{flag} needs a reference, expected --reference SCAN.ply")
     if register and options.assess.alignment == "none":
         options.assess.alignment = "rigid"  # what is found is right to a few pixels
+    if reference is not None and not reference.is_file():
+        raise InputError(f"--reference {reference}: no such file, expected a cloud or a mesh")
     _require_own_folder(args.output, station_path)
     station = malus.Station.load(station_path)
     if getattr(args, "pixels", None):

@@ -270,6 +270,7 @@ def open_report(work: str | Path) -> Path:
     """Show the report of a workspace in the web browser; returns the page's path."""
     page = (Path(work) / "report" / "index.html").resolve()
     if not page.is_file():
+        Workspace(work).require()
         raise InputError(f"{page}: there is none; run `malus report {work}` first")
     return open_page(page)
 
