@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeAlias
 import malus
 from malus import _core, batch, m3c2, registration, studio
 from malus._files import require_utf8
-from malus.campaign import Campaign
+from malus.campaign import Campaign, require_kind
 from malus.change import change_summary
 from malus.chart import measure_chart
 from malus.demo import EXAMPLES, example_station
@@ -330,6 +330,7 @@ def _reconstruct(
     if reference is not None and not reference.is_file():
         raise InputError(f"--reference {reference}: no such file, expected a cloud or a mesh")
     _require_own_folder(args.output, station_path)
+    require_kind(station_path, "station")
     station = malus.Station.load(station_path)
     if getattr(args, "pixels", None):
         station = station.with_curves_of([_pixel(text) for text in args.pixels])
@@ -447,6 +448,7 @@ def _check(args: argparse.Namespace) -> None:
         for plan in plans:
             _print_plan(plan)
         return
+    require_kind(args.station, "station")
     station = malus.Station.load(args.station)
     overlay = args.overlay
     if overlay is None and os.access(".", os.W_OK):
@@ -564,7 +566,7 @@ def _list_options(preset: str | None, *, main_only: bool) -> None:
 
 def _paper(args: argparse.Namespace) -> None:
     if (args.station is None) == (args.campaign is None):
-        raise InputError("malus paper: expected either STATION.toml or --campaign WORK…")
+        raise InputError("paper: expected either STATION.toml or --campaign WORK…")
     if args.campaign is not None and args.pixels:
         raise InputError("--pixels is for a station, expected no --campaign beside it")
     if args.campaign is not None:
