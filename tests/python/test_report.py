@@ -391,7 +391,8 @@ def test_scale_and_photos_are_shown_when_they_are_known(finished_grid: Path, tmp
 
 def test_report_and_view_say_what_is_missing(tmp_path: Path) -> None:
     outcome = run_malus("report", tmp_path / "none")
-    assert outcome.code == 2 and "manifest.json" in outcome.err
+    assert outcome.code == 2 and "there is no such folder" in outcome.err
+    (tmp_path / "manifest.json").write_text("{}")
     outcome = run_malus("view", tmp_path)
     assert outcome.code == 2 and "malus report" in outcome.err
 
