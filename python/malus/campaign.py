@@ -137,6 +137,33 @@ class Campaign:
         ]
 
 
+#: Kinds of files: how they are called, and what runs them.
+_KINDS = {"station": ("a station file", "run"), "object": ("an object file", "object"), "campaign": ("a campaign file", "batch")}  # fmt: skip
+
+
+def require_kind(file: Path, expected: str, content: Mapping[str, Any] | None = None) -> None:
+    """Raise InputError, with the command for it, if a TOML file is plainly of another kind: station, object or campaign.
+
+    content: of the file, if it has been read. What cannot be read, who reads it says.
+    """
+    if content is None:
+        try:
+            content = tomllib.loads(file.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError):
+            return
+    thing = content.get("object")
+    kinds = {
+        "campaign": "campaign" in content,
+        # A station file has a table [object], too: what the catalogue says.
+        "object": isinstance(thing, dict) and "stations" in thing,
+        "station": "polarized" in content,
+    }
+    found = [kind for kind, is_it in kinds.items() if is_it]
+    if found and expected not in found:
+        name, command = _KINDS[found[0]]
+        raise InputError(f"{file}: is {name}, expected {_KINDS[expected][0]}; `malus {command} {file} -o DIR` runs it")
+
+
 def read_tables(file: Path, keys: Mapping[str, Sequence[str]]) -> dict[str, Any]:
     """Content of a TOML file whose tables and keys are known: `keys` of each table, those of "" being the tables."""
     try:
@@ -145,6 +172,7 @@ def read_tables(file: Path, keys: Mapping[str, Sequence[str]]) -> dict[str, Any]
         raise InputError(f"{file}: cannot be read ({error.strerror})") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{file}: is not valid TOML ({error})") from None
+    require_kind(file, "campaign" if "campaign" in keys else "object", content)
     _check_keys(file, content, "", keys[""])
     for name, table in content.items():
         if name in keys and isinstance(table, dict):

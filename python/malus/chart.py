@@ -83,6 +83,8 @@ class ColorCorrection:
     @classmethod
     def load(cls, path: str | Path) -> ColorCorrection:
         """Read what `save` wrote; InputError for any other file."""
+        if not Path(path).is_file():
+            raise InputError(f"{path}: no such file, expected one that `malus chart` wrote")
         record = read_record(Path(path))
         if record is None or "linear_srgb_from_camera" not in record:
             raise InputError(f"{path}: is no color correction, expected a file that `malus chart` wrote, unchanged")

@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeAlias
 import malus
 from malus import _core, batch, m3c2, registration, studio
 from malus._files import require_utf8
-from malus.campaign import Campaign
+from malus.campaign import Campaign, require_kind
 from malus.change import change_summary
 from malus.chart import measure_chart
 from malus.demo import EXAMPLES, example_station
@@ -25,7 +25,7 @@ from malus.errors import InputError, ending_of
 from malus.exports import COLORED, FORMATS, MESHES
 from malus.object import Object, run_object
 from malus.object.definition import is_object_file
-from malus.object.run import object_summary
+from malus.object.run import doubted_stations, object_summary
 from malus.options import MAIN
 from malus.progress import BarProgress, JsonProgress, ProgressView, WarningsOnly
 from malus.reconstruction import expected_times
@@ -53,7 +53,7 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> None:  # type: ignore[override]
         self.print_usage(sys.stderr)
-        raise InputError(message)
+        raise InputError(f"{message} (malus --help lists the commands)" if message.endswith(": COMMAND") else message)
 
 
 def _leaves(until: str, fusion: str | None) -> str:
@@ -327,7 +327,10 @@ def _reconstruct(
             raise InputError(f"--{flag} needs a reference, expected --reference SCAN.ply")
     if register and options.assess.alignment == "none":
         options.assess.alignment = "rigid"  # what is found is right to a few pixels
+    if reference is not None and not reference.is_file():
+        raise InputError(f"--reference {reference}: no such file, expected a cloud or a mesh")
     _require_own_folder(args.output, station_path)
+    require_kind(station_path, "station")
     station = malus.Station.load(station_path)
     if getattr(args, "pixels", None):
         station = station.with_curves_of([_pixel(text) for text in args.pixels])
@@ -445,6 +448,7 @@ def _check(args: argparse.Namespace) -> None:
         for plan in plans:
             _print_plan(plan)
         return
+    require_kind(args.station, "station")
     station = malus.Station.load(args.station)
     overlay = args.overlay
     if overlay is None and os.access(".", os.W_OK):
@@ -495,8 +499,8 @@ def _print_object(folder: Path, outcomes: Sequence[batch.Outcome], quiet: bool) 
         return
     quality = json.loads((folder / "quality.json").read_text(encoding="utf-8"))
     if quiet:  # nobody shall miss them
-        for warning in quality["warnings"]:
-            print(f"warning: {warning}", file=sys.stderr)
+        for line in (*doubted_stations(quality), *(f"warning: {warning}" for warning in quality["warnings"])):
+            print(line, file=sys.stderr)
         return
     _print_lines(*object_summary(quality))
 
@@ -562,7 +566,7 @@ def _list_options(preset: str | None, *, main_only: bool) -> None:
 
 def _paper(args: argparse.Namespace) -> None:
     if (args.station is None) == (args.campaign is None):
-        raise InputError("malus paper: expected either STATION.toml or --campaign WORK…")
+        raise InputError("paper: expected either STATION.toml or --campaign WORK…")
     if args.campaign is not None and args.pixels:
         raise InputError("--pixels is for a station, expected no --campaign beside it")
     if args.campaign is not None:

@@ -7,7 +7,7 @@ Both are in the station's unit, one to one; an SVG states its size in millimeter
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.sax.saxutils import escape
@@ -97,11 +97,13 @@ def set_apart(layers: list[Layer], by: int) -> None:
         top = float(heights.min()) + shift - 0.25 * max(float(np.ptp(heights)), 1e-9)
 
 
-def write_dxf(path: Path, layers: list[Layer], unit: str) -> None:
-    """Layers as polylines of a DXF drawing (R2010), station unit."""
+def write_dxf(path: Path, layers: list[Layer], unit: str, words: Mapping[str, str]) -> None:
+    """Layers as polylines of a DXF drawing (R2010), station unit; `words` are among the drawing's own properties."""
     ezdxf = extra("ezdxf", "ezdxf", f"{path}: DXF")
     document = ezdxf.new("R2010", setup=False)
     document.header["$INSUNITS"] = _DXF_UNITS[unit]
+    for name, value in words.items():
+        document.header.custom_vars.append(name, value)
     space = document.modelspace()
     for layer in layers:
         name = "".join("_" if c in '<>/\\":;?*|=`,' else c for c in layer.name)
@@ -116,8 +118,8 @@ def write_dxf(path: Path, layers: list[Layer], unit: str) -> None:
         document.saveas(temporary)
 
 
-def write_svg(path: Path, layers: list[Layer], unit: str, title: str) -> None:
-    """Layers as paths of an SVG drawing, one to one; y up as in the plane."""
+def write_svg(path: Path, layers: list[Layer], unit: str, title: str, description: str) -> None:
+    """Layers as paths of an SVG drawing, one to one; y up as in the plane. `description` is what programs show of it."""
     points = [line[:, :2] for layer in layers for line in layer.lines]
     if not points:
         raise DataError(f"{path}: there is nothing to draw")
@@ -144,6 +146,7 @@ def write_svg(path: Path, layers: list[Layer], unit: str, title: str) -> None:
         '<?xml version="1.0" encoding="UTF-8"?>\n'
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width * scale:.6g}mm" height="{height * scale:.6g}mm" '
         f'viewBox="0 0 {width:.6g} {height:.6g}">\n<title>{escape(title)}</title>\n'
+        f"<desc>{escape(description)}</desc>\n"
         f'<g fill="none" stroke="black" stroke-width="{line_width:.4g}" stroke-linejoin="round">\n'
         + "\n".join(body)
         + "\n</g>\n</svg>\n",

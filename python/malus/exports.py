@@ -31,9 +31,10 @@ from malus.result import Result
 from malus.rti import write_relight, write_rti
 from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
 from malus.threads import ALL_CORES
+from malus.trust import words_of
 from malus.units import METRES
 from malus.workspace import Raster, Workspace
-from malus.xmp import header_lines, packet, save_png, tag_png, tag_tiff
+from malus.xmp import packet, save_png, tag_png, tag_tiff
 
 
 class Exporter:
@@ -98,13 +99,29 @@ class Exporter:
         colors = np.rint(sample(self.picture(), self.pixels(mesh.vertices))).astype(np.uint8)
         return replace(mesh, colors=colors)
 
-    def xmp(self) -> str:
-        """The catalogue's words for image files."""
-        return packet(self.name, self.workspace.quality.get("object") or {})
+    @property
+    def catalogue(self) -> dict[str, str]:
+        """The words of [object]."""
+        return self.workspace.quality.get("object") or {}
+
+    @cached_property
+    def trust(self) -> dict[str, str]:
+        """What every file says of the surface: unit, pixel, confidence and why, origin of the detail."""
+        return words_of(self.workspace.quality)
+
+    @cached_property
+    def said(self) -> dict[str, str]:
+        """Both, of one line each, for formats whose files have properties or a header of text."""
+        words = {"title": self.name, **{key: value for key, value in self.catalogue.items() if value}, **self.trust}
+        return {key: " ".join(str(value).split()) for key, value in words.items() if value}
 
     def words(self) -> list[str]:
-        """The catalogue's words for headers of text, one line each."""
-        return header_lines(self.workspace.quality.get("object") or {})
+        """The same as lines: "title: Carved stone"."""
+        return [f"{key}: {value}" for key, value in self.said.items()]
+
+    def xmp(self) -> str:
+        """The same for image files."""
+        return packet(self.name, self.catalogue, self.trust)
 
     def pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Where world points (…×3) are seen in the station's image, …×2."""
@@ -169,8 +186,6 @@ def _write_ply(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     mesh = exporter.simplified(wishes.faces)
     _core.write_ply(str(path), mesh.vertices, mesh.normals, mesh.colors, mesh.triangles, exporter.threads)
     words = [f"comment {line}\n".encode() for line in exporter.words()]
-    if not words:
-        return
     with replacing(path) as temporary, path.open("rb") as bare, temporary.open("wb") as file:
         file.writelines([bare.readline(), bare.readline(), *words])  # behind "ply" and the format
         shutil.copyfileobj(bare, file)
@@ -192,11 +207,12 @@ def _say_what_it_is(path: Path, exporter: Exporter, y_up: bool) -> None:
     document = json.loads(content[20 : 20 + length])
     quality = exporter.workspace.quality
     document["asset"]["extras"] = {
-        "object": {key: value for key, value in quality.get("object", {}).items() if value},
+        "object": {key: value for key, value in exporter.catalogue.items() if value},
         "station": exporter.name,
         "unit_of_the_station": exporter.unit,
         "gsd": quality["gsd"],
         "confidence": quality["confidence"],
+        "detail": exporter.trust["detail"],
         "versions": exporter.workspace.manifest["versions"],
     }
     if y_up:
@@ -221,7 +237,9 @@ def _write_stl(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     facets["normal"] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     facets["corners"] = corners
     with replacing(path) as temporary, temporary.open("wb") as file:
-        file.write(f"{exporter.name}, {exporter.unit}, world frame".encode("ascii", "replace")[:80].ljust(80))
+        # What must not be lost first: there are 80 bytes. A name alone could be "solid", which begins STL as text.
+        said = f"Malus, {exporter.unit}, confidence {exporter.trust['confidence']}, {exporter.trust['detail']}: {exporter.name}"
+        file.write(said.encode("ascii", "replace")[:80].ljust(80))
         file.write(np.uint32(len(facets)).tobytes())
         file.write(facets.tobytes())
 
@@ -241,9 +259,9 @@ def _write_orthophoto(exporter: Exporter, path: Path, wishes: Wishes) -> None:
 
 def _write_drawing(path: Path, layers: list[drawings.Layer], exporter: Exporter, title: str) -> None:
     if path.suffix.lower() == ".dxf":
-        drawings.write_dxf(path, layers, exporter.unit)
+        drawings.write_dxf(path, layers, exporter.unit, exporter.said)
     else:
-        drawings.write_svg(path, layers, exporter.unit, f"{exporter.name}: {title}")
+        drawings.write_svg(path, layers, exporter.unit, f"{exporter.name}: {title}", "\n".join(exporter.words()))
 
 
 def _write_contours(exporter: Exporter, path: Path, wishes: Wishes) -> None:
@@ -291,8 +309,9 @@ def _write_iiif(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         pictures,
         address=wishes.url or "http://localhost:8000",
         name=exporter.name,
-        words=exporter.workspace.quality.get("object") or {},
-        summary=f"Surface from polarization and stereo, one pixel is {gsd:.4g} {exporter.unit}.",
+        words=exporter.catalogue,
+        summary=f"Surface from polarization and stereo, one pixel is {exporter.trust['pixel']}, "
+        f"confidence {exporter.trust['confidence']}: {exporter.trust['detail']}.",
     )
 
 
@@ -324,9 +343,9 @@ def _write_dem(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         tag_tiff(temporary, exporter.xmp())
 
 
-def _write_exr(path: Path, channels: dict[str, NDArray[np.float32]]) -> None:
+def _write_exr(exporter: Exporter, path: Path, channels: dict[str, NDArray[np.float32]]) -> None:
     library = extra("OpenEXR", "OpenEXR", f"{path}: EXR")
-    header = {"compression": library.ZIP_COMPRESSION, "type": library.scanlineimage}
+    header = {"compression": library.ZIP_COMPRESSION, "type": library.scanlineimage, **exporter.said}
     with replacing(path) as temporary, library.File(header, channels) as file:
         file.write(str(temporary))
 
@@ -340,7 +359,7 @@ def _write_normal_map(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     frame = np.stack([dem.right, dem.up, dem.normal], -1)
     normals[known] = exporter.world_normals(points[known]) @ frame
     if path.suffix.lower() == ".exr":
-        _write_exr(path, {"RGB": normals})
+        _write_exr(exporter, path, {"RGB": normals})
         return
     levels = np.rint((normals + 1) / 2 * 65535).astype(np.uint16)
     is_png = path.suffix.lower() == ".png"
@@ -354,7 +373,7 @@ def _write_displacement(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     # Renderers know no missing values: there the surface stays on its plane.
     elevation = np.nan_to_num(exporter.dem().elevation)
     if path.suffix.lower() == ".exr":
-        _write_exr(path, {"Y": elevation})
+        _write_exr(exporter, path, {"Y": elevation})
     else:
         with replacing(path) as temporary:
             _core.write_float_tiff(str(temporary), elevation)
@@ -372,10 +391,9 @@ def _write_las(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     header.scales = np.full(3, 10.0 ** np.floor(np.log10(1e-3 * exporter.workspace.quality["gsd"])))
     for name in ("sigma", "normal_x", "normal_y", "normal_z"):
         header.add_extra_dim(library.ExtraBytesParams(name=name, type=np.float32))
-    if words := exporter.words():
-        # The text record of the LAS specification, 65 535 bytes at most.
-        text = "\n".join(words).encode()[:65535]
-        header.vlrs.append(library.VLR("LASF_Spec", 3, "[object]", text))
+    # The text record of the LAS specification, 65 535 bytes at most.
+    text = "\n".join(exporter.words()).encode()[:65535]
+    header.vlrs.append(library.VLR("LASF_Spec", 3, "[object]", text))
     points = library.LasData(header)
     points.x, points.y, points.z = cloud.vertices.T
     points.red, points.green, points.blue = cloud.colors.T.astype(np.uint16) * 257
@@ -467,8 +485,8 @@ def export(
 
     albedo: colors are the object's own, without highlights and shading (malus.albedo), instead of those of the photograph. chart: file of
     `malus chart`, which takes the camera's colors to sRGB. trim: leaves out of meshes what has a larger standard deviation (GSD); fill: closes
-    holes that the surface surrounds, in magenta, for nothing was measured there. Images say their color space (PNG); images, GLB, OBJ, PLY and LAS the words of
-    [object].
+    holes that the surface surrounds, in magenta, for nothing was measured there. Images say their color space (PNG). Images, drawings,
+    GLB, OBJ, PLY and LAS say the words of [object], the unit, and how far the surface may be trusted; STL has room for the latter two.
 
     Raises malus.InputError, DataError for the albedo of a surface without a reflection model, or ExternalError if the format needs a package that is not installed.
     """

@@ -357,7 +357,7 @@ class Plates:
             ("hillshade_fused_right", "fused", 45, "upper right"),
             ("hillshade_fused_below", "fused", 180, "bottom"),
         ):
-            label = "Prior (stereo)" if surface == "prior" else f"Fused ({self.quality['method']})"
+            label = "Prior (coarse)" if surface == "prior" else f"Fused ({self.quality['method']})"
             yield self._map(
                 self.shade(surface, azimuth),
                 _Map(name, f"{label}, light from the {side}", about + side + ".", "gray", limits=(0, 1)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from malus.units import METRES
 
@@ -13,6 +14,14 @@ def shown(length: float, unit: str, digits: int = 2) -> str:
     factor, name = next(((f, n) for f, n in ((1e6, "µm"), (1e3, "mm")) if abs(metres) * f < 1000), (1.0, "m"))
     value = metres * factor
     return f"{value:.{digits}g} {name}" if abs(value) < 10**digits else f"{value:.0f} {name}"
+
+
+def sides(lengths: Sequence[float], unit: str) -> str:
+    """Width and height, of the station's unit, in one unit that suits the longer: 31 × 12.5 mm."""
+    metres = [length * METRES[unit] for length in lengths]
+    factor, name = next(((f, n) for f, n in ((1e6, "µm"), (1e3, "mm")) if max(metres) * f < 1000), (1.0, "m"))
+    values = [length * factor for length in metres]
+    return f"{' × '.join(f'{value:.3g}' if value < 1000 else f'{value:.0f}' for value in values)} {name}"
 
 
 def scale_bar(extent: float, unit: str) -> tuple[float, str]:

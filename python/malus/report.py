@@ -23,8 +23,9 @@ from malus.pages import template
 from malus.paper import plates as paper_plates
 from malus.paper.tables import cell_text, table_1
 from malus.reconstruction import STEPS
-from malus.report_head import head_of, is_the_prior
+from malus.report_head import accuracy_of, head_of
 from malus.result import Result
+from malus.trust import what_to_trust
 from malus.workspace import Workspace
 
 #: The surfaces that figures compare, in their order.
@@ -59,26 +60,6 @@ def confidence_lines(level: str, reasons: Sequence[str], assessed: bool) -> list
     return [f"confidence: {level}{'' if assessed else ', not assessed yet'}", *(f"  {reason}" for reason in reasons)]
 
 
-def what_to_trust(quality: Mapping[str, Any]) -> str:
-    """The confidence as one sentence for someone who looks for five seconds."""
-    level = quality["confidence"]["level"]
-    refined = quality.get("refinement", {}).get("trusted_share")
-    if level == "low":
-        return "Do not rely on this surface before the reasons below are cleared up."
-    if level == "high":
-        return "Shape and fine detail can be trusted on nearly all of the object."
-    if refined is None:
-        return "The shape is as good as the coarse surface it came from (the prior). Nothing proves the fine detail."
-    if is_the_prior(quality):
-        return "This is the coarse surface it started from (the prior), no finer and no worse."
-    if refined < 0.9:
-        return (
-            f"Fine detail is likely where the map is blue-green ({100 * refined:.0f} % of the object). "
-            "Elsewhere this is the coarse surface it started from (the prior)."
-        )
-    return "Most of this can be trusted. The reasons below say which parts or details are less sure."
-
-
 def _other_warnings(quality: Mapping[str, Any]) -> list[str]:
     """The warnings that are not among the reasons already."""
     reasons = quality["confidence"]["reasons"]
@@ -90,12 +71,11 @@ def summary_lines(quality: Mapping[str, Any], size: tuple[float, float] | None) 
     unit = quality["unit"]
     extent = "" if size is None else f"{_number(size[0])} x {_number(size[1])} {unit}, "
     lines = [
-        f"{quality['name']}: {extent}{100 * quality['coverage']['fraction']:.1f} % of it measured, "
+        f"{quality['name']}: {extent}{100 * quality['coverage']['fraction']:.1f} % of it covered, "
         f"one pixel is {shown(quality['gsd'], unit)}"
     ]
-    if quality["sigma"]:
-        median, most = (shown(quality["sigma"][key] * quality["gsd"], unit) for key in ("median_gsd", "p95_gsd"))
-        lines.append(f"  accuracy: {median} (one standard deviation of depth, median), 95 % better than {most}")
+    accuracy, note = accuracy_of(quality, quality["gsd"])
+    lines.append(f"  accuracy: {accuracy} ({note})")
     lines += [
         *(f"  {line}" for line in confidence_lines(**quality["confidence"], assessed=True)),
     ]
@@ -193,8 +173,8 @@ def _compare(plates: Plates) -> dict[str, bytes]:
 
 def _trust(plates: Plates) -> bytes | None:
     """Where the surface is refined and where it is the prior's, over its relief shading."""
-    if not plates.workspace.has("fused/trust.png"):
-        return None
+    if plates.quality["confidence"]["level"] == "low" or not plates.workspace.has("fused/trust.png"):
+        return None  # Colors that look like parts that can be trusted would contradict the words.
     return encode(plates.trust_picture()[plates.object_box()], "WEBP", quality=85)
 
 
@@ -290,6 +270,7 @@ def open_report(work: str | Path) -> Path:
     """Show the report of a workspace in the web browser; returns the page's path."""
     page = (Path(work) / "report" / "index.html").resolve()
     if not page.is_file():
+        Workspace(work).require()
         raise InputError(f"{page}: there is none; run `malus report {work}` first")
     return open_page(page)
 

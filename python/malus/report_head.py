@@ -1,4 +1,4 @@
-"""What the report says first beside how sure it is: a photograph, how large and how accurate, what was gained over stereo alone."""
+"""What the report says first beside how sure it is: a photograph, how large and how accurate, what polarization changed."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ import numpy as np
 
 from malus import _core
 from malus.figures import Plates, encode
-from malus.lengths import scale_bar, shown
+from malus.lengths import scale_bar, shown, sides
+from malus.trust import is_the_prior
 from malus.workspace import Workspace
 
 #: A spread that is this much larger or smaller is said to be so.
 _NOTABLE = 1.1
-#: Share of the object below which next to nothing of it is refined.
-_NOWHERE = 0.05
+#: Share of the object on which the prior has no data, from which on that is said beside what is covered.
+_NOTABLE_HOLES = 0.1
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,9 @@ class Head:
     accuracy: str
     accuracy_note: str
     pixel: str
+    #: What the share of pixels with a surface is to be taken for.
+    covered_note: str
+    gains_title: str
     gains: list[str]
 
 
@@ -59,25 +63,48 @@ def head_of(plates: Plates, extent: list[float]) -> Head:
     width = picture.shape[1] * plates.gsd * plates.step
     size = size_of_object(plates.workspace) or (extent[0], extent[1])
     length, label = scale_bar(width, unit)
-    accuracy, note = "not known", "the run did not estimate it"
-    if quality["sigma"]:
-        accuracy, most = (shown(quality["sigma"][key] * plates.gsd, unit) for key in ("median_gsd", "p95_gsd"))
-        note = f"one standard deviation of the depth, median; on 95 % of the object below {most}"
+    accuracy, note = accuracy_of(quality, plates.gsd)
     return Head(
         encode(shown_picture, "WEBP", quality=88), picture.shape[1], picture.shape[0], 100 * length / width, label,
-        f"{size[0]:.3g} × {size[1]:.3g} {unit}", accuracy, note, shown(plates.gsd, unit, 3),
+        sides(size, unit), accuracy, note, shown(plates.gsd, unit, 3), covered_of(quality), gains_title(quality),
         gains_of(quality, unit),
     )  # fmt: skip
 
 
-def is_the_prior(quality: Mapping[str, Any]) -> bool:
-    """Whether the surface is the prior's nearly everywhere, because nothing finer is supported."""
-    refined = quality.get("refinement", {}).get("trusted_share")
-    return refined is not None and refined < _NOWHERE
+def accuracy_of(quality: Mapping[str, Any], gsd: float) -> tuple[str, str]:
+    """The surface's standard deviation as people say it, and what it means."""
+    if not quality["sigma"]:
+        return "not known", "the run did not estimate it"
+    median, most = (shown(quality["sigma"][key] * gsd, quality["unit"]) for key in ("median_gsd", "p95_gsd"))
+    if quality["confidence"]["level"] == "low":
+        return f"at best {median}", "as computed if the inputs and the model are right, which the reasons put in doubt"
+    return median, f"one standard deviation of the depth, median; on 95 % of the object below {most}"
+
+
+def covered_of(quality: Mapping[str, Any]) -> str:
+    """What the share of pixels with a surface is to be taken for."""
+    note = "of the object's pixels have a surface"
+    filled = (quality.get("prior") or {}).get("filled_fraction") or 0.0
+    return (
+        note
+        if filled < _NOTABLE_HOLES
+        else f"{note}; on {100 * filled:.0f} % the coarse one has no data, and it is a guess"
+    )
+
+
+def is_worse(patch: Mapping[str, Any]) -> bool:
+    """Whether fusion has made a flat patch rougher."""
+    return bool(patch["prior"] and patch["fused"]) and patch["fused"]["rmse"] > _NOTABLE * patch["prior"]["rmse"]
+
+
+def gains_title(quality: Mapping[str, Any]) -> str:
+    """A change is called a gain only where nothing speaks against it."""
+    gained = quality["confidence"]["level"] != "low" and not any(is_worse(patch) for patch in quality["patches"])
+    return f"What {'was gained over' if gained else 'fusion changed against'} the coarse surface alone"
 
 
 def gains_of(quality: Mapping[str, Any], unit: str) -> list[str]:
-    """What fusion changed against stereo alone, a sentence each; nothing where the surface is the prior's."""
+    """What fusion changed against the coarse surface, a sentence each; nothing where the surface is that one."""
     if is_the_prior(quality):
         return []
     lines = []
@@ -85,9 +112,9 @@ def gains_of(quality: Mapping[str, Any], unit: str) -> list[str]:
         if patch["prior"] and patch["fused"]:
             before, after = patch["prior"]["rmse"], patch["fused"]["rmse"]
             times = before / max(after, 1e-12)
-            said = f"{times:.2g} times flatter" if times >= _NOTABLE else "as flat as before" if times > 1 / _NOTABLE else f"{1 / times:.2g} times rougher"  # fmt: skip
+            said = f"{times:.2g} times flatter" if times >= _NOTABLE else f"{1 / times:.2g} times rougher" if is_worse(patch) else "as flat as before"  # fmt: skip
             lines.append(
-                f"The flat patch {patch['name']} is {said}: {shown(after, unit)} from a plane (RMSE), with stereo alone {shown(before, unit)}."
+                f"The flat patch {patch['name']} is {said}: {shown(after, unit)} from a plane (RMSE), with the coarse surface alone {shown(before, unit)}."
             )
     compared = quality["prior_vs_fused"]
     if compared:
@@ -96,6 +123,6 @@ def gains_of(quality: Mapping[str, Any], unit: str) -> list[str]:
             for key in ("prior_detail_mad_gsd", "fused_detail_mad_gsd", "difference_detail_mad_gsd")
         )
         lines.append(
-            f"Fine relief has a spread of {after}, with stereo alone {before}; fusion changed it by {changed} (robust σ)."
+            f"Fine relief has a spread of {after}, with the coarse surface alone {before}; fusion changed it by {changed} (robust σ)."
         )
     return lines

@@ -80,6 +80,8 @@ def import_station(
         raise InputError(f"--unit {unit}, expected one of {', '.join(METRES)}")
     if cloud is not None and not Path(cloud).is_file():
         raise InputError(f"--cloud {cloud}: no such file")
+    if output.suffix != ".toml":
+        raise InputError(f"{output}, expected a name for the station file that ends in .toml")
     if output.exists():
         raise InputError(f"{output} exists already, expected a name for a new station file")
     mask = mask_of(folder)

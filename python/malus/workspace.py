@@ -41,8 +41,17 @@ class Workspace:
     @cached_property
     def manifest(self) -> dict[str, Any]:
         """Inputs, options, versions and steps, manifest.json."""
+        self.require()
         manifest: dict[str, Any] = json.loads(_core.read_manifest(str(self.folder)))
         return manifest
+
+    def require(self) -> None:
+        """Raise InputError if the folder is no workspace."""
+        if not (self.folder / "manifest.json").exists():
+            wrong = "is no workspace" if self.folder.exists() else "there is no such folder"
+            raise InputError(
+                f"{self.folder}: {wrong}, expected one that `malus run STATION.toml -o FOLDER` has written"
+            )
 
     @cached_property
     def outputs(self) -> dict[str, dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Words of the catalogue in image files (XMP, ISO 16684-1) and in headers of text, and the color space of images (ICC)."""
+"""Words of the catalogue and of the surface in image files (XMP, ISO 16684-1), and the color space of images (ICC)."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ from malus.errors import InputError
 
 #: TIFF tag of an XMP packet.
 _XMP_TAG = 700
+#: Of the properties that say how far the surface may be trusted.
+NAMESPACE = "urn:malus:surface/"
 #: [object] key → property of Dublin Core, and whether that is a text for all languages, a list, or plain.
 _PROPERTIES = {
     "title": ("dc:title", "Alt"),
@@ -35,9 +37,9 @@ _PROPERTIES = {
 }
 
 
-def packet(name: str, words: Mapping[str, str]) -> str:
-    """XMP packet of [object]'s words; `name` is the title if they have none."""
-    lines = []
+def packet(name: str, words: Mapping[str, str], surface: Mapping[str, str]) -> str:
+    """XMP packet of [object]'s words, and of those that malus.trust has of the surface; `name` is the title if there is none."""
+    lines = [f"   <malus:{key}>{escape(value)}</malus:{key}>" for key, value in surface.items() if value]
     for key, (property_name, kind) in _PROPERTIES.items():
         value = words.get(key) or (name if key == "title" else "")
         if not value:
@@ -52,16 +54,12 @@ def packet(name: str, words: Mapping[str, str]) -> str:
         '<x:xmpmeta xmlns:x="adobe:ns:meta/">\n'
         ' <rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">\n'
         '  <rdf:Description rdf:about="" xmlns:dc="http://purl.org/dc/elements/1.1/" '
-        'xmlns:xmp="http://ns.adobe.com/xap/1.0/" xmlns:xmpRights="http://ns.adobe.com/xap/1.0/rights/">\n'
+        'xmlns:xmp="http://ns.adobe.com/xap/1.0/" xmlns:xmpRights="http://ns.adobe.com/xap/1.0/rights/" '
+        f'xmlns:malus="{NAMESPACE}">\n'
         f"   <xmp:CreatorTool>Malus {_core.version}</xmp:CreatorTool>\n" + "\n".join(lines) + "\n"
         "  </rdf:Description>\n </rdf:RDF>\n</x:xmpmeta>\n"
         '<?xpacket end="w"?>'
     )
-
-
-def header_lines(words: Mapping[str, str]) -> list[str]:
-    """[object]'s words for a header of text, one line each: "title: Carved stone"."""
-    return [f"{key}: {' '.join(str(value).split())}" for key, value in words.items() if value]
 
 
 @cache

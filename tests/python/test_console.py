@@ -10,6 +10,7 @@ import pytest
 
 import malus
 from conftest import malus as run_malus
+from conftest import malus_here
 from malus import cli, progress
 from malus.options import MAIN
 from malus.progress import JsonProgress, Overall, duration
@@ -112,3 +113,32 @@ def test_single_steps_say_what_they_left(finished_grid: Path, small_station: Pat
 def test_help_is_without_numbers_of_the_paper() -> None:
     for command in ((), ("fuse",), ("height",), ("decompose",)):
         assert not re.search(r"\b(Eq|Fig)\b", run_malus(*command, "--help").out)
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("", "the following arguments are required: COMMAND (malus --help lists the commands)"),
+        ("view FOLDER/none", "none: there is no such folder, expected one that `malus run"),
+        ("view FOLDER", "is no workspace, expected one that `malus run"),
+        ("report FOLDER", "is no workspace, expected one that `malus run"),
+        ("export FOLDER --format obj", "is no workspace, expected one that `malus run"),
+        (
+            "export FOLDER --format obj --chart FOLDER/none.json",
+            "none.json: no such file, expected one that `malus chart`",
+        ),
+        ("studio FOLDER/station.toml", "is a file, expected its folder: FOLDER"),
+        ("import FOLDER -o FOLDER/station.txt", "expected a name for the station file that ends in .toml"),
+        ("run FOLDER/object.toml -o FOLDER/w", "`malus object FOLDER/object.toml -o DIR` runs it"),
+        ("check FOLDER/campaign.toml", "`malus batch FOLDER/campaign.toml -o DIR` runs it"),
+        ("object FOLDER/station.toml -o FOLDER/w", "`malus run FOLDER/station.toml -o DIR` runs it"),
+        ("batch FOLDER/object.toml -o FOLDER/w", "is an object file, expected a campaign file"),
+        ("run FOLDER/a.toml -o FOLDER/w --reference FOLDER/none.ply", "--reference FOLDER/none.ply: no such file"),
+    ],
+)
+def test_what_is_not_there_is_told_from_what_is_wrong(tmp_path: Path, command: str, words: str) -> None:
+    (tmp_path / "station.toml").write_text('[polarized]\nimages = "pol"\n[object]\ntitle = "Stone"\n')
+    (tmp_path / "object.toml").write_text('[object]\nstations = ["station.toml"]\n')
+    (tmp_path / "campaign.toml").write_text('[campaign]\nstations = ["station.toml"]\n')
+    outcome = malus_here(*command.replace("FOLDER", str(tmp_path)).split())
+    assert outcome.code == 2 and words.replace("FOLDER", str(tmp_path)) in outcome.err

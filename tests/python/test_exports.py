@@ -18,6 +18,8 @@ import malus
 from conftest import malus as run_malus
 from conftest import run_program
 from malus import drawings, exports
+from malus.trust import origin_of_detail
+from malus.xmp import NAMESPACE
 
 
 @pytest.fixture(scope="module")
@@ -269,6 +271,7 @@ def test_glb_says_what_it_is_and_turns_to_y_up(workspace: malus.Workspace, tmp_p
     document = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
     assert document["asset"]["extras"]["object"]["title"] == "Relief & label"
     assert document["asset"]["extras"]["gsd"] == workspace.quality["gsd"]
+    assert f"detail: {document['asset']['extras']['detail']}" in of_the_surface(workspace)
     assert len(plain.faces) > 10000
 
 
@@ -287,8 +290,46 @@ def test_orthophoto_lies_on_the_elevation_model(workspace: malus.Workspace, tmp_
     assert np.abs(picture[:3, known].T - expected).max() <= 0.5 + 1e-9
 
 
+def of_the_surface(workspace: malus.Workspace) -> list[str]:
+    """What every file has to say of the surface in it."""
+    confidence = workspace.quality["confidence"]
+    return [
+        "unit: mm",
+        f"confidence: {confidence['level']}",
+        f"reasons: {' '.join(confidence['reasons'])}",
+        "detail: detail from polarization everywhere, which nothing proves",
+    ]
+
+
+def test_how_much_is_the_priors_is_said() -> None:
+    for refined, words in ((0.99, "on nearly all"), (0.4, "on 40 % of the object, elsewhere the prior's"), (0.01, "the surface is the prior's")):  # fmt: skip
+        assert words in origin_of_detail({"refinement": {"trusted_share": refined}})
+
+
+def test_drawings_and_maps_of_floats_say_how_far_to_trust_them(workspace: malus.Workspace, tmp_path: Path) -> None:
+    from xml.etree import ElementTree
+
+    told = {"title: Relief & label", "identifier: X 1907.4", *of_the_surface(workspace)}
+    svg = ElementTree.parse(malus.export(workspace.folder, "contours", tmp_path / "a.svg")).getroot()
+    assert told <= set(svg.findtext("{http://www.w3.org/2000/svg}desc", "").splitlines())
+    ezdxf = pytest.importorskip("ezdxf")
+    properties = ezdxf.readfile(malus.export(workspace.folder, "contours", tmp_path / "a.dxf")).header.custom_vars
+    assert told <= {f"{name}: {value}" for name, value in properties}
+    library = pytest.importorskip("OpenEXR")
+    for name in ("normal-map", "displacement"):
+        with library.File(str(malus.export(workspace.folder, name, tmp_path / f"{name}.exr"))) as file:
+            assert told <= {f"{key}: {value}" for key, value in file.header().items()}
+
+
+def test_stl_says_its_unit_and_how_far_to_trust_it(workspace: malus.Workspace, tmp_path: Path) -> None:
+    head = malus.export(workspace.folder, "stl", tmp_path / "a.stl").read_bytes()[:80].decode()
+    assert head.startswith(
+        f"Malus, mm, confidence {workspace.quality['confidence']['level']}, detail from polarization"
+    )
+
+
 def test_meshes_and_clouds_say_whose_they_are(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
-    told = ["identifier: X 1907.4", "title: Relief & label", "license: CC-BY-4.0"]
+    told = ["identifier: X 1907.4", "title: Relief & label", "license: CC-BY-4.0", *of_the_surface(workspace)]
     ply = malus.export(workspace.folder, "ply", tmp_path / "a.ply")
     head = ply.read_bytes().split(b"end_header")[0].decode().splitlines()
     assert head[1].startswith("format") and all(f"comment {line}" in head for line in told)
@@ -332,6 +373,8 @@ def test_images_say_whose_they_are(workspace: malus.Workspace, tmp_path: Path) -
         root = ElementTree.fromstring(packet.split("?>", 1)[1].rsplit("<?", 1)[0])
         assert "".join(next(root.iter(f"{dc}title")).itertext()).strip() == "Relief & label"
         assert next(root.iter(f"{dc}identifier")).text == "X 1907.4"
+        surface = {element.tag.rsplit("}")[-1]: element.text for element in root.iter() if element.tag.startswith(f"{{{NAMESPACE}}}")}  # fmt: skip
+        assert set(of_the_surface(workspace)) <= {f"{key}: {value}" for key, value in surface.items()}
         terms = next(root.iter("{http://ns.adobe.com/xap/1.0/rights/}UsageTerms"))
         assert "".join(terms.itertext()).strip() == "CC-BY-4.0"
 

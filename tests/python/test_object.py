@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import html
 import json
 import os
+import re
 import shutil
 import signal
 import struct
@@ -16,7 +18,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from conftest import demo_with_photos, edit, half_written, needs_distributed
+from conftest import demo_with_photos, edit, half_written, malus_here, needs_distributed
 from conftest import malus as run_malus
 from malus import DataError, InputError, Options, Progress, Station, reconstruct
 from malus._files import write_record
@@ -398,6 +400,41 @@ def test_broken_station_is_told_and_the_others_are_joined(pair: Path) -> None:
     assert quality["warnings"][-1].startswith("o1: is not in the surface: ")
     assert [row["status"] for row in quality["stations"]] == ["done", "failed"]
     assert (output / "object/mesh.ply").is_file()
+
+
+def require_gone(pair: Path, output: Path) -> None:
+    """Takes o1 out of the object file, and runs it again: nothing of the object tells of it any more."""
+    outcome = malus_here("object", edit(pair, ', "o1/station.toml"', ""), "-o", output, "--threads", "1")
+    assert outcome.code == 0, outcome.err
+    page = (output / "object/report/index.html").read_text()
+    assert [row["station"] for row in json.loads((output / "object/quality.json").read_text())["stations"]] == ["o0"]
+    assert "o1" not in re.sub(r"base64,[^\"]*", "", page).split("<script")[0]
+    assert [path.name for path in (output / "object/agreement").iterdir()] == ["o0.png"]
+    assert "o1" not in (output / "index.html").read_text() + (output / "campaign.csv").read_text()
+
+
+def test_the_page_says_how_far_stations_can_be_trusted_and_forgets_one_that_is_taken_out(pair: Path) -> None:
+    output = pair.parent / "out"
+    outcome = malus_here("object", pair, "-o", output, "--threads", "1")
+    assert outcome.code == 0, outcome.err
+    quiet = malus_here("object", pair, "-o", output, "--quiet")
+    text = html.unescape((output / "object/report/index.html").read_text())
+    for name in ("o0", "o1"):
+        confidence = json.loads((output / f"stations/{name}/quality.json").read_text())["confidence"]
+        row = text.split(f'<tr id="{name}">')[1].split("</tr>")[0]
+        assert f"confidence {confidence['level']}" in row
+        assert all(text.count(reason) == 2 for reason in confidence["reasons"])  # once for each station, first of all
+        said = f"{name}: confidence {confidence['level']}: {confidence['reasons'][0]}"
+        assert said in outcome.out and said in quiet.err
+    require_gone(pair, output)
+
+
+def test_a_station_that_had_failed_is_forgotten_when_it_is_taken_out(pair: Path) -> None:
+    (pair.parent / "o1/pol/pol_030.tif").write_bytes(b"no image")
+    output = pair.parent / "out"
+    assert malus_here("object", pair, "-o", output, "--threads", "1", "--quiet").code == 2
+    assert 'id="o1"' in (output / "object/report/index.html").read_text()
+    require_gone(pair, output)
 
 
 def test_shards_leave_the_surface_to_the_last(pair: Path) -> None:

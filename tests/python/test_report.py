@@ -21,8 +21,8 @@ import malus
 from conftest import malus as run_malus
 from conftest import run_program
 from malus import _core, figures, lengths, viewer
-from malus.report import what_to_trust
-from malus.report_head import gains_of
+from malus.report_head import accuracy_of, covered_of, gains_of, gains_title
+from malus.trust import what_to_trust
 
 
 class Page(HTMLParser):
@@ -145,7 +145,7 @@ def test_first_come_confidence_photograph_size_accuracy_and_gain(work: Path) -> 
     text = (work / "report/index.html").read_text()
     places = [
         text.index(part)
-        for part in ('class="verdict', "Photograph of", "<dt>Size", "<dt>Accuracy", "over stereo alone")
+        for part in ('class="verdict', "Photograph of", "<dt>Size", "<dt>Accuracy", "the coarse surface alone")
     ]
     assert places == sorted(places)
     quality = json.loads((work / "quality.json").read_text())
@@ -159,6 +159,64 @@ def test_nothing_is_gained_where_the_surface_is_the_priors(work: Path) -> None:
     kept = quality | {"refinement": {"trusted_share": 0.01}, "confidence": {"level": "partial", "reasons": []}}
     assert gains_of(kept, "mm") == []
     assert "no finer and no worse" in what_to_trust(kept)
+
+
+@pytest.mark.parametrize(
+    ("size", "unit", "said"),
+    [
+        ((12300, 8000), "um", "12.3 × 8 mm"),
+        ((218.4, 150), "mm", "218 × 150 mm"),
+        ((1.234, 0.9), "m", "1.23 × 0.9 m"),
+        ((0.02, 0.01), "in", "508 × 254 µm"),
+    ],
+)
+def test_sizes_as_people_say_them(size: tuple[float, float], unit: str, said: str) -> None:
+    assert lengths.sides(size, unit) == said
+
+
+def figures_of(level: str, **other: object) -> dict[str, object]:
+    """What the head reads of quality.json, of a run that ended so."""
+    patch = {"name": "1", "prior": {"rmse": 0.2}, "fused": {"rmse": 0.05}}
+    return {
+        "unit": "mm", "gsd": 0.1, "sigma": {"median_gsd": 0.6, "p95_gsd": 2.0}, "patches": [patch], "prior_vs_fused": None,
+        "confidence": {"level": level, "reasons": ["Because."]}, "prior": {"filled_fraction": 0.01}, **other,
+    }  # fmt: skip
+
+
+def test_what_was_computed_is_no_accuracy_where_something_speaks_against_it() -> None:
+    assert accuracy_of(figures_of("high"), 0.1)[0] == "60 µm"
+    said, note = accuracy_of(figures_of("low"), 0.1)
+    assert said == "at best 60 µm" and "in doubt" in note
+    assert accuracy_of(figures_of("partial", sigma=None), 0.1)[0] == "not known"
+
+
+def test_a_change_is_no_gain_where_something_speaks_against_it() -> None:
+    rougher = {"name": "2", "prior": {"rmse": 0.05}, "fused": {"rmse": 0.2}}
+    assert "was gained" in gains_title(figures_of("partial"))
+    for quality in (figures_of("low"), figures_of("high", patches=[rougher])):
+        assert gains_title(quality) == "What fusion changed against the coarse surface alone"
+    assert "4 times rougher" in gains_of(figures_of("high", patches=[rougher]), "mm")[0]
+
+
+def test_what_the_coarse_surface_does_not_cover_is_not_called_measured() -> None:
+    assert covered_of(figures_of("high")) == "of the object's pixels have a surface"
+    assert "on 40 % the coarse one has no data" in covered_of(figures_of("partial", prior={"filled_fraction": 0.4}))
+
+
+@pytest.mark.parametrize(
+    ("level", "refined", "said"),
+    [
+        ("high", 0.97, "can be trusted on nearly all"),
+        ("partial", 0.95, "is likely on nearly all of the object. The reasons below"),
+        ("partial", 0.6, "blue-green (60 % of the object)"),
+        ("partial", 0.01, "no finer and no worse"),
+        ("partial", None, "Nothing proves the fine detail"),
+        ("low", 0.95, "Do not rely on this surface"),
+    ],
+)
+def test_what_can_be_trusted_is_said_in_a_sentence(level: str, refined: float | None, said: str) -> None:
+    quality = figures_of(level, refinement={"trusted_share": refined})
+    assert said in what_to_trust(quality)
 
 
 def test_alternative_texts_say_what_is_seen(work: Path) -> None:
@@ -333,7 +391,8 @@ def test_scale_and_photos_are_shown_when_they_are_known(finished_grid: Path, tmp
 
 def test_report_and_view_say_what_is_missing(tmp_path: Path) -> None:
     outcome = run_malus("report", tmp_path / "none")
-    assert outcome.code == 2 and "manifest.json" in outcome.err
+    assert outcome.code == 2 and "there is no such folder" in outcome.err
+    (tmp_path / "manifest.json").write_text("{}")
     outcome = run_malus("view", tmp_path)
     assert outcome.code == 2 and "malus report" in outcome.err
 

@@ -19,13 +19,14 @@ from http.client import HTTPConnection
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
+from urllib.parse import urlencode, urlsplit
 
 import numpy as np
 import pytest
 
 from conftest import EXAMPLE
 from malus import _core
+from malus.figures import encode
 from malus.photogrammetry.model import SparseModel
 from test_raw import ANGLES, scene, write_dng
 
@@ -56,13 +57,14 @@ class Served:
         return urlsplit(self.entrance).netloc
 
     def ask(
-        self, method: str, address: str, headers: dict[str, str], body: str = ""
+        self, method: str, address: str, headers: dict[str, str], body: str | bytes = ""
     ) -> tuple[int, dict[str, str], str]:
+        content = body if isinstance(body, bytes) else body.encode()
         with closing(HTTPConnection(self.host, timeout=30)) as connection:
             connection.putrequest(method, address, skip_host=True)
-            for name, value in {"Host": self.host, "Content-Length": str(len(body)), **headers}.items():
+            for name, value in {"Host": self.host, "Content-Length": str(len(content)), **headers}.items():
                 connection.putheader(name, value)
-            connection.endheaders(body.encode())
+            connection.endheaders(content)
             response = connection.getresponse()
             said = {name.lower(): value for name, value in response.getheaders()}
             return response.status, said, response.read().decode(errors="replace")
@@ -71,7 +73,8 @@ class Served:
         """What a page of this Studio is answered."""
         cookie = self.cookie()
         own = {"Cookie": cookie, "Origin": f"http://{self.host}", "X-Malus-Page": self.page_token(cookie)}
-        status, _, text = self.ask(method, f"/api/{name}", own, body if isinstance(body, str) else json.dumps(body))
+        sent = body if isinstance(body, str | bytes) else json.dumps(body)
+        status, _, text = self.ask(method, f"/api/{name}", own, sent)
         return status, json.loads(text) if text.startswith(("{", "[")) else text
 
     def cookie(self) -> str:
@@ -213,6 +216,79 @@ def test_a_file_that_changed_meanwhile_is_not_overwritten(tmp_path: Path) -> Non
     assert path.read_text() == "[station]\n# mine\n"
     with pytest.raises(InputError, match="exists already"):
         document.write(None)
+
+
+def test_files_with_line_ends_of_windows_can_be_changed(tmp_path: Path) -> None:
+    from malus.studio.document import StationDocument
+
+    path = tmp_path / "station.toml"
+    path.write_bytes(b"[station]\r\n# mine\r\nname = 'a'\r\n")
+    document = StationDocument.read(path)
+    document.set("station", "name", "b")
+    document.write(document.digest)
+    assert b"# mine\r\n" in path.read_bytes() and document.values["station"]["name"] == "b"
+
+
+@pytest.fixture
+def painted(served: Served) -> Iterator[Any]:
+    """A station file of one test, and a way to save a mask of one value for it as a page that knows `painted` of its mask does."""
+    names = [f"pol/pol_{angle:03}.tif" for angle in (0, 60, 120)]
+    status, station = served.tell("create", {"path": "drawn.toml", "images": names, "angles_deg": [0, 60, 120]})
+    assert status == 200
+
+    def save(digest: str, value: int, painted: str = "") -> tuple[int, Any]:
+        mask = np.zeros((160, 200), np.uint8)
+        mask[20:40, 30:60] = value
+        address = urlencode({"path": "drawn.toml", "kind": "mask", "digest": digest, "painted": painted})
+        return served.tell(f"mask?{address}", encode(mask, "PNG"), "PUT")
+
+    yield station, save
+    for path in served.folder.glob("drawn*"):
+        path.unlink()
+
+
+def test_a_mask_is_not_written_for_a_station_that_changed_meanwhile(served: Served, painted: Any) -> None:
+    station, save = painted
+    status, station = save(station["digest"], 255)
+    before = (served.folder / "drawn_mask.png").read_bytes()
+    known = station["painted"]["mask"]["digest"]
+    with (served.folder / "drawn.toml").open("a") as file:
+        file.write("# mine\n")
+    status, said = save(station["digest"], 0, known)
+    assert status == 409 and "drawn.toml: was changed by another program" in said["error"]
+    assert (served.folder / "drawn_mask.png").read_bytes() == before
+    # After it was read again, what was drawn is saved, and what the other wrote stays.
+    digest = ask(served, "station?path=drawn.toml")["digest"]
+    assert save(digest, 0, known)[0] == 200
+    assert (served.folder / "drawn_mask.png").read_bytes() != before
+    assert "# mine" in (served.folder / "drawn.toml").read_text()
+
+
+def test_the_mask_of_another_page_is_not_overwritten(served: Served, painted: Any) -> None:
+    station, save = painted
+    station = save(station["digest"], 255)[1]
+    of_other = (served.folder / "drawn_mask.png").read_bytes()
+    status, said = save(station["digest"], 0)  # a page that was opened before there was a mask
+    assert status == 409 and "drawn_mask.png: was changed by another program or page" in said["error"]
+    assert (served.folder / "drawn_mask.png").read_bytes() == of_other
+
+
+def test_a_mask_that_no_station_names_is_not_overwritten(served: Served, painted: Any) -> None:
+    station, save = painted
+    (served.folder / "drawn_mask.png").write_bytes(b"somebody's")
+    station = save(station["digest"], 255)[1]
+    assert station["values"]["polarized"]["mask"] == "drawn_mask_2.png"
+    assert (served.folder / "drawn_mask.png").read_bytes() == b"somebody's"
+
+
+def test_the_mask_of_a_station_with_a_mistake_is_shown_and_saved(served: Served, painted: Any) -> None:
+    station, save = painted
+    station = save(station["digest"], 255)[1]
+    known = station["painted"]["mask"]
+    wrong = station["text"] + '\n[[control]]\nname = "A"\nxyz = [1, 2, 3]\n'
+    status, station = served.tell("text", {"path": "drawn.toml", "digest": station["digest"], "text": wrong})
+    assert status == 200 and station["error"] and station["painted"]["mask"] == known
+    assert save(station["digest"], 0, known["digest"])[0] == 200
 
 
 # ---- what it answers ----
@@ -387,7 +463,11 @@ def page(served: Served) -> Iterator[Any]:
         shown.on("pageerror", lambda error: problems.append(str(error)))
         shown.on(
             "console",
-            lambda line: problems.append(line.text) if line.type == "error" and "400" not in line.text else None,
+            lambda line: (
+                problems.append(line.text)
+                if line.type == "error" and not re.search("status of 40[09]", line.text)
+                else None
+            ),
         )
         shown.set_default_timeout(60000)
         shown.goto(served.entrance)
@@ -556,6 +636,62 @@ OF_THREE_POINTS = {
     "problem": "", "lines": [], "datum": None,
     "image": {"use": "resection", "center_sigma": None, "doubtful": None, "points": [{"name": "T2", "check": False, "du_px": 0, "dv_px": 0}]},
 }  # fmt: skip
+
+
+def erase(page: Any, x: int, y: int) -> None:
+    page.locator("[data-tool=erase]").click()
+    stage = page.locator("#draw-stage")
+    stage.drag_to(stage, source_position={"x": x, "y": y}, target_position={"x": x + 40, "y": y + 20})
+
+
+@needs_browser
+def test_what_is_drawn_outlives_changes_by_others(served: Served, page: Any) -> None:
+    station, mask = served.folder / "station.toml", served.folder / "station_mask.png"
+    go(page, "Draw")
+    page.locator("#draw-what").select_option("mask")
+    save = page.locator("#tools").get_by_role("button", name="Save", exact=True)
+    # Another program changes the station file: the mask is saved, and what the program wrote stays.
+    erase(page, 210, 200)
+    with station.open("a") as file:
+        file.write("\n# by another program\n")
+    before = mask.read_bytes()
+    save.click()
+    page.locator("#draw-state", has_text="Saved").wait_for()
+    erased = mask.read_bytes()
+    assert "# by another program" in station.read_text() and erased != before
+    # Another page saves a mask: none of the two is lost, and who draws is asked.
+    erase(page, 260, 240)
+    mask.write_bytes(before)
+    go(page, "Station")
+    page.locator("#message", has_text="was changed by another program or page since it was shown here").wait_for()
+    assert mask.read_bytes() == before
+    go(page, "Draw")
+    page.get_by_role("button", name="Take the file's").wait_for()
+    pictured(page, "conflict")
+    page.get_by_role("button", name="Keep mine").click()
+    page.locator("#draw-state", has_text="Saved").wait_for()
+    assert mask.read_bytes() not in (before, erased)
+    # What was not painted upon is shown as it has become.
+    go(page, "Station")
+    mask.write_bytes(before)
+    go(page, "Draw")
+    erase(page, 210, 200)
+    save.click()
+    page.locator("#draw-state", has_text="Saved").wait_for()
+    assert mask.read_bytes() == erased
+    # A field that is changed after another program changed the file.
+    go(page, "Station")
+    page.locator("#plan", has_text="Ready").wait_for()
+    with station.open("a") as file:
+        file.write("# once more\n")
+    title = page.get_by_role("textbox", name="Name of the object")
+    title.fill("Other")
+    title.press("Tab")
+    page.locator("#message", has_text="please make your last change once more").wait_for()
+    title.fill("Other")
+    title.press("Tab")
+    page.wait_for_function("document.getElementById('station-text').value.includes('Other')")
+    assert "# once more" in station.read_text() and 'name = "Other"' in station.read_text()
 
 
 @needs_browser

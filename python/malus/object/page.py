@@ -77,6 +77,13 @@ def _for_the_page(mesh: TexturedMesh) -> TexturedMesh:
     return replace(mesh, color=np.asarray(pictures[0]), normal_map=np.asarray(pictures[1]))
 
 
+def _other_warnings(quality: Mapping[str, Any]) -> list[str]:
+    """The warnings that are not among the reasons of their station's confidence already."""
+    reasons = {row["station"]: row.get("reasons", "") for row in quality["stations"]}
+    told = [warning.split(": ", 2) for warning in quality["warnings"]]  # station, step, sentence
+    return [": ".join(parts) for parts in told if parts[-1] not in reasons.get(parts[0], "")]
+
+
 def write_page(
     folder: Path,
     quality: Mapping[str, Any],
@@ -89,6 +96,7 @@ def write_page(
     """Write report/index.html in `folder` (self-contained but for the links to the stations' reports); returns its path."""
     page = template("object.html.j2").render(
         quality=quality,
+        other_warnings=_other_warnings(quality),
         view=_turntable(mesh, full, quality["gsd"], views),
         maps={path.stem: base64_text(path.read_bytes()) for path in sorted((folder / "agreement").glob("*.png"))},
         linked=linked,

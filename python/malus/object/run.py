@@ -79,7 +79,7 @@ def run_object(
     if not done:
         raise batch.failure(outcomes) or DataError(f"{thing.name}: has no stations")
     folder = Path(output) / "object"
-    key = _key(thing, done)
+    key = _key(thing, outcomes)
     # Of two shards that end at once one makes the surface; the other is told so.
     with exclusive(folder):
         if not _is_made(folder, key):
@@ -161,10 +161,10 @@ def _begin(workspace: Path, begun: Path) -> None:
             shutil.copytree(begun, new, ignore=shutil.ignore_patterns(".lock"), dirs_exist_ok=True)
 
 
-def _key(thing: Object, done: Sequence[Outcome]) -> str:
-    """What the surface is made from."""
+def _key(thing: Object, outcomes: Sequence[Outcome]) -> str:
+    """What the surface is made from, and what its page says of stations that are not in it."""
     wanted = [thing.name, thing.unit, thing.closed, thing.max_sigma_gsd, thing.faces, thing.campaign.report]
-    stations = [[outcome["station"], outcome["manifest"]] for outcome in done]
+    stations = [[outcome["station"], outcome["reason"] or outcome["manifest"]] for outcome in outcomes]
     return hashlib.sha256(json.dumps([_core.version, wanted, stations]).encode()).hexdigest()
 
 
@@ -192,7 +192,8 @@ def _fuse(
     start = time.monotonic()
     done = [outcome for outcome in outcomes if outcome["status"] == "done"]
     (folder / "quality.json").unlink(missing_ok=True)
-    for left in (folder / "levels", *folder.glob(".mesh-*")):  # of an earlier surface, or of a run that was ended
+    # Of an earlier surface, which may have had other stations, or of a run that was ended.
+    for left in (folder / "levels", folder / "agreement", *folder.glob(".mesh-*")):
         shutil.rmtree(left, ignore_errors=True)
     say(0.0, "reading the stations")
     views = [
@@ -332,6 +333,8 @@ def _station_figures(
             row |= {
                 "gsd": views[k].gsd,
                 "quality": outcome["figures"].get("quality"),
+                "confidence": outcome["figures"].get("confidence"),
+                "reasons": outcome["figures"].get("reasons", ""),
                 "seen_fraction": float(coverage.seen[k]),
                 "alone_fraction": float(coverage.alone[k]),
                 "agreement": agreement.agreement_figures([agreements[k]], views[k].gsd),
@@ -374,4 +377,11 @@ def object_summary(quality: Mapping[str, Any]) -> list[str]:
             f"  stations off each other: median {met['median_gsd']:.3g} GSD, RMS {met['rms_ratio']:.3g} standard deviations, "
             f"{100 * met['within_two_sigma']:.0f} % within two"
         )
+    lines += [f"  {line}" for line in doubted_stations(quality)]
     return lines + [f"  warning: {warning}" for warning in quality["warnings"]]
+
+
+def doubted_stations(quality: Mapping[str, Any]) -> list[str]:
+    """Of each station in the surface that can be trusted only in part, or not, how far and why."""
+    done = [row for row in quality["stations"] if row["status"] == "done" and row["confidence"] != "high"]
+    return [f"{row['station']}: confidence {row['confidence']}: {row['reasons']}" for row in done]

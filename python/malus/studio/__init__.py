@@ -21,6 +21,8 @@ def serve(folder: str | Path = ".", *, port: int = 0, browser: bool = True) -> N
     malus.ResourceError for a port that is taken.
     """
     root = Path(folder)
+    if root.is_file():
+        raise InputError(f"{folder}: is a file, expected its folder: {root.parent}")
     if not root.is_dir():
         raise InputError(f"{folder}: no such folder, expected one with images or stations")
     purpose = "malus studio"

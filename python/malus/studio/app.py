@@ -7,6 +7,7 @@ import base64
 import json
 import os
 import secrets
+import threading
 from collections.abc import Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from importlib import resources
@@ -22,10 +23,11 @@ from starlette.staticfiles import StaticFiles
 
 import malus
 from malus import lengths
+from malus._files import sha256_of
 from malus.errors import InputError, MalusError
 from malus.studio import checks, folders, marks, masks, pictures, preview, results, runs, settings
 from malus.studio.access import REPORTS, Access, Guard, Root
-from malus.studio.document import StationDocument
+from malus.studio.document import ChangedError, StationDocument
 
 #: Bodies of requests: a mask of a hundred megapixels is far smaller.
 _MAX_BODY = 64_000_000
@@ -33,6 +35,9 @@ _STATIC = Path(str(resources.files("malus").joinpath("studio", "static")))
 
 #: Threads that compute. The interpreter waits for them before it ends: the C++ library must not be cut off in the middle.
 _WORKERS = ThreadPoolExecutor(thread_name_prefix="studio")
+
+#: Where a station file names what is painted, and the words there that name no file.
+_PAINTED = {"mask": ("polarized", "mask", ()), "labels": ("optics", "reflection", ("diffuse", "specular", "auto"))}
 
 Json = Mapping[str, Any]
 
@@ -46,6 +51,8 @@ class Studio:
         self.runs = runs.Runs()
         self._report_keys: dict[str, Path] = {}
         self._threads = os.cpu_count() or 1
+        # Of two pages that change a file at once, one is told so.
+        self._editing = threading.Lock()
         self.app = Starlette(routes=self._routes(), middleware=[Middleware(Guard, access=self.access)])
 
     def _routes(self) -> list[Route | Mount]:
@@ -126,25 +133,39 @@ class Studio:
         return self._shown(StationDocument.read(self.root.file(query["path"])))
 
     def _shown(self, document: StationDocument) -> Json:
-        """The file, its values, and its images and mask by the page's names, where they lie in the opened folder."""
-        shown: dict[str, Any] = {
+        """The file, its values, and its images and what is painted by the page's names, where they lie in the opened folder."""
+        images, error = self._images(document)
+        return {
             "path": self.root.name(document.path),
             "text": document.text,
             "digest": document.digest,
             "values": document.values,
-            "images": [],
-            "error": None,
+            "images": images,
+            "painted": {kind: self._painted(document, kind) for kind in _PAINTED},
+            "error": error,
         }
+
+    def _images(self, document: StationDocument) -> tuple[list[str], Json | None]:
+        """The polarized images by the page's names, and what is wrong with the station."""
         try:
             description = malus.Station.load(document.path).describe()
-            shown["images"] = [self.root.name(Path(path)) for path in description["images"]]
-            mask = document.values["polarized"].get("mask")
-            shown["mask"] = self.root.name(document.path.parent / mask) if mask else None
+            return [self.root.name(Path(path)) for path in description["images"]], None
         except MalusError as error:
-            shown["error"] = {"field": checks.field_of(str(error)), "message": str(error)}
             # What is wrong may be mended by drawing, such as control points that are not marked yet.
-            shown["images"] = folders.polarized_images(self.root, document.path, document.values)
-        return shown
+            images = folders.polarized_images(self.root, document.path, document.values)
+            return images, {"field": checks.field_of(str(error)), "message": str(error)}
+
+    def _painted(self, document: StationDocument, kind: str) -> Json | None:
+        """The file that the station names for a mask or labels: its path by the page's name, and what tells its state; None if it
+        names none, or one outside the opened folder.
+        """
+        table, key, words = _PAINTED[kind]
+        content = document.values.get(table)
+        name = content.get(key) if isinstance(content, Mapping) else None
+        path = document.path.parent / name if isinstance(name, str) and name not in words else None
+        if path is None or not self.root.holds(path):
+            return None
+        return {"path": self.root.name(path), "digest": sha256_of(path) if path.is_file() else None}
 
     def _create(self, body: Json) -> Json:
         """A new station file from the page's table of images and angles."""
@@ -164,22 +185,25 @@ class Studio:
 
     def _set(self, body: Json) -> Json:
         """Change values and lists of a station file. Paths come as names of the page and are written relative to the file."""
-        document = StationDocument.read(self.root.file(body["path"]))
-        for change in body["changes"]:
-            if "entries" in change:
-                document.set_list(change["list"], change["entries"])
-                continue
-            value = change["value"]
-            if change.get("is_path") and value is not None:
-                value = document.relative(self.root.path(value))
-            document.set(change["table"], change["key"], value)
-        document.write(body["digest"])
-        return self._shown(document)
+        with self._editing:
+            document = StationDocument.read(self.root.file(body["path"]))
+            document.require(body["digest"])
+            for change in body["changes"]:
+                if "entries" in change:
+                    document.set_list(change["list"], change["entries"])
+                    continue
+                value = change["value"]
+                if change.get("is_path") and value is not None:
+                    value = document.relative(self.root.path(value))
+                document.set(change["table"], change["key"], value)
+            document.write(body["digest"])
+            return self._shown(document)
 
     def _set_text(self, body: Json) -> Json:
-        document = StationDocument(self.root.file(body["path"]), body["text"])
-        document.write(body["digest"])
-        return self._shown(document)
+        with self._editing:
+            document = StationDocument(self.root.file(body["path"]), body["text"])
+            document.write(body["digest"])
+            return self._shown(document)
 
     def _options(self, query: Json) -> Json:
         station = self.root.file(query["path"])
@@ -187,9 +211,10 @@ class Studio:
         return {"file": file, "options": settings.listed(station)}
 
     def _set_option(self, body: Json) -> Json:
-        before = self._options(body)
-        settings.change(self.root.file(body["path"]), str(body["name"]), body["value"])
-        return {**before, "options": settings.listed(self.root.file(body["path"]))}
+        with self._editing:
+            before = self._options(body)
+            settings.change(self.root.file(body["path"]), str(body["name"]), body["value"])
+            return {**before, "options": settings.listed(self.root.file(body["path"]))}
 
     # ---- images, masks ----
 
@@ -238,24 +263,31 @@ class Studio:
         return await _answer(cut)
 
     async def _write_mask(self, request: Request) -> Response:
-        """Write a mask (or labels) beside the station file and name it there."""
+        """Write a mask (or labels) beside the station file and name it there; not over a picture that the page does not know."""
         content = await _body(request)
         query = request.query_params
 
         def write() -> Json:
-            document = StationDocument.read(self.root.file(query["path"]))
-            images = malus.Station.load(document.path).describe()["images"]
-            labels = query.get("kind") == "labels"
-            values = masks.decode(content, pictures.size_of(Path(images[0])))
-            table, key = ("optics", "reflection") if labels else ("polarized", "mask")
-            present = document.values.get(table, {}).get(key)
-            is_file = present and present not in ("diffuse", "specular", "auto")
-            target = document.path.parent / (present if is_file else f"{document.path.stem}_{'labels' if labels else 'mask'}.png")  # fmt: skip
-            target = self.root.path(str(target)).with_suffix(".png")
-            masks.write(target, values)
-            document.set(table, key, document.relative(target))
-            document.write(query["digest"])
-            return self._shown(document)
+            kind = "labels" if query.get("kind") == "labels" else "mask"
+            table, key, words = _PAINTED[kind]
+            with self._editing:
+                document = StationDocument.read(self.root.file(query["path"]))
+                document.require(query["digest"])
+                present = self._painted(document, kind)
+                if ((present or {}).get("digest") or "") != query.get("painted", ""):
+                    raise ChangedError(self.root.path(present["path"]) if present else document.path)
+                images, error = self._images(document)
+                if not images:
+                    raise InputError(error["message"] if error else f"{document.path}: has no images")
+                values = masks.decode(content, pictures.size_of(self.root.file(images[0])))
+                named = document.values.get(table, {}).get(key, "")
+                name = named if named and named not in words else f"{document.path.stem}_{kind}.png"
+                target = self.root.path(str(document.path.parent / name))
+                own = name == named and target.suffix == ".png"
+                written = masks.write(target.with_suffix(".png"), values, may_replace=own)
+                document.set(table, key, document.relative(written))
+                document.write(query["digest"])
+                return self._shown(document)
 
         return await _answer(write)
 
@@ -313,7 +345,8 @@ async def _answer(function: Callable[[], Any]) -> Response:
     except asyncio.CancelledError:  # Studio is being ended, and this took longer than it waits.
         return Response("Malus Studio has been ended.", 503)
     except MalusError as error:
-        return JSONResponse({"error": str(error), "field": checks.field_of(str(error))}, 400)
+        status = 409 if isinstance(error, ChangedError) else 400
+        return JSONResponse({"error": str(error), "field": checks.field_of(str(error))}, status)
     except (KeyError, ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         return JSONResponse({"error": f"the request is not what Studio expects ({type(error).__name__}: {error})"}, 400)
     except OSError as error:

@@ -21,6 +21,13 @@ LISTS = ("scale", "control", "patch", "profile")
 TABLES = ("station", "object", "polarized", "optics", "camera", "prior", "photos")
 
 
+class ChangedError(InputError):
+    """A file is not the one any more that the page knows; nothing was written."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(f"{path}: was changed by another program or page since Studio read it")
+
+
 class StationDocument:
     """A station file, read, changed and written back."""
 
@@ -89,14 +96,19 @@ class StationDocument:
         while len(present) > len(entries):
             del present[len(present) - 1]
 
+    def require(self, expected: str | None) -> None:
+        """Raise ChangedError unless the file is the one that `expected` is the digest of; InputError if there must be none (None)."""
+        # Bytes: text mode would turn the line ends of Windows into others.
+        current = digest_of(self.path.read_bytes().decode("utf-8", "replace")) if self.path.exists() else None
+        if current == expected:
+            return
+        if expected is None:
+            raise InputError(f"{self.path}: exists already, expected another name")
+        raise ChangedError(self.path)
+
     def write(self, expected: str | None) -> None:
-        """Write the file, unless it is not the one that `expected` is the digest of (None: there must be no file)."""
-        current = digest_of(self.path.read_text(encoding="utf-8")) if self.path.exists() else None
-        if current != expected:
-            raise InputError(
-                f"{self.path}: "
-                + ("exists already, expected another name" if expected is None else "was changed by another program since Studio read it; reload it")
-            )  # fmt: skip
+        """Write the file, if it is as `require` asks."""
+        self.require(expected)
         write_bytes(self.path, self.text.encode())
         self.digest = digest_of(self.text)
 

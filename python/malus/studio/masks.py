@@ -52,9 +52,15 @@ def read(path: Path) -> bytes:
     return encode(values.astype(np.uint8), "PNG")
 
 
-def write(path: Path, values: Bytes) -> None:
-    """Write a mask or label image."""
-    write_bytes(path, encode(values, "PNG"))
+def write(path: Path, values: Bytes, *, may_replace: bool) -> Path:
+    """Write a mask or label image as PNG, and return its path: this one, or one with a number where another picture would be lost."""
+    content = encode(values, "PNG")
+    place, count = path, 1
+    while not may_replace and place.exists() and place.read_bytes() != content:
+        count += 1
+        place = path.with_stem(f"{path.stem}_{count}")
+    write_bytes(place, content)
+    return place
 
 
 def similar(image: Path, u: int, v: int, tolerance: int) -> bytes:

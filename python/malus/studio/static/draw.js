@@ -1,7 +1,7 @@
 // Drawing on the image: the object's mask, labels of reflection, flat patches, profiles, the ends of known distances, and control points.
 import { ask, byId, doing, make, say, send, tell } from './api.js';
 import { LABELS, Layer } from './layer.js';
-import { change, redo, state, take, undo } from './studio.js';
+import { change, changing, redo, state, take, undo } from './studio.js';
 import { ImageView } from './view.js';
 
 const stage = byId('draw-stage');
@@ -9,6 +9,7 @@ const what = byId('draw-what');
 const image = byId('draw-image');
 let view = null;
 let layer = null;
+const unsaved = new Map();  // Layers that could not be saved yet, by station and kind.
 let shown = { image: null, what: null, station: null };
 let tool = 'move';
 let label = null;
@@ -47,23 +48,33 @@ async function imagesOf(kind) {
   return kind === 'scale' ? photos : [...state.station.images.slice(0, 1), ...photos.filter((path) => !state.station.images.includes(path))];
 }
 
-// Keeps what is painted before something else is shown. What was painted and undone leaves nothing to keep.
+const nameOfLayer = () => `${shown.what} of ${shown.station}`;
+
+// Saves what is painted before something else is shown; what was painted and undone leaves nothing to save. Returns what goes wrong:
+// the layer then stays in this page until it is saved.
 export async function leaveDrawing() {
-  if (layer?.changed && shown.station === state.station.path && layer.box(0)) await saveLayer();
+  if (!layer?.changed || shown.station !== state.station.path || !layer.box(0)) return '';
+  try {
+    await saveLayer();
+    return '';
+  } catch (error) {
+    unsaved.set(nameOfLayer(), layer);
+    return `What you have drawn is not saved, but kept under Draw. ${error.message}`;
+  }
 }
 
-window.addEventListener('beforeunload', (event) => { if (layer?.changed) event.preventDefault(); });
+window.addEventListener('beforeunload', (event) => { if (layer?.changed || unsaved.size) event.preventDefault(); });
 
 async function showImage() {
   if (shown.what !== what.value) {
-    await leaveDrawing();
+    say(await leaveDrawing());
     byId('draw-state').textContent = '';
   }
   if (shown.image !== image.value) {
     await view.open(image.value);
     cursor = null;
   }
-  const fresh = shown.what !== what.value || shown.station !== state.station.path;
+  const fresh = shown.what !== what.value || shown.station !== state.station.path || isOutdated();
   shown = { image: image.value, what: what.value, station: state.station.path };
   if (fresh) {
     points = [];
@@ -83,18 +94,19 @@ async function examine() {
   if (what.value === 'control') examined = await tell('control', { path: state.station.path, image: polarized() ? '' : here(), name: entries('control')[point] ? nameOf(entries('control')[point], point) : '' });
 }
 
-async function loadLayer() {
-  const loaded = new Layer(view.size.x, view.size.y, what.value);
-  const file = what.value === 'mask' ? state.station.mask : labelFile();
-  if (file) await loaded.load(await ask('mask', { path: file }), { remember: false });
-  return loaded;
-}
+const painting = () => state.station.painted[what.value];
+const digestOf = (file) => file?.digest ?? '';
+const fits = (one) => one.canvas.width === view.size.x && one.canvas.height === view.size.y;
+// Whether the file has become another one since it was shown, and nothing was painted upon it.
+const isOutdated = () => Boolean(layer && painted()) && (!fits(layer) || (!layer.changed && layer.known !== digestOf(painting())));
 
-function labelFile() {
-  const said = state.station.values.optics?.reflection;
-  if (!said || ['auto', 'diffuse', 'specular'].includes(said)) return null;
-  const base = state.station.path.split('/').slice(0, -1).join('/');
-  return base ? `${base}/${said}` : said;
+async function loadLayer() {
+  const kept = unsaved.get(nameOfLayer());
+  if (kept && fits(kept)) return kept;
+  const loaded = new Layer(view.size.x, view.size.y, what.value);
+  loaded.known = digestOf(painting());  // The state of the file that it is drawn upon; no other one is overwritten.
+  if (loaded.known) await loaded.load(await ask('mask', { path: painting().path }), { remember: false });
+  return loaded;
 }
 
 // ---- tools ----
@@ -117,7 +129,8 @@ function drawTools() {
       extra.push(button('Find the edge', cutOut, { title: 'GrabCut: finds the edge of what is roughly painted' }), button("Prior's outline", outline),
         button('Invert', invert));
     }
-    extra.push(button('Save', saveLayer, { class: 'main' }));
+    if (inConflict()) extra.push(button('Keep mine', keepMine, { class: 'main' }), button("Take the file's", takeTheirs));
+    else extra.push(button('Save', saveLayer, { class: 'main' }));
   }
   byId('tools').replaceChildren(...tools, ...extra);
 }
@@ -152,12 +165,45 @@ async function similar([u, v]) {
 }
 
 async function saveLayer() {
-  if (!layer) return;
-  const values = await layer.png();
   if (!layer.box(0)) throw new Error('Nothing is painted; a mask without an object cannot be saved.');
-  take(await send('PUT', 'mask', { path: state.station.path, kind: shown.what, digest: state.station.digest }, values));
-  layer.changed = false;
-  byId('draw-state').textContent = `Saved, and named in ${state.station.path}.`;
+  byId('draw-state').textContent = 'Saving …';
+  const [saving, place, edits] = [layer, { ...shown }, layer.edits];
+  const values = await saving.png();
+  const put = () => changing(async () => {
+    const station = await send('PUT', 'mask', { path: place.station, kind: place.what, digest: state.station.digest, painted: saving.known }, values);
+    saving.known = digestOf(station.painted[place.what]);
+    saving.saved = edits;
+    take(station);
+  });
+  try {
+    await put();
+  } catch (error) {
+    if (error.status !== 409) throw error;
+    const other = state.station.painted[place.what];
+    if (digestOf(other) !== saving.known) {
+      if (saving === layer) drawTools();
+      byId('draw-state').textContent = '';
+      throw new Error(`${other?.path ?? `What ${place.station} names`} was changed by another program or page since it was shown here. Keep what you have drawn, or what is in the file?`);
+    }
+    await put();  // Only the rest of the station file was changed, which has been read again.
+  }
+  unsaved.delete(`${place.what} of ${place.station}`);
+  if (saving === layer) drawTools();
+  byId('draw-state').textContent = `Saved, and named in ${place.station}.`;
+}
+
+const inConflict = () => layer.changed && layer.known !== digestOf(painting());
+
+async function keepMine() {
+  layer.known = digestOf(painting());
+  await saveLayer();
+}
+
+async function takeTheirs() {
+  unsaved.delete(nameOfLayer());
+  layer.saved = layer.edits;
+  layer = await loadLayer();
+  drawTools();
 }
 
 // The number in a field; one that says none keeps what it said before.

@@ -13,8 +13,12 @@ export class Layer {
     this.context = this.canvas.getContext('2d', { willReadFrequently: true });
     this.past = [];
     this.future = [];
-    this.changed = false;
+    this.edits = 0;
+    this.saved = 0;
   }
+
+  // Whether there is something to save. Who saves sets `saved` to the `edits` of what was sent: drawing goes on meanwhile.
+  get changed() { return this.edits !== this.saved; }
 
   // Change the layer by a function that draws within a box [x0, y0, x1, y1]; it can be undone.
   edit(box, draw) {
@@ -28,7 +32,7 @@ export class Layer {
     this.#sharpen(x, y, width, height);
     this.past.push({ x, y, before, after: this.context.getImageData(x, y, width, height) });
     this.future = [];
-    this.changed = true;
+    this.edits += 1;
     const size = () => this.past.reduce((sum, { before: { width: w, height: h } }) => sum + 2 * w * h, 0);
     while (this.past.length > 1 && size() > REMEMBERED) this.past.shift();
   }
@@ -58,7 +62,7 @@ export class Layer {
     if (!entry) return false;
     this.context.putImageData(entry[which], entry.x, entry.y);
     to.push(entry);
-    this.changed = true;
+    this.edits += 1;
     return true;
   }
 
@@ -89,7 +93,7 @@ export class Layer {
     });
     if (!remember) {
       this.past = [];
-      this.changed = false;
+      this.saved = this.edits;
     }
   }
 

@@ -21,7 +21,8 @@ export async function showResults() {
 
 function line(result, tick) {
   const cells = result.problem ? [make('td', { colspan: 6 }, result.problem)] : [
-    make('td', {}, result.name), make('td', {}, result.confidence.level), make('td', {}, result.sigma_gsd === null ? '–' : length(result.sigma_gsd * result.gsd, result.unit)),
+    make('td', {}, result.name), make('td', { class: 'trust' }, make('b', { class: result.confidence.level }, result.confidence.level), ...(result.confidence.reasons.length ? [make('details', {}, make('summary', {}, 'why'), ...result.confidence.reasons.map((reason) => make('p', {}, reason)))] : [])),
+    make('td', {}, result.sigma_gsd === null ? 'not known' : `${result.confidence.level === 'low' ? 'at best ' : ''}${length(result.sigma_gsd * result.gsd, result.unit)}`),
     make('td', {}, `${(100 * result.coverage).toFixed(1)} %`), make('td', {}, String(result.warnings.length)),
     make('td', {}, result.report ? make('button', { type: 'button', click: () => showReport(result.path, result.report) }, 'Report') : null, ' ',
       make('button', { type: 'button', click: doing(() => showProfile(result)) }, 'Profile'))];

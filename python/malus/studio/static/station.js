@@ -1,6 +1,6 @@
 // The station's fields with what the checks say beside each, the coarse surface over the image, and the file itself.
 import { ask, byId, doing, duration, make, tell } from './api.js';
-import { change, showPage, state, take } from './studio.js';
+import { change, changing, reread, showPage, state, take } from './studio.js';
 import { ImageView } from './view.js';
 
 let candidates = { priors: [], models: [], images: [] };
@@ -196,7 +196,12 @@ byId('show-overlay').addEventListener('click', doing(async () => {
 byId('overlay-strength').addEventListener('input', () => view?.redraw());
 
 byId('save-text').addEventListener('click', doing(async () => {
-  take(await tell('text', { path: state.station.path, digest: state.station.digest, text: byId('station-text').value }));
+  try {
+    await changing(async () => take(await tell('text', { path: state.station.path, digest: state.station.digest, text: byId('station-text').value })));
+  } catch (error) {
+    if (error.status === 409) error.message += '. What you have typed still stands here: read the file again to drop it, or save once more to replace the file.';
+    throw error;
+  }
   await draw();
 }));
-byId('reload-text').addEventListener('click', doing(async () => { take(await ask('station', { path: state.station.path })); await draw(); }));
+byId('reload-text').addEventListener('click', doing(async () => { await reread(); await draw(); }));

@@ -11,14 +11,14 @@ const pages = { images: showFolder, station: showStation, draw: showDrawing, opt
 const OF_A_STATION = ['station', 'draw', 'options'];
 let current = 'images';
 
-// The open station as the server last said it: path, text, digest, values, images, mask, error.
+// The open station as the server last said it: path, text, digest, values, images, painted ({mask, labels}: path and digest), error.
 export const state = { station: null };
 // Earlier and later states of its file, for undo and redo.
 let past = [];
 let future = [];
 
 export async function showPage(name, focus = true) {
-  if (current === 'draw' && name !== 'draw') await doing(leaveDrawing)();
+  const unsaved = current === 'draw' && name !== 'draw' ? await leaveDrawing() : '';
   current = name;
   for (const page of Object.keys(pages)) byId(page).hidden = page !== name;
   for (const button of document.querySelectorAll('[data-page]')) {
@@ -27,7 +27,11 @@ export async function showPage(name, focus = true) {
   }
   document.title = `${byId(`${name}-title`).textContent} – Malus Studio`;
   if (focus) byId('main').focus();
-  return doing(() => pages[name](state))();
+  await doing(async () => {
+    if (OF_A_STATION.includes(name)) await reread();
+    await pages[name](state);
+  })();
+  if (unsaved) say(unsaved);
 }
 
 // Takes over what the server says of the open station after opening or changing it.
@@ -51,12 +55,51 @@ function show(station) {
   return station;
 }
 
+// What reads and changes the station's file, one after another.
+let before = Promise.resolve();
+function inTurn(work) {
+  const made = before.then(work);
+  before = made.catch(() => {});
+  return made;
+}
+
+// Reads the open station again. What another program or page has changed is no step of this page's undo.
+export function reread() {
+  return inTurn(async () => {
+    const station = await ask('station', { path: state.station.path });
+    if (station.digest !== state.station.digest) [past, future] = [[], []];
+    show(station);
+  });
+}
+
+// A change of the station's file, after which it is read again if another program or page has changed it meanwhile.
+export async function changing(work) {
+  try {
+    return await inTurn(work);
+  } catch (error) {
+    if (error.status === 409) await reread();
+    throw error;
+  }
+}
+
+async function changingPage(work) {
+  try {
+    return await changing(work);
+  } catch (error) {
+    if (error.status !== 409) throw error;
+    await pages[current](state);
+    throw new Error(`${error.message}. It has been read again; please make your last change once more.`);
+  }
+}
+
 // The file as it was before its last change, or after the change that was undone last.
-export async function step(from, to) {
-  const text = from().pop();
-  if (text === undefined) return;
-  to().push(state.station.text);
-  show(await tell('text', { path: state.station.path, digest: state.station.digest, text }));
+async function step(from, to) {
+  await changingPage(async () => {
+    const text = from().pop();
+    if (text === undefined) return;
+    to().push(state.station.text);
+    show(await tell('text', { path: state.station.path, digest: state.station.digest, text }));
+  });
   await pages[current](state);
 }
 export const undo = () => step(() => past, () => future);
@@ -67,13 +110,8 @@ export async function openStation(path) {
   await showPage('station');
 }
 
-// Changes values of the station file, one change after another; what the server then says of it is the truth.
-let before = Promise.resolve();
-export function change(changes) {
-  const made = before.then(async () => take(await tell('set', { path: state.station.path, digest: state.station.digest, changes })));
-  before = made.catch(() => {});
-  return made;
-}
+// Changes values of the station file; what the server then says of it is the truth.
+export const change = (changes) => changingPage(async () => take(await tell('set', { path: state.station.path, digest: state.station.digest, changes })));
 
 byId('undo').addEventListener('click', doing(undo));
 byId('redo').addEventListener('click', doing(redo));
