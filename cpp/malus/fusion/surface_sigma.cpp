@@ -63,7 +63,7 @@ Image<float> change_of_curvature(const RefinementField& field, double reach_px, 
 
 /// Variance of the prior [GSD²], with what its smoothing cuts off.
 Image<float> prior_variance(const RefinementField& field, double smoothing_px, const Context& context) {
-  constexpr double of_noise = 0.3, of_smoothing = 0.6;
+  constexpr double of_noise = 0.3, of_smoothing = 0.65;
   Image<float> variance(field.size(), 1, std::numeric_limits<float>::quiet_NaN());
   parallel_rows(context, field.size().height, [&](int v) {
     for (int u = 0; u < field.size().width; ++u) {
