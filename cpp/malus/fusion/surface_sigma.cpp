@@ -1,6 +1,8 @@
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
+#include <numbers>
 #include <utility>
 
 #include "malus/core/masked_blur_internal.h"
@@ -25,31 +27,53 @@ double slope_variance(const RefinementField& field, int u, int v) {
   return std::min(1 / (weight * steepness + 1e-12), square(unknown_slope)) * stretch;
 }
 
-/// Squared curvature of the prior at a node [GSD² / px⁴]; 0 where its neighbors are missing.
-double squared_curvature(const RefinementField& field, int u, int v) {
-  for (const auto& [du, dv] : {std::pair{1, 0}, {-1, 0}, {0, 1}, {0, -1}, {1, 1}}) {
-    if (!field.is_object(u + du, v + dv)) return 0;
-  }
+using Curvature = std::array<Image<float>, 3>;  // ∂²/∂u², ∂²/∂v², √2 ∂²/∂u∂v of the prior [GSD / px²]
+
+/// Curvature of the prior at the nodes whose neighbors are there; NaN at others.
+Curvature curvature_of_prior(const RefinementField& field, const Context& context) {
+  Curvature curvature;
+  for (Image<float>& part : curvature) part = Image<float>(field.size(), 1, std::numeric_limits<float>::quiet_NaN());
   const Image<double>& x = field.x_prior;
-  const double uu = x(u + 1, v) + x(u - 1, v) - 2 * x(u, v), vv = x(u, v + 1) + x(u, v - 1) - 2 * x(u, v);
-  const double uv = x(u + 1, v + 1) - x(u + 1, v) - x(u, v + 1) + x(u, v);
-  return uu * uu + vv * vv + 2 * uv * uv;
+  parallel_rows(context, field.size().height, [&](int v) {
+    for (int u = 0; u < field.size().width; ++u) {
+      static constexpr std::array<std::pair<int, int>, 6> needed{{{0, 0}, {1, 0}, {-1, 0}, {0, 1}, {0, -1}, {1, 1}}};
+      if (!std::ranges::all_of(needed, [&](auto step) { return field.is_object(u + step.first, v + step.second); }))
+        continue;
+      curvature[0](u, v) = static_cast<float>(x(u + 1, v) + x(u - 1, v) - 2 * x(u, v));
+      curvature[1](u, v) = static_cast<float>(x(u, v + 1) + x(u, v - 1) - 2 * x(u, v));
+      curvature[2](u, v) =
+          static_cast<float>(std::numbers::sqrt2 * (x(u + 1, v + 1) - x(u + 1, v) - x(u, v + 1) + x(u, v)));
+    }
+  });
+  return curvature;
+}
+
+/// Squared change of the prior's curvature around a node [GSD² / px⁴]: mean square of its difference from its mean. A
+/// smoothing leaves a ball as it is, whose curvature is the same all over.
+Image<float> change_of_curvature(const RefinementField& field, double reach_px, const Context& context) {
+  Curvature curvature = curvature_of_prior(field, context);
+  Image<float> change(field.size());
+  for (Image<float>& part : curvature) {
+    const Image<float> mean = masked_blur(part, field.object, 2 * reach_px, context);
+    for (std::size_t i = 0; i < change.count(); ++i) change[i] += square(part[i] - mean[i]);
+    part = {};
+  }
+  return masked_blur(change, field.object, reach_px, context);
 }
 
 /// Variance of the prior [GSD²], with what its smoothing cuts off.
 Image<float> prior_variance(const RefinementField& field, double smoothing_px, const Context& context) {
-  constexpr double of_noise = 0.3, of_smoothing = 0.6;
-  Image<float> variance(field.size(), 1, std::numeric_limits<float>::quiet_NaN()), curvature = variance;
+  constexpr double of_noise = 0.3, of_smoothing = 0.65;
+  Image<float> variance(field.size(), 1, std::numeric_limits<float>::quiet_NaN());
   parallel_rows(context, field.size().height, [&](int v) {
     for (int u = 0; u < field.size().width; ++u) {
-      if (!field.object(u, v)) continue;
-      variance(u, v) = static_cast<float>(square(field.prior_sigma(u, v)));
-      curvature(u, v) = static_cast<float>(squared_curvature(field, u, v));
+      if (field.object(u, v)) variance(u, v) = static_cast<float>(square(field.prior_sigma(u, v)));
     }
   });
   if (smoothing_px <= 0) return variance;
-  const double reach = std::min(smoothing_px, surface_sigma_reach_px / 3.0);  // blurs end at 3 sigma
-  const Image<float> around = masked_blur(curvature, field.object, reach, context);
+  const double reach =
+      std::min(smoothing_px, surface_sigma_reach_px / 9.0);  // blurs of 1 and 2 times it end at 3 sigma
+  const Image<float> around = change_of_curvature(field, reach, context);
   const double length4 = square(square(smoothing_px));
   parallel_rows(context, field.size().height, [&](int v) {
     for (int u = 0; u < field.size().width; ++u) {

@@ -1,6 +1,8 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <functional>
+#include <numbers>
 
 #include "malus/fusion/refinement_image_internal.h"
 #include "malus/fusion/refinement_weights_internal.h"
@@ -14,9 +16,23 @@ constexpr Size sigma_size{160, 128};
 constexpr double prior_sigma_gsd = 0.5;  // of the synthetic station
 constexpr std::uint8_t nothing = 0, all = 255;
 
-/// Sigma in GSD of a surface that has its prior's shape: a sphere's cap of this curvature [1 / px], seen from above.
-/// Its polarization is what the reflection model predicts.
-Image<float> sigma_of_cap(double curvature, double smoothing_px, std::uint8_t trust, int first_column = 0) {
+/// Height in GSD against the distances from the image's center in px.
+using Shape = std::function<double(double, double)>;
+
+/// A sphere's cap of this curvature [1 / px], seen from above.
+Shape cap(double curvature) {
+  return [=](double x, double y) { return 0.5 * curvature * (x * x + y * y); };
+}
+
+/// Waves along x whose curvature is as large as this at most.
+constexpr double wave_px = 16;
+Shape waves(double curvature) {
+  const double frequency = 2 * std::numbers::pi / wave_px;
+  return [=](double x, double) { return curvature / (frequency * frequency) * std::sin(frequency * x); };
+}
+
+/// Sigma in GSD of a surface that has its prior's shape. Its polarization is what the reflection model predicts.
+Image<float> sigma_of(const Shape& shape, double smoothing_px, std::uint8_t trust, int first_column = 0) {
   SyntheticOptions scene;
   scene.size = sigma_size;
   SyntheticStation station = make_station(scene);
@@ -24,7 +40,7 @@ Image<float> sigma_of_cap(double curvature, double smoothing_px, std::uint8_t tr
   for (int v = 0; v < sigma_size.height; ++v) {
     for (int u = 0; u < sigma_size.width; ++u) {
       const double x = u - 0.5 * sigma_size.width, y = v - 0.5 * sigma_size.height;
-      station.prior.depth(u, v) = static_cast<float>(500 + gsd * 0.5 * curvature * (x * x + y * y));
+      station.prior.depth(u, v) = static_cast<float>(500 + gsd * shape(x, y));
       if (u < first_column) station.state.valid(u, v) = static_cast<std::uint8_t>(PixelState::outside);
     }
   }
@@ -48,27 +64,29 @@ Image<float> sigma_of_cap(double curvature, double smoothing_px, std::uint8_t tr
 }
 
 TEST(SurfaceSigma, OfAPriorThatDoesNotSmoothIsItsOwn) {
-  EXPECT_NEAR(sigma_of_cap(0.01, 0, nothing)(80, 64), prior_sigma_gsd, 0.01);
+  EXPECT_NEAR(sigma_of(waves(0.01), 0, nothing)(80, 64), prior_sigma_gsd, 0.01);
 }
 
 TEST(SurfaceSigma, KnowsWhatSmoothingCutsOff) {
-  const double plane = sigma_of_cap(0, 5, nothing)(80, 64);
+  const double plane = sigma_of(cap(0), 5, nothing)(80, 64);
   EXPECT_NEAR(plane, 0.3 * prior_sigma_gsd, 0.02);
-  // Both curvatures of the cap: 0.6 L² c √2.
-  const double cut = 0.6 * 25 * 0.02 * std::sqrt(2.0);
-  EXPECT_NEAR(sigma_of_cap(0.02, 5, nothing)(80, 64), std::hypot(plane, cut), 0.05 * cut);
-  const double twice_as_long = sigma_of_cap(0.02, 10, nothing)(80, 64);
-  EXPECT_NEAR(twice_as_long, std::hypot(plane, 4 * cut), 0.2 * cut);
+  // 0.65 L² times the RMS curvature.
+  const double cut = 0.65 * 25 * 0.02 / std::sqrt(2.0);
+  EXPECT_NEAR(sigma_of(waves(0.02), 5, nothing)(80, 64), std::hypot(plane, cut), 0.1 * cut);
+  EXPECT_NEAR(sigma_of(waves(0.02), 10, nothing)(80, 64), std::hypot(plane, 4 * cut), 0.4 * cut);
+  EXPECT_NEAR(sigma_of(cap(0.02), 5, nothing)(80, 64), plane, 0.1 * cut) << "nothing of a ball";
 }
 
 TEST(SurfaceSigma, IsSmallerWhereTheSurfaceIsRefined) {
-  EXPECT_LT(sigma_of_cap(0.02, 5, all)(100, 64), 0.8 * sigma_of_cap(0.02, 5, nothing)(100, 64));
+  // Polarization tells slopes where there are some.
+  const Shape wavy_cap = [](double x, double y) { return cap(0.02)(x, y) + waves(0.04)(x, y); };
+  EXPECT_LT(sigma_of(wavy_cap, 5, all)(100, 64), 0.8 * sigma_of(wavy_cap, 5, nothing)(100, 64));
 }
 
 TEST(SurfaceSigma, GrowsAtTheContourButNotAtTheBorderOfTheImage) {
   constexpr int contour = 40;
   for (const std::uint8_t trust : {nothing, all}) {
-    const Image<float> sigma = sigma_of_cap(0, 5, trust, contour);
+    const Image<float> sigma = sigma_of(cap(0), 5, trust, contour);
     EXPECT_GT(sigma(contour + 1, 64), 2);
     EXPECT_LT(sigma(contour + 8, 64), 1);
     EXPECT_LT(sigma(sigma_size.width - 2, 64), 1);

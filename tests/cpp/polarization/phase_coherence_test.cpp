@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <random>
+#include <utility>
 
 #include "malus/polarization/phase_coherence_internal.h"
 #include "polarizer_scene.h"
@@ -34,6 +35,18 @@ TEST(PhaseCoherence, SeesTurnAndDirection) {
   EXPECT_TRUE(knows_direction(behind));
   EXPECT_LT(behind.ahead(), 0);
   EXPECT_NEAR(behind.opposite_turn_rad, 0, 0.1 * degree_rad);
+}
+
+TEST(PhaseCoherence, AsksForMoreToContradictADirectionThanToConfirmIt) {
+  PhaseCoherence found;
+  found.ahead_sigma = 0.1;
+  found.direct = 0.85;
+  found.opposite = 0.5;
+  EXPECT_TRUE(knows_direction(found));
+  std::swap(found.direct, found.opposite);
+  EXPECT_FALSE(knows_direction(found)) << found.ahead();
+  found.opposite = 0.95;
+  EXPECT_TRUE(knows_direction(found));
 }
 
 /// Waves of random directions and lengths of 25 to 80 px, RMS 1.
