@@ -13,7 +13,7 @@ from PIL import Image
 
 import malus
 from malus import _core
-from malus.photogrammetry import bench, memory
+from malus.photogrammetry import bench, cost, memory
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.program import Colmap
@@ -142,3 +142,21 @@ def test_memory_that_is_left_is_within_the_limits(tmp_path: Path, monkeypatch: p
     assert memory.available_mb() > 0.5 * free
     limit.write_text(f"{(memory.resident_mb() + 5) * MB:.0f}\n")
     assert memory.available_mb() < 10
+
+
+def test_expected_memory_is_that_of_the_largest_stage() -> None:
+    def work(count: int, width: int, threads: int = 2, **photos: float) -> cost.Work:
+        options = malus.Options(photos=photos)
+        return cost.Work([(width, width * 2 // 3)] * count, count * (count - 1) // 2, 18.0, options, threads)
+
+    def floats_mb(count: int, width: int) -> float:
+        return 4 * count * width * (width * 2 // 3) / MB
+
+    many, few = work(40, 5196), work(3, 5196)
+    # Windows are matched on pyramids of all photos; of few photos the search for features takes more.
+    assert cost.photos_cost(many).memory_mb > 4 / 3 * floats_mb(40, 5196)
+    assert cost.photos_cost(few).memory_mb > 2 * bench.sift_mb(few.sizes, 3200) > 4 / 3 * floats_mb(3, 5196)
+    assert cost.photos_cost(work(3, 5196, threads=4)).memory_mb > cost.photos_cost(few).memory_mb + 4000
+    assert cost.photos_cost(work(3, 5196, max_side_px=1600)).memory_mb < cost.photos_cost(few).memory_mb - 2000
+    assert cost.sweep_cost(many).memory_mb > 5 / 4 * floats_mb(40, 5196)
+    assert cost.sweep_cost(work(40, 2598)).memory_mb < cost.sweep_cost(many).memory_mb - floats_mb(40, 5196) / 2
