@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 import malus
+from conftest import EXAMPLE
 from malus import _core
 from malus.photogrammetry import bench, cost, memory
 from malus.photogrammetry.bench import Bench
@@ -160,3 +161,21 @@ def test_expected_memory_is_that_of_the_largest_stage() -> None:
     assert cost.photos_cost(work(3, 5196, max_side_px=1600)).memory_mb < cost.photos_cost(few).memory_mb - 2000
     assert cost.sweep_cost(many).memory_mb > 5 / 4 * floats_mb(40, 5196)
     assert cost.sweep_cost(work(40, 2598)).memory_mb < cost.sweep_cost(many).memory_mb - floats_mb(40, 5196) / 2
+
+
+def test_windows_are_read_from_files() -> None:
+    model = _core.ColmapModel.read(str(EXAMPLE / "sparse"))
+    names = list(model.images())
+    pictures = {name: str(EXAMPLE / "views" / name) for name in names}
+
+    def refine() -> str:
+        found = model.refine(pictures, "station.jpg", {}, malus.Options().to_json(), 2, None)
+        return str(found["status"])
+
+    assert refine() == "too few matches"  # The model has no points, but every photo is looked at.
+    pictures[names[3]] = str(EXAMPLE / "pol" / "pol_000.png")
+    with pytest.raises(malus.InputError, match="is 720 x 480 pixels, expected 960 x 640"):
+        refine()
+    pictures[names[3]] = "/nowhere/photo.jpg"
+    with pytest.raises(malus.InputError, match="/nowhere/photo.jpg: no such file"):
+        refine()
