@@ -24,6 +24,8 @@ _FLOAT_MB_A_MEGAPIXEL = 4.0
 _MATCHED_FLOATS, _SWEPT_FLOATS = 4 / 3, 5 / 4
 #: Rasters of the station that the sweep has, and for each photo, when it looks for highlights.
 _SWEEP_RASTERS, _SWEEP_RASTERS_A_PHOTO = 12, 1 / 4
+#: A tile of the sweep, for each thread; COLMAP's program.
+_SWEEP_MB_A_THREAD, _COLMAP_MB = 40, 30
 
 
 @dataclass(frozen=True)
@@ -67,11 +69,12 @@ class Work:
 
 def photos_cost(work: Work) -> Expected:
     """Of finding the cameras."""
-    features_mb = work.held_mb(0, 0) + work.threads * sift_mb(work.sizes, work.options.photos.max_side_px)
+    features_mb = work.held_mb(0, 0) + _COLMAP_MB + work.threads * sift_mb(work.sizes, work.options.photos.max_side_px)
     return Expected((1 - _SWEEP_SHARE) * work.seconds, max(features_mb, work.held_mb(_MATCHED_FLOATS, 0)))
 
 
 def sweep_cost(work: Work) -> Expected:
     """Of the sweeps of one station, without the fusion between them."""
     rasters = _SWEEP_RASTERS + _SWEEP_RASTERS_A_PHOTO * len(work.sizes)
-    return Expected(_SWEEP_SHARE * work.seconds, work.held_mb(_SWEPT_FLOATS, rasters))
+    memory_mb = work.held_mb(_SWEPT_FLOATS, rasters) + work.threads * _SWEEP_MB_A_THREAD
+    return Expected(_SWEEP_SHARE * work.seconds, memory_mb)
