@@ -77,6 +77,14 @@ void bind_io(py::module_& module) {
     }
     return py::make_tuple(to_array(std::move(image.pixels)), image.full_scale_dn);
   });
+  module.def("read_intensity", [](const std::string& path) {
+    Image<float> intensity;
+    {
+      const py::gil_scoped_release release;
+      intensity = read_intensity(path);
+    }
+    return to_array(std::move(intensity));
+  });
   module.def("image_size", [](const std::string& path) {
     const Size size = read_image_size(path, "photo");
     return py::make_tuple(size.width, size.height);

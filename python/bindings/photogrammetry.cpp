@@ -2,12 +2,15 @@
 #include <pybind11/stl.h>
 
 #include <optional>
+#include <utility>
+#include <vector>
 
 #include "arrays.h"
 #include "bindings.h"
 #include "cameras.h"
 #include "interruptible.h"
 #include "malus/core/fields.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/io/colmap_model_internal.h"
 #include "malus/photogrammetry/control_datum_internal.h"
 #include "malus/photogrammetry/epipolar_line_internal.h"
@@ -17,6 +20,7 @@
 #include "malus/photogrammetry/scale_adjustment_internal.h"
 #include "malus/photogrammetry/target_detection_internal.h"
 #include "malus/station/options.h"
+#include "photos.h"
 
 namespace malus::python {
 namespace {
@@ -159,13 +163,12 @@ py::tuple points_of(const ColmapModel& model) {
   return py::make_tuple(positions, errors, lengths);
 }
 
-/// Refines a model in place. pictures: name → intensity; freedom: name of an image → what of its lens is adjusted.
-py::dict refine(ColmapModel& model, const std::map<std::string, Array<float>>& pictures, const std::string& preferred,
+/// Refines a model in place. pictures: name → its file or intensity; freedom: name of an image → what of its lens is
+/// adjusted.
+py::dict refine(ColmapModel& model, const std::map<std::string, PhotoSource>& pictures, const std::string& preferred,
                 const std::map<std::string, std::string>& freedom, const std::string& options_json, int threads,
                 const py::object& on_log) {
   const Options options = options_from_json({}, options_json);
-  std::map<std::string, Image<float>> images;
-  for (const auto& [name, pixels] : pictures) images.emplace(name, to_image(pixels));
   std::map<std::uint32_t, LensFreedom> lenses;
   for (const auto& [name, text] : freedom) {
     lenses[model.image(name, "freedom").camera_id] =
@@ -173,7 +176,12 @@ py::dict refine(ColmapModel& model, const std::map<std::string, Array<float>>& p
   }
   ModelRefinement done;
   run_interruptible(threads, py::none(), on_log, [&](const Context& context) {
-    done = refine_model(model, images, preferred, lenses, options.photos, context);
+    std::map<std::string, Image<float>> images;
+    std::vector<std::pair<Image<float>*, const PhotoSource*>> to_read;
+    for (const auto& [name, source] : pictures) to_read.emplace_back(&images[name], &source);
+    parallel_for(context, to_read.size(), 1,
+                 [&](std::size_t k, std::size_t) { *to_read[k].first = intensity_of(*to_read[k].second); });
+    done = refine_model(model, std::move(images), preferred, lenses, options.photos, context);
   });
   py::dict result;
   result["status"] = enum_name(done.status);

@@ -18,6 +18,7 @@
 #include "malus/station/options.h"
 #include "malus/station/presets_internal.h"
 #include "malus/station/reconstruct.h"
+#include "malus/station/step_watch_internal.h"
 
 namespace malus::python {
 namespace {
@@ -227,6 +228,9 @@ void bind_workspace(py::module_& module) {
   module.def("read_manifest", [](const std::string& folder) { return Workspace::read_manifest(folder).dump(); });
   module.def("sha256_of_file", [](const std::string& path) { return sha256_of_file(path, "output"); });
   module.def("forget_step", [](const std::string& folder, const std::string& step) { forget_step(folder, step); });
+  py::class_<StepWatch>(module, "StepWatch").def(py::init<>()).def("stop", [](StepWatch& watch) {
+    return watch.stop().dump();
+  });
   module.def("record_step",
              [](const std::string& folder, const std::string& step, const std::vector<std::string>& files,
                 double seconds) { record_step(folder, step, files, seconds, {}); });

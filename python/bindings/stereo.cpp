@@ -13,6 +13,7 @@
 #include "malus/core/parallel_internal.h"
 #include "malus/station/options.h"
 #include "malus/stereo/surface_sweep_internal.h"
+#include "photos.h"
 
 namespace malus::python {
 namespace {
@@ -33,7 +34,7 @@ py::dict to_dict(const SweepPassReport& pass) {
 void bind_stereo(py::module_& module) {
   module.def("sweep_surface",
              [](const Array<float>& intensity, const CameraValues& station_camera,
-                const std::vector<std::pair<Array<float>, CameraValues>>& photos, const Array<double>& points,
+                const std::vector<std::pair<PhotoSource, CameraValues>>& photos, const Array<double>& points,
                 const std::optional<std::pair<Array<float>, Array<float>>>& surface,
                 const std::optional<Array<std::uint8_t>>& mask, const std::string& options_json, int threads,
                 const py::object& on_progress, const py::object& on_log) {
@@ -59,10 +60,9 @@ void bind_stereo(py::module_& module) {
                }
                SweepResult found;
                run_interruptible(threads, on_progress, on_log, [&](const Context& context) {
-                 // Only the arrays' memory is read, which takes no interpreter.
                  parallel_for(context, views.size(), 1,
-                              [&](std::size_t k, std::size_t) { views[k].intensity = to_image(photos[k].first); });
-                 found = sweep_surface(input, views, options.sweep, context);
+                              [&](std::size_t k, std::size_t) { views[k].intensity = intensity_of(photos[k].first); });
+                 found = sweep_surface(input, std::move(views), options.sweep, context);
                });
                py::dict result;
                result["depth"] = to_array(std::move(found.depth));

@@ -1,6 +1,6 @@
 """Types of the private extension; see the package's own modules for documentation."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -117,6 +117,7 @@ class ReflectionMap:
 _CameraValues = tuple[str, int, int, list[float], _Float64, _Float64]
 
 def read_image_dn(path: str) -> tuple[_Float32, float]: ...
+def read_intensity(path: str) -> _Float32: ...
 def resect(
     names: list[str], points: NDArray[np.float64], pixels: NDArray[np.float64], camera: _CameraValues
 ) -> dict[str, Any]: ...
@@ -130,7 +131,7 @@ class ColmapModel:
     def transform(self, scale: float, rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> None: ...
     def refine(
         self,
-        pictures: dict[str, _Float32],
+        pictures: Mapping[str, _Float32 | str],
         preferred: str,
         freedom: dict[str, str],
         options: str,
@@ -163,7 +164,7 @@ def adjust_scale(
 def sweep_surface(
     intensity: _Float32,
     camera: _CameraValues,
-    views: list[tuple[_Float32, _CameraValues]],
+    views: list[tuple[_Float32 | str, _CameraValues]],
     points: _Float64,
     surface: tuple[_Float32, _Float32] | None,
     mask: _Bytes | None,
@@ -172,6 +173,9 @@ def sweep_surface(
     progress: Callable[[str, float, str], None] | None,
     log: Callable[[str, str], None] | None,
 ) -> dict[str, Any]: ...
+
+class StepWatch:
+    def stop(self) -> str: ...
 
 class DepthPrior:
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -291,15 +292,15 @@ def expected_times(
     first = Path(description["images"][0]) if description["images"] else None
     size = raw.image_size(first) if first is not None and raw.is_raw(first) else None
     times = _core.expected_times(station._core, settings.to_json(), until, size, threads)
+    width, height = size or _core.image_size(str(first)) if first is not None else (0, 0)
     if _needs_photos(station, until):
-        planned = photogrammetry.plan(description, settings, threads)
+        planned = photogrammetry.plan(description, settings, threads, 1e-6 * width * height)
         # The second sweep lies on the surface fused with the first, for which the images are ready.
         between = sum(seconds for step, seconds in times[1:] if step not in ("mesh", "assess"))
-        swept = planned.sweep_seconds + (between if settings.sweep.again else 0.0)
-        found = [] if cameras_known else [("photos", planned.photos_seconds)]
+        swept = planned.sweeping.seconds + (between if settings.sweep.again else 0.0)
+        found = [] if cameras_known else [("photos", planned.finding.seconds)]
         times = [*times[:1], *found, ("sweep", swept), *times[1:]]
     if until is None:
-        width, height = size or _core.image_size(str(first)) if first is not None else (0, 0)
         fixed, per_megapixel = _REPORT_SECONDS
         times.append(("report", fixed + per_megapixel * width * height / 1e6))
     return times
@@ -313,6 +314,17 @@ def prior_upon_image(
     """
     with _folder(None, "raw") as folder:
         return _core.check_picture(_readable(station, station._core, folder, lambda _, __: None), threads)
+
+
+def _add_memory(plan: dict[str, Any], photos_mb: float) -> None:
+    """What the photos' stages take, and a warning if only they take more than there is."""
+    machine_mb = 1e-6 * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if photos_mb >= machine_mb > plan["memory_mb"]:
+        plan["warnings"].append(
+            f"the photos are expected to take {photos_mb / 1000:.0f} GB of memory, of which this machine has "
+            f"{machine_mb / 1000:.0f} GB: take fewer or halved photos, or fewer threads"
+        )
+    plan["memory_mb"] = max(plan["memory_mb"], photos_mb)
 
 
 def check(
@@ -340,10 +352,12 @@ def check(
                 write_overlay(Path(overlay), picture, station, [str(error)])
             raise
     if _needs_photos(station, None):
-        planned = photogrammetry.plan(station.describe(), settings, threads)
+        planned = photogrammetry.plan(station.describe(), settings, threads, 1e-6 * plan["width"] * plan["height"])
         # After the polarization step, whose image is placed among the photos.
         plan["does"][1:1] = [planned.sweep] if cameras_known else [*planned.photos, planned.sweep]
         plan["warnings"] += [] if cameras_known else planned.warnings
+        stages = [planned.sweeping] if cameras_known else [planned.finding, planned.sweeping]
+        _add_memory(plan, max(stage.memory_mb for stage in stages))
     times = expected_times(station, settings, cameras_known=cameras_known, threads=threads)
     plan["seconds"] = sum(seconds for _, seconds in times)
     if overlay is not None and picture is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,6 +61,10 @@ class SweepResult:
     passes: list[SweepPass]
 
 
+def _as_photo(image: ArrayLike | Path, camera: Camera, name: str) -> NDArray[np.float32] | str:
+    return str(image) if isinstance(image, Path) else _as_view_image(image, camera, name)
+
+
 def _as_view_image(image: ArrayLike, camera: Camera, name: str) -> NDArray[np.float32]:
     array = as_image(image, name)
     if array.shape != (camera.height, camera.width):
@@ -70,7 +75,7 @@ def _as_view_image(image: ArrayLike, camera: Camera, name: str) -> NDArray[np.fl
 def sweep(
     intensity: ArrayLike,
     camera: Camera,
-    views: Sequence[tuple[ArrayLike, Camera]],
+    views: Sequence[tuple[ArrayLike | Path, Camera]],
     points: ArrayLike,
     mask: ArrayLike | None = None,
     options: Options | None = None,
@@ -82,8 +87,8 @@ def sweep(
     """Depth, its standard deviation and a confidence in the station's view.
 
     intensity: H×W, the station's unpolarized intensity, linear, in [0, 1], undistorted. camera: its camera (without
-    distortion) and pose. views: photos (H'×W', in [0, 1] as the file codes them) with their cameras (any lens model) and
-    poses. points: N×3, triangulated points in the world's frame, from which the search starts. mask: H×W, non-zero =
+    distortion) and pose. views: photos (H'×W', in [0, 1] as the file codes them, or a Path: files are in memory once,
+    arrays a second time) with their cameras (any lens model) and poses. points: N×3, triangulated points in the world's frame, from which the search starts. mask: H×W, non-zero =
     object. options: section `sweep`; `sweep.station_gamma=1` if the station is coded like the photos. progress gets
     (step, fraction, message), log (level, message). surface: depth and its standard deviation (both H×W) of a surface
     known beforehand, such as a fused one; the sweep then starts from it instead of the points, with larger windows
@@ -99,7 +104,7 @@ def sweep(
     found = _core.sweep_surface(
         _as_view_image(intensity, camera, "intensity"),
         camera.values(),
-        [(_as_view_image(image, view, f"views[{k}]"), view.values()) for k, (image, view) in enumerate(views)],
+        [(_as_photo(image, view, f"views[{k}]"), view.values()) for k, (image, view) in enumerate(views)],
         cloud,
         None if surface is None else (as_image(surface[0], "surface"), as_image(surface[1], "surface's sigma")),
         None if mask is None else as_mask(mask, (camera.height, camera.width)),

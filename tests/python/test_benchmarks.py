@@ -452,3 +452,27 @@ def test_parts_of_the_refinement_are_left_out_one_at_a_time(station: Path, tmp_p
     assert re.fullmatch(r"\| nothing \| [\d.]+ / [\d.]+ / [\d.]+ \|", rows[2])
     assert rows[3] == "| highlight (`refine.lobe=false`) | exit code 1 |"
     assert rows[4] == "| mirrored surroundings (`refine.environment=false`) | – |", "the same figures to the digit"
+
+
+def test_photos_at_camera_scale_show_what_the_station_sees() -> None:
+    camera_scale: Any = importlib.import_module("camera_scale")
+    scene = camera_scale.synthetic.relief(240, 160)
+    radiance = np.concatenate([s0 for _, s0, _, _ in camera_scale.synthetic.stokes(scene)]).astype(np.float32)
+    radiance *= 0.9 / radiance.max()
+    depth = scene.depth.astype(np.float32)
+    # From the station's own place a photo is the station's image; from aside, a point lies where its camera says.
+    same = camera_scale.photograph(depth, radiance, scene.camera, scene.camera)
+    assert np.abs(same[5:-5, 5:-5, 0] - 255 * radiance[5:-5, 5:-5] ** (1 / 2.2)).mean() < 2
+    aside = camera_scale.photo_camera(scene.camera, float(np.median(depth)), (240, 160), 1, 12)
+    picture = camera_scale.photograph(depth, radiance, scene.camera, aside)
+    fx, fy, cx, cy = scene.camera.params
+    v, u = np.mgrid[40:120:3, 60:180:3]
+    rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones(u.shape)], -1)
+    points = (depth[v, u][..., None] * rays) @ aside.rotation.T + aside.translation
+    x, y = (
+        np.rint(aside.params[0] * points[..., axis] / points[..., 2] + aside.params[2 + axis]).astype(int)
+        for axis in (0, 1)
+    )
+    seen = (picture[y, x, 0] / 255.0) ** 2.2
+    assert np.corrcoef(seen.ravel(), radiance[v, u].ravel())[0, 1] > 0.8
+    assert np.corrcoef(seen.ravel(), radiance[v, u + 7].ravel())[0, 1] < 0.6

@@ -86,6 +86,24 @@ RawImage read_image(const std::filesystem::path& path, const std::string& what) 
   return decode(path, what, name, [&](const codecs::ImageHeader& header) { check_header(header, name); });
 }
 
+Image<float> read_intensity(const std::filesystem::path& path, const std::string& what) {
+  RawImage image = read_image(path, what);
+  const int channels = image.pixels.channels();
+  const auto full_scale = static_cast<float>(image.full_scale_dn);
+  if (channels == 1) {
+    for (float& value : image.pixels) value /= full_scale;
+    return std::move(image.pixels);
+  }
+  Image<float> mean = Image<float>::uninitialized(image.pixels.size());
+  const float* pixel = image.pixels.data();
+  for (float& value : mean) {
+    float sum = 0;
+    for (int c = 0; c < channels; ++c) sum += *pixel++;
+    value = sum / static_cast<float>(channels) / full_scale;
+  }
+  return mean;
+}
+
 Size read_image_size(const std::filesystem::path& path, const std::string& what) {
   struct Found {
     Size size;

@@ -25,6 +25,9 @@ struct RawImage {
 /// or that claim a size their bytes cannot hold (checked before memory is taken).
 RawImage read_image(const std::filesystem::path& path, const std::string& what = "image");
 
+/// Intensity of a photo as its file codes it, in [0, 1] of full scale: the mean of its channels. Errors as read_image.
+Image<float> read_intensity(const std::filesystem::path& path, const std::string& what = "photo");
+
 /// Size of an image from its header alone.
 Size read_image_size(const std::filesystem::path& path, const std::string& what = "image");
 

@@ -4,6 +4,7 @@
 #include <numeric>
 #include <opencv2/flann.hpp>
 #include <set>
+#include <utility>
 
 #include "malus/core/error.h"
 #include "malus/core/median_internal.h"
@@ -29,7 +30,8 @@ struct Arrays {
   std::vector<std::vector<TieObservation>> keypoints;  ///< of each point; one a view
 };
 
-Arrays arrays_of(const ColmapModel& model, const std::map<std::string, Image<float>>& pictures) {
+/// Takes the pictures over.
+Arrays arrays_of(const ColmapModel& model, std::map<std::string, Image<float>> pictures) {
   Arrays arrays;
   for (const auto& [id, image] : model.images) {
     const auto picture = pictures.find(image.name);
@@ -41,7 +43,7 @@ Arrays arrays_of(const ColmapModel& model, const std::map<std::string, Image<flo
     }
     arrays.view_of[id] = arrays.views.size();
     arrays.image_ids.push_back(id);
-    arrays.views.push_back({picture->second, camera, image.pose});
+    arrays.views.push_back({std::move(picture->second), camera, image.pose});
   }
   for (const auto& [id, point] : model.points) {
     std::vector<TieObservation> seen;
@@ -220,11 +222,11 @@ void write_back(const Bundle& bundle, const Arrays& arrays, ColmapModel& model) 
 
 }  // namespace
 
-ModelRefinement refine_model(ColmapModel& model, const std::map<std::string, Image<float>>& pictures,
+ModelRefinement refine_model(ColmapModel& model, std::map<std::string, Image<float>> pictures,
                              const std::string& preferred, const std::map<std::uint32_t, LensFreedom>& freedom,
                              const PhotosOptions& options, const Context& context) {
   ModelRefinement result;
-  const Arrays arrays = arrays_of(model, pictures);
+  const Arrays arrays = arrays_of(model, std::move(pictures));
   std::vector<Eigen::Vector3d> positions;
   for (const std::uint64_t id : arrays.point_ids) positions.push_back(model.points.at(id).position);
   result.status = AdjustmentStatus::too_few_matches;

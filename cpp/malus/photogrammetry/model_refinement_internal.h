@@ -34,11 +34,12 @@ struct ModelRefinement {
 /// sees them, else from the one of their images that faces them most; planes through their neighbors give the windows'
 /// shape. Keypoints of points or images where that does not succeed remain with their own standard deviation.
 ///
-/// pictures: intensity in [0, 1] of every image of the model, by name. freedom: what of each camera's lens is adjusted,
-/// by camera id; those absent are fixed. Points keep their ids and tracks; their error is anew.
+/// pictures: intensity in [0, 1] of every image of the model, by name; moved here, they are in memory once, their
+/// pyramids take a third more. freedom: what of each camera's lens is adjusted, by camera id; those absent are fixed.
+/// Points keep their ids and tracks; their error is anew.
 ///
 /// Throws an input error for a picture that is missing or has another size than its camera.
-ModelRefinement refine_model(ColmapModel& model, const std::map<std::string, Image<float>>& pictures,
+ModelRefinement refine_model(ColmapModel& model, std::map<std::string, Image<float>> pictures,
                              const std::string& preferred, const std::map<std::uint32_t, LensFreedom>& freedom,
                              const PhotosOptions& options, const Context& context);
 

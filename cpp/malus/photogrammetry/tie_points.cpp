@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <optional>
+#include <utility>
 
 #include "malus/core/parallel_internal.h"
 #include "malus/photogrammetry/tie_points_internal.h"
@@ -170,7 +171,9 @@ class Matcher {
            levels <= largest_level && side >= 8 * options.match_radius; side /= 2) {
         ++levels;
       }
-      pyramids_.push_back(intensity_pyramid(view.intensity, levels, context));
+      std::vector<Image<float>> reduced;
+      if (levels > 1) reduced = intensity_pyramid(halved(view.intensity, context), levels - 1, context);
+      reduced_.push_back(std::move(reduced));
     }
   }
 
@@ -192,22 +195,19 @@ class Matcher {
       const double scale = std::sqrt(std::abs(expected->shape.determinant()));
       for (int coarser = 0; coarser <= most_coarser; ++coarser) {
         const int level = level_of(scale, coarser), reference_level = level_of(1 / scale, coarser);
-        if (level >= static_cast<int>(pyramids_[view].size()) ||
-            reference_level >= static_cast<int>(pyramids_[point.reference].size())) {
-          break;
-        }
+        if (level > coarsest(view) || reference_level > coarsest(point.reference)) break;
         const Window& window = coarser == 0 ? window_ : wide_;
         const std::size_t slot = 2 * static_cast<std::size_t>(reference_level) + (coarser == 0 ? 0 : 1);
         if (!sampled[slot]) {
           sampled[slot] = true;
-          patches[slot] = reference_values(pyramids_[point.reference][static_cast<std::size_t>(reference_level)],
+          patches[slot] = reference_values(at_level(point.reference, reference_level),
                                            pixel / std::exp2(reference_level), window);
         }
         if (patches[slot].empty()) continue;
         const double reduction = std::exp2(level);
         const Placement start{expected->shape * (std::exp2(reference_level) / reduction), expected->centre / reduction};
-        const auto matched = match(pyramids_[view][static_cast<std::size_t>(level)], start, patches[slot], window,
-                                   options_, options_.match_range_px / reduction);
+        const auto matched =
+            match(at_level(view, level), start, patches[slot], window, options_, options_.match_range_px / reduction);
         if (!matched) continue;
         const double sigma = std::hypot(reduction * matched->sigma_px, options_.match_floor_px);
         if (sigma <= largest_sigma_px) found.push_back({index, view, reduction * matched->pixel, sigma});
@@ -219,6 +219,11 @@ class Matcher {
   }
 
  private:
+  int coarsest(std::size_t view) const { return static_cast<int>(reduced_[view].size()); }
+  const Image<float>& at_level(std::size_t view, int level) const {
+    return level == 0 ? views_[view].intensity : reduced_[view][static_cast<std::size_t>(level - 1)];
+  }
+
   /// Pyramid level at which an image that is `scale` times as fine as the other has about its resolution, and below.
   static int level_of(double scale, int coarser) {
     return std::clamp(static_cast<int>(std::floor(std::log2(std::max(scale, 1.0)) + 0.5)) + coarser, 0, largest_level);
@@ -285,7 +290,7 @@ class Matcher {
   std::span<const SweepView> views_;
   const PhotosOptions& options_;
   Window window_, wide_;
-  std::vector<std::vector<Image<float>>> pyramids_;
+  std::vector<std::vector<Image<float>>> reduced_;  ///< of each view the levels of its pyramid but the first
 };
 
 }  // namespace

@@ -41,10 +41,10 @@ float median_on(const Image<float>& values, const Mask& mask) {
 }
 
 /// ln of a photo's intensity over the station's at every second pixel, its median 0; NaN where the photo does not look.
+/// `photo` is at half its size.
 Image<float> log_ratio(const SweepInput& input, const Image<float>& station, const Mask& mask, const SweepView& view,
-                       const Image<float>& log_depth, const Context& context) {
+                       const Image<float>& photo, const Image<float>& log_depth, const Context& context) {
   const ViewProjection projection(input.camera, input.pose, view.camera, view.pose);
-  const Image<float> photo = halved(view.intensity, context);
   Image<float> ratio(mask.size(), 1, none);
   parallel_rows(context, mask.height(), [&](int v) {
     const auto count = static_cast<std::size_t>(mask.width());
@@ -65,7 +65,8 @@ Image<float> log_ratio(const SweepInput& input, const Image<float>& station, con
 }  // namespace
 
 Mask find_highlights(const SweepInput& input, const Image<float>& reference, std::span<const SweepView> views,
-                     const Image<float>& log_depth, int reach_px, const Context& context) {
+                     const std::function<Image<float>(std::size_t view)>& halved_photo, const Image<float>& log_depth,
+                     int reach_px, const Context& context) {
   if (views.size() < least_views) return Mask(input.mask.size(), 1, 0);
   const OpenCvThreads opencv_threads(context.threads);
   // Half the resolution: less noise, and a pixel's error of the surface does not matter.
@@ -74,7 +75,7 @@ Mask find_highlights(const SweepInput& input, const Image<float>& reference, std
   const Image<float> surface = halved_surface(log_depth, mask, context);
   std::vector<Image<float>> ratios(views.size());
   parallel_for(context, views.size(), 1, [&](std::size_t k, std::size_t) {
-    ratios[k] = log_ratio(input, station, mask, views[k], surface, context);
+    ratios[k] = log_ratio(input, station, mask, views[k], halved_photo(k), surface, context);
   });
 
   Image<float> excess(mask.size(), 1, none);

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <cstddef>
+#include <functional>
 #include <span>
 
 #include "malus/core/context.h"
@@ -14,8 +16,10 @@ namespace malus {
 /// look at it.
 ///
 /// reference: the station's intensity, coded like the photos. log_depth: ln z of the surface without gaps on the mask.
-/// With fewer than three photos nothing shines.
+/// Of `views` the cameras and poses count; photos at half their size are what `halved_photo` returns, to several
+/// threads at once. With fewer than three photos nothing shines.
 Mask find_highlights(const SweepInput& input, const Image<float>& reference, std::span<const SweepView> views,
-                     const Image<float>& log_depth, int reach_px, const Context& context);
+                     const std::function<Image<float>(std::size_t view)>& halved_photo, const Image<float>& log_depth,
+                     int reach_px, const Context& context);
 
 }  // namespace malus

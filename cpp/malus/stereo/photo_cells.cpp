@@ -30,4 +30,10 @@ PhotoCells::PhotoCells(const Image<float>& photo, const Context& context)
   });
 }
 
+Image<float> PhotoCells::intensity() const {
+  Image<float> photo = Image<float>::uninitialized(size_);
+  for (std::size_t i = 0; i < photo.count(); ++i) photo[i] = least_ + step_ * static_cast<float>(pairs_[i] & 0xFFFFU);
+  return photo;
+}
+
 }  // namespace malus

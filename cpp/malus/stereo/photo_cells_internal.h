@@ -17,6 +17,8 @@ class PhotoCells {
   PhotoCells(const Image<float>& photo, const Context& context);
 
   Size size() const { return size_; }
+  /// The photo again, to half a step.
+  Image<float> intensity() const;
   /// Pixel (u, v) in the low 16 bits, (u, v + 1) in the high ones, at v · width + u. One more value follows the last.
   const std::uint32_t* pairs() const { return pairs_.data(); }
   /// An intensity is least + step · its 16 bits.

@@ -154,9 +154,13 @@ constexpr double smoothing_limit_px = 1.5;
 
 class SurfaceSweep {
  public:
-  SurfaceSweep(const SweepInput& input, std::span<const SweepView> views, const SweepOptions& options,
+  SurfaceSweep(const SweepInput& input, std::vector<SweepView> views, const SweepOptions& options,
                const Context& context)
-      : input_(input), views_(views), options_(options), context_(context), photos_(input, views, options, context) {}
+      : input_(input),
+        views_(std::move(views)),
+        options_(options),
+        context_(context),
+        photos_(input, views_, options, context) {}
 
   SweepResult run() {
     const int most = level_count(input_.camera.size, options_.min_level_px);
@@ -182,7 +186,7 @@ class SurfaceSweep {
         enter_level(k, references, masks, cameras, shapes);
         deviation_ = doubled(deviation_, level_.mask, context_);
         fill_gaps(deviation_, level_.mask, context_);
-        rate_ = photos_.prepare(level_, sum(shape_, deviation_, context_), false, context_);
+        prepare_photos();
       }
       if (k > 0) {
         for (const Sweep& step : coarse_sweeps) sweep(step);
@@ -205,6 +209,11 @@ class SurfaceSweep {
     shape_ = shapes[at];
   }
 
+  void prepare_photos() {
+    photos_.prepare(level_, context_);
+    rate_ = photos_.parallax(level_);
+  }
+
   bool is_known() const { return input_.surface.count() > 0; }
 
   /// Levels about the known surface whose offsets reach its standard deviation nearly everywhere: more would only find
@@ -213,7 +222,8 @@ class SurfaceSweep {
     level_.mask = input_.mask;
     level_.camera = input_.camera;
     level_.reduction = 1;
-    const double rate = photos_.prepare(level_, log_of(input_.surface, context_), true, context_);
+    photos_.choose(level_, log_of(input_.surface, context_));
+    const double rate = photos_.parallax(level_);
     std::vector<double> sigmas_px;
     for (std::size_t i = 0; i < input_.mask.count(); ++i) {
       const double relative = input_.surface_sigma[i] / input_.surface[i];
@@ -248,7 +258,8 @@ class SurfaceSweep {
       if (level_.mask[i] == 0) deviation_[i] = std::numeric_limits<float>::quiet_NaN();
     }
     result_.points_total = static_cast<double>(input_.points.size());
-    rate_ = photos_.prepare(level_, shape_, true, context_);
+    photos_.choose(level_, shape_);
+    prepare_photos();
   }
 
   MatchSettings match_settings() const {
@@ -268,13 +279,15 @@ class SurfaceSweep {
     std::vector<double> depths;
     for (const StationPoint& point : points) depths.push_back(point.log_depth);
     deviation_ = Image<float>(level_.mask.size(), 1, static_cast<float>(median_in_place(depths)));
-    photos_.prepare(level_, deviation_, true, context_);
+    photos_.choose(level_, deviation_);
+    prepare_photos();
     FirstSurface first = first_surface(points, level_, input_.pose, match_settings(), options_.min_points, context_);
     result_.points_total = static_cast<double>(input_.points.size());
     result_.points_used = static_cast<double>(first.points_used);
     deviation_ = std::move(first.log_depth);
     fill_gaps(deviation_, level_.mask, context_);
-    rate_ = photos_.prepare(level_, deviation_, true, context_);
+    photos_.choose(level_, deviation_);
+    prepare_photos();
     const double wanted = std::ceil(first.range * rate_ / first_step_px);
     const double most = std::ceil(options_.max_search / first_step_px);
     sweep({first_step_px, static_cast<int>(std::clamp(wanted, 12.0, std::max(most, 12.0))), true, 1.0});
@@ -355,8 +368,9 @@ class SurfaceSweep {
   bool leave_out_highlights() {
     Image<float> surface = pass_.log_depth;
     fill_gaps(surface, level_.mask, context_);
-    const Mask shines =
-        find_highlights(input_, level_.reference, views_, surface, match_settings().radius + 1, context_);
+    const auto halved_photo = [&](std::size_t view) { return photos_.halved_photo(view, context_); };
+    const Mask shines = find_highlights(input_, level_.reference, views_, halved_photo, surface,
+                                        match_settings().radius + 1, context_);
     double count = 0, of = 0;
     for (std::size_t i = 0; i < shines.count(); ++i) {
       if (level_.mask[i] == 0) continue;
@@ -370,7 +384,7 @@ class SurfaceSweep {
   }
 
   const SweepInput& input_;
-  std::span<const SweepView> views_;
+  std::vector<SweepView> views_;
   const SweepOptions& options_;
   const Context& context_;
   ViewChoice photos_;
@@ -384,11 +398,11 @@ class SurfaceSweep {
 
 }  // namespace
 
-SweepResult sweep_surface(const SweepInput& input, std::span<const SweepView> views, const SweepOptions& options,
+SweepResult sweep_surface(const SweepInput& input, std::vector<SweepView> views, const SweepOptions& options,
                           const Context& context) {
   validate(input, views, options, context);
   // Every pass allocates what the one before it has freed.
-  return SurfaceSweep(input, views, options, context).run();
+  return SurfaceSweep(input, std::move(views), options, context).run();
 }
 
 }  // namespace malus

@@ -1,7 +1,6 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <span>
 #include <vector>
 
 #include "malus/core/camera.h"
@@ -76,12 +75,13 @@ struct SweepResult {
 /// Correlation does not see gain and offset; `station_gamma` brings the linear station to the photos' coding, which
 /// makes that nearly enough.
 ///
-/// Memory: the inputs as pyramids (4/3 of their floats), 12 rasters of the station's size, and less than 64 MB a
-/// thread. Results do not depend on the number of threads.
+/// Memory: the photos' floats once; a quarter more while the level is coarser than they are; 12 rasters of the
+/// station's size, a quarter of one for each photo, and less than 64 MB a thread. A copy of `views` is one more: move
+/// them here. Results do not depend on the number of threads.
 ///
 /// Errors: an input error for sizes that do not match, values that are not finite, cameras that are not usable; a data
 /// error for no photo, too few points on the object, or no photo that sees it.
-SweepResult sweep_surface(const SweepInput& input, std::span<const SweepView> views, const SweepOptions& options,
+SweepResult sweep_surface(const SweepInput& input, std::vector<SweepView> views, const SweepOptions& options,
                           const Context& context);
 
 }  // namespace malus

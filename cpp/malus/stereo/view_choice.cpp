@@ -18,13 +18,15 @@ constexpr int samples_a_side = 24;
 constexpr double best_angle_rad = 20 * std::numbers::pi / 180;
 /// A lens that the sweep's polynomial misses by more is reported.
 constexpr double largest_fit_error_px = 0.05;
+/// Photos whose shorter side is less are not halved.
+constexpr int least_halved_px = 16;
 
 }  // namespace
 
-ViewChoice::ViewChoice(const SweepInput& input, std::span<const SweepView> views, const SweepOptions& options,
+ViewChoice::ViewChoice(const SweepInput& input, std::span<SweepView> views, const SweepOptions& options,
                        const Context& context)
     : station_(input.camera), options_(options) {
-  for (const SweepView& view : views) {
+  for (SweepView& view : views) {
     photos_.emplace_back(view, ViewProjection(input.camera, input.pose, view.camera, view.pose));
     const Photo& photo = photos_.back();
     if (photo.projection.fit_error_px() > largest_fit_error_px) {
@@ -41,7 +43,7 @@ void ViewChoice::measure(const MatchLevel& level, const Image<float>& log_depth)
   for (Photo& photo : photos_) {
     std::vector<double> parallax, resolution, angle;
     double total = 0;
-    const Size size = photo.intensity->size();
+    const Size size = photo.size;
     for (int v = 0; v < level.mask.height(); v += step) {
       for (int u = 0; u < level.mask.width(); u += step) {
         if (level.mask(u, v) == 0 || !std::isfinite(log_depth(u, v))) continue;
@@ -70,7 +72,7 @@ void ViewChoice::measure(const MatchLevel& level, const Image<float>& log_depth)
   }
 }
 
-void ViewChoice::choose() {
+void ViewChoice::split() {
   std::vector<Photo*> used;
   std::vector<double> parallax;
   for (Photo& photo : photos_) {
@@ -97,40 +99,50 @@ void ViewChoice::choose() {
   for (std::size_t k = 0; k < used.size(); ++k) used[k]->subset = static_cast<int>(k % 2);
 }
 
-std::size_t ViewChoice::Photo::extend_pyramid(int depth, const Context& context) {
-  if (pyramid.empty()) pyramid.emplace_back(*intensity, context);
-  while (static_cast<int>(pyramid.size()) <= depth) {
-    const Image<float>& last = coarsest.empty() ? *intensity : coarsest;
-    if (std::min(last.width(), last.height()) < 16) break;
-    coarsest = halved(last, context);
-    pyramid.emplace_back(coarsest, context);
-  }
-  return std::min(static_cast<std::size_t>(depth), pyramid.size() - 1);
+void ViewChoice::choose(const MatchLevel& level, const Image<float>& log_depth) {
+  measure(level, log_depth);
+  split();
 }
 
-double ViewChoice::prepare(MatchLevel& level, const Image<float>& log_depth, bool choose_photos,
-                           const Context& context) {
-  if (choose_photos) {
-    measure(level, log_depth);
-    choose();
+double ViewChoice::parallax(const MatchLevel& level) const {
+  std::vector<double> parallax;
+  for (const Photo& photo : photos_) {
+    if (photo.quality > 0) parallax.push_back(photo.parallax / level.reduction);
   }
+  return median(parallax);
+}
+
+void ViewChoice::Photo::take_level(int wanted, const Context& context) {
+  int least_side = std::min(size.width, size.height), deepest = 0;
+  for (; deepest < wanted && least_side >= least_halved_px; ++deepest) least_side = (least_side + 1) / 2;
+  if (cells && depth == deepest) return;
+  Image<float> reduced = intensity->empty() ? cells->intensity() : Image<float>();
+  cells.reset();
+  for (int level = 0; level < deepest; ++level) reduced = halved(reduced.empty() ? *intensity : reduced, context);
+  cells.emplace(reduced.empty() ? *intensity : reduced, context);
+  depth = deepest;
+}
+
+void ViewChoice::prepare(MatchLevel& level, const Context& context) {
   std::vector<Photo*> used;
   for (Photo& photo : photos_) {
     if (photo.quality > 0) used.push_back(&photo);
   }
   level.views.assign(used.size(), {});
-  std::vector<double> parallax(used.size());
   parallel_for(context, used.size(), 1, [&](std::size_t k, std::size_t) {
     Photo& photo = *used[k];
     // Level whose pixels are between 0.7 and 1.4 of the station level's.
     const double ratio = photo.resolution * level.reduction;
-    const int depth = std::max(0, static_cast<int>(std::lround(std::log2(std::max(ratio, 1e-3)))));
-    const std::size_t at = photo.extend_pyramid(depth, context);
-    level.views[k] = {&photo.pyramid[at], 1.0F / static_cast<float>(1 << at), &photo.projection, photo.subset,
+    photo.take_level(std::max(0, static_cast<int>(std::lround(std::log2(std::max(ratio, 1e-3))))), context);
+    if (level.reduction == 1 && photo.depth == 0) *photo.intensity = {};
+    level.views[k] = {&*photo.cells, 1.0F / static_cast<float>(1 << photo.depth), &photo.projection, photo.subset,
                       photo.quality};
-    parallax[k] = photo.parallax / level.reduction;
   });
-  return median(parallax);
+}
+
+Image<float> ViewChoice::halved_photo(std::size_t at, const Context& context) const {
+  const Photo& photo = photos_[at];
+  return photo.intensity->empty() ? halved(photo.cells->intensity(), context) : halved(*photo.intensity, context);
 }
 
 }  // namespace malus

@@ -86,10 +86,11 @@ class Object:
         ]
         if self.shared is not None:
             description = {**Station.load(self.campaign.stations[0]).describe(), **self.shared}
-            photos = photogrammetry.plan(description, settings, threads)
+            photos = photogrammetry.plan(description, settings, threads, 1e-6 * plans[0]["width"] * plans[0]["height"])
             plans[0]["does"][1:1] = photos.photos
             plans[0]["warnings"] += photos.warnings
-            plans[0]["seconds"] += photos.photos_seconds
+            plans[0]["seconds"] += photos.finding.seconds
+            plans[0]["memory_mb"] = max(plans[0]["memory_mb"], photos.finding.memory_mb)
         return plans
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from malus import _core
 from malus.options import Options
-from malus.photogrammetry import database
+from malus.photogrammetry import database, memory
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.program import Colmap
@@ -29,6 +29,19 @@ SHARES = {
     "windows": (0.95, 0.98),
     "scale": (0.98, 1.00),
 }
+
+
+#: COLMAP's SIFT works on a photo at twice its size, in some 18 images of floats: bytes a pixel for each thread, as measured
+#: on photos of 1 and 7 megapixels.
+_SIFT_BYTES_A_PIXEL = 300
+#: Part of the memory that is left which features may take.
+_MEMORY_SHARE = 0.7
+
+
+def sift_mb(sizes: Sequence[tuple[int, int]], max_side_px: int) -> float:
+    """Memory that a thread takes to find the features of the largest of the images."""
+    pixels = max(width * height * min(1.0, max_side_px / max(width, height)) ** 2 for width, height in sizes)
+    return 1e-6 * _SIFT_BYTES_A_PIXEL * pixels
 
 
 @dataclass(frozen=True)
@@ -75,6 +88,7 @@ class Bench:
         names_file = self.folder / f"{stage}_names.txt"
         names_file.write_text("".join(f"{database.quoted(name)}\n" for name in names), encoding="utf-8")
         photos = self.options.photos
+        sizes = [_core.image_size(str(self.images / database.quoted(name))) for name in names]
         self.colmap.run(
             "feature_extractor",
             {
@@ -84,13 +98,24 @@ class Bench:
                 "ImageReader.single_camera": 1,
                 **{f"ImageReader.{key}": value for key, value in reader.items()},
                 "SiftExtraction.use_gpu": 0,
-                "SiftExtraction.num_threads": self.colmap.threads,
+                "SiftExtraction.num_threads": self._feature_threads(sift_mb(sizes, photos.max_side_px)),
                 "SiftExtraction.max_num_features": photos.max_features,
                 "SiftExtraction.max_image_size": photos.max_side_px,
             },
             self.log_file(stage),
             on_line=self.counter(stage, r"Processed file \[(\d+)/(\d+)\]", "features of photo"),
         )
+
+    def _feature_threads(self, each_mb: float) -> int:
+        """As many as there is memory for, if each takes so much."""
+        left = memory.available_mb()
+        if each_mb > _MEMORY_SHARE * left:
+            self.log(
+                "warning",
+                f"finding features takes {each_mb:.0f} MB of memory, of which {left:.0f} MB are left; a smaller "
+                "photos.max_side_px takes less",
+            )
+        return min(self.colmap.threads, max(1, int(_MEMORY_SHARE * left / each_mb)))
 
     def adjust(self, stage: str, source: Path, target: Path, refine: dict[str, object]) -> None:
         """Leave out points with large residuals, which are mostly wrong matches, and adjust the rest."""

@@ -29,7 +29,7 @@ from malus.photogrammetry.control import adjust_datum, move_model
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photo_cameras import PhotoCameras, solve_photos
-from malus.photogrammetry.photos import Photo, describe_photo, list_photos, read_gray
+from malus.photogrammetry.photos import Photo, describe_photo, list_photos
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.scale import adjust_scale
 from malus.photogrammetry.station_pose import (
@@ -57,7 +57,7 @@ class StationCameras:
     figures: dict[str, Any]
     """For quality.json: `photogrammetry`, `scale`, and `control` if there are control points."""
     times: dict[str, Any]
-    """Seconds, all and by stage."""
+    """`seconds`, `cpu_seconds` and `peak_mb`, of all stages and of each (`stages`)."""
     warnings: list[str] = field(default_factory=list)
     """Of finding them together with other stations; for this one's report."""
 
@@ -155,8 +155,9 @@ def find_object_cameras(
 
 def _bench(folder: Path, options: Options, threads: int, progress: Report, log: Log) -> Bench:
     folder.mkdir(parents=True, exist_ok=True)
-    journal = Journal(folder, log)
-    return Bench(Colmap(threads, options.photos.backend), folder, journal, options, progress, journal.log)
+    colmap = Colmap(threads, options.photos.backend)
+    journal = Journal(folder, log, colmap)
+    return Bench(colmap, folder, journal, options, progress, journal.log)
 
 
 def _solved(bench: Bench, said: Mapping[str, Any]) -> tuple[list[Photo], PhotoCameras]:
@@ -229,7 +230,12 @@ def _station_figures(placed: PlacedStations, image: str) -> dict[str, Any]:
 
 
 def _times(journal: Journal) -> dict[str, Any]:
-    return {"seconds": round(sum(journal.seconds.values()), 2), "stages": journal.seconds}
+    stages = journal.times.values()
+    return {
+        **{name: round(sum(stage[name] for stage in stages), 2) for name in ("seconds", "cpu_seconds")},
+        "peak_mb": max((stage["peak_mb"] for stage in stages), default=0.0),
+        "stages": journal.times,
+    }
 
 
 def known_lens(said: Mapping[str, Any] | None, log: Log) -> Camera | None:
@@ -275,7 +281,7 @@ class Swept:
     """Surface that it was measured about; None = without one."""
     figures: dict[str, Any]
     times: dict[str, Any]
-    """Seconds, all and by stage."""
+    """`seconds`, `cpu_seconds` and `peak_mb`, of all stages and of each (`stages`)."""
 
 
 @dataclass(frozen=True)
@@ -347,7 +353,7 @@ class _Sweep:
         found = stereo.sweep(
             np.nan_to_num(self.unpolarized),
             self.view,
-            [(read_gray(photo.path), camera) for photo, camera in self.cameras.photos],
+            [(photo.path, camera) for photo, camera in self.cameras.photos],
             self.cameras.model.points,
             self.mask,
             self.options,

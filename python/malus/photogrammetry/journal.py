@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,8 @@ from malus import _core
 from malus._files import read_record, sha256_of, write_record
 from malus.errors import InputError
 from malus.photogrammetry import database
+from malus.photogrammetry.meter import Meter
+from malus.photogrammetry.program import Colmap
 
 Log = Callable[[str, str], None]
 
@@ -27,10 +28,13 @@ class Journal:
     that key and its outputs are as it left them: by their hashes, and COLMAP's databases, which reading can change, by their sizes.
     """
 
-    def __init__(self, folder: Path, log: Log) -> None:
-        """Keep the marks below `folder`, which is created if needed. `log` gets the stages' messages."""
+    def __init__(self, folder: Path, log: Log, colmap: Colmap | None = None) -> None:
+        """Keep the marks below `folder`, which is created if needed. `log` gets the stages' messages; what `colmap` takes
+        counts for them.
+        """
         self.folder = folder
-        self.seconds: dict[str, float] = {}
+        self.times: dict[str, dict[str, float]] = {}
+        self._colmap = colmap
         self._marks = folder / "done"
         self._marks.mkdir(parents=True, exist_ok=True)
         self._previous = ""
@@ -68,7 +72,7 @@ class Journal:
         """Notes of a stage: those of its mark if it is done, else those that `run` returns, after it has been run.
 
         `outputs` are files or folders below the journal's folder. They are removed before the stage is run. The notes
-        must be JSON. What the stage took is in `seconds`.
+        must be JSON. What the stage took is in `times`: `seconds`, `cpu_seconds`, `peak_mb`.
         """
         text = json.dumps(
             {"stage": name, "version": _core.version, "inputs": inputs, "after": self._previous}, sort_keys=True
@@ -76,14 +80,14 @@ class Journal:
         self._previous = key = hashlib.sha256(text.encode()).hexdigest()
         mark = self._marks / f"{name}.json"
         done = read_record(mark) or {}
-        if done.get("key") == key and done.get("outputs") == self._states(outputs):
+        if done.get("key") == key and "times" in done and done.get("outputs") == self._states(outputs):
             for warning in done["warnings"]:
                 self._log("warning", warning)
         else:
             mark.unlink(missing_ok=True)
             for output in outputs:
                 self._remove(self.folder / output)
-            start = time.monotonic()
+            meter = Meter(self._colmap)
             self._warnings = []
             notes = run()
             self.require_unchanged()
@@ -92,10 +96,10 @@ class Journal:
                 "outputs": self._states(outputs),
                 "notes": notes,
                 "warnings": self._warnings,
-                "seconds": round(time.monotonic() - start, 2),
+                "times": meter.stop(),
             }
             write_record(mark, done)
-        self.seconds[name] = done["seconds"]
+        self.times[name] = done["times"]
         kept: dict[str, Any] = done["notes"]
         return kept
 

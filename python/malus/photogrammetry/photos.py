@@ -110,9 +110,7 @@ def _matches(name: str, pattern: str) -> bool:
 
 def read_gray(path: Path) -> NDArray[np.float32]:
     """Intensity of a photo as its file codes it, in [0, 1] of full scale, H×W: the mean of its channels."""
-    pixels, full_scale = _core.read_image_dn(str(path))
-    gray = pixels if pixels.ndim == 2 else pixels.mean(axis=2, dtype=np.float32)
-    return np.asarray(gray / np.float32(full_scale), dtype=np.float32)
+    return _core.read_intensity(str(path))
 
 
 def to_bytes(intensity: NDArray[np.float32], *, gamma: float) -> NDArray[np.uint8]:

@@ -10,31 +10,24 @@ from typing import Any
 from malus.errors import DataError
 from malus.options import Options
 from malus.photogrammetry import diagnosis
+from malus.photogrammetry.cost import Expected, Work, photos_cost, sweep_cost
 from malus.photogrammetry.front_end import known_lens
 from malus.photogrammetry.photo_cameras import MIN_PHOTOS, group_by_camera, pairs_to_match
 from malus.photogrammetry.photos import list_photos
 from malus.photogrammetry.program import Colmap
 
-# From one run of the relief (12 photos, 8192 features each) with two threads on a shared machine: twice its seconds.
-_SECONDS_A_MEGAPIXEL = 2.4
-_SECONDS_A_PAIR = 0.4
-_SECONDS_A_PHOTO = 8.6
-_FEATURES = 8192
-#: Share of that which is the sweep's.
-_SWEEP_SHARE = 0.3
-
 
 @dataclass(frozen=True)
 class Plan:
-    """What would be done: lines about the photos and their scale, the line of a station's sweep, warnings, and the seconds that
-    finding the cameras and the sweeps of one station are expected to take.
+    """What would be done: lines about the photos and their scale, the line of a station's sweep, warnings, and what finding the
+    cameras and the sweeps of one station are expected to take.
     """
 
     photos: list[str]
     sweep: str
     warnings: list[str]
-    photos_seconds: float
-    sweep_seconds: float
+    finding: Expected
+    sweeping: Expected
 
 
 def _sweep_line(options: Options) -> str:
@@ -49,8 +42,8 @@ def _scale_line(station: Mapping[str, Any]) -> str:
     return f"scale: {len(station['scale'])} known distances" if station["scale"] else "scale: none, arbitrary unit"
 
 
-def plan(station: Mapping[str, Any], options: Options, threads: int) -> Plan:
-    """What would be done for what `Station.describe` says.
+def plan(station: Mapping[str, Any], options: Options, threads: int, station_mpx: float) -> Plan:
+    """What would be done for what `Station.describe` says, with an image of so many megapixels.
 
     Raises what a run would raise before it starts: InputError for unreadable or wrong photos, DataError for too few,
     ExternalError when COLMAP is missing.
@@ -75,8 +68,5 @@ def plan(station: Mapping[str, Any], options: Options, threads: int) -> Plan:
         warnings.append("there is no [[scale]]: the result is in an arbitrary unit, shape without size")
     if "camera" not in station:
         warnings.append("[camera] is missing: the station's lens is taken from the photos or self-calibrated")
-    megapixels = sum(photo.width * photo.height for photo in photos) / 1e6
-    work = (options.photos.max_features / _FEATURES) ** 2
-    seconds = megapixels * _SECONDS_A_MEGAPIXEL + (len(pairs) + len(photos)) * _SECONDS_A_PAIR * work
-    seconds = (seconds + len(photos) * _SECONDS_A_PHOTO) / min(threads, 2)
-    return Plan(does, _sweep_line(options), warnings, (1 - _SWEEP_SHARE) * seconds, _SWEEP_SHARE * seconds)
+    work = Work([(photo.width, photo.height) for photo in photos], len(pairs), station_mpx, options, threads)
+    return Plan(does, _sweep_line(options), warnings, photos_cost(work), sweep_cost(work))

@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from malus.errors import ExternalError
+from malus.photogrammetry import memory
 
 #: Name of the program, or the path that the environment variable MALUS_COLMAP gives.
 DEFAULT_PROGRAM = "colmap"
@@ -51,6 +52,8 @@ class Colmap:
     def __init__(self, threads: int, backend: str = "auto") -> None:
         """Find what `backend` (an option of [photos]) says. Raises ExternalError when it is missing or does not start."""
         self.threads = threads
+        self.peak_mb = 0.0
+        """Most memory of a child and of this process beside it, since this was set to 0."""
         self.backend, self._start = _find(backend)
         self.version = self._read_version()
 
@@ -146,7 +149,9 @@ class Colmap:
         with selectors.DefaultSelector() as selector, child.stdout as output:
             selector.register(output, selectors.EVENT_READ)
             while True:
-                if selector.select(_POLL_S):
+                ready = selector.select(_POLL_S)
+                self.peak_mb = max(self.peak_mb, memory.resident_mb() + memory.peak_mb(child.pid))
+                if ready:
                     block = os.read(output.fileno(), 65536)
                     if not block:
                         return child.wait()

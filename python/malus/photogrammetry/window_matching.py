@@ -16,7 +16,7 @@ from malus.photogrammetry import database
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photo_cameras import MIN_PHOTOS_PRINCIPAL_POINT, PhotoCameras
-from malus.photogrammetry.photos import Photo, read_gray
+from malus.photogrammetry.photos import Photo
 from malus.photogrammetry.station_pose import GAMMA, PlacedStations, StationView
 
 
@@ -58,8 +58,8 @@ def match_windows(
 
     def run() -> dict[str, Any]:
         bench.report("windows", 0.0, "matching windows of all photos")
-        pictures = {
-            database.quoted(photo.name): read_gray(photo.path) for photo in photos if photo.name in placed.model.images
+        pictures: dict[str, str | NDArray[np.float32]] = {
+            database.quoted(photo.name): str(photo.path) for photo in photos if photo.name in placed.model.images
         }
         pictures |= {image: coded(view.unpolarized) for image, view in views.items()}
         model = _core.ColmapModel.read(str(placed.folder))

@@ -206,6 +206,23 @@ TEST(ImageFile, SixteenBitTiffSurvivesAndIsReadByOpenCv) {
   }
 }
 
+TEST(ImageFile, IntensityIsTheMeanOfTheChannelsOverFullScale) {
+  const TemporaryFolder folder;
+  for (const int channels : {1, 3}) {
+    const auto words = pattern<std::uint16_t>({37, 21}, channels);
+    write_tiff16(folder / "photo.tif", words);
+    const Image<float> intensity = read_intensity(folder / "photo.tif");
+    ASSERT_EQ(intensity.size(), words.size());
+    ASSERT_EQ(intensity.channels(), 1);
+    for (std::size_t i = 0; i < intensity.count(); ++i) {
+      double sum = 0;
+      const std::size_t first = i * static_cast<std::size_t>(channels);
+      for (int c = 0; c < channels; ++c) sum += words[first + static_cast<std::size_t>(c)];
+      ASSERT_NEAR(intensity[i], sum / channels / 65535, 1e-6) << i;
+    }
+  }
+}
+
 TEST(ImageFile, MaskAndLabels) {
   const TemporaryFolder folder;
   Image<std::uint8_t> labels({4, 2});

@@ -167,14 +167,14 @@ TEST_F(SweepOfBumps, LeavesOutWhereTheStationShines) {
 
 TEST_F(SweepOfBumps, OneOrTwoPhotosGiveAWarningAndALargerSigma) {
   const SweepResult many = sweep_surface(scene_->input, scene_->views, test_options(), {});
-  for (const std::size_t photos : {1U, 2U}) {
+  for (const int photos : {1, 2}) {
     std::string warnings;
     Context context;
     context.on_log = [&](LogLevel level, const std::string& text) {
       if (level == LogLevel::warning) warnings += text;
     };
     const SweepResult few =
-        sweep_surface(scene_->input, std::span(scene_->views).first(photos), test_options(), context);
+        sweep_surface(scene_->input, {scene_->views.begin(), scene_->views.begin() + photos}, test_options(), context);
     expect_contains(warnings, "no disjoint halves");
     EXPECT_FALSE(few.halves_compared);
     EXPECT_GT(few.median_sigma_gsd, 2 * many.median_sigma_gsd);

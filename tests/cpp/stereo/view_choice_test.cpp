@@ -1,0 +1,74 @@
+#include "malus/stereo/view_choice_internal.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "sweep_scenes.h"
+
+namespace malus {
+namespace {
+
+using namespace sweep_scenes;
+
+/// The station's full view and one of half its size, with the depth of the scene's plane.
+struct Levels {
+  explicit Levels(const Scene& scene) {
+    full.mask = scene.input.mask;
+    full.camera = scene.input.camera;
+    half = full;
+    half.mask = Mask({80, 60}, 1, 255);
+    half.reduction = 2;
+    log_depth = Image<float>(half.mask.size(), 1, static_cast<float>(std::log(distance_mm)));
+  }
+  MatchLevel full, half;
+  Image<float> log_depth;
+};
+
+TEST(ViewChoice, HoldsOneLevelOfEachPhotoAndNoFloatsBesideAFullOne) {
+  Scene scene = make_scene(plane, 4);
+  const Image<float> before = scene.views[0].intensity;
+  Levels levels(scene);
+  ViewChoice photos(scene.input, scene.views, test_options(), {});
+  photos.choose(levels.half, levels.log_depth);
+  photos.prepare(levels.half, {});
+  ASSERT_EQ(levels.half.views.size(), 4U);
+  EXPECT_EQ(levels.half.views[0].photo->size(), (Size{95, 70}));
+  EXPECT_EQ(levels.half.views[0].scale, 0.5F);
+  EXPECT_EQ(scene.views[0].intensity, before);
+
+  photos.prepare(levels.full, {});
+  EXPECT_EQ(levels.full.views[0].photo->size(), before.size());
+  // The same cells are those of this level now.
+  EXPECT_EQ(levels.half.views[0].photo, levels.full.views[0].photo);
+  for (const SweepView& view : scene.views) EXPECT_TRUE(view.intensity.empty());
+}
+
+TEST(ViewChoice, HalvesAPhotoAgainThatItHoldsAsCells) {
+  Scene scene = make_scene(plane, 4);
+  Levels levels(scene);
+  ViewChoice photos(scene.input, scene.views, test_options(), {});
+  photos.choose(levels.half, levels.log_depth);
+  const Image<float> half = photos.halved_photo(2, {});
+  photos.prepare(levels.full, {});
+  const Image<float> again = photos.halved_photo(2, {});
+  ASSERT_EQ(again.size(), half.size());
+  for (std::size_t i = 0; i < half.count(); ++i) EXPECT_NEAR(again[i], half[i], 1e-5F);
+
+  photos.prepare(levels.half, {});
+  EXPECT_EQ(levels.half.views[2].photo->size(), half.size());
+}
+
+TEST(ViewChoice, SaysTheParallaxOfThePhotosChosen) {
+  Scene scene = make_scene(plane, 4);
+  Levels levels(scene);
+  ViewChoice photos(scene.input, scene.views, test_options(), {});
+  photos.choose(levels.half, levels.log_depth);
+  // A point nearer by a share of its distance shifts by so much of the base over the distance, in px.
+  const double expected = 125 / distance_mm * focal;
+  EXPECT_NEAR(photos.parallax(levels.full) / expected, 1, 0.15);
+  EXPECT_DOUBLE_EQ(photos.parallax(levels.half), photos.parallax(levels.full) / 2);
+}
+
+}  // namespace
+}  // namespace malus
