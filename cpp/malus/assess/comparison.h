@@ -1,7 +1,9 @@
 #pragma once
 
 #include <array>
+#include <span>
 #include <string>
+#include <vector>
 
 #include "malus/assess/assess_options.h"
 #include "malus/assess/statistics.h"
@@ -29,6 +31,13 @@ struct SimilarityTransform {
     visit("rotation", self.rotation);
     visit("translation", self.translation);
   }
+};
+
+/// Where point-to-plane ICP has moved points to.
+struct PointAlignment {
+  SimilarityTransform reference_from_surface;
+  int iterations = 0;
+  bool converged = false;
 };
 
 /// Signed distances of a surface's pixels to a reference, positive = the surface is in front of it (outside).
@@ -61,5 +70,19 @@ struct ReferenceComparison {
 /// Throws a data error for a reference that cannot be used.
 ReferenceComparison compare_with_reference(const FusedSurface& surface, const TriangleMesh& reference, double gsd,
                                            const AssessOptions& options, const Context& context);
+
+/// The alignment of compare_with_reference for points of any surface, all of which count; points farther from the
+/// reference than options.max_distance_gsd · gsd do not.
+/// Throws a data error for a reference that cannot be used.
+PointAlignment align_with_reference(std::span<const Eigen::Vector3d> points, const TriangleMesh& reference, double gsd,
+                                    const AssessOptions& options, const Context& context);
+
+/// Signed distances of points of any surface from a reference, positive outside of it; NaN beyond
+/// options.max_distance_gsd · gsd. The outside of a cloud is where the points' own `normals` (as many) point to, so that
+/// the surface may go all around. Nothing is moved.
+/// Throws a data error for a reference that cannot be used.
+std::vector<float> distances_from_reference(std::span<const Eigen::Vector3d> points,
+                                            std::span<const Eigen::Vector3d> normals, const TriangleMesh& reference,
+                                            double gsd, const AssessOptions& options, const Context& context);
 
 }  // namespace malus
