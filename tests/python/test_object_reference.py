@@ -64,16 +64,18 @@ def mesh(tmp_path_factory: pytest.TempPathFactory) -> ObjectMesh:
 def test_distances_have_their_side_all_around_and_what_is_missing_counts(mesh: ObjectMesh, is_mesh: bool) -> None:
     larger = Reference(mesh.vertices + 0.2 * mesh.normals, mesh.triangles.astype(np.uint32) if is_mesh else None)
     beside = reference.compare(larger, mesh, CELL, 1)
-    assert beside.figures["distance_gsd"]["median"] == pytest.approx(-0.4, abs=0.02)
-    assert beside.figures["absolute_median_gsd"] == pytest.approx(0.4, abs=0.02)
+    assert beside.figures["distance_gsd"]["median"] == pytest.approx(-0.4, abs=0.04)
+    assert beside.figures["absolute_median_gsd"] == pytest.approx(0.4, abs=0.04)
     assert beside.figures["within_1_gsd"] > 0.99 and beside.figures["compared_fraction"] > 0.99
     assert beside.figures["completeness"]["1_gsd"] > 0.99
     whole = Reference(stone(directions(20000))[0], None)
     beside = reference.compare(whole, mesh, CELL, 1)
     assert beside.figures["within_1_gsd"] > 0.99
-    share = (whole.points[:, 2] > -5).mean()
-    assert beside.figures["completeness"]["1_gsd"] == pytest.approx(share, abs=0.05)
-    assert beside.figures["completeness"]["1_gsd"] < beside.figures["completeness"]["4_gsd"] < share + 0.2
+    # The mesh ends four cells beyond its points; what lies so many GSD further still counts.
+    there = beside.figures["completeness"]
+    least, most = ((whole.points[:, 2] > -5 - cells * CELL).mean() for cells in (0, 6))
+    assert 0.7 < least <= there["1_gsd"] < most < 0.95
+    assert there["1_gsd"] < there["2_gsd"] < there["4_gsd"] < 1
 
 
 def test_triangles_of_a_reference_count_by_their_areas(mesh: ObjectMesh) -> None:
@@ -104,9 +106,9 @@ def test_alignment_brings_a_scan_that_is_nearly_there_onto_the_mesh(mesh: Object
     scan = stone(directions(20000))[0]
     turn = np.radians(2)
     rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-    moved = reference.aligned(Reference(scan, None).moved(rotation, np.array([0.3, -0.2, 0.1])), mesh, CELL, 1)
+    moved, _ = reference.aligned(Reference(scan, None).moved(rotation, np.array([0.3, -0.2, 0.1])), mesh, CELL, 1)
     assert np.abs(moved.points - scan).max() < 0.05
-    with pytest.raises(DataError, match="did not converge"):
+    with pytest.raises(DataError, match="no part of the mesh is within 50 GSD"):
         reference.aligned(Reference(scan + 1000, None), mesh, CELL, 1)
     with pytest.raises(DataError, match="no part of the mesh is within 50 GSD"):
         reference.compare(Reference(scan + 1000, None), mesh, CELL, 1)

@@ -20,6 +20,9 @@ from malus.options import Options
 _MOST_STATIONS, _SURFACE_POINTS, _REFERENCE_POINTS = 6, 20_000, 100_000
 #: Farther apart than this (GSD) two surfaces are not compared.
 _FARTHEST_GSD = 50.0
+_FAR_AWAY = f"no part of the mesh is within {_FARTHEST_GSD:g} GSD of it; expected the same object and unit"
+#: With fewer steps than these the alignment has ended for want of points that are near.
+_MOST_STEPS = 60
 #: The reference is there in the mesh if that lies within so many GSD.
 _COMPLETE_GSD = (1, 2, 4)
 #: Points of the reference that are looked for in the mesh; vertices that are compared at once, and that a mesh is compared as a whole with.
@@ -81,18 +84,20 @@ def place(reference: Reference, views: Sequence[View]) -> registration.Placement
     raise failures[0]
 
 
-def aligned(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) -> Reference:
-    """The reference moved onto the mesh by the ICP of `malus assess`. DataError if that does not end."""
+def aligned(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) -> tuple[Reference, bool]:
+    """The reference moved onto the mesh by the ICP of `malus assess`, and whether that came to rest: with a cloud, whose planes
+    change from point to point, it may go on by a little. DataError if nothing of the reference is near.
+    """
     measured = np.flatnonzero(mesh.measured)
     points = np.ascontiguousarray(mesh.vertices[measured[:: max(1, len(measured) // _SURFACE_POINTS)]])
     found = _core.align_with_reference(
         points, reference.points, reference.triangles, gsd, _options(_FARTHEST_GSD), threads
     )
-    if not found["converged"]:
-        raise DataError("its alignment with the mesh did not converge")
+    if not found["converged"] and found["iterations"] < _MOST_STEPS:
+        raise DataError(_FAR_AWAY)
     motion = found["reference_from_surface"]
     rotation = np.array(motion["rotation"]).reshape(3, 3)
-    return reference.moved(rotation.T, -rotation.T @ np.array(motion["translation"]))
+    return reference.moved(rotation.T, -rotation.T @ np.array(motion["translation"])), found["converged"]
 
 
 def compare(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) -> Comparison:
@@ -113,7 +118,7 @@ def compare(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) ->
     counted = distances[mesh.measured] / gsd
     compared = counted[np.isfinite(counted)]
     if not len(compared):
-        raise DataError(f"no part of the mesh is within {_FARTHEST_GSD:g} GSD of it; expected the same object and unit")
+        raise DataError(_FAR_AWAY)
     median = float(np.median(compared))
     percentiles = np.percentile(compared, (5, 95)).tolist()
     figures = {

@@ -299,8 +299,10 @@ def _compared(
     try:
         if thing.register:
             placed = reference.place(scan, views)
-            said |= {"correlation": placed.correlation, "next_best": placed.next_best}
-            scan = reference.aligned(scan.moved(placed.rotation, placed.translation), mesh, gsd, threads)
+            scan, at_rest = reference.aligned(scan.moved(placed.rotation, placed.translation), mesh, gsd, threads)
+            said |= {
+                "correlation": placed.correlation, "next_best": placed.next_best, "alignment_converged": at_rest
+            }  # fmt: skip
         comparison = reference.compare(scan, mesh, gsd, threads)
     except DataError as error:
         # The surface is right without it, and hours of work.
