@@ -74,7 +74,8 @@ PointAlignment align(std::span<const Eigen::Vector3d> points, const ReferenceSur
   while (!icp.converged && icp.iterations < 60) {
     ++icp.iterations;
     parallel_for(context, points.size(), 256, [&](std::size_t begin, std::size_t end) {
-      for (std::size_t i = begin; i < end; ++i) feet[i] = reference.foot(icp.reference_from_surface.apply(points[i]), max_distance);
+      for (std::size_t i = begin; i < end; ++i)
+        feet[i] = reference.foot(icp.reference_from_surface.apply(points[i]), max_distance);
     });
     std::vector<double> distances;
     Eigen::AlignedBox3d box;

@@ -78,9 +78,8 @@ PointAlignment align_with_reference(std::span<const Eigen::Vector3d> points, con
                                     const AssessOptions& options, const Context& context);
 
 /// Signed distances of points of any surface from a reference, positive outside of it; NaN beyond
-/// options.max_distance_gsd · gsd. The outside of a cloud is where the points' own `normals` (as many) point to, so that
-/// the surface may go all around. Nothing is moved.
-/// Throws a data error for a reference that cannot be used.
+/// options.max_distance_gsd · gsd. The outside of a cloud is where the points' own `normals` (as many) point to, so
+/// that the surface may go all around. Nothing is moved. Throws a data error for a reference that cannot be used.
 std::vector<float> distances_from_reference(std::span<const Eigen::Vector3d> points,
                                             std::span<const Eigen::Vector3d> normals, const TriangleMesh& reference,
                                             double gsd, const AssessOptions& options, const Context& context);
