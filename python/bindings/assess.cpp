@@ -12,6 +12,24 @@
 #include "malus/station/options.h"
 
 namespace malus::python {
+namespace {
+
+TriangleMesh reference_of(const Array<double>& vertices, const std::optional<Array<std::uint32_t>>& triangles) {
+  if (triangles) return to_mesh(vertices, *triangles);
+  TriangleMesh cloud;
+  cloud.vertices = to_cloud(vertices);
+  return cloud;
+}
+
+py::dict motion_of(const SimilarityTransform& transform) {
+  py::dict motion;
+  motion["scale"] = transform.scale;
+  motion["rotation"] = transform.rotation;
+  motion["translation"] = transform.translation;
+  return motion;
+}
+
+}  // namespace
 
 void bind_assess(py::module_& module) {
   module.def("section", [](const std::array<double, 2>& from, const std::array<double, 2>& to,
@@ -34,11 +52,7 @@ void bind_assess(py::module_& module) {
                                           const std::optional<Array<std::uint32_t>>& triangles, double gsd,
                                           const std::string& options_json, int threads) {
     const Options options = options_from_json({}, options_json);
-    TriangleMesh reference;
-    if (triangles)
-      reference = to_mesh(vertices, *triangles);
-    else
-      reference.vertices = to_cloud(vertices);
+    const TriangleMesh reference = reference_of(vertices, triangles);
     ReferenceComparison comparison;
     run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
       comparison = compare_with_reference(surface, reference, gsd, options.assess, context);
@@ -49,13 +63,38 @@ void bind_assess(py::module_& module) {
     result["rmse_gsd"] = comparison.distance_gsd.rmse;
     result["mad_gsd"] = comparison.distance_gsd.mad;
     result["median_gsd"] = comparison.distance_gsd.median;
-    py::dict motion;
-    motion["scale"] = comparison.reference_from_surface.scale;
-    motion["rotation"] = comparison.reference_from_surface.rotation;
-    motion["translation"] = comparison.reference_from_surface.translation;
-    result["reference_from_surface"] = motion;
+    result["reference_from_surface"] = motion_of(comparison.reference_from_surface);
     result["distance"] = to_array(std::move(comparison.distance));
     return result;
+  });
+  module.def("align_with_reference", [](const Array<double>& points, const Array<double>& vertices,
+                                        const std::optional<Array<std::uint32_t>>& triangles, double gsd,
+                                        const std::string& options_json, int threads) {
+    const Options options = options_from_json({}, options_json);
+    const PointCloud surface = to_cloud(points);
+    const TriangleMesh reference = reference_of(vertices, triangles);
+    PointAlignment alignment;
+    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+      alignment = align_with_reference(surface.points, reference, gsd, options.assess, context);
+    });
+    py::dict result;
+    result["converged"] = alignment.converged;
+    result["iterations"] = alignment.iterations;
+    result["reference_from_surface"] = motion_of(alignment.reference_from_surface);
+    return result;
+  });
+  module.def("distances_from_reference", [](const Array<double>& points, const Array<double>& normals,
+                                            const Array<double>& vertices,
+                                            const std::optional<Array<std::uint32_t>>& triangles, double gsd,
+                                            const std::string& options_json, int threads) {
+    const Options options = options_from_json({}, options_json);
+    const PointCloud surface = to_cloud(points), directions = to_cloud(normals);
+    const TriangleMesh reference = reference_of(vertices, triangles);
+    std::vector<float> distances;
+    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+      distances = distances_from_reference(surface.points, directions.points, reference, gsd, options.assess, context);
+    });
+    return py::array_t<float>(static_cast<py::ssize_t>(distances.size()), distances.data());
   });
   module.def("fit_patch",
              [](const Array<float>& depth_array, const RasterView& view, int x0, int y0, int x1, int y1,

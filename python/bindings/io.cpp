@@ -49,6 +49,16 @@ void bind_io(py::module_& module) {
     std::memcpy(array.mutable_data(), cloud.points.data(), cloud.points.size() * sizeof(Eigen::Vector3d));
     return array;
   });
+  module.def("read_cloud_or_mesh", [](const std::string& path) -> std::pair<py::array_t<double>, py::object> {
+    const TriangleMesh mesh = read_cloud_or_mesh(path, {}, "reference");
+    py::array_t<double> vertices({static_cast<py::ssize_t>(mesh.vertices.points.size()), py::ssize_t{3}});
+    std::memcpy(vertices.mutable_data(), mesh.vertices.points.data(),
+                mesh.vertices.points.size() * sizeof(Eigen::Vector3d));
+    if (mesh.triangles.empty()) return {vertices, py::none()};
+    py::array_t<std::uint32_t> triangles({static_cast<py::ssize_t>(mesh.triangles.size()), py::ssize_t{3}});
+    std::memcpy(triangles.mutable_data(), mesh.triangles.data(), mesh.triangles.size() * sizeof(mesh.triangles[0]));
+    return {vertices, triangles};
+  });
   module.def("read_oriented_points", [](const std::string& path) -> std::pair<py::array_t<double>, py::object> {
     const PointCloud cloud = read_point_cloud(path, {}, "prior.cloud");
     const auto count = static_cast<py::ssize_t>(cloud.points.size());

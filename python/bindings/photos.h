@@ -4,7 +4,7 @@
 #include <variant>
 
 #include "arrays.h"
-#include "malus/io/image_file.h"
+#include "malus/io/image_file_internal.h"
 
 namespace malus::python {
 

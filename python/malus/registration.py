@@ -88,7 +88,7 @@ def place_reference(surface: ArrayLike, towards_camera: ArrayLike, reference: Ar
         raise DataError(
             f"no place of the reference stands out: its elevations correlate by {found:.2f} at best (expected more than "
             f"{_LEAST_CORRELATION}) and by {next_best:.2f} at another place. It is another object or in another unit, or its shape "
-            "does not tell turns apart; place it by hand and leave --register out"
+            "does not tell turns apart"
         )
     # Back from the plane's frame into the world.
     rotation = frame.T @ best.rotation
@@ -113,7 +113,7 @@ def register_reference(work: str | Path, reference: str | Path) -> Path:
     try:
         placement = place_reference(points, towards_camera, scan[:: max(1, len(scan) // _REFERENCE_POINTS)])
     except DataError as error:
-        raise DataError(f"{reference}: {error}") from None
+        raise DataError(f"{reference}: {error}; place it by hand and leave --register out") from None
     figures = {
         "reference": str(reference),
         "rotation": placement.rotation.tolist(),

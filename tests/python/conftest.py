@@ -164,6 +164,19 @@ to = [190, 80]
     return folder
 
 
+@pytest.fixture
+def pair(small_station_source: Path, tmp_path: Path) -> Path:
+    """An object of two copies of a station: they agree wherever they look."""
+    for k in range(2):
+        shutil.copytree(small_station_source, tmp_path / f"o{k}")
+    file = tmp_path / "object.toml"
+    file.write_text(
+        '[object]\nname = "pair"\nstations = ["o0/station.toml", "o1/station.toml"]\nclosed = false\nreport = false\nfaces = 3000\n'
+        '[options]\nfusion = "grid"\n[options.height]\niterations = 2\n'
+    )
+    return file
+
+
 @pytest.fixture(scope="session")
 def finished_grid(small_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Workspace of `malus run --fusion grid` on the small station; read it, do not change it."""

@@ -11,6 +11,7 @@ import signal
 import struct
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -248,6 +249,32 @@ def test_texture_has_the_color_of_the_place_in_any_light(sphere) -> None:  # typ
     assert np.median(mesh.normal_map[corner[:, 1], corner[:, 0], 2]) > 250
 
 
+def test_albedo_has_a_texture_of_its_own(sphere, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    """The photographs are lit from one side and differ in exposure; the albedos do only the latter, and one station has none."""
+    lit = [replace(view, color=view.color * (1.2 + view.normals[..., :1])) for view in
+           (sphere_view(f"s{k}", axis) for k, axis in enumerate(AXES))]  # fmt: skip
+    images = [sphere_view(f"s{k}", axis, light=1.0 if k % 2 else 0.5).color for k, axis in enumerate(AXES)]
+    paint = Paint.of(lit, sphere.vertices, sphere.normals)
+    bare = Paint.of(lit[:-1], sphere.vertices, sphere.normals, images[:-1])
+    levels = levels_of_detail(sphere, 2000, paint, lit[0].gsd, albedo=bare)
+    mesh = levels[0]
+    assert mesh.albedo is not None
+    corner = np.minimum((mesh.uv * len(mesh.color)).astype(int), len(mesh.color) - 1)
+    side = mesh.vertices[:, 2] > 2
+    shown, own = (image[corner[side, 1], corner[side, 0]].mean(1) for image in (mesh.color, mesh.albedo))
+    assert np.ptp(np.percentile(shown, [5, 95])) > 60 and np.ptp(np.percentile(own, [5, 95])) < 12
+    below = mesh.vertices[:, 2] < -2
+    # The station that looks from below has no albedo: what it alone sees is the median of the rest.
+    assert own.mean() > mesh.albedo[corner[below, 1], corner[below, 0]].mean() + 30
+    files, figures = write_levels(tmp_path, levels, "mm", "sphere")
+    assert files[-1].name == "albedo.glb" and len(figures) == len(levels)
+    trimesh = pytest.importorskip("trimesh")
+    for name, image in (("mesh.glb", mesh.color), ("albedo.glb", mesh.albedo)):
+        (read,) = trimesh.load(tmp_path / name).geometry.values()
+        texture_of = np.asarray(read.visual.material.baseColorTexture)[..., :3].astype(int)
+        assert np.abs(texture_of - image).mean() < 3  # JPEG
+
+
 def normals_of_texels(mesh: TexturedMesh) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """World normals that the normal map gives at the middle of triangles, and these places."""
     places, uv, normals = (values[mesh.triangles].mean(1) for values in (mesh.vertices, mesh.uv, mesh.normals))
@@ -352,19 +379,6 @@ def test_object_files_that_are_wrong(pair: Path, old: str, new: str, expected: s
     with pytest.raises(InputError) as caught:
         Object.load(edit(pair, old, new))
     assert expected in str(caught.value)
-
-
-@pytest.fixture
-def pair(small_station_source: Path, tmp_path: Path) -> Path:
-    """An object of two copies of a station: they agree wherever they look."""
-    for k in range(2):
-        shutil.copytree(small_station_source, tmp_path / f"o{k}")
-    file = tmp_path / "object.toml"
-    file.write_text(
-        '[object]\nname = "pair"\nstations = ["o0/station.toml", "o1/station.toml"]\nclosed = false\nreport = false\nfaces = 3000\n'
-        '[options]\nfusion = "grid"\n[options.height]\niterations = 2\n'
-    )
-    return file
 
 
 def test_command_line_makes_one_surface_and_does_nothing_twice(pair: Path) -> None:

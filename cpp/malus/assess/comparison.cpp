@@ -65,22 +65,16 @@ Vector7 solve_observable(const Matrix7& normal_matrix, const Vector7& right_side
   return step;
 }
 
-struct Icp {
-  SimilarityTransform transform;
-  int iterations = 0;
-  bool converged = false;
-};
-
-Icp align(const FusedSurface& surface, const ReferenceSurface& reference, double max_distance, Alignment alignment,
-          const Context& context) {
-  const std::vector<Eigen::Vector3d> points = spread_points(surface);
+PointAlignment align(std::span<const Eigen::Vector3d> points, const ReferenceSurface& reference, double max_distance,
+                     Alignment alignment, const Context& context) {
   std::vector<std::optional<Foot>> feet(points.size());
   const int unknowns = alignment == Alignment::similarity ? 7 : 6;
-  Icp icp;
+  PointAlignment icp;
   while (!icp.converged && icp.iterations < 60) {
     ++icp.iterations;
     parallel_for(context, points.size(), 256, [&](std::size_t begin, std::size_t end) {
-      for (std::size_t i = begin; i < end; ++i) feet[i] = reference.foot(icp.transform.apply(points[i]), max_distance);
+      for (std::size_t i = begin; i < end; ++i)
+        feet[i] = reference.foot(icp.reference_from_surface.apply(points[i]), max_distance);
     });
     std::vector<double> distances;
     Eigen::AlignedBox3d box;
@@ -97,9 +91,9 @@ Icp align(const FusedSurface& surface, const ReferenceSurface& reference, double
     Vector7 right_side = Vector7::Zero();
     for (std::size_t i = 0; i < points.size(); ++i) {
       if (!feet[i] || std::abs(feet[i]->signed_distance) >= limit) continue;
-      const Eigen::Vector3d x = (icp.transform.apply(points[i]) - centre) / extent;
+      const Eigen::Vector3d x = (icp.reference_from_surface.apply(points[i]) - centre) / extent;
       const Eigen::Vector3d& n = feet[i]->normal;
-      const double residual = n.dot(icp.transform.apply(points[i]) - feet[i]->point) / extent;
+      const double residual = n.dot(icp.reference_from_surface.apply(points[i]) - feet[i]->point) / extent;
       const double weight = std::pow(1 - std::pow(feet[i]->signed_distance / limit, 2), 2);
       Vector7 row;
       row << x.cross(n), n, x.dot(n);
@@ -107,7 +101,7 @@ Icp align(const FusedSurface& surface, const ReferenceSurface& reference, double
       right_side -= weight * residual * row;
     }
     const Vector7 step = solve_observable(normal_matrix, right_side, unknowns);
-    icp.transform = compose(small_motion(step, centre, extent), icp.transform);
+    icp.reference_from_surface = compose(small_motion(step, centre, extent), icp.reference_from_surface);
     icp.converged = step.norm() < 1e-8;
     context.progress("assess", 0, "aligning with the reference, step " + std::to_string(icp.iterations));
   }
@@ -126,8 +120,8 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
   result.alignment = options.alignment;
   result.status = ComparisonStatus::done;
   if (options.alignment != Alignment::none) {
-    const Icp icp = align(surface, target, max_distance, options.alignment, context);
-    result.reference_from_surface = icp.transform;
+    const PointAlignment icp = align(spread_points(surface), target, max_distance, options.alignment, context);
+    result.reference_from_surface = icp.reference_from_surface;
     result.alignment_iterations = icp.iterations;
     if (!icp.converged) result.status = ComparisonStatus::not_aligned;
   }
@@ -153,6 +147,32 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
       histogram(distances_gsd, -options.histogram_range_gsd, options.histogram_range_gsd, options.histogram_bins);
   result.distance_gsd = summarize(std::move(distances_gsd));
   return result;
+}
+
+PointAlignment align_with_reference(std::span<const Eigen::Vector3d> points, const TriangleMesh& reference, double gsd,
+                                    const AssessOptions& options, const Context& context) {
+  validate_fields(options, "assess");
+  const ReferenceSurface target(reference, Eigen::Vector3d::Zero(), options.reference_neighbors, context);
+  return align(points, target, options.max_distance_gsd * gsd, options.alignment, context);
+}
+
+std::vector<float> distances_from_reference(std::span<const Eigen::Vector3d> points,
+                                            std::span<const Eigen::Vector3d> normals, const TriangleMesh& reference,
+                                            double gsd, const AssessOptions& options, const Context& context) {
+  validate_fields(options, "assess");
+  const ReferenceSurface target(reference, Eigen::Vector3d::Zero(), options.reference_neighbors, context);
+  const double max_distance = options.max_distance_gsd * gsd;
+  std::vector<float> distances(points.size(), std::numeric_limits<float>::quiet_NaN());
+  parallel_for(context, points.size(), 256, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      const auto foot = target.foot(points[i], max_distance);
+      if (!foot) continue;
+      // Which side of a cloud is outside is not known from one viewpoint.
+      const bool turned = reference.triangles.empty() && foot->normal.dot(normals[i]) < 0;
+      distances[i] = static_cast<float>(turned ? -foot->signed_distance : foot->signed_distance);
+    }
+  });
+  return distances;
 }
 
 }  // namespace malus

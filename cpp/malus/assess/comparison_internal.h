@@ -1,7 +1,9 @@
 #pragma once
 
 #include <array>
+#include <span>
 #include <string_view>
+#include <vector>
 
 #include "malus/assess/statistics_internal.h"
 #include "malus/core/context.h"
@@ -33,6 +35,13 @@ constexpr auto names_of(ComparisonStatus) {
       {"not run", "done", "no pixel near the reference", "alignment did not converge"});
 }
 
+/// Where point-to-plane ICP has moved points to.
+struct PointAlignment {
+  SimilarityTransform reference_from_surface;
+  int iterations = 0;
+  bool converged = false;
+};
+
 /// Signed distances of a surface's pixels to a reference, positive = the surface is in front of it (outside).
 struct ReferenceComparison {
   ComparisonStatus status = ComparisonStatus::not_run;
@@ -55,5 +64,18 @@ struct ReferenceComparison {
 /// Throws a data error for a reference that cannot be used.
 ReferenceComparison compare_with_reference(const FusedSurface& surface, const TriangleMesh& reference, double gsd,
                                            const AssessOptions& options, const Context& context);
+
+/// The alignment of compare_with_reference for points of any surface, all of which count; points farther from the
+/// reference than options.max_distance_gsd · gsd do not.
+/// Throws a data error for a reference that cannot be used.
+PointAlignment align_with_reference(std::span<const Eigen::Vector3d> points, const TriangleMesh& reference, double gsd,
+                                    const AssessOptions& options, const Context& context);
+
+/// Signed distances of points of any surface from a reference, positive outside of it; NaN beyond
+/// options.max_distance_gsd · gsd. The outside of a cloud is where the points' own `normals` (as many) point to, so
+/// that the surface may go all around. Nothing is moved. Throws a data error for a reference that cannot be used.
+std::vector<float> distances_from_reference(std::span<const Eigen::Vector3d> points,
+                                            std::span<const Eigen::Vector3d> normals, const TriangleMesh& reference,
+                                            double gsd, const AssessOptions& options, const Context& context);
 
 }  // namespace malus

@@ -20,15 +20,25 @@
   }
   // 8-bit sRGB as three.js wants colors: linear.
   const linear = value => Math.pow(value / 255, 2.2);
-  const bytes = Uint8Array.from(atob(data.glb), character => character.charCodeAt(0));
-  const content = await new THREE.GLTFLoader().parseAsync(bytes.buffer, '');
+  const bytes = text => Uint8Array.from(atob(text), character => character.charCodeAt(0));
+  const content = await new THREE.GLTFLoader().parseAsync(bytes(data.glb).buffer, '');
   const {geometry, material: {map: texture, normalMap}} = content.scene.getObjectByProperty('isMesh', true);
   geometry.computeBoundingBox();
   geometry.translate(...geometry.boundingBox.getCenter(new THREE.Vector3()).negate().toArray());
   const paints = {
     stations: await attribute(data.stations, Uint16Array, 3, linear), sigma: await attribute(data.sigma, Uint16Array, 3, linear)
   };
-  texture.anisotropy = normalMap.anisotropy = 4;
+  if (data.reference) paints.reference = await attribute(data.reference, Uint16Array, 3, linear);
+  const textures = {color: texture};
+  if (data.albedo) {
+    const albedo = new THREE.Texture(await createImageBitmap(new Blob([bytes(data.albedo)], {type: 'image/webp'})));
+    // As glTF's textures are: not turned over, colors in sRGB.
+    albedo.flipY = false;
+    albedo.colorSpace = THREE.SRGBColorSpace;
+    albedo.needsUpdate = true;
+    textures.albedo = albedo;
+  }
+  for (const one of [...Object.values(textures), normalMap]) one.anisotropy = 4;
 
   const material = new THREE.MeshStandardMaterial({roughness: 0.85, metalness: 0, side: THREE.DoubleSide, normalMap});
   const scene = new THREE.Scene(), lamp = new THREE.DirectionalLight(0xffffff, 2.6);
@@ -64,7 +74,7 @@
   }
   function paint() {
     const chosen = control('paint').value;
-    material.map = chosen === 'color' ? texture : null;
+    material.map = textures[chosen] ?? null;
     material.normalMap = control('fine').checked ? normalMap : null;
     material.vertexColors = chosen in paints;
     if (chosen in paints) geometry.setAttribute('color', paints[chosen]);

@@ -21,30 +21,33 @@ _SAMPLE = 200000
 
 @dataclass(frozen=True)
 class Paint:
-    """How stations' images are blended: a factor for each, the linear value that is shown white, and the color (C) of what none sees."""
+    """How stations' images (H×W×C, linear) are blended: a factor for each, the value that is shown white, and the color (C) of what none sees."""
 
     views: Sequence[View]
+    images: Sequence[Floats]
     gains: Floats
     white: float
     missing: Floats
 
     @staticmethod
-    def of(views: Sequence[View], points: Floats, normals: Floats) -> Paint:
-        """Found from what several stations see of the surface with these points and normals (N×3)."""
+    def of(views: Sequence[View], points: Floats, normals: Floats, images: Sequence[Floats] | None = None) -> Paint:
+        """Found from what several stations see of the surface with these points and normals (N×3); images: their photographs."""
+        pictures = [view.color for view in views] if images is None else images
         some = slice(None, None, max(1, len(points) // _SAMPLE))
-        weights, colors = _sights(points[some], normals[some], views)
+        weights, colors = _sights(points[some], normals[some], views, pictures)
         gains = np.exp(_log_gains(weights, colors))
         mean = _mean(weights, colors * gains[:, None, None])
         known = mean[np.isfinite(mean).all(1)]
         if not len(known):
-            return Paint(views, gains, 1.0, np.full(colors.shape[2], 0.5))
-        return Paint(views, gains, max(float(np.percentile(known, _WHITE_PERCENTILE)), 1e-12), np.median(known, axis=0))
+            return Paint(views, pictures, gains, 1.0, np.full(colors.shape[2], 0.5))
+        white = max(float(np.percentile(known, _WHITE_PERCENTILE)), 1e-12)
+        return Paint(views, pictures, gains, white, np.median(known, axis=0))
 
     def linear(self, points: Floats, normals: Floats) -> Floats:
         """Linear color (N×3, 1 = white) of places; stations count by the square of the cosine under which they see them."""
         parts = [np.empty((0, len(self.missing)))]
         for rows in chunks(len(points)):
-            weights, colors = _sights(points[rows], normals[rows], self.views)
+            weights, colors = _sights(points[rows], normals[rows], self.views, self.images)
             parts.append(_mean(weights, colors * self.gains[:, None, None]))
         color = np.concatenate(parts)
         known = np.asarray(np.isfinite(color).all(axis=1))
@@ -56,9 +59,9 @@ class Paint:
         return srgb_bytes(self.linear(points, normals))
 
 
-def _sights(points: Floats, normals: Floats, views: Sequence[View]) -> tuple[Floats, Floats]:
+def _sights(points: Floats, normals: Floats, views: Sequence[View], images: Sequence[Floats]) -> tuple[Floats, Floats]:
     """Weight (V×N) and linear color (V×N×C) of places in each view."""
-    channels = max(view.color.shape[2] for view in views)
+    channels = max(image.shape[2] for image in images)
     weights = np.zeros((len(views), len(points)))
     colors = np.zeros((len(views), len(points), channels))
     for k, view in enumerate(views):
@@ -67,7 +70,7 @@ def _sights(points: Floats, normals: Floats, views: Sequence[View]) -> tuple[Flo
         near = np.abs((at.normals * (at.points - points)).sum(1)) < _NEAR_GSD * view.gsd
         seen = (at.weight > 0) & near & (facing > LEAST_COSINE)
         weights[k] = np.where(seen, facing**2, 0)
-        colors[k] = view.color[at.v, at.u]
+        colors[k] = images[k][at.v, at.u]
     return weights, colors
 
 

@@ -12,13 +12,14 @@ from typing import Any
 from malus import _core, photogrammetry
 from malus.campaign import Campaign, options_of, read_tables, stations_of, value_of
 from malus.errors import InputError
+from malus.object.reference import Reference
 from malus.options import Options
 from malus.reconstruction import check
 from malus.station import Station
 
 _KEYS = {
     "": ("object", "photos", "scale", "control", "options"),
-    "object": ("name", "unit", "stations", "report", "closed", "max_sigma_gsd", "faces"),
+    "object": ("name", "unit", "stations", "report", "closed", "max_sigma_gsd", "faces", "reference", "register"),
 }
 #: Triangles of the textured mesh.
 _FACES = 20000.0
@@ -30,7 +31,8 @@ class Object:
     """Stations about one object, in one frame and unit.
 
     closed: the mesh has no holes; where nobody looked it is a guess, marked so. Otherwise it is open there, and where its standard
-    deviation exceeds max_sigma_gsd GSD. faces: triangles of the textured mesh (object/mesh.glb), at most about.
+    deviation exceeds max_sigma_gsd GSD. faces: triangles of the textured mesh (object/mesh.glb), at most about. reference: a scan to
+    compare it with; register: it lies anywhere, and is brought onto the mesh first.
     """
 
     campaign: Campaign
@@ -38,6 +40,8 @@ class Object:
     closed: bool = False
     max_sigma_gsd: float = 4.0
     faces: int = int(_FACES)
+    reference: Path | None = None
+    register: bool = True
     shared: Mapping[str, Any] | None = None
     """`photos`, `scale` and `control` that all stations share, as `Station.describe` says them; None if the stations stand in one frame already."""
 
@@ -51,7 +55,7 @@ class Object:
         """Read an object file; InputError names file, field, value and what was expected.
 
         [object] has `stations`, a list of station files or globs relative to the file, and optionally `name`, `unit` (that all
-        stations must have), `report`, `closed`, `max_sigma_gsd` and `faces`. [options] is what `--options` takes. All stations
+        stations must have), `report`, `closed`, `max_sigma_gsd`, `faces`, `reference` and `register`. [options] is what `--options` takes. All stations
         must stand in one frame: poses of one COLMAP model, or given in the same coordinates; or [photos] and [[scale]] or [[control]], as in
         a station file, in which all of them are found.
         """
@@ -75,10 +79,20 @@ class Object:
         unit = _common_unit(file, stations, value("unit", ""))
         shared = _shared(file, content, stations)
         _require_one_frame(stations, from_photos=shared is not None)
-        return Object(campaign, unit, value("closed", False), limit, int(faces), shared)
+        reference = _reference(file, value("reference", ""), given="reference" in table)
+        if reference is None and "register" in table:
+            raise InputError(f"{file}: object.register needs object.reference, the scan that is to be registered")
+        return Object(
+            campaign, unit, value("closed", False), limit, int(faces), reference, value("register", True), shared
+        )
+
+    def read_reference(self) -> Reference | None:
+        """The scan to compare with, if there is one; InputError if it cannot be read."""
+        return None if self.reference is None else Reference.read(self.reference, self.unit)
 
     def check(self, options: Options | None = None, *, threads: int = 1) -> list[dict[str, Any]]:
         """What `malus.check` says of each station, with what is done with the photos that they share in the first."""
+        self.read_reference()
         settings = options or self.campaign.options
         plans = [
             check(Station.load(path), settings, cameras_known=self.shared is not None, threads=threads)
@@ -92,6 +106,15 @@ class Object:
             plans[0]["seconds"] += photos.finding.seconds
             plans[0]["memory_mb"] = max(plans[0]["memory_mb"], photos.finding.memory_mb)
         return plans
+
+
+def _reference(file: Path, name: str, *, given: bool) -> Path | None:
+    if not given:
+        return None
+    path = (file.parent / name).resolve()
+    if not path.is_file():
+        raise InputError(f"{file}: object.reference = {name!r}, expected a file: PLY, XYZ, LAS or E57")
+    return path
 
 
 def is_object_file(path: str | Path) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -86,9 +87,14 @@ def glb(mesh: TexturedMesh, unit: str, name: str, *, webp: bool = False) -> byte
 def write_levels(
     folder: Path, levels: list[TexturedMesh], unit: str, name: str
 ) -> tuple[list[Path], list[dict[str, Any]]]:
-    """Write mesh.glb, which every program reads, and levels/0.glb … with WebP textures; returns the files, and what each level is."""
+    """Write mesh.glb, which every program reads, albedo.glb if that is known, and levels/0.glb … with WebP textures; returns the
+    files, and what each level is.
+    """
     paths = [folder / "mesh.glb", *(folder / "levels" / f"{k}.glb" for k in range(len(levels)))]
     contents = [glb(levels[0], unit, name), *(glb(level, unit, name, webp=True) for level in levels)]
+    if levels[0].albedo is not None:
+        paths.append(folder / "albedo.glb")
+        contents.append(glb(replace(levels[0], color=levels[0].albedo), unit, name))
     for path, content in zip(paths, contents, strict=True):
         write_bytes(path, content)
     figures = [

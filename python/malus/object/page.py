@@ -14,8 +14,9 @@ from PIL import Image
 from malus import _core
 from malus._files import replacing, write_text
 from malus.object.agreement import Agreement
-from malus.object.glb import glb
+from malus.object.glb import encoded, glb
 from malus.object.meshing import ObjectMesh
+from malus.object.reference import Comparison
 from malus.object.texture import NearestVertices, TexturedMesh
 from malus.object.views import View, sees
 from malus.pages import template
@@ -25,6 +26,8 @@ from malus.viewer import base64_text, pack
 _TEXTURE_SIDE = 2048
 #: Distances of this many standard deviations, and beyond, have the last color of the map.
 _MOST_RATIO = 4.0
+#: Distances from the reference of so many GSD, and beyond, have the first or last color.
+_MOST_DISTANCE_GSD = 2.0
 
 
 def colors_of(shares: NDArray[np.float64]) -> NDArray[np.uint8]:
@@ -47,22 +50,47 @@ def write_maps(folder: Path, agreements: Sequence[Agreement]) -> list[Path]:
     return paths
 
 
-def _turntable(mesh: TexturedMesh, full: ObjectMesh, gsd: float, views: Sequence[View]) -> dict[str, Any]:
-    """The textured mesh as a GLB file, and colors of its vertices for what was measured.
+def write_distances(
+    folder: Path, distances: NDArray[np.float32], mesh: ObjectMesh, views: Sequence[View], gsd: float
+) -> list[Path]:
+    """A PNG for each station: how far the mesh (N vertices) lies off its reference in what the station sees, blue inside, red outside."""
+    find = NearestVertices(mesh)
+    paths = []
+    for view in views:
+        path = folder / f"{view.name}.png"
+        shown = np.full(view.depth.shape, np.nan)
+        shown[view.usable] = distances[find(view.points[view.usable])] if view.usable.any() else []
+        with replacing(path) as temporary:
+            Image.fromarray(_colors_of_distances(shown, gsd)).save(temporary)
+        paths.append(path)
+    return paths
+
+
+def _colors_of_distances(distances: NDArray[np.floating], gsd: float) -> NDArray[np.uint8]:
+    return colors_of((np.asarray(distances, np.float64) / (_MOST_DISTANCE_GSD * gsd) + 1) / 2)
+
+
+def _turntable(
+    mesh: TexturedMesh, full: ObjectMesh, gsd: float, views: Sequence[View], distances: NDArray[np.float32] | None
+) -> dict[str, Any]:
+    """The textured mesh as a GLB file, its albedo, and colors of its vertices for what was measured.
 
     It opens as the first station sees the object.
     """
     first = views[0]
     to_eye = first.eye - (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
     nearest = NearestVertices(full)(mesh.vertices)
+    small = _for_the_page(mesh)
     count = np.stack([sees(view, mesh.vertices, full.normals[nearest]) for view in views]).mean(0)
     sigma = np.where(full.measured[nearest], full.sigma[nearest] / (2 * gsd), np.nan)
     return {
         "vertices": len(mesh.vertices),
         "triangles": len(mesh.triangles),
-        "glb": base64_text(glb(_for_the_page(mesh), "m", "object", webp=True)),
+        "glb": base64_text(glb(small, "m", "object", webp=True)),
+        "albedo": None if small.albedo is None else base64_text(encoded(small.albedo, "WEBP")),
         "stations": pack(colors_of(1 - count).T),
         "sigma": pack(colors_of(sigma).T),
+        "reference": None if distances is None else pack(_colors_of_distances(distances[nearest], gsd).T),
         "extent": np.ptp(mesh.vertices, axis=0).tolist(),
         "eye": (to_eye / np.linalg.norm(to_eye)).tolist(),
         "up": (-first.rotation[1]).tolist(),
@@ -71,10 +99,22 @@ def _turntable(mesh: TexturedMesh, full: ObjectMesh, gsd: float, views: Sequence
 
 def _for_the_page(mesh: TexturedMesh) -> TexturedMesh:
     """The mesh with textures that a page can carry."""
-    pictures = [Image.fromarray(texture) for texture in (mesh.color, mesh.normal_map)]
-    for picture in pictures:
-        picture.thumbnail((_TEXTURE_SIDE, _TEXTURE_SIDE))
-    return replace(mesh, color=np.asarray(pictures[0]), normal_map=np.asarray(pictures[1]))
+    return replace(
+        mesh,
+        color=_small(mesh.color),
+        normal_map=_small(mesh.normal_map),
+        albedo=None if mesh.albedo is None else _small(mesh.albedo),
+    )
+
+
+def _small(texture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    picture = Image.fromarray(texture)
+    picture.thumbnail((_TEXTURE_SIDE, _TEXTURE_SIDE))
+    return np.asarray(picture)
+
+
+def _pictures(folder: Path) -> dict[str, str]:
+    return {path.stem: base64_text(path.read_bytes()) for path in sorted(folder.glob("*.png"))}
 
 
 def _other_warnings(quality: Mapping[str, Any]) -> list[str]:
@@ -90,6 +130,7 @@ def write_page(
     mesh: TexturedMesh,
     full: ObjectMesh,
     views: Sequence[View],
+    comparison: Comparison | None,
     *,
     linked: bool,
 ) -> Path:
@@ -97,8 +138,9 @@ def write_page(
     page = template("object.html.j2").render(
         quality=quality,
         other_warnings=_other_warnings(quality),
-        view=_turntable(mesh, full, quality["gsd"], views),
-        maps={path.stem: base64_text(path.read_bytes()) for path in sorted((folder / "agreement").glob("*.png"))},
+        view=_turntable(mesh, full, quality["gsd"], views, None if comparison is None else comparison.distances),
+        maps=_pictures(folder / "agreement"),
+        distances=_pictures(folder / "reference"),
         linked=linked,
         version=_core.version,
     )

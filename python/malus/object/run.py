@@ -20,8 +20,9 @@ from malus import _core, batch, scans
 from malus._files import new_folder, read_record, sha256_of, write_record
 from malus.batch import Outcome
 from malus.errors import DataError, InputError, MalusError
-from malus.object import agreement, meshing, page, texture
+from malus.object import agreement, meshing, page, reference, texture
 from malus.object.agreement import Agreement, OrientedPoints
+from malus.object.albedo import Albedos
 from malus.object.arrays import GrowingArray, chunks
 from malus.object.color import Paint
 from malus.object.definition import Object
@@ -30,6 +31,7 @@ from malus.object.implicit import pieces
 from malus.object.joining import joined_mesh
 from malus.object.meshing import ObjectMesh
 from malus.object.ply import write_ply
+from malus.object.reference import Comparison
 from malus.object.views import Floats, View, load_view, sees
 from malus.photogrammetry import exclusive, find_object_cameras
 from malus.photogrammetry.front_end import camera_of
@@ -58,7 +60,7 @@ def run_object(
 ) -> list[Outcome]:
     """Run the stations of an object that are not done, and make one surface of all of them.
 
-    OUTPUT gets what malus.batch.run_campaign leaves, photogrammetry/ if stations are found in photos, and object/: mesh.ply (full mesh, with sigma), mesh.glb (textured), agreement/
+    OUTPUT gets what malus.batch.run_campaign leaves, photogrammetry/ if stations are found in photos, and object/: mesh.ply (full mesh, with sigma), mesh.glb (textured), albedo.glb, reference/, agreement/
     NAME.png, quality.json, report/index.html. jobs, threads, scheduler and shard: as there. The surface is made once no station is
     pending, of those that are done, and not made again while they and the object file stay. progress: step, share done, message.
     Returns the outcomes of the stations. Raises DataError if no station is done, and what malus.reconstruct raises.
@@ -66,7 +68,8 @@ def run_object(
     say = progress or (lambda *_: None)
     texture.require_packages()
     if thing.closed:
-        Colmap(1)  # If it is missing, that is said before hours of work.
+        Colmap(1)  # If it is missing, that is said before hours of work; and so is a reference that cannot be read.
+    thing.read_reference()
     frame = None if thing.shared is None else find_frame(thing, Path(output), threads or ALL_CORES, say)
     outcomes = batch.run_campaign(
         thing.campaign, output, jobs=jobs, threads=threads, scheduler=scheduler, shard=shard,
@@ -83,7 +86,15 @@ def run_object(
     # Of two shards that end at once one makes the surface; the other is told so.
     with exclusive(folder):
         if not _is_made(folder, key):
-            _fuse(thing, outcomes, frame, folder, key, lambda share, message: say("object", share, message))
+            _fuse(
+                thing,
+                outcomes,
+                frame,
+                folder,
+                key,
+                threads or ALL_CORES,
+                lambda share, message: say("object", share, message),
+            )
     say("object", 1.0, str(folder / "report" / "index.html"))
     return outcomes
 
@@ -163,7 +174,8 @@ def _begin(workspace: Path, begun: Path) -> None:
 
 def _key(thing: Object, outcomes: Sequence[Outcome]) -> str:
     """What the surface is made from, and what its page says of stations that are not in it."""
-    wanted = [thing.name, thing.unit, thing.closed, thing.max_sigma_gsd, thing.faces, thing.campaign.report]
+    scan = None if thing.reference is None else [str(thing.reference), sha256_of(thing.reference), thing.register]
+    wanted = [thing.name, thing.unit, thing.closed, thing.max_sigma_gsd, thing.faces, thing.campaign.report, scan]
     stations = [[outcome["station"], outcome["reason"] or outcome["manifest"]] for outcome in outcomes]
     return hashlib.sha256(json.dumps([_core.version, wanted, stations]).encode()).hexdigest()
 
@@ -187,13 +199,15 @@ def _fuse(
     frame: Frame | None,
     folder: Path,
     key: str,
+    threads: int,
     say: Progress,
 ) -> None:
     start = time.monotonic()
     done = [outcome for outcome in outcomes if outcome["status"] == "done"]
     (folder / "quality.json").unlink(missing_ok=True)
     # Of an earlier surface, which may have had other stations, or of a run that was ended.
-    for left in (folder / "levels", folder / "agreement", *folder.glob(".mesh-*")):
+    (folder / "albedo.glb").unlink(missing_ok=True)
+    for left in (folder / "levels", folder / "agreement", folder / "reference", *folder.glob(".mesh-*")):
         shutil.rmtree(left, ignore_errors=True)
     say(0.0, "reading the stations")
     views = [
@@ -213,22 +227,25 @@ def _fuse(
         paint = Paint.of(views, mesh.vertices, mesh.normals)
         say(0.5, f"texture of {len(mesh.triangles)} triangles")
         simpler = _simpler(thing, mesh, everything, gsd, Path(scratch))
-        baked = texture.levels_of_detail(mesh, thing.faces, paint, gsd, simpler)
+        albedos = Albedos.of(views, folder.parent / "stations")
+        baked = texture.levels_of_detail(mesh, thing.faces, paint, gsd, simpler, albedos.paint(mesh))
         say(0.8, "writing")
         coverage = _write_mesh(folder / "mesh.ply", mesh, paint, thing, Path(scratch))
         files, levels = write_levels(folder, baked, thing.unit, thing.name)
+        comparison, compared = _compared(thing, mesh, views, gsd, threads)
+        files += _write_comparison(folder, comparison, mesh, views, gsd, thing)
         files += page.write_maps(folder / "agreement", agreements)
         quality = {
             "name": thing.name, "unit": thing.unit, "version": _core.version, "key": key, "gsd": gsd,
             "stations": _station_figures(outcomes, views, agreements, coverage),
             "points": {"stations": int((everything.stations > 0).sum()), "stereo": int((everything.stations == 0).sum())},
-            "mesh": mesh_figures(mesh, gsd), "levels": levels, "agreement": agreement.agreement_figures(agreements, gsd),
+            "mesh": mesh_figures(mesh, gsd), "levels": levels, "albedo": albedos.figures(), "reference": compared, "agreement": agreement.agreement_figures(agreements, gsd),
             "photogrammetry": None if frame is None else frame.figures,
-            "warnings": _warnings(outcomes, [] if frame is None else frame.warnings, mesh, thing, folder.parent), "seconds": round(time.monotonic() - start, 1),
+            "warnings": _warnings(outcomes, [] if frame is None else frame.warnings, mesh, thing, folder.parent, compared), "seconds": round(time.monotonic() - start, 1),
         }  # fmt: skip
         files += [
             folder / "mesh.ply",
-            page.write_page(folder, quality, baked[0], mesh, views, linked=thing.campaign.report),
+            page.write_page(folder, quality, baked[0], mesh, views, comparison, linked=thing.campaign.report),
         ]
         quality["files"] = {str(path.relative_to(folder)): _core.sha256_of_file(str(path)) for path in files}
         write_record(folder / "quality.json", quality)
@@ -266,6 +283,44 @@ def _read_cloud(path: Path, unit: str) -> tuple[Floats, Floats | None]:
         points, normals = scans.read_scan(path, unit)
         return points, None if normals is None else normals.astype(np.float64)
     return _core.read_oriented_points(str(path))
+
+
+def _compared(
+    thing: Object, mesh: ObjectMesh, views: Sequence[View], gsd: float, threads: int
+) -> tuple[Comparison | None, dict[str, Any] | None]:
+    """The mesh beside the object's reference, if it has one and that fits; and what quality.json says of it."""
+    scan = thing.read_reference()
+    if scan is None:
+        return None, None
+    said: dict[str, Any] = {"file": str(thing.reference), "registered": thing.register}
+    try:
+        if thing.register:
+            placed = reference.place(scan, views)
+            scan, at_rest = reference.aligned(scan.moved(placed.rotation, placed.translation), mesh, gsd, threads)
+            said |= {
+                "correlation": placed.correlation, "next_best": placed.next_best, "alignment_converged": at_rest
+            }  # fmt: skip
+        comparison = reference.compare(scan, mesh, gsd, threads)
+    except DataError as error:
+        # The surface is right without it, and hours of work.
+        return None, {**said, "status": str(error)}
+    return comparison, {**said, "status": "done", **comparison.figures}
+
+
+def _write_comparison(
+    folder: Path, comparison: Comparison | None, mesh: ObjectMesh, views: Sequence[View], gsd: float, thing: Object
+) -> list[Path]:
+    """Maps of the distances as the stations see them, and the reference where it was registered."""
+    if comparison is None:
+        return []
+    files = page.write_distances(folder / "reference", comparison.distances, mesh, views, gsd)
+    if thing.register:
+        path, scan = folder / "reference" / "registered.ply", comparison.reference
+        columns = {axis: (scan.points[:, k], "f8") for k, axis in enumerate("xyz")}
+        triangles = None if scan.triangles is None else scan.triangles.astype(np.int64)
+        write_ply(path, columns, triangles, "reference moved onto the surface")
+        files.append(path)
+    return files
 
 
 @dataclass(frozen=True)
@@ -344,7 +399,12 @@ def _station_figures(
 
 
 def _warnings(
-    outcomes: Sequence[Outcome], found: Sequence[str], mesh: ObjectMesh, thing: Object, output: Path
+    outcomes: Sequence[Outcome],
+    found: Sequence[str],
+    mesh: ObjectMesh,
+    thing: Object,
+    output: Path,
+    compared: Mapping[str, Any] | None,
 ) -> list[str]:
     """Every warning of every station, and the object's own. Those of finding the stations (`found`), which each of them repeats,
     come once.
@@ -360,6 +420,8 @@ def _warnings(
         warnings += [f"{name}: {warning}" for warning in own if warning not in shared]
     if thing.closed and not is_closed(mesh.triangles):
         warnings.append("object: the mesh was to be closed, but it has open edges")
+    if compared is not None and compared["status"] != "done":
+        warnings.append(f"object: is not compared with {compared['file']}: {compared['status']}")
     return warnings
 
 
@@ -378,6 +440,12 @@ def object_summary(quality: Mapping[str, Any]) -> list[str]:
             f"{100 * met['within_two_sigma']:.0f} % within two"
         )
     lines += [f"  {line}" for line in doubted_stations(quality)]
+    scan = quality["reference"]
+    if scan is not None and scan["status"] == "done":
+        lines.append(
+            f"  off the reference: median {scan['absolute_median_gsd']:.3g} GSD, {100 * scan['within_1_gsd']:.0f} % within 1 GSD; "
+            f"{100 * scan['completeness']['1_gsd']:.0f} % of it is there"
+        )
     return lines + [f"  warning: {warning}" for warning in quality["warnings"]]
 
 

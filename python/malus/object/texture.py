@@ -34,6 +34,7 @@ class TexturedMesh:
     """vertices, normals: N×3, world, station unit. tangents: N×4 (glTF). uv: N×2, from the top left. triangles: M×3.
 
     color, normal_map: H×W×3, 8 bit; the second in the tangent frame, OpenGL convention. deviation: RMS distance from the full mesh.
+    albedo: as color, without highlights and shading, if it is known.
     """
 
     vertices: Floats
@@ -44,6 +45,7 @@ class TexturedMesh:
     color: NDArray[np.uint8]
     normal_map: NDArray[np.uint8]
     deviation: float
+    albedo: NDArray[np.uint8] | None = None
 
 
 def require_packages() -> None:
@@ -58,11 +60,19 @@ def require_packages() -> None:
 
 
 def textured(
-    mesh: ObjectMesh, faces: int, paint: Paint, gsd: float, *, simpler: ObjectMesh | None = None, coarseness: int = 1
+    mesh: ObjectMesh,
+    faces: int,
+    paint: Paint,
+    gsd: float,
+    *,
+    simpler: ObjectMesh | None = None,
+    coarseness: int = 1,
+    albedo: Paint | None = None,
 ) -> TexturedMesh:
     """The mesh with about `faces` triangles at most, and color and normals of the full one baked into its texture.
 
     simpler: the same surface with fewer triangles, to begin with. coarseness: texels are so many times larger than usual, and hold means.
+    albedo: baked into a texture of its own.
     """
     low = mesh if simpler is None else simpler
     middle = low.vertices.mean(0)
@@ -75,27 +85,37 @@ def textured(
     normals = vertex_normals(points, _welded(triangles, original))[original]
     points = points[original] + middle
     tangents = _tangents(points, normals, uv, triangles)
-    color, fine = (np.zeros((side, side, 3), np.uint8) for _ in range(2))
-    flat = TexturedMesh(points, normals, tangents, uv, triangles, color, fine, 0.0)
-    return _baked(flat, mesh, paint, coarseness)
+    color, fine, bare = (np.zeros((side, side, 3), np.uint8) for _ in range(3))
+    flat = TexturedMesh(points, normals, tangents, uv, triangles, color, fine, 0.0, None if albedo is None else bare)
+    return _baked(flat, mesh, [paint] if albedo is None else [paint, albedo], coarseness)
 
 
 def levels_of_detail(
-    mesh: ObjectMesh, faces: int, paint: Paint, gsd: float, simpler: ObjectMesh | None = None
+    mesh: ObjectMesh,
+    faces: int,
+    paint: Paint,
+    gsd: float,
+    simpler: ObjectMesh | None = None,
+    albedo: Paint | None = None,
 ) -> list[TexturedMesh]:
-    """The textured mesh, and simpler ones: each with a quarter of the triangles of the one before and half its texture's side."""
+    """The textured mesh, and simpler ones: each with a quarter of the triangles of the one before and half its texture's side.
+
+    Only the first has the albedo.
+    """
     levels: list[TexturedMesh] = []
     for level in range(_MOST_LEVELS):
         wanted = faces // 4**level
         if level and (wanted < _LEAST_FACES or wanted >= len(levels[-1].triangles)):
             break
-        levels.append(textured(mesh, wanted, paint, gsd, simpler=simpler, coarseness=2**level))
+        bare = None if level else albedo
+        levels.append(textured(mesh, wanted, paint, gsd, simpler=simpler, coarseness=2**level, albedo=bare))
     return levels
 
 
-def _baked(flat: TexturedMesh, full: ObjectMesh, paint: Paint, coarseness: int) -> TexturedMesh:
-    """A mesh with color, normals and distance of the full one, some triangles at a time."""
+def _baked(flat: TexturedMesh, full: ObjectMesh, paints: Sequence[Paint], coarseness: int) -> TexturedMesh:
+    """A mesh with color, normals and distance of the full one, some triangles at a time. paints: of color, and of albedo if it has one."""
     side = len(flat.color)
+    painted = [flat.color] if flat.albedo is None else [flat.color, flat.albedo]
     find = NearestVertices(full)
     covered = np.zeros((side, side), bool)
     away = []
@@ -114,18 +134,16 @@ def _baked(flat: TexturedMesh, full: ObjectMesh, paint: Paint, coarseness: int) 
             (shares[..., None] * values[triangles[owner]]).sum(1) for values in (flat.normals, flat.tangents[:, :3])
         )
         texel, where = np.unique(rows * side + columns, return_inverse=True)
-        color, local = (
-            _means(where, values, len(texel))
-            for values in (
-                paint.linear(near, near_normals),
-                _tangent_space(near_normals, frame, along, flat.tangents[triangles[owner, 0], 3]),
-            )
+        local = _means(
+            where, _tangent_space(near_normals, frame, along, flat.tangents[triangles[owner, 0], 3]), len(texel)
         )
         local /= np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-30)
         at = np.unravel_index(texel, (side, side))
-        flat.color[at], flat.normal_map[at] = srgb_bytes(color), np.rint((local + 1) * 127.5).astype(np.uint8)
+        flat.normal_map[at] = np.rint((local + 1) * 127.5).astype(np.uint8)
+        for image, paint in zip(painted, paints, strict=True):
+            image[at] = srgb_bytes(_means(where, paint.linear(near, near_normals), len(texel)))
         covered[at] = True
-    _grow(covered, (flat.color, flat.normal_map))
+    _grow(covered, (*painted, flat.normal_map))
     return replace(flat, deviation=float(np.sqrt((np.concatenate(away) ** 2).mean())))
 
 

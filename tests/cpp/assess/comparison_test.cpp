@@ -97,6 +97,40 @@ TEST(Comparison, SphereAgainstItsMeshAndItsCloud) {
   }
 }
 
+TEST(Comparison, PointsAllAroundACloudAreOutsideOnEverySide) {
+  PointCloud ball;
+  std::vector<Eigen::Vector3d> outside, directions;
+  for (int i = 0; i < 4000; ++i) {
+    const double z = 1 - (i + 0.5) / 2000, turn = 2.399963 * i, r = std::sqrt(1 - z * z);
+    const Eigen::Vector3d direction(r * std::cos(turn), r * std::sin(turn), z);
+    ball.points.push_back(20 * direction);
+    directions.push_back(direction);
+    outside.push_back((i % 2 == 0 ? 20.6 : 19.8) * direction);
+  }
+  const std::vector<float> found = distances_from_reference(outside, directions, {ball, {}}, gsd, {}, {});
+  // The plane of twelve points lies a little inside of the ball.
+  for (std::size_t i = 0; i < found.size(); ++i) ASSERT_NEAR(found[i], i % 2 == 0 ? 0.6 : -0.2, 0.1) << i;
+  AssessOptions near;
+  near.max_distance_gsd = 0.5;
+  const std::vector<float> nothing = distances_from_reference(std::vector(outside.begin(), outside.begin() + 1),
+                                                              directions, {ball, {}}, gsd, near, {});
+  EXPECT_TRUE(std::isnan(nothing.at(0)));
+}
+
+TEST(Comparison, PointsOfAnySurfaceAreAlignedAsPixelsAre) {
+  const FusedSurface surface = wavy(0);
+  const TriangleMesh reference = mesh_of(surface);
+  const Eigen::Vector3d shift(0.5, -0.4, 0.6);
+  std::vector<Eigen::Vector3d> moved = reference.vertices.points;
+  for (Eigen::Vector3d& x : moved) x += shift;
+  AssessOptions options;
+  options.alignment = Alignment::rigid;
+  const PointAlignment found = align_with_reference(moved, reference, gsd, options, {});
+  EXPECT_TRUE(found.converged);
+  EXPECT_LT((found.reference_from_surface.apply(moved[999]) - reference.vertices.points[999]).norm(), 0.01);
+  EXPECT_FALSE(align_with_reference(std::span(moved).first(5), reference, gsd, options, {}).converged);
+}
+
 TEST(Comparison, FarPixelsAreLeftOutAndNamed) {
   const FusedSurface half = wavy(0, 80, 120);
   FusedSurface reference_view = half;

@@ -1,0 +1,51 @@
+"""The object's own color on its mesh: the albedos of the stations, blended as their photographs are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from malus.albedo import albedo_of
+from malus.errors import DataError
+from malus.object.color import Paint
+from malus.object.meshing import ObjectMesh
+from malus.object.views import Floats, View
+from malus.workspace import Workspace
+
+
+@dataclass(frozen=True)
+class Albedos:
+    """Linear images (H×W×C) of the stations whose albedo is known, each up to a factor; and why it is not of the others, by name."""
+
+    views: Sequence[View]
+    images: Sequence[Floats]
+    unknown: Mapping[str, str]
+
+    @staticmethod
+    def of(views: Sequence[View], stations: Path) -> Albedos:
+        """Those of finished stations, whose workspaces lie in a folder under their names."""
+        known: list[View] = []
+        images: list[Floats] = []
+        unknown: dict[str, str] = {}
+        for view in views:
+            try:
+                albedo = albedo_of(Workspace(stations / view.name)).reshape(view.color.shape)
+            except DataError as error:
+                unknown[view.name] = str(error)
+                continue
+            known.append(view)
+            # Where there is no surface nobody looks it up; a number there keeps it out of sums.
+            images.append(np.nan_to_num(albedo.astype(np.float64)))
+        return Albedos(known, images, unknown)
+
+    def paint(self, mesh: ObjectMesh) -> Paint | None:
+        """How they are blended on a mesh; None if there are none."""
+        return Paint.of(self.views, mesh.vertices, mesh.normals, self.images) if self.views else None
+
+    def figures(self) -> dict[str, Any]:
+        """For quality.json: the stations whose albedo is in the texture, and why others are not."""
+        return {"stations": [view.name for view in self.views], "unknown": dict(self.unknown)}

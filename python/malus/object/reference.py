@@ -1,0 +1,158 @@
+"""The mesh of an object beside a reference scan: where that belongs, how far they are apart, how much of it the mesh has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malus import _core, registration, scans
+from malus.errors import DataError
+from malus.object.meshing import ObjectMesh
+from malus.object.views import Floats, View
+from malus.options import Options
+
+#: Stations that a place is looked for from, those that see most first, and points of the surface and the reference then.
+_MOST_STATIONS, _SURFACE_POINTS, _REFERENCE_POINTS = 6, 20_000, 100_000
+#: Farther apart than this (GSD) two surfaces are not compared.
+_FARTHEST_GSD = 50.0
+_FAR_AWAY = f"no part of the mesh is within {_FARTHEST_GSD:g} GSD of it; expected the same object and unit"
+#: With fewer steps than these the alignment has ended for want of points that are near.
+_MOST_STEPS = 60
+#: The reference is there in the mesh if that lies within so many GSD.
+_COMPLETE_GSD = (1, 2, 4)
+#: Points of the reference that are looked for in the mesh; vertices that are compared at once, and that a mesh is compared as a whole with.
+_MOST_LOOKED_FOR, _MOST_AT_ONCE = 1_000_000, 4_000_000
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A mesh, or a cloud without triangles: N×3 points, M×3 numbers of them."""
+
+    points: Floats
+    triangles: NDArray[np.uint32] | None
+
+    @staticmethod
+    def read(path: Path, unit: str) -> Reference:
+        """PLY, XYZ, LAS or E57. Raises InputError for a file that cannot be read."""
+        if scans.is_scan(path):
+            return Reference(scans.read_scan(path, unit)[0], None)
+        return Reference(*_core.read_cloud_or_mesh(str(path)))
+
+    def moved(self, rotation: Floats, translation: Floats) -> Reference:
+        """Itself at rotation · x + translation."""
+        return replace(self, points=np.ascontiguousarray(self.points @ rotation.T + translation))
+
+    def areas(self) -> Floats:
+        """How much of the surface each point stands for (N), up to a factor."""
+        if self.triangles is None:
+            return np.ones(len(self.points))
+        corners = self.points[self.triangles]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        return np.asarray(np.bincount(self.triangles.ravel(), np.repeat(area, 3), len(self.points)), np.float64)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """reference: in the object's frame. distances: of the mesh's vertices (N), positive outside of the reference, NaN where none is near.
+    figures: for quality.json.
+    """
+
+    reference: Reference
+    distances: NDArray[np.float32]
+    figures: dict[str, Any]
+
+
+def place(reference: Reference, views: Sequence[View]) -> registration.Placement:
+    """Where a reference that lies anywhere belongs, by the surface of the first station that tells it.
+
+    Raises DataError if none does.
+    """
+    scan = reference.points[:: max(1, len(reference.points) // _REFERENCE_POINTS)]
+    failures: list[DataError] = []
+    for view in sorted(views, key=lambda view: -int(view.usable.sum()))[:_MOST_STATIONS]:
+        points = view.points[view.usable]
+        points = points[:: max(1, len(points) // _SURFACE_POINTS)]
+        try:
+            return registration.place_reference(points, view.eye - points.mean(0), scan)
+        except DataError as error:
+            failures.append(error)
+    raise failures[0]
+
+
+def aligned(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) -> tuple[Reference, bool]:
+    """The reference moved onto the mesh by the ICP of `malus assess`, and whether that came to rest: with a cloud, whose planes
+    change from point to point, it may go on by a little. DataError if nothing of the reference is near.
+    """
+    measured = np.flatnonzero(mesh.measured)
+    points = np.ascontiguousarray(mesh.vertices[measured[:: max(1, len(measured) // _SURFACE_POINTS)]])
+    found = _core.align_with_reference(
+        points, reference.points, reference.triangles, gsd, _options(_FARTHEST_GSD), threads
+    )
+    if not found["converged"] and found["iterations"] < _MOST_STEPS:
+        raise DataError(_FAR_AWAY)
+    motion = found["reference_from_surface"]
+    rotation = np.array(motion["rotation"]).reshape(3, 3)
+    return reference.moved(rotation.T, -rotation.T @ np.array(motion["translation"])), found["converged"]
+
+
+def compare(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) -> Comparison:
+    """Distances of a mesh from a reference in its frame, and how much of the reference it has.
+
+    Guesses that close the mesh are not measured: they have distances, but do not count.
+    """
+    distances = np.concatenate(
+        [
+            _core.distances_from_reference(
+                np.ascontiguousarray(mesh.vertices[start : start + _MOST_AT_ONCE]),
+                np.ascontiguousarray(mesh.normals[start : start + _MOST_AT_ONCE]),
+                reference.points, reference.triangles, gsd, _options(_FARTHEST_GSD), threads,
+            )
+            for start in range(0, len(mesh.vertices), _MOST_AT_ONCE)
+        ]
+    )  # fmt: skip
+    counted = distances[mesh.measured] / gsd
+    compared = counted[np.isfinite(counted)]
+    if not len(compared):
+        raise DataError(_FAR_AWAY)
+    median = float(np.median(compared))
+    percentiles = np.percentile(compared, (5, 95)).tolist()
+    figures = {
+        "compared_fraction": len(compared) / len(counted),
+        "within_1_gsd": float((np.abs(compared) < 1).mean()),
+        "absolute_median_gsd": float(np.median(np.abs(compared))),
+        "distance_gsd": {
+            "mean": float(compared.mean()), "rmse": float(np.sqrt((compared.astype(np.float64) ** 2).mean())),
+            "mad": float(1.4826 * np.median(np.abs(compared - median))), "p05": percentiles[0], "median": median,
+            "p95": percentiles[1],
+        },
+        "completeness": _completeness(reference, mesh, gsd, threads),
+    }  # fmt: skip
+    return Comparison(reference, distances, figures)
+
+
+def _completeness(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) -> dict[str, float]:
+    """Shares of the reference's surface that the mesh has within so many GSD."""
+    every = max(1, len(reference.points) // _MOST_LOOKED_FOR)
+    points, areas = np.ascontiguousarray(reference.points[::every]), reference.areas()[::every]
+    # A mesh too large to be searched as a whole is searched as a cloud of some of its vertices.
+    thinner = max(1, len(mesh.vertices) // _MOST_AT_ONCE)
+    triangles = np.ascontiguousarray(mesh.triangles, np.uint32) if thinner == 1 else None
+    distances = _core.distances_from_reference(
+        points, points, np.ascontiguousarray(mesh.vertices[::thinner]), triangles, gsd, _options(_COMPLETE_GSD[-1]), threads
+    )  # fmt: skip
+    with np.errstate(invalid="ignore"):
+        return {
+            f"{limit}_gsd": float(areas[np.abs(distances) < limit * gsd].sum() / areas.sum()) for limit in _COMPLETE_GSD
+        }
+
+
+def _options(farthest_gsd: float) -> str:
+    options = Options()
+    options.assess.alignment = "rigid"
+    options.assess.max_distance_gsd = farthest_gsd
+    return options.to_json()
