@@ -236,8 +236,8 @@ class TileProblem {
   }
 
   /// Share of noise in what the polarization of a quad's diffuse pixels may be off, at least a little. The rest is the
-  /// model's error, which smoothing does not average out. A mirror's polarization is far above its noise, and with a map
-  /// of the surroundings the slopes are held otherwise.
+  /// model's error, which smoothing does not average out. A mirror's polarization is far above its noise, and with a
+  /// map of the surroundings the slopes are held otherwise.
   double noise_share(QuadIndex quad) const {
     constexpr double least = 0.02;
     double sum = 0;

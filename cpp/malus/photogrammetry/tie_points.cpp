@@ -200,8 +200,8 @@ class Matcher {
         const std::size_t slot = 2 * static_cast<std::size_t>(reference_level) + (coarser == 0 ? 0 : 1);
         if (!sampled[slot]) {
           sampled[slot] = true;
-          patches[slot] = reference_values(at_level(point.reference, reference_level),
-                                           pixel / std::exp2(reference_level), window);
+          patches[slot] =
+              reference_values(at_level(point.reference, reference_level), pixel / std::exp2(reference_level), window);
         }
         if (patches[slot].empty()) continue;
         const double reduction = std::exp2(level);

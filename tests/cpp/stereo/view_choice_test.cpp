@@ -1,9 +1,8 @@
-#include "malus/stereo/view_choice_internal.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 
+#include "malus/stereo/view_choice_internal.h"
 #include "sweep_scenes.h"
 
 namespace malus {
