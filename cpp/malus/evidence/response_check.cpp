@@ -82,6 +82,12 @@ ResponseCheck check_response(const std::vector<Image<float>>& images, const std:
     finding.severity = Severity::warning;
     finding.message = "the images look encoded for a display, and response = \"" + response + "\" leaves them so";
     finding.suggestion = "is response = \"srgb\" right, or can the camera's raw files be developed linearly?";
+  } else if (certain && result.bend > bend_of_decoded / 2 && response == "linear") {
+    // No curve was applied that could have bent them: something else did, and no other response mends it.
+    finding.message =
+        "whether the images are linear could not be checked: the sinusoid is bent, but not as by a response curve; "
+        "images that moved, or light that changed, do that";
+    finding.figures = {{"bend_of_something_else", result.bend}};
   } else if (certain && result.bend > bend_of_decoded / 2) {
     finding.severity = Severity::warning;
     finding.message = "the images look linear in the file, and response = \"" + response + "\" bends them";

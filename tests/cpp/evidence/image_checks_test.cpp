@@ -80,6 +80,9 @@ TEST(ResponseCheck, TellsLinearFromEncodedAndDecoded) {
     const ResponseCheck twice = check_response(decoded, angles, {}, "srgb", {});
     EXPECT_EQ(twice.finding.severity, Severity::warning) << twice.bend << " ± " << twice.bend_sigma;
     EXPECT_NEAR(twice.bend, 0.136, 0.04);
+    const ResponseCheck otherwise = check_response(decoded, angles, {}, "linear", {});
+    EXPECT_EQ(otherwise.finding.severity, Severity::note) << "no response is to be asked for: " << otherwise.bend;
+    EXPECT_FALSE(says_linear(otherwise.finding));
   }
 }
 
