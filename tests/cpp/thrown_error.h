@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <initializer_list>
 #include <string>
 
 #include "malus/core/error.h"
@@ -16,7 +17,7 @@ void expect_error(ErrorCode code, Action&& action, const Parts&... parts) {
   } catch (const Error& error) {
     EXPECT_EQ(static_cast<int>(error.code()), static_cast<int>(code)) << error.what();
     const std::string message = error.what();
-    for (const std::string& part : {std::string(parts)...}) {
+    for (const std::string& part : std::initializer_list<std::string>{std::string(parts)...}) {
       EXPECT_NE(message.find(part), std::string::npos) << "\"" << part << "\" is not in: " << message;
     }
     return;
