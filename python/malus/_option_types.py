@@ -499,7 +499,7 @@ class RefineSection(Section):
     surroundings: bool
     """where that explains more of the polarization, take the object as matt and mirroring its surroundings"""
     correct_index: bool
-    """with a map of the surroundings: replace a refractive index that the polarization clearly contradicts"""
+    """replace a refractive index that the polarization clearly contradicts"""
     evidence: bool
     """keep the prior's surface where the reflection model does not explain the polarization"""
     explained_least: float

@@ -646,7 +646,7 @@ def test_warnings_of_finding_the_stations_come_once(
     monkeypatch.setattr("malus.object.run.Workspace", Reported)
     outcomes = [{"station": name, "status": "done"} for name in ("o0", "o1")]
     outcomes.append({"station": "o2", "status": "failed", "reason": "no light"})
-    said = object_warnings(outcomes, ["a lens is doubtful"], sphere, Object.load(pair), pair.parent)
+    said = object_warnings(outcomes, ["a lens is doubtful"], sphere, Object.load(pair), pair.parent, None)
     assert said == [
         "photos: a lens is doubtful", "o0: fuse: o0 is dark", "o1: fuse: o1 is dark", "o2: is not in the surface: no light"
     ]  # fmt: skip
