@@ -28,7 +28,13 @@ const TOOLS = {
   patch: [['move', 'Move'], ['box', 'Draw a box']], profile: [['move', 'Move'], ['line', 'Draw a line']], scale: [['move', 'Move'], ['mark', 'Set the mark']], control: [['move', 'Move'], ['mark', 'Set the mark']],
 };
 
-export async function showDrawing() {
+// One after the other: what is drawn on and what is drawn must not come from two choices that were made quickly.
+let showing = Promise.resolve();
+const inTurn = (work) => { showing = showing.catch(() => {}).then(work); return showing; };
+
+export const showDrawing = () => inTurn(showChoice);
+
+async function showChoice() {
   view ??= makeView();
   const list = await imagesOf(what.value);
   const known = [...image.options].map((option) => option.value);
@@ -544,4 +550,4 @@ function fitOfPoint(name) {
 }
 
 what.addEventListener('change', doing(() => showDrawing()));
-image.addEventListener('change', doing(async () => { say(''); await showImage(); }));
+image.addEventListener('change', doing(() => inTurn(showImage)));
