@@ -690,7 +690,7 @@ def test_what_is_drawn_outlives_changes_by_others(served: Served, page: Any) -> 
     page.locator("#message", has_text="please make your last change once more").wait_for()
     title.fill("Other")
     title.press("Tab")
-    page.wait_for_function("document.getElementById('station-text').value.includes('Other')")
+    expect(page.locator("#station-text")).to_have_value(re.compile("Other"), timeout=60000)
     assert "# once more" in station.read_text() and 'name = "Other"' in station.read_text()
 
 
