@@ -1,3 +1,4 @@
+#include <cmath>
 #include <sstream>
 
 #include "malus/evidence/contrast_check_internal.h"
@@ -6,8 +7,11 @@ namespace malus {
 namespace {
 
 constexpr double least_explained = 0.4;
-/// Of rendered dielectrics with linear images the ratio is 1.7 to 2.5.
-constexpr double encoded = 1.35, decoded_twice = 4.2;
+/// Displays' encoding divides contrasts by this, in logarithms. Of rendered dielectrics with linear images the ratio to
+/// the colors' is 1.2 to 2.5.
+constexpr double encoding = 2.2;
+/// Half way, as factors, between linear images and encoded ones, and those that were decoded twice.
+const double halfway_to_encoded = std::sqrt(encoding), halfway_to_decoded_twice = std::pow(encoding, 1.5);
 
 }  // namespace
 
@@ -17,17 +21,20 @@ Finding check_contrast(const AlignmentEvidence& color, const std::string& respon
   finding.message =
       "whether the images' contrast is that of linear images could not be checked: no colors of the prior go with it";
   if (!color.available || color.at_best < least_explained) return finding;
-  finding.figures = {{"contrast", color.contrast}};
+  finding.figures = {{"contrast", color.contrast}, {"explained", color.at_best}};
+  // Both have contrast that the other does not have: shadows, highlights, noise. What they share is between correlation
+  // times and 1 / correlation times the ratio of their contrasts.
+  const double most = color.contrast / std::sqrt(color.at_best);
   std::ostringstream text;
   text.precision(2);
   text << "in logarithms, the images have " << color.contrast << " times the contrast of the cloud's colors";
   if (known_linear) {
     text << "; they are linear, as far as the sinusoid tells";
-  } else if (color.contrast < encoded) {
+  } else if (most < halfway_to_encoded) {
     finding.severity = Severity::warning;
     text << ", 2.2 is expected: they look encoded for a display, and response = \"" << response << "\" leaves them so";
     finding.suggestion = "is response = \"srgb\" right, or can the camera's raw files be developed linearly?";
-  } else if (color.contrast > decoded_twice) {
+  } else if (color.contrast > halfway_to_decoded_twice) {
     finding.severity = Severity::warning;
     text << ", 2.2 is expected: they look linear in the file, and response = \"" << response << "\" bends them";
     finding.suggestion = "is response = \"linear\" right?";

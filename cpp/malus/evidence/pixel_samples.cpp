@@ -11,6 +11,17 @@ namespace {
 constexpr double most_samples = 200000;
 constexpr float darkest = 0.02F, brightest = 0.9F;
 
+/// Adds a pixel's values to the window's. Returns whether it may count.
+bool add_pixel(const std::vector<Image<float>>& images, const Mask& mask, int u, int v, Eigen::VectorXd& sum) {
+  if (!mask.empty() && mask(u, v) == 0) return false;
+  for (std::size_t k = 0; k < images.size(); ++k) {
+    const float value = images[k](u, v);
+    if (!(value > darkest && value < brightest)) return false;
+    sum[static_cast<Eigen::Index>(k)] += value;
+  }
+  return true;
+}
+
 }  // namespace
 
 Eigen::Matrix3Xd stokes_of_intensities(const std::vector<double>& angles_rad) {
@@ -25,17 +36,19 @@ Eigen::MatrixXd residual_projection(const std::vector<double>& angles_rad) {
          polarizer_rows(angles_rad, gains) * stokes_of_intensities(angles_rad);
 }
 
-PixelSamples pixel_samples(const std::vector<Image<float>>& images, const Mask& mask) {
+PixelSamples pixel_samples(const std::vector<Image<float>>& images, const Mask& mask, int reach_px) {
   PixelSamples samples;
   const Size size = images.front().size();
   const int stride = static_cast<int>(std::sqrt(static_cast<double>(size.area()) / most_samples)) + 1;
-  Eigen::VectorXd values(static_cast<Eigen::Index>(images.size()));
-  for (int v = 0; v < size.height; v += stride) {
-    for (int u = 0; u < size.width; u += stride) {
-      if (!mask.empty() && mask(u, v) == 0) continue;
-      for (std::size_t k = 0; k < images.size(); ++k) values[static_cast<Eigen::Index>(k)] = images[k](u, v);
-      if (!(values.minCoeff() > darkest && values.maxCoeff() < brightest)) continue;
-      samples.values.push_back(values);
+  const int side = 2 * reach_px + 1;
+  for (int v = reach_px; v < size.height - reach_px; v += stride) {
+    for (int u = reach_px; u < size.width - reach_px; u += stride) {
+      Eigen::VectorXd sum = Eigen::VectorXd::Zero(static_cast<Eigen::Index>(images.size()));
+      bool counts = true;
+      for (int i = 0; i < side * side && counts; ++i)
+        counts = add_pixel(images, mask, u - reach_px + i % side, v - reach_px + i / side, sum);
+      if (!counts) continue;
+      samples.values.push_back(sum / (side * side));
       samples.parts.push_back(8 * v / size.height * 8 + 8 * u / size.width);
     }
   }

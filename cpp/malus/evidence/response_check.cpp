@@ -54,7 +54,7 @@ ResponseCheck check_response(const std::vector<Image<float>>& images, const std:
                       " angles, expected one angle an image");
   }
   context.check_cancel();
-  const auto parts = sums_of(pixel_samples(images, mask), angles_rad);
+  const auto parts = sums_of(pixel_samples(images, mask, 0), angles_rad);
   Sums all;
   for (const Sums& part : parts) {
     all.product += part.product;

@@ -163,6 +163,8 @@ TEST(ContrastCheck, WarnsOfImagesThatAreNotLinear) {
   EXPECT_NE(encoded.suggestion.find("srgb"), std::string::npos) << encoded.text();
   EXPECT_EQ(decoded.severity, Severity::warning);
   EXPECT_NE(decoded.suggestion.find("\"linear\""), std::string::npos) << decoded.text();
+  EXPECT_EQ(finding_of(1.24, 0.47, false).severity, Severity::note) << "what they share may be linear";
+  EXPECT_EQ(finding_of(3.6, 0.5, false).severity, Severity::warning) << "nearer to decoded twice";
   EXPECT_EQ(finding_of(1, 0.6, true).severity, Severity::note);
   EXPECT_EQ(finding_of(1, 0.2, false).severity, Severity::note);
   EXPECT_TRUE(finding_of(1, 0.2, false).figures.empty());

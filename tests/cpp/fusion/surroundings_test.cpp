@@ -188,6 +188,16 @@ TEST(Surroundings, AMetalIsFoundAndRefinedByItsLightAndPolarization) {
   EXPECT_LT(step_error(result.surface.depth, station.truth), 0.7 * step_error(station.prior.depth, station.truth));
 }
 
+TEST(Surroundings, AMetalFartherFromThePriorThanThePriorsErrorsStaysThePriors) {
+  SyntheticOptions scene;
+  scene.size = {96, 80};
+  SyntheticStation station = metal_station(make_station(scene).prior.camera);
+  for (float& sigma : station.prior.sigma) sigma *= 0.05F;
+  const RefineResult result = refine(station.state, station.prior, {}, {}, Context{});
+  EXPECT_GT(result.report.metal_index.imag(), 0);
+  EXPECT_LT(result.report.trusted_share, 0.05);
+}
+
 TEST(Surroundings, TellTheRefractiveIndexOfTheBody) {
   for (const double index : {1.7, 1.9}) {
     const MirroredLightTable table(window(0.2), index, camera, Context{});
