@@ -395,6 +395,8 @@ class Refiner {
       }
     });
     anchor_to_prior(image_, x_prior, anchor_length_px(prior, image_, options_.anchor), context_);
+    // Of meshes and depth maps the errors are only supposed.
+    if (prior.smoothing_px > 0) stay_near_prior(x_prior);
     // Pixels without usable polarization follow those around them, and are no evidence.
     double trust = 0, count = 0;
     for (std::size_t i = 0; i < report_.trust.count(); ++i) {
@@ -405,6 +407,22 @@ class Refiner {
     report_.trusted_share = trust / std::max(count, 1.0);
     report_.explained_share = mean_over_object(shares);
     report_.explained_beyond_plane = mean_over_object(beyond_plane);
+  }
+
+  /// Goes back to the prior where the surface is farther from it than the prior's errors allow, as where the search for
+  /// other minima took a wrong one. Clouds have up to twice the errors that they show, at silhouettes above all.
+  void stay_near_prior(const Image<double>& x_prior) {
+    constexpr double allowed = 3, too_far = 5;
+    const Image<float> deviations = deviations_from_prior(image_, x_prior, context_);
+    parallel_rows(context_, image_.size().height, [&](int v) {
+      for (int u = 0; u < image_.size().width; ++u) {
+        if (!image_.object(u, v)) continue;
+        const double deviation = between_cells(deviations, ExplainedPolarization::cell_px, u, v);
+        const double trust = std::clamp((too_far - deviation) / (too_far - allowed), 0.0, 1.0);
+        image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
+        report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(trust * report_.trust(u, v)));
+      }
+    });
   }
 
   /// The surface that was found, and what is reported of its pixels.

@@ -68,11 +68,12 @@ void judge_model(const RefineReport& report, FusedSurface& surface) {
                                rounded(report.reflection.eta) + " is taken. State it as refractive_index in [optics].");
   } else if (report.stated_eta) {
     const double stated = *report.stated_eta, found = report.reflection.eta;
-    surface.warnings.push_back(
-        "The polarization contradicts optics.refractive_index = " + rounded(stated, 3) +
-        ": it is explained clearly better with " + rounded(found, 3) +
-        ", which the refinement takes. If the stated one is certain, the prior's slopes are too " +
-        (found > stated ? "small" : "large") + "; set refine.correct_index = false then.");
+    warn(ConfidenceLevel::partial,
+         "The polarization contradicts optics.refractive_index = " + rounded(stated, 3) +
+             ": it is explained clearly better with " + rounded(found, 3) +
+             ", which the refinement takes. If the stated one is certain, the prior's slopes are too " +
+             (found > stated ? "small" : "large") + "; set refine.correct_index = false then.",
+         surface);
   }
 }
 

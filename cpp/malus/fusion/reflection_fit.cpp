@@ -491,7 +491,8 @@ IndexSearch search_index(const SamplesByKind& samples, double supposed, Mirrored
 RefractiveIndexFit fit_refractive_index(const RefinementImage& image, double supposed, MirroredTerms terms,
                                         const Context& context) {
   constexpr std::size_t largest_count = 8000, parts = 8;
-  constexpr double largest_sigma = 0.15;
+  // Of twelve random objects the index was off by 0.06 RMS, twice what its parts' scatter says.
+  constexpr double largest_sigma = 0.15, error_of_model = 0.06, clear_scatters = 3;
   SamplesByKind samples{collect_samples(image, Reflection::diffuse, largest_count),
                         collect_samples(image, Reflection::specular, largest_count)};
   for (ReflectionSample& s : samples.diffuse) s.sigma = std::hypot(s.sigma, error_of_slopes(s, Reflection::diffuse));
@@ -505,9 +506,11 @@ RefractiveIndexFit fit_refractive_index(const RefinementImage& image, double sup
     sum += eta;
     squares += eta * eta;
   }
-  fit.sigma = std::sqrt(std::max(squares - sum * sum / parts, 0.0) / (parts - 1) / parts);
+  const double scatter = std::sqrt(std::max(squares - sum * sum / parts, 0.0) / (parts - 1) / parts);
+  fit.sigma = std::hypot(scatter, error_of_model);
   fit.determined = fit.sigma < largest_sigma;
-  fit.contradicts = fit.determined && search.contradicts();
+  fit.contradicts =
+      fit.determined && search.contradicts() && std::abs(search.index - supposed) > clear_scatters * scatter;
   return fit;
 }
 

@@ -5,6 +5,7 @@
 #include "malus/core/masked_blur_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/square_internal.h"
 #include "malus/fusion/surface_evidence_internal.h"
 
 namespace malus {
@@ -142,6 +143,27 @@ void anchor_to_prior(RefinementImage& image, const Image<double>& x_prior, doubl
       if (image.object(u, v)) image.x(u, v) += between_cells(low, cell_px, u, v);
     }
   });
+}
+
+Image<float> deviations_from_prior(const RefinementImage& image, const Image<double>& x_prior, const Context& context) {
+  constexpr int cell_px = ExplainedPolarization::cell_px;
+  constexpr double pool_cells = 0.5;
+  const Size size = image.size(), count = cells_over(size, cell_px);
+  Image<float> squares(count), weights(count);
+  parallel_rows(context, count.height, [&](int row) {
+    for (int v = row * cell_px; v < std::min((row + 1) * cell_px, size.height); ++v) {
+      for (int u = 0; u < size.width; ++u) {
+        if (!image.object(u, v)) continue;
+        const double deviation = (image.x(u, v) - x_prior(u, v)) / image.source->at(u, v).prior_sigma;
+        squares(u / cell_px, row) += static_cast<float>(square(deviation));
+        weights(u / cell_px, row) += 1;
+      }
+    }
+  });
+  for (std::size_t i = 0; i < squares.count(); ++i) squares[i] /= std::max(weights[i], 1.0F);
+  Image<float> deviations = pooled(squares, weights, pool_cells, context);
+  for (float& value : deviations) value = std::sqrt(value);
+  return deviations;
 }
 
 }  // namespace malus

@@ -63,4 +63,8 @@ class ExplainedByResult {
 /// where both are equal the prior is the better one. The prior counts by its variance.
 void anchor_to_prior(RefinementImage& image, const Image<double>& x_prior, double length_px, const Context& context);
 
+/// How far the surface is from the prior in the prior's standard deviations, RMS cell by cell of 16 px. A surface that
+/// is better than the prior's differs from it by the prior's errors: by one of them.
+Image<float> deviations_from_prior(const RefinementImage& image, const Image<double>& x_prior, const Context& context);
+
 }  // namespace malus

@@ -267,6 +267,16 @@ TEST(Refine, RejectsWhatDoesNotFit) {
   EXPECT_THROW(refine(station.state, station.prior, {}, options, Context{}), Error);
 }
 
+TEST(Refine, IsNoFartherFromACloudThanItsErrorsAllow) {
+  SyntheticStation station = make_station({});
+  for (float& sigma : station.prior.sigma) sigma *= 0.02F;
+  const RefineResult of_a_mesh = refine(station.state, station.prior, {}, quick(), Context{});
+  EXPECT_GT(of_a_mesh.report.trusted_share, 0.5) << "whose errors are only supposed";
+  station.prior.smoothing_px = 4;
+  const RefineResult of_a_cloud = refine(station.state, station.prior, {}, quick(), Context{});
+  EXPECT_LT(of_a_cloud.report.trusted_share, 0.5);
+}
+
 TEST(Refine, StopsWhenAsked) {
   const SyntheticStation station = make_station({});
   const std::atomic<bool> cancel = true;

@@ -103,6 +103,17 @@ TEST(Verdict, FiguresThatAreMissingProveNothing) {
   EXPECT_EQ(judged(report).status, "not converged");
 }
 
+TEST(Verdict, AnIndexOtherThanTheStatedOneIsNotCertain) {
+  RefineReport report = good();
+  report.stated_eta = 1.5;
+  report.eta_sigma = 0.06;
+  report.reflection.eta = 1.8;
+  const FusedSurface surface = judged(report);
+  EXPECT_EQ(surface.confidence.level, ConfidenceLevel::partial);
+  EXPECT_TRUE(mentions(surface.confidence.reasons, "contradicts optics.refractive_index = 1.5"));
+  EXPECT_TRUE(mentions(surface.warnings, "contradicts optics.refractive_index = 1.5"));
+}
+
 TEST(Verdict, AnIndexThatIsNeitherGivenNorEstimatedIsSaid) {
   RefineReport report = good();
   report.eta_sigma = nan;
