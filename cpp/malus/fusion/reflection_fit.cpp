@@ -137,40 +137,87 @@ LinearFit fit_linear(const std::vector<LinearizedSample>& samples, const std::ve
   return fit;
 }
 
-/// Residual of one sample in all parameters of environment and lobe, for automatic differentiation.
-struct LobeResidual {
-  const ReflectionSample& sample;
-  const LinearizedSample& linear;
-  Eigen::Vector3d light, across1, across2;
-  double eta;
-  double diffuse;
+/// A direction that is turned by two small numbers; its length is not kept.
+struct TurnedDirection {
+  explicit TurnedDirection(const Eigen::Vector3d& from)
+      : start(from), across1(from.unitOrthogonal()), across2(from.cross(across1)) {}
 
   template <class T>
-  bool operator()(const T* environment, const T* strength, const T* log_roughness, const T* turn, T* residual) const {
-    using std::exp;
-    using std::sqrt;
-    Eigen::Matrix<T, 3, 1> half = light.cast<T>() + across1.cast<T>() * turn[0] + across2.cast<T>() * turn[1];
-    half = half / half.norm() + sample.frame.view.cast<T>();
-    const T along = half.dot(sample.frame.view.cast<T>());
-    const T hp = half.dot(sample.frame.right.cast<T>()) / along, hq = half.dot(sample.frame.up.cast<T>()) / along;
-    const T gh = hp * hp + hq * hq, half2 = T(1.0) + gh;
-    const Reflectance<T> r = fresnel_reflectance<T>(gh / half2, eta);
-    const T reflectance = (r.s + r.p) * 0.5, polarized = (r.s - r.p) * 0.5 / (gh + 1e-12);
-    const T alpha2 = exp(2.0 * log_roughness[0]);
-    const double slant2 = 1 + sample.tan2();
-    const T dot = 1.0 + sample.p * hp + sample.q * hq;
-    const T cos2 = dot * dot / (slant2 * half2) + 1e-6;
-    const T x = exp(-(1.0 - cos2) / cos2 / alpha2) / (alpha2 * cos2 * cos2) * std::sqrt(slant2);
-    const Eigen::Vector2d direction = slope_direction(sample);
-    const T kx = strength[0] * x / sample.sigma;
-    const double share = linear.position.share;
-    const T e = environment[linear.position.node] * (1 - share) + environment[linear.position.node + 1] * share;
-    residual[0] = linear.base[0] - e * linear.environment[0] +
-                  kx * (polarized * (hp * hp - hq * hq) + reflectance * diffuse * direction[0]);
-    residual[1] = linear.base[1] - e * linear.environment[1] +
-                  kx * (polarized * 2.0 * hp * hq + reflectance * diffuse * direction[1]);
+  Eigen::Matrix<T, 3, 1> at(const T* turn) const {
+    return start.cast<T>() + across1.cast<T>() * turn[0] + across2.cast<T>() * turn[1];
+  }
+
+  Eigen::Vector3d start, across1, across2;
+};
+
+/// Residual of one sample in all parameters of environment and lobe. Only the lobe is differentiated automatically, by
+/// its four parameters: the sample is linear in the environment, and of its nodes it has two.
+class LobeResidual : public ceres::SizedCostFunction<2, node_count, 1, 1, 2> {
+ public:
+  LobeResidual(const ReflectionSample& sample, const LinearizedSample& linear, const TurnedDirection& light, double eta)
+      : sample_(sample),
+        linear_(linear),
+        light_(light),
+        eta_(eta),
+        diffuse_(fresnel_factors(sample.tan2(), eta).diffuse) {}
+
+  bool Evaluate(const double* const* parameters, double* residual, double** jacobians) const override {
+    const double* environment = parameters[0];
+    const int node = linear_.position.node;
+    const double share = linear_.position.share;
+    const double e = environment[node] * (1 - share) + environment[node + 1] * share;
+    Eigen::Map<Eigen::Vector2d> value(residual);
+    value = linear_.base - e * linear_.environment;
+    if (jacobians == nullptr) {
+      value += lobe(parameters[1][0], parameters[2][0], parameters[3]);
+      return true;
+    }
+    using Derived = ceres::Jet<double, 4>;
+    const Derived turn[2] = {{parameters[3][0], 2}, {parameters[3][1], 3}};
+    const Eigen::Matrix<Derived, 2, 1> light = lobe(Derived(parameters[1][0], 0), Derived(parameters[2][0], 1), turn);
+    if (jacobians[0] != nullptr) {
+      Eigen::Map<Eigen::Matrix<double, 2, node_count, Eigen::RowMajor>> by_node(jacobians[0]);
+      by_node.setZero();
+      by_node.col(node) = (share - 1) * linear_.environment;
+      by_node.col(node + 1) = -share * linear_.environment;
+    }
+    for (int row = 0; row < 2; ++row) {
+      value[row] += light[row].a;
+      if (jacobians[1] != nullptr) jacobians[1][row] = light[row].v[0];
+      if (jacobians[2] != nullptr) jacobians[2][row] = light[row].v[1];
+      if (jacobians[3] != nullptr) Eigen::Map<Eigen::Vector2d>(jacobians[3] + 2 * row) = light[row].v.tail<2>();
+    }
     return true;
   }
+
+ private:
+  /// What the highlight takes from the residual.
+  template <class T>
+  Eigen::Matrix<T, 2, 1> lobe(const T& strength, const T& log_roughness, const T* turn) const {
+    using std::exp;
+    const RayFrame& frame = sample_.frame;
+    Eigen::Matrix<T, 3, 1> half = light_.at(turn);
+    half = half / half.norm() + frame.view.cast<T>();
+    const T along = half.dot(frame.view.cast<T>());
+    const T hp = half.dot(frame.right.cast<T>()) / along, hq = half.dot(frame.up.cast<T>()) / along;
+    const T gh = hp * hp + hq * hq, half2 = T(1.0) + gh;
+    const Reflectance<T> r = fresnel_reflectance<T>(gh / half2, eta_);
+    const T reflectance = (r.s + r.p) * 0.5, polarized = (r.s - r.p) * 0.5 / (gh + 1e-12);
+    const T alpha2 = exp(2.0 * log_roughness);
+    const double slant2 = 1 + sample_.tan2();
+    const T dot = 1.0 + sample_.p * hp + sample_.q * hq;
+    const T cos2 = dot * dot / (slant2 * half2) + 1e-6;
+    const T x = exp(-(1.0 - cos2) / cos2 / alpha2) / (alpha2 * cos2 * cos2) * std::sqrt(slant2);
+    const Eigen::Vector2d direction = slope_direction(sample_);
+    const T kx = strength * x / sample_.sigma;
+    return {kx * (polarized * (hp * hp - hq * hq) + reflectance * diffuse_ * direction[0]),
+            kx * (polarized * 2.0 * hp * hq + reflectance * diffuse_ * direction[1])};
+  }
+
+  const ReflectionSample& sample_;
+  const LinearizedSample& linear_;
+  const TurnedDirection& light_;
+  double eta_, diffuse_;
 };
 
 struct SmoothProfile {
@@ -204,8 +251,7 @@ double robust_cost(const SampleSet& set, const EnvironmentProfile& environment, 
 
 /// Refines all parameters of `fit` together, with Cauchy loss at the residuals' scale.
 void refine_lobe(const SampleSet& set, double scale, DiffuseFit& fit, const Context& context) {
-  const Eigen::Vector3d light = fit.lobe.light;
-  const Eigen::Vector3d across1 = light.unitOrthogonal(), across2 = light.cross(across1);
+  const TurnedDirection light(fit.lobe.light);
   std::array<double, node_count> environment = fit.environment.radiance;
   double strength = fit.lobe.strength, log_roughness = std::log(fit.lobe.roughness);
   std::array<double, 2> turn{0, 0};
@@ -216,11 +262,8 @@ void refine_lobe(const SampleSet& set, double scale, DiffuseFit& fit, const Cont
   ceres::Problem problem(ownership);
   double weight = 0;
   for (std::size_t i = 0; i < set.samples.size(); ++i) {
-    const ReflectionSample& s = set.samples[i];
-    const double diffuse = fresnel_factors(s.tan2(), set.eta).diffuse;
-    auto* cost = new ceres::AutoDiffCostFunction<LobeResidual, 2, node_count, 1, 1, 2>(
-        new LobeResidual{s, set.linear[i], light, across1, across2, set.eta, diffuse});
-    problem.AddResidualBlock(cost, &loss, environment.data(), &strength, &log_roughness, turn.data());
+    problem.AddResidualBlock(new LobeResidual(set.samples[i], set.linear[i], light, set.eta), &loss, environment.data(),
+                             &strength, &log_roughness, turn.data());
     weight += set.linear[i].environment.squaredNorm();
   }
   problem.AddResidualBlock(new ceres::AutoDiffCostFunction<SmoothProfile, node_count - 1, node_count>(
@@ -245,7 +288,7 @@ void refine_lobe(const SampleSet& set, double scale, DiffuseFit& fit, const Cont
   refined.environment.radiance = environment;
   refined.lobe.strength = strength;
   refined.lobe.roughness = std::exp(log_roughness);
-  refined.lobe.light = (light + across1 * turn[0] + across2 * turn[1]).normalized();
+  refined.lobe.light = light.at(turn.data()).normalized();
   refined.cost = robust_cost(set, refined.environment, refined.lobe);
   if (!(refined.cost <= fit.cost)) return;
 
