@@ -7,21 +7,20 @@ import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import Colormap, ListedColormap
-from matplotlib.figure import Figure as Drawing
-from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from PIL import Image
 
 from malus.lengths import scale_bar, shown
 from malus.units import METRES
 from malus.workspace import Raster, Workspace
+
+# matplotlib is imported when something is drawn: it would take as long as the rest of a program's start.
+if TYPE_CHECKING:
+    from matplotlib.colors import Colormap
+    from matplotlib.figure import Figure as Drawing
 
 #: Long side of the pictures' data in pixels: larger rasters are averaged down, a report is for looking.
 MAX_SIDE_PX = 1600
@@ -69,6 +68,8 @@ class Figure:
 
     def vector(self, kind: str) -> bytes:
         """The drawing as "svg" or "pdf", for print; the same bytes for the same data."""
+        from matplotlib import rc_context
+
         if self.drawing is None:
             raise ValueError(f"{self.name} was not drawn for print, expected Plates(…, for_print=True)")
         buffer = io.BytesIO()
@@ -161,7 +162,34 @@ def grey(shade: Raster) -> NDArray[np.uint8]:
     return np.stack([level, np.where(known, 255, 0).astype(np.uint8)], -1)
 
 
+def new_drawing(width_in: float, height_in: float, layout: Literal["constrained"] | None = None) -> Drawing:
+    """An empty drawing, sides in inches."""
+    from matplotlib.figure import Figure as Drawing
+
+    return Drawing(figsize=(width_in, height_in), layout=layout)
+
+
+def _few_ticks(most: int) -> Any:
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(most)
+
+
+def _outline(color: str) -> list[Any]:
+    from matplotlib.patheffects import withStroke
+
+    return [withStroke(linewidth=2.5, foreground=color)]
+
+
+def _two_colors(first: str, second: str) -> Colormap:
+    from matplotlib.colors import ListedColormap
+
+    return ListedColormap([first, second])
+
+
 def _draw(drawing: Drawing) -> NDArray[np.uint8]:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     drawing.set_dpi(_DPI)
     canvas = FigureCanvasAgg(drawing)
     canvas.draw()  # type: ignore[no-untyped-call]
@@ -294,7 +322,7 @@ class Plates:
         shape = raster.shape
         width = WIDTH_IN
         # Room for the color bar below the picture.
-        drawing = Drawing(figsize=(width, width * shape[0] / shape[1] + (0.66 if how.label or how.ticks else 0.0)))
+        drawing = new_drawing(width, width * shape[0] / shape[1] + (0.66 if how.label or how.ticks else 0.0))
         bar_height = 0.66 / drawing.get_figheight() if how.label or how.ticks else 0.0
         axes = drawing.add_axes((0, bar_height, 1, 1 - bar_height))
         picture = axes.imshow(raster, cmap=how.cmap, vmin=limits[0], vmax=limits[1], interpolation="antialiased")
@@ -308,7 +336,7 @@ class Plates:
         self._scale_bar(axes, shape[1])
         for u, v, word in labels:
             text = axes.text(u, v, word, color="white", fontsize=LETTERS_PT, ha="center", va="center")
-            text.set_path_effects([withStroke(linewidth=2.5, foreground="black")])
+            text.set_path_effects(_outline("black"))
         if bar_height:
             bar_axes = drawing.add_axes((0.15, bar_height * 0.72, 0.65, bar_height * 0.2))
             bar = drawing.colorbar(picture, cax=bar_axes, orientation="horizontal")
@@ -317,7 +345,7 @@ class Plates:
             if how.ticks:
                 bar.set_ticks(list(how.ticks), labels=list(how.ticks.values()))
             else:
-                bar.locator = MaxNLocator(4)
+                bar.locator = _few_ticks(4)
                 bar.update_ticks()
             if how.label:
                 bar_axes.text(1.03, 0.5, how.label, transform=bar_axes.transAxes, fontsize=LETTERS_PT, va="center")
@@ -346,7 +374,7 @@ class Plates:
                 transform=axes.transAxes, zorder=5,
             )  # fmt: skip
         text = axes.text(left, low + 0.015, label, color="black", fontsize=LETTERS_PT, transform=axes.transAxes)
-        text.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
+        text.set_path_effects(_outline("white"))
 
     def shadings(self) -> Iterator[Figure]:
         """Relief shading of prior and fused surface, the fused one from two more directions."""
@@ -424,7 +452,7 @@ class Plates:
                 _Map(
                     "clamped", "Zenith clamped",
                     "Where the degree is beyond what its reflection can give, so that the zenith is the largest.",
-                    ListedColormap(["#d9dde2", "#d1495b"]), limits=(0, 1), ticks={0.25: "as measured", 0.75: "clamped"},
+                    _two_colors("#d9dde2", "#d1495b"), limits=(0, 1), ticks={0.25: "as measured", 0.75: "clamped"},
                 ),
             )  # fmt: skip
         yield self._map(
@@ -439,7 +467,7 @@ class Plates:
             np.where(labels > 0, labels, np.nan).astype(np.float32),
             _Map(
                 "reflection", "Kind of reflection", "Which reflection dominates the polarization of a pixel.",
-                ListedColormap(["#3a7ca5", "#e0a13b"]), limits=(0.5, 2.5), ticks={1.0: "diffuse", 2.0: "specular"},
+                _two_colors("#3a7ca5", "#e0a13b"), limits=(0.5, 2.5), ticks={1.0: "diffuse", 2.0: "specular"},
             ),
         )  # fmt: skip
 
@@ -533,7 +561,7 @@ class Plates:
     def on_image(self) -> tuple[Drawing, Any]:
         """A drawing that is the unpolarized image, and its axes in pixels of `raster`, to draw over it."""
         intensity = self.raster("polarization/unpolarized.tif")
-        drawing = Drawing(figsize=(WIDTH_IN, WIDTH_IN * intensity.shape[0] / intensity.shape[1]))
+        drawing = new_drawing(WIDTH_IN, WIDTH_IN * intensity.shape[0] / intensity.shape[1])
         axes = drawing.add_axes((0, 0, 1, 1))
         low, high = np.nanpercentile(intensity, [1, 99])
         axes.imshow(intensity, cmap="gray", vmin=low, vmax=high)
@@ -574,7 +602,7 @@ class Plates:
         sigma_px = float(self.workspace.manifest["options"]["assess"]["detail_sigma_px"])
         to_micrometers = 1e6 * METRES[self.unit]
         for number, profile in enumerate(self.quality["profiles"], 1):
-            drawing = Drawing(figsize=(WIDTH_IN, 6.2), layout="constrained")
+            drawing = new_drawing(WIDTH_IN, 6.2, "constrained")
             above, below = drawing.subplots(2, 1, sharex=True, height_ratios=(5, 4))
             along = numbers(profile["position"])
             present = [name for name in COLORS if profile[name]]
@@ -589,7 +617,7 @@ class Plates:
                     axes.plot(along, values, color=COLORS[name], lw=1.6 if name == "fused" else 1.2, label=name)
                 axes.margins(x=0.01)
                 style(axes)
-                axes.yaxis.set_major_locator(MaxNLocator(5))
+                axes.yaxis.set_major_locator(_few_ticks(5))
             cut = _without_spikes(list(details.values()))
             if cut is not None:
                 below.set_ylim(*cut)
@@ -612,7 +640,7 @@ class Plates:
     def _histogram(
         self, name: str, title: str, axis: str, bins: Mapping[str, Mapping[str, Any]], notes: Mapping[str, str]
     ) -> Figure:
-        drawing = Drawing(figsize=(WIDTH_IN, 4.4), layout="constrained")
+        drawing = new_drawing(WIDTH_IN, 4.4, "constrained")
         axes = drawing.subplots()
         low, high = np.inf, -np.inf
         beyond = []
@@ -636,7 +664,7 @@ class Plates:
         axes.set_xlabel(axis, fontsize=LETTERS_PT)
         axes.set_ylabel("share of pixels [%]", fontsize=LETTERS_PT)
         style(axes)
-        axes.xaxis.set_major_locator(MaxNLocator(6))
+        axes.xaxis.set_major_locator(_few_ticks(6))
         if notes:
             axes.legend(fontsize=LETTERS_PT, frameon=False, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
         rows = [

@@ -9,13 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import patheffects
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from malus._files import write_bytes
-from malus.figures import reduced, step_for
+from malus.figures import new_drawing, reduced, step_for
 from malus.station import Station
 
 _LONG_SIDE_PX, _DPI, _PANEL_INCHES, _HEAD_INCHES, _MARGIN_INCHES = 1000, 130, 6.4, 0.35, 1.2
@@ -48,8 +45,7 @@ def draw_overlay(
     lines = [line for word in [*words, _CAPTION] for line in textwrap.wrap(word, int(11 * wide))]
     foot = 0.2 * len(lines) + 0.3
     high = rows * (panel_height + _HEAD_INCHES) + foot
-    drawing = Figure(figsize=(wide, high), dpi=_DPI)
-    FigureCanvasAgg(drawing)
+    drawing = new_drawing(wide, high)
     panels = []
     for number, title in enumerate((f"{name}: image and mask", "the coarse surface's points upon it")):
         left = 0.1 + number * (panel_width + 0.1) * beside
@@ -64,11 +60,13 @@ def draw_overlay(
         bar.tick_params(labelsize=7)
     drawing.text(0.1 / wide, (foot - 0.15) / high, "\n".join(lines), fontsize=8, va="top", linespacing=1.4)
     buffer = io.BytesIO()
-    drawing.savefig(buffer, format="png")
+    drawing.savefig(buffer, format="png", dpi=_DPI)
     return buffer.getvalue()
 
 
 def _show_image(axes: Any, image: NDArray[np.float32], mask: NDArray[np.uint8]) -> None:
+    from matplotlib import patheffects
+
     height, width = image.shape
     step = step_for(image.shape, _LONG_SIDE_PX)
     small = reduced(image, step)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from pathlib import Path
 
 import pytest
 
 import malus
 from conftest import malus as run_malus
-from conftest import malus_here
+from conftest import malus_here, run_program
 from malus import cli, progress
 from malus.options import MAIN
 from malus.progress import JsonProgress, Overall, duration
@@ -142,3 +143,9 @@ def test_what_is_not_there_is_told_from_what_is_wrong(tmp_path: Path, command: s
     (tmp_path / "campaign.toml").write_text('[campaign]\nstations = ["station.toml"]\n')
     outcome = malus_here(*command.replace("FOLDER", str(tmp_path)).split())
     assert outcome.code == 2 and words.replace("FOLDER", str(tmp_path)) in outcome.err
+
+
+def test_a_program_starts_without_what_only_figures_need() -> None:
+    """matplotlib alone takes as long to import as all the rest."""
+    outcome = run_program(sys.executable, "-c", "import sys, malus.cli; print('matplotlib' in sys.modules)")
+    assert outcome.out.strip() == "False", outcome.err

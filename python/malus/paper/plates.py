@@ -6,11 +6,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure as Drawing
-from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from malus.figures import LETTERS_PT, WIDTH_IN, Figure, Plates, flattened, grey, hillshade, style
+from malus.figures import LETTERS_PT, WIDTH_IN, Figure, Plates, flattened, grey, hillshade, new_drawing, style
 from malus.lengths import shown
 from malus.workspace import Raster
 
@@ -35,7 +33,7 @@ def sinusoids(plates: Plates) -> Iterator[Figure]:
         name: plates.workspace.raster(f"polarization/measured/{name}.tif")
         for name in ("unpolarized", "degree", "phase")
     }
-    drawing = Drawing(figsize=(WIDTH_IN, 4.6), layout="constrained")
+    drawing = new_drawing(WIDTH_IN, 4.6, "constrained")
     axes = drawing.subplots()
     angles = np.linspace(0, 180, 181)
     rows: list[list[Any]] = []
@@ -99,6 +97,8 @@ def cloud(plates: Plates) -> Iterator[Figure]:
 
 def patch_boxes(plates: Plates) -> Iterator[Figure]:
     """Flat patches on the image (Fig. 14)."""
+    from matplotlib.patches import Rectangle
+
     if not plates.quality["patches"]:
         return
     drawing, axes = plates.on_image()
@@ -156,7 +156,7 @@ def views(plates: Plates) -> Iterator[Figure]:
         picture = oblique(thin / (pixel * stride), hillshade(relief, pixel)[::stride, ::stride])
         rows = np.nonzero(picture[..., 1].any(1))[0]
         picture = picture[rows[0] : rows[-1] + 1]
-        drawing = Drawing(figsize=(WIDTH_IN, WIDTH_IN * picture.shape[0] / picture.shape[1]))
+        drawing = new_drawing(WIDTH_IN, WIDTH_IN * picture.shape[0] / picture.shape[1])
         axes = drawing.add_axes((0, 0, 1, 1))
         axes.imshow(np.where(picture[..., 1:] > 0, picture[..., :1], 255).repeat(3, 2), interpolation="antialiased")
         axes.set_axis_off()
