@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from malus import _core
+from malus._toml import read_toml
 from malus.errors import InputError, MalusError
 from malus.options import Options
 from malus.photogrammetry.shared_frame import content_of
@@ -148,7 +149,7 @@ def require_kind(file: Path, expected: str, content: Mapping[str, Any] | None = 
     """
     if content is None:
         try:
-            content = tomllib.loads(file.read_text(encoding="utf-8"))
+            content = read_toml(file)
         except (OSError, ValueError, RecursionError):
             return
     thing = content.get("object")
@@ -167,7 +168,7 @@ def require_kind(file: Path, expected: str, content: Mapping[str, Any] | None = 
 def read_tables(file: Path, keys: Mapping[str, Sequence[str]]) -> dict[str, Any]:
     """Content of a TOML file whose tables and keys are known: `keys` of each table, those of "" being the tables."""
     try:
-        content = tomllib.loads(file.read_text(encoding="utf-8"))
+        content = read_toml(file)
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({error.strerror})") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:

@@ -13,6 +13,7 @@ import tifffile
 
 from conftest import edit, half_written, malus, malus_station
 from malus import InputError, Station, _core
+from malus.campaign import Campaign
 
 IMAGES = "images = ["
 ANGLES = "angles_deg = [0, 30, 60, 90, 120, 150]"
@@ -54,6 +55,8 @@ def test_station_file_is_not_toml(small_station: Path, work: Path) -> None:
 def test_keys_of_thousands_of_parts_are_refused_before_the_parser_sees_them(small_station: Path, work: Path) -> None:
     small_station.write_text(f"[station]\n{'.'.join(['a'] * 50_000)} = 1\n")
     expect(small_station, work, 2, "station.toml, line 2", "parts")
+    with pytest.raises(InputError, match="line 2: a key of more than 100 parts"):
+        Campaign.load(small_station)
 
 
 def test_names_that_are_no_text(small_station: Path, tmp_path: Path) -> None:

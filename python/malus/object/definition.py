@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from malus import _core, photogrammetry
+from malus._toml import read_toml
 from malus.campaign import Campaign, options_of, read_tables, stations_of, value_of
 from malus.errors import InputError
 from malus.object.reference import Reference
@@ -120,7 +120,7 @@ def _reference(file: Path, name: str, *, given: bool) -> Path | None:
 def is_object_file(path: str | Path) -> bool:
     """Whether a file is an object file rather than a station file; False also if it cannot be read."""
     try:
-        table = tomllib.loads(Path(path).read_text(encoding="utf-8")).get("object")
+        table = read_toml(Path(path)).get("object")
     except (OSError, ValueError, RecursionError):
         return False
     # A station file has a table of this name, too: what the catalogue says.

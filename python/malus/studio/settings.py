@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import Table
 
 from malus._files import write_bytes
+from malus._toml import read_toml
 from malus.errors import InputError
 from malus.options import MAIN, Options
 
@@ -33,7 +33,7 @@ def listed(station: Path) -> list[dict[str, Any]]:
     """The options that matter most, and every other one that the file sets: name, title, what it may be, default, meaning and value."""
     values = options_of(station).to_dict()
     path = file_of(station)
-    stated = tomllib.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    stated = read_toml(path) if path.is_file() else {}
     rows = []
     for name, kind, default, meaning in Options.describe():
         section, key = name.split(".")
