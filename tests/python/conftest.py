@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import io
 import os
 import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -27,8 +29,10 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "examples" / "relief"
 SHARED = ROOT.parent / "shared"
-#: Window of the demo's images that the small station shows: the flat label and carving around it.
-WINDOW = (380, 240, 580, 400)
+#: Windows of the demo's images that the small stations show, and patches in them: the flat label and carving around it,
+#: and as little of both as is enough for runs whose surface is not what is tested.
+WINDOW, PATCH = (380, 240, 580, 400), (38, 45, 157, 115)
+TINY_WINDOW, TINY_PATCH = (380, 240, 480, 320), (40, 48, 95, 77)
 
 #: Of two dates of one object: center (u, v), radius and depth (GSD, positive = lost) of what was changed between them.
 DENT, LUMP = ((70, 60, 14), 6.0), ((170, 40, 12), -5.0)
@@ -38,6 +42,28 @@ LATER = (
     np.array([[np.cos(ANGLE), -np.sin(ANGLE), 0], [np.sin(ANGLE), np.cos(ANGLE), 0], [0, 0, 1]]),
     np.array([120.0, -45.0, 60.0]),
 )
+
+#: Refinement of runs whose surface is not what is tested: nothing mirrored is fitted, which takes most of the time.
+QUICK = {"lobe": False, "surroundings": False}
+QUICK_WORDS = tuple(word for name in QUICK for word in ("--set", f"refine.{name}=false"))
+
+#: Files whose tests take longest. They begin first, so that no worker of pytest-xdist is left alone with one at the end.
+LONGEST_FIRST = (
+    "test_photos.py",
+    "test_object.py",
+    "test_pipeline.py",
+    "test_studio.py",
+    "test_docs.py",
+    "test_batch.py",
+    "test_control.py",
+    "test_object_reference.py",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    places = {name: place for place, name in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: places.get(item.path.name, len(places)))
+
 
 needs_shared = pytest.mark.skipif(not (SHARED / "data").exists(), reason="the test data in ../shared is not here")
 
@@ -101,11 +127,35 @@ def images(scene: synthetic.Scene, sensor: synthetic.Sensor) -> list[np.ndarray]
 
 @pytest.fixture(scope="session")
 def small_station_source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A 200 × 160 px window of the demo station as a station of its own (principal point moved along)."""
+    """200 × 160 px of the demo station as a station of its own."""
+    return made_once(tmp_path_factory, "small", lambda folder: cut_out(folder / "station", WINDOW, PATCH)) / "station"
+
+
+@pytest.fixture(scope="session")
+def tiny_station_source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """100 × 80 px of it."""
+    made = made_once(tmp_path_factory, "tiny", lambda folder: cut_out(folder / "station", TINY_WINDOW, TINY_PATCH))
+    return made / "station"
+
+
+def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+    """A folder of this run of the tests that is made once, by the first of pytest-xdist's workers that needs it."""
+    root = factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        root = root.parent
+    with (root / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (root / f"{name}.made").exists():
+            make(root / name)
+            (root / f"{name}.made").touch()
+    return root / name
+
+
+def cut_out(folder: Path, window: tuple[int, int, int, int], patch: tuple[int, int, int, int]) -> None:
+    """A window of the demo station in a new folder (principal point moved along), with a flat patch and a profile."""
     import matplotlib.image
 
-    folder = tmp_path_factory.mktemp("small") / "station"
-    x0, y0, x1, y1 = WINDOW
+    x0, y0, x1, y1 = window
     (folder / "pol").mkdir(parents=True)
     for path in sorted((EXAMPLE / "pol").glob("*.png")):
         # matplotlib reads 16-bit PNG as floats in [0, 1] of 65535.
@@ -123,7 +173,7 @@ def small_station_source(tmp_path_factory: pytest.TempPathFactory) -> Path:
         lines.append(line)
     cameras.write_text("\n".join(lines) + "\n")
     (folder / "station.toml").write_text(
-        """
+        f"""
 [station]
 name = "small"
 unit = "mm"
@@ -153,15 +203,14 @@ cloud = "dense/cloud.ply"
 
 [[patch]]
 name = "label"
-box = [38, 45, 157, 115]
+box = {list(patch)}
 
 [[profile]]
 name = "1"
-from = [10, 80]
-to = [190, 80]
+from = [10, {(y1 - y0) // 2}]
+to = [{x1 - x0 - 10}, {(y1 - y0) // 2}]
 """
     )
-    return folder
 
 
 @pytest.fixture
@@ -172,7 +221,7 @@ def pair(small_station_source: Path, tmp_path: Path) -> Path:
     file = tmp_path / "object.toml"
     file.write_text(
         '[object]\nname = "pair"\nstations = ["o0/station.toml", "o1/station.toml"]\nclosed = false\nreport = false\nfaces = 3000\n'
-        '[options]\nfusion = "grid"\n[options.height]\niterations = 2\n'
+        '[options]\nfusion = "grid"\n[options.prior]\nsmoothing_px = 4\n[options.height]\niterations = 2\n'
     )
     return file
 
@@ -180,10 +229,12 @@ def pair(small_station_source: Path, tmp_path: Path) -> Path:
 @pytest.fixture(scope="session")
 def finished_grid(small_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Workspace of `malus run --fusion grid` on the small station; read it, do not change it."""
-    work = tmp_path_factory.mktemp("finished") / "work"
-    outcome = malus("run", small_station_source / "station.toml", "-o", work, "--fusion", "grid", "--threads", "2")
-    assert outcome.code == 0, outcome.err
-    return work
+
+    def run(work: Path) -> None:
+        outcome = malus("run", small_station_source / "station.toml", "-o", work, "--fusion", "grid", "--threads", "2")
+        assert outcome.code == 0, outcome.err
+
+    return made_once(tmp_path_factory, "finished_grid", run)
 
 
 def _changed(scene: synthetic.Scene) -> synthetic.Scene:
@@ -195,7 +246,7 @@ def _changed(scene: synthetic.Scene) -> synthetic.Scene:
     return replace(scene, depth=depth)
 
 
-def _finished(scene: synthetic.Scene, folder: Path, *, seed: int) -> Path:
+def _finish(scene: synthetic.Scene, folder: Path, *, seed: int) -> None:
     images = [image / np.float32(16383) for image in synthetic.render(scene, seed=seed)]
     station = package.Station(
         images,
@@ -208,18 +259,22 @@ def _finished(scene: synthetic.Scene, folder: Path, *, seed: int) -> Path:
         frames_averaged=16,
     )
     package.reconstruct(station, workspace=folder, threads=2)
-    return folder
 
 
 @pytest.fixture(scope="session")
 def dates(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Workspaces of a stone, and of the same with a dent and a lump in a frame of its own; read them, do not change them."""
-    folder = tmp_path_factory.mktemp("dates")
     scene = synthetic.relief(240, 180, seed=3)
     rotation, translation = LATER
     camera = replace(scene.camera, rotation=rotation, translation=translation)
     later = replace(_changed(scene), camera=camera)
-    return _finished(scene, folder / "y2020", seed=1), _finished(later, folder / "y2025", seed=2)
+
+    def run(folder: Path) -> None:
+        _finish(scene, folder / "y2020", seed=1)
+        _finish(later, folder / "y2025", seed=2)
+
+    folder = made_once(tmp_path_factory, "dates", run)
+    return folder / "y2020", folder / "y2025"
 
 
 @pytest.fixture
