@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from conftest import LONGEST_FIRST
+
 ROOT = Path(__file__).parents[2]
 LONGEST = 80
 MOST_INSTALLED_HEADERS = 37
@@ -57,6 +59,10 @@ def test_long_functions_are_found(tmp_path: Path) -> None:
     assert [lines for _, lines in cpp_functions(tmp_path / "a.cpp")] == [3, LONGEST + 3]
     (tmp_path / "a.py").write_text("def long_one():\n" + body.replace(";", "") + "\n")
     assert list(python_functions(tmp_path / "a.py")) == [("long_one", LONGEST + 1)]
+
+
+def test_files_that_begin_first_are_there() -> None:
+    assert all((ROOT / "tests/python" / name).exists() for name in LONGEST_FIRST)
 
 
 def installed_headers() -> dict[str, Path]:
