@@ -10,7 +10,7 @@ import markupsafe
 import pytest
 import tifffile
 
-from conftest import edit, malus_station
+from conftest import QUICK_WORDS, edit, malus_station
 from malus.workspace import Workspace
 
 ANGLES = "angles_deg = [0, 30, 60, 90, 120, 150]"
@@ -54,7 +54,7 @@ def test_what_a_part_of_the_result_suffers_from_makes_it_partial(small_station: 
     pixels[20:140, 20:180] //= 2
     tifffile.imwrite(path, pixels)
     work = tmp_path / "work"
-    outcome = malus_station(small_station, "-o", work, "--until", "assess")
+    outcome = malus_station(small_station, "-o", work, "--until", "assess", *QUICK_WORDS)
     assert outcome.code == 0, outcome.err
     found = findings(work)["misfits"]
     assert found["severity"] == "caution"

@@ -9,7 +9,7 @@ import pytest
 import tifffile
 
 import malus
-from conftest import edit
+from conftest import QUICK, edit
 
 CELL_DEG = (90, 45, 135, 0)
 SIX_DEG = (0, 30, 60, 90, 120, 150)
@@ -55,10 +55,13 @@ def mosaic_station(small_station: Path) -> Path:
 
 
 def test_mosaic_becomes_a_surface(small_station: Path, mosaic_station: Path, tmp_path: Path) -> None:
-    six = malus.reconstruct(malus.Station.load(small_station), threads=2)
+    options = malus.Options(refine=QUICK)
+    six = malus.reconstruct(malus.Station.load(small_station), options, threads=2)
     warnings: list[str] = []
     station = malus.Station.load(mosaic_station)
-    mosaic = malus.reconstruct(station, workspace=tmp_path / "w", threads=2, log=lambda _, text: warnings.append(text))
+    mosaic = malus.reconstruct(
+        station, options, workspace=tmp_path / "w", threads=2, log=lambda _, text: warnings.append(text)
+    )
     assert mosaic.depth is not None and mosaic.depth.shape == (160, 200) and mosaic.quality is not None
     assert mosaic.quality["coverage"]["fraction"] > 0.99
     # Measured: 5.3°.
@@ -67,17 +70,18 @@ def test_mosaic_becomes_a_surface(small_station: Path, mosaic_station: Path, tmp
     assert any("texture finer than the mosaic's cells" in text for text in warnings)
     # What is known of the interpolation's errors survives on disk.
     (tmp_path / "w/fused/depth.tif").unlink()
-    again = malus.reconstruct(station, workspace=tmp_path / "w", threads=2)
+    again = malus.reconstruct(station, options, workspace=tmp_path / "w", threads=2)
     np.testing.assert_array_equal(again.depth, mosaic.depth)
 
 
 def test_color_mosaic_becomes_a_surface(small_station: Path, mosaic_station: Path) -> None:
-    grey = malus.reconstruct(malus.Station.load(mosaic_station), threads=2)
+    options = malus.Options(refine=QUICK)
+    grey = malus.reconstruct(malus.Station.load(mosaic_station), options, threads=2)
     path = mosaic_station.parent / "mosaic.tif"
     mosaic = tifffile.imread(path).astype(float)
     v, u = np.indices(mosaic.shape)
     tint = np.array([[0.9, 1.0], [1.0, 0.7]])[v // 2 % 2, u // 2 % 2]
     write(path, mosaic * tint)
     edit(mosaic_station, "mosaic = [[", 'mosaic_colors = "RGGB"\nmosaic = [[')
-    color = malus.reconstruct(malus.Station.load(mosaic_station), threads=2)
+    color = malus.reconstruct(malus.Station.load(mosaic_station), options, threads=2)
     assert normals_off_deg(color, grey) < 1

@@ -21,7 +21,7 @@ import tifffile
 from PIL import Image
 
 import malus
-from conftest import edit, half_written, malus_station, run_program
+from conftest import QUICK, QUICK_WORDS, edit, half_written, malus_station, run_program
 from conftest import malus as run_malus
 from malus.overlay import draw_overlay
 
@@ -174,7 +174,8 @@ def test_one_and_two_threads_agree(finished: Path, small_station_source: Path, t
 
 @pytest.mark.parametrize("fusion", ["grid", "refined"])
 def test_letting_maps_go_changes_no_file(fusion: str, small_station_source: Path, tmp_path: Path) -> None:
-    station, options = malus.Station.load(small_station_source / "station.toml"), malus.Options(fusion=fusion)
+    station = malus.Station.load(small_station_source / "station.toml")
+    options = malus.Options(fusion=fusion, refine=QUICK)
     kept = malus.reconstruct(station, options, workspace=tmp_path / "kept", threads=2)
     lean = malus.reconstruct(station, options, workspace=tmp_path / "lean", threads=2, keep_maps=False)
     for name, value in vars(lean).items():
@@ -248,7 +249,7 @@ def test_every_command_leaves_what_its_help_says(small_station: Path, tmp_path: 
     expected = {"manifest.json"}
     for command in ("decompose", "prior", "fuse", "refine", "height", "mesh", "assess"):
         before = files_of(work) if work.exists() else set()
-        outcome = run_malus(command, small_station, "-o", work, "--threads", "2", "--set", "refine.iterations=1")
+        outcome = run_malus(command, small_station, "-o", work, "--threads", "2", *QUICK_WORDS)
         assert outcome.code == 0, outcome.err
         assert leaves(command) <= files_of(work), command
         expected |= leaves(command) | {
@@ -278,7 +279,7 @@ def test_grid_fusion_is_no_refinement(small_station: Path, tmp_path: Path) -> No
 
 def test_zenith_and_height_can_be_left_out(small_station: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
-    options = ["--threads", "2", "--set", "refine.iterations=1", "--set", "assess.polarization_height=false"]
+    options = ["--threads", "2", *QUICK_WORDS, "--set", "assess.polarization_height=false"]
     outcome = run_malus("run", small_station, "-o", work, *options)
     assert outcome.code == 0, outcome.err
     quality = json.loads((work / "quality.json").read_text())
@@ -292,7 +293,7 @@ def test_results_of_two_runs_are_not_mixed(finished: Path, small_station_source:
     station = small_station_source / "station.toml"
     work = shutil.copytree(finished, tmp_path / "work")
     (work / "polarization/color.tif").write_bytes(b"of another program")
-    outcome = malus_station(station, "-o", work, "--until", "fuse", "--set", "refine.iterations=1", "--quiet")
+    outcome = malus_station(station, "-o", work, "--until", "fuse", *QUICK_WORDS, "--quiet")
     assert outcome.code == 0, outcome.err
     for stale in ("quality.json", "fused/surface.ply", "report/index.html"):
         assert not (work / stale).exists(), stale
@@ -300,7 +301,7 @@ def test_results_of_two_runs_are_not_mixed(finished: Path, small_station_source:
     assert outcome.code == 2 and "quality.json" in outcome.err and "malus run" in outcome.err
     assert not malus.Workspace(work).has("polarization/color.tif"), "no step has left it"
 
-    assert malus_station(station, "-o", work, "--set", "refine.iterations=1", "--quiet").code == 0
+    assert malus_station(station, "-o", work, *QUICK_WORDS, "--quiet").code == 0
     depth = (work / "fused/depth.tif").read_bytes()
     (work / "fused/depth.tif").write_bytes((finished / "fused/depth.tif").read_bytes())
     outcome = run_malus("report", work)

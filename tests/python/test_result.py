@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import malus
+from conftest import QUICK
 from malus import synthetic
 from malus.glossary import definitions
 from malus.threads import ALL_CORES
@@ -19,7 +20,7 @@ def result(scene: synthetic.Scene, sensor: synthetic.Sensor, images: list[np.nda
     station = malus.Station(
         images, sensor.angles_deg, scene.camera, prior_depth=scene.depth, name="in memory", frames_averaged=16
     )
-    return malus.reconstruct(station)
+    return malus.reconstruct(station, malus.Options(refine=QUICK))
 
 
 def test_result_says_what_it_is(result: malus.Result, scene: synthetic.Scene) -> None:

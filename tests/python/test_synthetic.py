@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import malus
+from conftest import QUICK
 from malus import synthetic
 from malus.camera import Camera
 
@@ -55,10 +56,10 @@ def test_mirrored_sky_is_polarized_across_the_azimuth() -> None:
     assert s1[35, 99] > 0  # above: horizontal
 
 
-@pytest.mark.parametrize("prior", ["cloud", "depth"])
-def test_station_is_reconstructed(tmp_path: Path, prior: str) -> None:
+@pytest.mark.parametrize(("prior", "refinement"), [("cloud", {}), ("depth", QUICK)])
+def test_station_is_reconstructed(tmp_path: Path, prior: str, refinement: dict[str, bool]) -> None:
     station = synthetic.write_station(tmp_path / prior, 200, 140, prior=prior)
-    result = malus.reconstruct(malus.Station.load(station), malus.Options(fusion="refined"))
+    result = malus.reconstruct(malus.Station.load(station), malus.Options(fusion="refined", refine=refinement))
     truth = np.load(station.parent / "gt" / "depth_normal_mask.npz")["depth"].astype(float)
     gsd = json.loads((station.parent / "meta.json").read_text())["gsd_mm"]
     error = (np.asarray(result.depth, float) - truth)[8:-8, 8:-8] / gsd
