@@ -34,7 +34,7 @@ from malus.threads import ALL_CORES
 from malus.trust import words_of
 from malus.units import METRES
 from malus.workspace import Raster, Workspace
-from malus.xmp import packet, save_png, tag_png, tag_tiff
+from malus.xmp import NAMESPACE, packet, save_png, tag_png, tag_tiff
 
 
 class Exporter:
@@ -288,10 +288,12 @@ def _write_colmap(exporter: Exporter, path: Path, wishes: Wishes) -> None:
 
 def _write_rti(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     write_rti(exporter.workspace, path)
+    # Their format has no place for words.
+    write_text(path.with_suffix(".ptm.txt"), "".join(f"{line}\n" for line in exporter.words()))
 
 
 def _write_relight(exporter: Exporter, path: Path, wishes: Wishes) -> None:
-    write_relight(exporter.workspace, path, exporter.xmp())
+    write_relight(exporter.workspace, path, exporter.said, exporter.xmp())
 
 
 def _write_iiif(exporter: Exporter, path: Path, wishes: Wishes) -> None:
@@ -416,9 +418,17 @@ def _write_e57(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         "colorGreen": green,
         "colorBlue": blue,
     }
+    # What E57 has no element for is said in elements of our own, as the standard foresees; the name is what programs show.
+    said = {**exporter.said, "unit": "m"}
     with replacing(path) as temporary:
         file = library.E57(str(temporary), mode="w")
-        file.write_scan_raw({key: np.ascontiguousarray(value) for key, value in values.items()}, name=exporter.name)
+        file.image_file.extensionsAdd("malus", NAMESPACE)
+        file.write_scan_raw(
+            {key: np.ascontiguousarray(value) for key, value in values.items()},
+            name=f"{exporter.name} (confidence {said['confidence']})",
+        )
+        for key, words in said.items():
+            file.data3d[0].set(f"malus:{key}", library.libe57.StringNode(file.image_file, words))
         file.close()
 
 
@@ -485,8 +495,8 @@ def export(
 
     albedo: colors are the object's own, without highlights and shading (malus.albedo), instead of those of the photograph. chart: file of
     `malus chart`, which takes the camera's colors to sRGB. trim: leaves out of meshes what has a larger standard deviation (GSD); fill: closes
-    holes that the surface surrounds, in magenta, for nothing was measured there. Images say their color space (PNG). Images, drawings,
-    GLB, OBJ, PLY and LAS say the words of [object], the unit, and how far the surface may be trusted; STL has room for the latter two.
+    holes that the surface surrounds, in magenta, for nothing was measured there. Images say their color space (PNG). They all say the
+    words of [object], the unit, and how far the surface may be trusted: beside the file for rti, and STL has room for the latter two only.
 
     Raises malus.InputError, DataError for the albedo of a surface without a reflection model, or ExternalError if the format needs a package that is not installed.
     """

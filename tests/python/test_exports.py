@@ -321,6 +321,22 @@ def test_drawings_and_maps_of_floats_say_how_far_to_trust_them(workspace: malus.
             assert told <= {f"{key}: {value}" for key, value in file.header().items()}
 
 
+def test_e57_and_rti_say_how_far_to_trust_them(workspace: malus.Workspace, tmp_path: Path) -> None:
+    from xml.etree import ElementTree
+
+    told = {"title: Relief & label", "identifier: X 1907.4", *of_the_surface(workspace)}
+    malus.export(workspace.folder, "rti", tmp_path / "a.ptm")
+    assert told <= set((tmp_path / "a.ptm.txt").read_text().splitlines())
+    info = json.loads((malus.export(workspace.folder, "relight", tmp_path / "relight") / "info.json").read_text())
+    assert told <= {f"{key}: {value}" for key, value in info["about"].items()}
+    reader = pytest.importorskip("e57")
+    root = ElementTree.fromstring(reader.raw_xml(str(malus.export(workspace.folder, "e57", tmp_path / "a.e57"))))
+    elements = {element.tag: element.text for element in root.iter()}
+    said = {f"{tag.split('}')[1]}: {text}" for tag, text in elements.items() if tag.startswith("{urn:malus:surface/}")}
+    assert (told - {"unit: mm"}) | {"unit: m"} <= said  # E57 is in meters
+    assert f"confidence {workspace.quality['confidence']['level']}" in elements["{http://www.astm.org/COMMIT/E57/2010-e57-v1.0}name"]
+
+
 def test_stl_says_its_unit_and_how_far_to_trust_it(workspace: malus.Workspace, tmp_path: Path) -> None:
     head = malus.export(workspace.folder, "stl", tmp_path / "a.stl").read_bytes()[:80].decode()
     assert head.startswith(
