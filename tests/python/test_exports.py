@@ -18,7 +18,7 @@ import malus
 from conftest import malus as run_malus
 from conftest import run_program
 from malus import drawings, exports
-from malus.trust import origin_of_detail
+from malus.trust import said_of
 from malus.xmp import NAMESPACE
 
 
@@ -301,9 +301,22 @@ def of_the_surface(workspace: malus.Workspace) -> list[str]:
     ]
 
 
-def test_how_much_is_the_priors_is_said() -> None:
+def test_how_much_is_the_priors_is_said(workspace: malus.Workspace) -> None:
     for refined, words in ((0.99, "on nearly all"), (0.4, "on 40 % of the object, elsewhere the prior's"), (0.01, "the surface is the prior's")):  # fmt: skip
-        assert words in origin_of_detail({"refinement": {"trusted_share": refined}})
+        assert words in said_of({**workspace.quality, "refinement": {"trusted_share": refined}})["detail"]
+
+
+def test_meshes_of_a_run_say_how_far_to_trust_them(finished_grid: Path) -> None:
+    # What is opened first in another program is the run's own file.
+    workspace = malus.Workspace(finished_grid)
+    header = (finished_grid / "fused/surface.ply").read_bytes().split(b"end_header", 1)[0].decode()
+    comments = {line.removeprefix("comment ") for line in header.splitlines() if line.startswith("comment ")}
+    assert set(of_the_surface(workspace)) <= comments
+    assert comments == {f"{key}: {value}" for key, value in said_of(workspace.quality).items()}
+    glb = (finished_grid / "fused/surface.glb").read_bytes()
+    extras = json.loads(glb[20 : 20 + int.from_bytes(glb[12:16], "little")])["asset"]["extras"]
+    assert extras["confidence"] == workspace.quality["confidence"]
+    assert (extras["unit_of_the_station"], extras["versions"]) == ("mm", workspace.manifest["versions"])
 
 
 def test_drawings_and_maps_of_floats_say_how_far_to_trust_them(workspace: malus.Workspace, tmp_path: Path) -> None:
