@@ -646,6 +646,8 @@ def erase(page: Any, x: int, y: int) -> None:
 
 @needs_browser
 def test_what_is_drawn_outlives_changes_by_others(served: Served, page: Any) -> None:
+    from playwright.sync_api import expect
+
     station, mask = served.folder / "station.toml", served.folder / "station_mask.png"
     go(page, "Draw")
     page.locator("#draw-what").select_option("mask")
