@@ -8,6 +8,7 @@ from typing import Any
 
 from malus import _core
 
+
 def refined_share(quality: Mapping[str, Any]) -> float | None:
     """Share of the object where the surface is finer than its prior; None if the run did not find out."""
     share: float | None = quality.get("refinement", {}).get("trusted_share")

@@ -347,7 +347,10 @@ def test_e57_and_rti_say_how_far_to_trust_them(workspace: malus.Workspace, tmp_p
     elements = {element.tag: element.text for element in root.iter()}
     said = {f"{tag.split('}')[1]}: {text}" for tag, text in elements.items() if tag.startswith("{urn:malus:surface/}")}
     assert (told - {"unit: mm"}) | {"unit: m"} <= said  # E57 is in meters
-    assert f"confidence {workspace.quality['confidence']['level']}" in elements["{http://www.astm.org/COMMIT/E57/2010-e57-v1.0}name"]
+    assert (
+        f"confidence {workspace.quality['confidence']['level']}"
+        in elements["{http://www.astm.org/COMMIT/E57/2010-e57-v1.0}name"]
+    )
 
 
 def test_stl_says_its_unit_and_how_far_to_trust_it(workspace: malus.Workspace, tmp_path: Path) -> None:

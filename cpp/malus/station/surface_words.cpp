@@ -21,9 +21,9 @@ std::string in_one_line(const std::string& text) {
 /// How much of the surface is finer than the coarse one that it was made from.
 std::string origin_of_detail(const Json& quality) {
   const auto refinement = quality.find("refinement");
-  const bool is_known =
-      refinement != quality.end() && refinement->contains("trusted_share") && !refinement->at("trusted_share").is_null();
-  if (!is_known) return "detail from polarization everywhere, which nothing proves";
+  const bool has_share = refinement != quality.end() && refinement->contains("trusted_share");
+  if (!has_share || refinement->at("trusted_share").is_null())
+    return "detail from polarization everywhere, which nothing proves";
   const double share = refinement->at("trusted_share");
   if (share < refined_nowhere) return "the surface is the prior's (the coarse surface it was made from), no finer";
   if (share >= refined_everywhere) return "detail from polarization on nearly all of the object";
