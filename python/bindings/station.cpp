@@ -8,6 +8,7 @@
 #include "cameras.h"
 #include "clouds.h"
 #include "interruptible.h"
+#include "malus/fusion/refined_share_internal.h"
 #include "malus/io/given_station_internal.h"
 #include "malus/io/sha256_internal.h"
 #include "malus/io/station_file_internal.h"
@@ -19,6 +20,7 @@
 #include "malus/station/presets_internal.h"
 #include "malus/station/reconstruct.h"
 #include "malus/station/step_watch_internal.h"
+#include "malus/station/surface_words_internal.h"
 
 namespace malus::python {
 namespace {
@@ -226,6 +228,13 @@ void bind_workspace(py::module_& module) {
     return py::make_tuple(enum_name(confidence.level), confidence.reasons, found->assessed);
   });
   module.def("read_manifest", [](const std::string& folder) { return Workspace::read_manifest(folder).dump(); });
+  module.def("surface_words",
+             [](const std::string& quality) { return surface_words(Json::parse(quality)).dump(); });
+  module.def("surface_extras", [](const std::string& quality, const std::string& versions) {
+    return surface_extras(Json::parse(quality), Json::parse(versions)).dump();
+  });
+  module.attr("refined_nowhere") = refined_nowhere;
+  module.attr("refined_everywhere") = refined_everywhere;
   module.def("sha256_of_file", [](const std::string& path) { return sha256_of_file(path, "output"); });
   module.def("forget_step", [](const std::string& folder, const std::string& step) { forget_step(folder, step); });
   py::class_<StepWatch>(module, "StepWatch").def(py::init<>()).def("stop", [](StepWatch& watch) {

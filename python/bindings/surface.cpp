@@ -93,20 +93,23 @@ void bind_surface(py::module_& module) {
     write_dem(path, {to_image(elevation), pixel, origin, right, up, normal}, length_unit(unit), name);
   });
   module.def("write_ply", [](const std::string& path, const Array<double>& vertices, const Array<float>& normals,
-                             const Array<std::uint8_t>& colors, const Array<std::uint32_t>& triangles, int threads) {
+                             const Array<std::uint8_t>& colors, const Array<std::uint32_t>& triangles,
+                             const std::vector<std::string>& comments, int threads) {
     TriangleMesh mesh = to_mesh(vertices, normals, triangles);
     const auto rows = colors.unchecked<2>();
     for (py::ssize_t i = 0; i < colors.shape(0); ++i)
       mesh.vertices.colors.push_back({rows(i, 0), rows(i, 1), rows(i, 2)});
-    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) { write_ply(path, mesh, context); });
+    run_interruptible(threads, py::none(), py::none(),
+                      [&](const Context& context) { write_ply(path, mesh, context, comments); });
   });
   module.def("write_glb", [](const std::string& path, const Array<double>& vertices, const Array<float>& normals,
                              const Array<std::uint32_t>& triangles, const Array<std::uint8_t>& texture,
-                             const RasterView& view, const std::string& unit, const std::string& name, int threads) {
+                             const RasterView& view, const std::string& unit, const std::string& name,
+                             const std::string& extras, int threads) {
     const Image<std::uint8_t> image = to_image(texture);
     const TriangleMesh mesh = to_mesh(vertices, normals, triangles);
     run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      write_glb(path, mesh, {image, view.camera, view.pose}, length_unit(unit), name, context);
+      write_glb(path, mesh, {image, view.camera, view.pose}, length_unit(unit), name, context, extras);
     });
   });
 }

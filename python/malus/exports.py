@@ -31,10 +31,10 @@ from malus.result import Result
 from malus.rti import write_relight, write_rti
 from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
 from malus.threads import ALL_CORES
-from malus.trust import words_of
+from malus.trust import extras_of, said_of, words_of
 from malus.units import METRES
 from malus.workspace import Raster, Workspace
-from malus.xmp import packet, save_png, tag_png, tag_tiff
+from malus.xmp import NAMESPACE, packet, save_png, tag_png, tag_tiff
 
 
 class Exporter:
@@ -111,9 +111,8 @@ class Exporter:
 
     @cached_property
     def said(self) -> dict[str, str]:
-        """Both, of one line each, for formats whose files have properties or a header of text."""
-        words = {"title": self.name, **{key: value for key, value in self.catalogue.items() if value}, **self.trust}
-        return {key: " ".join(str(value).split()) for key, value in words.items() if value}
+        """That and the catalogue's words, of one line each, for formats whose files have properties or a header of text."""
+        return said_of(self.workspace.quality)
 
     def words(self) -> list[str]:
         """The same as lines: "title: Carved stone"."""
@@ -184,43 +183,31 @@ class Wishes:
 
 def _write_ply(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     mesh = exporter.simplified(wishes.faces)
-    _core.write_ply(str(path), mesh.vertices, mesh.normals, mesh.colors, mesh.triangles, exporter.threads)
-    words = [f"comment {line}\n".encode() for line in exporter.words()]
-    with replacing(path) as temporary, path.open("rb") as bare, temporary.open("wb") as file:
-        file.writelines([bare.readline(), bare.readline(), *words])  # behind "ply" and the format
-        shutil.copyfileobj(bare, file)
+    _core.write_ply(
+        str(path), mesh.vertices, mesh.normals, mesh.colors, mesh.triangles, exporter.words(), exporter.threads
+    )
 
 
 def _write_glb(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     mesh = exporter.simplified(wishes.faces)
+    workspace = exporter.workspace
     _core.write_glb(
-        str(path), mesh.vertices, mesh.normals, mesh.triangles, exporter.picture(), exporter.workspace.camera,
-        exporter.unit, exporter.name, exporter.threads,
+        str(path), mesh.vertices, mesh.normals, mesh.triangles, exporter.picture(), workspace.camera, exporter.unit,
+        exporter.name, extras_of(workspace.quality, workspace.manifest["versions"]), exporter.threads,
     )  # fmt: skip
-    _say_what_it_is(path, exporter, wishes.y_up)
+    if wishes.y_up:
+        _turn_y_up(path)
 
 
-def _say_what_it_is(path: Path, exporter: Exporter, y_up: bool) -> None:
-    """Put the catalogue's words and the origin into a GLB file (asset.extras), and turn it to y up if asked."""
+def _turn_y_up(path: Path) -> None:
+    """glTF's "y up" for a world whose z is up: a quarter turn about x over everything in a GLB file."""
     content = path.read_bytes()
     length = int.from_bytes(content[12:16], "little")
     document = json.loads(content[20 : 20 + length])
-    quality = exporter.workspace.quality
-    document["asset"]["extras"] = {
-        "object": {key: value for key, value in exporter.catalogue.items() if value},
-        "station": exporter.name,
-        "unit_of_the_station": exporter.unit,
-        "gsd": quality["gsd"],
-        "confidence": quality["confidence"],
-        "detail": exporter.trust["detail"],
-        "versions": exporter.workspace.manifest["versions"],
-    }
-    if y_up:
-        # glTF's "y up" for a world whose z is up: a quarter turn about x over everything.
-        half = float(np.sqrt(0.5))
-        for scene in document["scenes"]:
-            document["nodes"].append({"name": "y up", "rotation": [-half, 0, 0, half], "children": scene["nodes"]})
-            scene["nodes"] = [len(document["nodes"]) - 1]
+    half = float(np.sqrt(0.5))
+    for scene in document["scenes"]:
+        document["nodes"].append({"name": "y up", "rotation": [-half, 0, 0, half], "children": scene["nodes"]})
+        scene["nodes"] = [len(document["nodes"]) - 1]
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     rest = content[20 + length :]
@@ -288,10 +275,12 @@ def _write_colmap(exporter: Exporter, path: Path, wishes: Wishes) -> None:
 
 def _write_rti(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     write_rti(exporter.workspace, path)
+    # Their format has no place for words.
+    write_text(path.with_suffix(".ptm.txt"), "".join(f"{line}\n" for line in exporter.words()))
 
 
 def _write_relight(exporter: Exporter, path: Path, wishes: Wishes) -> None:
-    write_relight(exporter.workspace, path, exporter.xmp())
+    write_relight(exporter.workspace, path, exporter.said, exporter.xmp())
 
 
 def _write_iiif(exporter: Exporter, path: Path, wishes: Wishes) -> None:
@@ -416,9 +405,17 @@ def _write_e57(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         "colorGreen": green,
         "colorBlue": blue,
     }
+    # What E57 has no element for is said in elements of our own, as the standard foresees; the name is what programs show.
+    said = {**exporter.said, "unit": "m"}
     with replacing(path) as temporary:
         file = library.E57(str(temporary), mode="w")
-        file.write_scan_raw({key: np.ascontiguousarray(value) for key, value in values.items()}, name=exporter.name)
+        file.image_file.extensionsAdd("malus", NAMESPACE)
+        file.write_scan_raw(
+            {key: np.ascontiguousarray(value) for key, value in values.items()},
+            name=f"{exporter.name} (confidence {said['confidence']})",
+        )
+        for key, words in said.items():
+            file.data3d[0].set(f"malus:{key}", library.libe57.StringNode(file.image_file, words))
         file.close()
 
 
@@ -485,8 +482,8 @@ def export(
 
     albedo: colors are the object's own, without highlights and shading (malus.albedo), instead of those of the photograph. chart: file of
     `malus chart`, which takes the camera's colors to sRGB. trim: leaves out of meshes what has a larger standard deviation (GSD); fill: closes
-    holes that the surface surrounds, in magenta, for nothing was measured there. Images say their color space (PNG). Images, drawings,
-    GLB, OBJ, PLY and LAS say the words of [object], the unit, and how far the surface may be trusted; STL has room for the latter two.
+    holes that the surface surrounds, in magenta, for nothing was measured there. Images say their color space (PNG). They all say the
+    words of [object], the unit, and how far the surface may be trusted: beside the file for rti, and STL has room for the latter two only.
 
     Raises malus.InputError, DataError for the albedo of a surface without a reflection model, or ExternalError if the format needs a package that is not installed.
     """

@@ -103,11 +103,12 @@ def write_rti(workspace: Workspace, path: Path) -> None:
     write_ptm(path, found.coefficients, found.colors)
 
 
-def write_relight(workspace: Workspace, folder: Path, xmp: str) -> Path:
+def write_relight(workspace: Workspace, folder: Path, said: dict[str, str], xmp: str) -> Path:
     """Write the same for OpenLIME and RelightLab: info.json with planes of coefficients as JPEG, and layers normals.png and
     albedo.png; of a surface without a reflection model, whose highlights stay in its colors, unshaded.png.
 
     The planes: color, then the coefficients of 1, u, v and of u², uv, v²; a value is (level − bias) · scale with levels 0 … 1.
+    What is `said` of the surface goes into info.json ("about"), which viewers pass over, and `xmp` into the layers.
     InputError if the folder is there already.
     """
     found = relightable(workspace)
@@ -127,6 +128,7 @@ def write_relight(workspace: Workspace, folder: Path, xmp: str) -> Path:
         "nplanes": 9,
         "quality": _QUALITY,
         "pixelSizeInMM": millimetres,
+        "about": said,
         "materials": [{"scale": [1, 1, 1, *scale.tolist()], "bias": [0, 0, 0, *(-low / scale).tolist()]}],
     }
     shown = np.nan_to_num(found.normals, nan=0.0)

@@ -297,7 +297,7 @@ def write_station(
         prior_line = 'cloud = "cloud.ply"'
         points, normals = stereo_cloud(scene, seed=seed)
         none = np.zeros((0, 3), np.uint8), np.zeros((0, 3), np.uint32)
-        _core.write_ply(str(folder / "cloud.ply"), points, normals, *none, 1)
+        _core.write_ply(str(folder / "cloud.ply"), points, normals, *none, [], 1)
     else:
         prior_line = 'depth = "depth.tif"'
         _save(folder / "depth.tif", stereo_depth(scene, seed=seed).astype(np.float32))

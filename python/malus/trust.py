@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
 from malus import _core
-
-#: Share of the object below which next to nothing of it is refined, and above which nearly all of it is.
-_NOWHERE, _EVERYWHERE = 0.05, 0.9
 
 
 def refined_share(quality: Mapping[str, Any]) -> float | None:
@@ -20,7 +18,7 @@ def refined_share(quality: Mapping[str, Any]) -> float | None:
 def is_the_prior(quality: Mapping[str, Any]) -> bool:
     """Whether the surface is the prior's nearly everywhere, because nothing finer is supported."""
     refined = refined_share(quality)
-    return refined is not None and refined < _NOWHERE
+    return refined is not None and refined < _core.refined_nowhere
 
 
 def what_to_trust(quality: Mapping[str, Any]) -> str:
@@ -35,7 +33,7 @@ def what_to_trust(quality: Mapping[str, Any]) -> str:
         return "The shape is as good as the coarse surface it came from (the prior). Nothing proves the fine detail."
     if is_the_prior(quality):
         return "This is the coarse surface it started from (the prior), no finer and no worse."
-    if refined < _EVERYWHERE:
+    if refined < _core.refined_everywhere:
         return (
             f"Fine detail is likely where the map is blue-green ({100 * refined:.0f} % of the object). "
             "Elsewhere this is the coarse surface it started from (the prior)."
@@ -43,26 +41,25 @@ def what_to_trust(quality: Mapping[str, Any]) -> str:
     return "Fine detail is likely on nearly all of the object. The reasons below say what is less sure."
 
 
-def origin_of_detail(quality: Mapping[str, Any]) -> str:
-    """How much of the surface is finer than the coarse one that it was made from, for files that have no map of it."""
-    refined = refined_share(quality)
-    if refined is None:
-        return "detail from polarization everywhere, which nothing proves"
-    if is_the_prior(quality):
-        return "the surface is the prior's (the coarse surface it was made from), no finer"
-    if refined >= _EVERYWHERE:
-        return "detail from polarization on nearly all of the object"
-    return f"detail from polarization on {100 * refined:.0f} % of the object, elsewhere the prior's surface, no finer"
+def said_of(quality: Mapping[str, Any]) -> dict[str, str]:
+    """What every file says of the surface in it, of one line each: the words of [object], unit, pixel, confidence and its reasons,
+    origin of the detail, program. The files that a run itself leaves say the same, from the same function.
+    """
+    said: dict[str, str] = json.loads(_core.surface_words(json.dumps(_facts(quality))))
+    return said
+
+
+def extras_of(quality: Mapping[str, Any], versions: Mapping[str, str]) -> str:
+    """The same as JSON for asset.extras of a GLB file."""
+    return _core.surface_extras(json.dumps(_facts(quality)), json.dumps(versions))
 
 
 def words_of(quality: Mapping[str, Any]) -> dict[str, str]:
-    """What a file says of the surface in it: unit, pixel, confidence and its reasons, origin of the detail, program."""
-    confidence = quality["confidence"]
-    return {
-        "unit": quality["unit"],
-        "pixel": f"{quality['gsd']:.4g} {quality['unit']}",
-        "confidence": confidence["level"],
-        "reasons": " ".join(confidence["reasons"]),
-        "detail": origin_of_detail(quality),
-        "made_by": f"Malus {_core.version}",
-    }
+    """The part of it that is not the catalogue's: unit, pixel, confidence and its reasons, origin of the detail, program."""
+    said = said_of(quality)
+    return {key: said.get(key, "") for key in ("unit", "pixel", "confidence", "reasons", "detail", "made_by")}
+
+
+def _facts(quality: Mapping[str, Any]) -> dict[str, Any]:
+    asked = ("name", "object", "unit", "gsd", "confidence", "refinement")
+    return {key: quality[key] for key in asked if key in quality}

@@ -96,6 +96,8 @@ def test_options_are_checked() -> None:
     options.set("grid.grid_px=8")
     assert options.grid.grid_px == 8
     assert malus.Options(**options.to_dict()) == options
+    with pytest.raises(malus.InputError, match=r"unknown option refine.foo, expected one of refine\.\w+, refine\."):
+        options.set("refine.foo=1")
     with pytest.raises(malus.InputError, match="did you mean height.smoothness"):
         options.height.smothness = 1
     with pytest.raises(malus.InputError, match="expected a whole number"):

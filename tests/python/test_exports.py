@@ -18,7 +18,7 @@ import malus
 from conftest import malus as run_malus
 from conftest import run_program
 from malus import drawings, exports
-from malus.trust import origin_of_detail
+from malus.trust import said_of
 from malus.xmp import NAMESPACE
 
 
@@ -301,9 +301,22 @@ def of_the_surface(workspace: malus.Workspace) -> list[str]:
     ]
 
 
-def test_how_much_is_the_priors_is_said() -> None:
+def test_how_much_is_the_priors_is_said(workspace: malus.Workspace) -> None:
     for refined, words in ((0.99, "on nearly all"), (0.4, "on 40 % of the object, elsewhere the prior's"), (0.01, "the surface is the prior's")):  # fmt: skip
-        assert words in origin_of_detail({"refinement": {"trusted_share": refined}})
+        assert words in said_of({**workspace.quality, "refinement": {"trusted_share": refined}})["detail"]
+
+
+def test_meshes_of_a_run_say_how_far_to_trust_them(finished_grid: Path) -> None:
+    # What is opened first in another program is the run's own file.
+    workspace = malus.Workspace(finished_grid)
+    header = (finished_grid / "fused/surface.ply").read_bytes().split(b"end_header", 1)[0].decode()
+    comments = {line.removeprefix("comment ") for line in header.splitlines() if line.startswith("comment ")}
+    assert set(of_the_surface(workspace)) <= comments
+    assert comments == {f"{key}: {value}" for key, value in said_of(workspace.quality).items()}
+    glb = (finished_grid / "fused/surface.glb").read_bytes()
+    extras = json.loads(glb[20 : 20 + int.from_bytes(glb[12:16], "little")])["asset"]["extras"]
+    assert extras["confidence"] == workspace.quality["confidence"]
+    assert (extras["unit_of_the_station"], extras["versions"]) == ("mm", workspace.manifest["versions"])
 
 
 def test_drawings_and_maps_of_floats_say_how_far_to_trust_them(workspace: malus.Workspace, tmp_path: Path) -> None:
@@ -319,6 +332,25 @@ def test_drawings_and_maps_of_floats_say_how_far_to_trust_them(workspace: malus.
     for name in ("normal-map", "displacement"):
         with library.File(str(malus.export(workspace.folder, name, tmp_path / f"{name}.exr"))) as file:
             assert told <= {f"{key}: {value}" for key, value in file.header().items()}
+
+
+def test_e57_and_rti_say_how_far_to_trust_them(workspace: malus.Workspace, tmp_path: Path) -> None:
+    from xml.etree import ElementTree
+
+    told = {"title: Relief & label", "identifier: X 1907.4", *of_the_surface(workspace)}
+    malus.export(workspace.folder, "rti", tmp_path / "a.ptm")
+    assert told <= set((tmp_path / "a.ptm.txt").read_text().splitlines())
+    info = json.loads((malus.export(workspace.folder, "relight", tmp_path / "relight") / "info.json").read_text())
+    assert told <= {f"{key}: {value}" for key, value in info["about"].items()}
+    reader = pytest.importorskip("e57")
+    root = ElementTree.fromstring(reader.raw_xml(str(malus.export(workspace.folder, "e57", tmp_path / "a.e57"))))
+    elements = {element.tag: element.text for element in root.iter()}
+    said = {f"{tag.split('}')[1]}: {text}" for tag, text in elements.items() if tag.startswith("{urn:malus:surface/}")}
+    assert (told - {"unit: mm"}) | {"unit: m"} <= said  # E57 is in meters
+    assert (
+        f"confidence {workspace.quality['confidence']['level']}"
+        in elements["{http://www.astm.org/COMMIT/E57/2010-e57-v1.0}name"]
+    )
 
 
 def test_stl_says_its_unit_and_how_far_to_trust_it(workspace: malus.Workspace, tmp_path: Path) -> None:

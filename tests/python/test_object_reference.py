@@ -134,6 +134,8 @@ def test_a_scan_that_lies_anywhere_is_compared_and_shown(pair: Path) -> None:
     assert np.linalg.norm(back - scan, axis=1).max() < 2 * quality["gsd"]
     assert "off the reference: median" in outcome.out
     page = (output / "object/report/index.html").read_text()
+    assert "<p>scan.ply, registered" in page and str(pair.parent) not in page
+    assert "querySelectorAll('.scroll')" in page  # wide tables are scrolled by keyboard
     assert "Distance from the reference as o1 sees it" in page and '<option value="reference">' in page
     assert "registered.ply" in page
 

@@ -6,11 +6,12 @@
 #include <numbers>
 #include <utility>
 
+#include "malus/assess/assessed_confidence_internal.h"
 #include "malus/assess/high_pass_internal.h"
+#include "malus/assess/pixel_sums_internal.h"
 #include "malus/assess/polarization_depth_internal.h"
 #include "malus/assess/quality_internal.h"
 #include "malus/core/parallel_internal.h"
-#include "malus/core/percent_internal.h"
 #include "malus/core/ranked_values_internal.h"
 #include "malus/core/robust_spread_internal.h"
 
@@ -20,36 +21,11 @@ namespace {
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 constexpr double degrees = 180 / std::numbers::pi;
 
-constexpr std::size_t grain = 1 << 16;
-
 RankedValues rank_values(const Image<float>& image, const Context& context) {
   const auto values = [&image](std::size_t begin, std::size_t end, float* to) {
     std::copy(image.data() + begin, image.data() + end, to);
   };
   return {image.count(), values, context};
-}
-
-/// Figures of some pixels that are added up.
-template <std::size_t n>
-struct Sums : std::array<double, n> {
-  Sums& operator+=(const Sums& other) {
-    for (std::size_t i = 0; i < n; ++i) (*this)[i] += other[i];
-    return *this;
-  }
-};
-
-/// Sums over all pixels of what add(pixel, sums) adds for each.
-template <std::size_t n, class Add>
-std::array<double, n> sum_pixels(std::size_t count, const Context& context, Add&& add) {
-  return parallel_sum(context, count, grain, Sums<n>{}, [&](std::size_t begin, std::size_t end) {
-    Sums<n> part{};
-    for (std::size_t i = begin; i < end; ++i) add(i, part);
-    return part;
-  });
-}
-
-double fraction_of(double part, double whole) {
-  return whole > 0 ? part / whole : nan;
 }
 
 void require_sizes(const AssessInput& input) {
@@ -68,15 +44,6 @@ void require_sizes(const AssessInput& input) {
     require_size(input.polarization->residual, size, "the polarization residual");
   }
   if (input.object != nullptr) require_size(*input.object, size, "the object mask");
-}
-
-bool is_object(const AssessInput& input, std::size_t pixel) {
-  if (input.object != nullptr) return (*input.object)[pixel] != 0;
-  if (input.polarization != nullptr) {
-    return input.polarization->valid[pixel] != static_cast<std::uint8_t>(PixelState::outside);
-  }
-  return std::isfinite(input.surface->depth[pixel]) ||
-         (input.prior != nullptr && std::isfinite(input.prior->depth[pixel]));
 }
 
 CoverageFigures measure_coverage(const AssessInput& input, const Context& context) {
@@ -125,7 +92,7 @@ DetailFigures compare_with_prior(const FusedSurface& surface, const DepthPrior& 
                                  const AssessOptions& options, const Context& context) {
   const Image<float>&fused = surface.depth, &before = prior.depth;
   struct Index {
-    enum : std::size_t { count, sum, squares, compared, within, size };
+    enum : std::size_t { count, sum, squares, size };
   };
   const auto sums = sum_pixels<Index::size>(fused.count(), context, [&](std::size_t i, Sums<Index::size>& part) {
     const float difference = fused[i] - before[i];
@@ -134,9 +101,6 @@ DetailFigures compare_with_prior(const FusedSurface& surface, const DepthPrior& 
     part[Index::count] += 1;
     part[Index::sum] += value;
     part[Index::squares] += value * value;
-    if (prior.sigma.empty() || !std::isfinite(prior.sigma[i])) return;
-    part[Index::compared] += 1;
-    part[Index::within] += std::abs(difference) < 2 * prior.sigma[i];
   });
   const auto differences = [&](std::size_t begin, std::size_t end, float* to) {
     std::transform(fused.data() + begin, fused.data() + end, before.data() + begin, to, std::minus<>());
@@ -158,7 +122,7 @@ DetailFigures compare_with_prior(const FusedSurface& surface, const DepthPrior& 
   figures.prior_detail_mad_gsd = of_prior.mad;
   figures.fused_detail_rms_gsd = of_fused.rms;
   figures.fused_detail_mad_gsd = of_fused.mad;
-  figures.within_2_prior_sigma_fraction = fraction_of(sums[Index::within], sums[Index::compared]);
+  figures.within_2_prior_sigma_fraction = share_within_prior(surface, prior, context);
   return figures;
 }
 
@@ -228,68 +192,6 @@ double ground_sampling_distance(const Image<float>& depth, const Pinhole& camera
   return percentiles(std::move(all), 1, {0.5})[0] / camera.focal();
 }
 
-namespace {
-
-// In what follows a figure that is missing or NaN proves nothing: comparisons are written so that it fails them.
-
-/// A surface that is unsure by much has no detail that could be trusted.
-void limit_by_sigma(const std::optional<SigmaFigures>& sigma, Confidence& confidence) {
-  constexpr double unknown_gsd = 10;
-  if (!sigma || std::isnan(sigma->median_gsd)) {
-    confidence.limit(ConfidenceLevel::partial, "How unsure the surface is, is not known.");
-  } else if (!(sigma->median_gsd <= unknown_gsd)) {
-    confidence.limit(ConfidenceLevel::low, "The surface is unsure by " +
-                                               std::to_string(std::lround(sigma->median_gsd)) +
-                                               " times the ground sampling distance in the median.");
-  }
-}
-
-/// Fused and prior surface contradict each other where they are farther apart than the prior is unsure.
-void limit_by_distance(const std::optional<DetailFigures>& figures, Confidence& confidence) {
-  // 0.95 are expected. Stations whose surface is right have 0.8 at least, those that went astray less than 0.45.
-  constexpr double least_within = 0.6;
-  const double within = figures ? figures->within_2_prior_sigma_fraction : nan;
-  if (std::isnan(within)) {
-    confidence.limit(ConfidenceLevel::partial, "Nothing tells how far the surface may lie from its prior.");
-  } else if (!(within >= least_within)) {
-    confidence.limit(ConfidenceLevel::low, "Only " + percent(within) +
-                                               " of the surface lie within two standard deviations of the prior, 95 % "
-                                               "are expected: prior and polarization contradict each other.");
-  }
-}
-
-/// Between the prior's data the surface's low frequencies are an interpolation, however sure its detail is.
-void limit_by_holes(const PriorFigures& prior, Confidence& confidence) {
-  constexpr double many = 0.25, most = 0.7;
-  if (prior.filled_fraction <= many) return;
-  const std::string share = std::isnan(prior.filled_fraction) ? "an unknown part" : percent(prior.filled_fraction);
-  confidence.limit(
-      prior.filled_fraction > most ? ConfidenceLevel::low : ConfidenceLevel::partial,
-      "On " + share + " of the object the prior has no data of its own: the surface is an interpolation there.");
-}
-
-/// Where polarization is not usable nothing is measured, and what is near goes on.
-void limit_by_gaps(const PolarizationFigures& polarization, Confidence& confidence) {
-  constexpr double nearly_all = 0.9;
-  if (polarization.valid_fraction >= nearly_all) return;
-  const std::string share =
-      std::isnan(polarization.valid_fraction) ? "an unknown part" : percent(1 - polarization.valid_fraction);
-  confidence.limit(ConfidenceLevel::partial, "On " + share +
-                                                 " of the object the polarization is not usable (saturated, too dark, "
-                                                 "or off the sinusoid): nothing finer than the prior is known there.");
-}
-
-/// What the figures add to what the fusion says of its own result.
-Confidence confidence_of(const Quality& quality, Confidence confidence) {
-  limit_by_sigma(quality.sigma, confidence);
-  limit_by_distance(quality.prior_vs_fused, confidence);
-  if (quality.prior) limit_by_holes(*quality.prior, confidence);
-  if (quality.polarization) limit_by_gaps(*quality.polarization, confidence);
-  return confidence;
-}
-
-}  // namespace
-
 Quality assess(const AssessInput& input, const AssessOptions& options, const Context& context) {
   validate_fields(options, "assess");
   require_sizes(input);
@@ -336,7 +238,7 @@ Quality assess(const AssessInput& input, const AssessOptions& options, const Con
     quality.profiles.push_back(
         section(profile, prior, polarization, surface.depth, surface.camera, quality.gsd, options, context));
   }
-  quality.confidence = confidence_of(quality, surface.confidence);
+  quality.confidence = assessed_confidence(input, context);
   if (input.reference != nullptr) {
     context.progress("assess", 0.6, "comparing with the reference");
     quality.reference = compare_with_reference(surface, *input.reference, quality.gsd, options, context);

@@ -4,6 +4,7 @@
 #include <string>
 
 #include "malus/core/percent_internal.h"
+#include "malus/fusion/refined_share_internal.h"
 #include "malus/fusion/refinement_verdict_internal.h"
 
 namespace malus {
@@ -17,8 +18,7 @@ std::string rounded(double value, int digits = 2) {
 }
 
 bool is_the_prior(const RefineReport& report) {
-  constexpr double nowhere = 0.05;
-  return report.trusted_share < nowhere;
+  return report.trusted_share < refined_nowhere;
 }
 
 /// A warning that lowers the confidence.
@@ -79,7 +79,6 @@ void judge_model(const RefineReport& report, FusedSurface& surface) {
 
 /// What the prior's slopes say. That nothing was gained is a warning, too.
 void judge_evidence(const RefineReport& report, double explained_least, FusedSurface& surface) {
-  constexpr double everywhere = 0.9;
   // Of stations between 0.5 and 0.75 some were made worse, under light and of materials that were drawn at random.
   constexpr double well_explained = 0.75;
   Confidence& confidence = surface.confidence;
@@ -99,7 +98,7 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
          surface);
     return;
   }
-  if (!(report.trusted_share >= everywhere)) {
+  if (!(report.trusted_share >= refined_everywhere)) {
     confidence.limit(ConfidenceLevel::partial,
                      "In " + percent(1 - report.trusted_share) +
                          " of the object the surface is the prior's, because the reflection model does not explain "

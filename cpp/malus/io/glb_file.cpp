@@ -205,7 +205,7 @@ Json document(const TriangleMesh& mesh, const ProjectedTexture& texture, const L
 }  // namespace
 
 void write_glb(const std::filesystem::path& path, const TriangleMesh& mesh, const ProjectedTexture& texture,
-               const LengthUnit& unit, const std::string& name, const Context& context) {
+               const LengthUnit& unit, const std::string& name, const Context& context, const std::string& extras) {
   const std::size_t count = mesh.vertices.points.size();
   if (mesh.triangles.empty()) throw input_error("cannot write " + path.string() + ": the mesh has no triangles");
   if (!mesh.vertices.normals.empty() && mesh.vertices.normals.size() != count) {
@@ -213,7 +213,9 @@ void write_glb(const std::filesystem::path& path, const TriangleMesh& mesh, cons
                       std::to_string(mesh.vertices.normals.size()) + " normals, expected none or as many");
   }
   Buffer buffer;
-  std::string json = document(mesh, texture, unit, name, buffer).dump();
+  Json content = document(mesh, texture, unit, name, buffer);
+  if (!extras.empty()) content["asset"]["extras"] = Json::parse(extras);
+  std::string json = content.dump();
   json.resize((json.size() + 3) / 4 * 4, ' ');
   const std::size_t first_piece = 12 + 8 + json.size() + 8, total = first_piece + buffer.size();
   if (total > std::numeric_limits<std::uint32_t>::max()) {

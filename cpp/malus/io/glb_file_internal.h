@@ -25,9 +25,11 @@ struct ProjectedTexture {
 /// mesh's own frame and therefore not turned to glTF's y up. Positions are 32-bit floats about the middle of the
 /// bounding box, which is the node's translation, so that a national grid loses nothing. UV = pixel grid of the camera;
 /// the texture is a JPEG, the material rough and not metallic. A second node carries the camera, to look from where the
-/// photograph was taken. Throws an input error for a mesh without triangles or with normals that are not one a vertex,
-/// a resource error when it cannot be written or would exceed 4 GB.
+/// photograph was taken. `extras`: a JSON object of what the file says of itself (asset.extras), or nothing. Throws an
+/// input error for a mesh without triangles or with normals that are not one a vertex, a resource error when it cannot
+/// be written or would exceed 4 GB.
 void write_glb(const std::filesystem::path& path, const TriangleMesh& mesh, const ProjectedTexture& texture,
-               const LengthUnit& unit, const std::string& name, const Context& context = {});
+               const LengthUnit& unit, const std::string& name, const Context& context = {},
+               const std::string& extras = {});
 
 }  // namespace malus

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <string>
 #include <string_view>
 #include <vector>
 
@@ -7,5 +8,10 @@ namespace malus {
 
 /// The nearest of `known` (not empty) by edit distance, for messages about unknown keys.
 std::string_view nearest_name(std::string_view name, const std::vector<std::string_view>& known);
+
+/// What a message about an unknown name ends with: "; did you mean grid?" where one of `known` (not empty) is so near
+/// that a slip explains it, else ", expected one of …". `before` stands before the names, as "refine." does.
+std::string hint_at_known_names(std::string_view name, const std::vector<std::string_view>& known,
+                                const std::string& before = {});
 
 }  // namespace malus

@@ -473,6 +473,7 @@ static_assert(std::endian::native == std::endian::little, "PLY is written in the
 /// How the vertices of a file are written, and its faces.
 struct PlyLayout {
   bool doubles = false, normals = false, colors = false;
+  const std::vector<std::string>& comments;
 
   std::size_t vertex_size() const {
     return 3 * (doubles ? sizeof(double) : sizeof(float)) + (normals ? sizeof(Eigen::Vector3f) : 0) +
@@ -491,7 +492,9 @@ struct PlyLayout {
   /// Without faces for a cloud.
   std::string header(std::size_t vertices, std::optional<std::size_t> faces) const {
     const std::string coordinate = doubles ? "property double " : "property float ";
-    std::string header = "ply\nformat binary_little_endian 1.0\nelement vertex " + std::to_string(vertices) + "\n";
+    std::string header = "ply\nformat binary_little_endian 1.0\n";
+    for (const std::string& comment : comments) header += "comment " + comment + "\n";
+    header += "element vertex " + std::to_string(vertices) + "\n";
     for (const char* name : {"x", "y", "z"}) header += coordinate + name + "\n";
     if (normals) header += "property float nx\nproperty float ny\nproperty float nz\n";
     if (colors) header += "property uchar red\nproperty uchar green\nproperty uchar blue\n";
@@ -510,7 +513,7 @@ bool needs_double(const Eigen::AlignedBox3d& box, std::size_t count) {
 }
 
 void write(const std::filesystem::path& path, const PointCloud& cloud, const Triangles* triangles,
-           const Context& context) {
+           const std::vector<std::string>& comments, const Context& context) {
   const std::size_t count = cloud.points.size();
   if ((!cloud.normals.empty() && cloud.normals.size() != count) ||
       (!cloud.colors.empty() && cloud.colors.size() != count)) {
@@ -520,7 +523,7 @@ void write(const std::filesystem::path& path, const PointCloud& cloud, const Tri
   }
   Eigen::AlignedBox3d box;
   for (const Eigen::Vector3d& point : cloud.points) box.extend(point);
-  const PlyLayout layout{needs_double(box, count), !cloud.normals.empty(), !cloud.colors.empty()};
+  const PlyLayout layout{needs_double(box, count), !cloud.normals.empty(), !cloud.colors.empty(), comments};
   AtomicFile file(path);
   const std::string header = layout.header(count, triangles ? std::optional(triangles->size()) : std::nullopt);
   file.write(header);
@@ -572,15 +575,17 @@ TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context
 }
 
 void write_ply(const std::filesystem::path& path, const PointCloud& cloud, const Context& context) {
-  write(path, cloud, nullptr, context);
+  write(path, cloud, nullptr, {}, context);
 }
 
-void write_ply(const std::filesystem::path& path, const TriangleMesh& mesh, const Context& context) {
-  write(path, mesh.vertices, &mesh.triangles, context);
+void write_ply(const std::filesystem::path& path, const TriangleMesh& mesh, const Context& context,
+               const std::vector<std::string>& comments) {
+  write(path, mesh.vertices, &mesh.triangles, comments, context);
 }
 
-void write_ply(const std::filesystem::path& path, const MeshInStrips& mesh, const Context& context) {
-  const PlyLayout layout{needs_double(mesh.box, mesh.vertices), true, mesh.has_colors};
+void write_ply(const std::filesystem::path& path, const MeshInStrips& mesh, const Context& context,
+               const std::vector<std::string>& comments) {
+  const PlyLayout layout{needs_double(mesh.box, mesh.vertices), true, mesh.has_colors, comments};
   AtomicFile file(path);
   const std::string header = layout.header(mesh.vertices, mesh.triangles);
   file.write(header);

@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <string>
+#include <vector>
 
 #include "malus/core/context.h"
 #include "malus/core/geometry.h"
@@ -38,9 +39,11 @@ TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context
 /// the mean vertex spacing (diagonal of the bounding box / √count), as it does in a national grid; then they are
 /// double.
 void write_ply(const std::filesystem::path& path, const PointCloud& cloud, const Context& context = {});
-/// The same with faces (list uchar int vertex_indices).
-void write_ply(const std::filesystem::path& path, const TriangleMesh& mesh, const Context& context = {});
+/// The same with faces (list uchar int vertex_indices), and with comments, a line each, in the header.
+void write_ply(const std::filesystem::path& path, const TriangleMesh& mesh, const Context& context = {},
+               const std::vector<std::string>& comments = {});
 /// The same file from strips.
-void write_ply(const std::filesystem::path& path, const MeshInStrips& mesh, const Context& context = {});
+void write_ply(const std::filesystem::path& path, const MeshInStrips& mesh, const Context& context = {},
+               const std::vector<std::string>& comments = {});
 
 }  // namespace malus

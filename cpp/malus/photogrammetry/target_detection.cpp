@@ -40,8 +40,8 @@ std::vector<CodedTarget> detect_targets(const Image<std::uint8_t>& image, const 
   if (found == dictionaries().end()) {
     std::vector<std::string_view> names;
     for (const auto& [name, number] : dictionaries()) names.push_back(name);
-    throw input_error("targets_dictionary = \"" + dictionary + "\" is not known; did you mean \"" +
-                      std::string(nearest_name(dictionary, names)) + "\"?");
+    throw input_error("targets_dictionary = \"" + dictionary + "\" is not known" +
+                      hint_at_known_names(dictionary, names));
   }
   if (image.channels() != 1) throw input_error("targets are searched in images of one channel");
   const cv::Mat pixels = as_mat(image);

@@ -30,8 +30,7 @@ void section_from_json(Section& section, const Json& json, const std::string& na
       }
     });
     if (!found)
-      throw input_error("unknown option " + name + "." + key + "; did you mean " + name + "." +
-                        std::string(nearest_name(key, known)) + "?");
+      throw input_error("unknown option " + name + "." + key + hint_at_known_names(key, known, name + "."));
   }
 }
 
@@ -78,8 +77,7 @@ Options options_from_json(const Options& options, std::string_view text) {
       }
     });
     if (!found)
-      throw input_error("unknown option section " + name + "; did you mean " + std::string(nearest_name(name, known)) +
-                        "?");
+      throw input_error("unknown option section " + name + hint_at_known_names(name, known));
   }
   result.validate();
   return result;

@@ -45,10 +45,11 @@ FusedSurface fuse_by_grid(const Job& job, const HeightMap& height, const DepthPr
 std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,
                                                                 const CalibratedPolarization& polarization,
                                                                 const DepthPrior& prior, const InputEvidence& evidence);
-/// The files in which people take the surface to other programs. A surface that has no elevation model (its plane is
-/// seen edge-on) goes without dem.tif, with a warning.
+/// The files in which people take the surface to other programs; the meshes say unit, confidence and the words of
+/// [object]. A surface that has no elevation model (its plane is seen edge-on) goes without dem.tif, with a warning.
 void write_mesh(const Job& job, const FusedSurface& surface, const ObjectColor& color,
-                const CalibratedPolarization& polarization);
+                const CalibratedPolarization& polarization, const DepthPrior& prior,
+                const RefinementFindings* refinement);
 
 // assess_step.cpp
 

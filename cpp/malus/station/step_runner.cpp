@@ -9,6 +9,7 @@
 #include "malus/station/station_warnings_internal.h"
 #include "malus/station/step_runner_internal.h"
 #include "malus/station/step_watch_internal.h"
+#include "malus/station/surface_words_internal.h"
 
 namespace malus {
 namespace {
@@ -43,9 +44,7 @@ StepRunner::StepRunner(const std::vector<Step>& table, std::vector<const Step*> 
   if (!run.workspace) return;
   workspace_ = std::make_unique<Workspace>(*run.workspace, owner_of(station), run.replace);
   workspace_->set_info("options", option_values_);
-  Json versions = {{"malus", version}};
-  for (const auto& [library, number] : library_versions) versions[library] = number;
-  workspace_->set_info("versions", versions);
+  workspace_->set_info("versions", all_versions());
   if (station.photogrammetry) {
     const Json times = Json::parse(station.photogrammetry->times_json);
     for (const auto& [name, value] : times.items()) workspace_->set_times(name, value);

@@ -98,7 +98,7 @@ std::vector<Step> steps_from_fusion_on() {
       step({.name = "mesh",
             .does = "metric mesh, textured mesh and elevation model",
             .options = {"surface"},
-            .station = {&Of::title},
+            .station = {&Of::title, &Of::object},
             .leaves = {"fused/surface.ply", "fused/surface.glb"},
             .may_leave = {"fused/dem.tif"},
             .cost = mesh_cost},

@@ -4,6 +4,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "malus/assess/assessed_confidence_internal.h"
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/length_unit_internal.h"
 #include "malus/fusion/grid_fusion_internal.h"
@@ -20,6 +21,7 @@
 #include "malus/station/quality_json_internal.h"
 #include "malus/station/state_views_internal.h"
 #include "malus/station/step_functions_internal.h"
+#include "malus/station/surface_words_internal.h"
 #include "malus/surface/dem_file_internal.h"
 #include "malus/surface/display_image_internal.h"
 
@@ -95,6 +97,25 @@ FusedSurface judged(FusedSurface surface, const InputEvidence& evidence, const C
   for (const std::string& warning : surface.warnings) context.log(LogLevel::warning, warning);
   evidence.limit(surface.confidence);
   return surface;
+}
+
+/// What quality.json will say of the surface as a whole; it is written after the mesh, whose warnings it has.
+Json facts_of(const Job& job, const FusedSurface& surface, const DepthPrior& prior, const PolarizationState& state,
+              const RefinementFindings* refinement) {
+  const StationFile& station = job.station.file;
+  const Mask object = object_mask(state);
+  AssessInput input;
+  input.surface = &surface;
+  input.prior = &prior;
+  input.polarization = &state;
+  input.object = &object;
+  const Confidence confidence = assessed_confidence(input, job.context);
+  return {{"name", station.name},
+          {"object", fields_to_json(station.object)},
+          {"unit", station.unit},
+          {"gsd", ground_sampling_distance(surface.depth, surface.camera, job.context)},
+          {"confidence", fields_to_json(confidence)},
+          {"refinement", refinement != nullptr ? Json::parse(refinement->report_json) : Json::object()}};
 }
 
 }  // namespace
@@ -190,7 +211,8 @@ std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,
 }
 
 void write_mesh(const Job& job, const FusedSurface& surface, const ObjectColor& color,
-                const CalibratedPolarization& polarization) {
+                const CalibratedPolarization& polarization, const DepthPrior& prior,
+                const RefinementFindings* refinement) {
   const SurfaceOptions& options = job.options.surface;
   const StationFile& station = job.station.file;
   const Image<float>& picture = color.image.empty() ? polarization.state->i_un : color.image;
@@ -199,10 +221,15 @@ void write_mesh(const Job& job, const FusedSurface& surface, const ObjectColor& 
   // The files are written beside each other, whose progress would go back and forth.
   Context quiet = job.context;
   quiet.on_progress = nullptr;
+  const Json facts = facts_of(job, surface, prior, *polarization.state, refinement);
+  const Json said = surface_words(facts);
+  std::vector<std::string> comments;
+  for (const auto& [name, words] : said.items()) comments.push_back(name + ": " + words.get<std::string>());
+  const std::string extras = surface_extras(facts, all_versions()).dump();
   constexpr std::size_t bytes_per_triangle = 13, bytes_per_vertex = 30;
   job.files.add("fused/surface.ply", mesh.triangles * bytes_per_triangle + mesh.vertices * bytes_per_vertex,
                 [=](const std::filesystem::path& file) {
-                  write_ply(file, mesh, quiet);
+                  write_ply(file, mesh, quiet, comments);
                   return true;
                 });
   job.files.add("fused/surface.glb", options.glb_triangles, [=, &surface, &picture](const std::filesystem::path& file) {
@@ -211,7 +238,7 @@ void write_mesh(const Job& job, const FusedSurface& surface, const ObjectColor& 
     SurfaceOptions coarse = options;
     coarse.subsample = subsample_for(mesh.triangles, options.glb_triangles, options);
     write_glb(file, mesh_from_depth(surface, {}, coarse, quiet), {texture, surface.camera, surface.pose},
-              length_unit(station.unit), station.name, quiet);
+              length_unit(station.unit), station.name, quiet, extras);
     return true;
   });
   job.files.add("fused/dem.tif", surface.depth.count(), [=, &surface](const std::filesystem::path& file) {

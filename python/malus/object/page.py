@@ -135,8 +135,11 @@ def write_page(
     linked: bool,
 ) -> Path:
     """Write report/index.html in `folder` (self-contained but for the links to the stations' reports); returns its path."""
+    # Where the scan lies on this computer is nobody's business who reads the page.
+    scan = quality.get("reference")
     page = template("object.html.j2").render(
         quality=quality,
+        scan_name=Path(scan["file"]).name if scan else None,
         other_warnings=_other_warnings(quality),
         view=_turntable(mesh, full, quality["gsd"], views, None if comparison is None else comparison.distances),
         maps=_pictures(folder / "agreement"),

@@ -1,0 +1,114 @@
+#include "malus/assess/assessed_confidence_internal.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <optional>
+#include <string>
+
+#include "malus/assess/pixel_sums_internal.h"
+#include "malus/assess/statistics_internal.h"
+#include "malus/core/percent_internal.h"
+#include "malus/core/ranked_values_internal.h"
+
+namespace malus {
+namespace {
+
+/// Median standard deviation of the depth; NaN if there is none.
+double median_sigma(const Image<float>& sigma, const Context& context) {
+  const auto values = [&sigma](std::size_t begin, std::size_t end, float* to) {
+    std::copy(sigma.data() + begin, sigma.data() + end, to);
+  };
+  return percentiles({sigma.count(), values, context}, 1, {0.5})[0];
+}
+
+// In what follows a figure that is missing or NaN proves nothing: comparisons are written so that it fails them.
+
+/// A surface that is unsure by much has no detail that could be trusted.
+void limit_by_sigma(const FusedSurface& surface, Confidence& confidence, const Context& context) {
+  constexpr double unknown_gsd = 10;
+  const double median_gsd = median_sigma(surface.sigma, context) /
+                            ground_sampling_distance(surface.depth, surface.camera, context);
+  if (std::isnan(median_gsd)) {
+    confidence.limit(ConfidenceLevel::partial, "How unsure the surface is, is not known.");
+  } else if (!(median_gsd <= unknown_gsd)) {
+    confidence.limit(ConfidenceLevel::low, "The surface is unsure by " + std::to_string(std::lround(median_gsd)) +
+                                               " times the ground sampling distance in the median.");
+  }
+}
+
+/// Fused and prior surface contradict each other where they are farther apart than the prior is unsure.
+void limit_by_distance(const FusedSurface& surface, const DepthPrior* prior, Confidence& confidence,
+                       const Context& context) {
+  // 0.95 are expected. Stations whose surface is right have 0.8 at least, those that went astray less than 0.45.
+  constexpr double least_within = 0.6;
+  const double within =
+      prior ? share_within_prior(surface, *prior, context) : std::numeric_limits<double>::quiet_NaN();
+  if (std::isnan(within)) {
+    confidence.limit(ConfidenceLevel::partial, "Nothing tells how far the surface may lie from its prior.");
+  } else if (!(within >= least_within)) {
+    confidence.limit(ConfidenceLevel::low, "Only " + percent(within) +
+                                               " of the surface lie within two standard deviations of the prior, 95 % "
+                                               "are expected: prior and polarization contradict each other.");
+  }
+}
+
+/// Between the prior's data the surface's low frequencies are an interpolation, however sure its detail is.
+void limit_by_holes(const DepthPrior& prior, Confidence& confidence) {
+  constexpr double many = 0.25, most = 0.7;
+  if (prior.filled_fraction <= many) return;
+  const std::string share = std::isnan(prior.filled_fraction) ? "an unknown part" : percent(prior.filled_fraction);
+  confidence.limit(
+      prior.filled_fraction > most ? ConfidenceLevel::low : ConfidenceLevel::partial,
+      "On " + share + " of the object the prior has no data of its own: the surface is an interpolation there.");
+}
+
+/// Where polarization is not usable nothing is measured, and what is near goes on.
+void limit_by_gaps(const AssessInput& input, Confidence& confidence, const Context& context) {
+  constexpr double nearly_all = 0.9;
+  const Mask& state = input.polarization->valid;
+  const auto [valid, object] = sum_pixels<2>(state.count(), context, [&](std::size_t i, Sums<2>& sums) {
+    if (!is_object(input, i)) return;
+    sums[0] += state[i] == static_cast<std::uint8_t>(PixelState::valid);
+    sums[1] += 1;
+  });
+  const double usable = fraction_of(valid, object);
+  if (usable >= nearly_all) return;
+  const std::string share = std::isnan(usable) ? "an unknown part" : percent(1 - usable);
+  confidence.limit(ConfidenceLevel::partial, "On " + share +
+                                                 " of the object the polarization is not usable (saturated, too dark, "
+                                                 "or off the sinusoid): nothing finer than the prior is known there.");
+}
+
+}  // namespace
+
+bool is_object(const AssessInput& input, std::size_t pixel) {
+  if (input.object != nullptr) return (*input.object)[pixel] != 0;
+  if (input.polarization != nullptr) {
+    return input.polarization->valid[pixel] != static_cast<std::uint8_t>(PixelState::outside);
+  }
+  return std::isfinite(input.surface->depth[pixel]) ||
+         (input.prior != nullptr && std::isfinite(input.prior->depth[pixel]));
+}
+
+double share_within_prior(const FusedSurface& surface, const DepthPrior& prior, const Context& context) {
+  if (prior.sigma.empty()) return std::numeric_limits<double>::quiet_NaN();
+  const auto [within, compared] = sum_pixels<2>(surface.depth.count(), context, [&](std::size_t i, Sums<2>& sums) {
+    const float difference = surface.depth[i] - prior.depth[i];
+    if (!std::isfinite(difference) || !std::isfinite(prior.sigma[i])) return;
+    sums[0] += std::abs(difference) < 2 * prior.sigma[i];
+    sums[1] += 1;
+  });
+  return fraction_of(within, compared);
+}
+
+Confidence assessed_confidence(const AssessInput& input, const Context& context) {
+  Confidence confidence = input.surface->confidence;
+  limit_by_sigma(*input.surface, confidence, context);
+  limit_by_distance(*input.surface, input.prior, confidence, context);
+  if (input.prior != nullptr) limit_by_holes(*input.prior, confidence);
+  if (input.polarization != nullptr) limit_by_gaps(input, confidence, context);
+  return confidence;
+}
+
+}  // namespace malus

@@ -1,0 +1,82 @@
+#include "malus/station/surface_words_internal.h"
+
+#include <sstream>
+#include <string>
+
+#include "malus/core/percent_internal.h"
+#include "malus/core/version.h"
+#include "malus/fusion/refined_share_internal.h"
+
+namespace malus {
+namespace {
+
+/// As one line: blanks and line ends in a row become one blank.
+std::string in_one_line(const std::string& text) {
+  std::istringstream words(text);
+  std::string line;
+  for (std::string word; words >> word;) line += (line.empty() ? "" : " ") + word;
+  return line;
+}
+
+/// How much of the surface is finer than the coarse one that it was made from.
+std::string origin_of_detail(const Json& quality) {
+  const auto refinement = quality.find("refinement");
+  const bool has_share = refinement != quality.end() && refinement->contains("trusted_share");
+  if (!has_share || refinement->at("trusted_share").is_null())
+    return "detail from polarization everywhere, which nothing proves";
+  const double share = refinement->at("trusted_share");
+  if (share < refined_nowhere) return "the surface is the prior's (the coarse surface it was made from), no finer";
+  if (share >= refined_everywhere) return "detail from polarization on nearly all of the object";
+  return "detail from polarization on " + percent(share) + " of the object, elsewhere the prior's surface, no finer";
+}
+
+/// What [object] says, without what it leaves out.
+Json catalogue_of(const Json& quality) {
+  Json words = Json::object();
+  if (!quality.contains("object")) return words;
+  for (const auto& [key, value] : quality.at("object").items())
+    if (value.is_string() && !value.get<std::string>().empty()) words[key] = value;
+  return words;
+}
+
+}  // namespace
+
+Json surface_words(const Json& quality) {
+  const Json& confidence = quality.at("confidence");
+  const std::string unit = quality.at("unit");
+  std::ostringstream pixel;
+  pixel.precision(4);
+  pixel << quality.at("gsd").get<double>() << ' ' << unit;
+  std::string reasons;
+  for (const std::string reason : confidence.at("reasons")) reasons += reason + ' ';
+  Json said = {{"title", quality.at("name")}};
+  said.update(catalogue_of(quality));
+  said.update({{"unit", unit},
+               {"pixel", pixel.str()},
+               {"confidence", confidence.at("level")},
+               {"reasons", reasons},
+               {"detail", origin_of_detail(quality)},
+               {"made_by", std::string("Malus ") + version}});
+  Json lines = Json::object();
+  for (const auto& [key, value] : said.items())
+    if (const std::string line = in_one_line(value); !line.empty()) lines[key] = line;
+  return lines;
+}
+
+Json surface_extras(const Json& quality, const Json& versions) {
+  return {{"object", catalogue_of(quality)},
+          {"station", quality.at("name")},
+          {"unit_of_the_station", quality.at("unit")},
+          {"gsd", quality.at("gsd")},
+          {"confidence", quality.at("confidence")},
+          {"detail", origin_of_detail(quality)},
+          {"versions", versions}};
+}
+
+Json all_versions() {
+  Json versions = {{"malus", version}};
+  for (const auto& [library, number] : library_versions) versions[library] = number;
+  return versions;
+}
+
+}  // namespace malus
