@@ -113,9 +113,11 @@ def picture_style(inputs: Inputs) -> Inputs:
 
 
 def circular_filter(inputs: Inputs) -> Inputs:
-    """The quarter-wave plate in front: half of the light through, at every angle."""
+    """The quarter-wave plate in front: half of the light through, at every angle; noise as strong as it was."""
     half = stokes(inputs)[0] / 2
-    noise = inputs.images - np.tensordot(harmonics(inputs.angles), stokes(inputs), 1)
+    left = inputs.images - np.tensordot(harmonics(inputs.angles), stokes(inputs), 1)
+    share = (left**2).sum() / max(len(left) - 3, 1) / half.sum()
+    noise = random().standard_normal(left.shape) * np.sqrt(share * np.maximum(half, 0))
     return replace(inputs, images=(half + noise).astype(np.float32))
 
 

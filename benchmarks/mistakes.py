@@ -124,8 +124,8 @@ def exchanged(angles: Array) -> Array:
     return np.asarray(angles[order])
 
 
-def power(inputs: Inputs, exponent: float) -> Inputs:
-    return replace(inputs, images=np.maximum(inputs.images, 0) ** np.float32(exponent))
+def encoded(inputs: Inputs) -> Inputs:
+    return replace(inputs, images=np.maximum(inputs.images, 0) ** np.float32(1 / DISPLAY_GAMMA))
 
 
 MISTAKES: dict[str, Callable[[Inputs], Inputs]] = {
@@ -135,8 +135,8 @@ MISTAKES: dict[str, Callable[[Inputs], Inputs]] = {
     "zero off by 90°": lambda i: replace(i, angles=i.angles + np.deg2rad(90)),
     "two angles exchanged": lambda i: replace(i, angles=exchanged(i.angles)),
     "angles are numbers of frames": lambda i: replace(i, angles=np.deg2rad(123.0 + np.arange(len(i.angles)))),
-    "encoded, taken as linear": lambda i: power(i, 1 / DISPLAY_GAMMA),
-    "linear, taken as encoded": lambda i: power(i, DISPLAY_GAMMA),
+    "encoded, taken as linear": encoded,
+    "linear, taken as encoded": lambda i: replace(i, stated=i.stated | dict(response="srgb")),
     "images turned by 180°": lambda i: replace(i, images=i.images[:, ::-1, ::-1], mask=i.mask[::-1, ::-1]),
     "images mirrored": lambda i: replace(i, images=i.images[:, :, ::-1], mask=i.mask[:, ::-1]),
     "mask inverted": lambda i: replace(i, mask=255 - i.mask),
