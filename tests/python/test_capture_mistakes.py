@@ -72,7 +72,7 @@ def test_a_lamp_that_was_turned_on_is_worse_the_more_it_lights(
     def lit(images: Images) -> Images:
         width = images.shape[2]
         lamp = np.where(np.arange(width) < share * width, np.linspace(0.1, 0.6, width), 0)
-        factors = np.ones((6, 1, 1))
+        factors = np.ones((6, 1, width))
         factors[3:] += lamp
         return np.asarray(0.5 * images * factors)
 
