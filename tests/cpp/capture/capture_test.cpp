@@ -156,7 +156,7 @@ TEST(Capture, data_that_cannot_be_used) {
   CaptureOptions options;
   options.mode = RegistrationMode::on;
   const CaptureInput flat = input_of({4, Image<float>(stone_size, 1, 0.5f)}, {0, 45, 90, 135});
-  expect_refused(flat, options, "image 1.tif cannot be registered");
+  expect_refused(flat, options, "image 1.tif, image 2.tif, image 3.tif cannot be registered to image 0.tif");
   int warnings = 0;
   Context context;
   context.on_log = [&](LogLevel level, const std::string&) { warnings += level == LogLevel::warning; };
