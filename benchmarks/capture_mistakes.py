@@ -1,7 +1,7 @@
 """What a person gets wrong at the camera or while exporting, made on a copy of a station's files.
 
-What the sensor would have seen at another angle of the polarizer follows from the sinusoid through the images: its change is added
-to them, so that their noise stays.
+What the sensor would have seen at another angle of the polarizer follows from the sinusoid through the images: its
+change is added to them, so that their noise stays.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a person gets wrong about a station's files, made on a copy of them. `wrong_inputs.py` runs the program on each."""
+"""What a person gets wrong about a station's files, made on a copy. `wrong_inputs.py` runs the program on each."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ POINT, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 class Inputs:
     """images: K×H×W or K×H×W×3, linear; x_in_cam = rotation x + translation; mask: 255 = object, or a photograph.
 
-    stated: what else the file says of the images, and of the object's optics. jpeg: the images become 8-bit sRGB files of this quality, with that EXIF orientation.
+    stated: what else the file says of the images; optics: of the object's. jpeg: the images become 8-bit sRGB files of
+    this quality, with that EXIF orientation.
     """
 
     name: str

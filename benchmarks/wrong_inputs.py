@@ -1,14 +1,16 @@
 """What is said of wrong inputs: each mistake is made on a copy of a station's files, and the program runs on it.
 
-    python benchmarks/wrong_inputs.py STATION.toml… --executable malus-station [--capture] [--only MISTAKE…] [--jobs 2] [--table OUT.md]
+    python benchmarks/wrong_inputs.py STATION.toml… --executable malus-station [--capture] [--only MISTAKE…]
+                                      [--jobs 2] [--table OUT.md]
 
-STATION.toml: with 16- or 8-bit images at stated angles, an undistorted camera and a binary PLY cloud; beside it gt/ and meta.json
-where figures against the truth are wanted. Prints one line a mistake, how the run ends (an exit code, or status and confidence),
-RMSE, detail's MAD and normals' median error of the fused surface over the prior's, and the words of every warning, error and reason;
-and after the last station, of each mistake, how often each end, and how often nothing was said. The station as it is comes first:
-whatever is said of it is a false alarm, unless its truth is known to be otherwise. "images of another object" are those of the next
-station of another name whose images have the same size. `--capture` makes the mistakes of `capture_mistakes.py` instead, of a person
-at the camera. With `--until evidence` nothing is fused, and the confidence is what the checks make of it.
+STATION.toml: with 16- or 8-bit images at stated angles, an undistorted camera and a binary PLY cloud; beside it gt/
+and meta.json where figures against the truth are wanted. Prints one line a mistake, how the run ends (an exit code,
+or status and confidence), RMSE, detail's MAD and normals' median error of the fused surface over the prior's, and the
+words of every warning, error and reason; and after the last station, of each mistake, how often each end, and how
+often nothing was said. The station as it is comes first: whatever is said of it is a false alarm, unless its truth is
+known to be otherwise. "images of another object" are those of the next station of another name whose images have the
+same size. `--capture` makes the mistakes of `capture_mistakes.py` instead, of a person at the camera. With `--until
+evidence` nothing is fused, and the confidence is what the checks make of it.
 """
 
 from __future__ import annotations
@@ -30,8 +32,8 @@ from capture_mistakes import CAPTURE_MISTAKES
 from mistakes import MISTAKES, Inputs, read, write, write_images
 
 OTHER_OBJECT = "images of another object"
-#: No figure of the comparison needs them.
-WITHOUT = ["--set", "assess.polarization_height=false"]
+#: One of several runs side by side, without what no figure needs.
+WITHOUT = ["--set", "assess.polarization_height=false", "--threads", "1", "--quiet"]
 
 
 @dataclass(frozen=True)
@@ -52,18 +54,8 @@ class Said:
 def run(inputs: Inputs, station: Path, executable: Path, until: str) -> Said:
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder) / "work"
-        command = [
-            executable,
-            write(inputs, Path(folder) / "station"),
-            "-o",
-            work,
-            "--until",
-            until,
-            "--threads",
-            "1",
-            "--quiet",
-        ]
-        done = subprocess.run([*command, *WITHOUT], capture_output=True, text=True, check=False)
+        command = [executable, write(inputs, Path(folder) / "station"), "-o", work, "--until", until, *WITHOUT]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
         said = done.stderr.strip().splitlines()
         if done.returncode != 0:
             return Said(f"exit code {done.returncode}", said)

@@ -1,4 +1,4 @@
-"""The mistakes that benchmarks/wrong_inputs.py makes are what their names say, and its table holds what came of them."""
+"""The mistakes that benchmarks/wrong_inputs.py makes are what their names say; its table holds what came of them."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ void require_points(const VisiblePoints& visible, const PriorOptions& options) {
           << census.facing_away << " facing away, " << census.hidden << " hidden, " << census.outliers
           << " outliers): ";
   if (census.facing_away > mostly * static_cast<double>(census.total)) {
-    message << "the cloud's normals point away from the camera: turn them outwards, or export the cloud without normals";
+    message << "the cloud's normals point away from the camera: turn them outwards, or export the cloud without them";
   } else {
     message << "check that cloud and camera pose are in one frame and unit";
   }
