@@ -5,6 +5,7 @@
 #include <numbers>
 #include <utility>
 
+#include "malus/capture/alike_images_internal.h"
 #include "malus/capture/capture_internal.h"
 #include "malus/capture/mosaic_internal.h"
 #include "malus/capture/noise_internal.h"
@@ -183,6 +184,28 @@ void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>&
   exposures.names.assign(4, name);
 }
 
+/// Which images cannot be registered, and why. One that lies elsewhere keeps all from it, as they are registered
+/// together: named are those that cannot be registered to the first by themselves, if there are any.
+std::string failed_registration(const Exposures& exposures, const std::vector<ImageRegistration>& results,
+                                const RegistrationOptions& options, const Context& context) {
+  struct Failed {
+    std::string names, why;
+    void add(const std::string& name, const std::string& message) {
+      names += (names.empty() ? "" : ", ") + name;
+      if (why.empty()) why = message;
+    }
+  } together, alone;
+  for (std::size_t k = 1; k < results.size(); ++k) {
+    if (results[k].status == RegistrationStatus::ok) continue;
+    together.add(exposures.names[k], results[k].message);
+    const auto pair = register_images({exposures.images[0], exposures.images[k]}, exposures.noise, options, context);
+    if (pair[1].status != RegistrationStatus::ok) alone.add(exposures.names[k], pair[1].message);
+  }
+  const Failed& failed = alone.names.empty() ? together : alone;
+  return failed.names + " cannot be registered to " + exposures.names[0] + ": " + failed.why +
+         ". If the camera did not move, set capture.registration = \"off\"";
+}
+
 /// Registration of every image; identity for those that stay untouched. Names those of which nothing tells how they
 /// lie.
 std::vector<ImageRegistration> registrations(const Exposures& exposures, const CaptureOptions& options,
@@ -197,8 +220,7 @@ std::vector<ImageRegistration> registrations(const Exposures& exposures, const C
       continue;
     }
     if (result.status != RegistrationStatus::ok) {
-      throw data_error(exposures.names[k] + " cannot be registered to " + exposures.names[0] + ": " + result.message +
-                       ". If the camera did not move, set capture.registration = \"off\"");
+      throw data_error(failed_registration(exposures, results, options.registration, context));
     }
     if (automatic && result.displacement_px < std::max(options.keep_below_px, 3 * result.rms_px)) {
       result.rms_px = std::hypot(result.rms_px, result.displacement_px);
@@ -378,6 +400,8 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
 
   PolarizedStack stack;
   stack.angles_rad = polarizer_angles_rad(input.polarized);
+  if (!input.polarized.mosaic && !input.polarized.exposure_s)
+    require_alike_images(exposures.images, exposures.names, stack.angles_rad);
   stack.noise = exposures.noise;
   stack.camera = input.lens ? input.lens->pinhole() : Pinhole{.size = size};
   Image<float> mosaic_color, shared;

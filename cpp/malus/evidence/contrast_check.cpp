@@ -36,8 +36,13 @@ Finding check_contrast(const AlignmentEvidence& color, const std::string& respon
     finding.suggestion = "is response = \"srgb\" right, or can the camera's raw files be developed linearly?";
   } else if (color.contrast > halfway_to_decoded_twice) {
     finding.severity = Severity::warning;
-    text << ", 2.2 is expected: they look linear in the file, and response = \"" << response << "\" bends them";
-    finding.suggestion = "is response = \"linear\" right?";
+    if (response == "linear") {
+      text << ", 2.2 is expected: they look decoded twice before they were written";
+      finding.suggestion = "were they made with a contrast curve, or made linear by another program already?";
+    } else {
+      text << ", 2.2 is expected: they look linear in the file, and response = \"" << response << "\" bends them";
+      finding.suggestion = "is response = \"linear\" right?";
+    }
   } else {
     text << ", as linear images have";
   }

@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <iomanip>
 #include <numbers>
 #include <numeric>
 #include <sstream>
@@ -115,7 +116,7 @@ ImageOrder check_image_order(const std::vector<Image<float>>& images, const std:
   }
   for (std::size_t k = 0; k < images.size(); ++k) result.angles_rad[k] = angles_rad[orders[best][k]];
   std::ostringstream text;
-  text.precision(2);
+  text << std::fixed << std::setprecision(result.misfit_ratio < 10 ? 1 : 0);
   text << "the images do not seem to be in the order of their angles: in another order the squared misfit of the "
           "sinusoid is "
        << result.misfit_ratio << " times smaller";

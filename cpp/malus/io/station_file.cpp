@@ -499,9 +499,11 @@ Size size_before_development(const StationFile& station) {
 void require_camera_size(const TomlTable& document, const LensCamera& lens, const std::optional<Size>& images,
                          const StationFile& station) {
   if (!images || lens.size == *images) return;
+  const bool turned = lens.size.width == images->height && lens.size.height == images->width;
   throw input_error(document.where("[camera]") + " is for " + to_string(lens.size) +
                     " pixels, but the polarized image " + station.polarized.images.front().string() + " has " +
-                    to_string(*images));
+                    to_string(*images) +
+                    (turned ? "; EXIF orientation is ignored: turn the pixels of the images and of the mask" : ""));
 }
 
 void read_camera(const TomlTable& document, const TomlTable& table, const std::optional<Size>& images,

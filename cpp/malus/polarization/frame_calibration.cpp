@@ -101,7 +101,8 @@ std::string contradiction(const FrameEstimate& surface) {
         << surface.coherence.direct << " as the file has it, " << surface.coherence.opposite << " the other way, "
         << -surface.coherence.ahead()
         << " standard deviations apart); expected angle_direction = \"cw\" where the file says \"ccw\" or nothing, "
-           "\"ccw\" where it says \"cw\" (in a mosaic, 45 and 135 exchanged), unless the prior itself is mirrored";
+           "\"ccw\" where it says \"cw\" (in a mosaic, 45 and 135 exchanged), unless the prior itself is "
+           "mirrored, or the camera exposed every image by itself";
   } else if (surface.limits.is_off_by_quarter()) {
     text << "[polarized] angle_zero_deg is off by 90°: " << 100 * surface.limits.beyond
          << " % of the steep places are polarized along the slope more than any reflection can, "

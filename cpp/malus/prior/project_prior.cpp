@@ -31,6 +31,8 @@ namespace malus {
 namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
+/// Share of a cloud's points from which they have one fault.
+constexpr double mostly = 0.7;
 
 void validate(const Pinhole& camera, const Pose& pose, const Mask& mask, const PriorOptions& options) {
   validate_fields(options, "prior");
@@ -53,7 +55,12 @@ void require_points(const VisiblePoints& visible, const PriorOptions& options) {
   message << ", expected at least " << options.min_points << " (" << census.behind << " behind the camera, "
           << census.outside << " outside the image, " << census.off_object << " outside the mask, "
           << census.facing_away << " facing away, " << census.hidden << " hidden, " << census.outliers
-          << " outliers): check that cloud and camera pose are in one frame and unit";
+          << " outliers): ";
+  if (census.facing_away > mostly * static_cast<double>(census.total)) {
+    message << "the cloud's normals point away from the camera: turn them outwards, or export the cloud without them";
+  } else {
+    message << "check that cloud and camera pose are in one frame and unit";
+  }
   throw data_error(message.str());
 }
 

@@ -1,6 +1,9 @@
 #include <algorithm>
 #include <cmath>
+#include <iomanip>
+#include <numbers>
 #include <optional>
+#include <sstream>
 #include <string>
 #include <utility>
 #include <vector>
@@ -26,6 +29,13 @@ namespace {
 
 /// Share of the object's pixels from which misfits are worth a warning.
 constexpr double many_misfits = 0.05;
+/// From which they are the rule: nothing that is measured of the polarization is then sure. Right stations that were
+/// rendered have 0.13 at most.
+constexpr double most_misfits = 0.5;
+/// Squared mean of (s1, s2) in a cell over what noise makes of it, the median: without polarization it is 0.7, of right
+/// stations tens to thousands.
+constexpr double least_polarization = 1.5;
+constexpr int polarization_cell_px = 8;
 /// Median error of (s1, s2) over their length from which a mosaic is worth a warning.
 constexpr double texture_over_polarization = 1;
 
@@ -41,32 +51,53 @@ CaptureInput make_capture_input(const Station& station) {
   return input;
 }
 
+/// Of images that fit other angles or exposures, by far more than a scale is misread.
+Finding caution_of_angles(const PolarizerFit& fit) {
+  std::ostringstream values;
+  values << std::fixed << std::setprecision(0);
+  const auto list = [&](const auto& name, const std::vector<double>& of, double factor) {
+    values << name << " [";
+    for (std::size_t k = 0; k < of.size(); ++k) values << (k > 0 ? ", " : "") << of[k] * factor;
+    values << "]";
+  };
+  list("angles", fit.angles_rad, 180 / std::numbers::pi);
+  list("° (counter-clockwise) and exposures", fit.gains, 100);
+  return {"angles",
+          Severity::caution,
+          "the images fit other polarizer angles or exposures better than those given, but too far off for an error of "
+          "reading: " +
+              values.str() + " %",
+          "are angles_deg what the scale said, in the order of the images, and were exposure, white balance and light "
+          "left alone?",
+          {{"largest_angle_change_deg", fit.largest_angle_change_rad * 180 / std::numbers::pi},
+           {"largest_gain_change", fit.largest_gain_change}}};
+}
+
 /// Angles and exposures that the images themselves ask for, where that is wanted and better than what is given; the
-/// stack's angles and intensities are then those.
-void fit_polarizer_of(PolarizedStack& stack, const PolarizedSpec& spec, const PolarizerOptions& options,
-                      MeasuredPolarization& measured, const Context& context) {
+/// stack's angles and intensities are then those. A finding where they ask for what cannot be.
+std::optional<Finding> fit_polarizer_of(PolarizedStack& stack, const PolarizedSpec& spec,
+                                        const PolarizerOptions& options, MeasuredPolarization& measured,
+                                        const Context& context) {
   const bool free_angles = !spec.angles_deg, fits = stack.images.size() > 3 && !spec.mosaic;
   if (free_angles && options.calibrate_angles == AngleCalibration::off) {
     throw input_error(
         "polarizer.calibrate_angles = \"off\" leaves angles_deg = \"auto\" unknown, expected angles in degrees");
   }
   PolarizerFit& fit = measured.polarizer;
+  std::optional<Finding> caution;
   if (free_angles || (fits && options.calibrate_angles != AngleCalibration::off)) {
     fit = fit_polarizer(stack.images, stack.angles_rad, stack.noise, stack.mask, stack.saturated, options, context);
     measured.polarizer_fitted = free_angles || options.calibrate_angles == AngleCalibration::on ||
                                 (fit.improvement() > options.min_improvement && fit.is_plausible(options));
-    if (!free_angles && fit.improvement() > options.min_improvement && !fit.is_plausible(options)) {
-      context.log(LogLevel::warning,
-                  "the images fit other polarizer angles or exposures better than those given, but too far off for an "
-                  "error of reading: are angles_deg in the order of the images?");
-    }
+    if (!free_angles && fit.improvement() > options.min_improvement && !fit.is_plausible(options))
+      caution = caution_of_angles(fit);
   } else {
     fit = polarizer_as_given(stack.angles_rad, options);
   }
   if (!measured.polarizer_fitted) {
     fit.angles_rad = stack.angles_rad;
     fit.gains.assign(stack.images.size(), 1.0);
-    return;
+    return caution;
   }
   stack.angles_rad = fit.angles_rad;
   for (std::size_t k = 0; k < stack.images.size(); ++k) {
@@ -76,6 +107,7 @@ void fit_polarizer_of(PolarizedStack& stack, const PolarizedSpec& spec, const Po
       std::for_each(image.row(v), image.row(v) + image.width(), [share](float& value) { value *= share; });
     });
   }
+  return caution;
 }
 
 /// Images that lie as they are may be aside of each other, which passes for polarization at every edge.
@@ -92,7 +124,7 @@ std::optional<Finding> caution_of_registration(const PolarizedStack& stack) {
 }
 
 /// Pixels that do not follow the sinusoid are left out one by one; many of them have one cause.
-std::optional<Finding> caution_of_misfits(const PolarizationState& state) {
+std::optional<Finding> finding_of_misfits(const PolarizationState& state) {
   std::size_t object_pixels = 0, misfit_pixels = 0;
   for (const std::uint8_t pixel : state.valid) {
     object_pixels += pixel != static_cast<std::uint8_t>(PixelState::outside);
@@ -101,10 +133,46 @@ std::optional<Finding> caution_of_misfits(const PolarizationState& state) {
   const auto object = static_cast<double>(object_pixels), misfits = static_cast<double>(misfit_pixels);
   if (misfits <= many_misfits * object) return std::nullopt;
   return Finding{"misfits",
-                 Severity::caution,
+                 misfits > most_misfits * object ? Severity::warning : Severity::caution,
                  percent(misfits / object) + " of the object's pixels do not follow the polarizer's sinusoid",
                  "is `response` right, did the light change, did something move?",
                  {{"misfit_fraction", misfits / object}}};
+}
+
+/// Squared mean of (s1, s2) over its variance, in a cell from (u0, v0) on; the noise is what the residuals say it is.
+std::optional<double> polarization_of_cell(const PolarizationState& state, int u0, int v0) {
+  Eigen::Vector2d sum = Eigen::Vector2d::Zero();
+  double variance = 0, residuals = 0;
+  int pixels = 0;
+  for (int v = v0; v < std::min(v0 + polarization_cell_px, state.size().height); ++v) {
+    for (int u = u0; u < std::min(u0 + polarization_cell_px, state.size().width); ++u) {
+      if (!state.is_valid(u, v)) continue;
+      const Eigen::Matrix3d covariance = state.stokes_covariance(u, v);
+      sum += state.stokes(u, v).tail<2>();
+      variance += covariance(1, 1) + covariance(2, 2);
+      residuals += std::pow(state.residual(u, v), 2);
+      ++pixels;
+    }
+  }
+  if (pixels < polarization_cell_px || !(variance > 0) || !(residuals > 0)) return std::nullopt;
+  return sum.squaredNorm() / (variance * residuals / pixels);
+}
+
+/// Images that are alike at all angles have no polarizer before them, or one that turns nothing.
+std::optional<Finding> caution_of_no_polarization(const PolarizationState& state) {
+  std::vector<double> cells;
+  for (int v = 0; v < state.size().height; v += polarization_cell_px)
+    for (int u = 0; u < state.size().width; u += polarization_cell_px)
+      if (const auto found = polarization_of_cell(state, u, v)) cells.push_back(*found);
+  if (cells.empty()) return std::nullopt;
+  const double typical = median_in_place(cells);
+  if (typical > least_polarization) return std::nullopt;
+  return Finding{"polarization",
+                 Severity::caution,
+                 "the images are the same at all angles of the polarizer, but for noise: nothing is polarized",
+                 "did a linear polarizer turn before the lens? A circular one works only with its thread towards the "
+                 "camera",
+                 {{"polarization_over_noise", typical}}};
 }
 
 /// Of images interpolated from a mosaic: texture finer than its cells passes for polarization.
@@ -176,7 +244,7 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
   std::optional<Finding> as_read;
   if (polarized.angles_deg) as_read = check_linear();
   MeasuredPolarization measured;
-  fit_polarizer_of(stack, polarized, options.polarizer, measured, context);
+  const std::optional<Finding> angles = fit_polarizer_of(stack, polarized, options.polarizer, measured, context);
   Finding response = check_linear();
   if (as_read) response = response_finding(*as_read, response);
   of_images.findings.push_back(response);
@@ -198,11 +266,13 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
     context.log(LogLevel::warning, found->text());
     of_images.findings.push_back(*std::move(found));
   };
+  warn(angles);
   if (!stack.shared.empty()) {
     add_interpolation_error(*state, stack.shared, context);
     warn(caution_of_texture(*state));
   }
-  warn(caution_of_misfits(*state));
+  warn(finding_of_misfits(*state));
+  warn(caution_of_no_polarization(*state));
   measured.curves = pixel_curves(*state, stack.images, stack.angles_rad, job.station.file.polarized.curve_pixels);
   measured.state = std::move(state);
   Scene scene;

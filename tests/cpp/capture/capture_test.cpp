@@ -14,14 +14,15 @@ namespace {
 
 constexpr Size stone_size{240, 180};
 
+std::vector<Image<float>> series(const std::vector<double>& angles_deg) {
+  std::vector<Image<float>> made;
+  for (const double angle : angles_deg)
+    made.push_back(AnalyticScene{0.05}.image(stone_size, identity_affine(), angle * std::numbers::pi / 180));
+  return made;
+}
+
 const std::vector<Image<float>>& aligned_scene() {
-  static const std::vector<Image<float>> images = [] {
-    std::vector<Image<float>> made;
-    for (int k = 0; k < 4; ++k) {
-      made.push_back(AnalyticScene{0.05}.image(stone_size, identity_affine(), k * std::numbers::pi / 4));
-    }
-    return made;
-  }();
+  static const std::vector<Image<float>> images = series({0, 45, 90, 135});
   return images;
 }
 
@@ -104,7 +105,7 @@ TEST(Capture, color_is_the_mean_of_the_linear_images) {
   input.load = [](std::size_t k) {
     Image<float> rgb(stone_size, 3);
     for (std::size_t i = 0; i < rgb.count(); ++i) {
-      rgb[i] = static_cast<float>(0.1 * (1 + static_cast<double>(i % 3))) * (k % 2 == 0 ? 1.f : 2.f);
+      rgb[i] = static_cast<float>(0.1 * (1 + static_cast<double>(i % 3))) * (k < 2 ? 1.f : 2.f);
     }
     return RawImage{rgb, 32, true, 1.0};
   };
@@ -155,7 +156,7 @@ TEST(Capture, data_that_cannot_be_used) {
   CaptureOptions options;
   options.mode = RegistrationMode::on;
   const CaptureInput flat = input_of({4, Image<float>(stone_size, 1, 0.5f)}, {0, 45, 90, 135});
-  expect_refused(flat, options, "image 1.tif cannot be registered");
+  expect_refused(flat, options, "image 1.tif, image 2.tif, image 3.tif cannot be registered to image 0.tif");
   int warnings = 0;
   Context context;
   context.on_log = [&](LogLevel level, const std::string&) { warnings += level == LogLevel::warning; };
@@ -163,6 +164,36 @@ TEST(Capture, data_that_cannot_be_used) {
   EXPECT_EQ(warnings, 3);
   EXPECT_EQ(stack.unregistered.size(), 3u);
   EXPECT_TRUE(capture_stack(aligned_input(), {}, Context{}).unregistered.empty());
+}
+
+TEST(Capture, images_that_cannot_be_of_one_series_are_named) {
+  const std::vector<double> angles{0, 30, 60, 90, 120, 150};
+  const auto expect_refused = [&](const std::vector<Image<float>>& images, ErrorCode code, auto... parts) {
+    expect_error(
+        code, [&] { capture_stack(input_of(images, angles), {}, Context{}); }, parts...);
+  };
+  const std::vector<Image<float>> right = series(angles);
+  EXPECT_EQ(capture_stack(input_of(right, angles), {}, Context{}).images.size(), 6u);
+  auto images = right;
+  images[3] = images[2];
+  expect_refused(images, ErrorCode::input, "image 3.tif has the same pixels as image 2.tif");
+  for (const float factor : {0.125f, 2.f}) {
+    images = right;
+    for (float& value : images[2]) value *= factor;
+    expect_refused(images, ErrorCode::input, "image 2.tif is ", "times as bright as the other images");
+  }
+  // Of all images registered together none converges when one lies far away.
+  images = right;
+  for (int v = 0; v < stone_size.height; ++v)
+    for (int u = 0; u < stone_size.width; ++u) images[4](u, v) = right[4]((u + 97) % stone_size.width, v);
+  expect_refused(images, ErrorCode::data, "image 4.tif cannot be registered to image 0.tif");
+}
+
+TEST(Capture, computed_images_may_be_the_same) {
+  const CaptureInput flat = input_of({4, Image<float>(stone_size, 1, 0.5f)}, {0, 45, 90, 135});
+  CaptureOptions options;
+  options.mode = RegistrationMode::off;
+  EXPECT_EQ(capture_stack(flat, options, Context{}).images.size(), 4u);
 }
 
 TEST(Capture, options_are_checked) {

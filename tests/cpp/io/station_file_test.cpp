@@ -528,6 +528,9 @@ TEST_F(StationFileTest, ControlPointsGiveThePose) {
   sections.camera = "[camera]\nmodel = \"PINHOLE\"\nwidth = 6\nheight = 4\nparams = [50, 50.5, 3.0, 2.25]\n";
   sections.rest = control_text("[5.5, 4.0]");
   rejects(sections, "[camera]", "is for 6 x 4 pixels", "has 12 x 8");
+  // The camera stood upright, and the files say so in EXIF.
+  sections.camera = "[camera]\nmodel = \"PINHOLE\"\nwidth = 8\nheight = 12\nparams = [50, 50.5, 3.0, 2.25]\n";
+  rejects(sections, "[camera]", "is for 8 x 12 pixels", "EXIF orientation is ignored");
   sections.camera = Sections().camera;
 
   sections.rest = control_text("[12.0, 4.0]");

@@ -286,6 +286,13 @@ TEST(PriorOfCloud, PointsFacingAwayAreLeftOut) {
   EXPECT_LT(rms_gsd(prior.depth, plane_depth), 0.1);
 }
 
+TEST(PriorOfCloud, SaysThatNormalsPointInwards) {
+  PointCloud cloud = sample(plane_depth, 500, 0.1);
+  cloud.normals.assign(cloud.points.size(), (test_pose().rotation.transpose() * Eigen::Vector3d(0, 0, 1)).cast<float>());
+  expect_error(
+      ErrorCode::data, [&] { project(cloud); }, "500 facing away", "normals point away from the camera");
+}
+
 TEST(PriorOfCloud, IsNaNOutsideTheMaskOnly) {
   Mask mask = full_mask();
   for (int v = 0; v < 90; ++v) {
