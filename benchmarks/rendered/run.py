@@ -1,13 +1,14 @@
 """Render stations with exact truth (or take those there are), run them, score them, write the tables of docs/method.md.
 
     python benchmarks/rendered/run.py -o OUT --data DIR [--scenes relief coin …]     # DIR/SCENE as the renderer leaves it
+    python benchmarks/rendered/run.py -o OUT --data examples --scenes bust coin glass
     python benchmarks/rendered/run.py -o OUT --render relief coin --python RENDERER_VENV/bin/python [--seed 5] [--size 200x150]
 
 Each scene's station.toml (--station names another) goes through `malus-station`, once with default options and twice by the
-preset "paper"; --runs takes some of these, --set adds options to all. OUT/SCENE-RUN are the workspaces, OUT/figures.json every
+preset "paper"; --runs takes some of these, --set and --threads add to all. OUT/SCENE-RUN are the workspaces, OUT/figures.json every
 score, and OUT/tables.md the tables: prior → fused and the processor seconds of all steps, and the paper's route by its stages.
 --ablation makes another table in place of these: default options with one part of the refinement left out at a time. Scenes
-whose workspace is finished with the same inputs are not computed again. Needs numpy, scipy and tifffile; rendering needs renderer/requirements.txt.
+whose workspace is finished with the same inputs are not computed again. Needs numpy, scipy, Pillow and tifffile; rendering needs renderer/requirements.txt.
 """
 
 from __future__ import annotations
@@ -138,6 +139,7 @@ def main() -> None:
     parser.add_argument("--runs", nargs="+", choices=list(RUNS), default=list(RUNS), help="default: all of them")
     parser.add_argument("--ablation", action="store_true", help="what each part of the refinement buys, instead")
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
+    parser.add_argument("--threads", type=int, help="of every run; default: all cores")
     args, for_renderer = parser.parse_known_args()
     if for_renderer and not args.render:
         parser.error(f"unknown arguments {' '.join(for_renderer)}; only --render passes others on, to render.py")
@@ -149,6 +151,7 @@ def main() -> None:
     if not names:
         parser.error(f"--data {data}: no folder in it has a {args.station}")
     options = [word for assignment in args.set for word in ("--set", assignment)]
+    options += ["--threads", str(args.threads)] if args.threads else []
     runs: dict[str, list[str]] = (
         {"nothing": []}
         | {

@@ -3,7 +3,8 @@
 
     python score.py SCENE WORK [--align none|similarity] [--json]
 
-SCENE   a folder with meta.json and gt/depth_normal_mask.npz, as renderer/render.py leaves it
+SCENE   a folder with meta.json and gt/depth_normal_mask.npz, as renderer/render.py leaves it; or one with truth/depth.tif in
+        the camera of the workspace, as the examples have it
 WORK    a workspace (fused/depth.tif, fused/camera.txt, prior/depth.tif, ...)
 
 Everything is measured on the pixels of the object, 6 px away from its border, where the fused depth is finite:
@@ -26,6 +27,7 @@ from pathlib import Path
 
 import numpy as np
 import tifffile
+from PIL import Image
 from scipy import ndimage
 
 BORDER_PX, DETAIL_SIGMA_PX = 6, 8.0
@@ -100,6 +102,21 @@ def figures(depth, pinhole, truth, truth_pinhole, gsd, mask, align):
     )
 
 
+def truth_of(scene, work, pinhole):
+    """True depth, the object's pixels, GSD, flat patches by name, and pinhole of a scene."""
+    if not (scene / "meta.json").exists():
+        truth = np.array(Image.open(scene / "truth" / "depth.tif"), float)
+        quality = json.loads((work / "quality.json").read_text())
+        patches = {patch["name"]: patch["box"] for patch in quality["patches"]}
+        return truth, np.isfinite(truth), quality["gsd"], patches, pinhole
+    meta = json.loads((scene / "meta.json").read_text())
+    gt = np.load(scene / "gt" / "depth_normal_mask.npz")
+    mask = gt["mask"] & (gt["label"] == 1) if (gt["label"] == 1).any() else gt["mask"]
+    patches = {patch["name"]: patch["box_xyxy"] for patch in meta.get("flat_patches", [])}
+    K = np.array(meta["station"]["K"])
+    return gt["depth"].astype(float), mask, meta["gsd_mm"], patches, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scene", type=Path)
@@ -108,20 +125,15 @@ def main():
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
 
-    meta = json.loads((args.scene / "meta.json").read_text())
-    gt = np.load(args.scene / "gt" / "depth_normal_mask.npz")
-    truth, gsd = gt["depth"].astype(float), meta["gsd_mm"]
-    mask = gt["mask"] & (gt["label"] == 1) if (gt["label"] == 1).any() else gt["mask"]
+    pinhole = pinhole_of(args.work / "fused" / "camera.txt")
+    truth, mask, gsd, patches, truth_pinhole = truth_of(args.scene, args.work, pinhole)
     inner = np.zeros_like(mask)
     inner[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = True
     mask = ndimage.binary_erosion(mask, np.ones((3, 3)), iterations=BORDER_PX, border_value=1) & inner
-    K = np.array(meta["station"]["K"])
-    truth_pinhole = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])
 
     depth = tifffile.imread(args.work / "fused" / "depth.tif").astype(float)
     if depth.shape != truth.shape:
         raise SystemExit(f"fused/depth.tif is {depth.shape}, the scene is {truth.shape}")
-    pinhole = pinhole_of(args.work / "fused" / "camera.txt")
     error, out = figures(depth, pinhole, truth, truth_pinhole, gsd, mask, args.align)
     prior_file = args.work / "prior" / "depth.tif"
     if prior_file.exists():
@@ -130,15 +142,12 @@ def main():
         for name in ("rmse_gsd", "detail_rmse_gsd", "detail_mad_gsd", "normal_mae_deg", "normal_median_deg"):
             out["prior_" + name] = before[name]
             out["gain_" + name] = before[name] / max(out[name], 1e-12)
-    for patch in meta.get("flat_patches", []):
-        x0, y0, x1, y1 = patch["box_xyxy"]
+    for name, (x0, y0, x1, y1) in patches.items():
         points = points_in_cam(depth, pinhole)[y0 : y1 + 1, x0 : x1 + 1].reshape(-1, 3)
         points = points[np.isfinite(points).all(1)]
         if len(points) > 10:
             centred = points - points.mean(0)
-            out["patch_" + patch["name"]] = (
-                np.linalg.svd(centred, full_matrices=False)[1][-1] / np.sqrt(len(points)) / gsd
-            )
+            out["patch_" + name] = np.linalg.svd(centred, full_matrices=False)[1][-1] / np.sqrt(len(points)) / gsd
     sigma_file = args.work / "fused" / "sigma.tif"
     if sigma_file.exists():
         sigma = tifffile.imread(sigma_file).astype(float) / gsd

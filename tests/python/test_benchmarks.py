@@ -438,6 +438,28 @@ def test_rendered_scenes_are_run_scored_and_tabled(station: Path, tmp_path: Path
     assert list(figures) == ["paper"] and figures["paper"]["processor_seconds"] == 12
 
 
+def test_examples_are_scored_by_their_true_depth(tmp_path: Path) -> None:
+    """Their truth is a depth map, not what the renderer leaves; nobody but us could make those figures again."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    truth = np.where((u > 2) & (v > 2), 600 + 0.1 * u, np.nan).astype(np.float32)
+    scene, work = tmp_path / "scene", tmp_path / "work"
+    for name in ("scene/truth", "work/fused", "work/prior"):
+        (tmp_path / name).mkdir(parents=True)
+    tifffile.imwrite(scene / "truth/depth.tif", truth)
+    tifffile.imwrite(work / "fused/depth.tif", np.nan_to_num(truth, nan=700))
+    tifffile.imwrite(work / "prior/depth.tif", truth + np.where(u > WIDTH / 2, GSD, -GSD).astype(np.float32))
+    (work / "fused/camera.txt").write_text(f"1 PINHOLE {WIDTH} {HEIGHT} {FOCAL} {FOCAL} 30 25\n")
+    (work / "quality.json").write_text(
+        json.dumps({"gsd": GSD, "patches": [{"name": "label", "box": [20, 20, 40, 40]}]})
+    )
+    command = [sys.executable, ROOT / "benchmarks/rendered/score.py", scene, work, "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(done.stdout)
+    assert figures["coverage"] == 1 and figures["rmse_gsd"] == 0 and figures["patch_label"] < 1e-3
+    assert figures["prior_rmse_gsd"] == pytest.approx(1, abs=0.5) and figures["prior_normal_median_deg"] < 0.01
+
+
 def test_parts_of_the_refinement_are_left_out_one_at_a_time(station: Path, tmp_path: Path) -> None:
     truth = dict(np.load(station / "gt/depth_normal_mask.npz"))
     np.savez(station / "gt/depth_normal_mask.npz", **truth, mask=np.ones((HEIGHT, WIDTH), bool))
