@@ -90,7 +90,9 @@ def _common_options() -> _Parser:
     )
     common.add_argument("--options", type=Path, metavar="FILE.toml", help="options, one table a step")
     common.add_argument(
-        "--fusion", choices=["grid", "refined"], help="the paper's transfer, or the refinement (default)"
+        "--fusion",
+        choices=["grid", "refined"],
+        help="the paper's transfer (default of malus paper), or the refinement (default of all others)",
     )
     common.add_argument("--preset", metavar="NAME", help="start from a named set of options: paper")
     common.add_argument("--json", action="store_true", help="one JSON object a progress event on standard output")

@@ -32,6 +32,10 @@ _DPI = 150
 #: Inches that a figure is wide, and points of its letters: 11 pixels still where a telephone shows it 356 pixels wide.
 WIDTH_IN = 6.4
 LETTERS_PT = 14.5
+#: Inches below a picture for its color bar.
+_BAR_IN = 0.66
+#: How many times the range of the narrowest histogram an axis is long at most.
+_WIDEST = 8.0
 #: Sine of the angle beyond grazing light at which relief shading becomes black.
 _BEYOND_GRAZING = 0.342
 #: How dark relief shading makes the colors of a map that it lies over, at most.
@@ -196,6 +200,41 @@ def _draw(drawing: Drawing) -> NDArray[np.uint8]:
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
 
 
+def _over_bar(shape: Sequence[int], bar_in: float) -> tuple[Drawing, Any]:
+    """A drawing with axes for a picture of this shape over the whole width, and so many inches below it."""
+    drawing = new_drawing(WIDTH_IN, WIDTH_IN * shape[0] / shape[1] + bar_in)
+    below = bar_in / drawing.get_figheight()
+    return drawing, drawing.add_axes((0, below, 1, 1 - below))
+
+
+def color_bar(drawing: Drawing, colored: Any, label: str, ticks: Mapping[float, str] | None = None) -> None:
+    """The colors of a picture or of points, below it, with their unit."""
+    height = _BAR_IN / drawing.get_figheight()
+    axes = drawing.add_axes((0.15, height * 0.72, 0.65, height * 0.2))
+    bar = drawing.colorbar(colored, cax=axes, orientation="horizontal")
+    bar.outline.set_linewidth(0.4)
+    axes.tick_params(labelsize=LETTERS_PT, length=2)
+    if ticks:
+        bar.set_ticks(list(ticks), labels=list(ticks.values()))
+    else:
+        bar.locator = _few_ticks(4)
+        bar.update_ticks()
+    if label:
+        axes.text(1.03, 0.5, label, transform=axes.transAxes, fontsize=LETTERS_PT, va="center")
+
+
+def _with_shares(
+    ticks: Mapping[float, str], values: NDArray[np.float64], borders: NDArray[np.float64]
+) -> dict[float, str]:
+    """Names of a map's classes with the share of its pixels in each: a class of few pixels is not seen in the picture."""
+    shares = np.histogram(values, borders)[0] / max(1, values.size)
+    named = {}
+    for (at, name), share in zip(ticks.items(), shares, strict=True):
+        percent = "< 0.1" if 0 < share < 0.001 else "> 99.9" if 0.999 < share < 1 else f"{100 * share:.3g}"
+        named[at] = f"{name} {percent} %"
+    return named
+
+
 def _spread(values: NDArray[Any], label: str) -> str:
     """What most values of a map are, in words; nothing for pictures without a unit."""
     if not label or not values.size:
@@ -320,11 +359,7 @@ class Plates:
         if limits is None:
             limits = tuple(np.percentile(finite, [1, 99])) if finite.size else (0.0, 1.0)
         shape = raster.shape
-        width = WIDTH_IN
-        # Room for the color bar below the picture.
-        drawing = new_drawing(width, width * shape[0] / shape[1] + (0.66 if how.label or how.ticks else 0.0))
-        bar_height = 0.66 / drawing.get_figheight() if how.label or how.ticks else 0.0
-        axes = drawing.add_axes((0, bar_height, 1, 1 - bar_height))
+        drawing, axes = _over_bar(shape, _BAR_IN if how.label or how.ticks else 0.0)
         picture = axes.imshow(raster, cmap=how.cmap, vmin=limits[0], vmax=limits[1], interpolation="antialiased")
         if shade is not None:
             # Black of varying opacity over the colors: detail is far below what colors can tell apart.
@@ -337,18 +372,11 @@ class Plates:
         for u, v, word in labels:
             text = axes.text(u, v, word, color="white", fontsize=LETTERS_PT, ha="center", va="center")
             text.set_path_effects(_outline("black"))
-        if bar_height:
-            bar_axes = drawing.add_axes((0.15, bar_height * 0.72, 0.65, bar_height * 0.2))
-            bar = drawing.colorbar(picture, cax=bar_axes, orientation="horizontal")
-            bar.outline.set_linewidth(0.4)
-            bar_axes.tick_params(labelsize=LETTERS_PT, length=2)
-            if how.ticks:
-                bar.set_ticks(list(how.ticks), labels=list(how.ticks.values()))
-            else:
-                bar.locator = _few_ticks(4)
-                bar.update_ticks()
-            if how.label:
-                bar_axes.text(1.03, 0.5, how.label, transform=bar_axes.transAxes, fontsize=LETTERS_PT, va="center")
+        ticks = how.ticks
+        if ticks and not isinstance(how.cmap, str):
+            ticks = _with_shares(ticks, finite, np.linspace(*limits, how.cmap.N + 1))
+        if how.label or ticks:
+            color_bar(drawing, picture, how.label, ticks)
         summary: list[Any] = [how.title, how.label, finite.size, finite.mean() if finite.size else None]
         summary += (
             [float(p) for p in np.percentile(finite, _PERCENTILES)] if finite.size else [None] * len(_PERCENTILES)
@@ -451,7 +479,7 @@ class Plates:
                 np.where(labeled, self.thinned(folder + "clamped.png") / np.float32(255), np.float32(np.nan)),
                 _Map(
                     "clamped", "Zenith clamped",
-                    "Where the degree is beyond what its reflection can give, so that the zenith is the largest.",
+                    "Where the degree is beyond what its reflection can give, so that the zenith is the largest. White: no zenith.",
                     _two_colors("#d9dde2", "#d1495b"), limits=(0, 1), ticks={0.25: "as measured", 0.75: "clamped"},
                 ),
             )  # fmt: skip
@@ -466,7 +494,7 @@ class Plates:
         yield self._map(
             np.where(labels > 0, labels, np.nan).astype(np.float32),
             _Map(
-                "reflection", "Kind of reflection", "Which reflection dominates the polarization of a pixel.",
+                "reflection", "Kind of reflection", "Which reflection dominates the polarization of a pixel. White: not known.",
                 _two_colors("#3a7ca5", "#e0a13b"), limits=(0.5, 2.5), ticks={1.0: "diffuse", 2.0: "specular"},
             ),
         )  # fmt: skip
@@ -558,11 +586,11 @@ class Plates:
 
     # ---- plots ----
 
-    def on_image(self) -> tuple[Drawing, Any]:
-        """A drawing that is the unpolarized image, and its axes in pixels of `raster`, to draw over it."""
+    def on_image(self, *, with_bar: bool = False) -> tuple[Drawing, Any]:
+        """A drawing that is the unpolarized image, and its axes in pixels of `raster`, to draw over it; with_bar: over room
+        for a `color_bar`."""
         intensity = self.raster("polarization/unpolarized.tif")
-        drawing = new_drawing(WIDTH_IN, WIDTH_IN * intensity.shape[0] / intensity.shape[1])
-        axes = drawing.add_axes((0, 0, 1, 1))
+        drawing, axes = _over_bar(intensity.shape, _BAR_IN if with_bar else 0.0)
         low, high = np.nanpercentile(intensity, [1, 99])
         axes.imshow(intensity, cmap="gray", vmin=low, vmax=high)
         axes.set_axis_off()
@@ -642,27 +670,26 @@ class Plates:
     ) -> Figure:
         drawing = new_drawing(WIDTH_IN, 4.4, "constrained")
         axes = drawing.subplots()
-        low, high = np.inf, -np.inf
-        beyond = []
+        # Shares of one width, so that surfaces with classes of their own can be compared.
+        width = min(float(histogram["bin_width"]) for histogram in bins.values())
+        low, high = _common_range(bins)
+        beyond, classes = [], []
         for surface, histogram in bins.items():
             counts = np.array(histogram["counts"], dtype=float)
             edges = histogram["low"] + histogram["bin_width"] * np.arange(len(counts) + 1)
-            outside = histogram["below"] + histogram["above"]
-            total = counts.sum() + outside
-            if outside:
-                beyond.append(f"{surface} {100 * outside / total:.2g} %")
+            total = counts.sum() + histogram["below"] + histogram["above"]
+            inside = counts[(edges[1:] > low) & (edges[:-1] < high)].sum()
+            if inside < total:
+                beyond.append(f"{surface} {100 * (total - inside) / total:.2g} %")
+            classes.append(f"{histogram['bin_width']:.2g} ({surface})")
             axes.stairs(
-                100 * counts / max(total, 1), edges, color=COLORS[surface], lw=1.5, fill=surface == "fused",
-                alpha=0.85 if surface == "fused" else 1, label=notes.get(surface, surface),
+                100 * counts / max(total, 1) * width / histogram["bin_width"], edges, color=COLORS[surface], lw=1.5,
+                fill=surface == "fused", alpha=0.85 if surface == "fused" else 1, label=notes.get(surface, surface),
                 zorder=2 if surface == "fused" else 3,
             )  # fmt: skip
-            used = np.nonzero(counts)[0]
-            if used.size:
-                low, high = min(low, edges[used[0]]), max(high, edges[used[-1] + 1])
-        if low < high:
-            axes.set_xlim(low - 0.05 * (high - low), high + 0.05 * (high - low))
+        axes.set_xlim(low - 0.05 * (high - low), high + 0.05 * (high - low))
         axes.set_xlabel(axis, fontsize=LETTERS_PT)
-        axes.set_ylabel("share of pixels [%]", fontsize=LETTERS_PT)
+        axes.set_ylabel(f"share of pixels in {width:.2g} GSD [%]", fontsize=LETTERS_PT)
         style(axes)
         axes.xaxis.set_major_locator(_few_ticks(6))
         if notes:
@@ -678,7 +705,7 @@ class Plates:
             for k, n in enumerate(histogram["counts"])
         ]
         header = ["surface", "from_gsd", "to_gsd", "count"]
-        caption = "Share of the pixels in each class of distance."
+        caption = f"Share of the pixels in each {width:.2g} GSD of distance, in classes of {', '.join(classes)} GSD."
         if beyond:
             caption += f" Beyond the scale: {', '.join(beyond)}."
         return self.figure(name, title, caption, drawing, header, rows)
@@ -693,8 +720,28 @@ class Plates:
                     f"Patch {patch['name']}",
                     "distance to the fitted plane [GSD]",
                     {name: fit["histogram_gsd"] for name, fit in fits.items()},
-                    {name: f"{name}: RMSE {fit['rmse_gsd']:.3g} GSD" for name, fit in fits.items()},
+                    {
+                        name: f"{name}: RMSE {fit['rmse_gsd']:.3g} GSD, classes of {fit['histogram_gsd']['bin_width']:.2g}"
+                        for name, fit in fits.items()
+                    },
                 )
+
+
+def _common_range(bins: Mapping[str, Mapping[str, Any]]) -> tuple[float, float]:
+    """Ends of an axis for histograms of several surfaces: of all that is counted, but not so far out that the narrowest
+    cannot be read."""
+    ends = []
+    for histogram in bins.values():
+        used = np.nonzero(histogram["counts"])[0]
+        if used.size:
+            first, last = used[0], used[-1] + 1
+            ends.append(tuple(histogram["low"] + histogram["bin_width"] * at for at in (first, last)))
+    if not ends:
+        return 0.0, 1.0
+    narrow = min(ends, key=lambda pair: pair[1] - pair[0])
+    middle, reach = (narrow[0] + narrow[1]) / 2, _WIDEST / 2 * (narrow[1] - narrow[0])
+    low, high = min(pair[0] for pair in ends), max(pair[1] for pair in ends)
+    return float(max(low, middle - reach)), float(min(high, middle + reach))
 
 
 def without_form(section: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:

@@ -60,6 +60,8 @@ def test_every_item_of_the_paper_is_left_for_print(paper_work: Path) -> None:
         for ending in ("png", "svg", "pdf", "csv"):
             path = f"paper/{name}.{ending}"
             assert path in recorded and (paper_work / path).stat().st_size > 20, path
+    captions = (paper_work / "paper/captions.md").read_text()
+    assert all(f"`{name}`: " in captions for name in plates) and "paper/captions.md" in recorded
     page = (paper_work / "report/index.html").read_text()
     for title in ("Intensity against polarizer angle", "Cloud in the station", "Table 1", "Zenith clamped"):
         assert title in page, title
@@ -153,6 +155,38 @@ def test_histogram_of_a_rough_patch_can_be_read(paper_work: Path) -> None:
     boxes = [label.get_window_extent() for label in figure.drawing.axes[0].get_xticklabels()]
     for left, right in itertools.pairwise(box for box in boxes if box.width > 0):
         assert left.x1 + 4 < right.x0
+
+
+def test_histograms_with_classes_of_their_own_can_be_compared(paper_work: Path) -> None:
+    """Classes of one width for all surfaces put a flat one into a single bar; wide ones must not hide narrow ones either."""
+    plates = Plates(malus.Workspace(paper_work), for_print=True)
+
+    def fit(width: float, classes: int) -> dict[str, object]:
+        bins = {"low": -width * classes / 2, "bin_width": width, "counts": [7] * classes, "below": 0, "above": 0}
+        return {"rmse_gsd": width, "histogram_gsd": bins}
+
+    patch = {"name": "flat", "prior": fit(0.05, 10), "polarization": fit(2, 10), "fused": fit(0.01, 10)}
+    plates.quality = plates.quality | {"patches": [patch]}
+    (figure,) = plates.patches()
+    assert figure.drawing is not None
+    axes = figure.drawing.axes[0]
+    heights = {line.get_label().split(":")[0]: line.get_data().values.max() for line in axes.patches}
+    assert heights["fused"] == pytest.approx(10) and heights["prior"] == pytest.approx(2)
+    assert np.diff(axes.get_xlim())[0] == pytest.approx(1.1 * 0.8), (
+        "eight times the range of the narrowest, and margins"
+    )
+    assert "in 0.01 GSD" in axes.get_ylabel() and "Beyond the scale: polarization" in figure.caption
+    assert "prior: RMSE 0.05 GSD, classes of 0.05" in [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+def test_shares_of_classes_stand_below_their_map(paper_work: Path) -> None:
+    """Single clamped pixels are not seen in a picture."""
+    plates = Plates(malus.Workspace(paper_work), for_print=True)
+    (figure,) = (figure for figure in plates.polarization() if figure.name == "clamped")
+    assert figure.drawing is not None
+    words = [label.get_text() for label in figure.drawing.axes[1].get_xticklabels()]
+    share = float(re.fullmatch(r"clamped (?:< )?([0-9.]+) %", words[1])[1])  # type: ignore[index]
+    assert share == pytest.approx(100 * plates.quality["zenith_clamped_fraction"], abs=0.1)
 
 
 def test_campaign_merges_tables(paper_work: Path, tmp_path: Path) -> None:
@@ -361,6 +395,10 @@ def test_oblique_view_closes_slopes() -> None:
     seen = np.nonzero(column)[0]
     assert np.all(column[seen[0] : seen[-1]] == 255), "no hole in a slope"
     assert picture[..., 1].sum() > 0
+    relief[:, 10:20] = 0
+    relief[20:, 10:20] = -120
+    behind = oblique(relief, np.ones_like(relief), 45.0)[:, 15, 1]
+    assert np.any(behind[: np.nonzero(behind)[0][-1]] == 0), "the wall of a step is not drawn"
 
 
 def cloud_scaled(folder: Path, factor: float) -> None:

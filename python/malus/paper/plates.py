@@ -8,12 +8,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from malus.figures import LETTERS_PT, WIDTH_IN, Figure, Plates, flattened, grey, hillshade, new_drawing, style
+from malus.figures import (
+    LETTERS_PT,
+    WIDTH_IN,
+    Figure,
+    Plates,
+    color_bar,
+    flattened,
+    grey,
+    hillshade,
+    new_drawing,
+    style,
+)
 from malus.lengths import shown
 from malus.workspace import Raster
 
-#: Long side of the oblique views' data, and how far the object is tilted back in them.
-_VIEW_PX, _TILT_DEG = 700, 50.0
+#: How far the object is tilted back in oblique views; and the step between two rows, in pixels, whose wall is not drawn.
+_TILT_DEG, _STEP_PX = 50.0, 60
 #: What lies farther out than these percentiles of a relief, plus a tenth of what is between them, is cut off in them.
 _RELIEF_PERCENTILES = (0.2, 99.8)
 #: Points drawn at most, evenly chosen.
@@ -59,8 +70,8 @@ def sinusoids(plates: Plates) -> Iterator[Figure]:
     style(axes)
     yield plates.figure(
         "sinusoids", "Intensity against polarizer angle",
-        "Measured intensities (dots) of a few pixels, unless the station names them weakly to very strongly polarized ones, "
-        "and the sinusoid fitted to each.",
+        "Measured intensities (dots) of a few pixels, and the sinusoid fitted to each. Unless pixels were named they are "
+        "weakly to very strongly polarized ones.",
         drawing, ["u_px", "v_px", "angle_deg", "intensity", "fitted", "degree", "phase_deg"], rows,
     )  # fmt: skip
 
@@ -71,7 +82,7 @@ def cloud(plates: Plates) -> Iterator[Figure]:
         return
     points = plates.workspace.raster("prior/points.png")
     depth = plates.workspace.raster("prior/depth.tif")
-    drawing, axes = plates.on_image()
+    drawing, axes = plates.on_image(with_bar=True)
     on, off = points > 200, (points > 0) & (points <= 200)
     counts = [int(on.sum()), int(off.sum())]
     for which in (off, on):
@@ -84,7 +95,9 @@ def cloud(plates: Plates) -> Iterator[Figure]:
             if which is on
             else {"c": "#d1495b", "s": 1.5}
         )
-        axes.scatter(u / plates.step, v / plates.step, marker=".", linewidths=0, rasterized=True, **look)
+        drawn = axes.scatter(u / plates.step, v / plates.step, marker=".", linewidths=0, rasterized=True, **look)
+        if which is on and len(u):
+            color_bar(drawing, drawn, plates.unit)
     depths = depth[on & np.isfinite(depth)]
     low, high = (shown(float(d), plates.unit, 4) for d in (depths.min(), depths.max())) if depths.size else ("–", "–")
     yield plates.figure(
@@ -124,18 +137,16 @@ def oblique(relief: Raster, shade: Raster, tilt_deg: float = _TILT_DEG) -> NDArr
     """
     sine, cosine = np.sin(np.radians(tilt_deg)), np.cos(np.radians(tilt_deg))
     rows = np.arange(relief.shape[0])[:, None] * cosine - relief * sine
-    rows -= np.nanmin(rows)
-    height = int(np.ceil(np.nanmax(rows))) + 2
-    picture = np.full((height, relief.shape[1]), np.nan, np.float32)
+    rows = np.rint(rows - np.nanmin(rows))
+    picture = np.full((int(np.nanmax(rows)) + 1, relief.shape[1]), np.nan, np.float32)
     for v in range(relief.shape[0]):  # from the far side to the near one
-        last = np.rint(rows[v])
-        before = np.rint(rows[v - 1]) if v > 0 else last
-        first = np.where(np.isfinite(before), np.minimum(before, last), last)
-        for u in np.nonzero(np.isfinite(last))[0]:
-            low, high = int(first[u]), int(last[u])
-            if high - low > 60:  # a step: its wall is not seen
-                low = high
-            picture[low : high + 1, u] = shade[v, u]
+        columns = np.nonzero(np.isfinite(rows[v]))[0]
+        last, before = rows[v, columns], rows[max(v - 1, 0), columns]
+        first = np.fmin(before, last)
+        first = np.where(last - first > _STEP_PX, last, first)
+        for down in range(int((last - first).max(initial=0)) + 1):
+            reached = first + down <= last
+            picture[(first[reached] + down).astype(int), columns[reached]] = shade[v, columns[reached]]
     return grey(picture)
 
 
@@ -149,11 +160,9 @@ def views(plates: Plates) -> Iterator[Figure]:
         if np.isfinite(raster).any():
             reliefs["polarization"] = ("Polarization alone", flattened(-raster), float(plates.step))
     for name, (title, relief, pixel) in reliefs.items():
-        stride = max(1, -(-max(relief.shape) // _VIEW_PX))
         low, high = (float(p) for p in np.nanpercentile(relief, _RELIEF_PERCENTILES))
         room = 0.1 * (high - low)
-        thin = np.clip(relief[::stride, ::stride], low - room, high + room)
-        picture = oblique(thin / (pixel * stride), hillshade(relief, pixel)[::stride, ::stride])
+        picture = oblique(np.clip(relief, low - room, high + room) / pixel, hillshade(relief, pixel))
         rows = np.nonzero(picture[..., 1].any(1))[0]
         picture = picture[rows[0] : rows[-1] + 1]
         drawing = new_drawing(WIDTH_IN, WIDTH_IN * picture.shape[0] / picture.shape[1])

@@ -41,17 +41,20 @@ def _numbered(plates: Plates) -> Iterator[tuple[str, Figure]]:
 def write_paper(work: str | Path) -> Path:
     """Write the plates and tables of a finished workspace to WORK/paper; returns that folder.
 
-    Each plate is fig_NN_name.png, .svg, .pdf and .csv, NN the number of its like in the paper; contact_sheet.png has all plates
-    on one page; each table is .csv and .md. Raises InputError unless all that they show is as the steps left it.
+    Each plate is fig_NN_name.png, .svg, .pdf and .csv, NN the number of its like in the paper; captions.md says of each what it
+    shows; contact_sheet.png has all plates on one page; each table is .csv and .md. Raises InputError unless all that they show is as the steps left it.
     """
     workspace = Workspace(work)
     plates = Plates(workspace, for_print=True)
     tables = [table_1(workspace), table_2(workspace)]
-    pictures = []
+    pictures, captions = [], []
     with workspace.recording("paper") as files:
         for number, figure in _numbered(plates):
             pictures.append((f"{number} {figure.name}", figure.picture))
             name = f"paper/fig_{number}_{figure.name}"
+            captions.append(
+                f"**Fig. {number.lstrip('0')}**, `fig_{number}_{figure.name}`: {figure.title}. {figure.caption}\n"
+            )
             for ending, content in (
                 ("png", figure.png()),
                 ("svg", figure.vector("svg")),
@@ -62,6 +65,8 @@ def write_paper(work: str | Path) -> Path:
                 files.append(f"{name}.{ending}")
         write_bytes(workspace.folder / "paper/contact_sheet.png", encode(contact_sheet(pictures), "PNG"))
         files.append("paper/contact_sheet.png")
+        write_text(workspace.folder / "paper/captions.md", "\n".join(captions))
+        files.append("paper/captions.md")
         for table in tables:
             files += [f"paper/{name}" for name in _write_table(workspace.folder / "paper", table)]
     return workspace.folder / "paper"
