@@ -590,9 +590,9 @@ class AssessSection(Section):
     detail_sigma_px: float
     """Gaussian that separates detail (what it removes) from low frequencies"""
     histogram_bins: int
-    """bins of the distance histograms"""
-    histogram_range_gsd: float
-    """histograms span plus and minus this"""
+    """classes of the distance histograms; 0 = as wide as the distances' spread and number ask for"""
+    histogram_range_gsd: float | Literal["auto"]
+    """histograms span plus and minus this; auto = what the distances span, without far ones"""
     sigma_limit_gsd: float
     """pixels with a larger standard deviation of depth count as uncertain"""
     profile_step_px: float
@@ -611,7 +611,7 @@ class AssessValues(TypedDict, total=False):
     polarization_height: bool
     detail_sigma_px: float
     histogram_bins: int
-    histogram_range_gsd: float
+    histogram_range_gsd: float | Literal["auto"]
     sigma_limit_gsd: float
     profile_step_px: float
     alignment: Literal["none", "rigid", "similarity"]

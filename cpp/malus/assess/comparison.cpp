@@ -143,8 +143,7 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
       std::count_if(surface.depth.begin(), surface.depth.end(), [](float z) { return std::isfinite(z); });
   if (distances_gsd.empty()) result.status = ComparisonStatus::nothing_near;
   result.compared_fraction = known > 0 ? static_cast<double>(distances_gsd.size()) / static_cast<double>(known) : 0;
-  result.histogram_gsd =
-      histogram(distances_gsd, -options.histogram_range_gsd, options.histogram_range_gsd, options.histogram_bins);
+  result.histogram_gsd = distance_histogram(distances_gsd, options.histogram_range_gsd, options.histogram_bins);
   result.distance_gsd = summarize(std::move(distances_gsd));
   return result;
 }

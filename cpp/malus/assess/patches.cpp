@@ -49,8 +49,7 @@ std::optional<PatchFit> fit_patch(const Image<float>& depth, const Pinhole& came
   fit.mad_gsd = plane.mad / gsd;
   fit.max_abs_gsd = plane.max_abs / gsd;
   fit.roughness_gsd = roughness(window, options.detail_sigma_px, context) / gsd;
-  fit.histogram_gsd =
-      histogram(distances_gsd, -options.histogram_range_gsd, options.histogram_range_gsd, options.histogram_bins);
+  fit.histogram_gsd = distance_histogram(distances_gsd, options.histogram_range_gsd, options.histogram_bins);
   return fit;
 }
 

@@ -23,6 +23,12 @@ double percentile_in_place(std::vector<double>& values, double fraction) {
   return *lower + part * (*std::min_element(lower + 1, values.end()) - *lower);
 }
 
+/// The number of 1, 2 and 5 · 10ⁿ that is nearest by its ratio; x > 0.
+double nearest_round_number(double x) {
+  const double unit = std::pow(10, std::floor(std::log10(x))), digits = x / unit;
+  return unit * (digits < std::sqrt(2) ? 1 : digits < std::sqrt(10) ? 2 : digits < std::sqrt(50) ? 5 : 10);
+}
+
 }  // namespace
 
 Histogram histogram(std::span<const double> values, double low, double high, int bins) {
@@ -38,6 +44,22 @@ Histogram histogram(std::span<const double> values, double low, double high, int
     }
   }
   return result;
+}
+
+Histogram distance_histogram(std::span<const double> values, std::optional<double> range, int bins) {
+  std::vector<double> sorted(values.begin(), values.end());
+  if (sorted.empty()) sorted.push_back(0);
+  const double lower = percentile_in_place(sorted, 0.25), upper = percentile_in_place(sorted, 0.75);
+  const double middle = upper - lower;
+  const double low = range ? -*range : std::max(percentile_in_place(sorted, 0), lower - 4 * middle);
+  const double high = range ? *range : std::min(percentile_in_place(sorted, 1), upper + 4 * middle);
+  if (bins > 0 && high > low) return histogram(values, low, high, bins);
+
+  const double wanted = 2 * middle / std::cbrt(static_cast<double>(sorted.size()));
+  // Distances that are all alike have no spread: any width holds them.
+  const double width = nearest_round_number(std::max({wanted, (high - low) / 200, 1e-6}));
+  const double first = std::floor(low / width), last = std::max(std::ceil(high / width), first + 1);
+  return histogram(values, first * width, last * width, static_cast<int>(last - first));
 }
 
 double percentile(std::vector<double> values, double fraction) {

@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <initializer_list>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -25,6 +26,12 @@ struct Histogram {
 /// Histogram over [low, high]; a value on an inner border belongs to the bin right of it, `high` to the last bin. NaN
 /// is not counted.
 Histogram histogram(std::span<const double> values, double low, double high, int bins);
+
+/// Histogram of distances with `bins` classes over ± `range`. What is not given (0, none) the distances choose. Range:
+/// all of them, but nothing farther from their middle half than four times the width of that half (six standard
+/// deviations of normal values). Classes: as wide as Freedman and Diaconis (1981) have it, 2 · interquartile range /
+/// ∛count, to the nearest of 1, 2 or 5 · 10ⁿ, with borders at its multiples; some 200 at most.
+Histogram distance_histogram(std::span<const double> values, std::optional<double> range, int bins);
 
 /// Value below which this fraction of the values lies, linear between order statistics; NaN if there are none.
 double percentile(std::vector<double> values, double fraction);

@@ -50,8 +50,8 @@ constexpr auto names_of(Alignment) {
 struct AssessOptions {
   bool polarization_height = true;
   double detail_sigma_px = 8;
-  int histogram_bins = 50;
-  double histogram_range_gsd = 1;
+  int histogram_bins = 0;
+  std::optional<double> histogram_range_gsd;
   double sigma_limit_gsd = 1;
   double profile_step_px = 1;
   Alignment alignment = Alignment::none;
@@ -64,8 +64,10 @@ struct AssessOptions {
           "solve for zenith and height of the polarization alone, to show beside the surface; grid fusion needs them");
     visit("detail_sigma_px", self.detail_sigma_px, Range{0.5, 100},
           "Gaussian that separates detail (what it removes) from low frequencies");
-    visit("histogram_bins", self.histogram_bins, Range{2, 10000}, "bins of the distance histograms");
-    visit("histogram_range_gsd", self.histogram_range_gsd, Range{1e-6, 1e6}, "histograms span plus and minus this");
+    visit("histogram_bins", self.histogram_bins, Range{0, 10000},
+          "classes of the distance histograms; 0 = as wide as the distances' spread and number ask for");
+    visit("histogram_range_gsd", self.histogram_range_gsd, Range{1e-6, 1e6},
+          "histograms span plus and minus this; auto = what the distances span, without far ones");
     visit("sigma_limit_gsd", self.sigma_limit_gsd, Range{1e-6, 1e6},
           "pixels with a larger standard deviation of depth count as uncertain");
     visit("profile_step_px", self.profile_step_px, Range{0.05, 100}, "largest distance of profile samples");

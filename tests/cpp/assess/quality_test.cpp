@@ -173,7 +173,7 @@ TEST(Quality, RefusesRastersOfAnotherSize) {
   c.prior.depth = Image<float>({10, 10});
   EXPECT_THROW(assess(c.input, {}, {}), Error);
   AssessOptions options;
-  options.histogram_bins = 1;
+  options.histogram_bins = -1;
   EXPECT_THROW(assess(Case().input, options, {}), Error);
 }
 

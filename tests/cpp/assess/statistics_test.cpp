@@ -1,6 +1,8 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <numeric>
+#include <optional>
 #include <random>
 
 #include "malus/assess/statistics_internal.h"
@@ -15,6 +17,65 @@ TEST(Statistics, HistogramPutsBordersRightAndCountsWhatIsOutside) {
   EXPECT_EQ(h.below, 1u);
   EXPECT_EQ(h.above, 1u);
   EXPECT_DOUBLE_EQ(h.bin_width, 0.5);
+}
+
+/// Normal distances, always the same.
+std::vector<double> normal_distances(double sigma, std::size_t count) {
+  std::mt19937_64 random(1);
+  std::normal_distribution<double> normal(0, sigma);
+  std::vector<double> values(count);
+  for (double& value : values) value = normal(random);
+  return values;
+}
+
+std::size_t counted(const Histogram& h) {
+  return std::accumulate(h.counts.begin(), h.counts.end(), std::size_t{0});
+}
+
+TEST(Statistics, ClassesSuitTheSpreadOfTheDistances) {
+  // 2 · 1.349 · 0.2 / ∛8000 = 0.027, nearest to 0.02: that many classes show the bell at any scale.
+  for (const double scale : {1e-3, 1.0, 1e3}) {
+    const Histogram h = distance_histogram(normal_distances(0.2 * scale, 8000), std::nullopt, 0);
+    EXPECT_NEAR(h.bin_width / scale, 0.02, 1e-9);
+    EXPECT_NEAR(h.low / h.bin_width, std::round(h.low / h.bin_width), 1e-6) << "borders at multiples of the width";
+    EXPECT_EQ(counted(h), 8000u) << "none is left out";
+    EXPECT_GT(h.counts.size(), 60u);
+    EXPECT_LT(h.counts.size(), 90u);
+  }
+  EXPECT_NEAR(distance_histogram(normal_distances(0.2, 64), std::nullopt, 0).bin_width, 0.1, 1e-9) << "fewer, wider";
+}
+
+TEST(Statistics, FarDistancesDoNotStretchAHistogram) {
+  std::vector<double> values = normal_distances(0.2, 8000);
+  values[0] = 1e6;
+  values[1] = -1e6;
+  const Histogram h = distance_histogram(values, std::nullopt, 0);
+  EXPECT_NEAR(h.bin_width, 0.02, 1e-9);
+  EXPECT_EQ(h.below, 1u);
+  EXPECT_EQ(h.above, 1u);
+  EXPECT_EQ(counted(h), 7998u);
+}
+
+TEST(Statistics, HistogramOfAlikeOrNoDistances) {
+  const Histogram alike = distance_histogram(std::vector<double>(20, 0.3), std::nullopt, 0);
+  EXPECT_EQ(alike.counts.size(), 1u);
+  EXPECT_EQ(counted(alike), 20u);
+  const Histogram none = distance_histogram({}, std::nullopt, 0);
+  EXPECT_GT(none.bin_width, 0);
+  EXPECT_EQ(counted(none), 0u);
+}
+
+TEST(Statistics, ClassesAndRangeCanBeGiven) {
+  const std::vector<double> values = normal_distances(0.2, 8000);
+  const Histogram both = distance_histogram(values, 1, 50);
+  EXPECT_EQ(both.counts.size(), 50u);
+  EXPECT_DOUBLE_EQ(both.low, -1);
+  EXPECT_DOUBLE_EQ(both.bin_width, 0.04);
+  const Histogram range = distance_histogram(values, 0.1, 0);
+  EXPECT_NEAR(range.low, -0.1, 1e-12);
+  EXPECT_NEAR(range.bin_width, 0.02, 1e-12);
+  EXPECT_GT(range.below, 1000u);
+  EXPECT_EQ(distance_histogram(values, std::nullopt, 7).counts.size(), 7u);
 }
 
 TEST(Statistics, PercentilesInterpolate) {
