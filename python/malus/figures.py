@@ -35,7 +35,7 @@ LETTERS_PT = 14.5
 #: Inches below a picture for its color bar.
 _BAR_IN = 0.66
 #: How many times the range of the narrowest histogram an axis is long at most.
-_WIDEST = 8.0
+_WIDEST = 5.0
 #: Sine of the angle beyond grazing light at which relief shading becomes black.
 _BEYOND_GRAZING = 0.342
 #: How dark relief shading makes the colors of a map that it lies over, at most.
