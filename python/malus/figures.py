@@ -480,7 +480,7 @@ class Plates:
                 _Map(
                     "clamped", "Zenith clamped",
                     "Where the degree is beyond what its reflection can give, so that the zenith is the largest. White: no zenith.",
-                    _two_colors("#d9dde2", "#d1495b"), limits=(0, 1), ticks={0.25: "as measured", 0.75: "clamped"},
+                    _two_colors("#d9dde2", "#d1495b"), limits=(0, 1), ticks={0.25: "measured", 0.75: "clamped"},
                 ),
             )  # fmt: skip
         yield self._map(
