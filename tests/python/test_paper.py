@@ -172,9 +172,7 @@ def test_histograms_with_classes_of_their_own_can_be_compared(paper_work: Path) 
     axes = figure.drawing.axes[0]
     heights = {line.get_label().split(":")[0]: line.get_data().values.max() for line in axes.patches}
     assert heights["fused"] == pytest.approx(10) and heights["prior"] == pytest.approx(2)
-    assert np.diff(axes.get_xlim())[0] == pytest.approx(1.1 * 0.5), (
-        "five times the range of the narrowest, and margins"
-    )
+    assert np.diff(axes.get_xlim())[0] == pytest.approx(1.1 * 0.5), "five times the range of the narrowest, and margins"
     assert "in 0.01 GSD" in axes.get_ylabel() and "Beyond the scale: polarization" in figure.caption
     assert "prior: RMSE 0.05 GSD, classes of 0.05" in [text.get_text() for text in axes.get_legend().get_texts()]
 
