@@ -228,8 +228,7 @@ void bind_workspace(py::module_& module) {
     return py::make_tuple(enum_name(confidence.level), confidence.reasons, found->assessed);
   });
   module.def("read_manifest", [](const std::string& folder) { return Workspace::read_manifest(folder).dump(); });
-  module.def("surface_words",
-             [](const std::string& quality) { return surface_words(Json::parse(quality)).dump(); });
+  module.def("surface_words", [](const std::string& quality) { return surface_words(Json::parse(quality)).dump(); });
   module.def("surface_extras", [](const std::string& quality, const std::string& versions) {
     return surface_extras(Json::parse(quality), Json::parse(versions)).dump();
   });

@@ -102,16 +102,16 @@ void bind_surface(py::module_& module) {
     run_interruptible(threads, py::none(), py::none(),
                       [&](const Context& context) { write_ply(path, mesh, context, comments); });
   });
-  module.def("write_glb", [](const std::string& path, const Array<double>& vertices, const Array<float>& normals,
-                             const Array<std::uint32_t>& triangles, const Array<std::uint8_t>& texture,
-                             const RasterView& view, const std::string& unit, const std::string& name,
-                             const std::string& extras, int threads) {
-    const Image<std::uint8_t> image = to_image(texture);
-    const TriangleMesh mesh = to_mesh(vertices, normals, triangles);
-    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      write_glb(path, mesh, {image, view.camera, view.pose}, length_unit(unit), name, context, extras);
-    });
-  });
+  module.def("write_glb",
+             [](const std::string& path, const Array<double>& vertices, const Array<float>& normals,
+                const Array<std::uint32_t>& triangles, const Array<std::uint8_t>& texture, const RasterView& view,
+                const std::string& unit, const std::string& name, const std::string& extras, int threads) {
+               const Image<std::uint8_t> image = to_image(texture);
+               const TriangleMesh mesh = to_mesh(vertices, normals, triangles);
+               run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
+                 write_glb(path, mesh, {image, view.camera, view.pose}, length_unit(unit), name, context, extras);
+               });
+             });
 }
 
 }  // namespace malus::python

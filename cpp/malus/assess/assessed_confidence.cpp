@@ -1,11 +1,10 @@
-#include "malus/assess/assessed_confidence_internal.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <optional>
 #include <string>
 
+#include "malus/assess/assessed_confidence_internal.h"
 #include "malus/assess/pixel_sums_internal.h"
 #include "malus/assess/statistics_internal.h"
 #include "malus/core/percent_internal.h"
@@ -27,8 +26,8 @@ double median_sigma(const Image<float>& sigma, const Context& context) {
 /// A surface that is unsure by much has no detail that could be trusted.
 void limit_by_sigma(const FusedSurface& surface, Confidence& confidence, const Context& context) {
   constexpr double unknown_gsd = 10;
-  const double median_gsd = median_sigma(surface.sigma, context) /
-                            ground_sampling_distance(surface.depth, surface.camera, context);
+  const double median_gsd =
+      median_sigma(surface.sigma, context) / ground_sampling_distance(surface.depth, surface.camera, context);
   if (std::isnan(median_gsd)) {
     confidence.limit(ConfidenceLevel::partial, "How unsure the surface is, is not known.");
   } else if (!(median_gsd <= unknown_gsd)) {
@@ -42,8 +41,7 @@ void limit_by_distance(const FusedSurface& surface, const DepthPrior* prior, Con
                        const Context& context) {
   // 0.95 are expected. Stations whose surface is right have 0.8 at least, those that went astray less than 0.45.
   constexpr double least_within = 0.6;
-  const double within =
-      prior ? share_within_prior(surface, *prior, context) : std::numeric_limits<double>::quiet_NaN();
+  const double within = prior ? share_within_prior(surface, *prior, context) : std::numeric_limits<double>::quiet_NaN();
   if (std::isnan(within)) {
     confidence.limit(ConfidenceLevel::partial, "Nothing tells how far the surface may lie from its prior.");
   } else if (!(within >= least_within)) {

@@ -1,5 +1,3 @@
-#include "malus/capture/alike_images_internal.h"
-
 #include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
@@ -7,6 +5,7 @@
 #include <numeric>
 #include <sstream>
 
+#include "malus/capture/alike_images_internal.h"
 #include "malus/core/error.h"
 
 namespace malus {
@@ -23,9 +22,13 @@ constexpr std::size_t least_others = 4;
 constexpr double computed = 1e-6;
 constexpr std::size_t sampled_pixels = 10000;
 
-Eigen::RowVector3d wave(double angle_rad) { return {1, std::cos(2 * angle_rad), std::sin(2 * angle_rad)}; }
+Eigen::RowVector3d wave(double angle_rad) {
+  return {1, std::cos(2 * angle_rad), std::sin(2 * angle_rad)};
+}
 
-bool is_same_angle(double a_rad, double b_rad) { return std::abs(std::sin(a_rad - b_rad)) < 1e-6; }
+bool is_same_angle(double a_rad, double b_rad) {
+  return std::abs(std::sin(a_rad - b_rad)) < 1e-6;
+}
 
 double mean_of(const Image<float>& image) {
   return std::accumulate(image.begin(), image.end(), 0.0) / static_cast<double>(image.count());

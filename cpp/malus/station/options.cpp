@@ -29,8 +29,7 @@ void section_from_json(Section& section, const Json& json, const std::string& na
         found = true;
       }
     });
-    if (!found)
-      throw input_error("unknown option " + name + "." + key + hint_at_known_names(key, known, name + "."));
+    if (!found) throw input_error("unknown option " + name + "." + key + hint_at_known_names(key, known, name + "."));
   }
 }
 
@@ -76,8 +75,7 @@ Options options_from_json(const Options& options, std::string_view text) {
         found = true;
       }
     });
-    if (!found)
-      throw input_error("unknown option section " + name + hint_at_known_names(name, known));
+    if (!found) throw input_error("unknown option section " + name + hint_at_known_names(name, known));
   }
   result.validate();
   return result;

@@ -1,11 +1,10 @@
-#include "malus/station/surface_words_internal.h"
-
 #include <sstream>
 #include <string>
 
 #include "malus/core/percent_internal.h"
 #include "malus/core/version.h"
 #include "malus/fusion/refined_share_internal.h"
+#include "malus/station/surface_words_internal.h"
 
 namespace malus {
 namespace {

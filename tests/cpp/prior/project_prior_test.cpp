@@ -288,7 +288,8 @@ TEST(PriorOfCloud, PointsFacingAwayAreLeftOut) {
 
 TEST(PriorOfCloud, SaysThatNormalsPointInwards) {
   PointCloud cloud = sample(plane_depth, 500, 0.1);
-  cloud.normals.assign(cloud.points.size(), (test_pose().rotation.transpose() * Eigen::Vector3d(0, 0, 1)).cast<float>());
+  cloud.normals.assign(cloud.points.size(),
+                       (test_pose().rotation.transpose() * Eigen::Vector3d(0, 0, 1)).cast<float>());
   expect_error(
       ErrorCode::data, [&] { project(cloud); }, "500 facing away", "normals point away from the camera");
 }
