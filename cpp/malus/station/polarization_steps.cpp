@@ -32,8 +32,7 @@ constexpr double many_misfits = 0.05;
 /// From which they are the rule: nothing that is measured of the polarization is then sure. Right stations that were
 /// rendered have 0.13 at most.
 constexpr double most_misfits = 0.5;
-/// Squared mean of (s1, s2) in a cell over what noise makes of it, the median: without polarization it is 0.7, of right
-/// stations tens to thousands.
+/// Squared mean of (s1, s2) in a cell over what noise makes of it, the median: without polarization it is 0.7.
 constexpr double least_polarization = 1.5;
 constexpr int polarization_cell_px = 8;
 /// Median error of (s1, s2) over their length from which a mosaic is worth a warning.
