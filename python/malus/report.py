@@ -37,6 +37,8 @@ CHECKS = {
     "encoding": "Encoding of the image files",
     "response": "Response of the camera",
     "misfits": "Agreement with the polarizer's sinusoid",
+    "angles": "Polarizer angles and exposures",
+    "polarization": "Polarization in the images",
     "texture": "Texture finer than the mosaic",
     "contrast": "Contrast against the cloud's colors",
     "size": "Size and distance",

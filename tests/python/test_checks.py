@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 import tifffile
 
 from conftest import QUICK_WORDS, edit, malus_station
+from malus.report import CHECKS
 from malus.workspace import Workspace
 
 ANGLES = "angles_deg = [0, 30, 60, 90, 120, 150]"
@@ -26,6 +28,13 @@ def test_right_inputs_leave_notes_only(finished_grid: Path) -> None:
     assert {finding["severity"] for finding in found.values()} == {"note"}
     assert found["order"]["figures"]["misfit_ratio"] < 2
     assert "mm wide" in found["size"]["message"]
+
+
+def test_every_check_has_a_heading_in_the_report() -> None:
+    sources = (Path(__file__).parents[2] / "cpp/malus").rglob("*.cpp")
+    named = re.compile(r'\.check = "(\w+)"|(?:Finding|return) ?{"(\w+)",\s+(?:Severity|misfits)')
+    checks = {first or second for source in sources for first, second in named.findall(source.read_text())}
+    assert len(checks) > 10 and checks <= set(CHECKS)
 
 
 def test_report_has_every_finding(finished_grid: Path) -> None:
@@ -51,14 +60,14 @@ def test_a_warning_is_said_and_lowers_confidence(small_station: Path, tmp_path: 
 def test_what_a_part_of_the_result_suffers_from_makes_it_partial(small_station: Path, tmp_path: Path) -> None:
     path = small_station.parent / "pol/pol_060.tif"
     pixels = tifffile.imread(path)
-    pixels[20:140, 20:180] //= 2
+    pixels[20:140, 20:100] //= 2
     tifffile.imwrite(path, pixels)
     work = tmp_path / "work"
     outcome = malus_station(small_station, "-o", work, "--until", "assess", *QUICK_WORDS)
     assert outcome.code == 0, outcome.err
     found = findings(work)["misfits"]
     assert found["severity"] == "caution"
-    assert 0.5 < found["figures"]["misfit_fraction"] < 0.7
+    assert 0.2 < found["figures"]["misfit_fraction"] < 0.5
     assert outcome.err.count("warning: " + found["message"]) == 1
     confidence = json.loads((work / "quality.json").read_text())["confidence"]
     assert confidence["level"] in ("partial", "low")

@@ -346,7 +346,7 @@ def test_every_warning_is_in_the_figures_and_on_the_page(small_station: Path, tm
     for k, path in enumerate(sorted((small_station.parent / "pol").glob("*.tif"))):
         pixels = tifffile.imread(path)
         if k == 2:  # a window of one image changes: many pixels do not follow the sinusoid
-            pixels[20:140, 20:180] //= 2
+            pixels[20:140, 20:100] //= 2
         tifffile.imwrite(path, pixels)
     work = tmp_path / "work"
     command = ("run", small_station, "-o", work, "--fusion", "grid", "--threads", "2")
@@ -377,7 +377,7 @@ def test_runs_that_end_before_the_assessment_say_confidence_and_warnings(small_s
     """Of both programs, quietly or not; what the inputs say counts already."""
     path = small_station.parent / "pol/pol_060.tif"
     pixels = tifffile.imread(path)
-    pixels[20:140, 20:180] //= 2
+    pixels[20:140, 20:100] //= 2
     tifffile.imwrite(path, pixels)
     work = tmp_path / "work"
     misfits = "object's pixels do not follow the polarizer's sinusoid"

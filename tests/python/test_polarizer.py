@@ -143,13 +143,13 @@ def test_angles_in_another_order_are_said_not_taken(relief: Path) -> None:
     edit(relief, ANGLES, "angles_deg = [0, 90, 60, 30, 120, 150]")
     outcome = malus_station(relief, "-o", relief.parent / "work", "--until", "polarizer")
     assert outcome.code == 0, outcome.err
-    assert "are angles_deg in the order of the images?" in outcome.err
+    assert "in the order of the images" in outcome.err
     manifest = json.loads((relief.parent / "work/manifest.json").read_text())
     assert not manifest["steps"]["polarizer"]["notes"]["calibration"]["from_images"]
 
 
 def test_many_pixels_off_the_sinusoid_are_said(relief: Path) -> None:
-    brighten(relief.parent / "pol/pol_060.png", 0.6)
+    brighten(relief.parent / "pol/pol_060.png", 0.8)
     options = ("--set", "polarizer.calibrate_angles=off")
     outcome = malus_station(relief, "-o", relief.parent / "work", "--until", "polarization", *options)
     assert outcome.code == 0, outcome.err

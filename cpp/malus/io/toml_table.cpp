@@ -1,4 +1,6 @@
 #include <algorithm>
+#include <array>
+#include <charconv>
 #include <cmath>
 #include <sstream>
 #include <system_error>
@@ -12,6 +14,10 @@ namespace {
 
 /// The value as it stands in the file, cut when it is long.
 std::string value_text(const toml::node& node) {
+  if (const auto* number = node.as_floating_point()) {
+    std::array<char, 32> shortest{};
+    return {shortest.data(), std::to_chars(shortest.begin(), shortest.end(), number->get()).ptr};
+  }
   std::ostringstream stream;
   node.visit([&](const auto& value) { stream << value; });
   std::string text = stream.str();

@@ -35,7 +35,8 @@ class Albedos:
             try:
                 albedo = albedo_of(Workspace(stations / view.name)).reshape(view.color.shape)
             except DataError as error:
-                unknown[view.name] = str(error)
+                # Who reads the page need not know where the workspace lies.
+                unknown[view.name] = str(error).replace(str(stations / view.name), view.name)
                 continue
             known.append(view)
             # Where there is no surface nobody looks it up; a number there keeps it out of sums.

@@ -169,6 +169,7 @@ TEST_F(StationFileTest, WrongTypesAndValuesNameFieldValueAndExpectation) {
     rejects(sections, parts...);
   };
   optics("refractive_index = 0.5", "refractive_index = 0.5", "from 1.05 to 3");
+  optics("refractive_index = 0.9", "refractive_index = 0.9,", "from 1.05 to 3");
   optics("refractive_index = \"glass\"", "refractive_index", "a number");
   optics("reflection = \"shiny\"", "shiny", "\"diffuse\"");
 }
