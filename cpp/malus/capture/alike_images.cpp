@@ -7,6 +7,7 @@
 
 #include "malus/capture/alike_images_internal.h"
 #include "malus/core/error.h"
+#include "malus/polarization/polarizer_fit_internal.h"
 
 namespace malus {
 namespace {
@@ -22,10 +23,6 @@ constexpr std::size_t least_others = 4;
 constexpr double computed = 1e-6;
 constexpr std::size_t sampled_pixels = 10000;
 
-Eigen::RowVector3d wave(double angle_rad) {
-  return {1, std::cos(2 * angle_rad), std::sin(2 * angle_rad)};
-}
-
 bool is_same_angle(double a_rad, double b_rad) {
   return std::abs(std::sin(a_rad - b_rad)) < 1e-6;
 }
@@ -34,37 +31,37 @@ double mean_of(const Image<float>& image) {
   return std::accumulate(image.begin(), image.end(), 0.0) / static_cast<double>(image.count());
 }
 
+Eigen::MatrixX3d rows_of(const std::vector<double>& angles_rad) {
+  return polarizer_rows(angles_rad, std::vector<double>(angles_rad.size(), 1.0));
+}
+
 /// Brightness of image k over that of the sinusoid through the others; 1 where these are not alike.
 double brightness_beside_others(std::size_t k, const std::vector<double>& means,
                                 const std::vector<double>& angles_rad) {
-  const auto others = static_cast<Eigen::Index>(means.size() - 1);
-  Eigen::MatrixX3d waves(others, 3);
-  Eigen::VectorXd values(others);
-  Eigen::Index row = 0;
-  for (std::size_t j = 0; j < means.size(); ++j) {
-    if (j == k) continue;
-    waves.row(row) = wave(angles_rad[j]);
-    values[row++] = means[j];
-  }
-  const Eigen::ColPivHouseholderQR<Eigen::MatrixX3d> factors(waves);
+  const auto others = static_cast<double>(means.size() - 1);
+  const Eigen::MatrixX3d all = rows_of(angles_rad);
+  Eigen::MatrixX3d rows = all;
+  Eigen::VectorXd values = Eigen::Map<const Eigen::VectorXd>(means.data(), all.rows());
+  const auto left_out = static_cast<Eigen::Index>(k);
+  rows.row(left_out).setZero();
+  values[left_out] = 0;
+  const Eigen::ColPivHouseholderQR<Eigen::MatrixX3d> factors(rows);
   if (factors.rank() < 3) return 1;
-  const Eigen::Vector3d fitted = factors.solve(values);
-  const double left = (values - waves * fitted).norm() / std::sqrt(static_cast<double>(others - 3));
-  const double expected = wave(angles_rad[k]) * fitted;
-  return left < alike * values.mean() && expected > alike * values.mean() ? means[k] / expected : 1;
+  const Eigen::Vector3d stokes = factors.solve(values);
+  const double left = (values - rows * stokes).norm() / std::sqrt(others - 3), usual = values.sum() / others;
+  const double expected = all.row(left_out) * stokes;
+  return left < alike * usual && expected > alike * usual ? means[k] / expected : 1;
 }
 
 /// Whether computed images, without noise, are what these are: two of them may well be the same then.
 bool follow_sinusoid(const std::vector<Image<float>>& images, const std::vector<double>& angles_rad) {
-  const auto count = static_cast<Eigen::Index>(images.size());
-  Eigen::MatrixX3d waves(count, 3);
-  for (Eigen::Index k = 0; k < count; ++k) waves.row(k) = wave(angles_rad[static_cast<std::size_t>(k)]);
-  const Eigen::ColPivHouseholderQR<Eigen::MatrixX3d> factors(waves);
+  const Eigen::MatrixX3d rows = rows_of(angles_rad);
+  const Eigen::ColPivHouseholderQR<Eigen::MatrixX3d> factors(rows);
   double left = 0, all = 0;
-  Eigen::VectorXd values(count);
+  Eigen::VectorXd values(rows.rows());
   for (std::size_t i = 0; i < images[0].count(); i += images[0].count() / sampled_pixels + 1) {
-    for (Eigen::Index k = 0; k < count; ++k) values[k] = images[static_cast<std::size_t>(k)][i];
-    left += (values - waves * factors.solve(values)).squaredNorm();
+    for (Eigen::Index k = 0; k < rows.rows(); ++k) values[k] = images[static_cast<std::size_t>(k)][i];
+    left += (values - rows * factors.solve(values)).squaredNorm();
     all += values.squaredNorm();
   }
   return left <= computed * all;
