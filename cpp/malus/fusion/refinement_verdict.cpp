@@ -101,8 +101,8 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
   if (!(report.trusted_share >= refined_everywhere)) {
     confidence.limit(ConfidenceLevel::partial,
                      "In " + percent(1 - report.trusted_share) +
-                         " of the object the surface is the prior's, because the reflection model does not explain "
-                         "the polarization there.");
+                         " of the object the surface is the prior's: there, the reflection model does not explain the "
+                         "polarization, or leads farther from the prior than the prior's errors allow.");
   } else if (!(report.explained_share >= well_explained)) {
     confidence.limit(ConfidenceLevel::partial,
                      "At the prior's slopes the reflection model explains the polarization only in part (" +
