@@ -210,7 +210,7 @@ def _over_bar(shape: Sequence[int], bar_in: float) -> tuple[Drawing, Any]:
 def color_bar(drawing: Drawing, colored: Any, label: str, ticks: Mapping[float, str] | None = None) -> None:
     """The colors of a picture or of points, below it, with their unit."""
     height = _BAR_IN / drawing.get_figheight()
-    axes = drawing.add_axes((0.15, height * 0.72, 0.65, height * 0.2))
+    axes = drawing.add_axes((0.15, height * 0.62, 0.65, height * 0.2))
     bar = drawing.colorbar(colored, cax=axes, orientation="horizontal")
     bar.outline.set_linewidth(0.4)
     axes.tick_params(labelsize=LETTERS_PT, length=2)

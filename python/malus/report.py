@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import shutil
 import webbrowser
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from markupsafe import Markup, escape
 
 from malus import _core, viewer
 from malus._files import replacing, write_bytes, write_text
+from malus.columns import aligned, decimals, printed
 from malus.errors import ExternalError, InputError
 from malus.figures import Figure, Plates, encode, grey
 from malus.glossary import definitions
@@ -21,7 +22,8 @@ from malus.lengths import shown
 from malus.options import Options
 from malus.pages import template
 from malus.paper import plates as paper_plates
-from malus.paper.tables import cell_text, table_1
+from malus.paper.tables import table_1
+from malus.photo_words import WORDS
 from malus.reconstruction import STEPS
 from malus.report_head import accuracy_of, head_of
 from malus.result import Result
@@ -45,16 +47,19 @@ CHECKS = {
     "phase": "Polarization against the prior's slopes",
     "prior": "Place of the prior in the images",
 }
-#: Parts of quality.json that only some runs have, with their headings; shown number by number.
+#: Parts of quality.json that only some runs have, with their headings; a row for each number that has words.
 _OTHERS = (("photogrammetry", "Photographs"), ("sweep", "Stereo sweep"))
 
 
 def _number(value: Any, digits: int = 3) -> str:
     if value is None:
         return "–"
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return str(value)
-    return f"{value:.{digits}g}" if abs(value) < 1000 else f"{value:.0f}"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, str):
+        return value
+    # From here on %g would turn to an exponent.
+    return printed(f"{value:.{digits}g}" if abs(value) < 10**digits - 0.5 else f"{value:.0f}")
 
 
 def confidence_lines(level: str, reasons: Sequence[str], assessed: bool) -> list[str]:
@@ -93,6 +98,14 @@ def summary_lines(quality: Mapping[str, Any], size: tuple[float, float] | None) 
     return lines
 
 
+def _inside(value: Any, key: str) -> list[Any]:
+    """What an object or list has under a key, "a|b" for one of two and "*" for any; nothing if there is none."""
+    if value is None:
+        return []
+    items = {str(k): inner for k, inner in enumerate(value)} if isinstance(value, list) else value
+    return list(items.values()) if key == "*" else [items[name] for name in key.split("|") if name in items]
+
+
 class _Quality:
     """Numbers of quality.json by their path ("patches.0.fused.rmse_gsd"), and of m3c2.json ("m3c2.…")."""
 
@@ -105,25 +118,33 @@ class _Quality:
             value = value[int(key)] if isinstance(value, list) else value[key]
         return value
 
-    def element(self, path: str, digits: int = 3, factor: float = 1) -> Markup:
-        """The number as people read it, in an element that keeps the exact value and where it stands."""
+    def element(self, path: str, digits: int = 3, factor: float = 1, among: str = "") -> Markup:
+        """The number as people read it, in an element that keeps the exact value and where it stands.
+
+        `among`: the paths of the numbers that it stands below or above, a|b for one of two keys and * for any; all get as many decimals.
+        """
         value = self.at(path)
-        shown = value * factor if isinstance(value, int | float) and factor != 1 else value
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if among and number:
+            text = aligned(value, decimals(self._matching(among), digits))
+        else:
+            text = _number(value * factor if number and factor != 1 else value, digits)
         exact = "" if value is None else escape(value)
-        return Markup(f'<data value="{exact}" data-path="{escape(path)}">{escape(_number(shown, digits))}</data>')
+        return Markup(f'<data value="{exact}" data-path="{escape(path)}">{escape(text)}</data>')
 
-    def leaves(self, root: str) -> list[str]:
-        """Paths below a part, of everything that is not a list or an object."""
+    def _matching(self, pattern: str) -> list[float]:
+        found: list[Any] = [self._quality]
+        for key in pattern.split("."):
+            found = [inner for value in found for inner in _inside(value, key)]
+        return [value for value in found if value is not None]
 
-        def walk(value: Any, path: str) -> Iterator[str]:
-            if isinstance(value, Mapping | list):
-                items = value.items() if isinstance(value, Mapping) else enumerate(value)
-                for key, inner in items:
-                    yield from walk(inner, f"{path}.{key}" if path else str(key))
-            else:
-                yield path
-
-        return list(walk(self.at(root), ""))
+    def named(self, section: str) -> list[tuple[str, str]]:
+        """Words and path of everything in a section that has words."""
+        return [
+            (words, f"{section}.{path}")
+            for path, words in WORDS[section].items()
+            if self._matching(f"{section}.{path}")
+        ]
 
 
 def _figures(plates: Plates) -> dict[str, list[Figure]]:
@@ -221,9 +242,9 @@ def _write_in(workspace: Workspace) -> Path:
     numbers = _Quality({**quality, "m3c2": m3c2})
     registration = [-1.0 if rms is None else rms for rms in quality["registration_rms_px"]]
     mesh = viewer.mesh_view(workspace)
-    page = template("report.html.j2", {"number": _number}).render(
+    page = template("report.html.j2", {"number": _number, "aligned": aligned}).render(
         q=numbers.element,
-        leaves=numbers.leaves,
+        named=numbers.named,
         term=_term,
         head=head_of(plates, mesh["extent"]),
         quality=quality,
@@ -241,8 +262,7 @@ def _write_in(workspace: Workspace) -> Path:
         relight=viewer.relighting(workspace),
         mesh=mesh,
         surfaces=SURFACES,
-        table_1=table_1(workspace),
-        cell_text=cell_text,
+        profiles=table_1(workspace, {name: name for name in SURFACES}).without_empty(),
         sections=_sections(quality, figures),
         others=[(name, title) for name, title in _OTHERS if quality.get(name)],
         worst_registration=registration.index(max(registration)) if registration else None,

@@ -114,7 +114,7 @@ def gains_of(quality: Mapping[str, Any], unit: str) -> list[str]:
             times = before / max(after, 1e-12)
             said = f"{times:.2g} times flatter" if times >= _NOTABLE else f"{1 / times:.2g} times rougher" if is_worse(patch) else "as flat as before"  # fmt: skip
             lines.append(
-                f"The flat patch {patch['name']} is {said}: {shown(after, unit)} from a plane (RMSE), with the coarse surface alone {shown(before, unit)}."
+                f"The flat patch “{patch['name']}” is {said}: {shown(after, unit)} from a plane (RMSE), with the coarse surface alone {shown(before, unit)}."
             )
     compared = quality["prior_vs_fused"]
     if compared:

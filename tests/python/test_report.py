@@ -21,6 +21,8 @@ import malus
 from conftest import malus as run_malus
 from conftest import run_program
 from malus import _core, figures, lengths, viewer
+from malus.columns import MINUS, aligned, decimals
+from malus.report import _number
 from malus.report_head import accuracy_of, covered_of, gains_of, gains_title
 from malus.trust import what_to_trust
 
@@ -94,9 +96,43 @@ def test_every_number_is_that_of_quality_json(work: Path, page: Page) -> None:
             assert (exact, text) == ("", "–"), path
             continue
         assert float(exact) == value, path
-        # What is read is the value, or a hundred times it as per cent, rounded.
-        rounded = {f"{v:.{n}g}" for v in (value, 100 * value) for n in range(2, 10)} | {f"{value:.0f}"}
-        assert text in rounded, path
+        # What is read is the value, or a hundred times it as per cent, rounded to its last digit.
+        read = float(text.replace(MINUS, "-"))
+        half = 0.5000001 * 10.0 ** -len(text.partition(".")[2])
+        assert any(abs(read - v) <= half for v in (value, 100 * value)), path
+
+
+def test_numbers_below_each_other_have_as_many_decimals() -> None:
+    places = decimals([0.0441, 1.828, None])
+    assert [aligned(value, places) for value in (0.0441, 1.828, None)] == ["0.044", "1.828", "–"]
+    assert [aligned(value, decimals([8520, 12])) for value in (8520, 12)] == ["8520", "12"]
+    assert aligned(-0.2, decimals([-0.2, 0.14], 2)) == f"{MINUS}0.20"
+    assert aligned(-0.0004, 2) == "0.00"
+    assert decimals([]) == decimals([0.0, float("nan")]) == 0
+
+
+def test_no_number_is_read_with_an_exponent() -> None:
+    assert [_number(value, 2) for value in (150.4, 99.7, -0.067, 12345, True, None)] == [
+        "150", "100", f"{MINUS}0.067", "12345", "yes", "–",
+    ]  # fmt: skip
+
+
+def classes_by_row(text: str, heading: str) -> list[list[tuple[str, str]]]:
+    """Class and text of every cell of the body of the table after a heading."""
+    body = text[text.index(heading) :].partition("<tbody>")[2].partition("</tbody>")[0]
+    rows = [re.findall(r"<td(?: class=\"(\w+)\")?>(.*?)</td>", row) for row in body.split("</tr>")]
+    return [row for row in rows if row]
+
+
+def test_numbers_of_the_profiles_stand_right_and_empty_columns_are_left_out(work: Path) -> None:
+    text = (work / "report/index.html").read_text()
+    rows = classes_by_row(text, "Each surface on each profile")
+    assert [row[1][1] for row in rows] == ["prior", "polarization", "fused"]
+    for columns, expected in ((slice(2), ""), (slice(2, None), "n")):
+        assert {kind for row in rows for kind, _ in row[columns]} == {expected}
+    assert len(rows[0]) == 6 and "error [" not in text, "there is no reference"
+    for column in range(4, 6):
+        assert len({len(row[column][1].partition(".")[2]) for row in rows}) == 1, column
 
 
 def test_page_is_self_contained_and_described(work: Path, page: Page) -> None:
@@ -384,7 +420,8 @@ def test_scale_and_photos_are_shown_when_they_are_known(finished_grid: Path, tmp
     shown = {path: text for path, _, text in Page(text).numbers}
     assert shown["scale.distances.0.residual"] == "0.0031" and shown["scale.distances.0.adjusted"] == "31.5071"
     assert shown["photogrammetry.station.matches"] == "345" and shown["photogrammetry.program"] == "COLMAP 3.8"
-    assert shown["control.datum.points.0.offset.1"] == "-0.2" and shown["control.image.points.0.du_px"] == "1.5"
+    assert shown["control.datum.points.0.offset.1"] == "−0.20" and shown["control.image.points.0.du_px"] == "1.5"
+    assert "matches of the polarized image with the photos" in text and "station.matches</td>" not in text
     assert "without point P&lt;1&gt;" in text and "check the camera's place" in text
     assert "bar &lt;1&gt;" in text and "bar <1>" not in text
 

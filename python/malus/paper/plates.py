@@ -65,7 +65,7 @@ def sinusoids(plates: Plates) -> Iterator[Figure]:
     axes.set_xlabel("polarizer angle [°]", fontsize=LETTERS_PT)
     axes.set_ylabel("intensity [of white]", fontsize=LETTERS_PT)
     axes.set_xticks(range(0, 181, 30))
-    axes.legend(fontsize=0.75 * LETTERS_PT, frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0, 1),
+    axes.legend(fontsize=LETTERS_PT, frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0, 1),
                 borderaxespad=0, columnspacing=1, handlelength=1)  # fmt: skip
     style(axes)
     yield plates.figure(

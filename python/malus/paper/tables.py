@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from malus.columns import aligned, decimals
 from malus.figures import numbers
 from malus.workspace import Raster, Workspace
 
@@ -46,12 +47,32 @@ class Table:
         ]
         return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
+    def without_empty(self) -> Table:
+        """Only the columns that say anything."""
+        used = [any(row[column] is not None for row in self.rows) for column in range(len(self.header))]
+        return Table(
+            self.name, self.title, _kept(self.header, used), [_kept(row, used) for row in self.rows]
+        )  # fmt: skip
+
+    def in_columns(self) -> list[list[str]]:
+        """The cells as people read them below each other: as many decimals in a column."""
+        columns = [list(column) for column in zip(*self.rows, strict=True)]
+        places = [decimals(cell for cell in column if not isinstance(cell, str)) for column in columns]
+        return [
+            [cell if isinstance(cell, str) else aligned(cell, at) for cell, at in zip(row, places, strict=True)]
+            for row in self.rows
+        ]
+
 
 def cell_text(cell: str | float | None) -> str:
     """A cell as people read it."""
     if cell is None:
         return "–"
     return cell if isinstance(cell, str) else f"{cell:.3g}"
+
+
+def _kept(cells: Sequence[Any], used: Sequence[bool]) -> list[Any]:
+    return [cell for cell, has in zip(cells, used, strict=True) if has]
 
 
 def _known(value: float | None) -> float | None:
@@ -85,13 +106,13 @@ def _errors(profile: Mapping[str, Any], reference_distance: Raster | None) -> di
     }
 
 
-def table_1(workspace: Workspace) -> Table:
+def table_1(workspace: Workspace, surfaces: Mapping[str, str] = SURFACES) -> Table:
     """Each surface on each profile: how much it differs from the fused one, how rough it is, and, with a reference scan,
     how wrong.
 
     `difference` is the RMS about the mean of the surface minus the fused one: for photogrammetry it is what the paper's
     quadratic complement takes apart. `roughness` is the RMS of the section without its low frequencies. `error` is the RMSE to
-    the reference, whose distance is taken to be along the section's height.
+    the reference, whose distance is taken to be along the section's height. `surfaces`: what they are called.
     """
     quality = workspace.quality
     unit, gsd = str(quality["unit"]), float(quality["gsd"])
@@ -112,7 +133,7 @@ def table_1(workspace: Workspace) -> Table:
             else None,
             "fused": None,
         }
-        for name, called in SURFACES.items():
+        for name, called in surfaces.items():
             rough, difference, error = (
                 _known(profile[f"roughness_{name}_gsd"]), _known(differences[name]), _known(errors[name])
             )  # fmt: skip
@@ -122,7 +143,11 @@ def table_1(workspace: Workspace) -> Table:
                 + [None if rough is None else rough * gsd, rough]
                 + [error, None if error is None else error / gsd]
             )
-    columns = (f"{what} [{in_}]" for what in ("difference to fusion", "roughness", "error") for in_ in (unit, "GSD"))
+    columns = (
+        f"{what} [{in_}]"
+        for what in (f"difference to {surfaces['fused']}", "roughness", "error")
+        for in_ in (unit, "GSD")
+    )
     return Table(
         "table_1", "Table 1: sections through the surfaces", ["object", "profile", "surface", *columns], rows
     )  # fmt: skip
