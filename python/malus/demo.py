@@ -7,7 +7,7 @@ from malus.errors import InputError
 #: Examples by name, with what they are.
 EXAMPLES = {
     "relief": "carved, textured stone in the sun",
-    "bust": "head of one colour in the sun",
+    "bust": "head of one color in the sun",
     "coin": "black-lacquered coin under a softbox",
     "glass": "black glass with facets and engravings",
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from malus.columns import aligned, decimals
 from malus.units import METRES
 
 
@@ -21,7 +22,8 @@ def sides(lengths: Sequence[float], unit: str) -> str:
     metres = [length * METRES[unit] for length in lengths]
     factor, name = next(((f, n) for f, n in ((1e6, "µm"), (1e3, "mm")) if max(metres) * f < 1000), (1.0, "m"))
     values = [length * factor for length in metres]
-    return f"{' × '.join(f'{value:.3g}' if value < 1000 else f'{value:.0f}' for value in values)} {name}"
+    places = decimals([max(values)])
+    return f"{' × '.join(aligned(value, places) for value in values)} {name}"
 
 
 def scale_bar(extent: float, unit: str) -> tuple[float, str]:

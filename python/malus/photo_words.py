@@ -1,6 +1,6 @@
 """What the figures of photographs and sweep in quality.json are called in the report."""
 
-#: Section of quality.json → path below it → words. What is for programmers only is not here; quality.json has it.
+#: Section of quality.json → path below it → words, which say so where it is shown as per cent. What is for programmers only is not here; quality.json has it.
 WORDS = {
     "photogrammetry": {
         "program": "program",
@@ -8,24 +8,24 @@ WORDS = {
         "registered": "photos whose place was found",
         "self_calibrated": "lens found from the photos",
         "points": "points that were found in several photos",
-        "reprojection_px": "their distance from where the photos show them, mean [px]",
-        "relief": "depth of these points, as a share of their extent",
+        "reprojection_px": "distance of these points from where the photos show them, mean [px]",
+        "relief": "depth of these points, of their extent [%]",
         "windows.points": "points that were matched more finely, by windows",
-        "windows.matches_a_point": "photos that show such a point, mean",
-        "windows.rms_before_px": "their distance in the photos before that, RMS [px]",
-        "windows.rms_after_px": "and after, RMS [px]",
+        "windows.matches_a_point": "photos that show one of these, mean",
+        "windows.rms_before_px": "distance of these from where the photos show them, before, RMS [px]",
+        "windows.rms_after_px": "the same after it, RMS [px]",
         "station.matches": "matches of the polarized image with the photos",
-        "station.photos_matched": "photos that it matches",
-        "station.points_seen": "of these points, those that it shows",
+        "station.photos_matched": "photos that the polarized image matches",
+        "station.points_seen": "points that the polarized image shows",
         "station.lens": "lens of the polarized image",
     },
     "sweep": {
         "views": "photos used",
-        "completeness": "share of the object where a depth was found",
-        "highlights": "share of the object left out because it shines",
+        "completeness": "part of the object where a depth was found [%]",
+        "highlights": "part of the object left out because it shines [%]",
         "score": "agreement of the photos, median (1 = alike)",
         "sigma_gsd": "standard deviation of the depth, median [GSD]",
-        "first.completeness": "first sweep: share of the object where a depth was found",
+        "first.completeness": "first sweep: part of the object where a depth was found [%]",
         "first.sigma_gsd": "first sweep: standard deviation of the depth, median [GSD]",
     },
 }

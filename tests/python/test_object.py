@@ -440,6 +440,8 @@ def test_the_page_says_how_far_stations_can_be_trusted_and_forgets_one_that_is_t
         assert all(text.count(reason) == 2 for reason in confidence["reasons"])  # once for each station, first of all
         said = f"{name}: confidence {confidence['level']}: {confidence['reasons'][0]}"
         assert said in outcome.out and said in quiet.err
+        assert row.count('<td class="n">') == 6, "numbers stand right"
+        assert f"Agreement of {name} with the other stations: 100.0 % of what they see together" in text
     require_gone(pair, output)
 
 

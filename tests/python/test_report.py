@@ -200,9 +200,9 @@ def test_nothing_is_gained_where_the_surface_is_the_priors(work: Path) -> None:
 @pytest.mark.parametrize(
     ("size", "unit", "said"),
     [
-        ((12300, 8000), "um", "12.3 × 8 mm"),
+        ((12300, 8000), "um", "12.3 × 8.0 mm"),
         ((218.4, 150), "mm", "218 × 150 mm"),
-        ((1.234, 0.9), "m", "1.23 × 0.9 m"),
+        ((1.234, 0.9), "m", "1.23 × 0.90 m"),
         ((0.02, 0.01), "in", "508 × 254 µm"),
     ],
 )
@@ -423,6 +423,7 @@ def test_scale_and_photos_are_shown_when_they_are_known(finished_grid: Path, tmp
     assert shown["control.datum.points.0.offset.1"] == "−0.20" and shown["control.image.points.0.du_px"] == "1.5"
     assert "matches of the polarized image with the photos" in text and "station.matches</td>" not in text
     assert "without point P&lt;1&gt;" in text and "check the camera's place" in text
+    assert "known to 0.032 % (standard deviation)" in text
     assert "bar &lt;1&gt;" in text and "bar <1>" not in text
 
 
