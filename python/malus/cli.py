@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import json
 import os
+import re
 import shutil
 import signal
 import sys
@@ -53,7 +55,16 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> None:  # type: ignore[override]
         self.print_usage(sys.stderr)
-        raise InputError(f"{message} (malus --help lists the commands)" if message.endswith(": COMMAND") else message)
+        if message.endswith(": COMMAND"):
+            message += " (malus --help lists the commands)"
+        raise InputError(_with_the_nearest(message))
+
+
+def _with_the_nearest(message: str) -> str:
+    """A message of argparse on a word that is none of the choices: with the one that was meant, where a slip explains it."""
+    wrong = re.search(r"invalid choice: '([^']*)' \(choose from (.*)\)$", message)
+    near = difflib.get_close_matches(wrong[1], re.findall(r"[\w-]+", wrong[2]), n=1) if wrong else []
+    return f"{message[: wrong.start()]}{wrong[1]!r} is unknown; did you mean {near[0]}?" if wrong and near else message
 
 
 def _leaves(until: str, fusion: str | None) -> str:

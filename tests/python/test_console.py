@@ -111,6 +111,16 @@ def test_single_steps_say_what_they_left(finished_grid: Path, small_station: Pat
     assert "polarization/degree.tif" in outcome.out and "polarization/zenith.tif" in outcome.out
 
 
+def test_a_slip_in_a_word_is_told() -> None:
+    for words, said in (
+        (["studo"], "'studo' is unknown; did you mean studio?"),
+        (["demo", "coins"], "'coins' is unknown; did you mean coin?"),
+        (["nonsense"], "choose from"),
+    ):
+        outcome = malus_here(*words)
+        assert outcome.code == 2 and said in outcome.err, outcome.err
+
+
 def test_help_is_without_numbers_of_the_paper() -> None:
     for command in ((), ("fuse",), ("height",), ("decompose",)):
         assert not re.search(r"\b(Eq|Fig)\b", run_malus(*command, "--help").out)
