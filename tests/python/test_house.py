@@ -81,6 +81,11 @@ def python_imports(package: Path) -> dict[str, set[str]]:
     return imports
 
 
+def script_imports(folder: Path) -> dict[str, set[str]]:
+    files = [file for file in folder.glob("*.js") if not file.name.endswith(".min.js")]
+    return {file.name: set(re.findall(r"from '\./([\w.]+)'", file.read_text(encoding="utf-8"))) for file in files}
+
+
 def circles(imports: dict[str, set[str]]) -> list[str]:
     """What is left when all that imports nothing of the rest is taken away, again and again, from both ends."""
     left = dict(imports)
@@ -92,9 +97,11 @@ def circles(imports: dict[str, set[str]]) -> list[str]:
 
 
 def test_modules_do_not_import_each_other_in_circles() -> None:
-    modules = python_imports(ROOT / "python/malus")
+    modules, scripts = python_imports(ROOT / "python/malus"), script_imports(ROOT / "python/malus/studio/static")
     assert len(modules) > 100 and "malus.report" in modules["malus.result"]
+    assert len(scripts) > 8 and "open_station.js" in scripts["draw.js"]
     assert not circles(modules)
+    assert not circles(scripts)
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"b", "d"}, "d": set()}) == ["b", "c"]
 
 
