@@ -20,7 +20,7 @@ from pathlib import Path
 from measuring import ROOT, Row, touch_memory
 
 from malus import synthetic
-from malus.reconstruction import STEPS
+from malus.workspace import STEPS
 
 PROGRAM = ROOT / "build" / "malus-station"
 FIGURES = ("seconds", "cpu_seconds", "peak_mb")

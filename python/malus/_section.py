@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any, Protocol
 
-if TYPE_CHECKING:
-    from malus.options import Options
+
+class OptionValues(Protocol):
+    """The options of all steps, by section."""
+
+    _values: dict[str, Any]
+
+    def update(self, changes: Mapping[str, Any]) -> None:
+        """Change some, checked."""
 
 
 class Section:
     """The options of one step as attributes; assignment checks name, type and range."""
 
-    def __init__(self, options: Options, name: str) -> None:
+    def __init__(self, options: OptionValues, name: str) -> None:
         object.__setattr__(self, "_options", options)
         object.__setattr__(self, "_name", name)
 

@@ -25,9 +25,6 @@ from malus.result import Confidence, Result
 from malus.station import Station
 from malus.threads import ALL_CORES
 
-#: The steps in their order, as they stand in manifest.json.
-STEPS: tuple[str, ...] = tuple(_core.step_names())
-
 
 @dataclass(frozen=True)
 class Progress:
@@ -56,7 +53,7 @@ def reconstruct(
 
     With a workspace folder every step is written there, and steps already done with the same inputs and options are not
     repeated; without one everything stays in memory. A workspace belongs to one station: one of another is refused unless
-    `replace` is true. `until` names the step to run, after those it needs (see STEPS). `reference` is a PLY cloud or mesh
+    `replace` is true. `until` names the step to run, after those it needs (see malus.workspace.STEPS). `reference` is a PLY cloud or mesh
     in the world frame to compare the surface with. keep_maps=False lets go of maps that no later step needs: less memory,
     and the result has what the last step made only; the maps are in the workspace. `progress` and `log` are called from
     this thread. Ctrl-C stops within a second; what a finished step wrote stays.

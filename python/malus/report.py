@@ -7,6 +7,7 @@ import shutil
 import webbrowser
 from collections.abc import Mapping, Sequence
 from importlib import metadata
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +25,9 @@ from malus.pages import template
 from malus.paper import plates as paper_plates
 from malus.paper.tables import table_1
 from malus.photo_words import WORDS
-from malus.reconstruction import STEPS
 from malus.report_head import accuracy_of, head_of
-from malus.result import Result
 from malus.trust import what_to_trust
-from malus.workspace import Workspace
+from malus.workspace import STEPS, Workspace, WorkspaceGiver
 
 #: The surfaces that figures compare, in their order.
 SURFACES = ("prior", "polarization", "fused")
@@ -213,14 +212,14 @@ def _sections(quality: Mapping[str, Any], figures: Mapping[str, list[Figure]]) -
     return [(name, title) for name, title in every if name not in absent]
 
 
-def write_report(work: str | Path | Result, output: str | Path | None = None) -> Path:
+def write_report(work: str | Path | WorkspaceGiver, output: str | Path | None = None) -> Path:
     """Write the report of a workspace or a result; returns the page's path.
 
     In a workspace it is WORK/report/index.html, with its figures as PNG and CSV beside it. With `output`, which a result in
     memory needs, the page alone is also written there. Raises InputError unless all that it shows is as the steps left it,
     from images to figures.
     """
-    if isinstance(work, Result):
+    if not isinstance(work, (str, PathLike)):
         if output is None and work.workspace is None:
             raise InputError(f"output is missing: {work.name} is in memory, expected the path of an HTML file")
         with work.in_workspace() as folder:

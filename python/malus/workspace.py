@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import cached_property
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,23 @@ from malus.errors import InputError
 from malus.options import Options
 
 Raster = NDArray[np.float32]
+#: The steps in their order, as they stand in manifest.json.
+STEPS: tuple[str, ...] = tuple(_core.step_names())
+
+
+class WorkspaceGiver(Protocol):
+    """A result in memory, which can be written to a workspace."""
+
+    @property
+    def name(self) -> str:
+        """The station's."""
+
+    @property
+    def workspace(self) -> Path | None:
+        """The folder it is in already."""
+
+    def in_workspace(self) -> AbstractContextManager[Path]:
+        """That folder, or one for the time of the context."""
 
 
 class Workspace:

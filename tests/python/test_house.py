@@ -61,6 +61,50 @@ def test_long_functions_are_found(tmp_path: Path) -> None:
     assert list(python_functions(tmp_path / "a.py")) == [("long_one", LONGEST + 1)]
 
 
+def python_imports(package: Path) -> dict[str, set[str]]:
+    """Modules of a package and those of it that each imports, wherever in the file; but not what a module takes of the
+    package that it is in."""
+    files = {
+        ".".join(file.relative_to(package.parent).with_suffix("").parts).removesuffix(".__init__"): file
+        for file in package.rglob("*.py")
+    }
+    imports = {}
+    for module, file in files.items():
+        found = set()
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module is not None:
+                of_module = {f"{node.module}.{alias.name}" for alias in node.names} & files.keys()
+                found |= of_module or {node.module}
+        imports[module] = {other for other in found & files.keys() if not module.startswith(f"{other}.")} - {module}
+    return imports
+
+
+def script_imports(folder: Path) -> dict[str, set[str]]:
+    files = [file for file in folder.glob("*.js") if not file.name.endswith(".min.js")]
+    return {file.name: set(re.findall(r"from '\./([\w.]+)'", file.read_text(encoding="utf-8"))) for file in files}
+
+
+def circles(imports: dict[str, set[str]]) -> list[str]:
+    """What is left when all that imports nothing of the rest is taken away, again and again, from both ends."""
+    left = dict(imports)
+    while True:
+        inner = {name for name in left if imports[name] & left.keys() and any(name in imports[other] for other in left)}
+        if inner == left.keys():
+            return sorted(inner)
+        left = {name: imports[name] for name in inner}
+
+
+def test_modules_do_not_import_each_other_in_circles() -> None:
+    modules, scripts = python_imports(ROOT / "python/malus"), script_imports(ROOT / "python/malus/studio/static")
+    assert len(modules) > 100 and "malus.report" in modules["malus.result"]
+    assert len(scripts) > 8 and "open_station.js" in scripts["draw.js"]
+    assert not circles(modules)
+    assert not circles(scripts)
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b", "d"}, "d": set()}) == ["b", "c"]
+
+
 def test_files_that_begin_first_are_there() -> None:
     assert all((ROOT / "tests/python" / name).exists() for name in LONGEST_FIRST)
 

@@ -27,7 +27,7 @@ from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.photos import list_photos, to_bytes
 from malus.photogrammetry.program import Colmap
-from malus.reconstruction import STEPS
+from malus.workspace import STEPS
 
 #: A program that behaves like `colmap` as far as the environment variable FAKE says, and notes what it was asked.
 FAKE = """#!{python}

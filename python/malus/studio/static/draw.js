@@ -1,7 +1,7 @@
 // Drawing on the image: the object's mask, labels of reflection, flat patches, profiles, the ends of known distances, and control points.
 import { ask, byId, doing, make, say, send, tell } from './api.js';
 import { LABELS, Layer } from './layer.js';
-import { change, changing, redo, state, take, undo } from './studio.js';
+import { change, changing, redo, state, take, undo } from './open_station.js';
 import { ImageView } from './view.js';
 
 const stage = byId('draw-stage');

@@ -1,12 +1,13 @@
 // Folders with thumbnails, and the table that makes a new station of some images.
 import { addressOf, ask, byId, doing, make, tell } from './api.js';
-import { openStation, showPage, state, take } from './studio.js';
+import { openStation, state, take } from './open_station.js';
+import { showPage } from './pages.js';
 
 let folder = null;
 let shots = [];
 const form = byId('new-station');
 
-export async function showFolder(_, path = folder?.path ?? '') {
+export async function showFolder(path = folder?.path ?? '') {
   folder = await ask('folder', { path });
   byId('crumbs').replaceChildren(...crumbs(folder.path));
   byId('folder-list').replaceChildren(...[cards(folder.stations.map(stationCard), 'Stations'), cards(folder.folders.map(folderCard), 'Folders'), imageCards()].flat());
@@ -29,12 +30,12 @@ export async function showFolder(_, path = folder?.path ?? '') {
 function crumbs(path) {
   const parts = path === '.' ? [] : path.split('/');
   const all = [['opened folder', '.'], ...parts.map((part, index) => [part, parts.slice(0, index + 1).join('/')])];
-  return all.map(([text, to]) => make('button', { type: 'button', class: 'link', click: doing(() => showFolder(null, to)) }, text));
+  return all.map(([text, to]) => make('button', { type: 'button', class: 'link', click: doing(() => showFolder(to)) }, text));
 }
 
 const cards = (items, title) => items.length ? [make('h3', {}, title), make('ul', { class: 'cards' }, ...items)] : [];
 const stationCard = (path) => make('li', { class: 'card' }, make('button', { type: 'button', class: 'main', click: doing(() => openStation(path)) }, `Open ${path.split('/').pop()}`));
-const folderCard = (entry) => make('li', { class: 'card' }, make('button', { type: 'button', click: doing(() => entry.is_work ? showPage('results') : showFolder(null, entry.path)) },
+const folderCard = (entry) => make('li', { class: 'card' }, make('button', { type: 'button', click: doing(() => entry.is_work ? showPage('results') : showFolder(entry.path)) },
   `${entry.name}${entry.is_work ? ' (results)' : entry.images ? ` (${entry.images} images)` : ''}`));
 
 function imageCards() {

@@ -1,6 +1,6 @@
 // The options that matter most, with what each means and what it may be; only what differs from the default is written.
 import { ask, byId, doing, make, tell } from './api.js';
-import { state } from './studio.js';
+import { state } from './open_station.js';
 
 export async function showOptions() {
   draw(await ask('options', { path: state.station.path }));

@@ -1,6 +1,6 @@
 // Finished results: their figures, two beside each other, profiles picked on a surface, and the report.
 import { addressOf, ask, byId, doing, length, make, tell } from './api.js';
-import { change, state } from './studio.js';
+import { change, state } from './open_station.js';
 
 let all = [];
 const place = byId('result-view');

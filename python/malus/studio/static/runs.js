@@ -1,13 +1,14 @@
 // The queue of runs, with progress by step and overall.
 import { ask, byId, doing, duration, make, tell } from './api.js';
-import { showPage } from './studio.js';
+import { state } from './open_station.js';
+import { showPage } from './pages.js';
 import { showReport } from './results.js';
 
 const form = byId('start-run');
 let timer = null;
 const STATES = { waiting: 'waiting for its turn', running: 'running', done: 'done', failed: 'stopped by an error', canceled: 'canceled; it goes on where it was when it is started again' };
 
-export async function showRuns(state) {
+export async function showRuns() {
   const { stations } = await ask('candidates');
   form.hidden = !stations.length;
   const typed = Object.fromEntries(rows().map((row) => [row.dataset.station, row.querySelector('[name=work]').value]));

@@ -1,6 +1,7 @@
 // The station's fields with what the checks say beside each, the coarse surface over the image, and the file itself.
 import { ask, byId, doing, duration, make, tell } from './api.js';
-import { change, changing, reread, showPage, state, take } from './studio.js';
+import { change, changing, reread, state, take } from './open_station.js';
+import { showPage } from './pages.js';
 import { ImageView } from './view.js';
 
 let candidates = { priors: [], models: [], images: [] };

@@ -1,117 +1,17 @@
-// The page: which part is shown, and which station is open.
-import { ask, byId, doing, say, tell } from './api.js';
-import { showFolder } from './images.js';
-import { showStation } from './station.js';
+// The page: its parts, and what leads from one to another.
+import { byId, doing, say } from './api.js';
 import { leaveDrawing, showDrawing } from './draw.js';
+import { showFolder } from './images.js';
+import { OF_A_STATION, redo, reread, undo } from './open_station.js';
 import { showOptions } from './options.js';
-import { showRuns } from './runs.js';
+import { setPages, showPage } from './pages.js';
 import { showResults } from './results.js';
+import { showRuns } from './runs.js';
+import { showStation } from './station.js';
 
-const pages = { images: showFolder, station: showStation, draw: showDrawing, options: showOptions, runs: showRuns, results: showResults };
-const OF_A_STATION = ['station', 'draw', 'options'];
-let current = 'images';
-
-// The open station as the server last said it: path, text, digest, values, images, painted ({mask, labels}: path and digest), error.
-export const state = { station: null };
-// Earlier and later states of its file, for undo and redo.
-let past = [];
-let future = [];
-
-export async function showPage(name, focus = true) {
-  const unsaved = current === 'draw' && name !== 'draw' ? await leaveDrawing() : '';
-  current = name;
-  for (const page of Object.keys(pages)) byId(page).hidden = page !== name;
-  for (const button of document.querySelectorAll('[data-page]')) {
-    if (button.dataset.page === name) button.setAttribute('aria-current', 'step');
-    else button.removeAttribute('aria-current');
-  }
-  document.title = `${byId(`${name}-title`).textContent} – Malus Studio`;
-  if (focus) byId('main').focus();
-  await doing(async () => {
-    if (OF_A_STATION.includes(name)) await reread();
-    await pages[name](state);
-  })();
-  if (unsaved) say(unsaved);
-}
-
-// Takes over what the server says of the open station after opening or changing it.
-export function take(station) {
-  const before = state.station;
-  if (before?.path !== station.path) [past, future] = [[], []];
-  else if (before.text !== station.text) {
-    past.push(before.text);
-    future = [];
-  }
-  return show(station);
-}
-
-function show(station) {
-  state.station = station;
-  byId('open-station').textContent = station.path;
-  byId('history').hidden = false;
-  byId('undo').disabled = !past.length;
-  byId('redo').disabled = !future.length;
-  for (const page of OF_A_STATION) document.querySelector(`[data-page="${page}"]`).disabled = false;
-  return station;
-}
-
-// What reads and changes the station's file, one after another.
-let before = Promise.resolve();
-function inTurn(work) {
-  const made = before.then(work);
-  before = made.catch(() => {});
-  return made;
-}
-
-// Reads the open station again. What another program or page has changed is no step of this page's undo.
-export function reread() {
-  return inTurn(async () => {
-    const station = await ask('station', { path: state.station.path });
-    if (station.digest !== state.station.digest) [past, future] = [[], []];
-    show(station);
-  });
-}
-
-// A change of the station's file, after which it is read again if another program or page has changed it meanwhile.
-export async function changing(work) {
-  try {
-    return await inTurn(work);
-  } catch (error) {
-    if (error.status === 409) await reread();
-    throw error;
-  }
-}
-
-async function changingPage(work) {
-  try {
-    return await changing(work);
-  } catch (error) {
-    if (error.status !== 409) throw error;
-    await pages[current](state);
-    throw new Error(`${error.message}. It has been read again; please make your last change once more.`);
-  }
-}
-
-// The file as it was before its last change, or after the change that was undone last.
-async function step(from, to) {
-  await changingPage(async () => {
-    const text = from().pop();
-    if (text === undefined) return;
-    to().push(state.station.text);
-    show(await tell('text', { path: state.station.path, digest: state.station.digest, text }));
-  });
-  await pages[current](state);
-}
-export const undo = () => step(() => past, () => future);
-export const redo = () => step(() => future, () => past);
-
-export async function openStation(path) {
-  take(await ask('station', { path }));
-  await showPage('station');
-}
-
-// Changes values of the station file; what the server then says of it is the truth.
-export const change = (changes) => changingPage(async () => take(await tell('set', { path: state.station.path, digest: state.station.digest, changes })));
+const pages = { images: { show: showFolder }, station: { show: showStation }, draw: { show: showDrawing, leave: leaveDrawing }, options: { show: showOptions }, runs: { show: showRuns }, results: { show: showResults } };
+for (const page of OF_A_STATION) pages[page].enter = reread;
+setPages(pages);
 
 byId('undo').addEventListener('click', doing(undo));
 byId('redo').addEventListener('click', doing(redo));

@@ -1,0 +1,30 @@
+// Which part of the page is shown. It knows none of the parts: studio.js names them.
+import { byId, doing, say } from './api.js';
+
+let pages = {};
+let current = 'images';
+
+// Name → { show, enter, leave }: what draws the part, what is done before that when the user goes there, and what before another
+// part is shown; leave returns what went wrong, or nothing.
+export function setPages(all) {
+  pages = all;
+}
+
+export async function showPage(name, focus = true) {
+  const unsaved = current !== name ? await pages[current].leave?.() : '';
+  current = name;
+  for (const page of Object.keys(pages)) byId(page).hidden = page !== name;
+  for (const button of document.querySelectorAll('[data-page]')) {
+    if (button.dataset.page === name) button.setAttribute('aria-current', 'step');
+    else button.removeAttribute('aria-current');
+  }
+  document.title = `${byId(`${name}-title`).textContent} – Malus Studio`;
+  if (focus) byId('main').focus();
+  await doing(async () => {
+    await pages[name].enter?.();
+    await pages[name].show();
+  })();
+  if (unsaved) say(unsaved);
+}
+
+export const showAgain = () => pages[current].show();
