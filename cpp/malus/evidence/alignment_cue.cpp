@@ -14,6 +14,9 @@ namespace {
 /// Scales that are compared: below, pixels are noise; above, light changes from place to place.
 constexpr double fine_px = 0.8, coarse_px = 6;
 constexpr float gradient_floor = 0.005F, bend_floor = 0.01F;
+/// A prior has relief if the logarithms of its bends spread by this much. Clouds and scans have .15 to .6, a sphere .04
+/// by its rim alone, whose place is that of the mask's outline and not its own.
+constexpr double least_relief = 0.08;
 
 template <class T>
 std::vector<T> inside(const Image<T>& image, const Mask& pixels) {
@@ -33,6 +36,16 @@ Image<float> ones(const Mask& mask) {
   Image<float> weights(mask.size());
   for (std::size_t i = 0; i < mask.count(); ++i) weights[i] = mask[i] != 0 ? 1.0F : 0.0F;
   return weights;
+}
+
+double deviation(const std::vector<AlignmentCue::Value>& values) {
+  double sum = 0, squares = 0;
+  for (const AlignmentCue::Value& value : values) {
+    sum += value.real();
+    squares += value.real() * value.real();
+  }
+  const auto n = static_cast<double>(std::max<std::size_t>(values.size(), 1));
+  return std::sqrt(std::max(squares / n - sum * sum / (n * n), 0.0));
 }
 
 /// ln (|gradient| + floor) of channels, summed over them; pixels beside others that are not in the mask leave it.
@@ -276,20 +289,18 @@ AlignmentCue phase_cue(const PriorView& prior, const SceneView& scene, const Mas
   return {std::move(azimuths), std::move(weights), real, imaginary, phase_weights, 4};
 }
 
-AlignmentCue edge_cue(const PriorView& prior, const SceneView& scene, const Mask& pixels) {
+std::optional<AlignmentCue> edge_cue(const PriorView& prior, const SceneView& scene, const Mask& pixels) {
   Mask bent = pixels;
   const Image<float> bends = log_gradient(prior.normals, bent, bend_floor);
+  std::vector<AlignmentCue::Value> relief = real_values(band_inside(bends, bent, fine_px, coarse_px), pixels);
+  if (deviation(relief) < least_relief) return std::nullopt;
   Image<float> brightness = scene.brightness;
   for (float& value : brightness) value = std::isfinite(value) ? value : 0.0F;
   smooth(brightness, fine_px);
   Mask seen = scene.seen;
   const Image<float> changes = log_gradient(brightness, seen, gradient_floor);
-  return {real_values(band_inside(bends, bent, fine_px, coarse_px), pixels),
-          inside(ones(bent), pixels),
-          band_inside(changes, seen, fine_px, coarse_px),
-          {},
-          ones(seen),
-          0};
+  return AlignmentCue(std::move(relief), inside(ones(bent), pixels), band_inside(changes, seen, fine_px, coarse_px), {},
+                      ones(seen), 0);
 }
 
 }  // namespace malus

@@ -2,6 +2,7 @@
 
 #include <complex>
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "malus/core/image.h"
@@ -79,7 +80,8 @@ AlignmentCue color_cue(const PriorView& prior, const SceneView& scene, const Mas
 /// Azimuths of the prior against phases, exp(4i ·) of both, which is the same for diffuse and specular reflection.
 AlignmentCue phase_cue(const PriorView& prior, const SceneView& scene, const Mask& pixels, const Pinhole& camera);
 
-/// Where the prior bends against where the image changes.
-AlignmentCue edge_cue(const PriorView& prior, const SceneView& scene, const Mask& pixels);
+/// Where the prior bends against where the image changes; none for a prior that bends alike everywhere, as a plane or a
+/// sphere does.
+std::optional<AlignmentCue> edge_cue(const PriorView& prior, const SceneView& scene, const Mask& pixels);
 
 }  // namespace malus

@@ -39,7 +39,7 @@ AlignmentProblem::AlignmentProblem(const PriorView& prior, const SceneView& scen
     if (!(cues[color]->has_template())) cues[color].reset();
   }
   cues[phase].emplace(phase_cue(prior, scene, compared, camera));
-  cues[edges].emplace(edge_cue(prior, scene, compared));
+  cues[edges] = edge_cue(prior, scene, compared);
 }
 
 bool AlignmentProblem::is_usable() const {
@@ -90,14 +90,13 @@ std::vector<PlacedScore> search_grid(const AlignmentScore& score, double extent_
 }
 
 PlacedScore refine_place(const AlignmentScore& score, const TemplatePixels& pixels, const Similarity& start,
-                         const Context& context) {
+                         const Context& context, const std::vector<double Similarity::*>& fields) {
   PlacedScore best{start, score(start)};
   const double largest_px = beyond_grid * largest_shift * pixels.extent;
   const auto is_within = [&](const Similarity& place) {
     return std::hypot(place.du, place.dv) <= largest_px && std::abs(place.turn_rad) <= beyond_grid * turns_rad.back() &&
            std::abs(place.log_scale) <= beyond_grid * log_scales.back();
   };
-  constexpr std::array fields{&Similarity::du, &Similarity::dv, &Similarity::turn_rad, &Similarity::log_scale};
   for (double step = first_step_px; step >= last_step_px;) {
     context.check_cancel();
     bool moved = false;

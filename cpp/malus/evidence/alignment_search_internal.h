@@ -50,8 +50,12 @@ struct PlacedScore {
 std::vector<PlacedScore> search_grid(const AlignmentScore& score, double extent_px, bool shifts_only,
                                      const Context& context);
 
-/// Walks uphill from a place, to steps of 1/16 px, no farther than the grid reaches and half as much again.
+inline const std::vector<double Similarity::*> all_fields{&Similarity::du, &Similarity::dv, &Similarity::turn_rad,
+                                                          &Similarity::log_scale};
+
+/// Walks uphill from a place along these fields, to steps of 1/16 px, no farther than the grid reaches and half as much
+/// again.
 PlacedScore refine_place(const AlignmentScore& score, const TemplatePixels& pixels, const Similarity& start,
-                         const Context& context);
+                         const Context& context, const std::vector<double Similarity::*>& fields = all_fields);
 
 }  // namespace malus

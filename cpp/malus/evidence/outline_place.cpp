@@ -99,7 +99,12 @@ double total(const Sectors& sums) {
 bool OutlinePlace::is_offset() const {
   const bool is_beyond =
       std::hypot(place.du, place.dv) > offset_shift * extent || std::abs(place.log_scale) > offset_scale;
-  return is_beyond && at_best - as_given > offset_gain && gain_sigmas > offset_sigmas;
+  // A place at the end of what is searched is none: where the surface goes on, as a ball's does behind a mask that is
+  // drawn on it, depths fall off more and more outwards, and the largest outline has the largest steps.
+  const double searched = std::ceil(largest_move * extent) - 0.5;
+  const bool is_peak = std::abs(place.du) < searched && std::abs(place.dv) < searched &&
+                       std::abs(place.log_scale) < largest_move - 0.5 * size_step;
+  return is_beyond && is_peak && at_best - as_given > offset_gain && gain_sigmas > offset_sigmas;
 }
 
 OutlinePlace find_outline(const PriorView& prior, const SceneView& scene, const Pinhole& camera) {

@@ -71,8 +71,9 @@ struct AlignmentScene {
 ///
 /// An offset is doubtful if one of the cues that have a signal, or all together, gain 3 standard deviations by it (2 if
 /// it is beyond the following by 3 of the place's own standard deviations), none of them loses by it, and it is beyond
-/// what view-dependent reflections make of right priors: 1.2 % of the object, 0.6°, 3.5 % in size. Edges follow the
-/// light: 4 %, 3° and 8 %. Where neither colors nor phases say anything, a prior is doubtful whose steps of depth gain
+/// what view-dependent reflections make of right priors: 1.2 % of the object, 0.6°, 3.5 % in size (1.5 % where colors
+/// and phases agree). Offsets that cannot be told from others, as the turn of what is round, are left out. Edges follow
+/// the light: 4 %, 3° and 8 %. Where neither colors nor phases say anything, a prior is doubtful whose depth steps gain
 /// 2 standard deviations by lying on the mask's outline, moved by more than 3 % of the object or 2 % in size. Doubtful,
 /// too, is a colored cloud that has nothing in common with the images: squared correlations of at most 0.05 with the
 /// colors and 0.12 with the phases, and no step of depths at the mask's outline. If only the colors have nothing in

@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <limits>
 #include <random>
 
 #include "evidence_scene.h"
@@ -71,21 +72,71 @@ TEST(PriorAlignment, SaysWhichOffsetsWouldBeTold) {
   }
 }
 
-TEST(PriorAlignment, ATurnOfSomethingRoundIsNotTold) {
-  const auto rings = [](double width_px) {
-    return [width_px](double u, double v) {
-      return std::numbers::sqrt2 * std::sin(2 * std::numbers::pi / width_px * std::hypot(u - 150, v - 110));
-    };
+/// Rings about a pixel, as on a turned bowl.
+EvidenceScene::Pattern rings(double width_px, double middle_u) {
+  return [=](double u, double v) {
+    return std::numbers::sqrt2 * std::sin(2 * std::numbers::pi / width_px * std::hypot(u - middle_u, v - 110));
   };
-  EvidenceScene scene(rings(40), rings(14));
+}
+
+EvidenceScene noisy_rings(double middle_u) {
+  EvidenceScene scene(rings(40, middle_u), rings(14, middle_u));
   std::mt19937 random(1);
   std::normal_distribution<float> noise(0, 0.15F);
   for (float& intensity : scene.everything) intensity *= 1 + noise(random);
   for (float& phase : scene.state.phi) phase += noise(random);
+  return scene;
+}
+
+TEST(PriorAlignment, ATurnOfSomethingRoundIsNotTold) {
+  const EvidenceScene scene = noisy_rings(150);
   const PriorAlignment found = check(scene, scene.cloud);
   EXPECT_EQ(found.told_turn_deg, 0);
   EXPECT_GT(found.told_shift_px, 0);
   EXPECT_NE(found.finding.message.find("but not a turn"), std::string::npos) << found.finding.message;
+}
+
+TEST(PriorAlignment, SomethingRoundIsShiftedAndNotTurned) {
+  // Rings whose middle is far from that of what is seen of them: a turn about the latter shifts them.
+  const EvidenceScene scene = noisy_rings(240);
+  for (const double down_px : {5, -5}) {
+    const PriorAlignment found = check(scene, scene.moved(motion(0, down_px)));
+    EXPECT_EQ(found.finding.severity, Severity::warning) << found.finding.text();
+    EXPECT_EQ(found.clockwise_deg, 0) << found.finding.text();
+    EXPECT_NEAR(found.down_px, -down_px, 1) << found.finding.text();
+  }
+}
+
+/// A ball's depths, its middle on the ray of this pixel, as waves of EvidenceScene.
+EvidenceScene::Pattern ball(double middle_u, double middle_v) {
+  return [=](double u, double v) {
+    constexpr double radius = 40;
+    const double x = mm_per_px * (u - middle_u), y = mm_per_px * (v - middle_v);
+    return (radius - std::sqrt(radius * radius - x * x - y * y)) / 0.8;
+  };
+}
+
+TEST(PriorAlignment, ABallHasNoEdgesOfItsOwn) {
+  EvidenceScene scene(ball(150, 110), nullptr);
+  for (float& rho : scene.state.rho) rho = 0;
+  // A mask that is drawn a little inside of the outline, with the stem left out.
+  for (int v = 0; v < scene.object.height(); ++v) {
+    for (int u = 0; u < scene.object.width(); ++u) {
+      if (scene.object(u, v) == 0) scene.depth(u, v) = std::numeric_limits<float>::quiet_NaN();
+      const bool is_inside = std::hypot((u - 150) / 103.0, (v - 110) / 73.0) < 1;
+      scene.object(u, v) = is_inside && std::hypot(u - 145, v - 55) > 15 ? 255 : 0;
+    }
+  }
+  const PriorAlignment found = check_alignment(scene.depth, scene.images(), {});
+  EXPECT_EQ(found.finding.severity, Severity::note) << found.finding.text();
+  EXPECT_FALSE(found.edges.available);
+  EXPECT_NE(found.finding.message.find("could not be checked"), std::string::npos) << found.finding.message;
+}
+
+TEST(PriorAlignment, ABallHasNoOutlineWithinItsSurface) {
+  const EvidenceScene scene(ball(150, 110), nullptr);
+  const PriorAlignment found = check_alignment(scene.depth, scene.images(), {});
+  EXPECT_EQ(found.finding.severity, Severity::note) << found.finding.text();
 }
 
 TEST(PriorAlignment, FindsShiftByPhasesWithoutColors) {
