@@ -213,16 +213,16 @@ void SlopeChangeCost::evaluate(double const* const* parameters, double* residual
   }
 }
 
-LogShading log_shading(const Eigen::Vector4d& harmonics, const RayFrame& frame, double p, double q) {
+LogShading log_shading(const ShadingHarmonics& harmonics, const RayFrame& frame, double p, double q) {
   constexpr double darkest = 0.02;
-  const Eigen::Vector3d direction = harmonics.tail<3>();
   const double slant2 = 1 + p * p + q * q, scale = 1 / std::sqrt(slant2);
-  const double right = direction.dot(frame.right), up = direction.dot(frame.up);
-  const double along = (p * right + q * up + direction.dot(frame.view)) * scale;
-  const double shading = harmonics[0] + along;
+  const Eigen::Vector3d n = (p * frame.right + q * frame.up + frame.view) * scale;
+  const double shading = harmonics.dot(shading_basis(n));
   if (shading <= darkest) return {std::log(darkest), 0, 0};
-  return {std::log(shading), (right * scale - along * p / slant2) / shading,
-          (up * scale - along * q / slant2) / shading};
+  const Eigen::Vector3d by_n = shading_by_normal(harmonics, n);
+  const double along = by_n.dot(n) / slant2;
+  return {std::log(shading), (by_n.dot(frame.right) * scale - along * p) / shading,
+          (by_n.dot(frame.up) * scale - along * q) / shading};
 }
 
 AlbedoCost::AlbedoCost(const RefinementField& field, int u, int v)

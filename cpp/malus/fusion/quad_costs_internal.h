@@ -142,6 +142,6 @@ class PriorBlockCost final : public QuadCost {
 struct LogShading {
   double value = 0, by_p = 0, by_q = 0;
 };
-LogShading log_shading(const Eigen::Vector4d& harmonics, const RayFrame& frame, double p, double q);
+LogShading log_shading(const ShadingHarmonics& harmonics, const RayFrame& frame, double p, double q);
 
 }  // namespace malus

@@ -99,7 +99,7 @@ void take_surroundings(const SurroundingsFit& fit, RefinementImage& image, Refin
 
 /// Fits the surroundings at the current surface, near the roughness that is known, if it is.
 SurroundingsFit fit_mirrored(RefinementImage& image, RefineReport& report, MapCourse& course, const Context& context) {
-  constexpr std::size_t enough = 4000;
+  constexpr std::size_t enough = 12000;
   static constexpr std::array any{0.04, 0.08, 0.12, 0.2, 0.3, 0.42};
   constexpr double near = 1.25;
   constexpr int rounds_between = 3;
@@ -111,7 +111,8 @@ SurroundingsFit fit_mirrored(RefinementImage& image, RefineReport& report, MapCo
     if (course.rounds_to_keep > 0) tried = tried.first(1);
   }
   const SurroundingsFit fit =
-      fit_surroundings(collect_samples(image, Reflection::diffuse, enough), course.material, tried, context);
+      fit_surroundings(collect_samples(image, Reflection::diffuse, enough), course.material, tried,
+                       report.surroundings.radiance, context);
   if (tried.size() == 1) {
     --course.rounds_to_keep;
   } else if (fit.surroundings.roughness == known) {
@@ -133,7 +134,7 @@ std::optional<std::pair<MirrorMaterial, SurroundingsFit>> find_metal(const std::
   std::optional<std::pair<MirrorMaterial, SurroundingsFit>> best;
   for (const std::complex<double> index : metals) {
     const MirrorMaterial metal{index};
-    SurroundingsFit fit = fit_surroundings(samples, metal, roughnesses, context);
+    SurroundingsFit fit = fit_surroundings(samples, metal, roughnesses, {}, context);
     if (fit.intensity_error > largest_error || fit.cost > dielectric_cost + cost_margin) continue;
     if (!best || fit.cost < best->second.cost) best.emplace(metal, std::move(fit));
   }
@@ -147,8 +148,8 @@ double fit_reflection(RefinementImage& image, const RefineOptions& options, bool
   double lobe_gain = 0;
   const auto diffuse = collect_samples(image, Reflection::diffuse, sample_count);
   if (image.reflection.mirrored) {
-    image.shading = fit_shading(diffuse).harmonics;
     fit_mirrored(image, report, course, context);
+    image.shading = fit_body_shading(diffuse, *image.reflection.mirrored);
   } else if (!diffuse.empty()) {
     const Shading shading = fit_shading(diffuse);
     image.shading = shading.harmonics;
@@ -376,7 +377,10 @@ class Refiner {
     const Image<float> beyond_plane = at_prior.shares(true, context_);
     const Image<float> shares = image_.reflection.mirrored ? beyond_plane : at_prior.shares(false, context_);
     const bool with_map = image_.reflection.mirrored != nullptr, explained_as_metal = image_.reflection.metal_error > 0;
-    const Image<float> after = with_map ? explained_by_surroundings(false) : Image<float>();
+    const std::optional<ExplainedByResult> by_result =
+        with_map ? std::optional(explained_by_surroundings(false)) : std::nullopt;
+    const Image<float> after = by_result ? by_result->shares(context_) : Image<float>();
+    const Image<float> gains = by_result ? by_result->gains(context_) : Image<float>();
     const Image<float> in_metal = explained_as_metal ? trust_in_metal(after, x_prior) : Image<float>();
     // A metal's slopes are not those that a dielectric's formulas give, however well these fit.
     const bool is_metal = looks_like_metal(image_), settled = has_settled(report_);
@@ -389,7 +393,7 @@ class Refiner {
         const double trust = is_metal || !settled ? 0
                              : !with_map          ? trust_of(share(shares))
                              : explained_as_metal ? share(in_metal)
-                                                  : trust_with_surroundings(share(shares), share(after));
+                                                  : trust_with_surroundings(share(shares), share(after)) * share(gains);
         if (image_.pixels(u, v)) report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(255 * trust));
         image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
       }
@@ -489,7 +493,7 @@ class Refiner {
   }
 
   /// The same with a map of the surroundings: what it leaves over at the result decides, if it explains anything of the
-  /// relief at the prior's slopes.
+  /// relief at the prior's slopes. Of what the surface moved the part that is gain counts.
   static double trust_with_surroundings(double at_prior, double after) {
     constexpr double least = 0.65, enough = 0.95, something = 0.2;
     return std::min(std::clamp((after - least) / (enough - least), 0.0, 1.0),
@@ -504,7 +508,7 @@ class Refiner {
   Image<float> trust_in_metal(const Image<float>& after, const Image<double>& x_prior) const {
     constexpr double least = 0.05, enough = 0.2, doubtful = 0.75, nearly_all = 0.9;
     constexpr double too_far = 0.9, within = 0.95;
-    const Image<float> before = explained_by_surroundings(true);
+    const Image<float> before = explained_by_surroundings(true).shares(context_);
     Image<float> trust(after.size());
     for (std::size_t i = 0; i < trust.count(); ++i) {
       const double gained = (after[i] - before[i]) / std::max(1.0 - before[i], 1e-6);
@@ -583,9 +587,8 @@ class Refiner {
     return explained;
   }
 
-  /// Share of the polarization that a map of the surroundings explains at the surface as it is, or at the prior's, cell
-  /// by cell.
-  Image<float> explained_by_surroundings(bool at_prior) const {
+  /// How well a map of the surroundings explains the polarization at the surface as it is, or at the prior's.
+  ExplainedByResult explained_by_surroundings(bool at_prior) const {
     ExplainedByResult explained(image_.size());
     for (const TileStrip& tiles : strips_) {
       StripField strip = strip_field(image_, tiles.rows, whole_blocks(weights_reach_px), context_);
@@ -593,7 +596,7 @@ class Refiner {
       update_weights(strip.field, weights(1, false), context_);
       explained.add(strip.field, strip.rows, strip.first_row, context_);
     }
-    return explained.shares(context_);
+    return explained;
   }
 
   double mean_over_object(const Image<float>& cells) const {

@@ -11,6 +11,7 @@
 #include "malus/fusion/fresnel_factors_internal.h"
 #include "malus/fusion/index_search_internal.h"
 #include "malus/fusion/reflection_fit_internal.h"
+#include "malus/fusion/surroundings_internal.h"
 #include "malus/polarization/fresnel.h"
 
 namespace malus {
@@ -368,10 +369,33 @@ Shading fit_shading(const std::vector<ReflectionSample>& samples) {
     rows.row(i).tail<3>() = normal_of(s.frame, s.p, s.q).transpose();
     values[i] = s.s0;
   }
-  shading.harmonics = robust_fit(rows, values);
+  shading.harmonics.head<4>() = robust_fit(rows, values);
   const Eigen::Vector3d direct = robust_fit(rows.rightCols<3>(), values);
   if (direct.norm() > 0) shading.light = direct.normalized();
   return shading;
+}
+
+ShadingHarmonics fit_body_shading(const std::vector<ReflectionSample>& samples, const MirroredLightTable& mirrored) {
+  ShadingHarmonics harmonics = ShadingHarmonics::Unit(0);
+  if (samples.size() < 200) return harmonics;
+  const auto count = static_cast<Eigen::Index>(samples.size());
+  Eigen::MatrixXd rows(count, harmonics.size());
+  Eigen::VectorXd values(count);
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const ReflectionSample& s = samples[static_cast<std::size_t>(i)];
+    rows.row(i) = shading_basis(normal_of(s.frame, s.p, s.q)).transpose();
+    values[i] = std::max(s.s0 - mirrored.at(s.p, s.q, s.frame).stokes[0], 0.0);
+  }
+  // Errors are relative down to a tenth of the usual light. A metal has none from a body.
+  const double darkest = 0.1 * median(std::vector<double>(values.begin(), values.end()));
+  if (darkest <= 0) return harmonics;
+  Eigen::VectorXd errors = values.cwiseMax(darkest);
+  for (int round = 0; round < 4; ++round) {
+    const Eigen::MatrixXd relative = rows.array().colwise() / errors.array();
+    harmonics = robust_fit(relative, values.cwiseQuotient(errors));
+    errors = (rows * harmonics).cwiseMax(darkest);
+  }
+  return harmonics;
 }
 
 DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, MirroredTerms terms,

@@ -25,11 +25,14 @@ std::vector<ReflectionSample> collect_samples(const RefinementImage& image, Refl
 /// Light of a diffuse surface.
 struct Shading {
   Eigen::Vector3d light = -Eigen::Vector3d::UnitZ();     ///< unit, towards the light: s0 ≈ n · c
-  Eigen::Vector4d harmonics = Eigen::Vector4d::UnitX();  ///< s0 ≈ c0 + c1..3 · n
+  ShadingHarmonics harmonics = ShadingHarmonics::Unit(0);  ///< s0 ≈ c · basis(n)
 };
 
 /// Robust fits of s0 against the normals.
 Shading fit_shading(const std::vector<ReflectionSample>& samples);
+
+/// Of the body's light against the normals, to the second order; the errors are relative.
+ShadingHarmonics fit_body_shading(const std::vector<ReflectionSample>& samples, const MirroredLightTable& mirrored);
 
 /// How well a reflection model explains the Stokes vectors at known slopes: mean of ln(1 + r² / 4).
 struct DiffuseFit {

@@ -12,14 +12,14 @@ Mask nodes_of(const Mask& pixels) {
   return nodes;
 }
 
-Eigen::Vector2d central_gradient(const SurfaceEstimate& surface, int u, int v) {
+Eigen::Vector2d central_gradient(const SurfaceEstimate& surface, const Image<double>& x, int u, int v) {
   const auto along = [&](int du, int dv) {
     double sum = 0;
     int count = 0;
     for (const int side : {0, 1}) {
       const int u0 = u + side * dv, v0 = v + side * du;
       if (!surface.is_object(u0, v0) || !surface.is_object(u0 + du, v0 + dv)) continue;
-      sum += surface.x(u0 + du, v0 + dv) - surface.x(u0, v0);
+      sum += x(u0 + du, v0 + dv) - x(u0, v0);
       ++count;
     }
     return count == 0 ? 0.0 : sum / count;
@@ -27,9 +27,17 @@ Eigen::Vector2d central_gradient(const SurfaceEstimate& surface, int u, int v) {
   return {along(1, 0), along(0, 1)};
 }
 
+Eigen::Vector2d central_gradient(const SurfaceEstimate& surface, int u, int v) {
+  return central_gradient(surface, surface.x, u, v);
+}
+
 Eigen::Vector2d central_slopes(const SurfaceEstimate& surface, int u, int v) {
+  return central_slopes(surface, surface.x, u, v);
+}
+
+Eigen::Vector2d central_slopes(const SurfaceEstimate& surface, const Image<double>& x, int u, int v) {
   const RaySlopes slopes = surface.slopes_at(u, v);
-  const Eigen::Vector2d gradient = central_gradient(surface, u, v);
+  const Eigen::Vector2d gradient = central_gradient(surface, x, u, v);
   return {slopes.p(gradient[0], gradient[1]), slopes.q(gradient[0], gradient[1])};
 }
 

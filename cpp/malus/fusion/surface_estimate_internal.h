@@ -8,6 +8,7 @@
 #include "malus/core/pixel_rect_internal.h"
 #include "malus/fusion/ray_slopes_internal.h"
 #include "malus/fusion/reflection_model_internal.h"
+#include "malus/fusion/shading_internal.h"
 
 namespace malus {
 
@@ -25,7 +26,7 @@ struct SurfaceEstimate {
   Image<double> x;
   Image<std::uint8_t> kind;  ///< Reflection
   ReflectionModel reflection;
-  Eigen::Vector4d shading = Eigen::Vector4d::UnitX();  ///< body light / albedo = shading[0] + shading[1..3] · n
+  ShadingHarmonics shading = ShadingHarmonics::Unit(0);  ///< body light / albedo = shading · basis(n)
 
   Size size() const { return object.size(); }
   PixelRect everything() const { return {0, 0, size().width, size().height}; }
@@ -42,8 +43,9 @@ Mask nodes_of(const Mask& pixels);
 /// Gradient of x in a pixel from its four nodes, as far as they exist.
 Eigen::Vector2d central_gradient(const SurfaceEstimate& surface, int u, int v);
 
-/// Slopes (p, q) of the current surface in the center of a pixel.
+/// Slopes (p, q) of the current surface in the center of a pixel; or of another one with depths `x`.
 Eigen::Vector2d central_slopes(const SurfaceEstimate& surface, int u, int v);
+Eigen::Vector2d central_slopes(const SurfaceEstimate& surface, const Image<double>& x, int u, int v);
 
 /// Unit normal of slopes (p, q) against a ray, camera frame.
 inline Eigen::Vector3d normal_of(const RayFrame& frame, double p, double q) {

@@ -1,6 +1,7 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
@@ -12,8 +13,6 @@ namespace malus {
 namespace {
 
 using Cells = std::vector<Surroundings::Cell>;
-
-constexpr int irls_rounds = 4;
 
 /// min ½ xᵀ G x − bᵀ x for x ≥ 0 by coordinate descent, from x.
 void solve_nonnegative(const Eigen::MatrixXf& normal, const Eigen::VectorXf& right, Eigen::VectorXf& x) {
@@ -64,39 +63,79 @@ LinearSystem linearize(const std::vector<ReflectionSample>& samples, const Cells
   return system;
 }
 
-SurroundingsFit fit(const std::vector<ReflectionSample>& samples, const Cells& cells, double roughness,
-                    const MirrorMaterial& material) {
-  constexpr float ridge = 1e-4F;
-  constexpr double robust_sigmas2 = 6.25;
-  const LinearSystem system = linearize(samples, cells, roughness, material);
-  const auto count = static_cast<Eigen::Index>(samples.size());
-  Eigen::VectorXf weights = Eigen::VectorXf::Ones(count), radiances = Eigen::VectorXf::Zero(system.rows.cols());
-  std::vector<double> squares(samples.size()), intensity_errors(samples.size());
-  double cost = 0;
-  for (int round = 0; round < irls_rounds; ++round) {
-    const Eigen::VectorXf all = weights.replicate(system.parts, 1);
-    Eigen::MatrixXf normal = Eigen::MatrixXf::Zero(system.rows.cols(), system.rows.cols());
-    normal.selfadjointView<Eigen::Lower>().rankUpdate((all.cwiseSqrt().asDiagonal() * system.rows).transpose());
-    normal.triangularView<Eigen::StrictlyUpper>() = normal.transpose();
-    normal.diagonal().array() += ridge * normal.trace() / static_cast<float>(normal.rows()) + 1e-12F;
-    solve_nonnegative(normal, system.rows.transpose() * all.cwiseProduct(system.values), radiances);
-    const Eigen::VectorXf rest = system.values - system.rows * radiances;
-    cost = 0;
-    for (Eigen::Index i = 0; i < count; ++i) {
-      const double stokes = static_cast<double>(rest[i] * rest[i] + rest[count + i] * rest[count + i]);
-      cost += std::log1p(stokes / 4);
-      const double intensity = system.parts == 3 ? rest[2 * count + i] : 0;
-      squares[static_cast<std::size_t>(i)] = stokes + intensity * intensity;
-      intensity_errors[static_cast<std::size_t>(i)] = std::abs(intensity) * material.intensity_error;
-    }
-    const double scale = std::max(median(squares) / 1.4, 1.0);
-    for (Eigen::Index i = 0; i < count; ++i) {
-      weights[i] = static_cast<float>(1 / (1 + squares[static_cast<std::size_t>(i)] / (robust_sigmas2 * scale)));
+/// Neighboring cells look alike: what noise and wrong slopes of the samples put into one cell and take from the next
+/// costs something.
+void add_smoothness(const Cells& cells, float weight, Eigen::MatrixXf& normal) {
+  Image<int> index({Surroundings::cells, Surroundings::cells}, 1, -1);
+  for (std::size_t i = 0; i < cells.size(); ++i) index(cells[i].column, cells[i].row) = static_cast<int>(i);
+  for (const Surroundings::Cell& cell : cells) {
+    const int i = index(cell.column, cell.row);
+    for (const auto& [column, row] : {std::pair{cell.column + 1, cell.row}, std::pair{cell.column, cell.row + 1}}) {
+      const int j = index.contains(column, row) ? index(column, row) : -1;
+      if (j < 0) continue;
+      normal(i, i) += weight;
+      normal(j, j) += weight;
+      normal(i, j) -= weight;
+      normal(j, i) -= weight;
     }
   }
-  SurroundingsFit result;
-  result.cost = cost / static_cast<double>(std::max<Eigen::Index>(count, 1));
+}
+
+/// Weights of the samples by what the radiances leave of them, and how well they explain them.
+struct Residuals {
+  Eigen::VectorXf weights;
+  double cost = 0, intensity_error = 0;
+};
+
+Residuals weigh(const LinearSystem& system, const Eigen::VectorXf& radiances, const MirrorMaterial& material) {
+  constexpr double robust_sigmas2 = 6.25;
+  const Eigen::VectorXf rest = system.values - system.rows * radiances;
+  const Eigen::Index count = rest.size() / system.parts;
+  std::vector<double> squares(static_cast<std::size_t>(count)), intensity_errors(squares.size());
+  Residuals result{Eigen::VectorXf(count)};
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const double stokes = static_cast<double>(rest[i] * rest[i] + rest[count + i] * rest[count + i]);
+    result.cost += std::log1p(stokes / 4) / static_cast<double>(count);
+    const double intensity = system.parts == 3 ? rest[2 * count + i] : 0;
+    squares[static_cast<std::size_t>(i)] = stokes + intensity * intensity;
+    intensity_errors[static_cast<std::size_t>(i)] = std::abs(intensity) * material.intensity_error;
+  }
+  const double scale = std::max(median(squares) / 1.4, 1.0);
+  for (Eigen::Index i = 0; i < count; ++i) {
+    result.weights[i] =
+        static_cast<float>(1 / (1 + squares[static_cast<std::size_t>(i)] / (robust_sigmas2 * scale)));
+  }
   result.intensity_error = median(intensity_errors);
+  return result;
+}
+
+/// `start`: radiances that are about right, if there are any.
+SurroundingsFit fit(const std::vector<ReflectionSample>& samples, const Cells& cells, double roughness,
+                    const MirrorMaterial& material, const Image<float>& start = {}) {
+  constexpr float ridge = 1e-4F, smoothness = 1e-3F;
+  constexpr int rounds = 4, rounds_from_start = 1;
+  const LinearSystem system = linearize(samples, cells, roughness, material);
+  Eigen::VectorXf radiances = Eigen::VectorXf::Zero(system.rows.cols());
+  Residuals residuals{Eigen::VectorXf::Ones(static_cast<Eigen::Index>(samples.size()))};
+  if (!start.empty()) {
+    for (std::size_t i = 0; i < cells.size(); ++i)
+      radiances[static_cast<Eigen::Index>(i)] = start(cells[i].column, cells[i].row);
+    residuals = weigh(system, radiances, material);
+  }
+  for (int round = 0; round < (start.empty() ? rounds : rounds_from_start); ++round) {
+    const Eigen::VectorXf weights = residuals.weights.replicate(system.parts, 1);
+    Eigen::MatrixXf normal = Eigen::MatrixXf::Zero(system.rows.cols(), system.rows.cols());
+    normal.selfadjointView<Eigen::Lower>().rankUpdate((weights.cwiseSqrt().asDiagonal() * system.rows).transpose());
+    normal.triangularView<Eigen::StrictlyUpper>() = normal.transpose();
+    const float mean = normal.trace() / static_cast<float>(normal.rows());
+    normal.diagonal().array() += ridge * mean + 1e-12F;
+    add_smoothness(cells, smoothness * mean, normal);
+    solve_nonnegative(normal, system.rows.transpose() * weights.cwiseProduct(system.values), radiances);
+    residuals = weigh(system, radiances, material);
+  }
+  SurroundingsFit result;
+  result.cost = residuals.cost;
+  result.intensity_error = residuals.intensity_error;
   result.surroundings.roughness = roughness;
   result.surroundings.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
   for (std::size_t i = 0; i < cells.size(); ++i)
@@ -107,11 +146,12 @@ SurroundingsFit fit(const std::vector<ReflectionSample>& samples, const Cells& c
 }  // namespace
 
 SurroundingsFit fit_surroundings(const std::vector<ReflectionSample>& samples, const MirrorMaterial& material,
-                                 std::span<const double> roughnesses, const Context& context) {
+                                 std::span<const double> roughnesses, const Image<float>& start,
+                                 const Context& context) {
   const Cells cells = Surroundings::all_cells();
   std::vector<SurroundingsFit> fits(roughnesses.size());
   parallel_for(context, fits.size(), 1, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) fits[i] = fit(samples, cells, roughnesses[i], material);
+    for (std::size_t i = begin; i < end; ++i) fits[i] = fit(samples, cells, roughnesses[i], material, start);
   });
   return *std::min_element(fits.begin(), fits.end(), [](const auto& a, const auto& b) { return a.cost < b.cost; });
 }

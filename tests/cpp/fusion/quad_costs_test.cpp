@@ -34,7 +34,7 @@ RefinementField rough_field(Reflection kind, const ReflectionModel& model = usua
   RefinementField field = image.part(image.everything(), Context{});
   field.kind.fill(static_cast<std::uint8_t>(kind));
   field.reflection = options.model;
-  field.shading = {0.3, 0.1, -0.2, -0.6};
+  field.shading << 0.3, 0.1, -0.2, -0.6, 0.05, -0.1, 0.07, 0.04, -0.03;
   std::mt19937 random(5);
   std::normal_distribution<double> gauss(0, 0.2);
   for (std::size_t i = 0; i < field.x.count(); ++i) {
@@ -195,7 +195,8 @@ TEST(StokesLoss, IsCauchyTimesTheRegionalWeight) {
 }
 
 TEST(LogShading, DerivativesAreThoseOfTheValue) {
-  const Eigen::Vector4d harmonics(0.3, 0.1, -0.2, -0.6);
+  ShadingHarmonics harmonics;
+  harmonics << 0.3, 0.1, -0.2, -0.6, 0.05, -0.1, 0.07, 0.04, -0.03;
   const Pinhole camera{{100, 100}, 300, 300, 50, 50};
   const RayFrame frame = ray_frame(&camera, 20, 80);
   const double h = 1e-6;

@@ -8,6 +8,7 @@
 #include <random>
 
 #include "malus/fusion/fresnel_factors_internal.h"
+#include "malus/fusion/quad_costs_internal.h"
 #include "malus/fusion/refine_internal.h"
 #include "malus/fusion/reflection_model_internal.h"
 #include "malus/fusion/surroundings_fit_internal.h"
@@ -124,7 +125,7 @@ TEST(Surroundings, AreFoundFromWhatTheyMirror) {
   const MirroredLightTable table(truth, 1.5, camera, Context{});
   const std::vector<ReflectionSample> samples = samples_under_window(table, 1.5);
   const std::array tried{0.05, 0.1, 0.2, 0.4};
-  const SurroundingsFit fit = fit_surroundings(samples, {1.5}, tried, Context{});
+  const SurroundingsFit fit = fit_surroundings(samples, {1.5}, tried, {}, Context{});
   EXPECT_EQ(fit.surroundings.roughness, 0.2);
   const MirroredLightTable found(fit.surroundings, 1.5, camera, Context{});
   double error = 0, size = 0;
@@ -136,6 +137,53 @@ TEST(Surroundings, AreFoundFromWhatTheyMirror) {
   }
   EXPECT_LT(std::sqrt(error / size), 0.1);
   EXPECT_GE(*std::min_element(fit.surroundings.radiance.begin(), fit.surroundings.radiance.end()), 0);
+}
+
+TEST(Surroundings, AreSmoothThoughSlopesAreWrong) {
+  const MirroredLightTable table(window(0.2), 1.5, camera, Context{});
+  std::vector<ReflectionSample> samples = samples_under_window(table, 1.5);
+  std::mt19937 random(7);
+  std::normal_distribution<double> error(0, 0.05);
+  for (ReflectionSample& s : samples) {
+    s.p += error(random);
+    s.q += error(random);
+  }
+  const Image<float> map = fit_surroundings(samples, {1.5}, std::array{0.2}, {}, Context{}).surroundings.radiance;
+  double rough = 0, sum = 0;
+  for (int row = 6; row < 14; ++row) {
+    for (int column = 6; column < 14; ++column) {
+      const double around = map(column - 1, row) + map(column + 1, row) + map(column, row - 1) + map(column, row + 1);
+      rough += std::abs(4 * map(column, row) - around);
+      sum += 4 * map(column, row);
+    }
+  }
+  EXPECT_LT(rough, 0.8 * sum);
+}
+
+TEST(Surroundings, AreFoundInFewerRoundsFromThoseBefore) {
+  const MirroredLightTable table(window(0.2), 1.5, camera, Context{});
+  const std::vector<ReflectionSample> samples = samples_under_window(table, 1.5);
+  const std::array known{0.2};
+  const SurroundingsFit first = fit_surroundings(samples, {1.5}, known, {}, Context{});
+  const SurroundingsFit again = fit_surroundings(samples, {1.5}, known, first.surroundings.radiance, Context{});
+  EXPECT_NEAR(again.cost, first.cost, 0.01 * first.cost);
+}
+
+TEST(Surroundings, BodysShadingIsThatOfItsOwnLight) {
+  // Lit from one side only, which first-order harmonics cannot follow; in front of it, what the surface mirrors.
+  const MirroredLightTable table(window(0.2), 1.5, camera, Context{});
+  std::vector<ReflectionSample> samples = samples_under_window(table, 1.5);
+  const Eigen::Vector3d light = Eigen::Vector3d(0.9, -0.1, -0.4).normalized();
+  const auto lit = [&](const ReflectionSample& s) {
+    return 0.05 + 0.5 * std::max(normal_of(s.frame, s.p, s.q).dot(light), 0.0);
+  };
+  for (ReflectionSample& s : samples) s.s0 = lit(s) + table.at(s.p, s.q, s.frame).stokes[0];
+  const ShadingHarmonics shading = fit_body_shading(samples, table);
+  std::vector<double> errors;
+  for (const ReflectionSample& s : samples)
+    errors.push_back(std::abs(log_shading(shading, s.frame, s.p, s.q).value - std::log(lit(s))));
+  std::nth_element(errors.begin(), errors.begin() + 1500, errors.end());
+  EXPECT_LT(errors[1500], 0.1);
 }
 
 TEST(Surroundings, MetalsMirrorByFresnelsAmplitudes) {
