@@ -110,9 +110,8 @@ SurroundingsFit fit_mirrored(RefinementImage& image, RefineReport& report, MapCo
     tried = close;
     if (course.rounds_to_keep > 0) tried = tried.first(1);
   }
-  const SurroundingsFit fit =
-      fit_surroundings(collect_samples(image, Reflection::diffuse, enough), course.material, tried,
-                       report.surroundings.radiance, context);
+  const SurroundingsFit fit = fit_surroundings(collect_samples(image, Reflection::diffuse, enough), course.material,
+                                               tried, report.surroundings.radiance, context);
   if (tried.size() == 1) {
     --course.rounds_to_keep;
   } else if (fit.surroundings.roughness == known) {

@@ -24,7 +24,7 @@ std::vector<ReflectionSample> collect_samples(const RefinementImage& image, Refl
 
 /// Light of a diffuse surface.
 struct Shading {
-  Eigen::Vector3d light = -Eigen::Vector3d::UnitZ();     ///< unit, towards the light: s0 ≈ n · c
+  Eigen::Vector3d light = -Eigen::Vector3d::UnitZ();       ///< unit, towards the light: s0 ≈ n · c
   ShadingHarmonics harmonics = ShadingHarmonics::Unit(0);  ///< s0 ≈ c · basis(n)
 };
 

@@ -102,8 +102,7 @@ Residuals weigh(const LinearSystem& system, const Eigen::VectorXf& radiances, co
   }
   const double scale = std::max(median(squares) / 1.4, 1.0);
   for (Eigen::Index i = 0; i < count; ++i) {
-    result.weights[i] =
-        static_cast<float>(1 / (1 + squares[static_cast<std::size_t>(i)] / (robust_sigmas2 * scale)));
+    result.weights[i] = static_cast<float>(1 / (1 + squares[static_cast<std::size_t>(i)] / (robust_sigmas2 * scale)));
   }
   result.intensity_error = median(intensity_errors);
   return result;
