@@ -213,18 +213,6 @@ void SlopeChangeCost::evaluate(double const* const* parameters, double* residual
   }
 }
 
-LogShading log_shading(const ShadingHarmonics& harmonics, const RayFrame& frame, double p, double q) {
-  constexpr double darkest = 0.02;
-  const double slant2 = 1 + p * p + q * q, scale = 1 / std::sqrt(slant2);
-  const Eigen::Vector3d n = (p * frame.right + q * frame.up + frame.view) * scale;
-  const double shading = harmonics.dot(shading_basis(n));
-  if (shading <= darkest) return {std::log(darkest), 0, 0};
-  const Eigen::Vector3d by_n = shading_by_normal(harmonics, n);
-  const double along = by_n.dot(n) / slant2;
-  return {std::log(shading), (by_n.dot(frame.right) * scale - along * p) / shading,
-          (by_n.dot(frame.up) * scale - along * q) / shading};
-}
-
 AlbedoCost::AlbedoCost(const RefinementField& field, int u, int v)
     : QuadCost(field, quads_after(u, v, 2), 2), u_(u), v_(v) {}
 

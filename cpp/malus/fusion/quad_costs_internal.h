@@ -138,10 +138,4 @@ class PriorBlockCost final : public QuadCost {
   int count_ = 0;
 };
 
-/// ln of the shading of a pixel's normal, with derivatives by its slopes.
-struct LogShading {
-  double value = 0, by_p = 0, by_q = 0;
-};
-LogShading log_shading(const ShadingHarmonics& harmonics, const RayFrame& frame, double p, double q);
-
 }  // namespace malus

@@ -10,8 +10,8 @@
 #include "malus/core/robust_spread_internal.h"
 #include "malus/core/square_internal.h"
 #include "malus/fusion/fresnel_factors_internal.h"
-#include "malus/fusion/quad_costs_internal.h"
 #include "malus/fusion/refinement_weights_internal.h"
+#include "malus/fusion/shading_internal.h"
 
 namespace malus {
 namespace {

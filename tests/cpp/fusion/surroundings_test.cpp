@@ -8,9 +8,9 @@
 #include <random>
 
 #include "malus/fusion/fresnel_factors_internal.h"
-#include "malus/fusion/quad_costs_internal.h"
 #include "malus/fusion/refine_internal.h"
 #include "malus/fusion/reflection_model_internal.h"
+#include "malus/fusion/shading_internal.h"
 #include "malus/fusion/surroundings_fit_internal.h"
 #include "malus/fusion/surroundings_internal.h"
 #include "synthetic_station.h"
