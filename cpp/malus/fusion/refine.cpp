@@ -22,6 +22,7 @@
 #include "malus/fusion/reflection_fit_internal.h"
 #include "malus/fusion/reflection_labels_internal.h"
 #include "malus/fusion/region_choice_internal.h"
+#include "malus/fusion/self_mirroring_internal.h"
 #include "malus/fusion/surface_evidence_internal.h"
 #include "malus/fusion/surface_sigma_internal.h"
 #include "malus/fusion/surroundings_fit_internal.h"
@@ -306,8 +307,10 @@ class Refiner {
     const bool mirrors = specular_share(image_) > 0.5, is_mirror = mirrors && by_labels > options_.explained_least;
     if (is_mirror || by_labels > well || !has_usable(image_)) return;
     const Image<std::uint8_t> labels = image_.kind;
+    const Mask usable = image_.usable;
     const ReflectionModel model = image_.reflection;
     image_.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+    leave_out_self_mirroring();
     // What the regions' index was found with is not this model.
     image_.reflection.eta = supposed_index();
     map_.material.index = image_.reflection.eta;
@@ -330,8 +333,10 @@ class Refiner {
       return;
     }
     image_.kind = labels;
+    image_.usable = usable;
     image_.reflection = model;
     report_.surroundings = {};
+    report_.self_mirroring_share = 0;
   }
 
   /// Returns what the solver took.
@@ -549,6 +554,22 @@ class Refiner {
     if (regional && options_.regional_weights && lobe_gain_ > telling_gain)
       weights.regional_sigma_px = regional_sigma_px;
     return weights;
+  }
+
+  /// What shows the object itself says nothing of its surroundings, and they nothing of it.
+  void leave_out_self_mirroring() {
+    constexpr double most = 0.5;  // a prior that is in its own way everywhere does not tell
+    const Mask self = self_mirroring_pixels(image_, context_);
+    double left_out = 0, all = 0;
+    for (std::size_t i = 0; i < self.count(); ++i) {
+      all += image_.usable[i] != 0;
+      left_out += image_.usable[i] && self[i];
+    }
+    if (left_out > most * all) return;
+    for (std::size_t i = 0; i < self.count(); ++i) {
+      if (self[i]) image_.usable[i] = 0;
+    }
+    report_.self_mirroring_share = left_out / std::max(all, 1.0);
   }
 
   double supposed_index() const { return stated_index_.value_or(ReflectionModel().eta); }

@@ -39,7 +39,9 @@ Json refine_report_json(const RefineReport& report) {
     Json rows = Json::array();
     for (int row = 0; row < radiance.height(); ++row)
       rows.push_back(std::vector<float>(radiance.row(row), radiance.row(row) + radiance.width()));
-    surroundings = {{"roughness", report.surroundings.roughness}, {"radiance", rows}};
+    surroundings = {{"roughness", report.surroundings.roughness},
+                    {"self_mirroring_share", report.self_mirroring_share},
+                    {"radiance", rows}};
     if (report.metal_index != 0.0)
       metal = {{"refractive_index", {report.metal_index.real(), report.metal_index.imag()}},
                {"intensity_error", model.metal_error}};

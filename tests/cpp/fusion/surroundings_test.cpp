@@ -109,10 +109,10 @@ std::vector<ReflectionSample> samples_under_window(const MirroredLightTable& tab
     s.q = slope(random);
     s.frame = ray_frame(&camera, column(random), row(random));
     const MirroredLight light = table.at(s.p, s.q, s.frame);
-    const double d = body(random), diffuse = fresnel_factors(s.tan2(), index).diffuse;
+    const double d = body(random), factor = fresnel_factors(s.tan2(), index).diffuse;
     s.s0 = d + light.stokes[0];
-    s.s1 = d * diffuse * (s.p * s.p - s.q * s.q) + light.stokes[1] + noise(random);
-    s.s2 = d * diffuse * 2 * s.p * s.q + light.stokes[2] + noise(random);
+    s.s1 = d * factor * (s.p * s.p - s.q * s.q) + light.stokes[1] + noise(random);
+    s.s2 = d * factor * 2 * s.p * s.q + light.stokes[2] + noise(random);
     if (i % 20 == 0) s.s1 += 0.2;
     s.sigma = 0.002;
     samples.push_back(s);

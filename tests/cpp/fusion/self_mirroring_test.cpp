@@ -1,0 +1,54 @@
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "malus/fusion/self_mirroring_internal.h"
+#include "synthetic_station.h"
+
+namespace malus {
+namespace {
+
+/// Share of the pixels that mirror the object, of two walls that meet in the middle column: falling by `slope` towards
+/// it (a groove), or rising (a roof, < 0).
+double share_of_walls(Size size, double slope) {
+  SyntheticOptions options;
+  options.size = size;
+  SyntheticStation station = make_station(options);
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = 0; u < size.width; ++u) {
+      const double up = slope * std::abs(u - 0.5 * size.width);
+      station.prior.depth(u, v) = static_cast<float>(station_distance_mm - station_gsd_mm * up);
+    }
+  }
+  const RefinementImage image = make_image(station.state, station.prior, Context{});
+  const Mask self = self_mirroring_pixels(image, Context{});
+  const auto count = [](const Mask& mask) { return static_cast<double>(std::ranges::count(mask, std::uint8_t{255})); };
+  return count(self) / count(image.pixels);
+}
+
+constexpr double low = 0.7;  // tan 35°
+
+TEST(SelfMirroring, WallsOfAGrooveMirrorEachOther) {
+  // From a wall at 45 degrees the light turns by 90: level towards the other wall.
+  EXPECT_GT(share_of_walls({80, 60}, 1), 0.8);
+}
+
+TEST(SelfMirroring, OnlyTheFootOfALowGrooveDoes) {
+  // The light comes from 20 degrees above the level. From height h of a wall of slope s a ray meets the other wall at
+  // height y, tan 20 = (y − h) / (h / s + y / s): y = 3.2 h, which must not be above the wall's end.
+  EXPECT_NEAR(share_of_walls({80, 60}, low), 1 / 3.2, 0.08);
+}
+
+TEST(SelfMirroring, ShallowGroovesAndRoofsDoNot) {
+  EXPECT_LT(share_of_walls({80, 60}, 0.3), 0.02);
+  EXPECT_EQ(share_of_walls({80, 60}, -1), 0);
+}
+
+TEST(SelfMirroring, LargeImagesAreTheSameInCoarsePixels) {
+  const double small = share_of_walls({80, 60}, low);
+  EXPECT_NEAR(share_of_walls({640, 60}, low), small, 0.05);
+}
+
+}  // namespace
+}  // namespace malus
