@@ -499,7 +499,7 @@ class Refiner {
   /// The same with a map of the surroundings: what it leaves over at the result decides, if it explains anything of the
   /// relief at the prior's slopes. Of what the surface moved the part that is gain counts.
   static double trust_with_surroundings(double at_prior, double after) {
-    constexpr double least = 0.65, enough = 0.95, something = 0.2;
+    constexpr double least = 0.55, enough = 0.95, something = 0.2;
     return std::min(std::clamp((after - least) / (enough - least), 0.0, 1.0),
                     std::clamp(at_prior / something, 0.0, 1.0));
   }

@@ -85,6 +85,7 @@ ExplainedByResult::ExplainedByResult(Size image)
 void ExplainedByResult::add(const RefinementField& part, RowRange rows, int first_row, const Context& context) {
   constexpr int cell_px = ExplainedPolarization::cell_px;
   constexpr std::size_t fewest = 20;
+  constexpr double of_one_slope = 0.5;  // the polarization's derivatives are summed over both
   const int first_cell = (first_row + rows.begin) / cell_px, last_cell = (first_row + rows.end - 1) / cell_px;
   parallel_rows(context, last_cell - first_cell + 1, [&](int i) {
     const int row = first_cell + i;
@@ -112,7 +113,7 @@ void ExplainedByResult::add(const RefinementField& part, RowRange rows, int firs
       if (rests.size() < fewest) continue;
       shares_(column, row) = static_cast<float>(1 - median_in_place(rests) / std::max(median_in_place(all), 1e-12));
       const double error = median_in_place(errors) / std::max(median_in_place(movements), 1e-6);
-      gains_(column, row) = static_cast<float>(std::max(1 - error * error, 0.0));
+      gains_(column, row) = static_cast<float>(std::max(1 - of_one_slope * error * error, 0.0));
       weights_(column, row) = 1;
     }
   });
