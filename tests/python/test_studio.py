@@ -763,6 +763,30 @@ def test_several_stations_are_queued_and_two_results_compared(served: Served, pa
 
 
 @needs_browser
+@pytest.mark.skipif(find_spec("py4dgeo") is None, reason="py4dgeo is not installed")
+def test_two_dates_are_compared(served: Served, page: Any, finished_grid: Path) -> None:
+    for name in ("earlier", "later"):
+        shutil.copytree(finished_grid, served.folder / "dates" / name)
+    go(page, "Results")
+    for name in ("earlier", "later"):
+        page.get_by_label(f"Compare dates/{name}").check()
+    page.get_by_role("button", name="Compare the two that are ticked").click()
+    page.get_by_label("The earlier one is").select_option("dates/later")
+    page.get_by_label("Both stand in one frame already").check()
+    page.get_by_role("button", name="Find what changed").click()
+    page.get_by_role("button", name="Show the report").first.click(timeout=300_000)
+    page.frame_locator("iframe").get_by_role("heading", level=1).wait_for()
+    require_accessible(page)
+    pictured(page, "dates")
+    figures = json.loads((served.folder / "change_dates_later_dates_earlier" / "change.json").read_text())
+    assert figures["before"]["workspace"].endswith("later") and not figures["regions"]
+    page.reload()
+    go(page, "Results")
+    page.get_by_role("button", name="change_dates_later_dates_earlier").click()
+    page.frame_locator("iframe").get_by_role("heading", level=1).wait_for()
+
+
+@needs_browser
 def test_large_type_and_dark_colors(page: Any) -> None:
     page.emulate_media(color_scheme="dark")
     page.set_viewport_size({"width": 640, "height": 450})  # what 200 % leaves of 1280 x 900
