@@ -21,7 +21,7 @@ from PIL import Image
 import malus
 from conftest import malus as run_malus
 from conftest import run_program
-from malus import _core, figures, lengths, viewer
+from malus import _core, figures, lengths, pages, viewer
 from malus.columns import MINUS, aligned, decimals
 from malus.report import _number
 from malus.report_head import accuracy_of, covered_of, gains_of, gains_title
@@ -482,6 +482,23 @@ def test_view_opens_the_page(work: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr("webbrowser.open", lambda address: False)
     with pytest.raises(malus.ExternalError, match="no web browser"):
         malus.report.open_report(work)
+
+
+def _luminance(color: str) -> float:
+    channels = [int(color[at : at + 2], 16) / 255 for at in (1, 3, 5)]
+    linear = [value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4 for value in channels]
+    return float(np.dot(linear, (0.2126, 0.7152, 0.0722)))
+
+
+def test_letters_stand_out_from_every_ground() -> None:
+    """Contrast of 4.5 (WCAG 2 AA) on light and dark pages."""
+    themes = re.findall(r":root \{(.*?)\}", pages.asset("report.css"), re.DOTALL)[:2]
+    for theme in themes:
+        colors = dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", theme))
+        for letters in ("ink", "soft", "accent", "good", "partial", "low"):
+            for ground in ("paper", "page", "warn-paper"):
+                low, high = sorted(_luminance(colors[name]) for name in (letters, ground))
+                assert (high + 0.05) / (low + 0.05) >= 4.5, (letters, ground)
 
 
 def test_scale_bars_measure_their_pictures(work: Path) -> None:
