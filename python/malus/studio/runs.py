@@ -24,7 +24,7 @@ _ENDED = ("done", "failed", "canceled")
 @dataclass
 class Run:
     """One run, waiting, running or ended. title: what becomes what; asked: what the page asked for, to ask it again; command: words of
-    `malus`, made when its turn comes; page: folder of the page that it leaves.
+    `malus`, made when its turn comes; page: folder of the page that it leaves; station: what is reconstructed, if it is that.
     """
 
     number: int
@@ -33,6 +33,7 @@ class Run:
     asked: Mapping[str, Any]
     command: Callable[[], list[str]]
     page: Path
+    station: Path | None = None
     state: str = "waiting"
     fraction: float = 0.0
     seconds_left: float | None = None
@@ -86,7 +87,7 @@ class Runs:
             options = settings.file_of(station)
             return [*words, "--options", str(options)] if options.is_file() else words
 
-        return self._add(work, title, asked, command, work / "report")
+        return self._add(work, title, asked, command, work / "report", station)
 
     def add_comparison(
         self, before: Path, after: Path, folder: Path, same_frame: bool, title: str, asked: Mapping[str, Any]
@@ -96,7 +97,13 @@ class Runs:
         return self._add(folder, title, asked, lambda: words, folder)
 
     def _add(
-        self, work: Path, title: str, asked: Mapping[str, Any], command: Callable[[], list[str]], page: Path
+        self,
+        work: Path,
+        title: str,
+        asked: Mapping[str, Any],
+        command: Callable[[], list[str]],
+        page: Path,
+        station: Path | None = None,
     ) -> Run:
         """Queue a run; one that waits or runs for the same results is returned instead, one that has ended is forgotten."""
         with self._changed:
@@ -105,7 +112,7 @@ class Runs:
                     return run
             self._runs = [run for run in self._runs if run.work != work]
             self._number += 1
-            run = Run(self._number, work, title, asked, command, page)
+            run = Run(self._number, work, title, asked, command, page, station)
             self._runs.append(run)
             self._changed.notify_all()
             return run
