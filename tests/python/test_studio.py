@@ -499,6 +499,7 @@ def ask(served: Served, address: str) -> Any:
 @needs_browser
 def test_from_a_folder_to_the_report(served: Served, page: Any) -> None:
     station = served.folder / "station.toml"
+    page.get_by_role("button", name="opened folder: museum").wait_for()
     page.get_by_role("button", name="pol (6 images)").click()
     page.get_by_alt_text("Phase in a circle of colors").wait_for()
     angles = [page.locator(f"#angles tbody tr:nth-child({k}) input[type=number]").input_value() for k in (1, 2, 6)]
@@ -704,6 +705,9 @@ def test_control_points_are_marked(served: Served, page: Any) -> None:
     page.get_by_role("button", name="Remove").click()  # both would give the size
     what.select_option("control")
     page.get_by_label("Coordinates, a point a line").fill("T1 10.5 20 3")
+    what.select_option("scale")  # what is typed outlives that the list is drawn anew
+    page.get_by_role("button", name="Add a known distance").wait_for()
+    what.select_option("control")
     page.get_by_role("button", name="Take these coordinates").click()
     page.get_by_role("button", name="Mark it").click()
     page.locator("#draw-stage").click(position={"x": 300, "y": 250})
