@@ -751,7 +751,7 @@ def test_several_stations_are_queued_and_two_results_compared(served: Served, pa
     other.get_by_role("button", name="Add to the queue").click()
     other.locator("p[data-state]", has_text="left").first.wait_for()
     other.close()  # which ends no run
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 600
     while not (served.folder / "second_work" / "report" / "index.html").exists():
         assert time.monotonic() < deadline
         time.sleep(0.2)
