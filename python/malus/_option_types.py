@@ -475,9 +475,9 @@ class RefineSection(Section):
     slope_error: float
     """error of the reflection model as a slope"""
     prior_weight: float
-    """least weight of a full prior block, in 1 / GSD …"""
+    """weight of a full prior block, in 1 / GSD, where the prior's sigma is large"""
     good_prior_weight: float
-    """… and the largest one; between them by the prior's sigma"""
+    """the same where its sigma is small; between them by the sigma"""
     prior_robust_gsd: float
     """distance from the prior that counts half"""
     albedo_weight: float

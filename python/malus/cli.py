@@ -59,6 +59,18 @@ class _Parser(argparse.ArgumentParser):
             message += " (malus --help lists the commands)"
         raise InputError(_with_the_nearest(message))
 
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """A word that is no option is named by the command that it was given to, before what is then missing."""
+        if self._subparsers is None:
+            for word in args:
+                name = word.partition("=")[0]
+                if word == "--":
+                    break
+                if name.startswith("--") and not any(known.startswith(name) for known in self._option_string_actions):
+                    near = difflib.get_close_matches(name, self._option_string_actions, n=1)
+                    self.error(f"{name} is unknown" + (f"; did you mean {near[0]}?" if near else ""))
+        return super().parse_known_args(args, namespace)
+
 
 def _with_the_nearest(message: str) -> str:
     """A message of argparse on a word that is none of the choices: with the one that was meant, where a slip explains it."""
@@ -412,11 +424,11 @@ def _require_own_folder(work: Path, station: Path) -> None:
         )
 
 
-def _print_lines(*lines: str) -> None:
+def _print_lines(*lines: str, hang: int = 2) -> None:
     """Lines for a person: on a terminal no wider than that, without breaking words; to a file as they are."""
     for line in lines:
         if sys.stdout.isatty():
-            indent = " " * (len(line) - len(line.lstrip()) + 2)
+            indent = " " * (len(line) - len(line.lstrip()) + hang)
             columns = max(40, shutil.get_terminal_size().columns)
             line = textwrap.fill(
                 line, columns, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
@@ -574,7 +586,8 @@ def _list_options(preset: str | None, *, main_only: bool) -> None:
         value = values[section][key]
         if (preset is None or value != defaults[section][key]) and (name in MAIN or not main_only):
             title = f"{MAIN[name]}: " if main_only else ""
-            print(f"{name} = {json.dumps(default if preset is None else value)}  ({kind})\n    {title}{meaning}")
+            _print_lines(f"{name} = {json.dumps(default if preset is None else value)}  ({kind})")
+            _print_lines(f"    {title}{meaning}", hang=0)
 
 
 def _paper(args: argparse.Namespace) -> None:

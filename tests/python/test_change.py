@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 import sys
 from dataclasses import replace
@@ -91,6 +92,8 @@ def test_files_are_read_back_by_others(dates: tuple[Path, Path], outcome: tuple[
     assert [row["number"] for row in rows] == ["1", "2"] and float(rows[0]["area_mm2"]) > 0
     page = (folder / "index.html").read_text()
     assert page.count("data:image/webp") == 5 and "http" not in page.replace("http://www.w3.org", "")
+    assert not re.search(r"\de[+-]\d", re.sub(r"data:image/webp[^\"]*|<script.*?</script>", "", page, flags=re.DOTALL))
+    assert f", {dates[0].name}. After: " in page and 'class="bar"' in page
     assert {path.name for path in (folder / "figures").iterdir()} == {
         f"{name}.{kind}" for name in ("distance", "significant", "limit") for kind in ("png", "csv")
     }

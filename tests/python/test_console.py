@@ -99,6 +99,14 @@ def test_main_options_are_a_dozen_of_all() -> None:
     assert sorted(listed) == sorted(MAIN) and len(listed) == 12
 
 
+def test_options_fit_on_a_terminal(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli.sys.stdout, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("COLUMNS", "80")
+    assert cli.main(["options", "--main"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80 and sum(not line.startswith(" ") for line in lines) == len(MAIN)
+
+
 def test_results_do_not_lie_among_the_inputs(small_station: Path) -> None:
     outcome = run_malus("run", small_station, "-o", small_station.parent)
     assert outcome.code == 2 and "station_work" in outcome.err
@@ -116,6 +124,9 @@ def test_a_slip_in_a_word_is_told() -> None:
         (["studo"], "'studo' is unknown; did you mean studio?"),
         (["demo", "coins"], "'coins' is unknown; did you mean coin?"),
         (["nonsense"], "choose from"),
+        (["export", "work", "--fromat", "stl"], "--fromat is unknown; did you mean --format?"),
+        (["run", "station.toml", "--until=fuse", "-o", "work"], "usage: malus run"),
+        (["run", "station.toml", "--until=fuse", "-o", "work"], "malus: --until is unknown\n"),
     ):
         outcome = malus_here(*words)
         assert outcome.code == 2 and said in outcome.err, outcome.err

@@ -6,6 +6,7 @@ import base64
 import csv
 import io
 import json
+import os
 import re
 import shutil
 import zlib
@@ -20,7 +21,7 @@ from PIL import Image
 import malus
 from conftest import malus as run_malus
 from conftest import run_program
-from malus import _core, figures, lengths, viewer
+from malus import _core, figures, lengths, pages, viewer
 from malus.columns import MINUS, aligned, decimals
 from malus.report import _number
 from malus.report_head import accuracy_of, covered_of, gains_of, gains_title
@@ -427,6 +428,23 @@ def test_scale_and_photos_are_shown_when_they_are_known(finished_grid: Path, tmp
     assert "bar &lt;1&gt;" in text and "bar <1>" not in text
 
 
+@pytest.mark.usefixtures("edited")
+def test_a_zero_that_is_not_known_is_not_shown_as_a_number(finished_grid: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    shutil.copytree(finished_grid, work)
+    quality = json.loads((work / "quality.json").read_text())
+    quality["polarizer"] |= {"zero_error_deg": None, "zero_error_sigma_deg": None, "surface_check": "nothing to see"}
+    (work / "quality.json").write_text(json.dumps(quality))
+    malus.write_report(work)
+    text = (work / "report/index.html").read_text()
+    assert "is right could not be told: nothing to see." in text and "–°" not in text
+
+
+def test_letters_of_charts_end_within_them(work: Path) -> None:
+    chart = np.asarray(Image.open(work / "report/figures/sinusoids.png").convert("L"))
+    assert chart[:, -2:].min() > 200 and chart[:2].min() > 200
+
+
 def test_report_and_view_say_what_is_missing(tmp_path: Path) -> None:
     outcome = run_malus("report", tmp_path / "none")
     assert outcome.code == 2 and "there is no such folder" in outcome.err
@@ -464,6 +482,52 @@ def test_view_opens_the_page(work: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr("webbrowser.open", lambda address: False)
     with pytest.raises(malus.ExternalError, match="no web browser"):
         malus.report.open_report(work)
+
+
+def _luminance(color: str) -> float:
+    channels = [int(color[at : at + 2], 16) / 255 for at in (1, 3, 5)]
+    linear = [value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4 for value in channels]
+    return float(np.dot(linear, (0.2126, 0.7152, 0.0722)))
+
+
+def test_letters_stand_out_from_every_ground() -> None:
+    """Contrast of 4.5 (WCAG 2 AA) on light and dark pages."""
+    themes = re.findall(r":root \{(.*?)\}", pages.asset("report.css"), re.DOTALL)[:2]
+    for theme in themes:
+        colors = dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", theme))
+        for letters in ("ink", "soft", "accent", "good", "partial", "low"):
+            for ground in ("paper", "page", "warn-paper"):
+                low, high = sorted(_luminance(colors[name]) for name in (letters, ground))
+                assert (high + 0.05) / (low + 0.05) >= 4.5, (letters, ground)
+
+
+def test_scale_bars_measure_their_pictures(work: Path) -> None:
+    """On a low screen, on paper, and where the map of trust stands beside many reasons."""
+    playwright = pytest.importorskip("playwright.sync_api")
+    chromium = os.environ.get("MALUS_CHROMIUM") or shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("chromium is not installed")
+    measured = """() => [...document.querySelectorAll('.bar')].map((bar) => {
+      const image = bar.parentElement.querySelector('img'), frame = image.getBoundingClientRect(), own = bar.getBoundingClientRect();
+      const shown = Math.min(frame.width, frame.height * image.naturalWidth / image.naturalHeight);
+      return [own.width / shown, parseFloat(bar.style.width) / 100, own.left >= frame.left && own.bottom <= frame.bottom + 1];
+    })"""
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1280, "height": 450})
+        page.goto((work / "report/index.html").resolve().as_uri())
+        page.evaluate(
+            "() => { const verdict = document.querySelector('.verdict');"
+            " verdict.append(document.querySelector('.photograph .scaled').cloneNode(true));"
+            " verdict.querySelector('.reasons ul').innerHTML = '<li>reason</li>'.repeat(30); }"
+        )
+        for medium in ("screen", "print"):
+            page.emulate_media(media=medium)
+            bars = page.evaluate(measured)
+            assert len(bars) == 3
+            for share, said, within in bars:
+                assert share == pytest.approx(said, rel=0.02) and within, (medium, bars)
+        browser.close()
 
 
 def test_views_start_in_a_browser(work: Path, tmp_path: Path) -> None:

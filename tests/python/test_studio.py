@@ -499,6 +499,7 @@ def ask(served: Served, address: str) -> Any:
 @needs_browser
 def test_from_a_folder_to_the_report(served: Served, page: Any) -> None:
     station = served.folder / "station.toml"
+    page.get_by_role("button", name="opened folder: museum").wait_for()
     page.get_by_role("button", name="pol (6 images)").click()
     page.get_by_alt_text("Phase in a circle of colors").wait_for()
     angles = [page.locator(f"#angles tbody tr:nth-child({k}) input[type=number]").input_value() for k in (1, 2, 6)]
@@ -704,6 +705,9 @@ def test_control_points_are_marked(served: Served, page: Any) -> None:
     page.get_by_role("button", name="Remove").click()  # both would give the size
     what.select_option("control")
     page.get_by_label("Coordinates, a point a line").fill("T1 10.5 20 3")
+    what.select_option("scale")  # what is typed outlives that the list is drawn anew
+    page.get_by_role("button", name="Add a known distance").wait_for()
+    what.select_option("control")
     page.get_by_role("button", name="Take these coordinates").click()
     page.get_by_role("button", name="Mark it").click()
     page.locator("#draw-stage").click(position={"x": 300, "y": 250})
@@ -747,7 +751,7 @@ def test_several_stations_are_queued_and_two_results_compared(served: Served, pa
     other.get_by_role("button", name="Add to the queue").click()
     other.locator("p[data-state]", has_text="left").first.wait_for()
     other.close()  # which ends no run
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 600
     while not (served.folder / "second_work" / "report" / "index.html").exists():
         assert time.monotonic() < deadline
         time.sleep(0.2)
@@ -760,6 +764,30 @@ def test_several_stations_are_queued_and_two_results_compared(served: Served, pa
     pictured(page, "compared")
     said = ask(served, "difference?a=first_work&b=second_work")
     assert said["rms"] == 0 and said["unit"] == "mm"
+
+
+@needs_browser
+@pytest.mark.skipif(find_spec("py4dgeo") is None, reason="py4dgeo is not installed")
+def test_two_dates_are_compared(served: Served, page: Any, finished_grid: Path) -> None:
+    for name in ("earlier", "later"):
+        shutil.copytree(finished_grid, served.folder / "dates" / name)
+    go(page, "Results")
+    for name in ("earlier", "later"):
+        page.get_by_label(f"Compare dates/{name}").check()
+    page.get_by_role("button", name="Compare the two that are ticked").click()
+    page.get_by_label("The earlier one is").select_option("dates/later")
+    page.get_by_label("Both stand in one frame already").check()
+    page.get_by_role("button", name="Find what changed").click()
+    run = page.get_by_role("article").filter(has_text="change_dates_later_dates_earlier")
+    run.get_by_role("button", name="Show the report").click(timeout=300_000)
+    page.frame_locator("iframe").get_by_role("heading", level=1).wait_for()
+    require_accessible(page)
+    pictured(page, "dates")
+    figures = json.loads((served.folder / "change_dates_later_dates_earlier" / "change.json").read_text())
+    assert figures["before"]["workspace"].endswith("later") and not figures["regions"]
+    page.get_by_role("button", name="Report", exact=True).first.click()  # of a run, which hides the comparison's page
+    page.get_by_role("button", name="change_dates_later_dates_earlier").click()
+    page.frame_locator("iframe").get_by_role("heading", name="what changed").wait_for()
 
 
 @needs_browser

@@ -17,12 +17,19 @@ constexpr std::size_t longest_line = 1 << 26;
 
 }  // namespace
 
+std::string path_of_windows(std::string_view text) {
+  return text.find('\\') == std::string_view::npos
+             ? ""
+             : "; folders are separated by /, as in scans/cloud.ply; drive C: of Windows is /mnt/c in WSL";
+}
+
 std::uint64_t require_file(const std::filesystem::path& path, const std::string& what) {
   require_utf8(path, what);
   const std::string name = what + " " + path.string();
   std::error_code error;
   const auto status = std::filesystem::status(path, error);
-  if (status.type() == std::filesystem::file_type::not_found) throw input_error(name + ": no such file");
+  if (status.type() == std::filesystem::file_type::not_found)
+    throw input_error(name + ": no such file" + path_of_windows(path.string()));
   if (error) throw input_error(name + ": " + error.message());
   if (std::filesystem::is_directory(status)) throw input_error(name + " is a folder, expected a file");
   if (!std::filesystem::is_regular_file(status)) throw input_error(name + " is not a regular file");

@@ -16,6 +16,9 @@ namespace malus {
 /// `what` says what the file is for ("polarized image"); the message names it, the path and the reason.
 std::uint64_t require_file(const std::filesystem::path& path, const std::string& what);
 
+/// What to write instead of the backslashes of a path or a line of a file; "" = there are none.
+std::string path_of_windows(std::string_view text);
+
 /// The whole file; errors as require_file, and ErrorCode::resource when reading fails.
 std::string read_file(const std::filesystem::path& path, const std::string& what);
 

@@ -41,8 +41,7 @@ std::string likely_cause(const std::string& text, const toml::parse_error& error
   for (toml::source_index line = 1; line < error.source().begin.line && begin < text.size(); ++line)
     begin = std::min(text.find('\n', begin), text.size() - 1) + 1;
   const std::size_t end = std::min(text.find('\n', begin), text.size());
-  if (std::string_view(text).substr(begin, end - begin).find('\\') == std::string_view::npos) return "";
-  return "; a path of Windows is written with / or between single quotes: 'C:\\scans\\cloud.ply'";
+  return path_of_windows(std::string_view(text).substr(begin, end - begin));
 }
 
 }  // namespace

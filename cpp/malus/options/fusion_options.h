@@ -106,9 +106,10 @@ struct RefineOptions {
           "factor on robust_scale of specular regions in the first round, halved every round");
     visit("relative_error", self.relative_error, Range{0, 0.1}, "error of the reflection model as a share of s0");
     visit("slope_error", self.slope_error, Range{0, 1}, "error of the reflection model as a slope");
-    visit("prior_weight", self.prior_weight, not_negative, "least weight of a full prior block, in 1 / GSD …");
+    visit("prior_weight", self.prior_weight, not_negative,
+          "weight of a full prior block, in 1 / GSD, where the prior's sigma is large");
     visit("good_prior_weight", self.good_prior_weight, not_negative,
-          "… and the largest one; between them by the prior's sigma");
+          "the same where its sigma is small; between them by the sigma");
     visit("prior_robust_gsd", self.prior_robust_gsd, Range{0.01, 1000}, "distance from the prior that counts half");
     visit("albedo_weight", self.albedo_weight, not_negative,
           "weight of the albedo gradient in diffuse regions, up to 2.5 times that where albedo varies little");

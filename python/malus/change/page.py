@@ -10,6 +10,7 @@ from malus.change.regions import Region
 from malus.change.significance import Distances, reduced_maps
 from malus.exports import Exporter
 from malus.figures import Figure, Plates, encode, flattened, grey, hillshade
+from malus.lengths import scale_bar, shown
 from malus.pages import template
 from malus.units import METRES
 
@@ -45,6 +46,11 @@ def _maps(plates: Plates, distances: Distances, regions: list[Region], um: float
     ]
 
 
+def _date(identity: dict[str, Any]) -> str:
+    """When a surface was recorded, or else the folder that it is told by."""
+    return str(identity["recorded_on"] or Path(identity["workspace"]).name)
+
+
 def write_page(
     folder: Path,
     before: Exporter,
@@ -62,8 +68,14 @@ def write_page(
     pixel = plates.gsd * plates.step
     box = plates.object_box()
     shades = [hillshade(flattened(plates.small(d)), pixel) for d in (before.surface.depth, distances.depth_after)]
-    page = template("change.html.j2").render(
+    height, width = shades[0][box].shape[:2]
+    length, bar_label = scale_bar(width * pixel, before.unit)
+    page = template("change.html.j2", {"micrometers": lambda um, digits=2: shown(um, "um", digits)}).render(
         figures=figures,
+        dates=[_date(figures[which]) for which in ("before", "after")],
+        aspect=width / height,
+        bar_percent=100 * length / (width * pixel),
+        bar_label=bar_label,
         plates=drawn,
         pictures=[encode(grey(shade)[box], "WEBP", quality=90) for shade in shades],
         version=_core.version,

@@ -57,7 +57,7 @@ def sinusoids(plates: Plates) -> Iterator[Figure]:
 
         axes.plot(angles, fitted(angles), color=color, lw=1.2)
         turned = np.mod(curve["angles_deg"], 180)
-        axes.plot(turned, curve["intensities"], "o", ms=4, color=color, label=f"pixel ({u}, {v}): ρ {degree:.3f}")
+        axes.plot(turned, curve["intensities"], "o", ms=4, color=color, label=f"({u}, {v}): {degree:.3f}")
         rows += [
             [u, v, angle, intensity, float(fitted(angle)), degree, float(np.degrees(phase))]
             for angle, intensity in zip(curve["angles_deg"], curve["intensities"], strict=True)
@@ -65,8 +65,8 @@ def sinusoids(plates: Plates) -> Iterator[Figure]:
     axes.set_xlabel("polarizer angle [°]", fontsize=LETTERS_PT)
     axes.set_ylabel("intensity [of white]", fontsize=LETTERS_PT)
     axes.set_xticks(range(0, 181, 30))
-    axes.legend(fontsize=LETTERS_PT, frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0, 1),
-                borderaxespad=0, columnspacing=1, handlelength=1)  # fmt: skip
+    drawing.legend(title="pixel: degree of polarization", title_fontsize=LETTERS_PT, fontsize=LETTERS_PT, frameon=False, ncols=2,
+                   loc="outside upper center", borderaxespad=0, columnspacing=1, handlelength=1)  # fmt: skip
     style(axes)
     yield plates.figure(
         "sinusoids", "Intensity against polarizer angle",

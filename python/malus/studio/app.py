@@ -66,6 +66,7 @@ class Studio:
             "runs": lambda _: [self._described(run) for run in self.runs.all()],
             "log": lambda q: {"lines": next((r.log for r in self.runs.all() if r.number == int(q["number"])), [])},
             "results": self._results,
+            "comparisons": self._comparisons,
             "difference": lambda q: results.difference(self.root.directory(q["a"]), self.root.directory(q["b"])),
             "photos": self._photos,
             "options": self._options,
@@ -87,6 +88,7 @@ class Studio:
             "option": self._set_option,
             "similar": self._similar,
             "run": self._run,
+            "compare": self._compare,
             "cancel": lambda body: self.runs.cancel(int(body["number"])),
             "profile": lambda body: results.profile(self.root.directory(body["path"]), tuple(body["from"]), tuple(body["to"])),
         }  # fmt: skip
@@ -118,9 +120,8 @@ class Studio:
             return Response("There is no such file in the report.", 404)
         return FileResponse(path)
 
-    def _report_address(self, work: Path) -> str:
-        """The report's address with a key that opens this folder and nothing else."""
-        folder = work / "report"
+    def _report_address(self, folder: Path) -> str:
+        """Address of the page in this folder, with a key that opens the folder and nothing else."""
         key = next((key for key, known in self._report_keys.items() if known == folder), None)
         if key is None:
             key = secrets.token_urlsafe(24)
@@ -303,9 +304,8 @@ class Studio:
     def _described(self, run: runs.Run) -> Json:
         return {
             **runs.described(run),
-            "station": self.root.name(run.station),
             "work": self.root.name(run.work),
-            "report": self._report_address(run.work) if run.state == "done" else None,
+            "report": self._report_address(run.page) if run.state == "done" else None,
         }
 
     def _run(self, body: Json) -> Json:
@@ -317,14 +317,28 @@ class Studio:
         fusion = body.get("fusion", "refined")
         if fusion not in ("grid", "refined"):
             raise InputError(f"fusion = {fusion!r}, expected grid or refined")
-        return self._described(self.runs.add(station, work, fusion))
+        title = f"{self.root.name(station)} → {self.root.name(work)}"
+        return self._described(self.runs.add_station(station, work, fusion, title, {"name": "run", "body": body}))
+
+    def _compare(self, body: Json) -> Json:
+        before, after = (self.root.directory(body[key]) for key in ("before", "after"))
+        folder = results.folder_of_comparison(self.root, before, after)
+        title = f"{self.root.name(before)} and {self.root.name(after)} → {self.root.name(folder)}"
+        asked = {"name": "compare", "body": body}
+        return self._described(self.runs.add_comparison(before, after, folder, bool(body["same_frame"]), title, asked))
+
+    def _comparisons(self, _: Json) -> list[dict[str, Any]]:
+        return [
+            {"path": name, "report": self._report_address(self.root.directory(name))}
+            for name in results.comparisons(self.root)
+        ]
 
     def _results(self, _: Json) -> list[dict[str, Any]]:
         found = []
         for name in results.works(self.root):
             folder = self.root.directory(name)
             said = results.summary(folder)
-            address = self._report_address(folder) if said.get("report") else None
+            address = self._report_address(folder / "report") if said.get("report") else None
             found.append({"path": name, **said, "report": address})
         return found
 

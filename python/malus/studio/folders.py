@@ -51,6 +51,7 @@ def listing(root: Root, name: str) -> dict[str, Any]:
     return {
         "path": root.name(folder),
         "name": folder.name,
+        "opened": root.folder.name,
         "home": (folder if folder == root.folder else folder.parent).name,
         "parent": None if folder == root.folder else root.name(folder.parent),
         "folders": [

@@ -25,9 +25,24 @@ _SAME_CAMERA = 1e-6
 
 def works(root: Root) -> list[str]:
     """Folders below the root that hold the results of a run."""
+    return _folders_with(root, "manifest.json")
+
+
+def comparisons(root: Root) -> list[str]:
+    """Folders below the root that hold the comparison of two dates."""
+    return _folders_with(root, "change.json")
+
+
+def folder_of_comparison(root: Root, before: Path, after: Path) -> Path:
+    """Where the comparison of two results goes: always the same folder for the same two."""
+    names = [root.name(work).replace("/", "_") for work in (before, after)]
+    return root.path("_".join(["change", *names]))
+
+
+def _folders_with(root: Root, file: str) -> list[str]:
     found = set()
     for depth in range(_SEARCH_DEPTH):
-        for path in root.folder.glob("/".join(["*"] * depth + ["manifest.json"])):
+        for path in root.folder.glob("/".join(["*"] * depth + [file])):
             if root.holds(path):  # a link may lead elsewhere, or back
                 found.add(root.name(path.parent))
     return sorted(found)
@@ -76,8 +91,8 @@ def difference(first: Path, second: Path) -> dict[str, Any]:
     same_pose = all(np.allclose(x, y, rtol=_SAME_CAMERA, atol=1e-6) for x, y in zip(a.pose, b.pose, strict=True))
     if not (same_camera and same_pose) or a.quality["unit"] != b.quality["unit"]:
         raise InputError(
-            f"{first.name} and {second.name} were not taken from the same place with the same camera and unit, expected two "
-            "results of one station; `malus assess --reference SCAN.ply` compares surfaces from anywhere"
+            f"{first.name} and {second.name} were not taken from the same place with the same camera and unit, so that they cannot "
+            "be laid upon each other pixel by pixel; two dates of one object are compared below"
         )
     nearer = a.raster("fused/depth.tif") - b.raster("fused/depth.tif")
     known = nearer[np.isfinite(nearer)]

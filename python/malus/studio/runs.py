@@ -1,4 +1,4 @@
-"""Runs that Studio has started, one at a time: each a `malus run` of its own process, which no closed page ends."""
+"""Runs that Studio has started, one at a time: each a command of its own process, which no closed page ends."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,12 +23,17 @@ _ENDED = ("done", "failed", "canceled")
 
 @dataclass
 class Run:
-    """One run, waiting, running or ended."""
+    """One run, waiting, running or ended. title: what becomes what; asked: what the page asked for, to ask it again; command: words of
+    `malus`, made when its turn comes; page: folder of the page that it leaves; station: what is reconstructed, if it is that.
+    """
 
     number: int
-    station: Path
     work: Path
-    fusion: str
+    title: str
+    asked: Mapping[str, Any]
+    command: Callable[[], list[str]]
+    page: Path
+    station: Path | None = None
     state: str = "waiting"
     fraction: float = 0.0
     seconds_left: float | None = None
@@ -45,7 +50,7 @@ class Run:
         del self.log[:-_LOG_LINES]
 
     def take(self, event: Mapping[str, Any]) -> None:
-        """Take over what a line of `malus run --json` says."""
+        """Take over what a line of `malus … --json` says."""
         if event.get("event") == "log":
             self.note(f"{event['level']}: {event['message']}")
             return
@@ -74,7 +79,32 @@ class Runs:
         with self._changed:
             return list(self._runs)
 
-    def add(self, station: Path, work: Path, fusion: str) -> Run:
+    def add_station(self, station: Path, work: Path, fusion: str, title: str, asked: Mapping[str, Any]) -> Run:
+        """Queue the reconstruction of a station."""
+
+        def command() -> list[str]:
+            words = ["run", str(station), "-o", str(work), "--fusion", fusion]
+            options = settings.file_of(station)
+            return [*words, "--options", str(options)] if options.is_file() else words
+
+        return self._add(work, title, asked, command, work / "report", station)
+
+    def add_comparison(
+        self, before: Path, after: Path, folder: Path, same_frame: bool, title: str, asked: Mapping[str, Any]
+    ) -> Run:
+        """Queue the comparison of the results of two dates."""
+        words = ["compare", str(before), str(after), "-o", str(folder), *(["--same-frame"] if same_frame else [])]
+        return self._add(folder, title, asked, lambda: words, folder)
+
+    def _add(
+        self,
+        work: Path,
+        title: str,
+        asked: Mapping[str, Any],
+        command: Callable[[], list[str]],
+        page: Path,
+        station: Path | None = None,
+    ) -> Run:
         """Queue a run; one that waits or runs for the same results is returned instead, one that has ended is forgotten."""
         with self._changed:
             for run in self._runs:
@@ -82,7 +112,7 @@ class Runs:
                     return run
             self._runs = [run for run in self._runs if run.work != work]
             self._number += 1
-            run = Run(self._number, station, work, fusion)
+            run = Run(self._number, work, title, asked, command, page, station)
             self._runs.append(run)
             self._changed.notify_all()
             return run
@@ -125,13 +155,9 @@ class Runs:
             self._follow(run)
 
     def _follow(self, run: Run) -> None:
-        command = [sys.executable, "-m", "malus", "run", str(run.station), "-o", str(run.work)]
-        command += ["--json", "--fusion", run.fusion]
-        if (options := settings.file_of(run.station)).is_file():
-            command += ["--options", str(options)]
         try:
             process = subprocess.Popen(
-                command,
+                [sys.executable, "-m", "malus", *run.command(), "--json"],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
@@ -173,5 +199,5 @@ def _read_errors(process: subprocess.Popen[str], run: Run) -> None:
 
 def described(run: Run) -> dict[str, Any]:
     """A run for the page, without its log."""
-    names = ("number", "fusion", "state", "fraction", "seconds_left", "step", "message", "steps", "error")
+    names = ("number", "title", "asked", "state", "fraction", "seconds_left", "step", "message", "steps", "error")
     return {name: getattr(run, name) for name in names}

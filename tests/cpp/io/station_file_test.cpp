@@ -139,7 +139,8 @@ TEST_F(StationFileTest, WrongTypesAndValuesNameFieldValueAndExpectation) {
   rejects_change("qvec = [1, 0, 0, 0]", "qvec = [0, 0, 0, 0]", "qvec", "no direction");
   rejects_change("tvec = [0, 0, 50]", "", "tvec", "is missing");
   rejects_change("[prior]", "[prior", "not TOML");
-  rejects_change("\"cloud.ply\"", R"("C:\data\cloud.ply")", "not TOML", "a path of Windows is written with /");
+  rejects_change("\"cloud.ply\"", R"("C:\data\cloud.ply")", "not TOML", "folders are separated by /");
+  rejects_change("\"cloud.ply\"", R"('data\cloud.ply')", "no such file", "folders are separated by /");
   rejects_change("\"test\"", "\"Th\xe9odore\"", "not TOML", "expected it saved as UTF-8");
   Sections scalar;
   scalar.prior.clear();

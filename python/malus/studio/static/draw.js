@@ -506,6 +506,20 @@ async function takeCoordinates(text) {
   await store('control', all);
 }
 
+// Typed, but not taken yet: the list is drawn anew whenever the file was written.
+let coordinates = '';
+
+async function takeTyped() {
+  const text = coordinates;
+  coordinates = '';
+  try {
+    await takeCoordinates(text);
+  } catch (error) {
+    coordinates = text;
+    throw error;
+  }
+}
+
 function controlSide() {
   const all = entries('control');
   const kept = () => store('control', all);
@@ -516,9 +530,9 @@ function controlSide() {
     make('label', {}, 'only to check ', make('input', { type: 'checkbox', checked: entry.check ?? false, change: doing((event) => { entry.check = event.target.checked || undefined; return kept(); }) })),
     make('p', {}, button('Mark it', async () => { point = at; tool = 'mark'; await examine(); drawTools(); drawSide(); stage.focus(); }, { 'aria-pressed': String(tool === 'mark' && point === at) }), ` ${markedIn(entry)}`),
     ...fitOfPoint(nameOf(entry, at)), button('Remove', () => store('control', all.filter((other) => other !== entry))));
-  const pasted = make('textarea', { rows: 4, placeholder: 'P1 104.2 88.0 12.5', 'aria-label': 'Coordinates, a point a line: name X Y Z' });
+  const pasted = make('textarea', { rows: 4, placeholder: 'P1 104.2 88.0 12.5', 'aria-label': 'Coordinates, a point a line: name X Y Z', input: (event) => { coordinates = event.target.value; } }, coordinates);
   return [make('p', { class: 'note' }, examined.problem || verdict()), ...all.map(row),
-    make('fieldset', {}, make('legend', {}, 'add points'), pasted, button('Take these coordinates', () => takeCoordinates(pasted.value)))];
+    make('fieldset', {}, make('legend', {}, 'add points'), pasted, button('Take these coordinates', takeTyped))];
 }
 
 function markedIn(entry) {

@@ -9,7 +9,7 @@ const form = byId('new-station');
 
 export async function showFolder(path = folder?.path ?? '') {
   folder = await ask('folder', { path });
-  byId('crumbs').replaceChildren(...crumbs(folder.path));
+  byId('crumbs').replaceChildren(...crumbs(folder.path, folder.opened));
   byId('folder-list').replaceChildren(...[cards(folder.stations.map(stationCard), 'Stations'), cards(folder.folders.map(folderCard), 'Folders'), imageCards()].flat());
   shots = folder.images.map((image) => ({ ...image, use: true, angle: null, exposure: null }));
   form.hidden = shots.length < 3;
@@ -27,9 +27,9 @@ export async function showFolder(path = folder?.path ?? '') {
   await fill();
 }
 
-function crumbs(path) {
+function crumbs(path, opened) {
   const parts = path === '.' ? [] : path.split('/');
-  const all = [['opened folder', '.'], ...parts.map((part, index) => [part, parts.slice(0, index + 1).join('/')])];
+  const all = [[`opened folder: ${opened}`, '.'], ...parts.map((part, index) => [part, parts.slice(0, index + 1).join('/')])];
   return all.map(([text, to]) => make('button', { type: 'button', class: 'link', click: doing(() => showFolder(to)) }, text));
 }
 

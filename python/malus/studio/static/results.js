@@ -1,12 +1,14 @@
-// Finished results: their figures, two beside each other, profiles picked on a surface, and the report.
+// Finished results: their figures, two beside each other or as two dates, profiles picked on a surface, and the report.
 import { addressOf, ask, byId, doing, length, make, tell } from './api.js';
 import { change, state } from './open_station.js';
+import { showPage } from './pages.js';
 
 let all = [];
 const place = byId('result-view');
 
 export async function showResults() {
   all = await ask('results');
+  const compared = await ask('comparisons');
   if (!all.length) {
     byId('result-list').replaceChildren(make('p', { class: 'note' }, 'There are no results in this folder yet.'));
     return;
@@ -16,7 +18,8 @@ export async function showResults() {
   const tick = (path) => (event) => { if (event.target.checked) chosen.add(path); else chosen.delete(path); compare.disabled = chosen.size !== 2; };
   byId('result-list').replaceChildren(make('div', { class: 'scroll' }, make('table', {}, make('caption', {}, 'Results in the opened folder'),
     make('thead', {}, make('tr', {}, ...['compare', 'folder', 'object', 'confidence', 'accuracy', 'coverage', 'warnings', 'show'].map((text) => make('th', { scope: 'col' }, text)))),
-    make('tbody', {}, ...all.map((result) => line(result, tick))))), compare);
+    make('tbody', {}, ...all.map((result) => line(result, tick))))), compare,
+    ...(compared.length ? [make('h3', {}, 'Comparisons of two dates'), make('ul', {}, ...compared.map(({ path, report }) => make('li', {}, make('button', { type: 'button', class: 'link', click: () => showReport(path, report) }, path))))] : []));
 }
 
 function line(result, tick) {
@@ -46,6 +49,21 @@ async function showBoth([a, b]) {
   } catch (error) {
     place.append(make('p', { class: 'warning' }, error.message));
   }
+  place.append(twoDates(a, b));
+}
+
+// Two dates, from whatever places: the later surface is laid upon the earlier one first.
+function twoDates(a, b) {
+  const earlier = make('select', {}, ...[a, b].map((path) => make('option', { value: path }, path)));
+  const still = make('input', { type: 'checkbox' });
+  const find = doing(async () => {
+    await tell('compare', { before: earlier.value, after: earlier.value === a ? b : a, same_frame: still.checked });
+    await showPage('runs');
+  });
+  return make('fieldset', {}, make('legend', {}, 'Two dates of one object'),
+    make('p', { class: 'note' }, 'The later surface is laid upon the earlier one by what did not change; a page shows what did, and from which size on it could be told.'),
+    make('p', { class: 'row' }, make('label', {}, 'The earlier one is ', earlier), make('label', {}, still, ' Both stand in one frame already: move nothing'),
+      make('button', { type: 'button', click: find }, 'Find what changed')));
 }
 
 async function showProfile(result) {

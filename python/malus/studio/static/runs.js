@@ -43,7 +43,7 @@ async function refresh() {
 function card(run) {
   const log = make('pre', { tabindex: 0, 'aria-label': `Log of run ${run.number}` });
   const element = make('article', { class: 'run', 'data-run': run.number, 'aria-label': `Run ${run.number}` },
-    make('h3', {}, `${run.station} → ${run.work}`), make('p', { 'data-state': '', role: 'status' }), make('progress', { max: 1, value: 0, 'aria-label': `Progress of run ${run.number}` }),
+    make('h3', {}, run.title), make('p', { 'data-state': '', role: 'status' }), make('progress', { max: 1, value: 0, 'aria-label': `Progress of run ${run.number}` }),
     make('ol'), make('p', { class: 'error', 'data-error': '' }), make('div', { class: 'row', 'data-buttons': '' }),
     make('details', { toggle: doing(async (event) => { if (event.target.open) log.textContent = (await ask('log', { number: run.number })).lines.join('\n'); }) }, make('summary', {}, 'Log'), log));
   update(element, run);
@@ -60,7 +60,7 @@ function update(element, run) {
   part('[data-error]').textContent = run.error;
   if (element.dataset.showing === run.state) return;
   element.dataset.showing = run.state;
-  const again = (text) => make('button', { type: 'button', click: doing(async () => { await tell('run', { path: run.station, work: run.work, fusion: run.fusion }); await refresh(); }) }, text);
+  const again = (text) => make('button', { type: 'button', click: doing(async () => { await tell(run.asked.name, run.asked.body); await refresh(); }) }, text);
   const buttons = { waiting: [cancel(run)], running: [cancel(run)], failed: [again('Try again')], canceled: [again('Resume')],
     done: [make('button', { type: 'button', class: 'main', click: async () => { await showPage('results'); showReport(run.work, run.report); } }, 'Show the report')] };
   part('[data-buttons]').replaceChildren(...buttons[run.state]);

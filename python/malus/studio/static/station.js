@@ -136,7 +136,7 @@ function surfaceGroup() {
     modelImages.length ? choice('camera', "This station's name in the model", under('camera', 'image') ?? '', [['', 'choose'], ...modelImages.map((name) => [name, name])], withImage) : null,
     choice('prior', 'Coarse surface (prior)', kind ? `${kind}:${named(under('prior', kind))}` : '', [['', 'none'], ...candidates.priors.map((found) => [`${found.kind}:${found.path}`, `${found.path} (${PRIORS[found.kind]})`])], setPrior, 'From photogrammetry or a scanner, in the frame of the cameras. Left out when it is to be made from photographs.'),
     choice('photos', 'Photographs from all around', named(under('photos', 'folder')), paths(candidates.images), path('photos', 'folder'), 'Only if there is no coarse surface yet: cameras and surface are then made from them.'),
-    drawn('scale', 'Known distances', String((state.station.values.scale ?? []).length), 'scale'),
+    drawn('scale', 'Known distances', String((state.station.values.scale ?? []).length || 'none'), 'scale'),
     drawn('control', 'Control points', namesOf('control'), 'control'));
 }
 
