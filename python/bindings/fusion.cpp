@@ -32,8 +32,8 @@ void bind_fusion(py::module_& module) {
                              [](const FusedSurface& s) {
                                return RasterView{s.camera, s.pose};
                              })
-      .def_readonly("method", &FusedSurface::method)
-      .def_readonly("status", &FusedSurface::status)
+      .def_property_readonly("method", [](const FusedSurface& s) { return s.method ? enum_name(*s.method) : ""; })
+      .def_property_readonly("status", [](const FusedSurface& s) { return enum_name(s.status); })
       .def_property_readonly("confidence", [](const FusedSurface& s) { return by_fields(s.confidence); })
       .def_readonly("warnings", &FusedSurface::warnings);
   module.def("fuse_grid", [](const HeightMap& height, const DepthPrior& prior, const Options& options, int threads) {

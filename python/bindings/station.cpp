@@ -124,7 +124,9 @@ py::dict to_dict(const std::shared_ptr<Results>& run, const Pose& pose) {
                      : prior ? py::cast(RasterView{prior->camera, prior->pose})
                      : view  ? py::cast(RasterView{view->camera, pose})
                              : py::none();
-  result["status"] = surface ? py::cast(surface->status) : report ? py::cast(report->status) : py::none();
+  result["status"] = surface  ? py::cast(enum_name(surface->status))
+                     : report ? py::cast(enum_name(report->status))
+                              : py::none();
   const Confidence* const confidence = report ? &report->confidence : surface ? &surface->confidence : nullptr;
   result["confidence"] =
       confidence ? py::make_tuple(enum_name(confidence->level), confidence->reasons) : py::object(py::none());
