@@ -35,13 +35,17 @@ function(malus_add_module name)
   set_property(GLOBAL APPEND PROPERTY MALUS_MODULES malus_${name})
 endfunction()
 
-# Adds the objects of the given rooms to a target, with the libraries behind them. CHOLMOD and its BLAS come before Ceres,
-# which brings another one.
-function(malus_link_rooms target)
-  foreach(room IN LISTS ARGN)
-    target_sources(${target} PRIVATE $<TARGET_OBJECTS:${room}>)
-  endforeach()
+# The libraries behind the rooms. CHOLMOD and its BLAS come before Ceres, which brings another one.
+function(malus_link_libraries target)
   target_link_libraries(${target} PUBLIC Eigen3::Eigen Threads::Threads
                                   PRIVATE CHOLMOD::CHOLMOD Ceres::ceres ${OpenCV_LIBS} TBB::tbb TIFF::TIFF PNG::PNG
                                           JPEG::JPEG OpenSSL::Crypto re2::re2 tomlplusplus::tomlplusplus)
+endfunction()
+
+# Adds the objects of the given targets (rooms) to a target, with the libraries behind the rooms.
+function(malus_link_rooms target)
+  foreach(objects IN LISTS ARGN)
+    target_sources(${target} PRIVATE $<TARGET_OBJECTS:${objects}>)
+  endforeach()
+  malus_link_libraries(${target})
 endfunction()

@@ -58,10 +58,28 @@ py::object view_of(const Image<T>& image, const py::object& owner) {
   return view;
 }
 
-/// A copy of the image for numpy; for rasters that their owner keeps.
-template <class T>
-py::object copy_to_array(const Image<T>& image) {
-  return to_array(Image<T>(image));
-}
-
 }  // namespace malus::python
+
+namespace pybind11::detail {
+
+/// An array (H, W) or (H, W, C) is an Image in C++: copied on the way in; on the way out its memory is handed over, or
+/// copied if its owner keeps it.
+template <class T>
+struct type_caster<malus::Image<T>> {
+  PYBIND11_TYPE_CASTER(malus::Image<T>, const_name("numpy.ndarray"));
+
+  bool load(handle source, bool convert) {
+    make_caster<malus::python::Array<T>> array;
+    if (!array.load(source, convert)) return false;
+    value = malus::python::to_image(cast_op<const malus::python::Array<T>&>(array));
+    return true;
+  }
+  static handle cast(malus::Image<T>&& image, return_value_policy, handle) {
+    return malus::python::to_array(std::move(image)).release();
+  }
+  static handle cast(const malus::Image<T>& image, return_value_policy, handle) {
+    return malus::python::to_array(malus::Image<T>(image)).release();
+  }
+};
+
+}  // namespace pybind11::detail

@@ -8,107 +8,83 @@
 #include "malus/assess/comparison_internal.h"
 #include "malus/assess/patches_internal.h"
 #include "malus/assess/profiles_internal.h"
-#include "malus/core/fields.h"
-#include "malus/station/options.h"
+#include "words.h"
 
 namespace malus::python {
 namespace {
 
 TriangleMesh reference_of(const Array<double>& vertices, const std::optional<Array<std::uint32_t>>& triangles) {
-  if (triangles) return to_mesh(vertices, *triangles);
-  TriangleMesh cloud;
-  cloud.vertices = to_cloud(vertices);
-  return cloud;
-}
-
-py::dict motion_of(const SimilarityTransform& transform) {
-  py::dict motion;
-  motion["scale"] = transform.scale;
-  motion["rotation"] = transform.rotation;
-  motion["translation"] = transform.translation;
-  return motion;
+  if (triangles) return to_mesh(to_cloud(vertices), *triangles);
+  return {to_cloud(vertices), {}};
 }
 
 }  // namespace
 
 void bind_assess(py::module_& module) {
-  module.def("section", [](const std::array<double, 2>& from, const std::array<double, 2>& to,
-                           const Array<float>& surface, const std::optional<Array<float>>& prior,
-                           const RasterView& view, double gsd, const std::string& options_json) {
-    const Options options = options_from_json({}, options_json);
-    const Image<float> before = prior ? to_image(*prior) : Image<float>();
-    const ProfileFigures profile =
-        section({"profile", from, to}, before, {}, to_image(surface), view.camera, gsd, options.assess, {});
-    py::dict result;
-    result["status"] = enum_name(profile.status);
-    result["position"] = profile.position;
-    result["surface"] = profile.fused;
-    result["prior"] = profile.prior;
-    result["roughness_gsd"] = profile.roughness_fused_gsd;
-    result["difference_rms_gsd"] = profile.fused_minus_prior.rms_gsd;
-    return result;
-  });
-  module.def("compare_with_reference", [](const FusedSurface& surface, const Array<double>& vertices,
-                                          const std::optional<Array<std::uint32_t>>& triangles, double gsd,
-                                          const std::string& options_json, int threads) {
-    const Options options = options_from_json({}, options_json);
-    const TriangleMesh reference = reference_of(vertices, triangles);
-    ReferenceComparison comparison;
-    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      comparison = compare_with_reference(surface, reference, gsd, options.assess, context);
-    });
-    py::dict result;
-    result["status"] = enum_name(comparison.status);
-    result["compared_fraction"] = comparison.compared_fraction;
-    result["rmse_gsd"] = comparison.distance_gsd.rmse;
-    result["mad_gsd"] = comparison.distance_gsd.mad;
-    result["median_gsd"] = comparison.distance_gsd.median;
-    result["reference_from_surface"] = motion_of(comparison.reference_from_surface);
-    result["distance"] = to_array(std::move(comparison.distance));
-    return result;
-  });
-  module.def("align_with_reference", [](const Array<double>& points, const Array<double>& vertices,
-                                        const std::optional<Array<std::uint32_t>>& triangles, double gsd,
-                                        const std::string& options_json, int threads) {
-    const Options options = options_from_json({}, options_json);
-    const PointCloud surface = to_cloud(points);
-    const TriangleMesh reference = reference_of(vertices, triangles);
-    PointAlignment alignment;
-    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      alignment = align_with_reference(surface.points, reference, gsd, options.assess, context);
-    });
-    py::dict result;
-    result["converged"] = alignment.converged;
-    result["iterations"] = alignment.iterations;
-    result["reference_from_surface"] = motion_of(alignment.reference_from_surface);
-    return result;
-  });
-  module.def("distances_from_reference", [](const Array<double>& points, const Array<double>& normals,
-                                            const Array<double>& vertices,
-                                            const std::optional<Array<std::uint32_t>>& triangles, double gsd,
-                                            const std::string& options_json, int threads) {
-    const Options options = options_from_json({}, options_json);
-    const PointCloud surface = to_cloud(points), directions = to_cloud(normals);
-    const TriangleMesh reference = reference_of(vertices, triangles);
-    std::vector<float> distances;
-    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      distances = distances_from_reference(surface.points, directions.points, reference, gsd, options.assess, context);
-    });
-    return py::array_t<float>(static_cast<py::ssize_t>(distances.size()), distances.data());
-  });
-  module.def("fit_patch",
-             [](const Array<float>& depth_array, const RasterView& view, int x0, int y0, int x1, int y1,
-                double gsd) -> py::object {
-               const auto fit = fit_patch(to_image(depth_array), view.camera, {"patch", x0, y0, x1, y1}, gsd, {}, {});
-               if (!fit) return py::none();
+  module.def("section",
+             [](const std::array<double, 2>& from, const std::array<double, 2>& to, const Image<float>& surface,
+                const std::optional<Image<float>>& prior, const RasterView& view, double gsd, const Options& options) {
+               const ProfileFigures profile = section({"profile", from, to}, prior.value_or(Image<float>()), {},
+                                                      surface, view.camera, gsd, options.assess, {});
                py::dict result;
-               result["count"] = fit->count;
-               result["rmse"] = fit->rmse;
-               result["rmse_gsd"] = fit->rmse_gsd;
-               result["mad_gsd"] = fit->mad_gsd;
-               result["max_abs_gsd"] = fit->max_abs_gsd;
+               result["status"] = enum_name(profile.status);
+               result["position"] = profile.position;
+               result["surface"] = profile.fused;
+               result["prior"] = profile.prior;
+               result["roughness_gsd"] = profile.roughness_fused_gsd;
+               result["difference_rms_gsd"] = profile.fused_minus_prior.rms_gsd;
                return result;
              });
+  module.def("compare_with_reference",
+             [](const FusedSurface& surface, const Array<double>& vertices,
+                const std::optional<Array<std::uint32_t>>& triangles, double gsd, const Options& options, int threads) {
+               const TriangleMesh reference = reference_of(vertices, triangles);
+               ReferenceComparison comparison = computed(threads, [&](const Context& context) {
+                 return compare_with_reference(surface, reference, gsd, options.assess, context);
+               });
+               py::dict result;
+               result["status"] = enum_name(comparison.status);
+               result["compared_fraction"] = comparison.compared_fraction;
+               result["rmse_gsd"] = comparison.distance_gsd.rmse;
+               result["mad_gsd"] = comparison.distance_gsd.mad;
+               result["median_gsd"] = comparison.distance_gsd.median;
+               result["reference_from_surface"] = by_fields(comparison.reference_from_surface);
+               result["distance"] = std::move(comparison.distance);
+               return result;
+             });
+  module.def("align_with_reference",
+             [](const Array<double>& points, const Array<double>& vertices,
+                const std::optional<Array<std::uint32_t>>& triangles, double gsd, const Options& options, int threads) {
+               const PointCloud surface = to_cloud(points);
+               const TriangleMesh reference = reference_of(vertices, triangles);
+               return by_fields(computed(threads, [&](const Context& context) {
+                 return align_with_reference(surface.points, reference, gsd, options.assess, context);
+               }));
+             });
+  module.def("distances_from_reference",
+             [](const Array<double>& points, const Array<double>& normals, const Array<double>& vertices,
+                const std::optional<Array<std::uint32_t>>& triangles, double gsd, const Options& options, int threads) {
+               const PointCloud surface = to_cloud(points), directions = to_cloud(normals);
+               const TriangleMesh reference = reference_of(vertices, triangles);
+               const std::vector<float> distances = computed(threads, [&](const Context& context) {
+                 return distances_from_reference(surface.points, directions.points, reference, gsd, options.assess,
+                                                 context);
+               });
+               return py::array_t<float>(static_cast<py::ssize_t>(distances.size()), distances.data());
+             });
+  module.def(
+      "fit_patch",
+      [](const Image<float>& depth, const RasterView& view, int x0, int y0, int x1, int y1, double gsd) -> py::object {
+        const auto fit = fit_patch(depth, view.camera, {"patch", x0, y0, x1, y1}, gsd, {}, {});
+        if (!fit) return py::none();
+        py::dict result;
+        result["count"] = fit->count;
+        result["rmse"] = fit->rmse;
+        result["rmse_gsd"] = fit->rmse_gsd;
+        result["mad_gsd"] = fit->mad_gsd;
+        result["max_abs_gsd"] = fit->max_abs_gsd;
+        return result;
+      });
 }
 
 }  // namespace malus::python

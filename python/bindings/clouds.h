@@ -1,28 +1,45 @@
 #pragma once
 
+#include <optional>
+
 #include "arrays.h"
 #include "malus/core/geometry.h"
 
 namespace malus::python {
 
-/// N×3 points; the Python side has checked the shape.
-inline PointCloud to_cloud(const Array<double>& points) {
-  PointCloud cloud;
-  cloud.points.resize(static_cast<std::size_t>(points.shape(0)));
-  const auto view = points.unchecked<2>();
-  for (py::ssize_t i = 0; i < points.shape(0); ++i) {
-    cloud.points[static_cast<std::size_t>(i)] = {view(i, 0), view(i, 1), view(i, 2)};
+/// Rows of an N×3 array; the Python side has checked the shape.
+template <class Row, class T>
+std::vector<Row> to_rows(const Array<T>& array) {
+  std::vector<Row> rows;
+  rows.reserve(static_cast<std::size_t>(array.shape(0)));
+  const auto view = array.template unchecked<2>();
+  for (py::ssize_t i = 0; i < array.shape(0); ++i) rows.push_back(Row{view(i, 0), view(i, 1), view(i, 2)});
+  return rows;
+}
+
+/// N×3 array of rows of three.
+template <class T, class Row>
+py::array_t<T> to_array(const std::vector<Row>& rows) {
+  py::array_t<T> array({static_cast<py::ssize_t>(rows.size()), py::ssize_t{3}});
+  auto view = array.template mutable_unchecked<2>();
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    for (py::ssize_t c = 0; c < 3; ++c) view(static_cast<py::ssize_t>(i), c) = rows[i][static_cast<unsigned>(c)];
   }
+  return array;
+}
+
+/// N×3 points, with a normal or a color each if they have any.
+inline PointCloud to_cloud(const Array<double>& points, const std::optional<Array<float>>& normals = {},
+                           const std::optional<Array<std::uint8_t>>& colors = {}) {
+  PointCloud cloud{to_rows<Eigen::Vector3d>(points), {}, {}};
+  if (normals) cloud.normals = to_rows<Eigen::Vector3f>(*normals);
+  if (colors) cloud.colors = to_rows<Rgb>(*colors);
   return cloud;
 }
 
-/// N×3 vertices and M×3 indices; the Python side has checked shapes and bounds.
-inline TriangleMesh to_mesh(const Array<double>& vertices, const Array<std::uint32_t>& triangles) {
-  TriangleMesh mesh;
-  mesh.vertices = to_cloud(vertices);
-  const auto view = triangles.unchecked<2>();
-  for (py::ssize_t i = 0; i < triangles.shape(0); ++i) mesh.triangles.push_back({view(i, 0), view(i, 1), view(i, 2)});
-  return mesh;
+/// Vertices and M×3 indices of them; the Python side has checked their bounds.
+inline TriangleMesh to_mesh(PointCloud vertices, const Array<std::uint32_t>& triangles) {
+  return {std::move(vertices), to_rows<std::array<std::uint32_t, 3>>(triangles)};
 }
 
 }  // namespace malus::python

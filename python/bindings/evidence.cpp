@@ -1,18 +1,16 @@
 #include <pybind11/eigen.h>
 #include <pybind11/stl.h>
 
-#include <cmath>
-
 #include "arrays.h"
 #include "bindings.h"
 #include "cameras.h"
 #include "clouds.h"
 #include "interruptible.h"
-#include "malus/core/fields.h"
 #include "malus/evidence/before_fusion_internal.h"
 #include "malus/evidence/image_order_internal.h"
 #include "malus/evidence/object_size_internal.h"
 #include "malus/evidence/response_check_internal.h"
+#include "words.h"
 
 namespace malus::python {
 namespace {
@@ -22,7 +20,7 @@ py::dict to_dict(const Finding& finding) {
   for (const auto& [name, value] : finding.figures) figures[py::str(name)] = value;
   py::dict result;
   result["check"] = finding.check;
-  result["severity"] = std::string(enum_name(finding.severity));
+  result["severity"] = enum_name(finding.severity);
   result["message"] = finding.message;
   result["suggestion"] = finding.suggestion;
   result["figures"] = figures;
@@ -44,23 +42,6 @@ py::array_t<double> parts_array(const PhaseAgreement& agreement) {
   return array;
 }
 
-/// What a call of check_prior is given besides the prior.
-struct SceneArrays {
-  Image<float> scene;
-  Mask object;
-
-  SceneArrays(const PolarizationState& state, const std::optional<Array<float>>& scene_array,
-              const std::optional<Array<std::uint8_t>>& mask_array)
-      : scene(scene_array ? to_image(*scene_array) : Image<float>()),
-        object(mask_array ? to_image(*mask_array) : Mask(state.size(), 1, 255)) {}
-};
-
-std::vector<Image<float>> to_images(const std::vector<Array<float>>& arrays) {
-  std::vector<Image<float>> images;
-  for (const auto& array : arrays) images.push_back(to_image(array));
-  return images;
-}
-
 py::dict to_dict(const PriorAlignment& alignment) {
   py::dict result = to_dict(alignment.finding);
   result["instead"] = alignment.instead;
@@ -71,11 +52,9 @@ py::dict to_dict(const PriorAlignment& alignment) {
 
 void bind_evidence(py::module_& module) {
   module.def("check_phase", [](const PolarizationState& state, const std::optional<RasterView>& view,
-                               const Array<float>& normals_array, int threads) {
-    const Image<float> normals = to_image(normals_array);
-    PhaseAgreement agreement;
-    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      agreement = phase_agreement(state, view ? &view->camera : nullptr, normals, context);
+                               const Image<float>& normals, int threads) {
+    const PhaseAgreement agreement = computed(threads, [&](const Context& context) {
+      return phase_agreement(state, view ? &view->camera : nullptr, normals, context);
     });
     py::dict result = to_dict(agreement.finding);
     result["parts"] = parts_array(agreement);
@@ -84,50 +63,41 @@ void bind_evidence(py::module_& module) {
 
   module.def("check_cloud", [](const Array<double>& points, const std::optional<Array<float>>& normals,
                                const std::optional<Array<std::uint8_t>>& colors, const PolarizationState& state,
-                               const std::optional<Array<float>>& scene, const std::optional<Array<std::uint8_t>>& mask,
+                               const std::optional<Image<float>>& scene, const std::optional<Mask>& mask,
                                const RasterView& view, const std::string& unit, int threads) {
-    PointCloud cloud = to_cloud(points);
-    for (std::size_t i = 0; normals && i < cloud.points.size(); ++i)
-      cloud.normals.emplace_back(normals->data()[3 * i], normals->data()[3 * i + 1], normals->data()[3 * i + 2]);
-    for (std::size_t i = 0; colors && i < cloud.points.size(); ++i)
-      cloud.colors.push_back({colors->data()[3 * i], colors->data()[3 * i + 1], colors->data()[3 * i + 2]});
-    const SceneArrays arrays(state, scene, mask);
-    PriorAlignment alignment;
-    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      alignment = check_alignment(cloud, view.pose, {state, arrays.scene, arrays.object, view.camera, unit}, context);
-    });
-    return to_dict(alignment);
+    const PointCloud cloud = to_cloud(points, normals, colors);
+    const Image<float> picture = scene.value_or(Image<float>());
+    const Mask object = mask ? *mask : Mask(state.size(), 1, 255);
+    return to_dict(computed(threads, [&](const Context& context) {
+      return check_alignment(cloud, view.pose, {state, picture, object, view.camera, unit}, context);
+    }));
   });
 
-  module.def("check_depth", [](const Array<float>& depth_array, const PolarizationState& state,
-                               const std::optional<Array<float>>& scene, const std::optional<Array<std::uint8_t>>& mask,
-                               const RasterView& view, const std::string& unit, int threads) {
-    const Image<float> depth = to_image(depth_array);
-    const SceneArrays arrays(state, scene, mask);
-    PriorAlignment alignment;
-    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      alignment = check_alignment(depth, {state, arrays.scene, arrays.object, view.camera, unit}, context);
-    });
-    return to_dict(alignment);
-  });
+  module.def("check_depth",
+             [](const Image<float>& depth, const PolarizationState& state, const std::optional<Image<float>>& scene,
+                const std::optional<Mask>& mask, const RasterView& view, const std::string& unit, int threads) {
+               const Image<float> picture = scene.value_or(Image<float>());
+               const Mask object = mask ? *mask : Mask(state.size(), 1, 255);
+               return to_dict(computed(threads, [&](const Context& context) {
+                 return check_alignment(depth, {state, picture, object, view.camera, unit}, context);
+               }));
+             });
 
   module.def("check_size", [](const Array<double>& points_in_cam, const RasterView& view, const std::string& unit) {
     return to_dict(object_size(to_cloud(points_in_cam).points, view.camera, unit).finding);
   });
 
-  module.def("check_order", [](const std::vector<Array<float>>& arrays, const std::vector<double>& angles_rad,
-                               const std::optional<Array<std::uint8_t>>& mask_array) {
-    const Mask mask = mask_array ? to_image(*mask_array) : Mask();
-    const ImageOrder order = check_image_order(to_images(arrays), angles_rad, mask, {});
+  module.def("check_order", [](const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
+                               const std::optional<Mask>& mask) {
+    const ImageOrder order = check_image_order(images, angles_rad, mask.value_or(Mask()), {});
     py::dict result = to_dict(order.finding);
     result["angles_rad"] = order.angles_rad;
     return result;
   });
 
-  module.def("check_response", [](const std::vector<Array<float>>& arrays, const std::vector<double>& angles_rad,
-                                  const std::optional<Array<std::uint8_t>>& mask_array, const std::string& response) {
-    const Mask mask = mask_array ? to_image(*mask_array) : Mask();
-    return to_dict(check_response(to_images(arrays), angles_rad, mask, response, {}).finding);
+  module.def("check_response", [](const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
+                                  const std::optional<Mask>& mask, const std::string& response) {
+    return to_dict(check_response(images, angles_rad, mask.value_or(Mask()), response, {}).finding);
   });
 }
 

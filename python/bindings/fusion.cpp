@@ -8,53 +8,40 @@
 #include "malus/fusion/grid_fusion_internal.h"
 #include "malus/fusion/grid_optimization_internal.h"
 #include "malus/fusion/refine_internal.h"
-#include "malus/station/options.h"
+#include "words.h"
 
 namespace malus::python {
 
 void bind_fusion(py::module_& module) {
   py::class_<FusedSurface>(module, "FusedSurface")
-      .def(py::init([](const Array<float>& depth, const Array<float>& normals, const Array<float>& sigma,
-                       const RasterView& view) {
+      .def(py::init([](Image<float>& depth, Image<float>& normals, Image<float>& sigma, const RasterView& view) {
         FusedSurface surface;
-        surface.depth = to_image(depth);
-        surface.normals = to_image(normals);
-        surface.sigma = to_image(sigma);
+        surface.depth = std::move(depth);
+        surface.normals = std::move(normals);
+        surface.sigma = std::move(sigma);
         surface.camera = view.camera;
         surface.pose = view.pose;
         surface.confidence.limit(ConfidenceLevel::partial,
                                  "The surface was given as arrays: what it was made from is not known.");
         return surface;
       }))
-      .def_property_readonly("depth", [](const FusedSurface& s) { return copy_to_array(s.depth); })
-      .def_property_readonly("normals", [](const FusedSurface& s) { return copy_to_array(s.normals); })
-      .def_property_readonly("sigma", [](const FusedSurface& s) { return copy_to_array(s.sigma); })
+      .def_readonly("depth", &FusedSurface::depth)
+      .def_readonly("normals", &FusedSurface::normals)
+      .def_readonly("sigma", &FusedSurface::sigma)
       .def_property_readonly("camera",
                              [](const FusedSurface& s) {
                                return RasterView{s.camera, s.pose};
                              })
-      .def_readonly("method", &FusedSurface::method)
-      .def_readonly("status", &FusedSurface::status)
-      .def_property_readonly("confidence",
-                             [](const FusedSurface& s) {
-                               py::dict confidence;
-                               confidence["level"] = enum_name(s.confidence.level);
-                               confidence["reasons"] = s.confidence.reasons;
-                               return confidence;
-                             })
+      .def_property_readonly("method", [](const FusedSurface& s) { return s.method ? enum_name(*s.method) : ""; })
+      .def_property_readonly("status", [](const FusedSurface& s) { return enum_name(s.status); })
+      .def_property_readonly("confidence", [](const FusedSurface& s) { return by_fields(s.confidence); })
       .def_readonly("warnings", &FusedSurface::warnings);
-  module.def(
-      "fuse_grid", [](const HeightMap& height, const DepthPrior& prior, const std::string& options_json, int threads) {
-        const Options options = options_from_json({}, options_json);
-        FusedSurface surface;
-        run_interruptible(threads, py::none(), py::none(),
-                          [&](const Context& context) { surface = fuse_grid(height, prior, options.grid, context); });
-        return surface;
-      });
+  module.def("fuse_grid", [](const HeightMap& height, const DepthPrior& prior, const Options& options, int threads) {
+    return computed(threads, [&](const Context& context) { return fuse_grid(height, prior, options.grid, context); });
+  });
   module.def("optimize_grid",
              [](FusedSurface surface, const PolarizationState& state, const ReflectionMap& reflection,
-                const DepthPrior& prior, const HeightMap& height, const std::string& options_json, int threads) {
-               const Options options = options_from_json({}, options_json);
+                const DepthPrior& prior, const HeightMap& height, const Options& options, int threads) {
                run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
                  optimize_grid_surface(surface,
                                        {.polarization = state,
@@ -68,15 +55,11 @@ void bind_fusion(py::module_& module) {
                return surface;
              });
   module.def("refine", [](const PolarizationState& state, const DepthPrior& prior,
-                          std::optional<double> refractive_index, const std::string& options_json, int threads) {
-    const Options options = options_from_json({}, options_json);
+                          std::optional<double> refractive_index, const Options& options, int threads) {
     RefineInput input;
     input.refractive_index = refractive_index;
-    FusedSurface surface;
-    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      surface = refine(state, prior, input, options.refine, context).surface;
-    });
-    return surface;
+    return computed(
+        threads, [&](const Context& context) { return refine(state, prior, input, options.refine, context).surface; });
   });
 }
 

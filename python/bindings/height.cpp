@@ -7,14 +7,14 @@
 #include "interruptible.h"
 #include "malus/height/height_internal.h"
 #include "malus/lighting/light_from_polarization_internal.h"
-#include "malus/station/options.h"
+#include "words.h"
 
 namespace malus::python {
 namespace {
 
 py::dict light_to_dict(const LightEstimate& light) {
   py::dict result;
-  result["status"] = std::string(enum_name(light.status));
+  result["status"] = enum_name(light.status);
   result["light"] = light.coefficients;
   result["rms"] = light.rms;
   result["robust_sigma"] = light.robust_sigma;
@@ -27,53 +27,40 @@ py::dict light_to_dict(const LightEstimate& light) {
 
 void bind_height(py::module_& module) {
   py::class_<HeightMap>(module, "HeightMap")
-      .def_property_readonly("height", [](const HeightMap& h) { return copy_to_array(h.height); })
+      .def_readonly("height", &HeightMap::height)
       .def_readonly("perspective", &HeightMap::perspective)
       .def_readonly("light", &HeightMap::light)
       .def_property_readonly("status", [](const HeightMap& map) { return enum_name(map.status); })
       .def_readonly("residual_rms", &HeightMap::residual_rms);
-  module.def("estimate_light", [](const Array<float>& intensity, const Array<float>& normals,
-                                  const std::optional<Array<std::uint8_t>>& mask_array,
-                                  const std::optional<RasterView>& view, const std::string& options_json, int threads) {
-    const Options options = options_from_json({}, options_json);
-    const Image<float> image = to_image(intensity);
-    const Mask mask = mask_array ? to_image(*mask_array) : Mask(image.size(), 1, 255);
-    LightEstimate light;
-    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      light = estimate_light(image, to_image(normals), mask, view ? &view->camera : nullptr, options.light, context);
-    });
-    return light_to_dict(light);
+  module.def("estimate_light", [](const Image<float>& intensity, const Image<float>& normals,
+                                  const std::optional<Mask>& given_mask, const std::optional<RasterView>& view,
+                                  const Options& options, int threads) {
+    const Mask mask = given_mask ? *given_mask : Mask(intensity.size(), 1, 255);
+    return light_to_dict(computed(threads, [&](const Context& context) {
+      return estimate_light(intensity, normals, mask, view ? &view->camera : nullptr, options.light, context);
+    }));
   });
   module.def("light_from_polarization", [](const PolarizationState& state, const ReflectionMap& reflection,
                                            const std::optional<Eigen::Vector3d>& direction,
-                                           const std::optional<RasterView>& view, const std::string& options_json,
-                                           int threads) {
-    const Options options = options_from_json({}, options_json);
-    LightEstimate light;
-    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      light =
-          light_from_polarization(state, reflection, direction, view ? &view->camera : nullptr, options.light, context);
-    });
-    return light_to_dict(light);
+                                           const std::optional<RasterView>& view, const Options& options, int threads) {
+    return light_to_dict(computed(threads, [&](const Context& context) {
+      return light_from_polarization(state, reflection, direction, view ? &view->camera : nullptr, options.light,
+                                     context);
+    }));
   });
-  module.def("solve_height",
-             [](const PolarizationState& state, const ReflectionMap& reflection, const std::optional<RasterView>& view,
-                const std::optional<Eigen::Vector4d>& light, const std::optional<Array<float>>& normals_array,
-                const std::string& options_json, int threads) {
-               const Options options = options_from_json({}, options_json);
-               const Image<float> normals = normals_array ? to_image(*normals_array) : Image<float>();
-               HeightMap height;
-               run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-                 height = solve_height({.polarization = state,
-                                        .reflection = reflection,
-                                        .camera = view ? &view->camera : nullptr,
-                                        .light = light,
-                                        .prior_normals = normals_array ? &normals : nullptr,
-                                        .prior_height = nullptr},
-                                       options.height, options.light, context);
-               });
-               return height;
-             });
+  module.def("solve_height", [](const PolarizationState& state, const ReflectionMap& reflection,
+                                const std::optional<RasterView>& view, const std::optional<Eigen::Vector4d>& light,
+                                const std::optional<Image<float>>& normals, const Options& options, int threads) {
+    return computed(threads, [&](const Context& context) {
+      return solve_height({.polarization = state,
+                           .reflection = reflection,
+                           .camera = view ? &view->camera : nullptr,
+                           .light = light,
+                           .prior_normals = normals ? &*normals : nullptr,
+                           .prior_height = nullptr},
+                          options.height, options.light, context);
+    });
+  });
 }
 
 }  // namespace malus::python

@@ -3,6 +3,9 @@
 #include <pybind11/pybind11.h>
 
 #include <functional>
+#include <optional>
+#include <type_traits>
+#include <utility>
 
 #include "malus/core/context.h"
 
@@ -15,5 +18,13 @@ namespace py = pybind11;
 /// its context. Exceptions of the computation, and of the callbacks, are rethrown here.
 void run_interruptible(int threads, const py::object& on_progress, const py::object& on_log,
                        const std::function<void(const Context&)>& compute);
+
+/// What a computation returns that runs so without callbacks.
+template <class Compute>
+auto computed(int threads, Compute&& compute) {
+  std::optional<std::invoke_result_t<Compute, const Context&>> result;
+  run_interruptible(threads, py::none(), py::none(), [&](const Context& context) { result.emplace(compute(context)); });
+  return std::move(*result);
+}
 
 }  // namespace malus::python

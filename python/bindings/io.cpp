@@ -4,6 +4,8 @@
 #include "arrays.h"
 #include "bindings.h"
 #include "cameras.h"
+#include "clouds.h"
+#include "interruptible.h"
 #include "malus/io/angles_of_names_internal.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
@@ -39,62 +41,31 @@ py::dict resected(const std::vector<std::string>& names, const Eigen::Matrix3Xd&
 
 void bind_io(py::module_& module) {
   module.def("read_raster", [](const std::string& path) {
-    if (path.ends_with(".tif")) return to_array(read_float_raster(path));
-    RawImage image = read_image(path);
-    return to_array(std::move(image.pixels));
+    return path.ends_with(".tif") ? read_float_raster(path) : read_image(path).pixels;
   });
-  module.def("read_points", [](const std::string& path) {
-    const PointCloud cloud = read_point_cloud(path, {}, "reference");
-    py::array_t<double> array({static_cast<py::ssize_t>(cloud.points.size()), py::ssize_t{3}});
-    std::memcpy(array.mutable_data(), cloud.points.data(), cloud.points.size() * sizeof(Eigen::Vector3d));
-    return array;
-  });
+  module.def("read_points",
+             [](const std::string& path) { return to_array<double>(read_point_cloud(path, {}, "reference").points); });
   module.def("read_cloud_or_mesh", [](const std::string& path) -> std::pair<py::array_t<double>, py::object> {
     const TriangleMesh mesh = read_cloud_or_mesh(path, {}, "reference");
-    py::array_t<double> vertices({static_cast<py::ssize_t>(mesh.vertices.points.size()), py::ssize_t{3}});
-    std::memcpy(vertices.mutable_data(), mesh.vertices.points.data(),
-                mesh.vertices.points.size() * sizeof(Eigen::Vector3d));
-    if (mesh.triangles.empty()) return {vertices, py::none()};
-    py::array_t<std::uint32_t> triangles({static_cast<py::ssize_t>(mesh.triangles.size()), py::ssize_t{3}});
-    std::memcpy(triangles.mutable_data(), mesh.triangles.data(), mesh.triangles.size() * sizeof(mesh.triangles[0]));
-    return {vertices, triangles};
+    if (mesh.triangles.empty()) return {to_array<double>(mesh.vertices.points), py::none()};
+    return {to_array<double>(mesh.vertices.points), to_array<std::uint32_t>(mesh.triangles)};
   });
   module.def("read_oriented_points", [](const std::string& path) -> std::pair<py::array_t<double>, py::object> {
     const PointCloud cloud = read_point_cloud(path, {}, "prior.cloud");
-    const auto count = static_cast<py::ssize_t>(cloud.points.size());
-    py::array_t<double> points({count, py::ssize_t{3}});
-    std::memcpy(points.mutable_data(), cloud.points.data(), cloud.points.size() * sizeof(Eigen::Vector3d));
-    if (cloud.normals.empty()) return {points, py::none()};
-    py::array_t<double> normals({count, py::ssize_t{3}});
-    auto at = normals.mutable_unchecked<2>();
-    for (py::ssize_t k = 0; k < count; ++k) {
-      const Eigen::Vector3d unit = cloud.normals[static_cast<std::size_t>(k)].cast<double>().normalized();
-      for (py::ssize_t axis = 0; axis < 3; ++axis) at(k, axis) = unit[axis];
-    }
-    return {points, normals};
+    if (cloud.normals.empty()) return {to_array<double>(cloud.points), py::none()};
+    std::vector<Eigen::Vector3d> units;
+    for (const Eigen::Vector3f& normal : cloud.normals) units.push_back(normal.cast<double>().normalized());
+    return {to_array<double>(cloud.points), to_array<double>(units)};
   });
-  module.def("write_float_tiff",
-             [](const std::string& path, const Array<float>& image) { write_float_tiff(path, to_image(image)); });
-  module.def("write_png16",
-             [](const std::string& path, const Array<std::uint16_t>& image) { write_png16(path, to_image(image)); });
-  module.def("write_tiff16",
-             [](const std::string& path, const Array<std::uint16_t>& image) { write_tiff16(path, to_image(image)); });
+  module.def("write_float_tiff", &write_float_tiff);
+  module.def("write_png16", &write_png16);
+  module.def("write_tiff16", &write_tiff16);
   module.def("read_image_dn", [](const std::string& path) {
-    RawImage image;
-    {
-      const py::gil_scoped_release release;
-      image = read_image(path, "photo");
-    }
-    return py::make_tuple(to_array(std::move(image.pixels)), image.full_scale_dn);
+    RawImage image = computed(1, [&](const Context&) { return read_image(path, "photo"); });
+    return std::pair(std::move(image.pixels), image.full_scale_dn);
   });
-  module.def("read_intensity", [](const std::string& path) {
-    Image<float> intensity;
-    {
-      const py::gil_scoped_release release;
-      intensity = read_intensity(path);
-    }
-    return to_array(std::move(intensity));
-  });
+  module.def("read_intensity",
+             [](const std::string& path) { return computed(1, [&](const Context&) { return read_intensity(path); }); });
   module.def("image_size", [](const std::string& path) {
     const Size size = read_image_size(path, "photo");
     return py::make_tuple(size.width, size.height);
@@ -102,8 +73,7 @@ void bind_io(py::module_& module) {
   module.def("resect", &resected);
   module.def("angles_of_names", &angles_of_names);
   module.def("angle_of_name", &angle_of_name);
-  module.def("write_png",
-             [](const std::string& path, const Array<std::uint8_t>& image) { write_png(path, to_image(image)); });
+  module.def("write_png", &write_png);
 }
 
 }  // namespace malus::python

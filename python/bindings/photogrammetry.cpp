@@ -1,7 +1,6 @@
 #include <pybind11/eigen.h>
 #include <pybind11/stl.h>
 
-#include <optional>
 #include <utility>
 #include <vector>
 
@@ -9,7 +8,6 @@
 #include "bindings.h"
 #include "cameras.h"
 #include "interruptible.h"
-#include "malus/core/fields.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/io/colmap_model_internal.h"
 #include "malus/photogrammetry/control_datum_internal.h"
@@ -19,8 +17,8 @@
 #include "malus/photogrammetry/model_refinement_internal.h"
 #include "malus/photogrammetry/scale_adjustment_internal.h"
 #include "malus/photogrammetry/target_detection_internal.h"
-#include "malus/station/options.h"
 #include "photos.h"
+#include "words.h"
 
 namespace malus::python {
 namespace {
@@ -34,31 +32,6 @@ std::vector<PointMark> to_marks(const std::vector<MarkValues>& values) {
   std::vector<PointMark> marks;
   for (const auto& [view, x, y, sigma_px] : values) marks.push_back({view, {x, y}, sigma_px});
   return marks;
-}
-
-py::dict to_dict(const ScaleAdjustment& adjustment) {
-  py::dict result;
-  result["status"] = enum_name(adjustment.status);
-  result["scale"] = adjustment.scale;
-  result["sigma"] = adjustment.sigma;
-  result["unit_weight"] = adjustment.unit_weight;
-  result["redundancy"] = adjustment.redundancy;
-  py::list distances;
-  for (const DistanceFit& fit : adjustment.distances) {
-    py::dict entry;
-    entry["name"] = fit.name;
-    entry["check"] = fit.check;
-    entry["distance"] = fit.distance;
-    entry["adjusted"] = fit.adjusted;
-    entry["residual"] = fit.residual;
-    entry["sigma"] = fit.sigma;
-    entry["rms_px"] = fit.rms_px;
-    entry["worst_px"] = fit.worst_px;
-    entry["worst_image"] = fit.worst_image;
-    distances.append(entry);
-  }
-  result["distances"] = distances;
-  return result;
 }
 
 /// Name and camera of every photo.
@@ -76,39 +49,19 @@ std::vector<MarkedView> to_views(const ViewValues& views) {
 /// Name, coordinates, marks, whether it is held out.
 using KnownPointValues = std::tuple<std::string, Eigen::Vector3d, std::vector<MarkValues>, bool>;
 
-py::dict datum_of(const ViewValues& views, const std::vector<KnownPointValues>& values) {
+py::object datum_of(const ViewValues& views, const std::vector<KnownPointValues>& values) {
   std::vector<KnownPoint> points;
   for (const auto& [name, xyz, marks, check] : values) points.push_back({name, xyz, to_marks(marks), check});
-  const Datum datum = adjust_datum(to_views(views), points);
-  py::dict result;
-  result["scale"] = datum.scale;
-  result["rotation"] = datum.rotation;
-  result["translation"] = datum.translation;
-  result["sigma"] = datum.sigma;
-  result["doubtful"] = datum.doubtful;
-  py::list fits;
-  for (const PointFit& fit : datum.points) {
-    py::dict entry;
-    entry["name"] = fit.name;
-    entry["check"] = fit.check;
-    entry["offset"] = std::vector<double>{fit.offset.x(), fit.offset.y(), fit.offset.z()};
-    entry["rms_px"] = fit.rms_px;
-    fits.append(entry);
-  }
-  result["points"] = fits;
-  return result;
+  return by_fields(adjust_datum(to_views(views), points));
 }
 
-py::dict scale_of(const ViewValues& views, const std::vector<DistanceValues>& distances) {
+py::object scale_of(const ViewValues& views, const std::vector<DistanceValues>& distances) {
   const std::vector<MarkedView> marked = to_views(views);
   std::vector<KnownDistance> known;
   for (const auto& [name, distance, sigma, a, b, check] : distances) {
     known.push_back({name, distance, sigma, to_marks(a), to_marks(b), check});
   }
-  ScaleAdjustment adjustment;
-  run_interruptible(1, py::none(), py::none(),
-                    [&](const Context& context) { adjustment = adjust_scale(marked, known, context); });
-  return to_dict(adjustment);
+  return by_fields(computed(1, [&](const Context& context) { return adjust_scale(marked, known, context); }));
 }
 
 /// Matches (K×2, uint32) of every pair of photos, given each photo's descriptors (N×128, uint8).
@@ -166,9 +119,8 @@ py::tuple points_of(const ColmapModel& model) {
 /// Refines a model in place. pictures: name → its file or intensity; freedom: name of an image → what of its lens is
 /// adjusted.
 py::dict refine(ColmapModel& model, const std::map<std::string, PhotoSource>& pictures, const std::string& preferred,
-                const std::map<std::string, std::string>& freedom, const std::string& options_json, int threads,
+                const std::map<std::string, std::string>& freedom, const Options& options, int threads,
                 const py::object& on_log) {
-  const Options options = options_from_json({}, options_json);
   std::map<std::uint32_t, LensFreedom> lenses;
   for (const auto& [name, text] : freedom) {
     lenses[model.image(name, "freedom").camera_id] =
@@ -208,8 +160,7 @@ py::dict refine(ColmapModel& model, const std::map<std::string, PhotoSource>& pi
 void bind_photogrammetry(py::module_& module) {
   py::class_<ColmapModel>(module, "ColmapModel")
       .def_static("read", [](const std::string& folder) { return read_colmap_model(folder); })
-      .def("write", [](const ColmapModel& model,
-                       const std::string& folder) { write_colmap_model(folder, model, ColmapFormat::binary); })
+      .def("write", [](const ColmapModel& model, const std::string& folder) { write_colmap_model(folder, model); })
       .def("transform", &ColmapModel::transform)
       .def("refine", &refine)
       .def("images", &images_of)
@@ -232,9 +183,9 @@ void bind_photogrammetry(py::module_& module) {
       line.emplace_back(at.x(), at.y());
     return line;
   });
-  module.def("detect_targets", [](const Array<std::uint8_t>& pixels, const std::string& dictionary) {
+  module.def("detect_targets", [](const Image<std::uint8_t>& pixels, const std::string& dictionary) {
     std::vector<std::tuple<int, double, double>> found;
-    for (const CodedTarget& target : detect_targets(to_image(pixels), dictionary)) {
+    for (const CodedTarget& target : detect_targets(pixels, dictionary)) {
       found.emplace_back(target.id, target.center.x(), target.center.y());
     }
     return found;

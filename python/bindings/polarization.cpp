@@ -8,27 +8,23 @@
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/polarizer_fit_internal.h"
 #include "malus/polarization/reflection.h"
-#include "malus/station/options.h"
+#include "words.h"
 
 namespace malus::python {
 namespace {
 
 template <class Sample>
 PolarizationState decompose_arrays(const std::vector<Array<Sample>>& arrays, const std::vector<double>& angles_rad,
-                                   const std::optional<Array<std::uint8_t>>& mask_array, double full_well_e,
-                                   double read_noise_e, int frames_averaged, const std::string& options_json,
-                                   int threads) {
-  const Options options = options_from_json({}, options_json);
+                                   const std::optional<Mask>& mask, double full_well_e, double read_noise_e,
+                                   int frames_averaged, const Options& options, int threads) {
   std::vector<const Sample*> images;
   for (const auto& array : arrays) images.push_back(array.data());
   const Size size{static_cast<int>(arrays.at(0).shape(1)), static_cast<int>(arrays.at(0).shape(0))};
-  const Mask mask = mask_array ? to_image(*mask_array) : Mask();
-  PolarizationState state;
-  run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-    state = decompose(size, std::span<const Sample* const>(images), angles_rad,
-                      {full_well_e, read_noise_e, 0, frames_averaged}, mask, {}, options.polarization, context);
+  return computed(threads, [&](const Context& context) {
+    return decompose(size, std::span<const Sample* const>(images), angles_rad,
+                     {full_well_e, read_noise_e, 0, frames_averaged}, mask.value_or(Mask()), {}, options.polarization,
+                     context);
   });
-  return state;
 }
 
 /// One of two functions: the images' type decides.
@@ -69,50 +65,42 @@ void bind_polarization(py::module_& module) {
   bind_decompose<float>(module, "decompose");
   bind_decompose<std::uint16_t>(module, "decompose_16_bit");
 
-  module.def("fit_polarizer",
-             [](const std::vector<Array<float>>& arrays, const std::vector<double>& nominal_rad,
-                const std::optional<Array<std::uint8_t>>& mask_array, double full_well_e, double read_noise_e,
-                int frames_averaged, const std::string& options_json, int threads) {
-               const Options options = options_from_json({}, options_json);
-               const NoiseModel noise{full_well_e, read_noise_e, 0, frames_averaged};
-               std::vector<Image<float>> images;
-               for (const auto& array : arrays) images.push_back(to_image(array));
-               const Mask mask = mask_array ? to_image(*mask_array) : Mask(images.at(0).size(), 1, 255);
-               PolarizerFit fit;
-               run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-                 fit = fit_polarizer(images, nominal_rad, noise, mask, {}, options.polarizer, context);
-               });
-               py::dict result;
-               result["angles_rad"] = fit.angles_rad;
-               result["gains"] = fit.gains;
-               result["residual_before"] = fit.residual_before;
-               result["residual_after"] = fit.residual_after;
-               result["improvement"] = fit.improvement();
-               return result;
-             });
+  module.def("fit_polarizer", [](const std::vector<Image<float>>& images, const std::vector<double>& nominal_rad,
+                                 const std::optional<Mask>& given_mask, double full_well_e, double read_noise_e,
+                                 int frames_averaged, const Options& options, int threads) {
+    const NoiseModel noise{full_well_e, read_noise_e, 0, frames_averaged};
+    const Mask mask = given_mask ? *given_mask : Mask(images.at(0).size(), 1, 255);
+    const PolarizerFit fit = computed(threads, [&](const Context& context) {
+      return fit_polarizer(images, nominal_rad, noise, mask, {}, options.polarizer, context);
+    });
+    py::dict result;
+    result["angles_rad"] = fit.angles_rad;
+    result["gains"] = fit.gains;
+    result["residual_before"] = fit.residual_before;
+    result["residual_after"] = fit.residual_after;
+    result["improvement"] = fit.improvement();
+    return result;
+  });
 
   py::class_<ReflectionMap>(module, "ReflectionMap")
-      .def_property_readonly("label", [](const ReflectionMap& r) { return copy_to_array(r.label); })
-      .def_property_readonly("zenith_rad", [](const ReflectionMap& r) { return copy_to_array(r.zenith); })
+      .def_readonly("label", &ReflectionMap::label)
+      .def_readonly("zenith_rad", &ReflectionMap::zenith)
       .def_readonly("specular_share", &ReflectionMap::specular_share)
       .def_readonly("clamped_share", &ReflectionMap::clamped_share);
   module.def("map_reflection", [](const PolarizationState& state, const std::optional<RasterView>& view,
-                                  const std::optional<Array<float>>& normals_array, double refractive_index,
-                                  const std::string& reflection, const std::string& options_json, int threads) {
-    ReflectionOptions options = options_from_json({}, options_json).reflection;
+                                  const std::optional<Image<float>>& normals, double refractive_index,
+                                  const std::string& reflection, const Options& all_options, int threads) {
+    ReflectionOptions options = all_options.reflection;
     options.refractive_index = refractive_index;
     const auto choice = enum_value<ReflectionChoice>(reflection);
     if (!choice || *choice == ReflectionChoice::labels) {
       throw input_error("reflection = \"" + reflection + "\", expected \"auto\", \"diffuse\" or \"specular\"");
     }
     options.reflection = *choice;
-    const Image<float> normals = normals_array ? to_image(*normals_array) : Image<float>();
-    ReflectionMap map;
-    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      map = map_reflection(state, view ? &view->camera : nullptr, normals_array ? &normals : nullptr, nullptr, options,
-                           context);
+    return computed(threads, [&](const Context& context) {
+      return map_reflection(state, view ? &view->camera : nullptr, normals ? &*normals : nullptr, nullptr, options,
+                            context);
     });
-    return map;
   });
 }
 

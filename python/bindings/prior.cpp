@@ -7,38 +7,35 @@
 #include "clouds.h"
 #include "interruptible.h"
 #include "malus/prior/project_prior_internal.h"
-#include "malus/station/options.h"
+#include "words.h"
 
 namespace malus::python {
 namespace {
 
 /// The prior of a cloud, mesh or depth map.
 template <class Source>
-DepthPrior project(const Source& source, const RasterView& view, const std::optional<Array<std::uint8_t>>& mask_array,
-                   const std::string& options_json, int threads) {
-  const Options options = options_from_json({}, options_json);
-  const Mask mask = mask_array ? to_image(*mask_array) : Mask(view.camera.size, 1, 255);
-  DepthPrior prior;
-  run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-    prior = project_prior(source, view.camera, view.pose, mask, options.prior, context);
+DepthPrior project(const Source& source, const RasterView& view, const std::optional<Mask>& given_mask,
+                   const Options& options, int threads) {
+  const Mask mask = given_mask ? *given_mask : Mask(view.camera.size, 1, 255);
+  return computed(threads, [&](const Context& context) {
+    return project_prior(source, view.camera, view.pose, mask, options.prior, context);
   });
-  return prior;
 }
 
 }  // namespace
 
 void bind_prior(py::module_& module) {
   py::class_<DepthPrior>(module, "DepthPrior")
-      .def(py::init([](const Array<float>& depth, const Array<float>& sigma, const RasterView& view) {
+      .def(py::init([](Image<float>& depth, Image<float>& sigma, const RasterView& view) {
         DepthPrior prior;
-        prior.depth = to_image(depth);
-        prior.sigma = to_image(sigma);
+        prior.depth = std::move(depth);
+        prior.sigma = std::move(sigma);
         prior.camera = view.camera;
         prior.pose = view.pose;
         return prior;
       }))
-      .def_property_readonly("depth", [](const DepthPrior& p) { return copy_to_array(p.depth); })
-      .def_property_readonly("sigma", [](const DepthPrior& p) { return copy_to_array(p.sigma); })
+      .def_readonly("depth", &DepthPrior::depth)
+      .def_readonly("sigma", &DepthPrior::sigma)
       .def_property_readonly("camera",
                              [](const DepthPrior& p) {
                                return RasterView{p.camera, p.pose};
@@ -52,24 +49,16 @@ void bind_prior(py::module_& module) {
 
   module.def("project_points",
              [](const Array<double>& points, const std::optional<Array<float>>& normals, const RasterView& view,
-                const std::optional<Array<std::uint8_t>>& mask, const std::string& options_json, int threads) {
-               PointCloud cloud = to_cloud(points);
-               if (normals) {
-                 const auto rows = normals->unchecked<2>();
-                 for (py::ssize_t i = 0; i < normals->shape(0); ++i)
-                   cloud.normals.emplace_back(rows(i, 0), rows(i, 1), rows(i, 2));
-               }
-               return project(cloud, view, mask, options_json, threads);
-             });
+                const std::optional<Mask>& mask, const Options& options,
+                int threads) { return project(to_cloud(points, normals), view, mask, options, threads); });
   module.def("project_mesh",
              [](const Array<double>& vertices, const Array<std::uint32_t>& triangles, const RasterView& view,
-                const std::optional<Array<std::uint8_t>>& mask, const std::string& options_json,
-                int threads) { return project(to_mesh(vertices, triangles), view, mask, options_json, threads); });
-  module.def("project_depth",
-             [](const Array<float>& depth, const RasterView& view, const std::optional<Array<std::uint8_t>>& mask,
-                const std::string& options_json, int threads) {
-               return project(to_image(depth), RasterView{view.camera, Pose()}, mask, options_json, threads);
-             });
+                const std::optional<Mask>& mask, const Options& options,
+                int threads) { return project(to_mesh(to_cloud(vertices), triangles), view, mask, options, threads); });
+  module.def("project_depth", [](const Image<float>& depth, const RasterView& view, const std::optional<Mask>& mask,
+                                 const Options& options, int threads) {
+    return project(depth, RasterView{view.camera, Pose()}, mask, options, threads);
+  });
 }
 
 }  // namespace malus::python

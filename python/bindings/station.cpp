@@ -16,54 +16,41 @@
 #include "malus/station/check.h"
 #include "malus/station/check_picture_internal.h"
 #include "malus/station/json_fields_internal.h"
-#include "malus/station/options.h"
 #include "malus/station/presets_internal.h"
 #include "malus/station/reconstruct.h"
 #include "malus/station/step_watch_internal.h"
 #include "malus/station/surface_words_internal.h"
+#include "words.h"
 
 namespace malus::python {
 namespace {
 
-/// N×3 points and, if there are any, their normals; the Python side has checked the shapes.
-PointCloud cloud_of(const Array<double>& points, const std::optional<Array<float>>& normals) {
-  PointCloud cloud = to_cloud(points);
-  if (normals) {
-    for (py::ssize_t i = 0; i < normals->shape(0); ++i)
-      cloud.normals.emplace_back(normals->at(i, 0), normals->at(i, 1), normals->at(i, 2));
-  }
-  return cloud;
-}
-
 /// `tables`: JSON, see read_given_station.
-Station station_from_arrays(const std::vector<Array<float>>& images, const CameraValues& camera,
-                            const std::string& tables, const std::optional<Array<double>>& prior_points,
+Station station_from_arrays(std::vector<Image<float>>& images, const CameraValues& camera, const std::string& tables,
+                            const std::optional<Array<double>>& prior_points,
                             const std::optional<Array<float>>& prior_normals,
-                            const std::optional<Array<float>>& prior_depth,
-                            const std::optional<Array<std::uint8_t>>& mask) {
+                            const std::optional<Image<float>>& prior_depth, const std::optional<Mask>& mask) {
   Station station;
   const auto [lens, pose] = to_camera(camera, "camera");
   station.file = read_given_station(tables, images.size(), CameraSpec{lens, pose}, prior_points || prior_depth);
   if (station.file.prior) std::visit([&](const auto& file) { station.prior = file; }, *station.file.prior);
-  for (const auto& image : images) station.images.push_back(to_image(image));
-  if (prior_points) station.prior = cloud_of(*prior_points, prior_normals);
-  if (prior_depth) station.prior = to_image(*prior_depth);
-  if (mask) station.mask = to_image(*mask);
+  station.images = std::move(images);
+  if (prior_points) station.prior = to_cloud(*prior_points, prior_normals);
+  if (prior_depth) station.prior = *prior_depth;
+  station.mask = mask;
   return station;
 }
 
 /// The station with the camera and, once it is swept, the prior that its photos gave, and what is to be reported of
 /// them.
 Station with_photogrammetry(const Station& station, const CameraValues& camera,
-                            const std::optional<Array<float>>& depth, const std::optional<Array<float>>& sigma,
-                            const std::optional<Array<float>>& shape, const std::string& figures,
+                            const std::optional<Image<float>>& depth, const std::optional<Image<float>>& sigma,
+                            const std::optional<Image<float>>& shape, const std::string& figures,
                             const std::string& times, const std::vector<std::string>& warnings) {
   Station result = station;
   const auto [lens, pose] = to_camera(camera, "camera");
   result.file.camera = CameraSpec{lens, pose};
-  if (depth && sigma) {
-    result.prior = SweptDepth{to_image(*depth), to_image(*sigma), shape ? to_image(*shape) : Image<float>()};
-  }
+  if (depth && sigma) result.prior = SweptDepth{*depth, *sigma, shape.value_or(Image<float>())};
   result.photogrammetry = Photogrammetry{figures, times, warnings};
   return result;
 }
@@ -78,7 +65,7 @@ Station with_curves_of(const Station& station, const std::vector<std::array<doub
 /// The station with a cloud in place of the file that it names.
 Station with_cloud(const Station& station, const Array<double>& points, const std::optional<Array<float>>& normals) {
   Station result = station;
-  result.prior = cloud_of(points, normals);
+  result.prior = to_cloud(points, normals);
   return result;
 }
 
@@ -137,7 +124,9 @@ py::dict to_dict(const std::shared_ptr<Results>& run, const Pose& pose) {
                      : prior ? py::cast(RasterView{prior->camera, prior->pose})
                      : view  ? py::cast(RasterView{view->camera, pose})
                              : py::none();
-  result["status"] = surface ? py::cast(surface->status) : report ? py::cast(report->status) : py::none();
+  result["status"] = surface  ? py::cast(enum_name(surface->status))
+                     : report ? py::cast(enum_name(report->status))
+                              : py::none();
   const Confidence* const confidence = report ? &report->confidence : surface ? &surface->confidence : nullptr;
   result["confidence"] =
       confidence ? py::make_tuple(enum_name(confidence->level), confidence->reasons) : py::object(py::none());
@@ -149,30 +138,28 @@ py::dict to_dict(const std::shared_ptr<Results>& run, const Pose& pose) {
 
 void bind_options(py::module_& module) {
   module.def("option_schema", &option_schema_json);
-  module.def("default_options", [] { return options_to_json({}); });
-  module.def("preset_options", [](const std::string& name) { return options_to_json(preset_options(name)); });
+  module.def("default_options", [] { return Options(); });
+  module.def("preset_options", [](const std::string& name) { return preset_options(name); });
   module.def("presets", [] {
     py::list all;
     for (const Preset& preset : presets())
       all.append(py::make_tuple(std::string(preset.name), std::string(preset.meaning)));
     return all;
   });
-  module.def("check_options", [](const std::string& json) { return options_to_json(options_from_json({}, json)); });
-  module.def("set_option", [](const std::string& json, const std::string& assignment) {
-    Options options = options_from_json({}, json);
+  module.def("check_options", [](const Options& options) { return options; });
+  module.def("set_option", [](Options& options, const std::string& assignment) {
     set_option(options, assignment);
-    return options_to_json(options);
+    return options;
   });
-  module.def("options_from_file", [](const std::string& json, const std::string& path) {
-    return options_to_json(options_from_file(options_from_json({}, json), path));
-  });
+  module.def("options_from_file",
+             [](const Options& options, const std::string& path) { return options_from_file(options, path); });
 }
 
 void bind_run(py::module_& module) {
   module.def("step_names", &step_names);
-  module.def("describe_run", [](const std::string& options_json, const std::optional<std::string>& until) {
+  module.def("describe_run", [](const Options& options, const std::optional<std::string>& until) {
     py::list steps;
-    for (const StepDescription& step : describe_run(options_from_json({}, options_json), until))
+    for (const StepDescription& step : describe_run(options, until))
       steps.append(py::make_tuple(step.name, step.does, step.leaves));
     return steps;
   });
@@ -199,11 +186,9 @@ void bind_run(py::module_& module) {
 
   module.def(
       "reconstruct",
-      [](const Station& station, const std::string& options_json, const std::optional<std::string>& workspace,
-         bool replace, const std::optional<std::string>& until, const std::optional<std::string>& reference,
-         bool keep_maps, const std::shared_ptr<Results>& known, int threads, const py::object& on_progress,
-         const py::object& on_log) {
-        const Options options = options_from_json({}, options_json);
+      [](const Station& station, const Options& options, const std::optional<std::string>& workspace, bool replace,
+         const std::optional<std::string>& until, const std::optional<std::string>& reference, bool keep_maps,
+         const std::shared_ptr<Results>& known, int threads, const py::object& on_progress, const py::object& on_log) {
         RunOptions run{.replace = replace, .until = until, .keep_maps = keep_maps, .known = known.get()};
         if (workspace) run.workspace = *workspace;
         if (reference) run.reference = *reference;
@@ -245,33 +230,26 @@ void bind_workspace(py::module_& module) {
 }
 
 void bind_check(py::module_& module) {
-  module.def("expected_times", [](const Station& station, const std::string& options_json,
-                                  const std::optional<std::string>& until,
-                                  const std::optional<std::pair<int, int>>& width_height, int threads) {
-    std::optional<Size> size;
-    if (width_height) size = Size{width_height->first, width_height->second};
-    Context context;
-    context.threads = threads;
-    py::list times;
-    for (const ExpectedTime& time : expected_times(station, options_from_json({}, options_json), until, size, context))
-      times.append(py::make_tuple(time.step, time.seconds));
-    return times;
-  });
+  module.def("expected_times",
+             [](const Station& station, const Options& options, const std::optional<std::string>& until,
+                const std::optional<std::pair<int, int>>& width_height, int threads) {
+               std::optional<Size> size;
+               if (width_height) size = Size{width_height->first, width_height->second};
+               Context context;
+               context.threads = threads;
+               py::list times;
+               for (const ExpectedTime& time : expected_times(station, options, until, size, context))
+                 times.append(py::make_tuple(time.step, time.seconds));
+               return times;
+             });
 
-  module.def("check", [](const Station& station, const std::string& options_json, int threads) {
-    std::string plan;
-    run_interruptible(threads, py::none(), py::none(), [&](const Context& context) {
-      plan = plan_to_json(check_station(station, options_from_json({}, options_json), context));
-    });
-    return plan;
+  module.def("check", [](const Station& station, const Options& options, int threads) {
+    return computed(threads,
+                    [&](const Context& context) { return plan_to_json(check_station(station, options, context)); });
   });
   module.def("check_picture", [](const Station& station, int threads) {
-    CheckPicture picture;
-    run_interruptible(threads, py::none(), py::none(),
-                      [&](const Context& context) { picture = check_picture(station, context); });
-    py::array_t<float> points({static_cast<py::ssize_t>(picture.points.size()), py::ssize_t{3}});
-    std::ranges::copy(picture.points, reinterpret_cast<Eigen::Vector3f*>(points.mutable_data()));
-    return py::make_tuple(to_array(std::move(picture.image)), to_array(std::move(picture.object)), points);
+    CheckPicture picture = computed(threads, [&](const Context& context) { return check_picture(station, context); });
+    return std::tuple(std::move(picture.image), std::move(picture.object), to_array<float>(picture.points));
   });
 }
 

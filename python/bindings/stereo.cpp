@@ -11,47 +11,30 @@
 #include "clouds.h"
 #include "interruptible.h"
 #include "malus/core/parallel_internal.h"
-#include "malus/station/options.h"
 #include "malus/stereo/surface_sweep_internal.h"
 #include "photos.h"
+#include "words.h"
 
 namespace malus::python {
-namespace {
-
-py::dict to_dict(const SweepPassReport& pass) {
-  py::dict entry;
-  entry["reduction"] = pass.reduction;
-  entry["offsets"] = pass.offsets;
-  entry["step_gsd"] = pass.step_gsd;
-  entry["score"] = pass.score;
-  entry["change_gsd"] = pass.change_gsd;
-  entry["seconds"] = pass.seconds;
-  return entry;
-}
-
-}  // namespace
-
 void bind_stereo(py::module_& module) {
   module.def("sweep_surface",
-             [](const Array<float>& intensity, const CameraValues& station_camera,
+             [](Image<float>& intensity, const CameraValues& station_camera,
                 const std::vector<std::pair<PhotoSource, CameraValues>>& photos, const Array<double>& points,
-                const std::optional<std::pair<Array<float>, Array<float>>>& surface,
-                const std::optional<Array<std::uint8_t>>& mask, const std::string& options_json, int threads,
-                const py::object& on_progress, const py::object& on_log) {
-               const Options options = options_from_json({}, options_json);
+                std::optional<std::pair<Image<float>, Image<float>>>& surface, const std::optional<Mask>& mask,
+                const Options& options, int threads, const py::object& on_progress, const py::object& on_log) {
                SweepInput input;
-               input.intensity = to_image(intensity);
+               input.intensity = std::move(intensity);
                const auto [camera, pose] = to_camera(station_camera, "camera");
                if (camera.has_distortion()) {
                  throw input_error("camera: the station's view must be undistorted, this camera has distortion");
                }
                input.camera = camera.pinhole();
                input.pose = pose;
-               input.mask = mask ? to_image(*mask) : Mask(input.camera.size, 1, 255);
+               input.mask = mask ? *mask : Mask(input.camera.size, 1, 255);
                input.points = to_cloud(points).points;
                if (surface) {
-                 input.surface = to_image(surface->first);
-                 input.surface_sigma = to_image(surface->second);
+                 input.surface = std::move(surface->first);
+                 input.surface_sigma = std::move(surface->second);
                }
                std::vector<SweepView> views;
                for (const auto& [image, values] : photos) {
@@ -65,9 +48,9 @@ void bind_stereo(py::module_& module) {
                  found = sweep_surface(input, std::move(views), options.sweep, context);
                });
                py::dict result;
-               result["depth"] = to_array(std::move(found.depth));
-               result["sigma"] = to_array(std::move(found.sigma));
-               result["confidence"] = to_array(std::move(found.confidence));
+               result["depth"] = std::move(found.depth);
+               result["sigma"] = std::move(found.sigma);
+               result["confidence"] = std::move(found.confidence);
                result["views_total"] = found.views_total;
                result["views_used"] = found.views_used;
                result["points_total"] = static_cast<std::size_t>(found.points_total);
@@ -77,9 +60,7 @@ void bind_stereo(py::module_& module) {
                result["median_score"] = found.median_score;
                result["median_sigma_gsd"] = found.median_sigma_gsd;
                result["halves_compared"] = found.halves_compared;
-               py::list passes;
-               for (const SweepPassReport& pass : found.passes) passes.append(to_dict(pass));
-               result["passes"] = passes;
+               result["passes"] = by_fields(found.passes);
                return result;
              });
 }

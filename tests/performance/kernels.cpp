@@ -147,8 +147,10 @@ void fusion() {
     scene.model.environment.radiance.fill(0.1);
     scene.model.mirror = {0.12, 13};
     const SyntheticStation station = make_station(scene);
-    count(kind == Reflection::diffuse ? "refinement, diffuse" : "refinement, specular",
-          [&] { return refine(station.state, station.prior, {}, options, one_thread).surface.status == "converged"; });
+    count(kind == Reflection::diffuse ? "refinement, diffuse" : "refinement, specular", [&] {
+      const FusedSurface surface = refine(station.state, station.prior, {}, options, one_thread).surface;
+      return surface.status == FusionStatus::converged;
+    });
   }
 }
 

@@ -40,6 +40,8 @@ struct PointAlignment {
   SimilarityTransform reference_from_surface;
   int iterations = 0;
   bool converged = false;
+
+  MALUS_FIELDS(reference_from_surface, iterations, converged)
 };
 
 /// Signed distances of a surface's pixels to a reference, positive = the surface is in front of it (outside).

@@ -10,6 +10,7 @@
 #include "malus/assess/profiles_internal.h"
 #include "malus/core/confidence.h"
 #include "malus/core/field_list.h"
+#include "malus/fusion/fused_surface.h"
 #include "malus/height/height_map.h"
 #include "malus/io/station_spec.h"
 #include "malus/polarization/polarization_state.h"
@@ -89,9 +90,9 @@ struct PriorFigures {
 /// Every figure of the report. Lengths without a suffix are in `unit`; NaN = could not be measured; an optional that is
 /// empty = that step was not run or its input is missing.
 struct Quality {
-  std::string status = "not run";  ///< of the fused surface
-  Confidence confidence;           ///< from evidence, whatever the solver says
-  std::string method;
+  FusionStatus status = FusionStatus::not_run;  ///< of the fused surface
+  Confidence confidence;                        ///< from evidence, whatever the solver says
+  std::optional<Fusion> method;
   std::vector<std::string> warnings;
   std::string unit;
   int width = 0, height = 0;

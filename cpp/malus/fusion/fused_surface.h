@@ -1,6 +1,9 @@
 #pragma once
 
+#include <array>
+#include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "malus/core/camera.h"
@@ -8,8 +11,15 @@
 #include "malus/core/field_list.h"
 #include "malus/core/image.h"
 #include "malus/core/pose.h"
+#include "malus/options/fusion_options.h"
 
 namespace malus {
+
+/// What the fusion's solver says of its end; the grid transfer, which solves nothing, is done.
+enum class FusionStatus { not_run, done, converged, not_converged, iteration_limit };
+constexpr auto names_of(FusionStatus) {
+  return std::to_array<std::string_view>({"not run", "done", "converged", "not converged", "iteration limit"});
+}
 
 /// The result: one depth a pixel of the undistorted polarized image.
 struct FusedSurface {
@@ -17,9 +27,9 @@ struct FusedSurface {
   Image<float> normals;  ///< 3 channels, unit, camera frame, towards the camera; NaN = none
   Image<float> sigma;    ///< one standard deviation of depth, station unit
   Pinhole camera;
-  Pose pose;                          ///< cam_from_world
-  std::string method;                 ///< "grid" | "refined"
-  std::string status = "not run";     ///< the solver's: "converged", …
+  Pose pose;                     ///< cam_from_world
+  std::optional<Fusion> method;  ///< none of a surface that was given
+  FusionStatus status = FusionStatus::not_run;
   std::vector<std::string> warnings;  ///< one sentence each, for people
   Confidence confidence;              ///< from what the surface was held against
 

@@ -202,8 +202,8 @@ FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const G
   FusedSurface surface;
   surface.camera = prior.camera;
   surface.pose = prior.pose;
-  surface.method = "grid";
-  surface.status = "done";
+  surface.method = Fusion::grid;
+  surface.status = FusionStatus::done;
   surface.confidence.limit(ConfidenceLevel::partial,
                            "The paper's grid transfer takes all detail from the polarization height; nothing holds it "
                            "against the prior.");

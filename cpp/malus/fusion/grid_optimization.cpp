@@ -323,7 +323,7 @@ void optimize_grid_surface(FusedSurface& surface, const OptimizeInput& input, co
     surface.depth[i] = static_cast<float>(input.perspective ? origin * std::exp(-h / focal) : origin * (1 - h / focal));
   }
   surface.normals = normals_from_depth(surface.depth, camera, context);
-  surface.status = unfinished == 0 ? "converged" : "iteration limit";
+  surface.status = unfinished == 0 ? FusionStatus::converged : FusionStatus::iteration_limit;
   if (unfinished > 0)
     surface.warnings.push_back(
         "the optimization of all equations together ended at its iteration limit (optimize.iterations = " +

@@ -441,7 +441,7 @@ class Refiner {
     FusedSurface surface;
     surface.camera = prior.camera;
     surface.pose = prior.pose;
-    surface.method = "refined";
+    surface.method = Fusion::refined;
     surface.depth = surface.sigma = Image<float>(size, 1, std::numeric_limits<float>::quiet_NaN());
     report_.specular_share = specular_share(image_);
     report_.metal = looks_like_metal(image_);

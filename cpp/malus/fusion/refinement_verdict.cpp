@@ -41,7 +41,7 @@ void judge_solver(const RefineReport& report, FusedSurface& surface) {
   } else if (!has_settled(report)) {
     problem = "The surface still moved by " + rounded(last.change_gsd) + " GSD in the last round.";
   }
-  surface.status = problem.empty() ? "converged" : "not converged";
+  surface.status = problem.empty() ? FusionStatus::converged : FusionStatus::not_converged;
   if (problem.empty()) return;
   surface.warnings.push_back(problem);
   if (!is_the_prior(report)) surface.confidence.limit(ConfidenceLevel::partial, problem);

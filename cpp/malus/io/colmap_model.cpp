@@ -2,8 +2,6 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
-#include <cstring>
-#include <optional>
 #include <string_view>
 
 #include "malus/io/atomic_file_internal.h"
@@ -314,7 +312,7 @@ void read_points_binary(Builder& builder) {
 // ---- writing ----
 
 /// Shortest text that reads back as the same double.
-std::string text(double value) {
+std::string shortest(double value) {
   char buffer[32];
   const auto [end, error] = std::to_chars(buffer, buffer + sizeof buffer, value);
   return std::string(buffer, end);
@@ -328,40 +326,6 @@ void append(std::string& bytes, const T& value) {
 constexpr std::string_view cameras_header = "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n";
 constexpr std::string_view images_header =
     "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)\n";
-constexpr std::string_view points_header =
-    "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n";
-
-std::string camera_line(std::uint32_t id, const LensCamera& camera) {
-  id_of_model(camera.model);
-  std::string line = std::to_string(id) + " " + std::string(to_string(camera.model)) + " " +
-                     std::to_string(camera.size.width) + " " + std::to_string(camera.size.height);
-  for (const double parameter : to_colmap_pixels(camera).params) line += " " + text(parameter);
-  return line + "\n";
-}
-
-std::string image_lines(std::uint32_t id, const ColmapImage& image) {
-  std::string lines = std::to_string(id);
-  for (const double q : quaternion_from_rotation(image.pose.rotation)) lines += " " + text(q);
-  for (const double t : image.pose.translation) lines += " " + text(t);
-  lines += " " + std::to_string(image.camera_id) + " " + image.name + "\n";
-  std::string separator;
-  for (const ColmapKeypoint& keypoint : image.keypoints) {
-    lines += separator + text(keypoint.pixel.x() + colmap_offset) + " " + text(keypoint.pixel.y() + colmap_offset) +
-             " " + std::to_string(static_cast<std::int64_t>(keypoint.point_id));
-    separator = " ";
-  }
-  return lines + "\n";
-}
-
-std::string point_line(std::uint64_t id, const ColmapPoint& point) {
-  std::string line = std::to_string(id);
-  for (const double x : point.position) line += " " + text(x);
-  for (const auto channel : point.color) line += " " + std::to_string(channel);
-  line += " " + text(point.error_px);
-  for (const auto& [image, keypoint] : point.track)
-    line += " " + std::to_string(image) + " " + std::to_string(keypoint);
-  return line + "\n";
-}
 
 std::string camera_record(std::uint32_t id, const LensCamera& camera) {
   std::string record;
@@ -404,18 +368,13 @@ std::string point_record(std::uint64_t id, const ColmapPoint& point) {
 }
 
 template <class Map, class Encode>
-void write_records(const std::filesystem::path& path, std::string_view header, const Map& records, Encode&& encode) {
+void write_records(const std::filesystem::path& path, const Map& records, Encode&& encode) {
+  std::string count;
+  append(count, static_cast<std::uint64_t>(records.size()));
   AtomicFile file(path);
-  file.write(header);
+  file.write(count);
   for (const auto& [id, record] : records) file.write(encode(id, record));
   file.commit();
-}
-
-template <class Map>
-std::string binary_header(const Map& records) {
-  std::string header;
-  append(header, static_cast<std::uint64_t>(records.size()));
-  return header;
 }
 
 }  // namespace
@@ -491,29 +450,25 @@ ColmapModel read_colmap_model(const std::filesystem::path& folder, ColmapParts p
   return builder.take();
 }
 
-void write_colmap_model(const std::filesystem::path& folder, const ColmapModel& model, ColmapFormat format) {
-  if (format == ColmapFormat::text) {
-    write_records(folder / "cameras.txt", cameras_header, model.cameras, camera_line);
-    write_records(folder / "images.txt", images_header, model.images, image_lines);
-    write_records(folder / "points3D.txt", points_header, model.points, point_line);
-  } else {
-    write_records(folder / "cameras.bin", binary_header(model.cameras), model.cameras, camera_record);
-    write_records(folder / "images.bin", binary_header(model.images), model.images, image_record);
-    write_records(folder / "points3D.bin", binary_header(model.points), model.points, point_record);
-  }
+void write_colmap_model(const std::filesystem::path& folder, const ColmapModel& model) {
+  write_records(folder / "cameras.bin", model.cameras, camera_record);
+  write_records(folder / "images.bin", model.images, image_record);
+  write_records(folder / "points3D.bin", model.points, point_record);
 }
 
 std::string colmap_text(const Pinhole& camera) {
-  const LensCamera lens{LensModel::pinhole, camera.size, {camera.fx, camera.fy, camera.cx, camera.cy}};
-  return std::string(cameras_header) + camera_line(1, lens);
+  std::string text(cameras_header);
+  text += "1 PINHOLE " + std::to_string(camera.size.width) + " " + std::to_string(camera.size.height);
+  for (const double parameter : {camera.fx, camera.fy, camera.cx + colmap_offset, camera.cy + colmap_offset})
+    text += " " + shortest(parameter);
+  return text + "\n";
 }
 
 std::string colmap_text(const Pose& pose, const std::string& image_name) {
-  ColmapImage image;
-  image.name = image_name;
-  image.camera_id = 1;
-  image.pose = pose;
-  return std::string(images_header) + image_lines(1, image);
+  std::string text = std::string(images_header) + "1";
+  for (const double q : quaternion_from_rotation(pose.rotation)) text += " " + shortest(q);
+  for (const double t : pose.translation) text += " " + shortest(t);
+  return text + " 1 " + image_name + "\n\n";
 }
 
 Image<float> read_colmap_array(const std::filesystem::path& path) {

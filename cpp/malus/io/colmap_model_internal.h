@@ -54,8 +54,6 @@ struct ColmapModel {
   void transform(double scale, const Eigen::Matrix3d& rotation, const Eigen::Vector3d& translation);
 };
 
-enum class ColmapFormat { text, binary };
-
 /// What to read of a model; points and keypoints are most of its bytes.
 enum class ColmapParts { cameras_and_images, everything };
 
@@ -68,8 +66,9 @@ ColmapModel read_colmap_model(const std::filesystem::path& folder, ColmapParts p
 /// The files of a model's cameras and images that read_colmap_model reads. Throws ErrorCode::input if there are none.
 std::vector<std::filesystem::path> colmap_model_files(const std::filesystem::path& folder);
 
-/// Writes a model that COLMAP 3.8 and 4.x read, to an existing folder. `brown` has no counterpart there: input error.
-void write_colmap_model(const std::filesystem::path& folder, const ColmapModel& model, ColmapFormat format);
+/// Writes a binary model that COLMAP 3.8 and 4.x read, to an existing folder. `brown` has no counterpart there: input
+/// error.
+void write_colmap_model(const std::filesystem::path& folder, const ColmapModel& model);
 
 /// Content of a cameras.txt with one PINHOLE camera (id 1), and of an images.txt with one image (id 1) that it took.
 std::string colmap_text(const Pinhole& camera);

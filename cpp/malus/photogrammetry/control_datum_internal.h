@@ -25,6 +25,8 @@ struct PointFit {
   Eigen::Vector3d offset =
       Eigen::Vector3d::Zero();  ///< where the moved model has the point, less where it is known to be
   double rms_px = 0;            ///< of its marks to the point that the model has
+
+  MALUS_FIELDS(name, check, offset, rms_px)
 };
 
 /// How a model stands in the frame of known points: x_known = scale · rotation · x_model + translation.
@@ -35,6 +37,8 @@ struct Datum {
   double sigma = 0;  ///< standard deviation of a coordinate, by the residuals of the points that determine the datum
   std::optional<std::string> doubtful;  ///< point without which all others fit far better: likely a mistake
   std::vector<PointFit> points;
+
+  MALUS_FIELDS(scale, rotation, translation, sigma, doubtful, points)
 };
 
 /// Datum of a photogrammetric model from known points that are marked in its photos: each is where the rays of its

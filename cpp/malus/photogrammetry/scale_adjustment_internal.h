@@ -8,6 +8,7 @@
 
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
+#include "malus/core/field_list.h"
 #include "malus/core/pose.h"
 #include "malus/photogrammetry/adjustment_status_internal.h"
 
@@ -47,6 +48,8 @@ struct DistanceFit {
   double rms_px = 0;    ///< of its marks' residuals
   double worst_px = 0;  ///< largest distance of a mark from its point's image
   std::string worst_image;  ///< photo of that mark
+
+  MALUS_FIELDS(name, check, distance, adjusted, residual, sigma, rms_px, worst_px, worst_image)
 };
 
 /// Outcome of the adjustment.
@@ -57,6 +60,8 @@ struct ScaleAdjustment {
   double unit_weight = 1;  ///< a posteriori standard deviation of unit weight; 1 = marks as good as stated
   int redundancy = 0;      ///< observations less unknowns
   std::vector<DistanceFit> distances;
+
+  MALUS_FIELDS(status, scale, sigma, unit_weight, redundancy, distances)
 };
 
 /// Scale of a photogrammetric model from known distances between points marked in its photos.

@@ -93,9 +93,9 @@ struct RefinementFindings {
 
 /// Every figure, and what refinement and photogrammetry say of themselves.
 struct QualityReport {
-  std::string json;       ///< quality.json
-  std::string status;     ///< of the fused surface, as there
-  Confidence confidence;  ///< likewise
+  std::string json;                             ///< quality.json
+  FusionStatus status = FusionStatus::not_run;  ///< of the fused surface, as there
+  Confidence confidence;                        ///< likewise
   Image<float> distance;  ///< from the reference, station view and unit, NaN = not compared; empty without one
 };
 

@@ -5,6 +5,7 @@
 
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
+#include "malus/core/field_list.h"
 #include "malus/core/image.h"
 #include "malus/core/pose.h"
 #include "malus/options/prior_options.h"
@@ -38,6 +39,8 @@ struct SweepPassReport {
   double score = 0;       ///< median correlation
   double change_gsd = 0;  ///< median absolute change of the surface
   double seconds = 0;
+
+  MALUS_FIELDS(reduction, offsets, step_gsd, score, change_gsd, seconds)
 };
 
 /// Depth of the station's view; NaN = none.

@@ -213,9 +213,7 @@ def _placed_and_scaled(
         "scale": scale,
     }
     if datum is not None:
-        figures["control"] = {
-            "datum": {**datum, "rotation": datum["rotation"].tolist(), "translation": datum["translation"].tolist()}
-        }
+        figures["control"] = {"datum": {**datum, "rotation": datum["rotation"].tolist()}}
     bench.progress(1.0, f"{len(registered)} of {len(photos)} photos")
     return placed, model, figures
 

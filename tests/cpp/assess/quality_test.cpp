@@ -29,8 +29,8 @@ struct Case {
       for (int u = 0; u < 20; ++u) surface.depth(u, v) = none;
       surface.sigma(199, v) = 1.0f;
     }
-    surface.status = "converged";
-    surface.method = "refined";
+    surface.status = FusionStatus::converged;
+    surface.method = Fusion::refined;
     surface.warnings = {"a warning"};
     prior.depth = Image<float>(size, 1, 500.0f);
     prior.sigma = Image<float>(size, 1, 0.55f);
@@ -59,7 +59,7 @@ struct Case {
 TEST(Quality, FiguresOfAKnownCase) {
   const Case c;
   const Quality q = assess(c.input, {}, {});
-  EXPECT_EQ(q.status, "converged");
+  EXPECT_EQ(q.status, FusionStatus::converged);
   EXPECT_EQ(q.warnings.size(), 1u);
   EXPECT_NEAR(q.gsd, 0.499, 3e-4);
   EXPECT_EQ(q.coverage.object_pixels, 200 * 149);

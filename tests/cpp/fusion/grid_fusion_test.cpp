@@ -57,7 +57,7 @@ TEST(GridFusion, TakesLowFrequenciesFromThePriorAndDetailFromPolarization) {
   const DepthPrior prior = prior_of(size, low);
   const FusedSurface fused =
       fuse_grid(map_of(size, [&](int u, int v) { return detail(u, v) + drift(u, v); }), prior, {}, {});
-  EXPECT_EQ(fused.method, "grid");
+  EXPECT_EQ(fused.method, Fusion::grid);
   EXPECT_TRUE(fused.warnings.empty());
   EXPECT_EQ(fused.pose.translation, prior.pose.translation);
   double largest = 0;

@@ -67,7 +67,7 @@ TEST(GridOptimization, FindsTheSurfaceThatAllEquationsHoldAt) {
     const Scene scene(kind);
     const double before = scene.error(scene.start());
     const FusedSurface after = scene.optimized(of_equations_only());
-    EXPECT_EQ(after.status, "converged");
+    EXPECT_EQ(after.status, FusionStatus::converged);
     EXPECT_TRUE(after.warnings.empty());
     EXPECT_GT(before, 0.5);
     // The prior's slopes, which hold what the equations leave free, are most of what is left.
@@ -110,7 +110,7 @@ TEST(GridOptimization, SaysThatItEndedAtItsLimit) {
   OptimizeOptions options = of_equations_only();
   options.iterations = 1;
   const FusedSurface after = Scene().optimized(options);
-  EXPECT_EQ(after.status, "iteration limit");
+  EXPECT_EQ(after.status, FusionStatus::iteration_limit);
   EXPECT_EQ(after.warnings.size(), 1U);
 }
 

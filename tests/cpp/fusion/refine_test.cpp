@@ -33,8 +33,8 @@ TEST(Refine, FindsTheBumpsOfADiffuseSurface) {
   EXPECT_GT(before, 0.6);
   EXPECT_LT(after, 0.3 * before);
   EXPECT_EQ(result.report.specular_share, 0);
-  EXPECT_EQ(result.surface.method, "refined");
-  EXPECT_EQ(result.surface.status, "converged");
+  EXPECT_EQ(result.surface.method, Fusion::refined);
+  EXPECT_EQ(result.surface.status, FusionStatus::converged);
   EXPECT_EQ(result.report.iterations.size(), 2u);
 }
 

@@ -35,7 +35,7 @@ bool mentions(const std::vector<std::string>& texts, const std::string& word) {
 
 TEST(Verdict, NothingSpeaksAgainstAGoodSurface) {
   const FusedSurface surface = judged(good());
-  EXPECT_EQ(surface.status, "converged");
+  EXPECT_EQ(surface.status, FusionStatus::converged);
   EXPECT_EQ(surface.confidence.level, ConfidenceLevel::high);
   EXPECT_TRUE(surface.confidence.reasons.empty());
   EXPECT_TRUE(surface.warnings.empty());
@@ -47,7 +47,7 @@ TEST(Verdict, EveryReasonIsKeptAndTheWorstComesFirst) {
   report.metal = true;
   report.median_residual = 4.123456789;
   const FusedSurface surface = judged(report);
-  EXPECT_EQ(surface.status, "not converged") << "which says nothing of the model";
+  EXPECT_EQ(surface.status, FusionStatus::not_converged) << "which says nothing of the model";
   EXPECT_EQ(surface.confidence.level, ConfidenceLevel::low);
   ASSERT_EQ(surface.confidence.reasons.size(), 3u);
   EXPECT_TRUE(mentions({surface.confidence.reasons[0]}, "metal"));
@@ -61,7 +61,7 @@ TEST(Verdict, WhatDidNotSettleIsThePriors) {
   report.iterations[1].change_gsd = 1.23456789;
   report.trusted_share = 0;
   const FusedSurface surface = judged(report);
-  EXPECT_EQ(surface.status, "not converged");
+  EXPECT_EQ(surface.status, FusionStatus::not_converged);
   EXPECT_EQ(surface.confidence.level, ConfidenceLevel::partial);
   ASSERT_EQ(surface.confidence.reasons.size(), 1u);
   EXPECT_TRUE(mentions(surface.confidence.reasons, "did not settle"));
@@ -100,7 +100,7 @@ TEST(Verdict, FiguresThatAreMissingProveNothing) {
   EXPECT_EQ(judged(report).confidence.level, ConfidenceLevel::low);
   report = good();
   report.iterations[1].change_gsd = nan;
-  EXPECT_EQ(judged(report).status, "not converged");
+  EXPECT_EQ(judged(report).status, FusionStatus::not_converged);
 }
 
 TEST(Verdict, AnIndexOtherThanTheStatedOneIsNotCertain) {

@@ -2,6 +2,7 @@
 #include <cmath>
 #include <cstring>
 #include <random>
+#include <sstream>
 
 #include "malus/io/colmap_model_internal.h"
 #include "malus/io/input_file_internal.h"
@@ -61,12 +62,27 @@ void expect_same(const ColmapModel& a, const ColmapModel& b) {
   }
 }
 
-TEST(ColmapModel, TextAndBinarySurvive) {
-  for (const ColmapFormat format : {ColmapFormat::text, ColmapFormat::binary}) {
-    const TemporaryFolder folder;
-    write_colmap_model(folder.path(), some_model(), format);
-    expect_same(read_colmap_model(folder.path()), some_model());
-    const ColmapModel part = read_colmap_model(folder.path(), ColmapParts::cameras_and_images);
+TEST(ColmapModel, TextAndBinaryAreRead) {
+  const TemporaryFolder binary, text;
+  write_colmap_model(binary.path(), some_model());
+  text.write("cameras.txt",
+             "1 OPENCV 960 640 2152.4 2150.1 480 319.75 -0.08 0.03 6e-4 -4e-4\n"
+             "7 SIMPLE_RADIAL 720 480 1937.25 362 237.5 -0.01\n");
+  std::string images;
+  for (const auto& [id, image] : some_model().images) {
+    std::ostringstream line;
+    line.precision(17);
+    line << id;
+    for (const double q : quaternion_from_rotation(image.pose.rotation)) line << ' ' << q;
+    for (const double t : image.pose.translation) line << ' ' << t;
+    line << ' ' << image.camera_id << ' ' << image.name << '\n' << (id == 3 ? "10.75 21.25 5 1.5 2.5 -1\n" : "\n");
+    images += line.str();
+  }
+  text.write("images.txt", images);
+  text.write("points3D.txt", "# POINT3D_ID, X, Y, Z, …\n5 0.1 -20.5 30.25 1 2 255 0.75 3 0 4 11\n");
+  for (const TemporaryFolder* folder : {&binary, &text}) {
+    expect_same(read_colmap_model(folder->path()), some_model());
+    const ColmapModel part = read_colmap_model(folder->path(), ColmapParts::cameras_and_images);
     EXPECT_TRUE(part.points.empty());
     EXPECT_TRUE(part.images.at(3).keypoints.empty());
   }
@@ -142,12 +158,12 @@ TEST(ColmapModel, ErrorsNameFileLineAndValue) {
   ColmapModel brown;
   brown.cameras[1] = {LensModel::brown, {100, 80}, {50, 0.1, 0, 0, 0, 0, 0, 0, 0, 0}};
   expect_error(
-      ErrorCode::input, [&] { write_colmap_model(empty.path(), brown, ColmapFormat::text); }, "BROWN");
+      ErrorCode::input, [&] { write_colmap_model(empty.path(), brown); }, "BROWN");
 }
 
 TEST(ColmapModel, TruncatedAndDamagedBinariesAreInputErrors) {
   const TemporaryFolder folder;
-  write_colmap_model(folder.path(), some_model(), ColmapFormat::binary);
+  write_colmap_model(folder.path(), some_model());
   std::mt19937 random(5);
   for (const std::string name : {"cameras.bin", "images.bin", "points3D.bin"}) {
     const std::string bytes = read_file(folder / name, "model");

@@ -47,7 +47,7 @@ class Workspace {
       write_array(root() / "stereo/normal_maps" / (image.name + ".geometric.bin"), normals);
       model.images[static_cast<std::uint32_t>(i + 1)] = image;
     }
-    write_colmap_model(root() / "sparse", model, ColmapFormat::binary);
+    write_colmap_model(root() / "sparse", model);
   }
   fs::path root() const { return folder_.path(); }
 

@@ -333,7 +333,7 @@ TEST_F(StationFileTest, CameraFromColmapModel) {
   model.images[1].camera_id = 2;
   model.images[1].pose.translation = {1, 2, 3};
   std::filesystem::create_directories(folder_ / "sparse");
-  write_colmap_model(folder_ / "sparse", model, ColmapFormat::binary);
+  write_colmap_model(folder_ / "sparse", model);
   Sections sections;
   sections.camera = "[camera]\ncolmap_model = \"sparse\"\nimage = \"station.jpg\"\n";
   const StationFile station = read(sections);

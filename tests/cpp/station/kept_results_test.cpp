@@ -1,3 +1,4 @@
+#include <Eigen/Geometry>
 #include <limits>
 
 #include "io/temporary_folder.h"
@@ -172,8 +173,8 @@ TEST(KeptResults, Surfaces) {
                                                         raster(1),
                                                         camera,
                                                         pose,
-                                                        "grid",
-                                                        "converged",
+                                                        Fusion::grid,
+                                                        FusionStatus::converged,
                                                         {"one"},
                                                         {ConfidenceLevel::partial, {"half of it"}}});
   EXPECT_EQ(surface.normals.channels(), 3);

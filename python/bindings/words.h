@@ -1,0 +1,54 @@
+#pragma once
+
+#include <pybind11/pybind11.h>
+
+#include <string>
+#include <type_traits>
+#include <vector>
+
+#include "malus/core/fields.h"
+#include "malus/station/options.h"
+
+namespace malus::python {
+
+/// A struct that lists its fields (core/field_list.h) as a dict of them, a vector of such as a list of dicts, a vector
+/// in space as a list of numbers, a choice or status as its name.
+template <class T>
+pybind11::object by_fields(const T& value) {
+  if constexpr (requires { T::fields(value, [](auto&&...) {}); }) {
+    pybind11::dict dict;
+    T::fields(value, [&](const char* name, const auto& member) { dict[name] = by_fields(member); });
+    return dict;
+  } else if constexpr (requires { T::value_type::fields(value[0], [](auto&&...) {}); }) {
+    pybind11::list list;
+    for (const auto& element : value) list.append(by_fields(element));
+    return list;
+  } else if constexpr (NamedEnum<T>) {
+    return pybind11::str(std::string(enum_name(value)));
+  } else if constexpr (requires { requires T::ColsAtCompileTime == 1; }) {
+    return pybind11::cast(std::vector<double>(value.begin(), value.end()));
+  } else {
+    return pybind11::cast(value);
+  }
+}
+
+}  // namespace malus::python
+
+namespace pybind11::detail {
+
+/// Options are their JSON in Python.
+template <>
+struct type_caster<malus::Options> {
+  PYBIND11_TYPE_CASTER(malus::Options, const_name("str"));
+
+  bool load(handle source, bool) {
+    if (!isinstance<str>(source)) return false;
+    value = malus::options_from_json({}, source.cast<std::string>());
+    return true;
+  }
+  static handle cast(const malus::Options& options, return_value_policy, handle) {
+    return str(malus::options_to_json(options)).release();
+  }
+};
+
+}  // namespace pybind11::detail
