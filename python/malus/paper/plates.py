@@ -57,7 +57,7 @@ def sinusoids(plates: Plates) -> Iterator[Figure]:
 
         axes.plot(angles, fitted(angles), color=color, lw=1.2)
         turned = np.mod(curve["angles_deg"], 180)
-        axes.plot(turned, curve["intensities"], "o", ms=4, color=color, label=f"pixel ({u}, {v}): ρ {degree:.3f}")
+        axes.plot(turned, curve["intensities"], "o", ms=4, color=color, label=f"({u}, {v}): ρ {degree:.3f}")
         rows += [
             [u, v, angle, intensity, float(fitted(angle)), degree, float(np.degrees(phase))]
             for angle, intensity in zip(curve["angles_deg"], curve["intensities"], strict=True)
@@ -70,8 +70,8 @@ def sinusoids(plates: Plates) -> Iterator[Figure]:
     style(axes)
     yield plates.figure(
         "sinusoids", "Intensity against polarizer angle",
-        "Measured intensities (dots) of a few pixels, and the sinusoid fitted to each. Unless pixels were named they are "
-        "weakly to very strongly polarized ones.",
+        "Measured intensities (dots) of a few pixels (column, row), the sinusoid fitted to each, and its degree ρ. Unless "
+        "pixels were named they are weakly to very strongly polarized ones.",
         drawing, ["u_px", "v_px", "angle_deg", "intensity", "fitted", "degree", "phase_deg"], rows,
     )  # fmt: skip
 
