@@ -98,7 +98,7 @@ def import_station(
     if len(missing) == 2:
         note = [
             "# To come: [camera] and [prior], or [photos] with [[scale]] or [[control]]; without them `malus decompose` makes "
-            "the polarization maps."
+            "the polarization maps, and `malus height` a height from them."
         ]
     head = ["[station]", f"name = {_text(folder.resolve().name)}", f"unit = {_text(unit)}", ""]
     write_text(output, "\n".join([*head, "[polarized]", *lines, "", *camera, *prior, *note, ""]))
