@@ -2,7 +2,7 @@
 
     python benchmarks/coded_targets.py SCENE -o WORK [--dictionary aruco_4x4_50] [--side-mm 22]
 
-SCENE: a folder of shared/data/rendered with views/, gt_sparse/ and station_photos.toml, whose marks say where. A square
+SCENE: a folder as rendered/renderer/render.py leaves it, with views/, gt_sparse/ and station_photos.toml, whose marks say where. A square
 target is drawn, in the plane of three marks, at each of them in every photo, and the distances of their centres take the place of the marked
 ones: two in the adjustment, the third as a check. Prints where the targets were found, the adjustment's residuals, and the scale's
 error against the true poses. Needs `pip install opencv-python-headless scipy`.

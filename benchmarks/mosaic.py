@@ -2,7 +2,7 @@
 
     python benchmarks/mosaic.py SCENE… [--seed 0]
 
-SCENE: a folder of shared/data/rendered. Stokes vectors are fitted to the six images of low noise; each pixel of the
+SCENE: a folder as rendered/renderer/render.py leaves it. Stokes vectors are fitted to the six images of low noise; each pixel of the
 mosaic gets the intensity behind its polarizer of the cell [[90, 45], [135, 0]], with the shot noise of four frames of
 20000 electrons. Printed for bilinear channels, for `malus.capture.demosaic`, and for it on the layout of a colour
 camera (RGGB, a grey scene, luminance of the colours): RMS of s0 relative to the truth, and RMS, median and 95th

@@ -1,8 +1,8 @@
 """Rendered stations as a polarization camera would have taken them, through the whole pipeline and scored.
 
-    python benchmarks/mosaic_station.py SCENE… -o WORK [--score ../shared/tools/score.py] [--frames 16] [--seed 0]
+    python benchmarks/mosaic_station.py SCENE… -o WORK [--frames 16] [--seed 0]
 
-SCENE: a folder of shared/data/rendered. From its noise-free Stokes vectors come, with noise, saturation and 14 bits of
+SCENE: a folder as rendered/renderer/render.py leaves it. From its noise-free Stokes vectors come, with noise, saturation and 14 bits of
 the scene's station file, camera and prior those of that file:
 
     six       the six images of the station file, each pixel behind every polarizer angle (not made here, run again)
@@ -126,7 +126,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="+", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)
-    parser.add_argument("--score", type=Path, default=Path("../shared/tools/score.py"))
+    parser.add_argument("--score", type=Path, default=Path(__file__).parent / "rendered" / "score.py")
     parser.add_argument("--variants", nargs="+", default=VARIANTS, choices=VARIANTS)
     parser.add_argument("--frames", type=int, default=16)
     parser.add_argument("--seed", type=int, default=0)

@@ -2,13 +2,13 @@
 
     python benchmarks/polarizer.py SCENE… -o WORK [--auto] [--seed 1] [--angle-deg 3] [--gain 0.03] [--until STEP]
 
-SCENE: a folder of shared/data/rendered. Stokes vectors are fitted to the six images of low noise and rendered anew at
+SCENE: a folder as rendered/renderer/render.py leaves it. Stokes vectors are fitted to the six images of low noise and rendered anew at
 angles off by up to ±angle-deg and with exposures off by up to ±gain (uniform), with the noise of the station file added
 and rounded to its 14 bits. What the first capture had of noise is so part of the scene: it follows the sinusoid and
 does not help the calibration. `--auto` leaves the angles out of the station file. The station as it was is run too.
 
 Prints per image true and found angle and exposure with their standard deviations, the largest errors, and for both
-runs the fused detail's MAD from truth (as shared/tools/score.py, in GSD; after --until polarizer the angles only).
+runs the fused detail's MAD from truth (as rendered/score.py, in GSD; after --until polarizer the angles only).
 """
 
 from __future__ import annotations

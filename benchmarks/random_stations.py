@@ -1,8 +1,8 @@
 """Small stations of random objects under random light, with exact truth, for `harm.py`.
 
-    RENDERER/venv/bin/python benchmarks/random_stations.py --renderer RENDERER -o OUT [--count 200] [--first 0] [--seed 1]
+    RENDERER/venv/bin/python benchmarks/random_stations.py -o OUT [--renderer RENDERER] [--count 200] [--first 0] [--seed 1]
 
-RENDERER: the folder of the path tracer that made shared/data/rendered (its README says how to install it); run this file with its
+RENDERER: the folder of the path tracer, by default rendered/renderer (its README says how to install it); run this file with its
 interpreter. Of each station are drawn, from --seed and the station's number alone: the scene and the object's own seed; the light;
 the roughness and refractive index of dielectrics, and whether the station file knows the index or says 1.5; electrons and read noise
 of the sensor; how noisy the coarse cloud is. Metals keep their material. Each folder OUT/NNN_SCENE_LIGHT is one that `render.py`
@@ -206,7 +206,7 @@ def render_one(seed: int, number: int, out: Path, quality: float, chances: dict[
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--renderer", type=Path, required=True)
+    parser.add_argument("--renderer", type=Path, default=Path(__file__).parent / "rendered" / "renderer")
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--first", type=int, default=0)

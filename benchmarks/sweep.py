@@ -2,7 +2,7 @@
 
     python benchmarks/sweep.py SCENE… [--threads N] [--enlarge N] [--pairs 8] [--no-sgbm] [--set sweep.key=value]
 
-SCENE: a folder of shared/data/rendered with gt/, gt_sparse/ (poses only), pol/lownoise and views/. The points that the
+SCENE: a folder as rendered/renderer/render.py leaves it, with gt/, gt_sparse/ (poses only), pol/lownoise and views/. The points that the
 sweep starts from are SIFT matches of neighboring photos, triangulated with the true poses. Needs
 `pip install opencv-python-headless scipy`.
 
