@@ -113,7 +113,7 @@ class RandomLight:
         return [*sources, self.lights.constant(ambient)], dict(boxes=[drawn for _, drawn in boxes], ambient=ambient)
 
     def room(self) -> tuple[list[Any], dict[str, Any]]:
-        """Grey walls that are brighter on one side, and a window."""
+        """Gray walls that are brighter on one side, and a window."""
         d, zenith = self.direction((20, 80))
         to_window = frame_about(d)[[2, 0, 1]]
         width, height = self.random.uniform(15, 60, 2)

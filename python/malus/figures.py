@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from malus.lengths import scale_bar, shown
-from malus.units import METRES
+from malus.units import METERS
 from malus.workspace import Raster, Workspace
 
 # matplotlib is imported when something is drawn: it would take as long as the rest of a program's start.
@@ -159,7 +159,7 @@ def hillshade(relief: Raster, pixel: float, azimuth_deg: float = 315, altitude_d
     return np.where(np.isfinite(relief), shade, np.nan).astype(np.float32)
 
 
-def grey(shade: Raster) -> NDArray[np.uint8]:
+def gray(shade: Raster) -> NDArray[np.uint8]:
     """Shading 0 … 1 as gray with alpha, transparent where it is NaN."""
     known = np.isfinite(shade)
     level = np.rint(255 * np.clip(np.where(known, shade, 0), 0, 1)).astype(np.uint8)
@@ -628,7 +628,7 @@ class Plates:
     def profiles(self) -> Iterator[Figure]:
         """Sections through prior, polarization height and fused surface (Fig. 12 and 13), and their detail."""
         sigma_px = float(self.workspace.manifest["options"]["assess"]["detail_sigma_px"])
-        to_micrometers = 1e6 * METRES[self.unit]
+        to_micrometers = 1e6 * METERS[self.unit]
         for number, profile in enumerate(self.quality["profiles"], 1):
             drawing = new_drawing(WIDTH_IN, 6.2, "constrained")
             above, below = drawing.subplots(2, 1, sharex=True, height_ratios=(5, 4))

@@ -139,7 +139,7 @@ class Station:
         "auto".
 
         All else that a station file can say is given by its own words: `polarized` (response, levels, exposures, channel,
-        mosaic …), `optics` (light …), `patches`, `profiles`, `scale` and `object`, the catalogue's words. Names of files
+        mosaic …), `optics` (light …), `patches`, `profiles`, `scale` and `object`, the catalog's words. Names of files
         in them start at the current folder. Wrong shapes raise ValueError, wrong values malus.InputError, which names
         them as in a file.
         """

@@ -20,7 +20,7 @@ from malus._files import require_utf8, write_text
 from malus.errors import InputError
 from malus.photogrammetry.metashape import read_metashape
 from malus.raw import is_raw
-from malus.units import METRES
+from malus.units import METERS
 
 _IMAGES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg"})
 _BAYER = ("RGGB", "BGGR", "GRBG", "GBRG")
@@ -76,8 +76,8 @@ def import_station(
         raise InputError(
             "--metashape and --label go together: the project's cameras, and which one of them is the station's"
         )
-    if unit not in METRES:
-        raise InputError(f"--unit {unit}, expected one of {', '.join(METRES)}")
+    if unit not in METERS:
+        raise InputError(f"--unit {unit}, expected one of {', '.join(METERS)}")
     if cloud is not None and not Path(cloud).is_file():
         raise InputError(f"--cloud {cloud}: no such file")
     if output.suffix != ".toml":

@@ -145,7 +145,7 @@ def test_objects_without_patches_and_profiles_are_in_the_tables(paper_work: Path
 
 
 def test_campaign_keeps_names_that_look_like_numbers(paper_work: Path, tmp_path: Path) -> None:
-    """A catalogue number is no figure to round."""
+    """A catalog number is no figure to round."""
     work = tmp_path / "work"
     shutil.copytree(paper_work, work)
     workspace = malus.Workspace(work)

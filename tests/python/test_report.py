@@ -375,7 +375,7 @@ def edited(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("edited")
-def test_colour_images_are_shown_in_colour(finished_grid: Path, tmp_path: Path) -> None:
+def test_color_images_are_shown_in_color(finished_grid: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     shutil.copytree(finished_grid, work)
     intensity = tifffile.imread(work / "polarization/unpolarized.tif")

@@ -15,7 +15,7 @@ from malus.figures import (
     Plates,
     color_bar,
     flattened,
-    grey,
+    gray,
     hillshade,
     new_drawing,
     style,
@@ -147,7 +147,7 @@ def oblique(relief: Raster, shade: Raster, tilt_deg: float = _TILT_DEG) -> NDArr
         for down in range(int((last - first).max(initial=0)) + 1):
             reached = first + down <= last
             picture[(first[reached] + down).astype(int), columns[reached]] = shade[v, columns[reached]]
-    return grey(picture)
+    return gray(picture)
 
 
 def views(plates: Plates) -> Iterator[Figure]:
