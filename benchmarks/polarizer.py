@@ -113,7 +113,7 @@ def main() -> None:
         print(f"  as it was: from images {plain['from_images']}, from surface {plain['from_surface']}; zero off by "
               f"{plain['zero_error_deg']:.3f} ± {plain['zero_error_sigma_deg']:.3f} deg, scene polarized by "
               f"{np.round(plain['scene_polarization'], 4)} ± {np.round(plain['scene_polarization_sigma'], 4)}, "
-              f"opposite direction {plain['opposite_direction_ratio']:.2f}")  # fmt: skip
+              f"phases fit the surface to {plain['coherence']:.2f}, counted the other way {plain['coherence_opposite']:.2f}")  # fmt: skip
         if args.until is None:
             mads = [detail_mad(scene, work) for work in (args.output / f"{scene.name}_plain", folder / "work")]
             print(f"  fused detail MAD {mads[0]:.4f} GSD as it was, {mads[1]:.4f} perturbed and calibrated")
