@@ -2,8 +2,8 @@
 
     python benchmarks/coded_targets.py SCENE -o WORK [--dictionary aruco_4x4_50] [--side-mm 22]
 
-SCENE: a folder of shared/data/rendered with views/, gt_sparse/ and station_photos.toml, whose marks say where. A square
-target is drawn, in the plane of three marks, at each of them in every photo, and the distances of their centres take the place of the marked
+SCENE: a folder as rendered/renderer/render.py leaves it, with views/, gt_sparse/ and station_photos.toml, whose marks say where. A square
+target is drawn, in the plane of three marks, at each of them in every photo, and the distances of their centers take the place of the marked
 ones: two in the adjustment, the third as a check. Prints where the targets were found, the adjustment's residuals, and the scale's
 error against the true poses. Needs `pip install opencv-python-headless scipy`.
 """
@@ -79,8 +79,8 @@ def main() -> None:
 
     # A target's own axes in that plane, its upper side towards where the cameras are up.
     up = np.cross(points[1] - points[0], points[2] - points[0])
-    centre = np.mean([-c.rotation.T @ c.translation for c in cameras.values()], axis=0)
-    up *= np.sign(up @ (centre - points[0])) / np.linalg.norm(up)
+    center = np.mean([-c.rotation.T @ c.translation for c in cameras.values()], axis=0)
+    up *= np.sign(up @ (center - points[0])) / np.linalg.norm(up)
     across = (points[1] - points[0]) / np.linalg.norm(points[1] - points[0])
     down = np.cross(across, up)
     name, family = arguments.dictionary, "DICT_" + arguments.dictionary.removeprefix("aruco_").upper()
@@ -120,8 +120,8 @@ def main() -> None:
     images = SparseModel.read(workspace / "prior" / "colmap" / "model").images
     found = {name: image.camera for name, image in images.items()}
     names = sorted(name for name in found if name.startswith("view_"))
-    centres = [np.array([-c[n].rotation.T @ c[n].translation for n in names]) for c in (found, cameras)]
-    scale, _, _ = similarity(*centres)
+    centers = [np.array([-c[n].rotation.T @ c[n].translation for n in names]) for c in (found, cameras)]
+    scale, _, _ = similarity(*centers)
     print(f"{len(names)} photos, scale error {100 * (scale - 1):+.4f} %")
 
 

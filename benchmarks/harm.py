@@ -3,7 +3,7 @@
     python benchmarks/harm.py STATION… --executable malus-station -o OUT [--jobs 2] [--draws 1] [--seed 1]
     python benchmarks/harm.py --renders DIR… [--count 200] --executable malus-station -o OUT [--jobs 2] [--seed 1]
 
-STATION: folders of rendered stations (`random_stations.py`, or shared/data/rendered). Of each one variant is drawn
+STATION: folders of rendered stations (`random_stations.py`, or of rendered/renderer/render.py). Of each one variant is drawn
 (`station_variants.py`): half are right as they are, a quarter have a wrong prior, a quarter a wrong setting.
 
 --renders: a station takes a minute to render and seconds to run, and noise, errors of the prior and wrong settings need no rendering.
@@ -12,7 +12,7 @@ drawn once; of an object in the round one of its stations. Each gets the noise o
 light and material are as random as the renders are: "own" in the table of lights means the scene's own.
 
 Each station is run, and prior
-and fused surface are compared with the truth, on the pixels where both have a depth and with the definitions of shared/tools/score.py:
+and fused surface are compared with the truth, on the pixels where both have a depth and with the definitions of rendered/score.py:
 
     harm           RMSE, detail's MAD or median normal error of the fused surface is more than 10 % above the prior's
     unmarked harm  … and quality.json says confidence "high", or nothing
@@ -59,7 +59,7 @@ REFUSED = (2, 3)
 TIME_LIMIT_S = 900
 
 
-# --- scoring: definitions of shared/tools/score.py
+# --- scoring: definitions of rendered/score.py
 
 
 def normals_of(depth: Array, K: Array) -> Array:

@@ -148,13 +148,13 @@ MISTAKES: dict[str, Callable[[Inputs], Inputs]] = {
     "cloud turned by 1°": lambda i: turned(i, 1),
     "cloud turned by 2°": lambda i: turned(i, 2),
     "cloud 5 % too large": larger,
-    "cloud in metres": lambda i: i.with_points(i.points() / 1000),
+    "cloud in meters": lambda i: i.with_points(i.points() / 1000),
     "cloud's x negated": lambda i: axes_changed(i, [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]),
     "cloud's z negated": lambda i: axes_changed(i, [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
     "cloud's y and z exchanged": lambda i: axes_changed(i, [[1, 0, 0], [0, 0, 1], [0, 1, 0]]),
     "pose the other way": lambda i: replace(i, rotation=i.rotation.T, translation=-i.rotation.T @ i.translation),
-    "unit metres for millimetres": lambda i: replace(i, unit="m"),
-    "metres, unit forgotten": lambda i: replace(i.with_points(i.points() / 1000), translation=i.translation / 1000),
+    "unit meters for millimeters": lambda i: replace(i, unit="m"),
+    "meters, unit forgotten": lambda i: replace(i.with_points(i.points() / 1000), translation=i.translation / 1000),
 }
 OTHER_OBJECT = "images of another object"
 

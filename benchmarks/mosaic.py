@@ -2,10 +2,10 @@
 
     python benchmarks/mosaic.py SCENE… [--seed 0]
 
-SCENE: a folder of shared/data/rendered. Stokes vectors are fitted to the six images of low noise; each pixel of the
+SCENE: a folder as rendered/renderer/render.py leaves it. Stokes vectors are fitted to the six images of low noise; each pixel of the
 mosaic gets the intensity behind its polarizer of the cell [[90, 45], [135, 0]], with the shot noise of four frames of
-20000 electrons. Printed for bilinear channels, for `malus.capture.demosaic`, and for it on the layout of a colour
-camera (RGGB, a grey scene, luminance of the colours): RMS of s0 relative to the truth, and RMS, median and 95th
+20000 electrons. Printed for bilinear channels, for `malus.capture.demosaic`, and for it on the layout of a color
+camera (RGGB, a gray scene, luminance of the colors): RMS of s0 relative to the truth, and RMS, median and 95th
 percentile of the error of (s1, s2) / s0, over pixels above 2 % of the white level.
 """
 
@@ -79,7 +79,7 @@ def main() -> None:
         color = np.stack(malus.capture.demosaic(mosaic, colors="RGGB", threads=2)) @ LUMINANCE
         print(f"{scene.name}: bilinear {errors(bilinear(mosaic), truth)}")
         print(f"{scene.name}: malus    {errors(np.stack(malus.capture.demosaic(mosaic, threads=2)), truth)}")
-        print(f"{scene.name}: colour   {errors(color, truth)}")
+        print(f"{scene.name}: color   {errors(color, truth)}")
 
 
 if __name__ == "__main__":

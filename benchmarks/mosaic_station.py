@@ -1,16 +1,16 @@
 """Rendered stations as a polarization camera would have taken them, through the whole pipeline and scored.
 
-    python benchmarks/mosaic_station.py SCENE… -o WORK [--score ../shared/tools/score.py] [--frames 16] [--seed 0]
+    python benchmarks/mosaic_station.py SCENE… -o WORK [--frames 16] [--seed 0]
 
-SCENE: a folder of shared/data/rendered. From its noise-free Stokes vectors come, with noise, saturation and 14 bits of
+SCENE: a folder as rendered/renderer/render.py leaves it. From its noise-free Stokes vectors come, with noise, saturation and 14 bits of
 the scene's station file, camera and prior those of that file:
 
     six       the six images of the station file, each pixel behind every polarizer angle (not made here, run again)
     four      four images at 0°, 45°, 90°, 135°: what a mosaic would be if it missed nothing
     mosaic    one image of the cell [[90, 45], [135, 0]]
     bilinear  its four channels interpolated bilinearly, given as four images: what most software does
-    colour    one image of a colour camera (RGGB, cells of 4 × 4) of an object of one colour, red, green, blue as COLOR
-    colour_bilinear  the same, each of its twelve channels bilinear
+    color    one image of a color camera (RGGB, cells of 4 × 4) of an object of one color, red, green, blue as COLOR
+    color_bilinear  the same, each of its twelve channels bilinear
 
 All have the same frames averaged: a mosaic has a quarter of the photons of "four". Printed: the scores, one line each.
 """
@@ -37,7 +37,7 @@ CELL_DEG = (90, 45, 135, 0)
 BAYER = ((0, 1), (1, 2))
 COLOR = np.array([0.9, 1.0, 0.7])
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-VARIANTS = ("six", "four", "mosaic", "bilinear", "colour", "colour_bilinear")
+VARIANTS = ("six", "four", "mosaic", "bilinear", "color", "color_bilinear")
 
 
 def captured(signal: Array, frames: int, random: np.random.Generator) -> NDArray[np.uint16]:
@@ -78,13 +78,13 @@ def capture(variant: str, scene: Path, folder: Path, args: argparse.Namespace) -
     if variant == "four":
         channels = [captured(image, args.frames, random) for image in images]
         return write_images(channels, folder)
-    color = variant.startswith("colour")
+    color = variant.startswith("color")
     v, u = np.indices(cell.shape)
-    # Of a colour camera each color filter covers a 2 × 2 cell of polarizers.
+    # Of a color camera each color filter covers a 2 × 2 cell of polarizers.
     band = np.array(BAYER)[v // 2 % 2, u // 2 % 2] if color else np.ones_like(cell)
     factor = COLOR[band] if color else 1.0
     mosaic = captured(np.take_along_axis(images, cell[None], 0)[0] * factor, args.frames, random)
-    if variant in ("mosaic", "colour"):
+    if variant in ("mosaic", "color"):
         Image.fromarray(mosaic).save(folder / "mosaic.png")
         colors = 'mosaic_colors = "RGGB"\n' if color else ""
         return f'images = ["mosaic.png"]\nmosaic = [[90, 45], [135, 0]]\n{colors}'
@@ -126,7 +126,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="+", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)
-    parser.add_argument("--score", type=Path, default=Path("../shared/tools/score.py"))
+    parser.add_argument("--score", type=Path, default=Path(__file__).parent / "rendered" / "score.py")
     parser.add_argument("--variants", nargs="+", default=VARIANTS, choices=VARIANTS)
     parser.add_argument("--frames", type=int, default=16)
     parser.add_argument("--seed", type=int, default=0)

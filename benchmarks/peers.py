@@ -160,7 +160,7 @@ def write_stack(width: int, path: str) -> Row:
 
 
 def registration(kind: str, path: str, threads: int) -> Row:
-    """Error: RMS displacement from the known maps over the five images' corners and centres."""
+    """Error: RMS displacement from the known maps over the five images' corners and centers."""
     import cv2
 
     import malus

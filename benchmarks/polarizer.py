@@ -2,13 +2,13 @@
 
     python benchmarks/polarizer.py SCENE… -o WORK [--auto] [--seed 1] [--angle-deg 3] [--gain 0.03] [--until STEP]
 
-SCENE: a folder of shared/data/rendered. Stokes vectors are fitted to the six images of low noise and rendered anew at
+SCENE: a folder as rendered/renderer/render.py leaves it. Stokes vectors are fitted to the six images of low noise and rendered anew at
 angles off by up to ±angle-deg and with exposures off by up to ±gain (uniform), with the noise of the station file added
 and rounded to its 14 bits. What the first capture had of noise is so part of the scene: it follows the sinusoid and
 does not help the calibration. `--auto` leaves the angles out of the station file. The station as it was is run too.
 
 Prints per image true and found angle and exposure with their standard deviations, the largest errors, and for both
-runs the fused detail's MAD from truth (as shared/tools/score.py, in GSD; after --until polarizer the angles only).
+runs the fused detail's MAD from truth (as rendered/score.py, in GSD; after --until polarizer the angles only).
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def main() -> None:
         print(f"  as it was: from images {plain['from_images']}, from surface {plain['from_surface']}; zero off by "
               f"{plain['zero_error_deg']:.3f} ± {plain['zero_error_sigma_deg']:.3f} deg, scene polarized by "
               f"{np.round(plain['scene_polarization'], 4)} ± {np.round(plain['scene_polarization_sigma'], 4)}, "
-              f"opposite direction {plain['opposite_direction_ratio']:.2f}")  # fmt: skip
+              f"phases fit the surface to {plain['coherence']:.2f}, counted the other way {plain['coherence_opposite']:.2f}")  # fmt: skip
         if args.until is None:
             mads = [detail_mad(scene, work) for work in (args.output / f"{scene.name}_plain", folder / "work")]
             print(f"  fused detail MAD {mads[0]:.4f} GSD as it was, {mads[1]:.4f} perturbed and calibrated")

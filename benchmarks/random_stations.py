@@ -1,8 +1,8 @@
 """Small stations of random objects under random light, with exact truth, for `harm.py`.
 
-    RENDERER/venv/bin/python benchmarks/random_stations.py --renderer RENDERER -o OUT [--count 200] [--first 0] [--seed 1]
+    RENDERER/venv/bin/python benchmarks/random_stations.py -o OUT [--renderer RENDERER] [--count 200] [--first 0] [--seed 1]
 
-RENDERER: the folder of the path tracer that made shared/data/rendered (its README says how to install it); run this file with its
+RENDERER: the folder of the path tracer, by default rendered/renderer (its README says how to install it); run this file with its
 interpreter. Of each station are drawn, from --seed and the station's number alone: the scene and the object's own seed; the light;
 the roughness and refractive index of dielectrics, and whether the station file knows the index or says 1.5; electrons and read noise
 of the sensor; how noisy the coarse cloud is. Metals keep their material. Each folder OUT/NNN_SCENE_LIGHT is one that `render.py`
@@ -113,7 +113,7 @@ class RandomLight:
         return [*sources, self.lights.constant(ambient)], dict(boxes=[drawn for _, drawn in boxes], ambient=ambient)
 
     def room(self) -> tuple[list[Any], dict[str, Any]]:
-        """Grey walls that are brighter on one side, and a window."""
+        """Gray walls that are brighter on one side, and a window."""
         d, zenith = self.direction((20, 80))
         to_window = frame_about(d)[[2, 0, 1]]
         width, height = self.random.uniform(15, 60, 2)
@@ -206,7 +206,7 @@ def render_one(seed: int, number: int, out: Path, quality: float, chances: dict[
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--renderer", type=Path, required=True)
+    parser.add_argument("--renderer", type=Path, default=Path(__file__).parent / "rendered" / "renderer")
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--first", type=int, default=0)

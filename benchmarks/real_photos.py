@@ -33,7 +33,7 @@ from malus.photogrammetry.photos import read_gray
 class GivenCamera:
     """What a projection matrix says."""
 
-    centre: NDArray[np.float64]
+    center: NDArray[np.float64]
     rotation: NDArray[np.float64]
     """Camera from world."""
     calibration: NDArray[np.float64]
@@ -47,8 +47,8 @@ def read_camera(path: Path) -> GivenCamera:
     q, r = np.linalg.qr((flip @ left).T)
     signs = np.diag(np.sign(np.diag(flip @ r.T @ flip)))
     calibration = flip @ r.T @ flip @ signs
-    centre = -np.linalg.solve(matrix[:, :3], matrix[:, 3])
-    return GivenCamera(centre, signs @ flip @ q.T, calibration / calibration[2, 2])
+    center = -np.linalg.solve(matrix[:, :3], matrix[:, 3])
+    return GivenCamera(center, signs @ flip @ q.T, calibration / calibration[2, 2])
 
 
 def similarity(
@@ -101,16 +101,16 @@ def main() -> None:
     found: dict[str, Camera] = {photo.name: camera for photo, camera in cameras.photos}
     found[arguments.station] = cameras.station
     names = sorted(found)
-    centres = np.array([-found[name].rotation.T @ found[name].translation for name in names])
-    truth = np.array([given[name].centre for name in names])
-    scale, turn, shift = similarity(centres, truth)
-    errors = np.linalg.norm(scale * centres @ turn.T + shift - truth, axis=1)
+    centers = np.array([-found[name].rotation.T @ found[name].translation for name in names])
+    truth = np.array([given[name].center for name in names])
+    scale, turn, shift = similarity(centers, truth)
+    errors = np.linalg.norm(scale * centers @ turn.T + shift - truth, axis=1)
     angles = [
         np.degrees(np.arccos(np.clip((np.trace(found[n].rotation @ turn.T @ given[n].rotation.T) - 1) / 2, -1, 1)))
         for n in names
     ]
     extent = np.linalg.norm(truth - truth.mean(0), axis=1).max()
-    print(f"centres: {np.median(errors) / extent:.2e} of the cameras' extent (median), {errors.max() / extent:.2e} (largest); "
+    print(f"centers: {np.median(errors) / extent:.2e} of the cameras' extent (median), {errors.max() / extent:.2e} (largest); "
           f"directions: {np.median(angles):.4f}° (median), {max(angles):.4f}° (largest)")  # fmt: skip
 
     mask = np.full(coded.shape, 255, np.uint8)

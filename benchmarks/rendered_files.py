@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Cloud = NDArray[Any]  # structured: a field for each property of the file
 
-# Definitions of shared/tools/score.py.
+# Definitions of rendered/score.py.
 BORDER_PX, DETAIL_SIGMA_PX = 6, 8.0
 
 

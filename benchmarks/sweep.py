@@ -2,7 +2,7 @@
 
     python benchmarks/sweep.py SCENE… [--threads N] [--enlarge N] [--pairs 8] [--no-sgbm] [--set sweep.key=value]
 
-SCENE: a folder of shared/data/rendered with gt/, gt_sparse/ (poses only), pol/lownoise and views/. The points that the
+SCENE: a folder as rendered/renderer/render.py leaves it, with gt/, gt_sparse/ (poses only), pol/lownoise and views/. The points that the
 sweep starts from are SIFT matches of neighboring photos, triangulated with the true poses. Needs
 `pip install opencv-python-headless scipy`.
 
@@ -164,13 +164,13 @@ def sgbm_depth(scene: Scene, pairs: int) -> Array:
     shape = scene.truth.shape
     k0 = projection(malus.Camera("PINHOLE", shape[1], shape[0], scene.camera.params))[:, :3]
     r0, t0 = scene.camera.pose()
-    centre = -r0.T @ t0
+    center = -r0.T @ t0
     middle = np.median(scene.truth[scene.mask])
-    target = centre + r0[2] * middle
+    target = center + r0[2] * middle
 
     def angle(camera: malus.Camera) -> float:
         r, t = camera.pose()
-        a, b = centre - target, -r.T @ t - target
+        a, b = center - target, -r.T @ t - target
         return float(np.degrees(np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b))))
 
     chosen = sorted(scene.views, key=lambda view: abs(angle(view[1]) - 15))[:pairs]
@@ -182,7 +182,7 @@ def sgbm_depth(scene: Scene, pairs: int) -> Array:
         k1 = projection(malus.Camera("PINHOLE", camera.width, camera.height, camera.params))[:, :3]
         r1, t1 = camera.pose()
         turn = r1 @ r0.T
-        baseline = -turn.T @ (t1 - turn @ t0)  # the photo's centre in the station's frame
+        baseline = -turn.T @ (t1 - turn @ t0)  # the photo's center in the station's frame
         # Common orientation: x along the baseline to the right of whichever camera is left, z between both axes.
         forward = np.array([0, 0, 1.0]) + turn[2]
         across = baseline / np.linalg.norm(baseline)
@@ -193,13 +193,13 @@ def sgbm_depth(scene: Scene, pairs: int) -> Array:
         # Each picture just holds the object: the station's principal point from its outline, the photo's so that the
         # farthest depth has no disparity.
         at = focal * (common @ seen)[:2] / (common @ seen)[2]
-        centre0 = 20 - at.min(1)
+        center0 = 20 - at.min(1)
         size = tuple(int(n) for n in np.ceil(np.ptp(at, axis=1) + 40))
         z = np.stack([(common @ seen)[2] * depth for depth in (near, far)])
         disparity = focal * np.linalg.norm(baseline) / z  # x_station - x_photo, but for the principal points
         shift = np.floor(disparity.min()) - 2
         count = int(np.ceil((disparity.max() - shift + 4) / 16)) * 16
-        new0 = np.array([[focal, 0, centre0[0]], [0, focal, centre0[1]], [0, 0, 1]])
+        new0 = np.array([[focal, 0, center0[0]], [0, focal, center0[1]], [0, 0, 1]])
         new1 = new0 + np.array([[0, 0, shift], [0, 0, 0], [0, 0, 0]])
         # SGBM leaves `count` columns at the left without an answer.
         new0[0, 2] += count

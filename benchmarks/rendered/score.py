@@ -146,8 +146,8 @@ def main():
         points = points_in_cam(depth, pinhole)[y0 : y1 + 1, x0 : x1 + 1].reshape(-1, 3)
         points = points[np.isfinite(points).all(1)]
         if len(points) > 10:
-            centred = points - points.mean(0)
-            out["patch_" + name] = np.linalg.svd(centred, full_matrices=False)[1][-1] / np.sqrt(len(points)) / gsd
+            centered = points - points.mean(0)
+            out["patch_" + name] = np.linalg.svd(centered, full_matrices=False)[1][-1] / np.sqrt(len(points)) / gsd
     sigma_file = args.work / "fused" / "sigma.tif"
     if sigma_file.exists():
         sigma = tifffile.imread(sigma_file).astype(float) / gsd

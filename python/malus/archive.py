@@ -2,7 +2,7 @@
 
 It has everything that the result was made from and all that was made: station file, images, prior, every result, the report; and the
 paradata that the London Charter asks for: which step made which file from which, when, in how long, with which settings and
-versions. The catalogue's words come from [object] in the station file, those of the capture from the images' EXIF.
+versions. The catalog's words come from [object] in the station file, those of the capture from the images' EXIF.
 """
 
 from __future__ import annotations
@@ -259,7 +259,7 @@ def write_archive(work: str | Path, path: str | Path) -> Path:
         record = bag / "metadata" / "dublin_core.xml"
         record.parent.mkdir()
         record.write_text(dublin_core(name, crate.object), encoding="utf-8")
-        crate.file("metadata/dublin_core.xml", record, None, name="catalogue record, Dublin Core")
+        crate.file("metadata/dublin_core.xml", record, None, name="catalog record, Dublin Core")
         crate.crate.metadata.write(bag)
         for place, source in crate.sources.items():
             target = bag / place

@@ -155,7 +155,7 @@ def require_kind(file: Path, expected: str, content: Mapping[str, Any] | None = 
     thing = content.get("object")
     kinds = {
         "campaign": "campaign" in content,
-        # A station file has a table [object], too: what the catalogue says.
+        # A station file has a table [object], too: what the catalog says.
         "object": isinstance(thing, dict) and "stations" in thing,
         "station": "polarized" in content,
     }

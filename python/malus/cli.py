@@ -493,7 +493,10 @@ def _print_plan(plan: dict[str, Any]) -> None:
     _print_lines(*(f"warning: {warning}" for warning in plan["warnings"]))
     if "overlay" in plan:
         picture = plan["overlay"] or "none, this folder cannot be written to (--overlay)"
-        print(f"picture of the cloud upon the image: {picture}")
+        shown = (
+            "the cloud upon the image" if any(line.startswith("prior:") for line in plan["does"]) else "image and mask"
+        )
+        print(f"picture of {shown}: {picture}")
 
 
 def _object(args: argparse.Namespace) -> None:

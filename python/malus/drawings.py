@@ -19,7 +19,7 @@ from malus._extra import extra
 from malus._files import replacing, write_text
 from malus.errors import DataError, InputError
 from malus.surface import Dem
-from malus.units import METRES
+from malus.units import METERS
 
 Line = NDArray[np.float64]
 #: Drawing units of DXF ($INSUNITS).
@@ -127,7 +127,7 @@ def write_svg(path: Path, layers: list[Layer], unit: str, title: str, descriptio
     low, size = every.min(0), np.ptp(every, axis=0)
     margin = max(0.05 * float(size.max()), 1e-9)
     width, height = size + 2 * margin
-    scale = METRES[unit] * 1000  # millimeters
+    scale = METERS[unit] * 1000  # millimeters
     line_width = float(size.max()) / 1500
 
     def path_of(line: Line) -> str:

@@ -15,7 +15,7 @@ from malus import raw
 from malus.exif import tags_of
 
 _ICC_PROFILE, _MAKE, _COLOR_SPACE, _GAMMA = 34675, 271, 40961, 42240
-_MIDDLE_GREY = 128
+_MIDDLE_GRAY = 128
 #: Exponent of encoded values → light from which a file is encoded for a display, and below which it is linear.
 _ENCODED, _LINEAR = 1.5, 1.15
 
@@ -63,13 +63,13 @@ def _of_profile(profile: bytes) -> Encoding | None:
         to_lab = ImageCms.buildTransform(
             read, ImageCms.createProfile("LAB"), mode, "LAB", ImageCms.Intent.RELATIVE_COLORIMETRIC
         )
-        grey = Image.new("L", (1, 1), _MIDDLE_GREY).convert(mode)
-        lightness = ImageCms.applyTransform(grey, to_lab).getpixel((0, 0))[0] * 100 / 255  # type: ignore[union-attr, index]
+        gray = Image.new("L", (1, 1), _MIDDLE_GRAY).convert(mode)
+        lightness = ImageCms.applyTransform(gray, to_lab).getpixel((0, 0))[0] * 100 / 255  # type: ignore[union-attr, index]
     except (ImageCms.PyCMSError, OSError, ValueError, TypeError):
         return None
     light = ((lightness + 16) / 116) ** 3
     name = (read.profile.profile_description or "without a name").strip()
-    return _of_exponent(math.log(light) / math.log(_MIDDLE_GREY / 255), f'its colour profile is "{name}"')
+    return _of_exponent(math.log(light) / math.log(_MIDDLE_GRAY / 255), f'its color profile is "{name}"')
 
 
 def _of_exponent(exponent: float, source: str) -> Encoding | None:

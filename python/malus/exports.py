@@ -23,7 +23,7 @@ from malus.albedo import albedo_of
 from malus.chart import ColorCorrection
 from malus.colmap_export import write_colmap_workspace
 from malus.errors import InputError
-from malus.figures import flattened, grey, hillshade
+from malus.figures import flattened, gray, hillshade
 from malus.iiif import write_iiif
 from malus.raster import sample
 from malus.repair import FILLED_COLOR, filled, trimmed
@@ -32,7 +32,7 @@ from malus.rti import write_relight, write_rti
 from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
 from malus.threads import ALL_CORES
 from malus.trust import extras_of, said_of, words_of
-from malus.units import METRES
+from malus.units import METERS
 from malus.workspace import Raster, Workspace
 from malus.xmp import NAMESPACE, packet, save_png, tag_png, tag_tiff
 
@@ -100,7 +100,7 @@ class Exporter:
         return replace(mesh, colors=colors)
 
     @property
-    def catalogue(self) -> dict[str, str]:
+    def catalog(self) -> dict[str, str]:
         """The words of [object]."""
         return self.workspace.quality.get("object") or {}
 
@@ -111,7 +111,7 @@ class Exporter:
 
     @cached_property
     def said(self) -> dict[str, str]:
-        """That and the catalogue's words, of one line each, for formats whose files have properties or a header of text."""
+        """That and the catalog's words, of one line each, for formats whose files have properties or a header of text."""
         return said_of(self.workspace.quality)
 
     def words(self) -> list[str]:
@@ -120,7 +120,7 @@ class Exporter:
 
     def xmp(self) -> str:
         """The same for image files."""
-        return packet(self.name, self.catalogue, self.trust)
+        return packet(self.name, self.catalog, self.trust)
 
     def pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Where world points (…×3) are seen in the station's image, …×2."""
@@ -238,8 +238,8 @@ def _write_orthophoto(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     colors = sample(exporter.picture(), exporter.pixels(dem.points()[known]))
     picture[known, :3] = np.rint(colors)
     picture[known, 3] = 255
-    per_metre = 1 / (dem.pixel * METRES[exporter.unit])
-    save_png(path, picture, exporter.xmp(), dpi=per_metre * 0.0254)
+    per_meter = 1 / (dem.pixel * METERS[exporter.unit])
+    save_png(path, picture, exporter.xmp(), dpi=per_meter * 0.0254)
     # World file: size of a pixel and the center of the first, in the elevation model's own coordinates.
     write_text(path.with_suffix(".pgw"), f"{dem.pixel:.12g}\n0\n0\n{-dem.pixel:.12g}\n0\n0\n")
 
@@ -285,7 +285,7 @@ def _write_relight(exporter: Exporter, path: Path, wishes: Wishes) -> None:
 
 def _write_iiif(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     gsd = float(exporter.workspace.quality["gsd"])
-    relief = grey(hillshade(flattened(exporter.surface.depth), gsd))[..., :1]
+    relief = gray(hillshade(flattened(exporter.surface.depth), gsd))[..., :1]
     pictures = {
         "photograph": ("Photograph, without polarized light", exporter.picture()),
         "relief": ("Relief, light from the upper left", np.repeat(relief, 3, axis=-1)),
@@ -298,7 +298,7 @@ def _write_iiif(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         pictures,
         address=wishes.url or "http://localhost:8000",
         name=exporter.name,
-        words=exporter.catalogue,
+        words=exporter.catalog,
         summary=f"Surface from polarization and stereo, one pixel is {exporter.trust['pixel']}, "
         f"confidence {exporter.trust['confidence']}: {exporter.trust['detail']}.",
     )
@@ -395,7 +395,7 @@ def _write_las(exporter: Exporter, path: Path, wishes: Wishes) -> None:
 def _write_e57(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     library = extra("pye57", "pye57", f"{path}: E57")
     cloud, _ = exporter.cloud()
-    x, y, z = (cloud.vertices * METRES[exporter.unit]).T
+    x, y, z = (cloud.vertices * METERS[exporter.unit]).T
     red, green, blue = cloud.colors.T
     values = {
         "cartesianX": x,
@@ -467,7 +467,7 @@ def export(
     Without `output` it is WORK/export/…; a result in memory has no such folder and needs an output.
 
     - obj, ply, glb, stl: mesh with texture (obj, glb), vertex colors (ply) or neither (stl); at most `faces` triangles if given.
-      glb: the catalogue's words and the origin in asset.extras; `y_up` turns a world whose z is up to glTF's convention.
+      glb: the catalog's words and the origin in asset.extras; `y_up` turns a world whose z is up to glTF's convention.
     - normal-map: PNG or TIFF of 3 × 16 bits, OpenGL and Blender convention (red = right, green = up, blue = towards the
       viewer; 0 … 65535 for −1 … 1), or EXR of 3 floats in −1 … 1. displacement: float TIFF or EXR, elevation above the plane in the
       station's unit, 0 where there is none. Both on the grid of the elevation model, that is of `dem`, GeoTIFF. orthophoto: the object's

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from malus.lengths import scale_bar, shown
-from malus.units import METRES
+from malus.units import METERS
 from malus.workspace import Raster, Workspace
 
 # matplotlib is imported when something is drawn: it would take as long as the rest of a program's start.
@@ -159,7 +159,7 @@ def hillshade(relief: Raster, pixel: float, azimuth_deg: float = 315, altitude_d
     return np.where(np.isfinite(relief), shade, np.nan).astype(np.float32)
 
 
-def grey(shade: Raster) -> NDArray[np.uint8]:
+def gray(shade: Raster) -> NDArray[np.uint8]:
     """Shading 0 … 1 as gray with alpha, transparent where it is NaN."""
     known = np.isfinite(shade)
     level = np.rint(255 * np.clip(np.where(known, shade, 0), 0, 1)).astype(np.uint8)
@@ -628,7 +628,7 @@ class Plates:
     def profiles(self) -> Iterator[Figure]:
         """Sections through prior, polarization height and fused surface (Fig. 12 and 13), and their detail."""
         sigma_px = float(self.workspace.manifest["options"]["assess"]["detail_sigma_px"])
-        to_micrometers = 1e6 * METRES[self.unit]
+        to_micrometers = 1e6 * METERS[self.unit]
         for number, profile in enumerate(self.quality["profiles"], 1):
             drawing = new_drawing(WIDTH_IN, 6.2, "constrained")
             above, below = drawing.subplots(2, 1, sharex=True, height_ratios=(5, 4))
@@ -745,13 +745,14 @@ def _common_range(bins: Mapping[str, Mapping[str, Any]]) -> tuple[float, float]:
 
 
 def without_form(section: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
-    """A section without its form: the straight line that fits around each sample, weighted by a Gaussian of `sigma` samples.
+    """A section without its form: the parabola that fits around each sample, weighted by a Gaussian of `sigma` samples.
 
-    Lines, not means, so that a slope at the ends is form too. Missing samples (NaN) do not count.
+    Parabolas, not means, since slope and bend of the object are form, too: a nose would drown the detail upon it. Missing
+    samples (NaN) do not count.
     """
     reach = max(1, int(np.ceil(3 * sigma)))
-    offset = np.arange(-reach, reach + 1)
-    weight = np.exp(-0.5 * (offset / sigma) ** 2)
+    offset = np.arange(-reach, reach + 1) / sigma
+    weight = np.exp(-0.5 * offset**2)
     known = np.isfinite(section)
     values = np.where(known, section, 0)
 
@@ -759,11 +760,12 @@ def without_form(section: NDArray[np.float64], sigma: float) -> NDArray[np.float
         # Turned round, since a convolution counts offsets backwards.
         return np.convolve(terms, (weight * offset**power)[::-1])[reach : reach + len(section)]
 
-    s0, s1, s2 = (sums(known.astype(float), power) for power in range(3))
-    t0, t1 = (sums(values, power) for power in range(2))
-    determinant = s0 * s2 - s1**2
-    with np.errstate(divide="ignore", invalid="ignore"):
-        form = np.where(determinant > 1e-9 * s0 * s2, (s2 * t0 - s1 * t1) / determinant, t0 / s0)
+    moments = [sums(known.astype(float), power) for power in range(5)]
+    normal = np.stack([np.stack(moments[row : row + 3], -1) for row in range(3)], -2)
+    # Where fewer than three samples are known this leaves a line or a mean; 1 where none is.
+    normal += np.where(moments[0] > 0, 1e-12 * moments[0], 1)[:, None, None] * np.eye(3)
+    right = np.stack([sums(values, power) for power in range(3)], -1)
+    form = np.linalg.solve(normal, right[..., None])[:, 0, 0]
     return np.where(known, section - form, np.nan)
 
 

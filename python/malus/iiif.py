@@ -115,7 +115,7 @@ def _canvas(address: str, name: str, label: str, info: Mapping[str, Any]) -> dic
 def manifest(
     address: str, name: str, words: Mapping[str, str], canvases: list[dict[str, Any]], summary: str
 ) -> dict[str, Any]:
-    """Presentation 3.0 manifest of canvases, with the catalogue's words."""
+    """Presentation 3.0 manifest of canvases, with the catalog's words."""
     told = [
         {"label": _text(label), "value": _text(str(words[key]))} for key, label in _LABELS.items() if words.get(key)
     ]

@@ -6,29 +6,29 @@ import math
 from collections.abc import Sequence
 
 from malus.columns import aligned, decimals
-from malus.units import METRES
+from malus.units import METERS
 
 
 def shown(length: float, unit: str, digits: int = 2) -> str:
     """A length of the station's unit in µm, mm or m, whichever is handy: 60 µm, 1.2 mm."""
-    metres = length * METRES[unit]
-    factor, name = next(((f, n) for f, n in ((1e6, "µm"), (1e3, "mm")) if abs(metres) * f < 1000), (1.0, "m"))
-    value = metres * factor
+    meters = length * METERS[unit]
+    factor, name = next(((f, n) for f, n in ((1e6, "µm"), (1e3, "mm")) if abs(meters) * f < 1000), (1.0, "m"))
+    value = meters * factor
     return f"{value:.{digits}g} {name}" if abs(value) < 10**digits else f"{value:.0f} {name}"
 
 
 def sides(lengths: Sequence[float], unit: str) -> str:
     """Width and height, of the station's unit, in one unit that suits the longer: 31 × 12.5 mm."""
-    metres = [length * METRES[unit] for length in lengths]
-    factor, name = next(((f, n) for f, n in ((1e6, "µm"), (1e3, "mm")) if max(metres) * f < 1000), (1.0, "m"))
-    values = [length * factor for length in metres]
+    meters = [length * METERS[unit] for length in lengths]
+    factor, name = next(((f, n) for f, n in ((1e6, "µm"), (1e3, "mm")) if max(meters) * f < 1000), (1.0, "m"))
+    values = [length * factor for length in meters]
     places = decimals([max(values)])
     return f"{' × '.join(aligned(value, places) for value in values)} {name}"
 
 
 def scale_bar(extent: float, unit: str) -> tuple[float, str]:
     """Length of a scale bar for a picture of this width, 1, 2 or 5 times a power of ten, about a fifth of it; and its label."""
-    metres = extent * METRES[unit]
-    power = 10.0 ** math.floor(math.log10(metres / 4))
-    length = next(factor * power for factor in (5, 2, 1) if factor * power <= metres / 4)
-    return length / METRES[unit], shown(length / METRES[unit], unit, 4)
+    meters = extent * METERS[unit]
+    power = 10.0 ** math.floor(math.log10(meters / 4))
+    length = next(factor * power for factor in (5, 2, 1) if factor * power <= meters / 4)
+    return length / METERS[unit], shown(length / METERS[unit], unit, 4)

@@ -11,6 +11,7 @@ from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.text import Text
 
 #: Seconds of work after which the speed that was met counts as much as the one that was expected.
 _TRUST_SECONDS = 5.0
@@ -148,7 +149,7 @@ class BarProgress(ProgressView):
             TextColumn("{task.description:<13}"),
             BarColumn(bar_width=30),
             TimeElapsedColumn(),
-            TextColumn("{task.fields[message]}"),
+            TextColumn("{task.fields[message]}", markup=False),
             console=self._console,
         )
         self._tasks: dict[str, Any] = {}
@@ -169,7 +170,7 @@ class BarProgress(ProgressView):
         self._overall.update(step, fraction)
         if not self._console.is_terminal:
             if fraction >= 1:
-                self._console.print(f"{100 * self._overall.fraction:3.0f} %  {step:<13} {message or 'done'}")
+                self._print(Text(f"{100 * self._overall.fraction:3.0f} %  {step:<13} {message or 'done'}"))
             return
         for name in ("everything", step):
             if name not in self._tasks:
@@ -185,4 +186,9 @@ class BarProgress(ProgressView):
     def log(self, level: str, message: str) -> None:
         """Print warnings above the bars."""
         if level == "warning":
-            self._console.print(f"[yellow]warning:[/yellow] {message}")
+            # As Text, since words in brackets such as [optics] would be taken for markup, and lost.
+            self._print(Text.assemble(("warning:", "yellow"), " ", message))
+
+    def _print(self, line: Text) -> None:
+        """A line that only a terminal breaks: in a file what is searched for stays on one line."""
+        self._console.print(line, soft_wrap=not self._console.is_terminal)

@@ -17,7 +17,7 @@ from malus import _core, viewer
 from malus._files import replacing, write_bytes, write_text
 from malus.columns import aligned, decimals, printed
 from malus.errors import ExternalError, InputError
-from malus.figures import Figure, Plates, encode, grey
+from malus.figures import Figure, Plates, encode, gray
 from malus.glossary import definitions
 from malus.lengths import shown
 from malus.options import Options
@@ -190,7 +190,7 @@ def _term(name: str, text: str | None = None) -> Markup:
 
 def _compare(plates: Plates) -> dict[str, bytes]:
     box = plates.object_box()
-    return {name: encode(grey(plates.shade(name))[box], "WEBP", quality=90) for name in ("prior", "fused")}
+    return {name: encode(gray(plates.shade(name))[box], "WEBP", quality=90) for name in ("prior", "fused")}
 
 
 def _trust(plates: Plates) -> bytes | None:

@@ -93,7 +93,7 @@ class Result:
 
     def pictures(self) -> dict[str, NDArray[np.uint8]]:
         """Relief shading of prior and fused surface, as far as they exist: title → gray and alpha, at most 480 px wide or high."""
-        from malus.figures import flattened, grey, hillshade, reduced, step_for
+        from malus.figures import flattened, gray, hillshade, reduced, step_for
 
         pictures = {}
         for title, depth in (("prior", self.prior_depth), ("fused", self.depth)):
@@ -102,7 +102,7 @@ class Result:
             step = step_for(depth.shape, _PICTURE_PX)
             small = reduced(depth, step)
             pixel = step * float(np.nanmedian(depth)) / self.camera.fx
-            pictures[title] = grey(hillshade(flattened(small), pixel))
+            pictures[title] = gray(hillshade(flattened(small), pixel))
         return pictures
 
     def _summary(self) -> str:

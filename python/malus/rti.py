@@ -1,7 +1,7 @@
 """The object under any light for RTI viewers: a polynomial texture map (PTM 1.2, Malzbender, Gelb and Wolters 2001).
 
 RTIViewer and Relight read it. It is made of the measured normals and the color without shading, not of photographs under many lights:
-a matt object under a light from each direction, without cast shadows.
+a matte object under a light from each direction, without cast shadows.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from malus._files import new_folder, replacing, write_text
-from malus.units import METRES
+from malus.units import METERS
 from malus.viewer import object_window, unshaded_color, viewer_normals
 from malus.workspace import Workspace
 from malus.xmp import save_png
@@ -41,7 +41,7 @@ def _hemisphere(count: int) -> NDArray[np.float64]:
 
 
 def polynomial(normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Coefficients (N×6) of the brightness max(0, n · l) of matt surfaces with these unit normals (N×3).
+    """Coefficients (N×6) of the brightness max(0, n · l) of matte surfaces with these unit normals (N×3).
 
     Lights that a steep surface turns away from bend the polynomial; it is fitted to all of them.
     """
@@ -118,7 +118,7 @@ def write_relight(workspace: Workspace, folder: Path, said: dict[str, str], xmp:
     scale = np.maximum(high - low, 1e-6)
     levels = np.rint(255 * (ordered - low) / scale).astype(np.uint8)
     height, width = found.colors.shape[:2]
-    millimetres = workspace.quality["gsd"] * found.step * METRES[str(workspace.quality["unit"])] * 1000
+    millimeters = workspace.quality["gsd"] * found.step * METERS[str(workspace.quality["unit"])] * 1000
     info = {
         "width": width,
         "height": height,
@@ -127,7 +127,7 @@ def write_relight(workspace: Workspace, folder: Path, said: dict[str, str], xmp:
         "colorspace": "lrgb",
         "nplanes": 9,
         "quality": _QUALITY,
-        "pixelSizeInMM": millimetres,
+        "pixelSizeInMM": millimeters,
         "about": said,
         "materials": [{"scale": [1, 1, 1, *scale.tolist()], "bias": [0, 0, 0, *(-low / scale).tolist()]}],
     }

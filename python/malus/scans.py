@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from malus._extra import extra
 from malus.errors import InputError
-from malus.units import METRES
+from malus.units import METERS
 
 #: What only the Python package reads (io/point_cloud_file.cpp says so to users of malus-station).
 SUFFIXES = frozenset((".las", ".laz", ".e57"))
@@ -96,6 +96,6 @@ def _read_e57(path: Path, unit: str) -> tuple[NDArray[np.float64], NDArray[np.fl
     cloud = np.concatenate(points) if points else np.empty((0, 3))
     complete = len(normals) == len(points) and sum(map(len, normals)) == len(cloud)
     return (
-        np.ascontiguousarray(cloud / METRES[unit], dtype=np.float64),
+        np.ascontiguousarray(cloud / METERS[unit], dtype=np.float64),
         np.concatenate(normals).astype(np.float32) if normals and complete else None,
     )

@@ -132,13 +132,14 @@ class Station:
 
         images: K arrays H×W or, in color, H×W×3, by default linear intensities in [0, 1] of the white level; angles_deg:
         K polarizer angles, counter-clockwise from image +x as displayed, "auto" where they are not known, or None with a
-        mosaic, which states them. At most one prior is given, and it is needed for more than the polarization maps:
-        prior_points (N×3, world frame, in `unit`) with or without prior_normals (N×3, towards the camera), prior_depth
-        (H×W z-depth of the undistorted view, NaN = none), or `prior`, a file or a shape. prior_sigma: standard deviation of
-        the points or the depth, in `unit`. mask: H×W, non-zero = object. refractive_index None means "auto".
+        mosaic, which states them. At most one prior is given, and it is needed for more than the polarization maps and
+        the height from them: prior_points (N×3, world frame, in `unit`) with or without prior_normals (N×3, towards the
+        camera), prior_depth (H×W z-depth of the undistorted view, NaN = none), or `prior`, a file or a shape. prior_sigma:
+        standard deviation of the points or the depth, in `unit`. mask: H×W, non-zero = object. refractive_index None means
+        "auto".
 
         All else that a station file can say is given by its own words: `polarized` (response, levels, exposures, channel,
-        mosaic …), `optics` (light …), `patches`, `profiles`, `scale` and `object`, the catalogue's words. Names of files
+        mosaic …), `optics` (light …), `patches`, `profiles`, `scale` and `object`, the catalog's words. Names of files
         in them start at the current folder. Wrong shapes raise ValueError, wrong values malus.InputError, which names
         them as in a file.
         """

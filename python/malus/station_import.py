@@ -20,7 +20,7 @@ from malus._files import require_utf8, write_text
 from malus.errors import InputError
 from malus.photogrammetry.metashape import read_metashape
 from malus.raw import is_raw
-from malus.units import METRES
+from malus.units import METERS
 
 _IMAGES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg"})
 _BAYER = ("RGGB", "BGGR", "GRBG", "GBRG")
@@ -76,8 +76,8 @@ def import_station(
         raise InputError(
             "--metashape and --label go together: the project's cameras, and which one of them is the station's"
         )
-    if unit not in METRES:
-        raise InputError(f"--unit {unit}, expected one of {', '.join(METRES)}")
+    if unit not in METERS:
+        raise InputError(f"--unit {unit}, expected one of {', '.join(METERS)}")
     if cloud is not None and not Path(cloud).is_file():
         raise InputError(f"--cloud {cloud}: no such file")
     if output.suffix != ".toml":
@@ -98,7 +98,7 @@ def import_station(
     if len(missing) == 2:
         note = [
             "# To come: [camera] and [prior], or [photos] with [[scale]] or [[control]]; without them `malus decompose` makes "
-            "the polarization maps."
+            "the polarization maps, and `malus height` a height from them."
         ]
     head = ["[station]", f"name = {_text(folder.resolve().name)}", f"unit = {_text(unit)}", ""]
     write_text(output, "\n".join([*head, "[polarized]", *lines, "", *camera, *prior, *note, ""]))

@@ -55,7 +55,7 @@ def extras_of(quality: Mapping[str, Any], versions: Mapping[str, str]) -> str:
 
 
 def words_of(quality: Mapping[str, Any]) -> dict[str, str]:
-    """The part of it that is not the catalogue's: unit, pixel, confidence and its reasons, origin of the detail, program."""
+    """The part of it that is not the catalog's: unit, pixel, confidence and its reasons, origin of the detail, program."""
     said = said_of(quality)
     return {key: said.get(key, "") for key in ("unit", "pixel", "confidence", "reasons", "detail", "made_by")}
 

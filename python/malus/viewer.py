@@ -27,7 +27,7 @@ MESH_TRIANGLES = 80000
 #: Whole number that stands for 1 in a normal; 4096 steps are 0.03 degrees.
 _NORMAL_SCALE = 2047
 _QUALITY = 88
-_MIDDLE_GREY = 0.42
+_MIDDLE_GRAY = 0.42
 
 
 def base64_text(content: bytes) -> str:
@@ -116,8 +116,8 @@ def relighting(workspace: Workspace) -> dict[str, Any]:
         "height": height,
         "step": window.step,
         "scale": _NORMAL_SCALE,
-        # What makes the middle of the object mid-grey under the first light.
-        "brightness": float(np.clip(_MIDDLE_GREY / max(float(np.median(linear)), 1e-3), 0.3, 3)),
+        # What makes the middle of the object mid-gray under the first light.
+        "brightness": float(np.clip(_MIDDLE_GRAY / max(float(np.median(linear)), 1e-3), 0.3, 3)),
         "mean_slope": [float(x) for x in np.median(slopes, axis=0)],
         "fused": _packed_normals(fused),
         "prior": _packed_normals(prior),

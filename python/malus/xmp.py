@@ -1,4 +1,4 @@
-"""Words of the catalogue and of the surface in image files (XMP, ISO 16684-1), and the color space of images (ICC)."""
+"""Words of the catalog and of the surface in image files (XMP, ISO 16684-1), and the color space of images (ICC)."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def test_everything_is_in_it_and_described(bag: Path, finished_grid: Path) -> No
         assert known[place]["sha256"] == hashlib.sha256(content).hexdigest()
 
 
-def test_catalogue_words_and_paradata(bag: Path, finished_grid: Path) -> None:
+def test_catalog_words_and_paradata(bag: Path, finished_grid: Path) -> None:
     known = entities(bag)
     assert known["./"]["license"] == "CC-BY-4.0"
     assert known["#object"]["name"] == "Relief & label" and known["#object"]["identifier"] == "X 1907.4"

@@ -243,7 +243,7 @@ def test_disk_full(small_station: Path, small_disk: Path) -> None:
 
 
 def test_a_cloud_that_shrinks_to_one_place_is_counted_by_places(small_station: Path, work: Path) -> None:
-    """As a cloud in metres before a camera in millimetres does: its points are many, the places they fall on are not."""
+    """As a cloud in meters before a camera in millimeters does: its points are many, the places they fall on are not."""
     cloud = small_station.parent / "dense/cloud.ply"
     station = Station.load(small_station)
     camera, depth = station.describe()["camera"], float(np.median(_core.check_picture(station._core, 1)[2][:, 2]))

@@ -498,3 +498,11 @@ def test_photos_at_camera_scale_show_what_the_station_sees() -> None:
     seen = (picture[y, x, 0] / 255.0) ** 2.2
     assert np.corrcoef(seen.ravel(), radiance[v, u].ravel())[0, 1] > 0.8
     assert np.corrcoef(seen.ravel(), radiance[v, u + 7].ravel())[0, 1] < 0.6
+
+
+def test_polarizer_benchmark_prints_what_a_run_says(finished_grid: Path) -> None:
+    """It ended with an error after the run when a figure was renamed."""
+    program = (ROOT / "benchmarks" / "polarizer.py").read_text(encoding="utf-8")
+    read = set(re.findall(r"(?:plain|found)\[[\"'](\w+)[\"']\]", program))
+    manifest = json.loads((finished_grid / "manifest.json").read_text(encoding="utf-8"))
+    assert len(read) > 5 and read <= manifest["steps"]["polarizer"]["notes"]["calibration"].keys()

@@ -14,7 +14,7 @@ from conftest import malus as run_malus
 from conftest import malus_here, run_program
 from malus import cli, progress
 from malus.options import MAIN
-from malus.progress import JsonProgress, Overall, duration
+from malus.progress import BarProgress, JsonProgress, Overall, duration
 
 
 @pytest.fixture
@@ -170,3 +170,14 @@ def test_a_program_starts_without_what_only_figures_need() -> None:
     """matplotlib alone takes as long to import as all the rest."""
     outcome = run_program(sys.executable, "-c", "import sys, malus.cli; print('matplotlib' in sys.modules)")
     assert outcome.out.strip() == "False", outcome.err
+
+
+def test_words_in_brackets_are_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
+    """The names of the station's tables were taken for colors, and lost; lines were broken after 80 letters."""
+    view = BarProgress()
+    warning = f"the height may be upside down: give [optics] light = [x, y, z]; {'and more of it, ' * 8}[/red] at last"
+    with view:
+        view.expect([("height", 1.0)])
+        view.progress("height", 1.0, "[prior] was left out")
+        view.log("warning", warning)
+    assert capsys.readouterr().err == f"100 %  height        [prior] was left out\nwarning: {warning}\n"

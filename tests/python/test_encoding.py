@@ -17,10 +17,10 @@ PIXELS = np.arange(256, dtype=np.uint8).reshape(16, 16)
 
 
 def profile_of_exponent(exponent: float) -> bytes:
-    """A grey ICC profile of version 2 whose curve is a power."""
+    """A gray ICC profile of version 2 whose curve is a power."""
     curve = b"curv\0\0\0\0" + (1).to_bytes(4, "big") + round(exponent * 256).to_bytes(2, "big") + b"\0\0"
     white = b"XYZ \0\0\0\0" + b"".join(round(x * 65536).to_bytes(4, "big") for x in (0.9642, 1.0, 0.8249))
-    text = b"grey of a power\0"
+    text = b"gray of a power\0"
     words = b"desc\0\0\0\0" + len(text).to_bytes(4, "big") + text + bytes(4 + 4 + 2 + 1 + 67)
     tags, body = b"", b""
     start = 128 + 4 + 3 * 12
@@ -48,7 +48,7 @@ def test_profiles_say_whether_files_follow_the_light(tmp_path: Path) -> None:
     encoded = encoding_of(saved(tmp_path / "a.jpg", color=True, icc_profile=srgb()))
     assert encoded is not None and not encoded.is_linear and "sRGB" in encoded.source
     linear = encoding_of(saved(tmp_path / "b.png", icc_profile=profile_of_exponent(1.0)))
-    assert linear is not None and linear.is_linear and "grey of a power" in linear.source
+    assert linear is not None and linear.is_linear and "gray of a power" in linear.source
     assert encoding_of(saved(tmp_path / "c.png", icc_profile=profile_of_exponent(1.3))) is None
     assert encoding_of(saved(tmp_path / "d.png", icc_profile=b"no profile")) is None
     tifffile.imwrite(tmp_path / "e.tif", PIXELS.astype(np.uint16), iccprofile=profile_of_exponent(1.0))

@@ -67,8 +67,8 @@ def test_cloud_in_its_place_and_beside_it(
     assert aside.severity == "warning", aside.message
     assert aside.figures["right_px"] == pytest.approx(-7, abs=0.7)
     assert "too far right" in aside.message
-    metres = evidence.check_cloud(cloud / 1000 + [0, 0, 5], state, camera, colors=colors)
-    assert metres.severity != "note", metres.message
+    meters = evidence.check_cloud(cloud / 1000 + [0, 0, 5], state, camera, colors=colors)
+    assert meters.severity != "note", meters.message
 
 
 def test_depth_map_in_its_place(scene: synthetic.Scene, state: polarization.PolarizationState, camera: Camera) -> None:

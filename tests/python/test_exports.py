@@ -54,7 +54,7 @@ def load_scene(path: Path):  # type: ignore[no-untyped-def]
     return next(iter(loaded.geometry.values())) if hasattr(loaded, "geometry") else loaded, loaded
 
 
-def test_glb_of_the_run_is_textured_metres_in_the_world_frame(
+def test_glb_of_the_run_is_textured_meters_in_the_world_frame(
     finished_grid: Path, workspace: malus.Workspace, points: np.ndarray
 ) -> None:
     mesh, scene = load_scene(finished_grid / "fused/surface.glb")
@@ -240,7 +240,7 @@ def test_las_reads_back(workspace: malus.Workspace, points: np.ndarray, tmp_path
     np.testing.assert_array_equal(records["green"], cloud.green)
 
 
-def test_e57_reads_back_in_metres(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
+def test_e57_reads_back_in_meters(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
     library = pytest.importorskip("pye57")
     file = library.E57(str(malus.export(workspace.folder, "e57", tmp_path / "a.e57")))
     scan = file.read_scan_raw(0)
@@ -487,7 +487,7 @@ def test_colmap_goes_on_with_the_surface(workspace: malus.Workspace, points: np.
     assert outcome.code == 0, outcome.err
     mesh, _ = load_scene(tmp_path / "fused.ply")
     assert len(mesh.vertices) > 0.99 * points.shape[0] * points.shape[1]
-    # COLMAP's fusion takes the rays of a pixel's corner instead of its centre: half a pixel aside.
+    # COLMAP's fusion takes the rays of a pixel's corner instead of its center: half a pixel aside.
     camera, (rotation, translation) = workspace.camera, workspace.pose
     x, y, z = (np.asarray(mesh.vertices) @ rotation.T + translation).T
     pixels = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1) + 0.5
@@ -526,7 +526,7 @@ def test_relight_folder_shades_as_openlime_computes_it(workspace: malus.Workspac
 
 
 def read_ptm(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients and colours by the text of the PTM 1.2 format."""
+    """Coefficients and colors by the text of the PTM 1.2 format."""
     kind, form, width, height, scales, biases, rest = path.read_bytes().split(b"\n", 6)
     assert (kind, form) == (b"PTM_1.2", b"PTM_FORMAT_LRGB")
     shape = (int(height), int(width))

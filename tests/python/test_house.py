@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+
+import pytest
 
 from conftest import LONGEST_FIRST
 
@@ -130,3 +133,52 @@ def test_installed_headers_are_few_and_stand_alone() -> None:
 def test_documents_say_how_many_headers_are_installed() -> None:
     decision = (ROOT / "docs" / "decisions" / "0050-public-surface.md").read_text(encoding="utf-8")
     assert f"{len(installed_headers())} headers" in decision
+
+
+#: Spellings that are not American, wherever in a word they stand.
+BRITISH = re.compile(
+    "centre|neighbour|catalogue|colour|grey|behaviour|judgement|metre|polaris[ei]|labelled|modelled|favour|cancelled",
+    re.I,
+)
+#: Names of others, keys of files that are there, and a key that is wrong on purpose.
+FOREIGN = re.compile(
+    r"aria-labelledby|colour-science|COLOURCHECKERS|CancelledError|\"CANCELLED\"|\"millimetre\"|\w*centres?_world"
+    r"|world_centre_xy|sphere(?: = \{ |\.)centre|point_judgement"
+)
+#: Where the package colour-science is used, whose module is `colour`.
+OF_COLOUR_SCIENCE = ("python/malus/chart.py", "tests/python/test_chart.py")
+
+
+def words_in(file: Path) -> str:
+    """Text of a file; of C++ its comments and strings."""
+    text = file.read_text(encoding="utf-8")
+    if file.suffix not in (".h", ".cpp"):
+        return text
+    text = re.sub(r"^#include .*$", "", text, flags=re.MULTILINE)
+    return "\n".join(re.findall(r'//[^\n]*|"(?:\\.|[^"\\\n])*"', text))
+
+
+def tracked() -> list[Path]:
+    """Text files of the repository that are its own."""
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False)
+    if listed.returncode != 0:
+        pytest.skip("this is no git repository")
+    binary = (".png", ".ply", ".bin", ".tif", ".webp", ".jpg", ".woff2", ".ico", ".npz")
+    files = [ROOT / name for name in listed.stdout.splitlines()]
+    return [file for file in files if file.is_file() and file.suffix not in binary and ".min." not in file.name]
+
+
+def test_words_are_spelled_the_american_way() -> None:
+    found = []
+    for file in tracked():
+        name = file.relative_to(ROOT).as_posix()
+        if file == Path(__file__) or name.startswith("LICENSE") or name in OF_COLOUR_SCIENCE:
+            continue
+        found += [f"{name}: {match[0]}" for match in BRITISH.finditer(FOREIGN.sub("", words_in(file)))]
+    assert not found
+
+
+def test_what_an_outsider_runs_names_nothing_outside_of_the_repository() -> None:
+    for folder in ("benchmarks", "python", "scripts", "docs", "examples"):
+        for file in (file for file in tracked() if file.is_relative_to(ROOT / folder)):
+            assert not re.search(r"\bshared/(data|tools)", file.read_text(encoding="utf-8")), file

@@ -76,7 +76,7 @@ def test_mosaic_becomes_a_surface(small_station: Path, mosaic_station: Path, tmp
 
 def test_color_mosaic_becomes_a_surface(small_station: Path, mosaic_station: Path) -> None:
     options = malus.Options(refine=QUICK)
-    grey = malus.reconstruct(malus.Station.load(mosaic_station), options, threads=2)
+    gray = malus.reconstruct(malus.Station.load(mosaic_station), options, threads=2)
     path = mosaic_station.parent / "mosaic.tif"
     mosaic = tifffile.imread(path).astype(float)
     v, u = np.indices(mosaic.shape)
@@ -84,4 +84,4 @@ def test_color_mosaic_becomes_a_surface(small_station: Path, mosaic_station: Pat
     write(path, mosaic * tint)
     edit(mosaic_station, "mosaic = [[", 'mosaic_colors = "RGGB"\nmosaic = [[')
     color = malus.reconstruct(malus.Station.load(mosaic_station), options, threads=2)
-    assert normals_off_deg(color, grey) < 1
+    assert normals_off_deg(color, gray) < 1

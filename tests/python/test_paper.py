@@ -8,6 +8,7 @@ import json
 import re
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from malus import _core
 from malus.demo import example_station
 from malus.figures import Plates
 from malus.paper.contact_sheet import contact_sheet
-from malus.paper.plates import oblique
+from malus.paper.plates import oblique, sinusoids
 from malus.paper.tables import table_1, table_2
 
 
@@ -76,6 +77,24 @@ def test_sinusoid_plate_fits_what_was_measured(paper_work: Path) -> None:
     assert np.all(np.diff([row["degree"] for row in rows[::6]]) > 0), "weakly to strongly polarized"
 
 
+def test_sinusoid_plate_has_room_for_all_pixels_that_a_station_may_name() -> None:
+    curves = [
+        {"u": 4100 + k, "v": 3200, "angles_deg": [0, 45, 90, 135], "intensities": [0.4, 0.5, 0.6, 0.5]}
+        for k in range(8)
+    ]
+    workspace = SimpleNamespace(
+        manifest={"steps": {"polarization": {"notes": {"curves": curves}}}},
+        raster=lambda name: np.broadcast_to(np.float32(0.4), (3300, 4200)),
+    )
+    (words,) = sinusoids(SimpleNamespace(workspace=workspace, figure=lambda *words: words))  # type: ignore[arg-type]
+    drawing = words[3]
+    FigureCanvasAgg(drawing).draw()
+    (axes,) = drawing.axes
+    legend = axes.get_legend().get_window_extent()
+    assert drawing.bbox.x0 <= legend.x0 and legend.x1 <= drawing.bbox.x1 and legend.y1 <= drawing.bbox.y1
+    assert axes.bbox.width > 0.75 * drawing.bbox.width and axes.bbox.height > 0.4 * drawing.bbox.height
+
+
 def test_curves_of_chosen_pixels(small_station: Path, tmp_path: Path) -> None:
     edit(small_station, "white_level = 16383", "white_level = 16383\ncurve_pixels = [[10, 20], [150, 140]]")
     work = tmp_path / "work"
@@ -126,7 +145,7 @@ def test_objects_without_patches_and_profiles_are_in_the_tables(paper_work: Path
 
 
 def test_campaign_keeps_names_that_look_like_numbers(paper_work: Path, tmp_path: Path) -> None:
-    """A catalogue number is no figure to round."""
+    """A catalog number is no figure to round."""
     work = tmp_path / "work"
     shutil.copytree(paper_work, work)
     workspace = malus.Workspace(work)

@@ -404,7 +404,7 @@ def test_metashape_cameras(tmp_path: Path) -> None:
     assert list(cameras) == ["a.jpg"]
     camera = cameras["a.jpg"]
     rotation, translation = camera.pose()
-    # The centre (1, 2, 3) of the chunk, doubled, turned by 90° about z and moved.
+    # The center (1, 2, 3) of the chunk, doubled, turned by 90° about z and moved.
     np.testing.assert_allclose(-rotation.T @ translation, [10 - 4, 20 + 2, 30 + 6], atol=1e-12)
     assert camera.params[:4] == [2000, 2000, 503.0, 397.5]
     assert list(camera.params[4:9]) == [-0.1, 0.0, 2e-3, 1e-3, 0.0]

@@ -427,7 +427,11 @@ def test_decompose_needs_no_prior(small_station: Path, tmp_path: Path) -> None:
     edit(small_station, '[prior]\ncloud = "dense/cloud.ply"\n', "")
     outcome = run_malus("decompose", small_station, "-o", tmp_path / "work", "--quiet")
     assert outcome.code == 0, outcome.err
-    assert run_malus("run", small_station, "-o", tmp_path / "work", "--quiet").code == 2
+    refused = run_malus("run", small_station, "-o", tmp_path / "work", "--quiet")
+    assert refused.code == 2 and "only `decompose` and `height` can be run" in refused.err
+    checked = run_malus("check", small_station, cwd=tmp_path)
+    assert "a height from them" in checked.out and "height: height from polarization alone" in checked.out
+    assert "picture of image and mask: station-check.png" in checked.out
 
 
 def test_check_says_what_would_be_done(small_station: Path, tmp_path: Path) -> None:

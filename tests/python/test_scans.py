@@ -57,7 +57,7 @@ def test_las_has_points_and_normals(tmp_path: Path, cloud: tuple[np.ndarray, np.
     np.testing.assert_allclose(normals, cloud[1], atol=1e-6)
 
 
-def test_e57_is_in_metres_and_in_its_common_frame(tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]) -> None:
+def test_e57_is_in_meters_and_in_its_common_frame(tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]) -> None:
     pytest.importorskip("pye57")
     write_e57(tmp_path / "cloud.e57", cloud[0])
     points, normals = read_scan(tmp_path / "cloud.e57", "mm")

@@ -142,7 +142,7 @@ def test_prior_with_normals_and_prior_of_a_file_are_those_of_the_file(small_stat
         ),
         ({"polarized": {"images": ["a.png"]}}, r"\[polarized\].images"),
         ({"optics": {"light": [0, 0, 1]}}, r"\[optics\].light.*expected a direction"),
-        ({"optics": {"reflection": "matt"}}, r"\[optics\].reflection.*file of a label image"),
+        ({"optics": {"reflection": "matte"}}, r"\[optics\].reflection.*file of a label image"),
         ({"patches": [{"box": [0, 0, 60, 3]}]}, r"\[\[patch\]\] 1.box.*60 x 40"),
         ({"profiles": [{"from": [0, 0]}]}, r"\[\[profile\]\] 1.to"),
         ({"scale": [{"distance": 3}]}, r"needs \[photos\]"),

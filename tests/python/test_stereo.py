@@ -26,8 +26,8 @@ def texture(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.clip(value, 0, 1)
 
 
-def camera_at(centre: tuple[float, float, float]) -> malus.Camera:
-    c = np.array(centre)
+def camera_at(center: tuple[float, float, float]) -> malus.Camera:
+    c = np.array(center)
     forward = np.array([0, 0, DISTANCE]) - c
     forward /= np.linalg.norm(forward)
     right = np.cross([0, 1, 0], forward)
@@ -41,9 +41,9 @@ def seen(camera: malus.Camera) -> tuple[np.ndarray, np.ndarray]:
     rotation, translation = camera.pose()
     v, u = np.mgrid[:HEIGHT, :WIDTH]
     rays = np.stack([(u - 59.5) / FOCAL, (v - 49.5) / FOCAL, np.ones_like(u)], -1) @ rotation
-    centre = -rotation.T @ translation
-    depth = (DISTANCE + centre[0] / 4 - centre[2]) / (rays[..., 2] - rays[..., 0] / 4)
-    points = centre + depth[..., None] * rays
+    center = -rotation.T @ translation
+    depth = (DISTANCE + center[0] / 4 - center[2]) / (rays[..., 2] - rays[..., 0] / 4)
+    points = center + depth[..., None] * rays
     return texture(points[..., 0], points[..., 1]), depth
 
 

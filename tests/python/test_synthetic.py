@@ -16,7 +16,7 @@ from malus.camera import Camera
 
 
 def sphere(radius_px: float = 90, size: int = 200) -> synthetic.Scene:
-    """A grey ball in the middle of the view, a plane behind it."""
+    """A gray ball in the middle of the view, a plane behind it."""
     focal, distance = 2000.0, 1000.0
     camera = Camera("PINHOLE", size, size, [focal, focal, 0.5 * (size - 1), 0.5 * (size - 1)])
     v, u = np.mgrid[:size, :size]

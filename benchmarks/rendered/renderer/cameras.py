@@ -1,20 +1,20 @@
 """Pinhole cameras.  Camera frame: x right, y down, z forward (OpenCV, COLMAP).  K is for OpenCV pixel coordinates, where the
-centre of the top-left pixel is (0, 0); COLMAP files have +0.5."""
+center of the top-left pixel is (0, 0); COLMAP files have +0.5."""
 
 import numpy as np
 
 SENSOR_WIDTH_MM = 22.3
 
 
-def look_at(centre, target, up, roll_deg):
+def look_at(center, target, up, roll_deg):
     """R, t of x_cam = R x_world + t."""
-    f = (target - centre) / np.linalg.norm(target - centre)
+    f = (target - center) / np.linalg.norm(target - center)
     r = np.cross(f, up)
     r /= np.linalg.norm(r)
     a = np.radians(roll_deg)
     turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
     R = turn @ np.stack([r, np.cross(f, r), f])
-    return R, -R @ centre
+    return R, -R @ center
 
 
 class Camera:
@@ -24,7 +24,7 @@ class Camera:
         self.K = np.array([[f, 0, width / 2 - 0.5 + offset[0]], [0, f, height / 2 - 0.5 + offset[1]], [0, 0, 1.0]])
 
     @property
-    def centre(self):
+    def center(self):
         return -self.R.T @ self.t
 
     def project(self, X):
@@ -32,7 +32,7 @@ class Camera:
         return p[..., :2] / p[..., 2:] * [self.K[0, 0], self.K[1, 1]] + self.K[:2, 2], p[..., 2]
 
     def rays(self):
-        """World directions of the pixel centres, of unit depth along the optical axis; (H*W, 3)."""
+        """World directions of the pixel centers, of unit depth along the optical axis; (H*W, 3)."""
         u, v = np.meshgrid(np.arange(self.W), np.arange(self.H))
         d = np.stack([(u - self.K[0, 2]) / self.K[0, 0], (v - self.K[1, 2]) / self.K[1, 1], np.ones_like(u, float)], -1)
         return d.reshape(-1, 3)
@@ -44,7 +44,7 @@ class Camera:
             K=self.K.tolist(),
             R_world_to_cam=self.R.tolist(),
             t_world_to_cam=self.t.tolist(),
-            centre_world=self.centre.tolist(),
+            centre_world=self.center.tolist(),
         )
 
 
@@ -113,7 +113,7 @@ def write_colmap(folder, images, distortion=None):
     cameras = {}
     for _, c, i in images:
         cameras.setdefault(i, c)
-    lines = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]  (COLMAP pixel convention: centre of first pixel = 0.5,0.5)"]
+    lines = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]  (COLMAP pixel convention: center of first pixel = 0.5,0.5)"]
     for i, c in cameras.items():
         more = "".join(f" {v:.8g}" for v in distortion[i]) if distortion else ""
         lines.append(

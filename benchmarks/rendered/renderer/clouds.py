@@ -5,8 +5,8 @@ from geometry import fbm
 from scipy.ndimage import gaussian_filter
 
 
-def from_view(truth, grey, keep, noise, gsd, rng, blur, share, outliers=0.03):
-    """Points, normals, greys from one view's truth. keep = {label: share of points found}; noise in GSD on the object."""
+def from_view(truth, gray, keep, noise, gsd, rng, blur, share, outliers=0.03):
+    """Points, normals, grays from one view's truth. keep = {label: share of points found}; noise in GSD on the object."""
     z, normal, label, cam = truth["z"], truth["normal"], truth["label"], truth["cam"]
     H, W = z.shape
     smooth = np.zeros_like(z)
@@ -42,11 +42,11 @@ def from_view(truth, grey, keep, noise, gsd, rng, blur, share, outliers=0.03):
         (n, 3)
     )
     N /= np.linalg.norm(N, axis=1, keepdims=True)
-    return (X - cam.t) @ cam.R, N @ cam.R, grey[v, u]
+    return (X - cam.t) @ cam.R, N @ cam.R, gray[v, u]
 
 
 def from_views(views, shares, keep, noise, gsd, rng, blur=3.0):
-    """views = list of (truth, grey image); shares = share of each view's pixels that become points."""
+    """views = list of (truth, gray image); shares = share of each view's pixels that become points."""
     parts = [from_view(t, g, {1: keep, 2: 0.95}, noise, gsd, rng, blur, s) for (t, g), s in zip(views, shares)]
     P, N, G = (np.concatenate([p[k] for p in parts]) for k in range(3))
     order = rng.permutation(len(P))

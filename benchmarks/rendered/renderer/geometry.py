@@ -64,7 +64,7 @@ def subset(V, N, UV, F):
 
 
 def dot_target(albedo, X, Y, p, r):
-    """Photogrammetric target: white ring, black disc, white centre."""
+    """Photogrammetric target: white ring, black disc, white center."""
     d = np.hypot(X - p[0], Y - p[1])
     albedo[d < 2.2 * r], albedo[d < 1.3 * r], albedo[d < 0.35 * r] = 0.8, 0.06, 0.8
 
@@ -158,7 +158,7 @@ def cut_wedge(det, x, y, X, Y, px, py, angle, length, width, depth):
 
 
 def flat_square(z, plane, X, Y, step, name):
-    """Largest centred square on which z is exactly the plane, as an entry of scene['flat']."""
+    """Largest centered square on which z is exactly the plane, as an entry of scene['flat']."""
     near = cv2.distanceTransform((np.abs(z - plane) < 1e-9).astype(np.uint8), cv2.DIST_C, 3)
     i, j = np.unravel_index(np.argmax(near), near.shape)
     half = float(near[i, j] * step * 0.93 - 0.3 * min(1, step / 0.06))
@@ -226,10 +226,10 @@ def close_holes(V, N, F):
         while b in following:
             loop.append(b)
             b = following.pop(b)
-        centre = sum(map(len, V))
+        center = sum(map(len, V))
         p = V[0][loop]
         V.append(p.mean(0, keepdims=True))
-        fan = np.array([[loop[i], loop[(i + 1) % len(loop)], centre] for i in range(len(loop))], np.int32)
+        fan = np.array([[loop[i], loop[(i + 1) % len(loop)], center] for i in range(len(loop))], np.int32)
         n = np.cross(p - V[-1], np.roll(p, -1, 0) - V[-1]).sum(0, keepdims=True)
         N.append(n / max(np.linalg.norm(n), 1e-12))
         F.append(fan)

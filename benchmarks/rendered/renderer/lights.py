@@ -18,28 +18,28 @@ def constant(radiance):
     return dict(type="constant", radiance=float(radiance), sampling_weight=0.0)
 
 
-def _facing(centre, target, size, up):
+def _facing(center, target, size, up):
     t = mi.ScalarTransform4f
-    return t().look_at(origin=list(map(float, centre)), target=list(map(float, target)), up=up) @ t().scale(
+    return t().look_at(origin=list(map(float, center)), target=list(map(float, target)), up=up) @ t().scale(
         [size[0] / 2, size[1] / 2, 1]
     )
 
 
-def softbox(centre, size, radiance, target=(0, 0, 0), up=(0, 1, 0)):
+def softbox(center, size, radiance, target=(0, 0, 0), up=(0, 1, 0)):
     """Rectangular area light (width, height) facing the target."""
     return dict(
         type="rectangle",
-        to_world=_facing(centre, target, size, list(up)),
+        to_world=_facing(center, target, size, list(up)),
         bsdf=dict(type="diffuse", reflectance=0.0),
         emitter=dict(type="area", radiance=float(radiance)),
     )
 
 
-def card(centre, size, albedo, target=(0, 0, 0), up=(0, 0, 1)):
+def card(center, size, albedo, target=(0, 0, 0), up=(0, 0, 1)):
     """White reflector card: no light of its own."""
     return dict(
         type="rectangle",
-        to_world=_facing(centre, target, size, list(up)),
+        to_world=_facing(center, target, size, list(up)),
         bsdf=dict(type="twosided", b=dict(type="diffuse", reflectance=float(albedo))),
     )
 

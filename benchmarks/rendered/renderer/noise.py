@@ -38,7 +38,7 @@ def srgb8(I):
 def misregistration(rng, W, H, amplitude=1.0):
     """2x3 matrices M_k: pixel of the reference (0 degrees) -> pixel of image k. Up to ~1.5 px, 0.03 degrees."""
     out, phase = [], rng.uniform(0, 6.28)
-    centre = np.array([(W - 1) / 2, (H - 1) / 2])
+    center = np.array([(W - 1) / 2, (H - 1) / 2])
     for angle in ANGLES:
         if angle == 0:
             out.append(np.eye(2, 3))
@@ -51,7 +51,7 @@ def misregistration(rng, W, H, amplitude=1.0):
         A = s * np.array([[np.cos(r), -np.sin(r)], [np.sin(r), np.cos(r)]]) + np.array(
             [[0, rng.uniform(-1e-4, 1e-4)], [0, 0]]
         )
-        out.append(np.hstack([A, (centre + shift - A @ centre)[:, None]]))
+        out.append(np.hstack([A, (center + shift - A @ center)[:, None]]))
     return out
 
 

@@ -40,12 +40,12 @@ def jpg(path, image, quality=84):
     cv2.imwrite(str(path), image, [cv2.IMWRITE_JPEG_QUALITY, quality])
 
 
-def cloud_ply(path, P, N, grey):
+def cloud_ply(path, P, N, gray):
     names = ("x", "y", "z", "nx", "ny", "nz")
     a = np.empty(len(P), [(n, "<f4") for n in names] + [(c, "u1") for c in ("red", "green", "blue")])
     for k, n in enumerate(names):
         a[n] = (P if k < 3 else N)[:, k % 3]
-    a["red"] = a["green"] = a["blue"] = grey
+    a["red"] = a["green"] = a["blue"] = gray
     head = (
         ["ply", "format binary_little_endian 1.0", "comment units mm, world frame", f"element vertex {len(a)}"]
         + [f"property float {n}" for n in names]

@@ -102,10 +102,10 @@ def main():
     rng = np.random.default_rng(seed + 1)  # poses do not depend on the geometry's random numbers
     specs = sc["stations"]
     cams = [cameras.station_camera(s, (W, H), rng) for s in specs]
-    centre = np.array(specs[0]["target"], float)
+    center = np.array(specs[0]["target"], float)
     views = dict(sc["views"], **(dict(n=a.views) if a.views else {}))
     photo_cams = (cameras.ring_photos if "elevations" in views else cameras.convergent_photos)(
-        views, centre, (VW, VH), rng
+        views, center, (VW, VH), rng
     )
 
     sensor_rng, several = np.random.default_rng(seed + 2), len(specs) > 1
@@ -139,9 +139,9 @@ def main():
         if obj.mean() < 0.95:
             outputs.png(folder / "mask.png", (obj * 255).astype(np.uint8))
         e8 = min(0.55, 0.9 / np.quantile(S[..., 0], 0.98))
-        grey = noise.srgb8(noise.sensor_dn(S[..., 0] * e8, sensor_rng, 4) / noise.WHITE_DN)
+        gray = noise.srgb8(noise.sensor_dn(S[..., 0] * e8, sensor_rng, 4) / noise.WHITE_DN)
         image = f"st{k}.jpg" if several else "station.jpg"
-        outputs.jpg(out / "views" / image, grey, 94)
+        outputs.jpg(out / "views" / image, gray, 94)
         if lens:
             outputs.jpg(out / "views_distorted" / image, noise.srgb8(np.clip(SD[..., 0] * e8, 0, 1)), 94)
         done.append(
@@ -149,7 +149,7 @@ def main():
                 folder=folder,
                 image=image,
                 truth=truth,
-                grey=grey,
+                gray=gray,
                 sets=sets,
                 floor=floor,
                 gain=gain,
@@ -193,7 +193,7 @@ def main():
         seen = [(tracer.raycast(scene, objects, sc, c), g) for _, c, g in photos[::2]]
         shares = [mvs.get("share", 1 / 16)] * len(seen)
     else:  # the station's view and two of the photos
-        seen = [(done[0]["truth"], done[0]["grey"])]
+        seen = [(done[0]["truth"], done[0]["gray"])]
         seen += [
             (tracer.raycast(scene, objects, sc, photos[k][1]), photos[k][2]) for k in (0, len(photos) * 2 // 3 // 2)
         ]
@@ -225,7 +225,7 @@ def main():
             formula="I=0.5*(s0+s1*cos(2a)+s2*sin(2a))",
             transmission_axis_px="(cos a, -sin a) with y down",
         ),
-        pixel_convention="K: OpenCV, centre of top-left pixel=(0,0); COLMAP files: +0.5",
+        pixel_convention="K: OpenCV, center of top-left pixel=(0,0); COLMAP files: +0.5",
         camera_frame="x right, y down, z forward; normals towards the camera have nz<0",
         depth="z along the optical axis [mm], 0 = none",
         views=[dict(name=n, **c.as_json()) for n, c, _ in photos],
@@ -269,7 +269,7 @@ def main():
                 full_well_e=noise.FULL_WELL_E,
                 read_noise_e=noise.READ_NOISE_E,
                 white_level_dn=noise.WHITE_DN,
-                stokes_unit="1.0 = full well (DN 16383) in an unattenuated image; a polarised image is about s0/2",
+                stokes_unit="1.0 = full well (DN 16383) in an unattenuated image; a polarized image is about s0/2",
             ),
             lights=dict(sc["light_meta"], dir_to_light_cam=to_light),
             flat_patches=outputs.flat_patches(sc["flat"], d["truth"]),

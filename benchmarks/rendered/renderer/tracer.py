@@ -1,4 +1,4 @@
-"""Everything that needs Mitsuba: building a scene, Stokes images, photographs, exact depth and normals at the pixel centres."""
+"""Everything that needs Mitsuba: building a scene, Stokes images, photographs, exact depth and normals at the pixel centers."""
 
 import glob
 import os
@@ -64,7 +64,7 @@ def build(scene):
 
 def sensor(cam, sampler="multijitter"):
     M = np.eye(4)
-    M[:3, :3], M[:3, 3] = cam.R.T, cam.centre
+    M[:3, :3], M[:3, 3] = cam.R.T, cam.center
     M = M @ np.diag([-1.0, -1.0, 1.0, 1.0])  # Mitsuba's camera: x left, y up, z forward
     return mi.load_dict(
         dict(
@@ -123,10 +123,10 @@ def set_object(scene, what, value=None):
 
 
 def raycast(scene, objects, description, cam):
-    """Depth along the optical axis (float64), shading normal in the camera frame, label and material at the pixel centres.
+    """Depth along the optical axis (float64), shading normal in the camera frame, label and material at the pixel centers.
     Embree's fast mode lets ~1e-4 of the rays slip between tiny triangles: four rays within 0.002 px, and the nearest hit counts."""
     meshes, dc = description["meshes"], cam.rays()
-    dw, C, n = dc @ cam.R, cam.centre, len(dc)
+    dw, C, n = dc @ cam.R, cam.center, len(dc)
     face, nearest, which = np.zeros(n, np.int64), np.full(n, np.inf), np.full(n, -1)
     for jx, jy in ((0, 0), (1, 0.7), (-0.8, 1), (0.3, -1)):
         dj = (dc + np.array([jx / cam.K[0, 0], jy / cam.K[1, 1], 0]) * 2e-3) @ cam.R

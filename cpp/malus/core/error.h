@@ -11,7 +11,7 @@ enum class ErrorCode {
   data = 3,           ///< the data cannot support a result
   external = 4,       ///< a program that is driven from here is missing or failed
   resource = 5,       ///< out of disk or memory
-  interrupted = 130,  ///< cancelled by the user
+  interrupted = 130,  ///< canceled by the user
 };
 
 /// A failure that a user can cause. The message names file, field, value and what was expected.

@@ -37,8 +37,8 @@ constexpr std::size_t ideas_tried = 6;
 /// Squared correlations below which colors and phases of prior and images have nothing in common, and the step of
 /// depths across the mask's outline, in pixels of the reduced view, below which it is no outline of the prior.
 constexpr double common_color = 0.05, common_phase = 0.12, common_step = 1.5;
-/// An object that is polarized so many times more than a matt one of the prior's slopes mirrors what is around it.
-/// Rendered coins of lacquer and black glass have 8 to 26 times, matt, glazed and painted things 0.5 to 8.
+/// An object that is polarized so many times more than a matte one of the prior's slopes mirrors what is around it.
+/// Rendered coins of lacquer and black glass have 8 to 26 times, matte, glazed and painted things 0.5 to 8.
 constexpr double mirrors_times = 6, least_degree = 0.002;
 /// What an other idea of the input must explain, and how many times what the input as given does.
 constexpr double least_explained = 0.1, explains_times = 3;

@@ -292,7 +292,7 @@ class Refiner {
   }
 
   /// Takes the model that explains more at the prior's slopes: regions that are diffuse or specular, or an object that
-  /// is matt all over and mirrors its surroundings; of the latter a metal where that explains all of the light.
+  /// is matte all over and mirrors its surroundings; of the latter a metal where that explains all of the light.
   void choose_model() {
     // The second has hundreds of parameters more, which explain some of anything.
     constexpr double clearly = 0.1;

@@ -83,7 +83,7 @@ struct RefineResult {
 /// differences. Reflection parameters, light and robust weights are fitted between
 /// solves. Throws an input error for sizes and options that do not fit, a data error when nothing is left to refine.
 /// The reflection model is either of two, whichever explains more at the prior's slopes: regions that are diffuse or
-/// specular, with an environment by zenith, or an object that is matt all over and mirrors its surroundings
+/// specular, with an environment by zenith, or an object that is matte all over and mirrors its surroundings
 /// (surroundings_internal.h). Where the model does not explain the polarization at the prior's slopes, the prior's
 /// surface stays (see surface_evidence_internal.h), which surface.confidence and report.trust tell. What the data
 /// cannot support otherwise is in surface.confidence and warnings; surface.status is the solver's ("converged", "not

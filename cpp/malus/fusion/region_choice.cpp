@@ -58,7 +58,7 @@ void add_prior_costs(const RefinementField& field, const WeightOptions& options,
   }
 }
 
-/// Pixels within `radius` (4-neighbourhood steps) of the set ones, on the object.
+/// Pixels within `radius` (4-neighborhood steps) of the set ones, on the object.
 Mask grown(const Mask& mask, const Mask& object, int radius) {
   Mask result = mask;
   for (int step = 0; step < radius; ++step) {

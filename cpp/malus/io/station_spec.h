@@ -83,7 +83,7 @@ struct PolarizedSpec {
   }
 };
 
-/// [object]: what a catalogue says of the object and who recorded it; words for reports and archives, never computed
+/// [object]: what a catalog says of the object and who recorded it; words for reports and archives, never computed
 /// with.
 struct ObjectSpec {
   std::optional<std::string> identifier, title, maker, date, place, material, description, collection;

@@ -124,7 +124,7 @@ PointJudgement judge_points(std::span<const ViewPoint> points, Size size, const 
   judge_points(judgement, points, options, false, context, [](std::size_t) { return true; });
   if (std::ranges::find_if(judgement.hidden, [](auto hidden) { return hidden != 0; }) == judgement.hidden.end())
     return judgement;
-  // A hidden point is no neighbor. Points that had none among their neighbors keep their judgement.
+  // A hidden point is no neighbor. Points that had none among their neighbors keep their judgment.
   const Mask hidden = hidden_pixels(points, judgement.hidden, size);
   judge_points(judgement, points, options, true, context, [&](std::size_t i) {
     return !judgement.hidden[i] &&

@@ -44,8 +44,13 @@ std::string describe_scale(const StationFile& station) {
   if (station.scale_errors.empty()) return {};
   std::ostringstream text;
   text << "known distances make the prior " << station.prior_scale << " times as large; they are then off by";
-  for (std::size_t i = 0; i < station.scale_errors.size(); ++i)
-    text << (i == 0 ? " " : ", ") << station.scale_errors[i] << (station.scale_bars[i].check ? " (check)" : "");
+  constexpr double rounding = 1e-9;  // of the distance; one distance alone is met to the last digit
+  for (std::size_t i = 0; i < station.scale_errors.size(); ++i) {
+    const ScaleBar& bar = station.scale_bars[i];
+    const double error = station.scale_errors[i];
+    text << (i == 0 ? " " : ", ") << (std::abs(error) < rounding * bar.distance ? 0 : error)
+         << (bar.check ? " (check)" : "");
+  }
   text << " " << station.unit;
   return text.str();
 }

@@ -19,7 +19,8 @@ Error no_prior(const Station& station) {
         "with a cloud, mesh or depth map");
   }
   return input_error(
-      where + ": [prior] is missing, expected a cloud, mesh or depth map; without one only `decompose` can be run");
+      where +
+      ": [prior] is missing, expected a cloud, mesh or depth map; without one only `decompose` and `height` can be run");
 }
 
 /// Throws an input error that lists the steps unless this is one that a run can end with.

@@ -9,10 +9,10 @@ from malus import _core
 from malus.change.regions import Region
 from malus.change.significance import Distances, reduced_maps
 from malus.exports import Exporter
-from malus.figures import Figure, Plates, encode, flattened, grey, hillshade
+from malus.figures import Figure, Plates, encode, flattened, gray, hillshade
 from malus.lengths import scale_bar, shown
 from malus.pages import template
-from malus.units import METRES
+from malus.units import METERS
 
 
 def _maps(plates: Plates, distances: Distances, regions: list[Region], um: float) -> list[Figure]:
@@ -60,7 +60,7 @@ def write_page(
 ) -> Path:
     """Write index.html (self-contained) and figures/ with every figure as PNG and its numbers as CSV; returns the page's path."""
     plates = Plates(before.workspace)
-    drawn = _maps(plates, distances, regions, METRES[before.unit] * 1e6)
+    drawn = _maps(plates, distances, regions, METERS[before.unit] * 1e6)
     (folder / "figures").mkdir()
     for figure in drawn:
         (folder / f"figures/{figure.name}.png").write_bytes(figure.png())
@@ -77,7 +77,7 @@ def write_page(
         bar_percent=100 * length / (width * pixel),
         bar_label=bar_label,
         plates=drawn,
-        pictures=[encode(grey(shade)[box], "WEBP", quality=90) for shade in shades],
+        pictures=[encode(gray(shade)[box], "WEBP", quality=90) for shade in shades],
         version=_core.version,
     )
     path = folder / "index.html"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from malus._extra import extra
 from malus.change.significance import Distances
 from malus.exports import Exporter
-from malus.units import METRES
+from malus.units import METERS
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,12 @@ def find_regions(before: Exporter, distances: Distances) -> list[Region]:
     """
     ndimage = extra("scipy.ndimage", "scipy", "malus compare", "compare")
     normal = extra("scipy.stats", "scipy", "malus compare", "compare").norm
-    metre = METRES[before.unit]
-    area = pixel_areas(before) * (metre * 1e3) ** 2
-    section = np.pi * (distances.radius * metre * 1e3) ** 2
+    meter = METERS[before.unit]
+    area = pixel_areas(before) * (meter * 1e3) ** 2
+    section = np.pi * (distances.radius * meter * 1e3) ** 2
     places = max(np.nansum(area[np.isfinite(distances.limit)]) / section, 1.0)
     by_chance = normal.isf(0.025 / places) / normal.isf(0.025)
-    um = distances.distance * metre * 1e6
+    um = distances.distance * meter * 1e6
     points = before.workspace.points()
     found: list[Region] = []
     for sign in (1, -1):
@@ -53,7 +53,7 @@ def find_regions(before: Exporter, distances: Distances) -> list[Region]:
         for k, box in enumerate(ndimage.find_objects(labels, count), start=1):
             inside = labels[box] == k
             areas = area[box][inside]
-            values, limits = um[box][inside], distances.limit[box][inside] * metre * 1e6
+            values, limits = um[box][inside], distances.limit[box][inside] * meter * 1e6
             sections = areas.sum() / section
             if sections < 1 or np.average(np.abs(values) / limits, weights=areas) * np.sqrt(sections) < by_chance:
                 continue

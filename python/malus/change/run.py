@@ -25,7 +25,7 @@ from malus.exports import Exporter
 from malus.lengths import shown
 from malus.surface import Dem, write_dem
 from malus.threads import ALL_CORES
-from malus.units import METRES
+from malus.units import METERS
 from malus.workspace import Workspace
 
 #: A comparison with less in common than this may be laid upon the wrong place.
@@ -105,7 +105,7 @@ def _own_folder(folder: Path, *works: Path) -> Path:
 def _figures(
     before: Exporter, after: Exporter, registration: Registration, distances: Distances, regions: list[Region]
 ) -> dict[str, Any]:
-    um = METRES[before.unit] * 1e6
+    um = METERS[before.unit] * 1e6
     compared = np.isfinite(distances.distance)
     values, limits = distances.distance[compared] * um, distances.limit[compared] * um
     areas = pixel_areas(before)
@@ -146,7 +146,7 @@ def _identity(exporter: Exporter) -> dict[str, Any]:
         "manifest_sha256": _core.sha256_of_file(str(exporter.workspace.folder / "manifest.json")),
         "name": exporter.name,
         "recorded_on": quality.get("object", {}).get("recorded_on") or None,
-        "gsd_um": float(quality["gsd"]) * METRES[exporter.unit] * 1e6,
+        "gsd_um": float(quality["gsd"]) * METERS[exporter.unit] * 1e6,
         "confidence": quality["confidence"],
     }
 
@@ -163,7 +163,7 @@ def _warnings(before: Exporter, after: Exporter, registration: Registration) -> 
             "wrong place, or one of the surfaces is bent"
         )
     if registration.by == "none" and abs(registration.offset) > _MOST_OFFSET * registration.error:
-        um = METRES[before.unit] * 1e6
+        um = METERS[before.unit] * 1e6
         warnings.append(
             f"half of the later surface lies more than {shown(abs(registration.offset) * um, 'um')} "
             f"{'in front of' if registration.offset > 0 else 'behind'} the earlier one: either everything moved, or the "

@@ -123,7 +123,7 @@ def is_object_file(path: str | Path) -> bool:
         table = read_toml(Path(path)).get("object")
     except (OSError, ValueError, RecursionError):
         return False
-    # A station file has a table of this name, too: what the catalogue says.
+    # A station file has a table of this name, too: what the catalog says.
     return isinstance(table, dict) and "stations" in table
 
 

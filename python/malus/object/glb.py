@@ -15,7 +15,7 @@ from PIL import Image
 
 from malus._files import write_bytes
 from malus.object.texture import TexturedMesh
-from malus.units import METRES
+from malus.units import METERS
 
 _QUALITY = 92
 _FLOAT, _UINT = 5126, 5125
@@ -35,7 +35,7 @@ def glb(mesh: TexturedMesh, unit: str, name: str, *, webp: bool = False) -> byte
     Textures are JPEG and PNG, which every reader of glTF knows; or WebP, smaller, for readers of EXT_texture_webp (Blender, three.js).
     """
     middle = (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
-    points = ((mesh.vertices - middle) * METRES[unit]).astype("<f4")
+    points = ((mesh.vertices - middle) * METERS[unit]).astype("<f4")
     arrays: list[tuple[str, NDArray[Any], int]] = [
         ("VEC3", points, _FLOAT),
         ("VEC3", mesh.normals.astype("<f4"), _FLOAT),

@@ -58,8 +58,8 @@ def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colma
     cloud, raw = (folder / name for name in _FILES)
     properties = {name: (local[:, axis], "f4") for axis, name in enumerate(("x", "y", "z"))}
     properties |= {name: (points.normals[:, axis], "f4") for axis, name in enumerate(("nx", "ny", "nz"))}
-    grey = (np.zeros(len(local), np.uint8), "u1")  # COLMAP 3.8 wants colors.
-    write_ply(cloud, {**properties, "red": grey, "green": grey, "blue": grey}, None, "points of the object")
+    gray = (np.zeros(len(local), np.uint8), "u1")  # COLMAP 3.8 wants colors.
+    write_ply(cloud, {**properties, "red": gray, "green": gray, "blue": gray}, None, "points of the object")
     colmap.run(
         "poisson_mesher",
         {

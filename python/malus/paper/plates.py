@@ -15,7 +15,7 @@ from malus.figures import (
     Plates,
     color_bar,
     flattened,
-    grey,
+    gray,
     hillshade,
     new_drawing,
     style,
@@ -70,8 +70,8 @@ def sinusoids(plates: Plates) -> Iterator[Figure]:
     style(axes)
     yield plates.figure(
         "sinusoids", "Intensity against polarizer angle",
-        "Measured intensities (dots) of a few pixels, and the sinusoid fitted to each. Unless pixels were named they are "
-        "weakly to very strongly polarized ones.",
+        "Measured intensities (dots) of a few pixels (column, row), the sinusoid fitted to each, and its degree ρ. Unless "
+        "pixels were named they are weakly to very strongly polarized ones.",
         drawing, ["u_px", "v_px", "angle_deg", "intensity", "fitted", "degree", "phase_deg"], rows,
     )  # fmt: skip
 
@@ -147,7 +147,7 @@ def oblique(relief: Raster, shade: Raster, tilt_deg: float = _TILT_DEG) -> NDArr
         for down in range(int((last - first).max(initial=0)) + 1):
             reached = first + down <= last
             picture[(first[reached] + down).astype(int), columns[reached]] = shade[v, columns[reached]]
-    return grey(picture)
+    return gray(picture)
 
 
 def views(plates: Plates) -> Iterator[Figure]:

@@ -46,9 +46,9 @@ def decode(content: bytes, size: tuple[int, int] | None = None) -> Bytes:
 def read(path: Path) -> bytes:
     """A mask or label image as PNG for the page."""
     pixels, full_scale = _core.read_image_dn(str(path))
-    grey = pixels if pixels.ndim == 2 else pixels[..., 0]
+    gray = pixels if pixels.ndim == 2 else pixels[..., 0]
     # Labels are small numbers; masks of more than 8 bits are set or not.
-    values = grey if full_scale <= 255 else np.where(grey != 0, 255, 0)
+    values = gray if full_scale <= 255 else np.where(gray != 0, 255, 0)
     return encode(values.astype(np.uint8), "PNG")
 
 

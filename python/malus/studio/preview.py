@@ -37,8 +37,8 @@ def decoded(pixels: NDArray[np.float32], response: str) -> NDArray[np.float32]:
 
 def _small(path: Path, response: str) -> NDArray[np.float32]:
     pixels, _ = linear_or_encoded(path, half_size=True)
-    grey = pixels if pixels.ndim == 2 else pixels.mean(-1)
-    return decoded(reduced(grey, step_for(grey.shape, SIDE_PX)), response)
+    gray = pixels if pixels.ndim == 2 else pixels.mean(-1)
+    return decoded(reduced(gray, step_for(gray.shape, SIDE_PX)), response)
 
 
 def _shown(values: NDArray[Any], colors: str, low: float, high: float) -> str:

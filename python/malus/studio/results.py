@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus.errors import DataError, InputError, MalusError
-from malus.figures import encode, grey, hillshade, reduced, step_for
+from malus.figures import encode, gray, hillshade, reduced, step_for
 from malus.studio.access import Root
 from malus.workspace import Workspace
 
@@ -68,7 +68,7 @@ def relief(folder: Path) -> bytes:
     workspace = Workspace(folder)
     depth = workspace.raster("fused/depth.tif")
     step = step_for(depth.shape, _SIDE_PX)
-    return encode(grey(hillshade(-reduced(depth, step), float(workspace.quality["gsd"]) * step)), "PNG")
+    return encode(gray(hillshade(-reduced(depth, step), float(workspace.quality["gsd"]) * step)), "PNG")
 
 
 def _picture(values: NDArray[np.float32], limit: float) -> str:

@@ -52,5 +52,14 @@ TEST(CheckStation, MeasuresThePriorAsKnownDistancesMakeIt) {
   expect_contains(does, "200 mm from the camera");
 }
 
+TEST(CheckStation, ADistanceThatIsMetIsOffByNothing) {
+  Station station = scaled_station();
+  station.prior = cloud_of(station);
+  station.file.scale_errors = {3.6e-15};  // what rounding leaves
+  std::string does;
+  for (const std::string& line : check_station(station, {}, {}).does) does += line + "\n";
+  expect_contains(does, "they are then off by 0 mm");
+}
+
 }  // namespace
 }  // namespace malus

@@ -3,7 +3,7 @@
     scene(style, rng, quality) -> dict     the description below
     STYLES = {name: dict}                  what differs between variants of the scene: seed, shape, texture, light, pose
 
-World frame: right-handed, millimetres, +z towards the station camera, +y up in its image (upright objects: +y is up).
+World frame: right-handed, millimeters, +z towards the station camera, +y up in its image (upright objects: +y is up).
 The description has
   meshes     list of dict(name, V, N, F, uv | None, tex | None, albedo | None, bsdf, label, material); the object's names start
              with "object" and its label is 1; tex = diffuse albedo over uv

@@ -1,4 +1,4 @@
-"""A glazed bowl lying foot up: painted glossy glaze and an unglazed, matt foot ring (and chips) on one object, in a room that is
+"""A glazed bowl lying foot up: painted glossy glaze and an unglazed, matte foot ring (and chips) on one object, in a room that is
 lit by a window, with a bright wall and a dark floor."""
 
 import lights
@@ -53,15 +53,15 @@ def scene(style, rng, quality):
         )
         | (r > R * 0.985)
     )
-    matt = fbm(r.shape, step, 0.35, 2.5, rng, 0.8)
+    matte = fbm(r.shape, step, 0.35, 2.5, rng, 0.8)
     glaze = fbm(r.shape, step, 1.5, 14, rng, 1.4)
     flat = r < foot_in - 1.6
-    z = z + np.where(body, 0.012 * matt, 0.012 * glaze * ~flat)
+    z = z + np.where(body, 0.012 * matte, 0.012 * glaze * ~flat)
     z = np.where(flat, base, gaussian_filter(z, 0.08 / step))
     ink = style["painting"](X, Y, r, ph, R, rng)
     alb = np.clip((0.62 + 0.02 * glaze) * (1 - ink) + 0.06 * ink, 0.04, 0.75)
     alb = np.where(
-        body, np.clip(0.38 + 0.05 * matt + 0.03 * fbm(r.shape, step, 2, 30, rng, 1.0), 0.15, 0.6), alb
+        body, np.clip(0.38 + 0.05 * matte + 0.03 * fbm(r.shape, step, 2, 30, rng, 1.0), 0.15, 0.6), alb
     ).astype(np.float32)
     V, N, F, UV = grid_mesh(x, y, z, step, r < R)
     keep = r < R  # faces by material

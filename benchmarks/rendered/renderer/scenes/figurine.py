@@ -7,10 +7,10 @@ from geometry import board, close_holes, smin, sstep, surface_nets
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 
-def ellipsoid(p, centre, radii, turn=0.0):
+def ellipsoid(p, center, radii, turn=0.0):
     """turn = degrees about z."""
     a = np.radians(turn)
-    x, y, z = (p[i] - centre[i] for i in range(3))
+    x, y, z = (p[i] - center[i] for i in range(3))
     q = [x * np.cos(a) + y * np.sin(a), -x * np.sin(a) + y * np.cos(a), z]
     k0 = np.sqrt(sum((c / r) ** 2 for c, r in zip(q, radii)))
     k1 = np.sqrt(sum((c / r**2) ** 2 for c, r in zip(q, radii)))
@@ -34,8 +34,8 @@ def drum(p, y0, y1, radius, edge, lobes=0, depth=0.0):
     return np.maximum(d, 0) - edge + np.minimum(d, 0)
 
 
-def torus(p, centre, R, r):
-    return np.hypot(np.hypot(p[0] - centre[0], p[2] - centre[2]) - R, p[1] - centre[1]) - r
+def torus(p, center, R, r):
+    return np.hypot(np.hypot(p[0] - center[0], p[2] - center[2]) - R, p[1] - center[1]) - r
 
 
 SHAPES = dict(ellipsoid=ellipsoid, limb=limb, drum=drum, torus=torus)

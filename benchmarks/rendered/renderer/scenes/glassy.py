@@ -56,7 +56,7 @@ def scene(style, rng, quality):
         ],
         lights=[lights.constant(1.0), lights.directional([0, 0, 1.0], 1e-9)],
         light_meta=dict(
-            kind="unpolarised constant environment only (cloudy sky)", dir_to_light_world=[], env_radiance=1.0
+            kind="unpolarized constant environment only (cloudy sky)", dir_to_light_world=[], env_radiance=1.0
         ),
         stations=[dict(target=[0, 0, 12.0], dist=430, tilt=style["tilt"], roll=0.8, focal_mm=60)],
         views=dict(n=12, angle=25, dist=470, focal_mm=50),

@@ -38,8 +38,8 @@ def paint(style, rng, h, alb, x, y, X, Y):
         )
         body = A * np.clip(0.45 + bristles * (1 - 0.4 * sstep(u, -L / 2, L / 2)) + edge, 0.05, 1.6)
         h[win] = h[win] * (1 - 0.75 * inside) + inside * body
-        colour = np.clip(style["palette"](cx, cy, rng), 0.03, 0.8)
-        alb[win] = alb[win] * (1 - 0.92 * inside) + 0.92 * inside * colour * (1 + 0.12 * bristles)
+        color = np.clip(style["palette"](cx, cy, rng), 0.03, 0.8)
+        alb[win] = alb[win] * (1 - 0.92 * inside) + 0.92 * inside * color * (1 + 0.12 * bristles)
 
 
 def scene(style, rng, quality):

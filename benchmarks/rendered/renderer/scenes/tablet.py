@@ -1,4 +1,4 @@
-"""A cuneiform clay tablet: convex, matt, one raking softbox and a weak reflector card; light between surfaces counts."""
+"""A cuneiform clay tablet: convex, matte, one raking softbox and a weak reflector card; light between surfaces counts."""
 
 import lights
 import numpy as np

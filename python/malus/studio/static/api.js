@@ -50,13 +50,13 @@ export const doing = (work) => async (event) => {
   }
 };
 
-const METRES = { um: 1e-6, mm: 1e-3, cm: 1e-2, m: 1, in: 0.0254, ft: 0.3048 };
+const METERS = { um: 1e-6, mm: 1e-3, cm: 1e-2, m: 1, in: 0.0254, ft: 0.3048 };
 // A length of the station's unit in µm, mm or m, whichever is handy.
 export function length(value, unit, digits = 2) {
   if (value === null || value === undefined) return '–';
-  const metres = value * METRES[unit];
-  const [factor, name] = [[1e6, 'µm'], [1e3, 'mm'], [1, 'm']].find(([f]) => Math.abs(metres) * f < 1000) ?? [1, 'm'];
-  const shown = metres * factor;
+  const meters = value * METERS[unit];
+  const [factor, name] = [[1e6, 'µm'], [1e3, 'mm'], [1, 'm']].find(([f]) => Math.abs(meters) * f < 1000) ?? [1, 'm'];
+  const shown = meters * factor;
   return `${Math.abs(shown) < 10 ** digits ? Number(shown.toPrecision(digits)) : shown.toFixed(0)} ${name}`;
 }
 

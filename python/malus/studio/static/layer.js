@@ -72,14 +72,14 @@ export class Layer {
 
   get whole() { return [0, 0, this.canvas.width, this.canvas.height]; }
 
-  // Takes the values of a grey picture: replaced, or added to what is there.
+  // Takes the values of a gray picture: replaced, or added to what is there.
   async load(blob, { add = false, as = null, remember = true } = {}) {
     const bitmap = await createImageBitmap(blob);
-    const grey = canvasOf(this.canvas.width, this.canvas.height);
-    const reader = grey.getContext('2d', { willReadFrequently: true });
+    const gray = canvasOf(this.canvas.width, this.canvas.height);
+    const reader = gray.getContext('2d', { willReadFrequently: true });
     reader.imageSmoothingEnabled = false;
-    reader.drawImage(bitmap, 0, 0, grey.width, grey.height);
-    const pixels = reader.getImageData(0, 0, grey.width, grey.height);
+    reader.drawImage(bitmap, 0, 0, gray.width, gray.height);
+    const pixels = reader.getImageData(0, 0, gray.width, gray.height);
     const data = pixels.data;
     for (let i = 0; i < data.length; i += 4) {
       const kind = data[i] === 0 ? null : as ?? this.kinds.find(({ value }) => value === data[i]) ?? this.kinds[0];
@@ -88,8 +88,8 @@ export class Layer {
     }
     reader.putImageData(pixels, 0, 0);
     this.edit(this.whole, (context) => {
-      if (!add) context.clearRect(0, 0, grey.width, grey.height);
-      context.drawImage(grey, 0, 0);
+      if (!add) context.clearRect(0, 0, gray.width, gray.height);
+      context.drawImage(gray, 0, 0);
     });
     if (!remember) {
       this.past = [];

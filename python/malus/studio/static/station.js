@@ -120,7 +120,7 @@ function imagesGroup() {
     text('response', 'White level', 'polarized', 'white_level', { kind: 'number', placeholder: 'full scale', help: 'Pixel value at which the sensor saturates, if it is not the full scale of the file.' }),
     drawn('mask', 'Mask', under('polarized', 'mask') ?? 'none: the whole image is the object', 'mask'),
     text('optics', 'Refractive index', 'optics', 'refractive_index', { kind: typeof index === 'string' ? 'text' : 'number', placeholder: '1.5', help: 'About 1.5 for stone, glaze, varnish, glass and most plastics.' }),
-    choice('optics', 'Reflection', under('optics', 'reflection') ?? 'auto', [['auto', 'decided for each region'], ['diffuse', 'diffuse (matt)'], ['specular', 'specular (glossy)']], setReflection, 'Regions can be painted under Draw.'));
+    choice('optics', 'Reflection', under('optics', 'reflection') ?? 'auto', [['auto', 'decided for each region'], ['diffuse', 'diffuse (matte)'], ['specular', 'specular (glossy)']], setReflection, 'Regions can be painted under Draw.'));
 }
 
 const PRIORS = { cloud: 'point cloud', mesh: 'mesh', depth: 'depth map' };
