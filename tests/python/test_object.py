@@ -69,6 +69,7 @@ def sphere_view(name: str, direction: tuple[float, float, float], offset: float 
     rays = np.stack([(columns - 63.5) / FOCAL, (rows - 63.5) / FOCAL, np.ones((SIDE, SIDE))], -1)
     a, b, c = (rays**2).sum(-1), -FAR, FAR**2 - (RADIUS + offset) ** 2
     inside = b**2 - a * c > 0
+    rim = b**2 - a * (FAR**2 - (RADIUS + offset + 2 * FAR / FOCAL) ** 2) > 0
     depth = np.where(inside, (-b - np.sqrt(np.maximum(b**2 - a * c, 0))) / a, np.nan)
     points = (rays * depth[..., None] - translation) @ rotation
     normals = points / (RADIUS + offset)
@@ -79,7 +80,7 @@ def sphere_view(name: str, direction: tuple[float, float, float], offset: float 
     return View(
         name=name, gsd=FAR / FOCAL, focal=(FOCAL, FOCAL), center=(63.5, 63.5), rotation=rotation, translation=translation,
         depth=depth, points=points, normals=normals, sigma=np.full(depth.shape, SIGMA), cosine=cosine,
-        usable=inside & (cosine > LEAST_COSINE), object=inside, color=np.nan_to_num(color),
+        usable=inside & (cosine > LEAST_COSINE), object=rim, color=np.nan_to_num(color),
     )  # fmt: skip
 
 
@@ -120,6 +121,19 @@ def test_stereo_counts_where_no_station_looks_and_not_off_the_object(views: list
     kept = unseen_stereo(cloud, normals, 0.1, views[:5], points)
     assert kept.points == pytest.approx(cloud[1:2])
     assert kept.stations.tolist() == [0]
+
+
+def test_one_station_with_the_whole_object_in_it_tells_what_lies_beside(views: list[View]) -> None:
+    # Ground under the object: hidden behind it for all who look down, beside it for the one who looks along the ground.
+    down = [sphere_view(f"down {k}", axis) for k, axis in enumerate([(0, 0, 1), (1, 0, 1), (-1, 0, 1), (0, 1, 1)])]
+    ground, up = np.array([[0.0, 0.0, -1.2 * RADIUS]]), np.array([[0.0, 0.0, 1.0]])
+    along = views[0]
+    points, _ = combine([*down, along])
+    assert len(unseen_stereo(ground, up, 0.1, down, points).points) == 1
+    assert len(unseen_stereo(ground, up, 0.1, [*down, along], points).points) == 0
+    # A station that was told to reconstruct a part says nothing of the rest.
+    part = replace(along, object=along.object & (np.arange(SIDE) < SIDE / 2))
+    assert len(unseen_stereo(ground, up, 0.1, [*down, part], points).points) == 1
 
 
 def test_stereo_beside_what_stations_see_is_left_out(views: list[View]) -> None:

@@ -21,6 +21,8 @@ _LEAST_COSINE_ALONE = 0.5
 _NEIGHBORS, _LEAST_TOGETHER = 8, 0.6
 #: Points of which another station is surer by this factor are left to that station.
 _SURER = 1.5
+#: A station beside whose contour less than this share of all stations' points lie has the whole object in it, as far as its image goes.
+_MOST_BESIDE = 0.01
 
 
 @dataclass(frozen=True)
@@ -131,8 +133,9 @@ def unseen_stereo(
 ) -> OrientedPoints:
     """Of a cloud's points (N×3, with normals) those where no station looks; `sigma`: their standard deviation.
 
-    Points that a station looks through are left out, and those that most stations see beside the object: the ground. So is
-    what lies near `seen_points`, those of the stations: a good point would be one of their surface, the rest are errors.
+    Points that a station looks through are left out, and those that lie beside the object: for most stations, or for one that
+    has the whole object within its contour. That is the ground. So is what lies near `seen_points`, those of the stations: a
+    good point would be one of their surface, the rest are errors.
     """
     spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
     free = np.ones(len(points), bool)
@@ -146,11 +149,19 @@ def unseen_stereo(
         free &= ~(seen & near & (off < 2 * _MOST_RATIO * spread)) & ~view.in_front(points, _MOST_RATIO)
         inside, within = view.placed(points)
         votes += np.where(within, 1, -1) * inside
+        if _has_all(view, seen_points):
+            free &= within | ~inside
     free &= votes > 0
     if len(seen_points.points):
         free[free] = spatial.cKDTree(seen_points.points).query(points[free], workers=1)[0] > _MOST_RATIO * sigma
     count = int(free.sum())
     return OrientedPoints(points[free], normals[free], np.full(count, sigma), np.zeros(count, np.int64))
+
+
+def _has_all(view: View, points: OrientedPoints) -> bool:
+    """Whether the view's contour holds all of the object that its image holds. One that was told to reconstruct a part does not."""
+    inside, within = view.placed(points.points)
+    return bool((inside & ~within).sum() < _MOST_BESIDE * inside.sum())
 
 
 def without_outliers(points: OrientedPoints, gsd: float) -> OrientedPoints:

@@ -32,6 +32,7 @@ from malus.object.joining import joined_mesh
 from malus.object.meshing import ObjectMesh
 from malus.object.ply import write_ply
 from malus.object.reference import Comparison
+from malus.object.sharpening import Phases, sharpened, telling
 from malus.object.views import Floats, View, load_view, sees
 from malus.photogrammetry import exclusive, find_object_cameras
 from malus.photogrammetry.front_end import camera_of
@@ -216,7 +217,12 @@ def _fuse(
     ]
     gsd = float(np.median([view.gsd for view in views]))
     say(0.1, "combining what stations see")
-    points, agreements = agreement.combine(views)
+    # Stations that follow the same phases would check each other less.
+    agreements = agreement.combine(views)[1]
+    phases = [Phases.of(Workspace(folder.parent / "stations" / view.name)) for view in views]
+    told = telling(views, phases)
+    views = sharpened(views, told)
+    points, _ = agreement.combine(views)
     stereo = _stereo(thing, done, views, points, folder.parent)
     everything = agreement.without_outliers(agreement.joined([points, stereo]), gsd)
     say(0.3, f"a mesh of {len(everything.points)} points")
@@ -240,6 +246,7 @@ def _fuse(
             "stations": _station_figures(outcomes, views, agreements, coverage),
             "points": {"stations": int((everything.stations > 0).sum()), "stereo": int((everything.stations == 0).sum())},
             "mesh": mesh_figures(mesh, gsd), "levels": levels, "albedo": albedos.figures(), "reference": compared, "agreement": agreement.agreement_figures(agreements, gsd),
+            "sharpened_by": [view.name for view, _ in told],
             "photogrammetry": None if frame is None else frame.figures,
             "warnings": _warnings(outcomes, [] if frame is None else frame.warnings, mesh, thing, folder.parent, compared), "seconds": round(time.monotonic() - start, 1),
         }  # fmt: skip
