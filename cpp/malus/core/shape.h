@@ -4,7 +4,7 @@
 #include <string_view>
 #include <variant>
 
-#include "malus/core/fields.h"
+#include "malus/core/field_list.h"
 
 namespace malus {
 
@@ -15,11 +15,7 @@ struct PlaneShape {
   Eigen::Vector3d point = Eigen::Vector3d::Zero();
   Eigen::Vector3d normal = Eigen::Vector3d::UnitZ();  ///< of any length, to either side
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("point", self.point, any_value);
-    visit("normal", self.normal, any_value);
-  }
+  MALUS_FIELDS(point, normal)
 };
 
 struct SphereShape {
@@ -27,11 +23,7 @@ struct SphereShape {
   Eigen::Vector3d center = Eigen::Vector3d::Zero();
   double radius = 1;
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("center", self.center, any_value);
-    visit("radius", self.radius, any_value);
-  }
+  MALUS_FIELDS(center, radius)
 };
 
 /// Round and endless.
@@ -41,12 +33,7 @@ struct CylinderShape {
   Eigen::Vector3d axis = Eigen::Vector3d::UnitY();  ///< of any length
   double radius = 1;
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("point", self.point, any_value);
-    visit("axis", self.axis, any_value);
-    visit("radius", self.radius, any_value);
-  }
+  MALUS_FIELDS(point, axis, radius)
 };
 
 using Shape = std::variant<PlaneShape, SphereShape, CylinderShape>;

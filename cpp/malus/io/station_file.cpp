@@ -50,11 +50,11 @@ std::vector<std::string_view> keys_of(const Spec& spec, std::vector<std::string_
   return keys;
 }
 
-/// Sets the fields that have no form of their own.
+/// Sets the fields that have no form of their own; those without a range may have any value.
 template <class Spec>
 void read_fields(const TomlTable& table, Spec& spec) {
-  Spec::fields(spec, [&table](std::string_view key, auto& value, const auto& range) {
-    if constexpr (std::convertible_to<decltype(range), Range>) table.read(key, value, range);
+  Spec::fields(spec, [&table](std::string_view key, auto& value, const auto&... range) {
+    if constexpr ((std::convertible_to<decltype(range), Range> && ...)) table.read(key, value, Range(range...));
   });
 }
 

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "malus/core/camera.h"
+#include "malus/core/field_list.h"
 #include "malus/core/fields.h"
 #include "malus/core/pose.h"
 #include "malus/core/reflection_choice.h"
@@ -17,8 +18,9 @@
 
 namespace malus {
 
-// What can be said of a station. The specs list their fields once, as options do (core/fields.h): that list feeds the
-// station file, the description for people and for Python, and what results depend on.
+// What can be said of a station. The specs list their fields once, as options do (core/fields.h), or by name only
+// (core/field_list.h): that list feeds the station file, the description for people and for Python, and what results
+// depend on.
 
 /// Numbers greater than zero.
 inline constexpr Range positive_range{std::numeric_limits<double>::min()};
@@ -90,21 +92,8 @@ struct ObjectSpec {
   std::optional<std::string> recorded_by, recorded_on;
   std::optional<std::string> rights, license;
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("identifier", self.identifier, any_value);
-    visit("title", self.title, any_value);
-    visit("maker", self.maker, any_value);
-    visit("date", self.date, any_value);
-    visit("place", self.place, any_value);
-    visit("material", self.material, any_value);
-    visit("description", self.description, any_value);
-    visit("collection", self.collection, any_value);
-    visit("recorded_by", self.recorded_by, any_value);
-    visit("recorded_on", self.recorded_on, any_value);
-    visit("rights", self.rights, any_value);
-    visit("license", self.license, any_value);
-  }
+  MALUS_FIELDS(identifier, title, maker, date, place, material, description, collection, recorded_by, recorded_on,
+               rights, license)
 };
 
 /// [optics]
@@ -114,13 +103,7 @@ struct OpticsSpec {
   std::optional<std::filesystem::path> label_image;  ///< with `labels`: 1 = diffuse, 2 = specular, 0 = decide
   std::optional<std::array<double, 3>> light;        ///< direction to the source, camera frame; nothing = estimated
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("refractive_index", self.refractive_index, own_form);
-    visit("reflection", self.reflection, own_form);
-    visit("label_image", self.label_image, own_form);
-    visit("light", self.light, own_form);
-  }
+  MALUS_FIELDS(refractive_index, reflection, label_image, light)
 };
 
 /// [camera], resolved: from a COLMAP model or given in the file.
@@ -147,12 +130,7 @@ struct PhotosSpec {
   std::vector<std::string> exclude;
   std::optional<LensCamera> camera;
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("folder", self.folder, own_form);
-    visit("exclude", self.exclude, own_form);
-    visit("camera", self.camera, own_form);
-  }
+  MALUS_FIELDS(folder, exclude, camera)
 };
 
 /// A mark of one point in one photo, memory pixel convention.
@@ -160,12 +138,7 @@ struct ImageMark {
   std::string image;
   double x = 0, y = 0;
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("image", self.image, own_form);
-    visit("x", self.x, any_value);
-    visit("y", self.y, any_value);
-  }
+  MALUS_FIELDS(image, x, y)
 };
 
 /// [[scale]]: a known distance between two marked points, two coded targets, or two points of a given prior's frame.
@@ -177,17 +150,7 @@ struct ScaleBar {
   std::optional<std::array<double, 3>> a_xyz, b_xyz;  ///< without [photos]; both or none
   bool check = false;
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("distance", self.distance, positive_range);
-    visit("a", self.a, own_form);
-    visit("b", self.b, own_form);
-    visit("targets", self.targets, own_form);
-    visit("targets_dictionary", self.targets_dictionary, own_form);
-    visit("a_xyz", self.a_xyz, own_form);
-    visit("b_xyz", self.b_xyz, own_form);
-    visit("check", self.check, any_value);
-  }
+  MALUS_FIELDS(distance, a, b, targets, targets_dictionary, a_xyz, b_xyz, check)
 };
 
 /// A point of known coordinates and where an image shows it.
@@ -209,14 +172,7 @@ struct ControlPoint {
   /// The point and its `pixel`, which there must be.
   MarkedPoint marked() const { return {name, {xyz[0], xyz[1], xyz[2]}, {(*pixel)[0], (*pixel)[1]}}; }
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("name", self.name, own_form);
-    visit("xyz", self.xyz, own_form);
-    visit("pixel", self.pixel, own_form);
-    visit("marks", self.marks, own_form);
-    visit("check", self.check, any_value);
-  }
+  MALUS_FIELDS(name, xyz, pixel, marks, check)
 };
 
 /// Pose of a camera by points of known coordinates.
@@ -232,14 +188,7 @@ struct PatchSpec {
   std::string name;
   int x0 = 0, y0 = 0, x1 = 0, y1 = 0;  ///< corners, inclusive; in the file they are one list, `box`
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("name", self.name, own_form);
-    visit("x0", self.x0, own_form);
-    visit("y0", self.y0, own_form);
-    visit("x1", self.x1, own_form);
-    visit("y1", self.y1, own_form);
-  }
+  MALUS_FIELDS(name, x0, y0, x1, y1)
 };
 
 /// [[profile]]: a section line, pixels of the polarized image.
@@ -247,12 +196,7 @@ struct ProfileSpec {
   std::string name;
   std::array<double, 2> from{}, to{};
 
-  template <class Self, class Visitor>
-  static void fields(Self& self, Visitor&& visit) {
-    visit("name", self.name, own_form);
-    visit("from", self.from, own_form);
-    visit("to", self.to, own_form);
-  }
+  MALUS_FIELDS(name, from, to)
 };
 
 /// Everything a station file says.
