@@ -23,8 +23,8 @@ from malus.workspace import Workspace
 Ints = NDArray[np.int64]
 Window = tuple[slice, slice]
 
-#: Standard deviation of the surface's place (GSD), and of its roughness: second differences of what is moved (GSD).
-_PLACE_GSD, _BEND_GSD = 0.4, 0.3
+#: The surface is held to its own standard deviation, between these (GSD), and what moves to that of its second differences (GSD).
+_PLACE_GSD, _BEND_GSD = (0.2, 1.0), 0.3
 #: Standard deviation of the sine between a normal and a phase's plane: what light between parts turns it, and that over the degree.
 _TURN, _TURN_OF_DEGREE = 0.08, 0.0012
 #: Beyond this many of them a phase counts less and less (Cauchy).
@@ -91,6 +91,8 @@ class _Cells:
         self.eye = view.eye
         self._from_eye = view.points[window] - view.eye
         self.of_corner = [self.number[self.row + i, self.column + j] for i, j, _, _ in _CORNERS]
+        #: Standard deviation of each pixel's place across the surface, in GSD.
+        self.sigma = np.clip(view.sigma[window][self.pixels] / view.gsd, *_PLACE_GSD)
         #: How far a pixel moves across the surface as its depth grows by its whole, in GSD.
         self.across = np.linalg.norm(self._from_eye[self.pixels], axis=1) * view.cosine[window][self.pixels] / view.gsd
 
@@ -162,7 +164,7 @@ def _growth(cells: _Cells, view: View, stations: Sequence[tuple[View, Phases]]) 
     solvers = extra("scipy.sparse.linalg", "scipy", "the surface of an object", "object")
     growth = np.zeros(cells.unknowns)
     asked = _asked(cells, view, stations)
-    place = sparse.diags(cells.across / _PLACE_GSD)
+    place = sparse.diags(cells.across / cells.sigma)
     bend = cells.bends() @ sparse.diags(cells.across / _BEND_GSD)
     held = place.T @ place + bend.T @ bend
     for _ in range(_STEPS):
