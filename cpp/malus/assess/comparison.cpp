@@ -123,7 +123,12 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
     const PointAlignment icp = align(spread_points(surface), target, max_distance, options.alignment, context);
     result.reference_from_surface = icp.reference_from_surface;
     result.alignment_iterations = icp.iterations;
-    if (!icp.converged) result.status = ComparisonStatus::not_aligned;
+    if (!icp.converged) {
+      result.status = ComparisonStatus::not_aligned;
+      context.log(LogLevel::warning, "the alignment with the reference still moves after " +
+                                         std::to_string(icp.iterations) +
+                                         " steps; the distances are those of the last");
+    }
   }
   result.distance = Image<float>(surface.depth.size(), 1, std::numeric_limits<float>::quiet_NaN());
   parallel_rows(context, surface.depth.height(), [&](int v) {
@@ -141,7 +146,10 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
   }
   const auto known =
       std::count_if(surface.depth.begin(), surface.depth.end(), [](float z) { return std::isfinite(z); });
-  if (distances_gsd.empty()) result.status = ComparisonStatus::nothing_near;
+  if (distances_gsd.empty()) {
+    result.status = ComparisonStatus::nothing_near;
+    context.log(LogLevel::warning, "no pixel is near the reference (assess.max_distance_gsd)");
+  }
   result.compared_fraction = known > 0 ? static_cast<double>(distances_gsd.size()) / static_cast<double>(known) : 0;
   result.histogram_gsd = distance_histogram(distances_gsd, options.histogram_range_gsd, options.histogram_bins);
   result.distance_gsd = summarize(std::move(distances_gsd));

@@ -18,9 +18,9 @@ Error no_prior(const Station& station) {
         ": making the prior from [photos] takes the Python program `malus run`; this one expects [prior] "
         "with a cloud, mesh or depth map");
   }
-  return input_error(
-      where +
-      ": [prior] is missing, expected a cloud, mesh or depth map; without one only `decompose` and `height` can be run");
+  return input_error(where +
+                     ": [prior] is missing, expected a cloud, mesh or depth map; without one only `decompose` and "
+                     "`height` can be run");
 }
 
 /// Throws an input error that lists the steps unless this is one that a run can end with.

@@ -145,8 +145,12 @@ TEST(Comparison, FarPixelsAreLeftOutAndNamed) {
   EXPECT_NEAR(result.compared_fraction, 0.5, 0.02);
   EXPECT_LT(std::abs(result.distance(40, 60)), 1e-4);
   EXPECT_TRUE(std::isnan(result.distance(120, 60)));
-  const ReferenceComparison nothing = compare_with_reference(wavy(50), mesh_of(reference_view), gsd, options, {});
+  std::string said;
+  Context context;
+  context.on_log = [&](LogLevel, const std::string& message) { said += message; };
+  const ReferenceComparison nothing = compare_with_reference(wavy(50), mesh_of(reference_view), gsd, options, context);
   EXPECT_EQ(nothing.status, ComparisonStatus::nothing_near);
+  EXPECT_NE(said.find("no pixel is near the reference"), std::string::npos) << said;
 }
 
 TEST(Comparison, IcpUndoesAKnownMotionAndIsOffByDefault) {
