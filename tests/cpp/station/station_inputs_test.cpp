@@ -52,14 +52,14 @@ TEST_F(StationInputsTest, EveryFieldOfASpecCounts) {
   const Json polarized = json(&StationInputs::polarized), optics = json(&StationInputs::optics);
   PolarizedSpec::fields(before.file.polarized, [&](std::string_view changed, const auto&...) {
     station_ = before;
-    PolarizedSpec::fields(station_.file.polarized, [&](std::string_view name, auto& value, const auto&) {
+    PolarizedSpec::fields(station_.file.polarized, [&](std::string_view name, auto& value, const auto&...) {
       if (name == changed) Change{folder_}(value);
     });
     EXPECT_NE(json(&StationInputs::polarized), polarized) << changed;
   });
   OpticsSpec::fields(before.file.optics, [&](std::string_view changed, const auto&...) {
     station_ = before;
-    OpticsSpec::fields(station_.file.optics, [&](std::string_view name, auto& value, const auto&) {
+    OpticsSpec::fields(station_.file.optics, [&](std::string_view name, auto& value, const auto&...) {
       if (name == changed) Change{folder_}(value);
     });
     EXPECT_NE(json(&StationInputs::optics), optics) << changed;
