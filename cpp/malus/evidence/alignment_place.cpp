@@ -102,21 +102,14 @@ struct TriedOffsets {
   double tolerance;
 };
 
-/// The smallest of the offsets, in both directions of all its fields, from which the best place is told, and is not
-/// left out because other offsets do as well; 0 = none.
-double smallest_told(const AlignmentProblem& problem, const std::vector<Kind>& kinds, const AlignmentPlace& found,
-                     const Similarity& best, const TriedOffsets& tried, const Context& context) {
-  const AlignmentScore score(problem, kinds, best);
-  std::vector<double Similarity::*> others = all_fields;
-  for (const auto field : tried.fields) std::erase(others, field);
+/// The smallest of the offsets, in both directions of all its fields, from which the best place is told; 0 = none.
+double smallest_told(const AlignmentProblem& problem, const AlignmentPlace& found, const Similarity& best,
+                     const TriedOffsets& tried) {
   const auto is_told_from = [&](double Similarity::*field, double offset) {
     Similarity moved = best;
     moved.*field += offset;
     const double beyond = (std::abs(offset) - tried.tolerance) / (found.sigma.*field);
-    if (!is_clear(gain_of(problem, found.evidence, moved, best), beyond)) return false;
-    const Similarity without = refine_place(score, problem.pixels, moved, context, others).place;
-    const Gain gain = gain_of(problem, found.evidence, without, best);
-    return std::max(gain.largest, gain.joint) > fair;
+    return is_clear(gain_of(problem, found.evidence, moved, best), beyond);
   };
   for (const double offset : tried.offsets) {
     if (offset < tried.tolerance) continue;
@@ -129,15 +122,13 @@ double smallest_told(const AlignmentProblem& problem, const std::vector<Kind>& k
 }
 
 /// best and found.sigma: in the problem's pixels.
-ToldOffsets told_offsets(const AlignmentProblem& problem, const std::vector<Kind>& kinds, const AlignmentPlace& found,
-                         const Similarity& best, const Context& context) {
+ToldOffsets told_offsets(const AlignmentProblem& problem, const AlignmentPlace& found, const Similarity& best) {
   const Tolerance& tolerance = found.tolerance();
   const double extent = problem.pixels.extent;
   const auto told = [&](std::vector<double Similarity::*> fields, std::vector<double> offsets, double least,
                         double unit) {
     for (double& offset : offsets) offset *= unit;
-    const TriedOffsets tried{std::move(fields), std::move(offsets), least * unit};
-    return smallest_told(problem, kinds, found, best, tried, context);
+    return smallest_told(problem, found, best, {std::move(fields), std::move(offsets), least * unit});
   };
   return {told({&Similarity::du, &Similarity::dv}, {0.012, 0.02, 0.03, 0.05, 0.08}, tolerance.shift, extent),
           told({&Similarity::turn_rad}, {0.6, 1, 1.5, 2, 3, 5}, tolerance.turn_deg, degree),
@@ -270,7 +261,7 @@ AlignmentPlace find_place(const ProblemAtFactor& problem_at, Size image, bool qu
           sigmas_beyond(best.place, result.sigma, tolerance, fine.pixels.extent) > surely)
         best.place = without_untold(fine, kinds, result.evidence, best.place, context);
       result.beyond_sigmas = sigmas_beyond(best.place, result.sigma, tolerance, fine.pixels.extent);
-      result.told = told_offsets(fine, kinds, result, best.place, context);
+      result.told = told_offsets(fine, result, best.place);
       result.told.shift_px *= fine_factor;
     }
     result.place = times(best.place, fine_factor);

@@ -58,15 +58,6 @@ TEST(PriorAlignment, FindsShiftTurnAndSizeByColors) {
   EXPECT_NE(larger.finding.message.find("6 % too large"), std::string::npos) << larger.finding.message;
 }
 
-TEST(PriorAlignment, ASizeThatColorsAndPhasesAgreeOnIsToldBelowWhatReflectionsDo) {
-  const EvidenceScene scene;
-  for (const double scale : {0.975, 1.025}) {
-    const PriorAlignment found = check(scene, scene.moved(motion(0, 0, 0, scale)));
-    EXPECT_EQ(found.finding.severity, Severity::warning) << found.finding.text();
-    EXPECT_NEAR(found.scale, 1 / scale, 0.005);
-  }
-}
-
 TEST(PriorAlignment, SaysWhichOffsetsWouldBeTold) {
   const EvidenceScene scene;
   const PriorAlignment right = check(scene, scene.cloud);
@@ -114,13 +105,6 @@ TEST(PriorAlignment, SomethingRoundIsShiftedAndNotTurned) {
     EXPECT_EQ(found.clockwise_deg, 0) << found.finding.text();
     EXPECT_NEAR(found.down_px, -down_px, 1) << found.finding.text();
   }
-}
-
-TEST(PriorAlignment, ATurnThatAShiftExplainsIsNotPromised) {
-  const EvidenceScene scene = noisy_rings(240);
-  const PriorAlignment found = check(scene, scene.cloud);
-  EXPECT_EQ(found.told_turn_deg, 0) << found.finding.text();
-  EXPECT_GT(found.told_shift_px, 0) << found.finding.text();
 }
 
 /// A ball's depths, its middle on the ray of this pixel, as waves of EvidenceScene.
