@@ -144,8 +144,8 @@ def _clear(off: Floats) -> Bools:
 
 
 def _sharpened(view: View, stations: Sequence[tuple[View, Phases]]) -> View:
-    growth = np.zeros(view.depth.shape)
-    height, width = growth.shape
+    height, width = view.depth.shape
+    growth = np.zeros((height, width))
     for top, left in itertools.product(range(0, height, _TILE), range(0, width, _TILE)):
         above, before = min(top, _BESIDE), min(left, _BESIDE)
         window = (slice(top - above, top + _TILE + _BESIDE), slice(left - before, left + _TILE + _BESIDE))
