@@ -90,7 +90,7 @@ def test_sinusoid_plate_has_room_for_all_pixels_that_a_station_may_name() -> Non
     drawing = words[3]
     FigureCanvasAgg(drawing).draw()
     (axes,) = drawing.axes
-    legend = axes.get_legend().get_window_extent()
+    legend = drawing.legends[0].get_window_extent()
     assert drawing.bbox.x0 <= legend.x0 and legend.x1 <= drawing.bbox.x1 and legend.y1 <= drawing.bbox.y1
     assert axes.bbox.width > 0.75 * drawing.bbox.width and axes.bbox.height > 0.4 * drawing.bbox.height
 

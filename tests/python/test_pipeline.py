@@ -365,8 +365,9 @@ def test_every_warning_is_in_the_figures_and_on_the_page(small_station: Path, tm
     assert manifest["warnings"] == quality["warnings"]
     page = (work / "report/index.html").read_text()
     # What is a reason of the confidence is not said twice.
-    assert all(markupsafe.escape(warning.split(": ", 1)[1]) in page for warning in quality["warnings"])
-    assert all(markupsafe.escape(reason) in page for reason in quality["confidence"]["reasons"])
+    # A reason begins with a capital letter there.
+    assert all(markupsafe.escape(warning.split(": ", 1)[1][1:]) in page for warning in quality["warnings"])
+    assert all(markupsafe.escape(reason[0].upper() + reason[1:]) in page for reason in quality["confidence"]["reasons"])
     outcome = run_malus(*command)
     assert "kept from an earlier run" in outcome.err
     assert text in outcome.err.replace("\n", " "), "repeated"

@@ -18,7 +18,7 @@ _FIELDS = (
     ("angles", r"angle|polarizer|order of the images|direction"),
     ("response", r"white_level|black_level|response|saturated|linear|gamma"),
     ("images", r"\[polarized\]|images?\b.*(cannot be read|no such|size|differ)|exposure time|ISO|aperture"),
-    ("camera", r"\[camera\]|camera|lens|pose"),
+    ("camera", r"\[camera\]|camera|lens|\bpose\b"),
     ("prior", r"\[prior\]|cloud|mesh|depth map|prior"),
     ("photos", r"\[photos\]|photos?\b|COLMAP"),
     ("scale", r"\[\[scale\]\]|distance|unit"),
