@@ -552,7 +552,7 @@ class Plates:
                 np.where(known, self.raster("fused/trust.png") / np.float32(255), np.float32(np.nan)),
                 _Map(
                     "trust", "Share of the refined surface",
-                    "Where the reflection model explains the polarization at the prior's slopes; elsewhere the prior stays.",
+                    "Refined where the reflection model explains the polarization and what it changes stands out of the noise.",
                     "cividis", "", (0, 1), {0.0: "prior", 0.5: "half", 1.0: "refined"},
                 ),
             )  # fmt: skip

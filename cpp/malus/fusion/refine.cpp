@@ -15,6 +15,7 @@
 #include "malus/core/parallel_internal.h"
 #include "malus/core/robust_spread_internal.h"
 #include "malus/fusion/coarse_level_internal.h"
+#include "malus/fusion/gain_by_scale_internal.h"
 #include "malus/fusion/mirrored_light_internal.h"
 #include "malus/fusion/refine_internal.h"
 #include "malus/fusion/refinement_verdict_internal.h"
@@ -381,13 +382,12 @@ class Refiner {
     const Image<float> beyond_plane = at_prior.shares(true, context_);
     const Image<float> shares = image_.reflection.mirrored ? beyond_plane : at_prior.shares(false, context_);
     const bool with_map = image_.reflection.mirrored != nullptr, explained_as_metal = image_.reflection.metal_error > 0;
-    const std::optional<ExplainedByResult> by_result =
-        with_map ? std::optional(explained_by_surroundings(false)) : std::nullopt;
-    const Image<float> after = by_result ? by_result->shares(context_) : Image<float>();
-    const Image<float> gains = by_result ? by_result->gains(context_) : Image<float>();
+    const Image<float> after = with_map ? explained_by_surroundings(false).shares(context_) : Image<float>();
     const Image<float> in_metal = explained_as_metal ? trust_in_metal(after, x_prior) : Image<float>();
     // A metal's slopes are not those that a dielectric's formulas give, however well these fit.
     const bool is_metal = looks_like_metal(image_), settled = has_settled(report_);
+    std::optional<GainByScale::Gains> gains;
+    if (!explained_as_metal) gains = gain_of_movement(x_prior);
     parallel_rows(context_, size.height, [&](int v) {
       for (int u = 0; u < size.width; ++u) {
         if (!image_.object(u, v)) continue;
@@ -397,8 +397,9 @@ class Refiner {
         const double trust = is_metal || !settled ? 0
                              : !with_map          ? trust_of(share(shares))
                              : explained_as_metal ? share(in_metal)
-                                                  : trust_with_surroundings(share(shares), share(after)) * share(gains);
-        if (image_.pixels(u, v)) report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(255 * trust));
+                                                  : trust_with_surroundings(share(shares), share(after));
+        const double gained = gains ? trust_of_gain(between_cells(gains->all.gain, gains->all.cell_px, u, v)) : 1;
+        if (image_.pixels(u, v)) report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(255 * trust * gained));
         image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
       }
     });
@@ -496,8 +497,31 @@ class Refiner {
     return std::clamp((at_prior - options_.explained_least) / ramp, 0.0, 1.0);
   }
 
+  /// Leaves of the movement from the prior what is gain, and returns how much of it that is.
+  GainByScale::Gains gain_of_movement(const Image<double>& x_prior) {
+    GainByScale gain(image_.size());
+    for (const TileStrip& tiles : strips_) {
+      StripField strip = strip_field(image_, tiles.rows, whole_blocks(weights_reach_px), context_);
+      update_weights(strip.field, weights(1, false), context_);
+      gain.add(strip.field, strip.rows, strip.first_row, context_);
+    }
+    GainByScale::Gains gains = gain.gains(context_);
+    const Image<float> movement = movement_that_is_gain(image_, x_prior, gains, context_);
+    for (std::size_t i = 0; i < movement.count(); ++i) {
+      if (image_.object[i]) image_.x[i] = x_prior[i] + movement[i];
+    }
+    report_.gain_share = mean_over_object(gains.all.gain);
+    return gains;
+  }
+
+  /// Where less than half of the movement is gain, what is left of the refined surface is next to nothing.
+  static double trust_of_gain(double gain) {
+    constexpr double least = 0.5, enough = 0.75;
+    return std::clamp((gain - least) / (enough - least), 0.0, 1.0);
+  }
+
   /// The same with a map of the surroundings: what it leaves over at the result decides, if it explains anything of the
-  /// relief at the prior's slopes. Of what the surface moved the part that is gain counts.
+  /// relief at the prior's slopes.
   static double trust_with_surroundings(double at_prior, double after) {
     constexpr double least = 0.55, enough = 0.95, something = 0.2;
     return std::min(std::clamp((after - least) / (enough - least), 0.0, 1.0),

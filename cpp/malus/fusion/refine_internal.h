@@ -63,6 +63,8 @@ struct RefineReport {
   /// a plane's), and that beyond a plane's.
   double explained_share = std::numeric_limits<double>::quiet_NaN();
   double explained_beyond_plane = std::numeric_limits<double>::quiet_NaN();
+  /// Of what the surface changed of the polarization, the share that is gain and no noise, mean over the object, 0 … 1.
+  double gain_share = std::numeric_limits<double>::quiet_NaN();
   double stokes_cost = 0;                       ///< mean of ln(1 + r² / 4) over usable pixels, of the result
   double median_residual = 0;                   ///< of the result's Stokes vectors, in standard deviations
   int regions_compared = 0, regions_taken = 0;  ///< of the search for a better minimum

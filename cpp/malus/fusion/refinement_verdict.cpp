@@ -77,6 +77,18 @@ void judge_model(const RefineReport& report, FusedSurface& surface) {
   }
 }
 
+/// Why the surface is the prior's where it is.
+std::string why_the_priors(const RefineReport& report) {
+  constexpr double much_noise = 0.7;
+  const std::string model =
+      "the reflection model does not explain the polarization, or leads farther from the prior than the prior's errors "
+      "allow";
+  if (!(report.gain_share < much_noise)) return model;
+  return "much of what the polarization would change cannot be told from noise (few electrons, images that do not lie "
+         "exactly on each other, texture finer than the pixels), or " +
+         model;
+}
+
 /// What the prior's slopes say. That nothing was gained is a warning, too.
 void judge_evidence(const RefineReport& report, double explained_least, FusedSurface& surface) {
   // Of stations between 0.5 and 0.75 some were made worse, under light and of materials that were drawn at random.
@@ -93,16 +105,15 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
   }
   if (is_the_prior(report)) {
     warn(ConfidenceLevel::partial,
-         "The surface is the prior's: the reflection model does not explain the measured polarization, so that nothing "
-         "finer can be known from it. Metal, lamps close to the object or a misplaced prior do that.",
+         "The surface is the prior's, or nearly: " + why_the_priors(report) +
+             ". Metal, lamps close to the object, noise or a misplaced prior do that.",
          surface);
     return;
   }
   if (!(report.trusted_share >= refined_everywhere)) {
-    confidence.limit(ConfidenceLevel::partial,
-                     "In " + percent(1 - report.trusted_share) +
-                         " of the object the surface is the prior's: there, the reflection model does not explain the "
-                         "polarization, or leads farther from the prior than the prior's errors allow.");
+    confidence.limit(ConfidenceLevel::partial, "In " + percent(1 - report.trusted_share) +
+                                                   " of the object the surface is the prior's, or nearly: there, " +
+                                                   why_the_priors(report) + ".");
   } else if (!(report.explained_share >= well_explained)) {
     confidence.limit(ConfidenceLevel::partial,
                      "At the prior's slopes the reflection model explains the polarization only in part (" +

@@ -80,40 +80,31 @@ Image<float> ExplainedPolarization::shares(bool beyond_a_plane, const Context& c
 }
 
 ExplainedByResult::ExplainedByResult(Size image)
-    : shares_(cells_over(image, ExplainedPolarization::cell_px)), gains_(shares_.size()), weights_(shares_.size()) {}
+    : shares_(cells_over(image, ExplainedPolarization::cell_px)), weights_(shares_.size()) {}
 
 void ExplainedByResult::add(const RefinementField& part, RowRange rows, int first_row, const Context& context) {
   constexpr int cell_px = ExplainedPolarization::cell_px;
   constexpr std::size_t fewest = 20;
-  constexpr double of_one_slope = 0.5;  // the polarization's derivatives are summed over both
   const int first_cell = (first_row + rows.begin) / cell_px, last_cell = (first_row + rows.end - 1) / cell_px;
   parallel_rows(context, last_cell - first_cell + 1, [&](int i) {
     const int row = first_cell + i;
     const int begin = std::max(row * cell_px - first_row, rows.begin);
     const int end = std::min((row + 1) * cell_px - first_row, rows.end);
-    std::vector<double> rests, all, errors, movements;
+    std::vector<double> rests, all;
     for (int column = 0; column < shares_.width(); ++column) {
-      for (std::vector<double>* values : {&rests, &all, &errors, &movements}) values->clear();
+      rests.clear();
+      all.clear();
       for (int v = begin; v < end; ++v) {
         for (int u = column * cell_px; u < std::min((column + 1) * cell_px, part.size().width); ++u) {
           if (!part.object(u, v) || !part.usable(u, v)) continue;
-          const Eigen::Vector2d slopes = central_slopes(part, u, v), before = central_slopes(part, part.x_prior, u, v);
-          const RayFrame frame = part.frame_at(u, v);
-          const PredictedStokes model = part.reflection_at(u, v, frame).predict(slopes[0], slopes[1]);
+          const Eigen::Vector2d slopes = central_slopes(part, u, v);
+          const PredictedStokes model = part.reflection_at(u, v).predict(slopes[0], slopes[1]);
           rests.push_back(std::hypot(part.s1(u, v) - model.s1, part.s2(u, v) - model.s2));
           all.push_back(std::hypot(part.s1(u, v), part.s2(u, v)));
-          const double by_slopes =
-              std::hypot(std::hypot(model.s1_by_p, model.s1_by_q), std::hypot(model.s2_by_p, model.s2_by_q));
-          const double secant = std::sqrt(1 + slopes.squaredNorm());
-          errors.push_back(rests.back() / std::max(by_slopes, 1e-9) / secant);
-          movements.push_back(std::acos(std::clamp(
-              normal_of(frame, slopes[0], slopes[1]).dot(normal_of(frame, before[0], before[1])), -1.0, 1.0)));
         }
       }
       if (rests.size() < fewest) continue;
       shares_(column, row) = static_cast<float>(1 - median_in_place(rests) / std::max(median_in_place(all), 1e-12));
-      const double error = median_in_place(errors) / std::max(median_in_place(movements), 1e-6);
-      gains_(column, row) = static_cast<float>(std::max(1 - of_one_slope * error * error, 0.0));
       weights_(column, row) = 1;
     }
   });
@@ -121,10 +112,6 @@ void ExplainedByResult::add(const RefinementField& part, RowRange rows, int firs
 
 Image<float> ExplainedByResult::shares(const Context& context) const {
   return pooled(shares_, weights_, fill_cells, context);
-}
-
-Image<float> ExplainedByResult::gains(const Context& context) const {
-  return pooled(gains_, weights_, fill_cells, context);
 }
 
 void anchor_to_prior(RefinementImage& image, const Image<double>& x_prior, double length_px, const Context& context) {

@@ -44,11 +44,6 @@ class ExplainedPolarization {
 /// Each pixel has two Stokes components and one depth of its own, so that a surface cannot take up all errors of a
 /// model. A share of 1 − median |r| / median |s| of a cell's pixels near one means that the model held while the
 /// surface moved; half of the polarization left over means that the slopes took up what they could of a wrong one.
-///
-/// What is left over is also an error of slopes: e = |r| / |J|, J the derivatives of (s1, s2) by both slopes. (By the
-/// RMS of their singular values it would be √2 times that, but half of the square of such errors has a curl, which no
-/// surface can take up.) How far the normals have moved from the prior's has that error in it, and what the prior's
-/// were wrong by: of a movement d the share 1 − (e / d)² is gain.
 class ExplainedByResult {
  public:
   explicit ExplainedByResult(Size image);
@@ -58,11 +53,9 @@ class ExplainedByResult {
 
   /// Shares up to 1, a cell each; cells without usable pixels follow those around them.
   Image<float> shares(const Context& context) const;
-  /// Shares of the movement from the prior that are gain, 0 … 1, likewise.
-  Image<float> gains(const Context& context) const;
 
  private:
-  Image<float> shares_, gains_, weights_;
+  Image<float> shares_, weights_;
 };
 
 /// Adds to the surface the low frequencies (Gaussian of `length_px`) of what it lacks of the prior. Errors of a

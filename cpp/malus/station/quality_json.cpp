@@ -58,6 +58,7 @@ Json refine_report_json(const RefineReport& report) {
           {"explained_share", fields_to_json(report.explained_share)},
           {"explained_beyond_plane", fields_to_json(report.explained_beyond_plane)},
           {"trusted_share", fields_to_json(report.trusted_share)},
+          {"gain_share", fields_to_json(report.gain_share)},
           {"regions_compared", report.regions_compared},
           {"regions_taken", report.regions_taken},
           {"tiles", report.tiles},

@@ -177,22 +177,6 @@ TEST(Evidence, WhatIsLeftAtTheResultIsCountedByItsMiddlePixelInEachCell) {
   EXPECT_NEAR(shares(8, 4), 0.8, 0.02);
 }
 
-TEST(Evidence, AMovementIsGainWhereWhatIsLeftOverIsSmallBesideIt) {
-  const SyntheticStation station = make_station(scene_under_a_sky());
-  RefinementImage image = make_image(station.state, station.prior, Context{});
-  RefinementField field = diffuse_field(image);
-  // Everywhere the surface has left the prior by a tilt of 0.02.
-  for (int v = 0; v < field.size().height; ++v) {
-    for (int u = 0; u < field.size().width; ++u) field.x(u, v) += 0.02 * u;
-  }
-  measure(field, [](int u, int) { return u < 80 ? 1.0F : 3.0F; });
-  ExplainedByResult explained(field.size());
-  explained.add(field, {0, 129}, 0, Context{});
-  const Image<float> gains = explained.gains(Context{});
-  EXPECT_GT(gains(1, 4), 0.95);
-  EXPECT_LT(gains(8, 4), 0.2);
-}
-
 TEST(Evidence, CellsAreInterpolatedBetweenTheirCentres) {
   Image<float> cells({3, 1});
   cells(0, 0) = 1;

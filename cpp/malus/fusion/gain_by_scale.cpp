@@ -1,0 +1,184 @@
+#include <algorithm>
+#include <cmath>
+
+#include "malus/core/masked_blur_internal.h"
+#include "malus/core/parallel_internal.h"
+#include "malus/core/square_internal.h"
+#include "malus/fusion/gain_by_scale_internal.h"
+#include "malus/fusion/refinement_weights_internal.h"
+
+namespace malus {
+namespace {
+
+/// Standard deviation of a uniform distribution over a cell, which a mean over cells smooths by.
+double smoothing_of_cells(int cell_px) {
+  return cell_px / std::sqrt(12.0);
+}
+
+Size cells_over(Size image, int cell_px) {
+  return {(image.width + cell_px - 1) / cell_px, (image.height + cell_px - 1) / cell_px};
+}
+
+Image<float> summed_nearby(const Image<float>& sums, const Context& context) {
+  constexpr double region_cells = 1.5;
+  Mask all(sums.size());
+  all.fill(255);
+  return masked_blur(sums, all, region_cells, context);
+}
+
+}  // namespace
+
+GainByScale::GainByScale(Size image) : cells_(cells_over(image, finest_px)), within_(cells_.size()) {}
+
+void GainByScale::Products::add(std::size_t cell, double weight, const Stokes& change, const Stokes& rest) {
+  dd[cell] += static_cast<float>(weight * change.dot(change));
+  dr[cell] += static_cast<float>(weight * change.dot(rest));
+  rr[cell] += static_cast<float>(weight * rest.dot(rest));
+}
+
+void GainByScale::add(const RefinementField& part, RowRange rows, int first_row, const Context& context) {
+  struct Pixel {
+    double weight;
+    Stokes change, rest;
+  };
+  const int first_cell = (first_row + rows.begin) / finest_px, last_cell = (first_row + rows.end - 1) / finest_px;
+  parallel_rows(context, last_cell - first_cell + 1, [&](int i) {
+    const int row = first_cell + i;
+    const int begin = std::max(row * finest_px - first_row, rows.begin);
+    const int end = std::min((row + 1) * finest_px - first_row, rows.end);
+    std::vector<Pixel> pixels;
+    for (int column = 0; column < cells_.width(); ++column) {
+      pixels.clear();
+      Cell cell;
+      for (int v = begin; v < end; ++v) {
+        for (int u = column * finest_px; u < std::min((column + 1) * finest_px, part.size().width); ++u) {
+          if (!part.object(u, v) || !part.usable(u, v)) continue;
+          const double weight = stokes_weight(part, u, v);
+          const Eigen::Vector2d slopes = central_slopes(part, u, v), before = central_slopes(part, part.x_prior, u, v);
+          const PixelReflection reflection = part.reflection_at(u, v);
+          const PredictedStokes result = reflection.predict(slopes[0], slopes[1]);
+          const PredictedStokes prior = reflection.predict(before[0], before[1]);
+          const Stokes change{result.s1 - prior.s1, result.s2 - prior.s2};
+          const Stokes rest{part.s1(u, v) - result.s1, part.s2(u, v) - result.s2};
+          pixels.push_back({weight, change, rest});
+          cell.weight += weight;
+          cell.change += {weight * change.s1, weight * change.s2};
+          cell.rest += {weight * rest.s1, weight * rest.s2};
+        }
+      }
+      if (cell.weight <= 0) continue;
+      const Stokes mean_change = cell.change / cell.weight, mean_rest = cell.rest / cell.weight;
+      const auto index =
+          static_cast<std::size_t>(row) * static_cast<std::size_t>(cells_.width()) + static_cast<std::size_t>(column);
+      for (const Pixel& pixel : pixels)
+        within_.add(index, pixel.weight, pixel.change - mean_change, pixel.rest - mean_rest);
+      cells_[index] += cell;
+    }
+  });
+}
+
+GainByScale::Gains::Scale GainByScale::gain_of(const Products& products, int cell_px, double of_rest,
+                                               const Context& context) {
+  const Image<float> dds = summed_nearby(products.dd, context), drs = summed_nearby(products.dr, context),
+                     rrs = summed_nearby(products.rr, context);
+  Gains::Scale scale{cell_px, Image<float>(dds.size())};
+  for (std::size_t i = 0; i < dds.count(); ++i) {
+    const double dd = dds[i], dr = drs[i], rr = rrs[i];
+    if (dd <= 0) {
+      scale.gain[i] = 1;  // nothing has moved
+    } else if (dd + dr > 0) {
+      const double h = dd / (dd + dr);
+      const double across = std::max(rr - square(dr) / dd, 0.0) / (dd / square(h));
+      scale.gain[i] = static_cast<float>(std::clamp((1 - of_rest * across) / h, 0.0, 1.0));
+    }
+  }
+  return scale;
+}
+
+Image<GainByScale::Cell> GainByScale::parents_of(const Image<Cell>& cells) {
+  Image<Cell> parents({(cells.width() + 1) / 2, (cells.height() + 1) / 2});
+  for (int v = 0; v < cells.height(); ++v) {
+    for (int u = 0; u < cells.width(); ++u) parents(u / 2, v / 2) += cells(u, v);
+  }
+  return parents;
+}
+
+GainByScale::Gains GainByScale::gains(const Context& context) const {
+  constexpr double half = 0.5, of_pixels = 0.25;
+  Gains gains;
+  // All scales together on the raster of 16 px.
+  constexpr int all_px = 16;
+  const Size all_cells{(cells_.width() * finest_px + all_px - 1) / all_px,
+                       (cells_.height() * finest_px + all_px - 1) / all_px};
+  Image<float> gained(all_cells), changed(all_cells);
+  const auto take = [&](const Products& products, int cell_px, double of_rest) {
+    gains.scales.push_back(gain_of(products, cell_px, of_rest, context));
+    const Image<float>& gain = gains.scales.back().gain;
+    const double pixels = square(static_cast<double>(cell_px));
+    const Image<float> nearby = summed_nearby(products.dd, context);
+    for (int v = 0; v < all_cells.height; ++v) {
+      for (int u = 0; u < all_cells.width; ++u) {
+        const int x = u * all_px + all_px / 2, y = v * all_px + all_px / 2;
+        const double change = between_cells(nearby, cell_px, x, y) / pixels;
+        changed(u, v) += static_cast<float>(change);
+        gained(u, v) += static_cast<float>(change * between_cells(gain, cell_px, x, y));
+      }
+    }
+  };
+  take(within_, finest_px, of_pixels);
+  Image<Cell> cells = cells_;
+  for (int cell_px = finest_px; cell_px <= coarsest_px; cell_px *= 2) {
+    const bool is_last = cell_px == coarsest_px;
+    const Image<Cell> parents = is_last ? cells : parents_of(cells);
+    Products products(parents.size());
+    for (int v = 0; v < cells.height(); ++v) {
+      for (int u = 0; u < cells.width(); ++u) {
+        const Cell& cell = cells(u, v);
+        if (cell.weight <= 0) continue;
+        const int column = is_last ? u : u / 2, row = is_last ? v : v / 2;
+        const Cell& parent = parents(column, row);
+        const auto index = static_cast<std::size_t>(row) * static_cast<std::size_t>(parents.width()) +
+                           static_cast<std::size_t>(column);
+        // The means of the largest cells are beside nothing.
+        const Stokes change = parent.change / parent.weight, rest = parent.rest / parent.weight;
+        products.add(index, cell.weight, is_last ? change : cell.change / cell.weight - change,
+                     is_last ? rest : cell.rest / cell.weight - rest);
+      }
+    }
+    take(products, is_last ? cell_px : 2 * cell_px, half);
+    cells = parents;
+  }
+  for (std::size_t i = 0; i < gained.count(); ++i) gained[i] = changed[i] > 0 ? gained[i] / changed[i] : 1;
+  gains.all = {all_px, std::move(gained)};
+  return gains;
+}
+
+Image<float> movement_that_is_gain(const RefinementImage& image, const Image<double>& x_prior,
+                                   const GainByScale::Gains& gains, const Context& context) {
+  const Size size = image.size();
+  Image<float> finer(size), gained(size);
+  for (std::size_t i = 0; i < finer.count(); ++i)
+    finer[i] = image.object[i] ? static_cast<float>(image.x[i] - x_prior[i]) : 0.0F;
+  double smoothed_px = 0;
+  int cell_px = gains.scales.front().cell_px;
+  for (std::size_t k = 0; k < gains.scales.size(); ++k, cell_px *= 2) {
+    const GainByScale::Gains::Scale& scale = gains.scales[k];
+    const double next_px = smoothing_of_cells(cell_px);
+    const bool is_last = k + 1 == gains.scales.size();
+    const Image<float> coarser =
+        is_last ? Image<float>(size)
+                : masked_blur(finer, image.object, std::sqrt(square(next_px) - square(smoothed_px)), context);
+    parallel_rows(context, size.height, [&](int v) {
+      for (int u = 0; u < size.width; ++u) {
+        if (!image.object(u, v)) continue;
+        const double gain = between_cells(scale.gain, scale.cell_px, u, v);
+        gained(u, v) += static_cast<float>(gain * (finer(u, v) - coarser(u, v)));
+      }
+    });
+    finer = coarser;
+    smoothed_px = next_px;
+  }
+  return gained;
+}
+
+}  // namespace malus

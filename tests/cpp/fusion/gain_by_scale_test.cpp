@@ -1,0 +1,145 @@
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <random>
+#include <string>
+
+#include "malus/fusion/gain_by_scale_internal.h"
+#include "malus/fusion/refine_internal.h"
+#include "malus/fusion/refinement_weights_internal.h"
+#include "quick_refinement.h"
+#include "synthetic_station.h"
+
+namespace malus {
+namespace {
+
+SyntheticOptions matte_scene() {
+  SyntheticOptions scene;
+  scene.size = {192, 160};
+  scene.model.environment.radiance.fill(0.1);
+  return scene;
+}
+
+/// Gains where the surface has moved by `movement` from the prior and the measurement is what is predicted there plus
+/// noise of a standard deviation.
+GainByScale::Gains gains_of(const std::function<double(int, int)>& movement, double noise, double overshoot = 1) {
+  const SyntheticStation station = make_station(matte_scene());
+  RefinementImage image = make_image(station.state, station.prior, Context{});
+  image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+  image.reflection = matte_scene().model;
+  RefinementField field = image.part(image.everything(), Context{});
+  field.stokes_precision.fill(1);
+  std::mt19937 random(3);
+  std::normal_distribution<double> gauss(0, noise);
+  const auto move = [&](double factor) {
+    for (int v = 0; v < field.size().height; ++v) {
+      for (int u = 0; u < field.size().width; ++u) field.x(u, v) = field.x_prior(u, v) + factor * movement(u, v);
+    }
+  };
+  move(1);
+  for (int v = 0; v < field.size().height; ++v) {
+    for (int u = 0; u < field.size().width; ++u) {
+      if (!field.usable(u, v)) continue;
+      const Eigen::Vector2d slopes = central_slopes(field, u, v);
+      const PredictedStokes model = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
+      field.s1(u, v) = static_cast<float>(model.s1 + gauss(random));
+      field.s2(u, v) = static_cast<float>(model.s2 + gauss(random));
+    }
+  }
+  move(overshoot);
+  GainByScale gain(image.size());
+  gain.add(field, {0, 50}, 0, Context{});  // in two parts that share a row of cells
+  gain.add(field, {50, 161}, 0, Context{});
+  return gain.gains(Context{});
+}
+
+double at_center(const GainByScale::Gains::Scale& scale) {
+  return between_cells(scale.gain, scale.cell_px, 96, 80);
+}
+
+/// Detail of a few pixels on waves of some fifty.
+double relief(int u, int v) {
+  return 0.05 * std::sin(1.5 * u) * std::cos(1.4 * v) + 2 * std::sin(0.11 * u) * std::cos(0.09 * v);
+}
+
+TEST(GainByScale, OfWhatIsExplainedAllIsGain) {
+  const GainByScale::Gains gains = gains_of(relief, 0);
+  ASSERT_EQ(gains.scales.size(), 6U);  // pixels, means of 4 to 32 px, and of 64 px
+  for (const GainByScale::Gains::Scale& scale : gains.scales) EXPECT_GT(at_center(scale), 0.99);
+  EXPECT_GT(at_center(gains.all), 0.99);
+}
+
+TEST(GainByScale, NoiseOfPixelsLeavesWaves) {
+  const GainByScale::Gains gains = gains_of(relief, 0.02);
+  EXPECT_LT(at_center(gains.scales.front()), 0.2) << "detail below the noise";
+  EXPECT_GT(at_center(gains.scales[4]), 0.9) << "means of 32 px against those of 64";
+  EXPECT_LT(at_center(gains.all), at_center(gains.scales[4]));
+}
+
+TEST(GainByScale, WhatWasMovedTooFarGoesBack) {
+  const GainByScale::Gains gains = gains_of(relief, 0, 1.5);
+  EXPECT_NEAR(at_center(gains.scales[4]), 1 / 1.5, 0.05);
+  EXPECT_LT(at_center(gains_of(relief, 0, -0.5).scales[4]), 0.01) << "the other way";
+}
+
+/// Gains of all scales are one, but for the finest.
+GainByScale::Gains but_for_the_finest(Size image, float finest) {
+  GainByScale::Gains gains;
+  for (const int cell_px : {4, 8, 16, 32, 64, 64}) {
+    const auto cells = [&](int length) { return (length + cell_px - 1) / cell_px; };
+    Image<float> gain({cells(image.width), cells(image.height)});
+    gain.fill(gains.scales.empty() ? finest : 1.0F);
+    gains.scales.push_back({cell_px, gain});
+  }
+  return gains;
+}
+
+TEST(GainByScale, ScalesOfAMovementAreAllOfIt) {
+  const SyntheticStation station = make_station(matte_scene());
+  RefinementImage image = make_image(station.state, station.prior, Context{});
+  const Image<double> prior = image.x;
+  for (int v = 0; v < image.size().height; ++v) {
+    for (int u = 0; u < image.size().width; ++u) image.x(u, v) += relief(u, v);
+  }
+  const Image<float> all = movement_that_is_gain(image, prior, but_for_the_finest(image.size(), 1), Context{});
+  const Image<float> smooth = movement_that_is_gain(image, prior, but_for_the_finest(image.size(), 0), Context{});
+  double largest = 0, of_waves = 0;
+  for (int v = 20; v < 140; ++v) {
+    for (int u = 20; u < 170; ++u) {
+      largest = std::max(largest, std::abs(all(u, v) - relief(u, v)));
+      const double waves = 2 * std::sin(0.11 * u) * std::cos(0.09 * v);
+      of_waves = std::max(of_waves, std::abs(smooth(u, v) - waves));
+    }
+  }
+  EXPECT_LT(largest, 1e-4);
+  EXPECT_LT(of_waves, 0.05) << "without the detail, and next to nothing of the waves gone";
+}
+
+TEST(GainByScale, WhereThePriorLacksNothingNoiseIsNotTakenForDetail) {
+  SyntheticOptions scene = matte_scene();
+  scene.bump_gsd = 0.1;
+  scene.noise = 0.03;
+  const SyntheticStation station = make_station(scene);
+  const RefineInput diffuse{1.5, ReflectionChoice::diffuse, {}};
+  RefineOptions options = quick();
+  const RefineResult held = refine(station.state, station.prior, diffuse, options, Context{});
+  options.evidence = false;
+  const RefineResult free = refine(station.state, station.prior, diffuse, options, Context{});
+  const auto error = [&](const Image<float>& depth) {
+    return rms_error_gsd(depth, station.truth, station.prior.camera);
+  };
+  const double prior = error(station.prior.depth);
+  EXPECT_GT(error(free.surface.depth), 1.3 * prior) << "or there is nothing to hold back";
+  EXPECT_LT(error(held.surface.depth) - prior, 0.5 * (error(free.surface.depth) - prior));
+  EXPECT_LT(held.report.gain_share, 0.7);
+  EXPECT_TRUE(std::isnan(free.report.gain_share));
+  EXPECT_NE(held.surface.confidence.level, ConfidenceLevel::high);
+  ASSERT_FALSE(held.surface.confidence.reasons.empty());
+  EXPECT_NE(held.surface.confidence.reasons.front().find("cannot be told from noise"), std::string::npos)
+      << held.surface.confidence.reasons.front();
+}
+
+}  // namespace
+}  // namespace malus
