@@ -457,7 +457,8 @@ class Refiner {
           report_.trust.empty()
               ? Image<std::uint8_t>(part, 1, 255)
               : cropped(report_.trust, {0, strip.first_row, part.width, strip.first_row + part.height});
-      const Image<float> sigma = surface_sigma(strip.field, trust, prior.smoothing_px, context_);
+      const Image<float> sigma =
+          surface_sigma(strip.field, trust, {prior.smoothing_px, prior.shares_windows}, context_);
       const Image<float> mirrored = mirrored_light(strip.field, context_);
       parallel_rows(context_, std::min(tiles.rows.end, size.height) - tiles.rows.begin, [&](int row) {
         const int v = tiles.rows.begin + row, strip_v = v - strip.first_row;

@@ -62,19 +62,20 @@ Image<float> change_of_curvature(const RefinementField& field, double reach_px, 
 }
 
 /// Variance of the prior [GSD²], with what its smoothing cuts off.
-Image<float> prior_variance(const RefinementField& field, double smoothing_px, const Context& context) {
-  constexpr double of_noise = 0.3, of_smoothing = 0.65;
+Image<float> prior_variance(const RefinementField& field, const PriorErrors& prior, const Context& context) {
+  constexpr double of_smoothing = 0.65;
+  const double of_noise = prior.shares_windows ? 1.0 : 0.3;
   Image<float> variance(field.size(), 1, std::numeric_limits<float>::quiet_NaN());
   parallel_rows(context, field.size().height, [&](int v) {
     for (int u = 0; u < field.size().width; ++u) {
       if (field.object(u, v)) variance(u, v) = static_cast<float>(square(field.prior_sigma(u, v)));
     }
   });
-  if (smoothing_px <= 0) return variance;
+  if (prior.smoothing_px <= 0) return variance;
   const double reach =
-      std::min(smoothing_px, surface_sigma_reach_px / 9.0);  // blurs of 1 and 2 times it end at 3 sigma
+      std::min(prior.smoothing_px, surface_sigma_reach_px / 9.0);  // blurs of 1 and 2 times it end at 3 sigma
   const Image<float> around = change_of_curvature(field, reach, context);
-  const double length4 = square(square(smoothing_px));
+  const double length4 = square(square(prior.smoothing_px));
   parallel_rows(context, field.size().height, [&](int v) {
     for (int u = 0; u < field.size().width; ++u) {
       if (!field.object(u, v)) continue;
@@ -100,7 +101,7 @@ Image<float> contour_sigma(const RefinementField& field, const Context& context)
 
 }  // namespace
 
-Image<float> surface_sigma(const RefinementField& field, const Image<std::uint8_t>& trust, double smoothing_px,
+Image<float> surface_sigma(const RefinementField& field, const Image<std::uint8_t>& trust, const PriorErrors& errors,
                            const Context& context) {
   constexpr float none = std::numeric_limits<float>::quiet_NaN();
   constexpr double low_frequency_px = surface_sigma_reach_px / 3.0, high_frequency_px = 3;  // blurs end at 3 sigma
@@ -116,7 +117,7 @@ Image<float> surface_sigma(const RefinementField& field, const Image<std::uint8_
   const double of_prior = field.reflection.metal_error > 0 ? 0.3 : 0.16;
   const Image<float> changes = masked_blur(change, field.object, low_frequency_px, context);
   const Image<float> slopes = masked_blur(slope, field.object, high_frequency_px, context);
-  const Image<float> prior = prior_variance(field, smoothing_px, context);
+  const Image<float> prior = prior_variance(field, errors, context);
   const Image<float> contour = contour_sigma(field, context);
   Image<float> sigma(field.size(), 1, none);
   parallel_rows(context, field.size().height, [&](int v) {

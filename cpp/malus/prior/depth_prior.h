@@ -20,11 +20,13 @@ struct DepthPrior {
   double noise = 0;         ///< standard deviation of a point, or of a raster's depth, station unit; 0 = none
   double spacing_px = 0;    ///< mean distance of neighboring used points in the view; of a raster's independent errors
   double smoothing_px = 0;  ///< chosen smoothing length
+  bool shares_windows = false;  ///< neighbors were measured over common windows: smoothing does not average their noise
   /// Share of object pixels farther than 2 · spacing from any point; of rasters and photos, those without a depth.
   double filled_fraction = 0;
 
   // Without the maps.
-  MALUS_FIELDS(camera, pose, points_total, points_used, noise, spacing_px, smoothing_px, filled_fraction)
+  MALUS_FIELDS(camera, pose, points_total, points_used, noise, spacing_px, smoothing_px, shares_windows,
+               filled_fraction)
 };
 
 /// A depth map that was measured over windows (the surface sweep), unit of the station, camera's size.

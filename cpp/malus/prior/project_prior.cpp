@@ -526,6 +526,7 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
     }
   }
   prior.filled_fraction = unseen / object;
+  prior.shares_windows = true;
   cv::distanceTransform(missing, distance, cv::DIST_L2, cv::DIST_MASK_PRECISE);
   parallel_rows(context, depth.height(), [&](int v) {
     for (int u = 0; u < depth.width(); ++u) {

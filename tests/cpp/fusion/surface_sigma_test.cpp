@@ -32,7 +32,7 @@ Shape waves(double curvature) {
 }
 
 /// Sigma in GSD of a surface that has its prior's shape. Its polarization is what the reflection model predicts.
-Image<float> sigma_of(const Shape& shape, double smoothing_px, std::uint8_t trust, int first_column = 0) {
+Image<float> sigma_of(const Shape& shape, const PriorErrors& errors, std::uint8_t trust, int first_column = 0) {
   SyntheticOptions scene;
   scene.size = sigma_size;
   SyntheticStation station = make_station(scene);
@@ -56,7 +56,7 @@ Image<float> sigma_of(const Shape& shape, double smoothing_px, std::uint8_t trus
     }
   }
   update_weights(field, {}, Context{});
-  Image<float> sigma = surface_sigma(field, Image<std::uint8_t>(field.size(), 1, trust), smoothing_px, Context{});
+  Image<float> sigma = surface_sigma(field, Image<std::uint8_t>(field.size(), 1, trust), errors, Context{});
   for (std::size_t i = 0; i < sigma.count(); ++i) {
     if (field.object[i]) sigma[i] /= static_cast<float>(field.depth_of(field.x[i]) / field.focal);
   }
@@ -64,29 +64,34 @@ Image<float> sigma_of(const Shape& shape, double smoothing_px, std::uint8_t trus
 }
 
 TEST(SurfaceSigma, OfAPriorThatDoesNotSmoothIsItsOwn) {
-  EXPECT_NEAR(sigma_of(waves(0.01), 0, nothing)(80, 64), prior_sigma_gsd, 0.01);
+  EXPECT_NEAR(sigma_of(waves(0.01), {0}, nothing)(80, 64), prior_sigma_gsd, 0.01);
 }
 
 TEST(SurfaceSigma, KnowsWhatSmoothingCutsOff) {
-  const double plane = sigma_of(cap(0), 5, nothing)(80, 64);
+  const double plane = sigma_of(cap(0), {5}, nothing)(80, 64);
   EXPECT_NEAR(plane, 0.3 * prior_sigma_gsd, 0.02);
   // 0.65 L² times the RMS curvature.
   const double cut = 0.65 * 25 * 0.02 / std::sqrt(2.0);
-  EXPECT_NEAR(sigma_of(waves(0.02), 5, nothing)(80, 64), std::hypot(plane, cut), 0.1 * cut);
-  EXPECT_NEAR(sigma_of(waves(0.02), 10, nothing)(80, 64), std::hypot(plane, 4 * cut), 0.4 * cut);
-  EXPECT_NEAR(sigma_of(cap(0.02), 5, nothing)(80, 64), plane, 0.1 * cut) << "nothing of a ball";
+  EXPECT_NEAR(sigma_of(waves(0.02), {5}, nothing)(80, 64), std::hypot(plane, cut), 0.1 * cut);
+  EXPECT_NEAR(sigma_of(waves(0.02), {10}, nothing)(80, 64), std::hypot(plane, 4 * cut), 0.4 * cut);
+  EXPECT_NEAR(sigma_of(cap(0.02), {5}, nothing)(80, 64), plane, 0.1 * cut) << "nothing of a ball";
+}
+
+TEST(SurfaceSigma, OfPointsThatShareTheirWindowsIsNotAveraged) {
+  const PriorErrors swept{.smoothing_px = 5, .shares_windows = true};
+  EXPECT_NEAR(sigma_of(cap(0), swept, nothing)(80, 64), prior_sigma_gsd, 0.02);
 }
 
 TEST(SurfaceSigma, IsSmallerWhereTheSurfaceIsRefined) {
   // Polarization tells slopes where there are some.
   const Shape wavy_cap = [](double x, double y) { return cap(0.02)(x, y) + waves(0.04)(x, y); };
-  EXPECT_LT(sigma_of(wavy_cap, 5, all)(100, 64), 0.8 * sigma_of(wavy_cap, 5, nothing)(100, 64));
+  EXPECT_LT(sigma_of(wavy_cap, {5}, all)(100, 64), 0.8 * sigma_of(wavy_cap, {5}, nothing)(100, 64));
 }
 
 TEST(SurfaceSigma, GrowsAtTheContourButNotAtTheBorderOfTheImage) {
   constexpr int contour = 40;
   for (const std::uint8_t trust : {nothing, all}) {
-    const Image<float> sigma = sigma_of(cap(0), 5, trust, contour);
+    const Image<float> sigma = sigma_of(cap(0), {5}, trust, contour);
     EXPECT_GT(sigma(contour + 1, 64), 2);
     EXPECT_LT(sigma(contour + 8, 64), 1);
     EXPECT_LT(sigma(sigma_size.width - 2, 64), 1);

@@ -150,8 +150,9 @@ TEST(KeptResults, InputEvidenceIsItsFindings) {
 }
 
 TEST(KeptResults, Surfaces) {
-  const DepthPrior prior = expect_kept(DepthPrior{raster(500), raster(1), camera, pose, 10, 9, nan, 3, 4, 0.5});
+  const DepthPrior prior = expect_kept(DepthPrior{raster(500), raster(1), camera, pose, 10, 9, nan, 3, 4, true, 0.5});
   EXPECT_EQ(prior.pose.rotation, pose.rotation) << "to the last bit";
+  EXPECT_TRUE(prior.shares_windows);
   EXPECT_EQ(prior.filled_fraction, 0.5);
   const ReflectionMap reflection = expect_kept(ReflectionMap{labels(2), raster(0.5F), 1.7, 0.25, 0.125});
   EXPECT_EQ(reflection.refractive_index, 1.7);
