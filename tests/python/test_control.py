@@ -165,6 +165,7 @@ def test_a_photo_model_is_brought_into_the_frame_of_known_points(tmp_path: Path)
     said: list[tuple[str, str]] = []
     datum = adjust_datum(entries, cameras, 0.3, lambda level, text: said.append((level, text)))
     assert datum["scale"] == pytest.approx(0.31, rel=1e-6) and datum["sigma"] < 1e-4 and not said
+    assert datum["check_rms"] == pytest.approx(0, abs=1e-4)
     np.testing.assert_allclose(datum["rotation"], turn, atol=1e-5)
 
     move_model(EXAMPLE / "sparse", tmp_path / "moved", datum)
@@ -190,6 +191,24 @@ def test_a_photo_model_is_brought_into_the_frame_of_known_points(tmp_path: Path)
     with pytest.raises(package.InputError, match=r"2 points .* expected at least 3"):
         adjust_datum(entries, cameras, 0.3, lambda level, text: said.append((level, text)))
     assert "marked in 1 photos with a position" in said[-1][1]
+
+
+def test_too_few_control_points_are_said_before_photos_are_matched(tmp_path: Path) -> None:
+    station, used = demo_with_photos(tmp_path / "station")
+    cameras, points = model_and_points(EXAMPLE / "sparse")
+    lines = []
+    for entry in control_points({name: cameras[name] for name in used}, points[:3], points[:3]):
+        marks = ", ".join(f'{{ image = "{mark["image"]}", x = 4, y = 5 }}' for mark in entry["marks"])
+        held_out = "check = true\n" if entry["name"] == "P2" else ""
+        lines.append(f'[[control]]\nname = "{entry["name"]}"\nxyz = {entry["xyz"]}\nmarks = [{marks}]\n{held_out}')
+    station.write_text(station.read_text().split("[[scale]]")[0] + "\n".join(lines))
+    expected = "[[control]]: 2 points without check = true are marked in two photos or more, expected at least 3"
+    for command in (("check", station), ("run", station, "-o", tmp_path / "work")):
+        outcome = malus(*command)
+        assert outcome.code == 2 and expected in " ".join(outcome.err.split()), outcome
+    assert not list((tmp_path / "work").rglob("database.db"))
+    station.write_text(station.read_text().replace("check = true\n", ""))
+    assert "frame and size from 3 control points" in malus("check", station).out
 
 
 @pytest.mark.skipif(

@@ -411,9 +411,9 @@ def test_scale_and_photos_are_shown_when_they_are_known(finished_grid: Path, tmp
     }  # fmt: skip
     fit = {"name": "P<1>", "check": False, "offset": [0.1, -0.2, 0.3], "rms_px": 0.4}
     quality["control"] = {
-        "datum": {"sigma": 0.21, "doubtful": "P<1>", "points": [fit]},
+        "datum": {"sigma": 0.21, "check_rms": 0.347, "doubtful": "P<1>", "points": [fit]},
         "image": {
-            "use": "check", "rms_px": 1.25, "center_sigma": None, "doubtful": None,
+            "use": "check", "rms_px": 1.25, "check_rms_px": None, "center_sigma": None, "doubtful": None,
             "points": [{"name": "T", "check": True, "du_px": 1.5, "dv_px": None}],
         },
     }  # fmt: skip
@@ -425,6 +425,7 @@ def test_scale_and_photos_are_shown_when_they_are_known(finished_grid: Path, tmp
     assert shown["scale.distances.0.residual"] == "0.0031" and shown["scale.distances.0.adjusted"] == "31.5071"
     assert shown["photogrammetry.station.matches"] == "345" and shown["photogrammetry.program"] == "COLMAP 3.8"
     assert shown["control.datum.points.0.offset.1"] == "−0.20" and shown["control.image.points.0.du_px"] == "1.5"
+    assert shown["control.datum.check_rms"] == "0.35" and "held out to" not in text
     assert "matches of the polarized image with the photos" in text and "station.matches</td>" not in text
     assert "without point P&lt;1&gt;" in text and "check the camera's place" in text
     assert "known to 0.032 % (standard deviation)" in text

@@ -100,6 +100,17 @@ double mark_rms_px(std::span<const MarkedView> views, const KnownPoint& known, c
   return std::sqrt(squares / static_cast<double>(known.marks.size()));
 }
 
+/// Of a coordinate of the points that are held out.
+std::optional<double> rms_of_checks(const std::vector<PointFit>& points) {
+  double squares = 0, coordinates = 0;
+  for (const PointFit& fit : points) {
+    if (!fit.check) continue;
+    squares += fit.offset.squaredNorm();
+    coordinates += 3;
+  }
+  return coordinates > 0 ? std::optional(std::sqrt(squares / coordinates)) : std::nullopt;
+}
+
 void require_fit(const Datum& datum, const Points& known, const std::optional<Doubt>& doubt) {
   constexpr double tolerated_share = 0.05;
   const double extent = (known.rowwise().maxCoeff() - known.rowwise().minCoeff()).norm();
@@ -155,6 +166,7 @@ Datum adjust_datum(std::span<const MarkedView> views, std::span<const KnownPoint
     datum.points.push_back(
         {points[i].name, points[i].check, moved - points[i].xyz, mark_rms_px(views, points[i], found[i])});
   }
+  datum.check_rms = rms_of_checks(datum.points);
   require_fit(datum, pairs.known, doubt);
   return datum;
 }

@@ -35,10 +35,11 @@ struct Datum {
   Eigen::Matrix3d rotation = Eigen::Matrix3d::Identity();
   Eigen::Vector3d translation = Eigen::Vector3d::Zero();
   double sigma = 0;  ///< standard deviation of a coordinate, by the residuals of the points that determine the datum
+  std::optional<double> check_rms;  ///< RMS offset of a coordinate of the points that are held out; none without them
   std::optional<std::string> doubtful;  ///< point without which all others fit far better: likely a mistake
   std::vector<PointFit> points;
 
-  MALUS_FIELDS(scale, rotation, translation, sigma, doubtful, points)
+  MALUS_FIELDS(scale, rotation, translation, sigma, check_rms, doubtful, points)
 };
 
 /// Datum of a photogrammetric model from known points that are marked in its photos: each is where the rays of its

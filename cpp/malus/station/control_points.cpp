@@ -8,16 +8,26 @@
 namespace malus {
 namespace {
 
-/// Of the marks that gave the pose, or of all if the pose was known. Points behind the camera have no distance and are
-/// left out; NaN if all are.
-double rms_px(const StationFile& station, const std::vector<ControlResidual>& residuals) {
+/// Of the marks that gave the pose, or of those that check it. Points behind the camera have no distance and are left
+/// out; NaN if no mark is left.
+double rms_px(const std::vector<ControlResidual>& residuals, bool check) {
   double squares = 0, count = 0;
   for (const ControlResidual& residual : residuals) {
-    if ((station.resection && residual.check) || std::isnan(residual.length_px())) continue;
+    if (residual.check != check || std::isnan(residual.length_px())) continue;
     squares += std::pow(residual.length_px(), 2);
     ++count;
   }
   return std::sqrt(squares / count);
+}
+
+/// Of the marks that gave the pose; a known pose is checked by all of them.
+double fit_px(const StationFile& station, const std::vector<ControlResidual>& residuals) {
+  return rms_px(residuals, !station.resection);
+}
+
+/// Of the marks that were held out of the pose; NaN without them.
+double held_out_px(const StationFile& station, const std::vector<ControlResidual>& residuals) {
+  return station.resection ? rms_px(residuals, true) : NAN;
 }
 
 }  // namespace
@@ -71,7 +81,10 @@ std::string describe_control(const StationFile& station) {
   } else {
     text << residuals.size() << " control points compared with the camera's position; ";
   }
-  if (const double rms = rms_px(station, residuals); std::isfinite(rms)) text << "marks fit to " << rms << " px: ";
+  if (const double rms = fit_px(station, residuals); std::isfinite(rms)) text << "marks fit to " << rms << " px";
+  if (const double rms = held_out_px(station, residuals); std::isfinite(rms))
+    text << ", those held out to " << rms << " px";
+  text << ": ";
   for (const ControlResidual& residual : residuals) {
     text << (&residual == &residuals.front() ? "" : ", ") << residual.name;
     if (station.resection && residual.check) text << " (check)";
@@ -88,7 +101,8 @@ Json control_json(const StationFile& station) {
   const std::vector<ControlResidual> residuals = control_residuals(station);
   if (residuals.empty()) return nullptr;
   return {{"use", station.resection ? "resection" : "check"},
-          {"rms_px", fields_to_json(rms_px(station, residuals))},
+          {"rms_px", fields_to_json(fit_px(station, residuals))},
+          {"check_rms_px", fields_to_json(held_out_px(station, residuals))},
           {"center_sigma", station.resection ? fields_to_json(station.resection->center_sigma) : Json(nullptr)},
           {"doubtful", station.resection ? fields_to_json(station.resection->doubtful) : Json(nullptr)},
           {"points", fields_to_json(residuals)}};

@@ -10,10 +10,31 @@ import numpy as np
 
 from malus import _core
 from malus.camera import Camera
+from malus.errors import InputError
 from malus.photogrammetry.scale import Log
 
+#: Points that determine a similarity.
+_LEAST_POINTS = 3
 #: A coordinate's standard deviation that is worth a warning, as a share of the points' extent.
 _LARGE = 0.005
+
+
+def require_control_points(said: Mapping[str, Any], photos: Sequence[str]) -> None:
+    """That the control points of `Station.describe` can give a frame to these photos; before hours go into matching them.
+
+    Raises InputError for fewer than three of them that are marked in two of the photos and not held out.
+    """
+    if not said["control"]:
+        return
+    known = set(photos)
+    counts = [sum(mark["image"] in known for mark in point["marks"]) for point in said["control"] if not point["check"]]
+    enough = sum(count > 1 for count in counts)
+    if enough < _LEAST_POINTS:
+        raise InputError(
+            f"{said['path']}: [[control]]: {enough} point{'s' * (enough != 1)} without check = true "
+            f"{'are' if enough != 1 else 'is'} marked in two photos or more, expected at least {_LEAST_POINTS} to find the "
+            "frame and the size; [[scale]] gives the size alone"
+        )
 
 
 def adjust_datum(
@@ -22,7 +43,7 @@ def adjust_datum(
     """How the model stands in the frame of the [[control]] tables: x_known = scale · rotation @ x_model + translation.
 
     cameras: registered photos by name, in the model's frame. Returns `scale`, `rotation` (3×3), `translation` (3), `sigma`
-    (standard deviation of a coordinate), `doubtful` (a point that is likely wrong, or None) and `points`: name, check,
+    (standard deviation of a coordinate), `check_rms` (RMS offset of a coordinate of the held-out points, or None), `doubtful` (a point that is likely wrong, or None) and `points`: name, check,
     offset (x, y, z of the model less the known ones) and rms_px of the marks. Points with fewer than two marks in
     registered photos are left out with a warning. Raises InputError for fewer than three others without check = true,
     for points on one line and for points that do not fit.

@@ -25,7 +25,7 @@ from malus.errors import DataError, InputError
 from malus.options import Options
 from malus.photogrammetry import diagnosis
 from malus.photogrammetry.bench import Bench
-from malus.photogrammetry.control import adjust_datum, move_model
+from malus.photogrammetry.control import adjust_datum, move_model, require_control_points
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photo_cameras import PhotoCameras, solve_photos
@@ -89,7 +89,7 @@ def find_cameras(
     ExternalError when COLMAP is missing or fails.
     """
     bench = _bench(folder, options, threads, progress, log)
-    photos, solved = _solved(bench, station["photos"])
+    photos, solved = _solved(bench, station)
     lens = lens_of_raster(camera_of(station["camera"])) if "camera" in station else None
     shared = None if lens is not None else _photo_of_same_camera(station, photos, solved.model, unpolarized.shape, log)
     view = StationView(unpolarized, lens, shared)
@@ -123,7 +123,7 @@ def find_object_cameras(
     that find no place are left out. The images of the other stations count as photos of each. Raises what `find_cameras` does.
     """
     bench = _bench(folder, options, threads, progress, log)
-    photos, solved = _solved(bench, shared["photos"])
+    photos, solved = _solved(bench, shared)
     images = {name: station_image(number) for number, name in enumerate(stations)}
     views = {
         images[name]: StationView(unpolarized, lens_of_raster(lens)) for name, (lens, unpolarized) in stations.items()
@@ -161,9 +161,10 @@ def _bench(folder: Path, options: Options, threads: int, progress: Report, log: 
 
 
 def _solved(bench: Bench, said: Mapping[str, Any]) -> tuple[list[Photo], PhotoCameras]:
-    """The photos that [photos] names, and their cameras."""
-    photos = list_photos(Path(said["folder"]), said["exclude"])
-    solved = solve_photos(bench, photos, known_lens(said["camera"], bench.log))
+    """The photos that [photos] names, and their cameras. said: `path`, `photos` and `control`."""
+    photos = list_photos(Path(said["photos"]["folder"]), said["photos"]["exclude"])
+    require_control_points(said, [photo.name for photo in photos])
+    solved = solve_photos(bench, photos, known_lens(said["photos"]["camera"], bench.log))
     relief = solved.model.relief()
     if not solved.calibrated and relief < diagnosis.FLAT_RELIEF:
         raise DataError(diagnosis.unknown_focal_on_flat_scene(relief))

@@ -10,6 +10,7 @@ from typing import Any
 from malus.errors import DataError
 from malus.options import Options
 from malus.photogrammetry import diagnosis
+from malus.photogrammetry.control import require_control_points
 from malus.photogrammetry.cost import Expected, Work, photos_cost, sweep_cost
 from malus.photogrammetry.front_end import known_lens
 from malus.photogrammetry.photo_cameras import MIN_PHOTOS, group_by_camera, pairs_to_match
@@ -37,8 +38,12 @@ def _sweep_line(options: Options) -> str:
 
 def _scale_line(station: Mapping[str, Any]) -> str:
     if station["control"]:
-        marked = sum(len(point["marks"]) > 1 for point in station["control"])
-        return f"scale: frame and size from {marked} control points that are marked in the photos"
+        marked = [point for point in station["control"] if len(point["marks"]) > 1]
+        held_out = sum(point["check"] for point in marked)
+        besides = f"; {held_out} more {'check' if held_out > 1 else 'checks'} them" if held_out else ""
+        return (
+            f"scale: frame and size from {len(marked) - held_out} control points that are marked in the photos{besides}"
+        )
     return f"scale: {len(station['scale'])} known distances" if station["scale"] else "scale: none, arbitrary unit"
 
 
@@ -53,6 +58,7 @@ def plan(station: Mapping[str, Any], options: Options, threads: int, station_mpx
     photos = list_photos(Path(said["folder"]), said["exclude"])
     if len(photos) < MIN_PHOTOS:
         raise DataError(diagnosis.too_few_photos(len(photos), MIN_PHOTOS))
+    require_control_points(station, [photo.name for photo in photos])
     program = Colmap(threads, options.photos.backend)
     known = known_lens(said.get("camera"), lambda _, message: warnings.append(message))
     groups = group_by_camera(photos, known)

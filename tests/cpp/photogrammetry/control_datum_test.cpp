@@ -60,10 +60,13 @@ TEST(AdjustDatum, AWrongPointIsNamedAndAHeldOutOneShowsItsError) {
   std::vector<KnownPoint> points = site.points();
   points[2].xyz += Eigen::Vector3d(0, 0, 4);
   EXPECT_EQ(adjust_datum(site.views, points).doubtful, "C");
+  EXPECT_FALSE(adjust_datum(site.views, points).check_rms);
   points[2].check = true;
   const Datum datum = adjust_datum(site.views, points);
   EXPECT_FALSE(datum.doubtful);
   EXPECT_LT((datum.points[2].offset - Eigen::Vector3d(0, 0, -4)).norm(), 1e-6);
+  ASSERT_TRUE(datum.check_rms);
+  EXPECT_NEAR(*datum.check_rms, 4 / std::sqrt(3.0), 1e-6);
   points[2].check = false;
   points[2].xyz += Eigen::Vector3d(0, 0, 400);
   expect_error(

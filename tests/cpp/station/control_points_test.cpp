@@ -19,9 +19,11 @@ TEST(ControlPoints, TheFitIsThatOfThePointsThatGaveThePose) {
   StationFile station = marked({{"A", 3, false}, {"B", 4, false}, {"F", 60, true}});
   station.resection = Resection{};
   EXPECT_NEAR(control_json(station)["rms_px"].get<double>(), std::sqrt(12.5), 1e-9);
-  expect_contains(describe_control(station), "marks fit to 3.54 px: A 3, B 4, F (check) 60");
+  EXPECT_NEAR(control_json(station)["check_rms_px"].get<double>(), 60, 1e-9);
+  expect_contains(describe_control(station), "marks fit to 3.54 px, those held out to 60 px: A 3, B 4, F (check) 60");
   station.resection.reset();  // with a known pose all of them check it
   EXPECT_NEAR(control_json(station)["rms_px"].get<double>(), std::sqrt((9 + 16 + 3600) / 3.0), 1e-9);
+  EXPECT_TRUE(control_json(station)["check_rms_px"].is_null());
 }
 
 TEST(ControlPoints, APointBehindTheCameraHasNoDistance) {
