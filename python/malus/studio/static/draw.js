@@ -32,7 +32,17 @@ const TOOLS = {
 let showing = Promise.resolve();
 const inTurn = (work) => { showing = showing.catch(() => {}).then(work); return showing; };
 
-export const showDrawing = () => inTurn(showChoice);
+// Nothing is drawn on what is about to be replaced.
+export async function showDrawing() {
+  const drawn = [byId('tools'), byId('draw-stage')];
+  for (const part of drawn) part.inert = true;
+  const shown = inTurn(showChoice);
+  try {
+    await shown;
+  } finally {
+    if (shown === showing) for (const part of drawn) part.inert = false;
+  }
+}
 
 async function showChoice() {
   view ??= makeView();

@@ -21,7 +21,12 @@ export async function showPage(name, focus = true) {
   document.title = `${byId(`${name}-title`).textContent} – Malus Studio`;
   if (focus) byId('main').focus();
   await doing(async () => {
-    await pages[name].enter?.();
+    byId(name).inert = true;  // What it showed before may be outdated: nothing is changed upon that.
+    try {
+      await pages[name].enter?.();
+    } finally {
+      byId(name).inert = false;
+    }
     await pages[name].show();
   })();
   if (unsaved) say(unsaved);
