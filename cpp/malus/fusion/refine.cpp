@@ -380,9 +380,10 @@ class Refiner {
     Image<double> x_prior(size);
     const ExplainedPolarization at_prior = explained(&x_prior);
     const Image<float> beyond_plane = at_prior.shares(true, context_);
-    const Image<float> shares = image_.reflection.mirrored ? beyond_plane : at_prior.shares(false, context_);
     const bool with_map = image_.reflection.mirrored != nullptr, explained_as_metal = image_.reflection.metal_error > 0;
-    const Image<float> after = with_map ? explained_by_surroundings(false).shares(context_) : Image<float>();
+    const Image<float> shares = with_map ? beyond_plane : at_prior.shares(false, context_);
+    const Image<float> after = explained_by_result(false).shares(context_);
+    report_.explained_share = mean_over_object(shares);
     const Image<float> in_metal = explained_as_metal ? trust_in_metal(after, x_prior) : Image<float>();
     // A metal's slopes are not those that a dielectric's formulas give, however well these fit.
     const bool is_metal = looks_like_metal(image_), settled = has_settled(report_);
@@ -395,9 +396,9 @@ class Refiner {
           return between_cells(cells, ExplainedPolarization::cell_px, u, v);
         };
         const double trust = is_metal || !settled ? 0
-                             : !with_map          ? trust_of(share(shares))
                              : explained_as_metal ? share(in_metal)
-                                                  : trust_with_surroundings(share(shares), share(after));
+                             : with_map           ? trust_with_surroundings(share(shares), share(after))
+                                                  : trust_of(share(shares), share(after));
         const double gained = gains ? trust_of_gain(between_cells(gains->all.gain, gains->all.cell_px, u, v)) : 1;
         if (image_.pixels(u, v)) report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(255 * trust * gained));
         image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
@@ -414,7 +415,6 @@ class Refiner {
       ++count;
     }
     report_.trusted_share = trust / std::max(count, 1.0);
-    report_.explained_share = mean_over_object(shares);
     report_.explained_beyond_plane = mean_over_object(beyond_plane);
   }
 
@@ -427,7 +427,7 @@ class Refiner {
       for (int u = 0; u < image_.size().width; ++u) {
         if (!image_.object(u, v)) continue;
         const double deviation = between_cells(deviations, ExplainedPolarization::cell_px, u, v);
-        const double trust = std::clamp((too_far - deviation) / (too_far - allowed), 0.0, 1.0);
+        const double trust = 1 - ramp(deviation, allowed, too_far);
         image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
         report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(trust * report_.trust(u, v)));
       }
@@ -492,10 +492,32 @@ class Refiner {
   static constexpr std::array search_widenings{4.0, 2.0, 1.0};
   static constexpr int search_rounds = search_widenings.size(), heal_rounds = 2;
 
-  /// Share of the refined surface in the result, by the share that is explained at the prior's slopes.
-  double trust_of(double at_prior) const {
-    const double ramp = std::max(options_.explained_enough - options_.explained_least, 1e-6);
-    return std::clamp((at_prior - options_.explained_least) / ramp, 0.0, 1.0);
+  /// 0 below `least`, 1 from `enough` on, linear between.
+  static double ramp(double value, double least, double enough) {
+    return std::clamp((value - least) / std::max(enough - least, 1e-6), 0.0, 1.0);
+  }
+
+  /// By what is left over at the result: a model of which the slopes could take up only a small part does not hold.
+  static double trust_of_result(double after) {
+    constexpr double least = 0.3, enough = 0.8;
+    return ramp(after, least, enough);
+  }
+
+  /// What the model explains at the prior's slopes, here or of all of the object. The prior's slopes are worst where
+  /// there is most to gain, and the model is one for all of the object: what it explains elsewhere speaks for it, fully
+  /// from a share of `enough` here on, not at all below `least`, where the prior's slopes contradict it.
+  double explained_here_or_elsewhere(double at_prior, double least, double enough) const {
+    const double elsewhere = std::max(report_.explained_share - at_prior, 0.0);
+    return at_prior + elsewhere * ramp(at_prior, least, enough);
+  }
+
+  /// Share of the refined surface in the result, by the shares that are explained at the prior's slopes and at the
+  /// result. Polarization that is turned by 0.4 rad in one part of the object leaves a share of 0.2 there.
+  double trust_of(double at_prior, double after) const {
+    constexpr double least = 0.15, enough = 0.3;
+    const auto trust = [&](double share) { return ramp(share, options_.explained_least, options_.explained_enough); };
+    return std::max(trust(at_prior),
+                    std::min(trust(explained_here_or_elsewhere(at_prior, least, enough)), trust_of_result(after)));
   }
 
   /// Leaves of the movement from the prior what is gain, and returns how much of it that is.
@@ -518,15 +540,15 @@ class Refiner {
   /// Where less than half of the movement is gain, what is left of the refined surface is next to nothing.
   static double trust_of_gain(double gain) {
     constexpr double least = 0.5, enough = 0.75;
-    return std::clamp((gain - least) / (enough - least), 0.0, 1.0);
+    return ramp(gain, least, enough);
   }
 
-  /// The same with a map of the surroundings: what it leaves over at the result decides, if it explains anything of the
-  /// relief at the prior's slopes.
-  static double trust_with_surroundings(double at_prior, double after) {
-    constexpr double least = 0.55, enough = 0.95, something = 0.2;
-    return std::min(std::clamp((after - least) / (enough - least), 0.0, 1.0),
-                    std::clamp(at_prior / something, 0.0, 1.0));
+  /// The same with a map of the surroundings, which is asked for what it explains beyond a plane: where the prior lacks
+  /// the detail that is nothing.
+  double trust_with_surroundings(double at_prior, double after) const {
+    constexpr double least = -0.3, enough = 0, nothing = 0.1, something = 0.3;
+    return std::min(ramp(explained_here_or_elsewhere(at_prior, least, enough), nothing, something),
+                    trust_of_result(after));
   }
 
   /// The same of a metal, cell by cell, from what its map explains at the result. Its slopes follow from s0 above all.
@@ -537,14 +559,14 @@ class Refiner {
   Image<float> trust_in_metal(const Image<float>& after, const Image<double>& x_prior) const {
     constexpr double least = 0.05, enough = 0.2, doubtful = 0.75, nearly_all = 0.9;
     constexpr double too_far = 0.9, within = 0.95;
-    const Image<float> before = explained_by_surroundings(true).shares(context_);
+    const Image<float> before = explained_by_result(true).shares(context_);
     Image<float> trust(after.size());
     for (std::size_t i = 0; i < trust.count(); ++i) {
       const double gained = (after[i] - before[i]) / std::max(1.0 - before[i], 1e-6);
-      trust[i] = static_cast<float>(std::clamp((gained - least) / (enough - least), 0.0, 1.0));
+      trust[i] = static_cast<float>(ramp(gained, least, enough));
     }
-    const double all = std::clamp((mean_over_object(trust) - doubtful) / (nearly_all - doubtful), 0.0, 1.0) *
-                       std::clamp((within_prior_errors(x_prior) - too_far) / (within - too_far), 0.0, 1.0);
+    const double all =
+        ramp(mean_over_object(trust), doubtful, nearly_all) * ramp(within_prior_errors(x_prior), too_far, within);
     for (float& value : trust) value *= static_cast<float>(all);
     return trust;
   }
@@ -632,8 +654,8 @@ class Refiner {
     return explained;
   }
 
-  /// How well a map of the surroundings explains the polarization at the surface as it is, or at the prior's.
-  ExplainedByResult explained_by_surroundings(bool at_prior) const {
+  /// How much of the polarization the reflection explains at the surface as it is, or at the prior's.
+  ExplainedByResult explained_by_result(bool at_prior) const {
     ExplainedByResult explained(image_.size());
     for (const TileStrip& tiles : strips_) {
       StripField strip = strip_field(image_, tiles.rows, whole_blocks(weights_reach_px), context_);

@@ -39,7 +39,7 @@ class ExplainedPolarization {
   Eigen::Vector3d mean_normal_;
 };
 
-/// What a map of the surroundings leaves of the polarization at the *refined* surface, cell by cell of 16 px.
+/// How much of the polarization the reflection model explains at the *refined* surface, cell by cell of 16 px.
 ///
 /// Each pixel has two Stokes components and one depth of its own, so that a surface cannot take up all errors of a
 /// model. A share of 1 − median |r| / median |s| of a cell's pixels near one means that the model held while the
