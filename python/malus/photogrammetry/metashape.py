@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from malus._files import read_regular
 from malus.camera import Camera
 from malus.errors import InputError
 
@@ -89,7 +90,7 @@ def read_metashape(path: str | Path, chunk: int = 0) -> dict[str, Camera]:
     """
     file = Path(path)
     try:
-        root = ElementTree.parse(file).getroot()
+        root = ElementTree.fromstring(read_regular(file))
     except (OSError, ElementTree.ParseError) as error:
         raise InputError(f"{file}: not a cameras.xml ({error})") from None
     chunks: Sequence[ElementTree.Element] = root.findall("chunk")
