@@ -8,6 +8,7 @@ import hashlib
 import json
 import re
 import tomllib
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -193,6 +194,8 @@ def value_of(file: Path, name: str, table: Mapping[str, Any], key: str, default:
     if not isinstance(value, type(default)):
         expected = {str: "a string", bool: "true or false", float: "a number"}[type(default)]
         raise InputError(f"{file}: {name}.{key} = {value!r}, expected {expected}")
+    if isinstance(value, str) and any(unicodedata.category(sign) == "Cc" for sign in value):
+        raise InputError(f"{file}: {name}.{key} = {value!r}, expected one line without control characters")
     return value
 
 
