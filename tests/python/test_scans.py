@@ -114,7 +114,10 @@ def test_the_archive_has_the_scan_that_the_surface_was_made_from(small_station: 
     pytest.importorskip("rocrate")
     cloud = small_station.parent / "cloud.las"
     vertices = malus._core.read_points(str(small_station.parent / "dense/cloud.ply"))
-    write_las(cloud, vertices, np.zeros_like(vertices))
+    scan = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+    scan.header.offsets, scan.header.scales = vertices.mean(0), [1e-4] * 3
+    scan.x, scan.y, scan.z = vertices.T
+    scan.write(cloud)
     edit(small_station, "dense/cloud.ply", "cloud.las")
     work = tmp_path / "work"
     malus.reconstruct(malus.Station.load(small_station), malus.Options(fusion="grid"), workspace=work)

@@ -88,6 +88,8 @@ def compare(
     with new_folder(folder, replace=True) as new:
         _write_files(new, first, distances, regions, figures)
         write_page(new, first, distances, regions, figures)
+        for exporter in (first, second):
+            exporter.workspace.require_unchanged()
     progress(1.0, str(folder / "index.html"))
     return Change(distances.distance, distances.limit, regions, figures, folder)
 
