@@ -428,9 +428,11 @@ def test_metashape_cameras(tmp_path: Path) -> None:
     path.write_text(METASHAPE.replace("<k1>", "<b2>0.5</b2><k1>"))
     with pytest.raises(package.InputError, match="b2"):
         read_metashape(path)
-    path.write_text("<document>")
-    with pytest.raises(package.InputError, match=r"cameras\.xml"):
-        read_metashape(path)
+    coded = '<?xml version="1.0" encoding="{}"?><document></document>'
+    for damaged in ("<document>", coded.format("none-such"), coded.format("shift_jis"), coded.format("hex")):
+        path.write_text(damaged)
+        with pytest.raises(package.InputError, match=r"cameras\.xml"):
+            read_metashape(path)
 
 
 @pytest.mark.parametrize(
