@@ -91,12 +91,8 @@ def read_metashape(path: str | Path, chunk: int = 0) -> dict[str, Camera]:
     file = Path(path)
     try:
         root = ElementTree.fromstring(read_regular(file))
-    except (
-        OSError,
-        ElementTree.ParseError,
-        LookupError,
-        ValueError,
-    ) as error:  # the latter two: of a coding that is none
+    # LookupError and ValueError: it names a coding that there is not, or that the parser does not know.
+    except (OSError, ElementTree.ParseError, LookupError, ValueError) as error:
         raise InputError(f"{file}: not a cameras.xml ({error})") from None
     chunks: Sequence[ElementTree.Element] = root.findall("chunk")
     if not 0 <= chunk < len(chunks):
