@@ -14,8 +14,9 @@ import stat
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from malus.errors import InputError, ResourceError
 
@@ -44,7 +45,7 @@ def resolved(path: str | Path) -> Path:
         raise InputError(f"{str(path)!r} has a character that no file name has") from None
 
 
-def open_regular(path: Path) -> BinaryIO:
+def open_regular(path: Path) -> BufferedReader:
     """A file of a user's for reading; OSError unless it is a regular one. A pipe would be waited for, a device never ends."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     if stat.S_ISREG(os.fstat(descriptor).st_mode):

@@ -526,6 +526,9 @@ def export(
         try:
             exporter.workspace.require_unchanged()
         except InputError:
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
             raise
     return path
