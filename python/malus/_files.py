@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import errno
+import fcntl
+import glob
 import hashlib
 import json
 import os
 import secrets
 import shutil
-import tempfile
+import stat
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
 from malus.errors import InputError, ResourceError
 
+#: Seconds after which a folder that nobody holds is one of a writer that was killed.
+_UNTIL_HELD_S = 60
 _OUT_OF_SOMETHING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ENOMEM, errno.EFBIG)
 
 
@@ -30,10 +35,38 @@ def require_utf8(path: str | Path) -> None:
         raise InputError(f"{shown}: this name is not in UTF-8, expected a file and folders whose names are") from None
 
 
+def resolved(path: str | Path) -> Path:
+    """Where a path leads, links followed; InputError for what Path.resolve has errors of its own for."""
+    try:
+        return Path(path).resolve()
+    except RuntimeError:
+        raise InputError(f"{path}: its links go in a circle, expected one that leads to a file or a folder") from None
+    except ValueError:
+        raise InputError(f"{str(path)!r} has a character that no file name has") from None
+
+
+def open_regular(path: Path) -> BufferedReader:
+    """A file of a user's for reading; OSError unless it is a regular one. A pipe would be waited for, a device never ends."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    if stat.S_ISREG(os.fstat(descriptor).st_mode):
+        return open(descriptor, "rb")
+    is_folder = stat.S_ISDIR(os.fstat(descriptor).st_mode)
+    os.close(descriptor)
+    if is_folder:
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    raise OSError(errno.EINVAL, "is not a regular file", str(path))
+
+
+def read_regular(path: Path) -> bytes:
+    """All of such a file."""
+    with open_regular(path) as file:
+        return file.read()
+
+
 def sha256_of(path: Path) -> str:
     """SHA-256 of a file's bytes. InputError for one that cannot be read."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
@@ -77,13 +110,45 @@ def new_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
     """
     if folder.exists() and not replace:
         raise InputError(f"{folder}: is there already, expected a new folder")
-    with writing(folder), tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as scratch:
-        new = Path(scratch) / "new"
+    with writing(folder), scratch_folder(folder) as scratch:
+        new = scratch / "new"
         new.mkdir()
         yield new
         if folder.exists():
             shutil.rmtree(folder)
         new.rename(folder)
+
+
+@contextmanager
+def scratch_folder(path: Path) -> Iterator[Path]:
+    """Give an empty folder beside `path`, for what becomes it; at the end it is removed, and those of writers that were killed.
+
+    Who writes there holds a lock, which the system drops with the process, on this machine or another that sees the same folder.
+    """
+    for left in path.parent.glob(f".{glob.escape(path.name)}.partial-*/"):
+        _remove_unless_held(left)
+    scratch = path.with_name(f".{path.name}.partial-{secrets.token_hex(8)}")
+    scratch.mkdir()
+    held = os.open(scratch, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        yield scratch
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+        os.close(held)
+
+
+def _remove_unless_held(folder: Path) -> None:
+    with suppress(OSError):
+        # A writer that has just made its folder has the lock a moment later.
+        if time.time() - folder.stat().st_mtime < _UNTIL_HELD_S:
+            return
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(folder)
+        finally:
+            os.close(descriptor)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -100,7 +165,7 @@ def write_record(path: Path, record: Mapping[str, Any]) -> None:
 def read_record(path: Path) -> dict[str, Any] | None:
     """What `write_record` wrote; None if there is none, or not as it was written."""
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record = json.loads(read_regular(path))
     except (OSError, ValueError, RecursionError):
         return None
     if not isinstance(record, dict) or record.pop("checksum", None) != _checksum(record):

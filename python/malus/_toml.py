@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import re
 import tomllib
 from pathlib import Path
 from typing import Any
+
+from malus._files import open_regular
 
 _MOST_PARTS = 100
 _KEY = re.compile(r"^[ \t\[]*([\w.\-\"' \t]*)", re.ASCII | re.MULTILINE)
@@ -16,7 +19,8 @@ def read_toml(path: Path) -> dict[str, Any]:
 
     A key of very many parts is refused, as the library does: tomllib takes gigabytes for one of 50 000.
     """
-    text = path.read_text(encoding="utf-8")
+    with io.TextIOWrapper(open_regular(path), encoding="utf-8") as file:
+        text = file.read()
     for key in _KEY.finditer(text):
         if key[1].count(".") >= _MOST_PARTS:
             line = text.count("\n", 0, key.start()) + 1

@@ -7,11 +7,11 @@ versions. The catalog's words come from [object] in the station file, those of t
 
 from __future__ import annotations
 
+import hashlib
 import json
 import mimetypes
 import os
 import shutil
-import tempfile
 import zipfile
 from datetime import UTC, datetime, timedelta
 from pathlib import Path, PurePosixPath
@@ -20,8 +20,10 @@ from xml.sax.saxutils import escape
 
 from malus import _core, exif
 from malus._extra import extra
-from malus._files import replacing
+from malus._files import replacing, scratch_folder
 from malus.errors import InputError
+from malus.photogrammetry.photos import list_photos
+from malus.scans import is_scan, read_scan
 from malus.workspace import Workspace
 
 #: [object] key → term of schema.org, as RO-Crate has it, and element of Dublin Core.
@@ -53,7 +55,7 @@ _CAPTURE = {
 
 
 def _inputs(workspace: Workspace) -> dict[str, Path | None]:
-    """Inputs by their names in the manifest → file; None for an array that was given in memory.
+    """Everything that the surface was made from, by its name relative to the station file → file; None for an array.
 
     InputError if one is gone or is not what the run read.
     """
@@ -63,16 +65,42 @@ def _inputs(workspace: Workspace) -> dict[str, Path | None]:
     here = workspace.folder / station.get("file_from_here", "")
     file = here if here.is_file() else Path(station["file"])
     files: dict[str, Path | None] = {}
-    for name, sha256 in workspace.manifest["inputs"].items():
+    for name, sha256 in {**workspace.manifest["inputs"], file.name: station["says"]["sha256"]}.items():
         path = file.parent / name
-        if not path.is_file():
-            raise InputError(f"{path}: is not there any more, expected every file that the surface was made from")
+        if not path.suffix and not path.is_file():  # an array, such as "prior points": it is given or made of a file
+            files[name] = None
+            continue
+        _require_there(path)
         if _core.sha256_of_file(str(path)) != sha256:
-            raise InputError(f"{path}: was changed since the surface was made from it; run `malus run` again")
+            raise _changed(path)
         files[name] = path
-    if file.is_file():
-        files[file.name] = file
-    return files
+    return {**_files_behind_arrays(workspace, file), **files}
+
+
+def _files_behind_arrays(workspace: Workspace, file: Path) -> dict[str, Path | None]:
+    """What Python reads for the steps: RAW files, clouds of scanners, photographs. Of clouds it is known whether they are those of
+    the run; RAW files and photographs are what lies there now.
+    """
+    says, folder = workspace.manifest["station"]["says"], Path(workspace.manifest["station"]["file"]).parent
+    paths = [file.parent / os.path.relpath(path, folder) for path in says["files"]]
+    if "photos" in says:
+        photos = file.parent / os.path.relpath(says["photos"]["folder"], folder)
+        paths += [photo.path for photo in list_photos(photos, says["photos"]["exclude"])]
+    for path in paths:
+        _require_there(path)
+        points = workspace.manifest["inputs"].get("prior points")
+        if is_scan(path) and hashlib.sha256(read_scan(path, says["unit"])[0].tobytes()).hexdigest() != points:
+            raise _changed(path)
+    return {os.path.relpath(path, file.parent): path for path in paths}
+
+
+def _require_there(path: Path) -> None:
+    if not path.is_file():
+        raise InputError(f"{path}: is not there any more, expected every file that the surface was made from")
+
+
+def _changed(path: Path) -> InputError:
+    return InputError(f"{path}: was changed since the surface was made from it; run `malus run` again")
 
 
 def _place(name: str, sha256: str) -> str:
@@ -122,6 +150,12 @@ class _Crate:
         self.placed[place] = entity
         self.sources[place] = source
         return entity
+
+    def require_packed(self, packed: dict[str, dict[str, str]]) -> None:
+        """InputError if a file is not the one any more whose checksum the description states; `packed`: the bag's checksums."""
+        for place, entity in self.placed.items():
+            if (stated := entity.get("sha256")) and packed[f"data/{place}"]["sha256"] != stated:
+                raise InputError(f"{self.sources[place]}: was changed while it was packed; run `malus export` again")
 
     def values(self, owner: str, facts: list[dict[str, str]]) -> list[Any]:
         return [
@@ -233,7 +267,8 @@ def dublin_core(title: str, known: dict[str, str]) -> str:
 
 def _zip(folder: Path, path: Path) -> None:
     """The folder as a ZIP file with it at the top."""
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=3) as file:
+    # A camera whose clock was never set writes dates that ZIP does not have.
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=3, strict_timestamps=False) as file:
         for source in sorted(folder.rglob("*")):
             if source.is_file():
                 file.write(source, PurePosixPath(folder.name) / source.relative_to(folder).as_posix())
@@ -253,8 +288,8 @@ def write_archive(work: str | Path, path: str | Path) -> Path:
     name = str(workspace.quality["name"])
     path.parent.mkdir(parents=True, exist_ok=True)
     # Beside the archive: there is room for it there, if anywhere.
-    with tempfile.TemporaryDirectory(prefix=".archive-", dir=path.parent) as scratch:
-        bag = Path(scratch) / "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
+    with scratch_folder(path) as scratch:
+        bag = scratch / "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
         bag.mkdir()
         record = bag / "metadata" / "dublin_core.xml"
         record.parent.mkdir()
@@ -267,7 +302,7 @@ def write_archive(work: str | Path, path: str | Path) -> Path:
                 continue
             target.parent.mkdir(parents=True, exist_ok=True)
             try:
-                os.link(source, target)
+                os.link(os.path.realpath(source), target)  # what a link leads to: the link leads nowhere from there
             except OSError:
                 shutil.copyfile(source, target)
         known = crate.object
@@ -279,7 +314,10 @@ def write_archive(work: str | Path, path: str | Path) -> Path:
             "Bagging-Date": made.date().isoformat(),
             "Bag-Software-Agent": f"malus {workspace.manifest['versions']['malus']}, bagit {bagit.VERSION}",
         }
-        bagit.make_bag(str(bag), {key: value for key, value in facts.items() if value}, checksums=["sha256", "sha512"])
+        made_bag = bagit.make_bag(
+            str(bag), {key: value for key, value in facts.items() if value}, checksums=["sha256", "sha512"]
+        )
+        crate.require_packed(made_bag.entries)
         with replacing(path) as temporary:
             _zip(bag, temporary)
     return path

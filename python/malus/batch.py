@@ -115,6 +115,11 @@ def run_campaign(
     return _merge(campaign, tasks, Path(output))
 
 
+def outcomes_of(campaign: Campaign, output: str | Path, cameras: Path | None = None) -> list[Outcome]:
+    """How all stations of a campaign have ended, as far as that still holds; nothing is run."""
+    return [_marker(task) for task in campaign.tasks(output, 1, cameras)]
+
+
 def shard_of_environment() -> tuple[int, int] | None:
     """The shard of a Slurm array job (SLURM_ARRAY_TASK_ID, _MIN and _COUNT), or None outside of one."""
     try:

@@ -8,12 +8,16 @@ import hashlib
 import json
 import re
 import tomllib
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
 from malus import _core
+from malus._files import resolved
+from malus._patterns import MOST_NAMES, matching
 from malus._toml import read_toml
 from malus.errors import InputError, MalusError
 from malus.options import Options
@@ -73,7 +77,8 @@ class Task:
             return [Path(self.station)]
         files = [Path(path) for path in station["files"]]
         if "photos" in station:
-            files += sorted(path for path in Path(station["photos"]["folder"]).rglob("*") if path.is_file())
+            below = islice(Path(station["photos"]["folder"]).rglob("*"), MOST_NAMES)  # of more, the run says so
+            files += sorted(path for path in below if path.is_file())
         return files
 
 
@@ -123,7 +128,7 @@ class Campaign:
             raise InputError(
                 f"campaign {self.name}: station folders {', '.join(names)} cannot be told apart by their names"
             )
-        folder = str(Path(output).resolve())
+        folder = str(resolved(output))
         return [
             Task(
                 identifier,
@@ -132,7 +137,7 @@ class Campaign:
                 self.options.to_json(),
                 threads,
                 self.report,
-                "" if cameras is None else str(cameras.resolve() / f"{identifier}.json"),
+                "" if cameras is None else str(resolved(cameras) / f"{identifier}.json"),
             )
             for identifier, path in zip(identifiers, self.stations, strict=True)
         ]
@@ -189,6 +194,8 @@ def value_of(file: Path, name: str, table: Mapping[str, Any], key: str, default:
     if not isinstance(value, type(default)):
         expected = {str: "a string", bool: "true or false", float: "a number"}[type(default)]
         raise InputError(f"{file}: {name}.{key} = {value!r}, expected {expected}")
+    if isinstance(value, str) and any(unicodedata.category(sign) == "Cc" for sign in value):
+        raise InputError(f"{file}: {name}.{key} = {value!r}, expected one line without control characters")
     return value
 
 
@@ -214,12 +221,12 @@ def stations_of(file: Path, name: str, table: Mapping[str, Any]) -> tuple[Path, 
     found: dict[Path, None] = {}
     for pattern in patterns:
         if glob.has_magic(pattern):
-            matches = sorted(glob.glob(pattern, root_dir=file.parent, recursive=True))
+            matches = sorted(matching(file.parent, pattern, f"{file}: {name}.stations"))
             if not matches:
                 raise InputError(f"{file}: {name}.stations: no file matches {pattern!r}")
         else:
-            matches = [pattern]
-        found.update(dict.fromkeys((file.parent / match).resolve() for match in matches))
+            matches = [file.parent / pattern]
+        found.update(dict.fromkeys(resolved(match) for match in matches))
     return tuple(found)
 
 

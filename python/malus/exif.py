@@ -12,6 +12,7 @@ from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
+from malus._files import open_regular
 from malus.errors import InputError
 
 _EXIF_IFD = 34665
@@ -45,7 +46,7 @@ def tags_of(path: Path) -> dict[int, Any]:
 
 
 def _read_tags(path: Path) -> dict[int, Any]:
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         header = file.read(8)
         if header[:4] in (b"II*\0", b"MM\0*"):
             directory = ImageFileDirectory_v2(header)

@@ -318,7 +318,9 @@ def _write_obj(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     corners = np.repeat(mesh.triangles.astype(np.int64) + 1, 3, axis=1)
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         file.writelines(f"# {line}\n" for line in exporter.words())
-        file.write(f"# {exporter.name}, lengths in {exporter.unit}, world frame\nmtllib {material.name}\n")
+        file.write(
+            f"# {' '.join(exporter.name.split())}, lengths in {exporter.unit}, world frame\nmtllib {material.name}\n"
+        )
         np.savetxt(file, mesh.vertices, "v %.9g %.9g %.9g")
         np.savetxt(file, exporter.texture_coordinates(mesh.vertices), "vt %.7f %.7f")
         np.savetxt(file, mesh.normals, "vn %.5f %.5f %.5f")
@@ -521,4 +523,12 @@ def export(
     exporter = Exporter(Workspace(work), threads, albedo=albedo, chart=correction, trim=trim, fill=fill)
     with writing(path):
         write(exporter, path, Wishes(faces, interval, y_up, url))
+        try:
+            exporter.workspace.require_unchanged()
+        except InputError:
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+            raise
     return path

@@ -14,7 +14,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from malus import _core, viewer
-from malus._files import replacing, write_bytes, write_text
+from malus._files import replacing, resolved, write_bytes, write_text
 from malus.columns import aligned, decimals, printed
 from malus.errors import ExternalError, InputError
 from malus.figures import Figure, Plates, encode, gray
@@ -289,7 +289,7 @@ def _write_in(workspace: Workspace) -> Path:
 
 def open_report(work: str | Path) -> Path:
     """Show the report of a workspace in the web browser; returns the page's path."""
-    page = (Path(work) / "report" / "index.html").resolve()
+    page = resolved(Path(work) / "report" / "index.html")
     if not page.is_file():
         Workspace(work).require()
         raise InputError(f"{page}: there is none; run `malus report {work}` first")
@@ -298,6 +298,6 @@ def open_report(work: str | Path) -> Path:
 
 def open_page(page: Path) -> Path:
     """Show a file in the web browser; ExternalError if there is none."""
-    if not webbrowser.open(page.resolve().as_uri()):
+    if not webbrowser.open(resolved(page).as_uri()):
         raise ExternalError(f"no web browser could be started; open {page} in one")
     return page

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus import _core
-from malus._files import require_utf8, write_text
+from malus._files import read_regular, require_utf8, resolved, write_text
 from malus.errors import InputError
 from malus.photogrammetry.metashape import read_metashape
 from malus.raw import is_raw
@@ -100,7 +100,7 @@ def import_station(
             "# To come: [camera] and [prior], or [photos] with [[scale]] or [[control]]; without them `malus decompose` makes "
             "the polarization maps, and `malus height` a height from them."
         ]
-    head = ["[station]", f"name = {_text(folder.resolve().name)}", f"unit = {_text(unit)}", ""]
+    head = ["[station]", f"name = {_text(resolved(folder).name)}", f"unit = {_text(unit)}", ""]
     write_text(output, "\n".join([*head, "[polarized]", *lines, "", *camera, *prior, *note, ""]))
     return output
 
@@ -210,11 +210,11 @@ def shots_of(
 
 def _all_once(shots: list[Shot], images: list[Path], table: Path) -> list[Shot]:
     """The table's shots, which must be the folder's images, each of them once."""
-    listed = [shot.image.resolve() for shot in shots]
+    listed = [resolved(shot.image) for shot in shots]
     twice = sorted({path.name for path in listed if listed.count(path) > 1})
     if twice:
         raise InputError(f"{table}: {', '.join(twice)} stands there more than once, expected every image once")
-    missing = [path.name for path in images if path.resolve() not in listed]
+    missing = [path.name for path in images if resolved(path) not in listed]
     if missing:
         raise InputError(
             f"{table}: {', '.join(missing)} of {images[0].parent} {'is' if len(missing) == 1 else 'are'} not in it, "
@@ -240,7 +240,7 @@ def _rows_of(table: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     numbers where columns are not separated by them.
     """
     try:
-        content = table.read_bytes()
+        content = read_regular(table)
     except OSError as error:
         raise InputError(f"{table}: cannot be read ({error.strerror or error})") from None
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -318,7 +318,7 @@ def _shots_of_sidecars(folder: Path) -> list[Shot]:
     shots = []
     for path in sorted(folder.glob("*.json"), key=_natural):
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = json.loads(read_regular(path))
         except (OSError, ValueError, RecursionError) as error:
             raise InputError(f"{path}: cannot be read as JSON ({error})") from None
         if not isinstance(content, dict):
@@ -362,7 +362,7 @@ def _angle_of_sidecar(content: dict[str, Any], path: Path) -> float | None:
 
 
 def _relative(path: Path, output: Path) -> str:
-    return Path(os.path.relpath(path.resolve(), output.resolve().parent)).as_posix()
+    return Path(os.path.relpath(resolved(path), resolved(output).parent)).as_posix()
 
 
 def _text(value: str) -> str:

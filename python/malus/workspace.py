@@ -97,6 +97,13 @@ class Workspace:
             self._checked.add(name)
         return path
 
+    def require_unchanged(self) -> None:
+        """InputError if another run has changed meanwhile what was read: it may be of two surfaces."""
+        now = Workspace(self.folder).outputs
+        for name in self._checked:
+            if now.get(name) != self.outputs[name]:
+                raise InputError(f"{self.folder / name}: was changed by another run meanwhile; run again")
+
     def has(self, name: str) -> bool:
         """Whether a step that is done has left this file."""
         return name in self.outputs

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import shutil
 import zipfile
 from pathlib import Path
@@ -79,9 +80,33 @@ def test_catalog_words_and_paradata(bag: Path, finished_grid: Path) -> None:
     assert known["#OpenCV"]["softwareVersion"].startswith("4.")
 
 
-def test_changed_or_missing_inputs_are_refused(small_station: Path, tmp_path: Path) -> None:
-    work = tmp_path / "work"
+def test_changed_or_missing_inputs_are_refused(
+    small_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work, image = tmp_path / "work", small_station.parent / "pol/pol_030.tif"
+    (small_station.parent / "camera").mkdir()
+    content = image.rename(small_station.parent / "camera/30.tif").read_bytes()
+    image.symlink_to("../camera/30.tif")
+    os.utime(image, (0, 0))  # as of a camera whose clock was never set; ZIP begins with 1980
     malus.reconstruct(malus.Station.load(small_station), malus.Options(fusion="grid"), workspace=work)
+    with zipfile.ZipFile(malus.export(work, "archive", tmp_path / "a.zip")) as file:
+        assert file.read("small/data/inputs/pol/pol_030.tif") == content, "what the link leads to"
+
+    def changed_before(folder: str, *arguments: Any, **options: Any) -> Any:
+        (Path(folder) / "inputs/pol/pol_000.tif").write_bytes(b"another")
+        return make_bag(folder, *arguments, **options)
+
+    make_bag = bagit.make_bag
+    first = (image.parent / "pol_000.tif").read_bytes()
+    monkeypatch.setattr(bagit, "make_bag", changed_before)
+    with pytest.raises(malus.InputError, match=r"pol_000\.tif: was changed while it was packed"):
+        malus.export(work, "archive")
+    (image.parent / "pol_000.tif").write_bytes(first)
+    said = small_station.read_text()
+    edit(small_station, 'unit = "mm"', 'unit = "m"')
+    with pytest.raises(malus.InputError, match=r"station\.toml: was changed since"):
+        malus.export(work, "archive")
+    small_station.write_text(said)
     cloud = small_station.parent / "dense/cloud.ply"
     content = cloud.read_bytes()
     cloud.write_bytes(content + b" ")

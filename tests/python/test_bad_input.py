@@ -14,6 +14,7 @@ import tifffile
 from conftest import edit, half_written, malus, malus_station
 from malus import InputError, Station, _core
 from malus.campaign import Campaign
+from malus.object import Object
 
 IMAGES = "images = ["
 ANGLES = "angles_deg = [0, 30, 60, 90, 120, 150]"
@@ -57,6 +58,23 @@ def test_keys_of_thousands_of_parts_are_refused_before_the_parser_sees_them(smal
     expect(small_station, work, 2, "station.toml, line 2", "parts")
     with pytest.raises(InputError, match="line 2: a key of more than 100 parts"):
         Campaign.load(small_station)
+
+
+@pytest.mark.parametrize("name", ["a\\nv 1 2 3", "a\\rb", "\\u001b[31mred", "a\\u0001", "a\\u007f"])
+def test_names_are_one_line_without_control_characters(small_station: Path, work: Path, name: str) -> None:
+    """A second line was a vertex of OBJ files, which moved all triangles; XML cannot hold control characters."""
+    edit(small_station, 'name = "small"', f'name = "{name}"')
+    expect(small_station, work, 2, "station.toml, line 3: [station].name: has", "expected")
+    (small_station.parent / "o.toml").write_text(f'[object]\nname = "{name}"\nstations = ["station.toml"]\n')
+    with pytest.raises(InputError, match=r"object\.name = .* expected one line"):
+        Object.load(small_station.parent / "o.toml")
+
+
+def test_words_of_the_catalog_may_have_lines_but_no_control_characters(small_station: Path, work: Path) -> None:
+    edit(small_station, 'maker = "unknown mason"', 'description = """two\nlines\tand a tab"""\nmaker = "unknown mason"')
+    assert Station.load(small_station).describe()["object"]["description"] == "two\nlines\tand a tab"
+    edit(small_station, "unknown mason", "unknown\\u0001mason")
+    expect(small_station, work, 2, "[object].maker: has control characters")
 
 
 def test_names_that_are_no_text(small_station: Path, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import struct
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ import tifffile
 import malus
 from conftest import malus as run_malus
 from conftest import run_program
-from malus import drawings, exports
+from malus import _core, drawings, exports
 from malus.trust import said_of
 from malus.xmp import NAMESPACE
 
@@ -591,3 +592,22 @@ def test_failed_export_leaves_nothing(finished_grid: Path, tmp_path: Path) -> No
     with pytest.raises(malus.InputError, match="cannot be written"):
         malus.export(finished_grid, "e57", tmp_path / "file" / "a.e57")
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_an_export_that_a_run_overtakes_is_not_kept(
+    finished_grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Depth could be of one surface, and normals of the next."""
+    work = tmp_path / "work"
+    shutil.copytree(finished_grid, work)
+
+    def overtaken(*arguments: Any) -> None:
+        write_ply(*arguments)
+        _core.forget_step(str(work), "fuse")
+
+    write_ply = _core.write_ply
+    assert malus.export(work, "ply", tmp_path / "a.ply").exists()
+    monkeypatch.setattr(_core, "write_ply", overtaken)
+    with pytest.raises(malus.InputError, match="was changed by another run meanwhile"):
+        malus.export(work, "ply", tmp_path / "b.ply")
+    assert not (tmp_path / "b.ply").exists()

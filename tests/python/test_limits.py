@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import fcntl
+import glob
 import json
 import os
 import resource
@@ -11,15 +13,17 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from conftest import Outcome, edit, half_written, malus, malus_station
-from malus._files import read_record, replacing, write_record
+from conftest import Outcome, edit, half_written, malus, malus_here, malus_station
+from malus import _patterns
+from malus._files import read_record, replacing, scratch_folder, write_record
+from malus._patterns import matching
 from malus.batch import _as_text
 from malus.exif import tags_of
 from malus.photogrammetry.photos import describe_photo, list_photos
@@ -140,6 +144,113 @@ def test_patterns_that_overflow_a_parser_are_refused(small_station: Path, tmp_pa
         assert outcome.code == 2
         assert "angle_pattern" in outcome.err
         assert len(outcome.err) < 2000
+
+
+@pytest.fixture
+def within_a_minute() -> Iterator[None]:
+    """Ends a test that waits for what never comes."""
+
+    def end(*_: object) -> None:
+        raise TimeoutError("still waiting after a minute")
+
+    before = signal.signal(signal.SIGALRM, end)
+    signal.alarm(60)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.usefixtures("within_a_minute")
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_pipes_and_devices_are_no_files(small_station: Path, tmp_path: Path, kind: str) -> None:
+    """A pipe without a writer would be waited for, and a device never ends."""
+    path = tmp_path / "odd.toml"
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+    images, station = small_station.parent / "pol", tmp_path / "new.toml"
+    for arguments in (
+        ("check", path),
+        ("check", small_station, "--options", path),
+        ("batch", path, "-o", tmp_path / "out"),
+        ("object", path, "-o", tmp_path / "out"),
+        ("import", images, "--table", path, "-o", station),
+        ("import", images, "--metashape", path, "--label", "a", "-o", station),
+    ):
+        outcome = malus_here(*arguments)
+        assert (outcome.code, "not a regular file" in outcome.err) == (2, True), (arguments, outcome)
+    assert tags_of(path) == {}
+
+
+@pytest.mark.usefixtures("within_a_minute")
+def test_links_in_a_circle_are_said(finished_grid: Path, small_station: Path, tmp_path: Path) -> None:
+    (tmp_path / "circle").symlink_to("circle")
+    circle, listed = tmp_path / "circle", tmp_path / "listed.toml"
+    campaign, thing = (
+        '[campaign]\nstations = ["circle"]\n',
+        f'[object]\nstations = ["{small_station}"]\nreference = "circle"\n',
+    )
+    for text, arguments in (
+        ("", ("check", circle)),
+        ("", ("view", circle)),
+        ("", ("compare", finished_grid, circle, "-o", tmp_path / "out")),
+        (campaign, ("batch", listed, "-o", tmp_path / "out")),
+        (thing, ("object", listed, "-o", tmp_path / "out")),
+    ):
+        listed.write_text(text)
+        outcome = malus_here(*arguments)
+        assert outcome.code == 2, (arguments, outcome)
+        assert "circle" in outcome.err and "error of its own" not in outcome.err, (arguments, outcome)
+
+
+def test_patterns_of_campaigns_find_what_a_shell_finds(tmp_path: Path) -> None:
+    for name in ("a/station.toml", "a/b/station.toml", "a/b/.c/station.toml", ".d/station.toml", "[e]/f.toml"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    for pattern in (
+        "*/station.toml",
+        "**/station.toml",
+        "**/*.toml",
+        "a/**",
+        "a/*/../b/*",
+        ".*/*",
+        "[[]e]/?.toml",
+        "x/*",
+    ):
+        found = [path.relative_to(tmp_path).as_posix() for path in matching(tmp_path, pattern, "here")]
+        expected = {Path(name).as_posix() for name in glob.glob(pattern, root_dir=tmp_path, recursive=True)}
+        assert sorted(found) == sorted(expected), pattern
+    assert matching(tmp_path, str(tmp_path / "a" / "*.toml"), "here") == [tmp_path / "a/station.toml"]
+
+
+@pytest.mark.usefixtures("within_a_minute")
+@pytest.mark.parametrize("pattern", ["*/../*/../*/../*/x", "**/**/**/x", "/**/x", "*/" * 2000, "\\u0000", "**/\\u0000"])
+def test_patterns_of_campaigns_end_soon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pattern: str) -> None:
+    monkeypatch.setattr(_patterns, "MOST_NAMES", 5000)
+    for k in range(20):
+        (tmp_path / f"folder{k}" / "in").mkdir(parents=True)
+    (tmp_path / "folder0/in/out").symlink_to(tmp_path)
+    (tmp_path / "campaign.toml").write_text(f'[campaign]\nstations = ["{pattern}"]\n')
+    outcome = malus_here("batch", tmp_path / "campaign.toml", "-o", tmp_path / "out")
+    assert outcome.code == 2 and "error of its own" not in outcome.err, outcome
+    assert "campaign.stations" in outcome.err or "no file name has" in outcome.err, outcome
+
+
+def test_folders_that_a_killed_writer_left_are_removed_by_the_next(tmp_path: Path) -> None:
+    left, held, of_other = (tmp_path / f".{name}" for name in ("a.zip.partial-1", "a.zip.partial-2", "b.zip.partial-3"))
+    for folder in (left, held, of_other):
+        (folder / "deep").mkdir(parents=True)
+        os.utime(folder, (0, 0))
+    descriptor = os.open(held, os.O_RDONLY)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+    with scratch_folder(tmp_path / "a.zip") as scratch:
+        assert set(tmp_path.iterdir()) == {held, of_other, scratch}
+        os.utime(scratch, (0, 0))
+        with scratch_folder(tmp_path / "a.zip") as another:
+            assert set(tmp_path.iterdir()) == {held, of_other, scratch, another}
+    os.close(descriptor)
+    assert set(tmp_path.iterdir()) == {held, of_other}
 
 
 def test_thousands_of_images_are_answered_soon(small_station: Path, tmp_path: Path) -> None:

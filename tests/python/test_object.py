@@ -11,8 +11,10 @@ import signal
 import struct
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,6 +45,7 @@ from malus.object import (
     textured,
     unseen_stereo,
 )
+from malus.object import run as object_run
 from malus.object.glb import write_levels
 from malus.object.meshing import ObjectMesh
 from malus.object.ply import read_mesh, write_ply
@@ -385,7 +388,8 @@ def test_meshes_are_written_as_they_are_read(tmp_path: Path) -> None:
         ('"o0/station.toml"', '"o7/*.toml"', "object.stations: no file matches 'o7/*.toml'"),
         ("closed = false", "closed = 1", "object.closed = 1, expected true or false"),
         ("closed = false", "max_sigma_gsd = -1", "object.max_sigma_gsd = -1, expected more than 0"),
-        ("faces = 3000", "faces = 3", "object.faces = 3, expected at least 100"),
+        ("faces = 3000", "faces = 3", "object.faces = 3, expected 100 to 1000000000"),
+        ("faces = 3000", "faces = inf", "object.faces = inf, expected 100 to 1000000000"),
         ("closed = false", 'unit = "m"', "station.unit = 'mm', expected 'm'"),
     ],
 )
@@ -395,7 +399,7 @@ def test_object_files_that_are_wrong(pair: Path, old: str, new: str, expected: s
     assert expected in str(caught.value)
 
 
-def test_command_line_makes_one_surface_and_does_nothing_twice(pair: Path) -> None:
+def test_command_line_makes_one_surface_and_does_nothing_twice(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     output = pair.parent / "out"
     first = run_malus("object", pair, "-o", output, "--jobs", "2", "--threads", "1")
     assert first.code == 0, first.err
@@ -416,6 +420,22 @@ def test_command_line_makes_one_surface_and_does_nothing_twice(pair: Path) -> No
     edit(output / "object/quality.json", '"gsd": ', '"gsd": 1')
     assert run_malus("object", pair, "-o", output, "--quiet").code == 0
     assert json.loads((output / "object/quality.json").read_text())["gsd"] == quality["gsd"]
+    # A cloud that is replaced while the surface is made, after the stations have been run.
+    (output / "object/mesh.ply").write_bytes(b"spoiled")
+    monkeypatch.setattr(object_run, "_write_mesh", changing(pair.parent / "o1/dense/cloud.ply", object_run._write_mesh))
+    outcome = malus_here("object", pair, "-o", output, "--quiet")
+    assert outcome.code == 2 and "o1/station.toml: its files or results were changed" in outcome.err
+    assert not (output / "object/quality.json").exists()
+
+
+def changing(file: Path, function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, which changes a file before."""
+
+    def changed(*arguments: Any) -> Any:
+        file.write_bytes(file.read_bytes() + b" ")
+        return function(*arguments)
+
+    return changed
 
 
 def test_broken_station_is_told_and_the_others_are_joined(pair: Path) -> None:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -234,7 +235,8 @@ def test_what_did_not_change_is_made_once(small_station: Path, tmp_path: Path, m
     )  # fmt: skip
     prior = package.reconstruct(package.Station.load(small_station), until="prior")
     edit(small_station, '[camera]\ncolmap_model = "sparse"\nimage = "station.jpg"\n', "")
-    edit(small_station, '[prior]\ncloud = "dense/cloud.ply"', '[photos]\nfolder = "pol"')
+    shutil.copytree(small_station.parent / "pol", small_station.parent / "views")
+    edit(small_station, '[prior]\ncloud = "dense/cloud.ply"', '[photos]\nfolder = "views"')
     lens = package.Camera("PINHOLE", width, height, params, rotation, translation)
     surfaces = []
 
@@ -266,6 +268,10 @@ def test_what_did_not_change_is_made_once(small_station: Path, tmp_path: Path, m
     steps = [step for step in STEPS if step not in ("m3c2", "paper", "report")]
     kept = {event.step for event in events if event.message == "kept from an earlier run"}
     assert kept == set(steps)
+    if find_spec("rocrate") is not None and find_spec("bagit") is not None:
+        with zipfile.ZipFile(package.export(tmp_path / "work", "archive")) as file:
+            packed = {name.partition("/inputs/")[2] for name in file.namelist()}
+        assert {f"{folder}/pol_030.tif" for folder in ("pol", "views")} <= packed
 
 
 def test_journal_repeats_only_what_changed(tmp_path: Path) -> None:
@@ -422,9 +428,11 @@ def test_metashape_cameras(tmp_path: Path) -> None:
     path.write_text(METASHAPE.replace("<k1>", "<b2>0.5</b2><k1>"))
     with pytest.raises(package.InputError, match="b2"):
         read_metashape(path)
-    path.write_text("<document>")
-    with pytest.raises(package.InputError, match=r"cameras\.xml"):
-        read_metashape(path)
+    coded = '<?xml version="1.0" encoding="{}"?><document></document>'
+    for damaged in ("<document>", coded.format("none-such"), coded.format("shift_jis"), coded.format("hex")):
+        path.write_text(damaged)
+        with pytest.raises(package.InputError, match=r"cameras\.xml"):
+            read_metashape(path)
 
 
 @pytest.mark.parametrize(

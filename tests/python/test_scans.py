@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import malus
-from conftest import malus_station
+from conftest import edit, malus_station
 from malus.scans import read_scan
 
 
@@ -106,3 +107,24 @@ def test_a_station_with_a_las_prior_equals_that_with_its_ply(small_station: Path
     refused = malus_station(las_station, "-o", tmp_path / "work")
     assert refused.code == 2
     assert "malus run" in refused.err
+
+
+def test_the_archive_has_the_scan_that_the_surface_was_made_from(small_station: Path, tmp_path: Path) -> None:
+    laspy = pytest.importorskip("laspy")
+    pytest.importorskip("rocrate")
+    cloud = small_station.parent / "cloud.las"
+    vertices = malus._core.read_points(str(small_station.parent / "dense/cloud.ply"))
+    scan = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+    scan.header.offsets, scan.header.scales = vertices.mean(0), [1e-4] * 3
+    scan.x, scan.y, scan.z = vertices.T
+    scan.write(cloud)
+    edit(small_station, "dense/cloud.ply", "cloud.las")
+    work = tmp_path / "work"
+    malus.reconstruct(malus.Station.load(small_station), malus.Options(fusion="grid"), workspace=work)
+    with zipfile.ZipFile(malus.export(work, "archive")) as file:
+        assert file.read("small/data/inputs/cloud.las") == cloud.read_bytes()
+    moved = laspy.read(cloud)
+    moved.X[0] += 1
+    moved.write(cloud)
+    with pytest.raises(malus.InputError, match=r"cloud\.las: was changed since"):
+        malus.export(work, "archive")

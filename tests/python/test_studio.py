@@ -176,6 +176,80 @@ def test_only_this_computer_is_listened_to(served: Served) -> None:
     assert places == {"0100007F"}
 
 
+@pytest.fixture
+def odd_folder(tmp_path: Path) -> Iterator[Any]:
+    """Studio for a folder in which a stranger's archive was unpacked, with a secret beside it."""
+    from malus.studio.app import Studio
+
+    (tmp_path / "secret").mkdir()
+    (tmp_path / "secret/index.html").write_text("secret")
+    folder = tmp_path / "museum"
+    (folder / "work/report").mkdir(parents=True)
+    (folder / "work/report/index.html").write_text("report")
+    (folder / "work/report/out").symlink_to(tmp_path / "secret")
+    (folder / "linked").mkdir()
+    (folder / "linked/report").symlink_to(tmp_path / "secret")
+    (folder / "circle").symlink_to("circle")
+    (folder / "way_out").symlink_to(tmp_path)
+    for name in ("pipe.toml", "pipe.ply", "pipe.tif"):
+        os.mkfifo(folder / name)
+    studio = Studio(folder, 1)
+    yield studio
+    studio.runs.close()
+
+
+def test_circles_and_pipes_in_the_folder_stop_nothing(odd_folder: Any) -> None:
+    folders = pytest.importorskip("malus.studio.folders")
+    assert [entry["name"] for entry in folders.listing(odd_folder.root, "")["folders"]] == ["linked", "work"]
+    assert folders.candidates(odd_folder.root)["stations"] == []
+
+
+def test_reports_show_nothing_outside_the_folder(odd_folder: Any) -> None:
+    from starlette.requests import Request
+
+    def asked(work: str, path: str) -> int:
+        key = odd_folder._report_address(odd_folder.root.folder / work / "report").split("/")[2]
+        scope = {"type": "http", "method": "GET", "headers": [], "path_params": {"key": key, "path": path}}
+        return int(asyncio.run(odd_folder._report(Request(scope))).status_code)
+
+    assert asked("work", "index.html") == 200
+    for work, path in (
+        ("work", "out/index.html"),
+        ("work", "../../pipe.toml"),
+        ("work", "a\0b"),
+        ("work", "x" * 300),
+        ("linked", "index.html"),
+    ):
+        assert asked(work, path) == 404, (work, path)
+
+
+def test_what_nobody_has_thought_of_is_said_on_the_page(capfd: pytest.CaptureFixture[str]) -> None:
+    from malus.studio.app import _answer
+
+    def fail() -> None:
+        raise IndexError("nobody thought of this")
+
+    response = asyncio.run(_answer(fail))
+    assert response.status_code == 500 and "please report it: IndexError" in json.loads(response.body)["error"]
+    assert capfd.readouterr().err == ""
+
+
+def test_odd_lines_of_a_run_do_not_end_the_queue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = pytest.importorskip("malus.studio.runs")
+    program = tmp_path / "python"
+    program.write_text("#!/bin/sh\nprintf '\\377\\n5\\nnull\\n%0200000d\\n' 0 | tr 0 '['\nprintf '\\377\\n' >&2\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(runs.sys, "executable", str(program))
+    queue = runs.Runs()
+    for name in ("first", "second"):
+        run = queue.add_station(tmp_path / "station.toml", tmp_path / name, "grid", name, {})
+        end = time.monotonic() + 60
+        while run.state in ("waiting", "running") and time.monotonic() < end:
+            time.sleep(0.01)
+        assert run.state == "done"
+    queue.close()
+
+
 # ---- what it writes ----
 
 

@@ -3,6 +3,7 @@
 #include <charconv>
 #include <cmath>
 #include <sstream>
+#include <string_view>
 #include <system_error>
 
 #include "malus/io/input_file_internal.h"
@@ -24,6 +25,14 @@ std::string value_text(const toml::node& node) {
   std::replace(text.begin(), text.end(), '\n', ' ');
   constexpr std::size_t longest = 80;
   return text.size() <= longest ? text : text.substr(0, longest) + " …";
+}
+
+constexpr std::string_view line_ends = "\n\r";
+
+/// What no file in XML can hold, and terminals take for commands; the characters of UTF-8 are none.
+bool is_control(char character) {
+  const auto code = static_cast<unsigned char>(character);
+  return (code < 0x20 && character != '\t' && line_ends.find(character) == std::string_view::npos) || code == 0x7f;
 }
 
 std::string range_text(const std::string& kind, Range range) {
@@ -84,10 +93,18 @@ bool TomlTable::is_auto(std::string_view key) const {
 }
 
 std::optional<std::string> TomlTable::text(std::string_view key) const {
+  const std::optional<std::string> line = lines(key);
+  if (line && line->find_first_of(line_ends) != std::string::npos) throw error(key, "has several lines, expected one");
+  return line;
+}
+
+std::optional<std::string> TomlTable::lines(std::string_view key) const {
   const toml::node* node = find(key);
   if (!node) return std::nullopt;
   if (!node->is_string() || node->as_string()->get().empty()) throw wrong(key, "a text in quotes");
-  return node->as_string()->get();
+  const std::string& text = node->as_string()->get();
+  if (std::ranges::any_of(text, is_control)) throw error(key, "has control characters, expected a text without them");
+  return text;
 }
 
 std::optional<bool> TomlTable::boolean(std::string_view key) const {

@@ -30,7 +30,10 @@ class TomlTable {
   /// Whether the key holds the text "auto".
   bool is_auto(std::string_view key) const;
 
+  /// One line without control characters: formats of lines could not hold what others read as a line of its own.
   std::optional<std::string> text(std::string_view key) const;
+  /// Any number of lines.
+  std::optional<std::string> lines(std::string_view key) const;
   std::optional<bool> boolean(std::string_view key) const;
   std::optional<double> number(std::string_view key, Range range = any_value) const;
   std::optional<int> integer(std::string_view key, Range range = any_value) const;
@@ -103,7 +106,7 @@ void TomlTable::read(std::string_view key, T& value, Range range) const {
   } else if constexpr (std::same_as<T, std::optional<double>>) {
     value = number(key, range);
   } else if constexpr (std::same_as<T, std::optional<std::string>>) {
-    value = text(key);
+    value = lines(key);
   } else {
     static_assert(std::same_as<T, std::optional<std::filesystem::path>>, "fields of other types have an own form");
     value = existing_file(key);

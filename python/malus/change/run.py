@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from malus import _core
 from malus._extra import extra
-from malus._files import new_folder
+from malus._files import new_folder, resolved
 from malus.change.page import write_page
 from malus.change.regions import Region, find_regions, pixel_areas
 from malus.change.registration import Registration, register
@@ -88,6 +88,8 @@ def compare(
     with new_folder(folder, replace=True) as new:
         _write_files(new, first, distances, regions, figures)
         write_page(new, first, distances, regions, figures)
+        for exporter in (first, second):
+            exporter.workspace.require_unchanged()
     progress(1.0, str(folder / "index.html"))
     return Change(distances.distance, distances.limit, regions, figures, folder)
 
@@ -95,7 +97,7 @@ def compare(
 def _own_folder(folder: Path, *works: Path) -> Path:
     """A folder that may be replaced: it is new, empty or an earlier comparison's, and no workspace lies in it."""
     for work in works:
-        if folder.resolve() in (work.resolve(), *work.resolve().parents):
+        if resolved(folder) in (resolved(work), *resolved(work).parents):
             raise InputError(f"{folder}: holds the workspace {work}, expected a folder of its own for the comparison")
     if folder.exists() and not (folder / "change.json").is_file() and any(folder.iterdir() if folder.is_dir() else "x"):
         raise InputError(f"{folder}: is there already, expected a new folder or one of an earlier comparison")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from malus import _core, photogrammetry
+from malus._files import resolved
 from malus._toml import read_toml
 from malus.campaign import Campaign, options_of, read_tables, stations_of, value_of
 from malus.errors import InputError
@@ -23,7 +24,7 @@ _KEYS = {
 }
 #: Triangles of the textured mesh.
 _FACES = 20000.0
-_LEAST_FACES = 100
+_LEAST_FACES, _MOST_FACES = 100, 10**9
 
 
 @dataclass(frozen=True)
@@ -71,8 +72,8 @@ class Object:
         limit, faces = value("max_sigma_gsd", 4.0), value("faces", _FACES)
         if not limit > 0:
             raise InputError(f"{file}: object.max_sigma_gsd = {limit:g}, expected more than 0")
-        if not faces >= _LEAST_FACES:
-            raise InputError(f"{file}: object.faces = {faces:g}, expected at least {_LEAST_FACES}")
+        if not _LEAST_FACES <= faces <= _MOST_FACES:
+            raise InputError(f"{file}: object.faces = {faces:g}, expected {_LEAST_FACES} to {_MOST_FACES}")
         files = stations_of(file, "object", table)
         campaign = Campaign(value("name", file.stem), files, options_of(file, content), value("report", True))
         stations = {path: Station.load(path).describe() for path in files}
@@ -111,7 +112,7 @@ class Object:
 def _reference(file: Path, name: str, *, given: bool) -> Path | None:
     if not given:
         return None
-    path = (file.parent / name).resolve()
+    path = resolved(file.parent / name)
     if not path.is_file():
         raise InputError(f"{file}: object.reference = {name!r}, expected a file: PLY, XYZ, LAS or E57")
     return path

@@ -255,7 +255,20 @@ def _fuse(
             page.write_page(folder, quality, baked[0], mesh, views, comparison, linked=thing.campaign.report),
         ]
         quality["files"] = {str(path.relative_to(folder)): _core.sha256_of_file(str(path)) for path in files}
+        _require_unchanged(thing, outcomes, frame, folder, key)
         write_record(folder / "quality.json", quality)
+
+
+def _require_unchanged(thing: Object, outcomes: Sequence[Outcome], frame: Frame | None, folder: Path, key: str) -> None:
+    """InputError if stations, their clouds or the reference are not those any more that the surface is recorded as made from."""
+    now = batch.outcomes_of(thing.campaign, folder.parent, None if frame is None else frame.cameras)
+    for before, after in zip(outcomes, now, strict=True):
+        if after != before:
+            raise InputError(
+                f"{before['file']}: its files or results were changed while the surface was made; run again"
+            )
+    if _key(thing, outcomes) != key:
+        raise InputError(f"{thing.reference}: was changed while the surface was made; run again")
 
 
 def _simpler(thing: Object, mesh: ObjectMesh, points: OrientedPoints, gsd: float, scratch: Path) -> ObjectMesh | None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from malus._files import read_regular
 from malus.camera import Camera
 from malus.errors import InputError
 
@@ -89,8 +90,9 @@ def read_metashape(path: str | Path, chunk: int = 0) -> dict[str, Camera]:
     """
     file = Path(path)
     try:
-        root = ElementTree.parse(file).getroot()
-    except (OSError, ElementTree.ParseError) as error:
+        root = ElementTree.fromstring(read_regular(file))
+    # LookupError and ValueError: it names a coding that there is not, or that the parser does not know.
+    except (OSError, ElementTree.ParseError, LookupError, ValueError) as error:
         raise InputError(f"{file}: not a cameras.xml ({error})") from None
     chunks: Sequence[ElementTree.Element] = root.findall("chunk")
     if not 0 <= chunk < len(chunks):

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from PIL import ExifTags
 
 from malus import _core
+from malus._patterns import MOST_NAMES
 from malus.errors import InputError, MalusError
 from malus.exif import number_of, tags_of
 
-_MOST_NAMES = 100_000
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff"})
 #: Diagonal of the 36 × 24 mm frame to which 35-mm-equivalent focal lengths refer.
 _FULL_FRAME_DIAGONAL_MM = 43.27
@@ -89,9 +89,9 @@ def list_photos(folder: Path, exclude: Sequence[str]) -> list[Photo]:
     """
     names = {}
     for count, path in enumerate(folder.rglob("*")):
-        if count == _MOST_NAMES:
+        if count == MOST_NAMES:
             raise InputError(
-                f'[photos] folder = "{folder}" has more than {_MOST_NAMES} files and folders, expected the photos of one station'
+                f'[photos] folder = "{folder}" has more than {MOST_NAMES} files and folders, expected the photos of one station'
             )
         below = path.relative_to(folder)
         hidden = any(part.startswith(".") for part in below.parts)

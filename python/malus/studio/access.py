@@ -14,6 +14,7 @@ from starlette.datastructures import Headers, MutableHeaders, QueryParams
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from malus._files import resolved
 from malus.errors import InputError
 
 _POLICY = (
@@ -105,20 +106,21 @@ class Root:
     """The opened folder; every path that the page names is relative to it."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder.resolve()
+        self.folder = resolved(folder)
 
     def path(self, name: str) -> Path:
         """The path of a name from the page; InputError for one outside the folder, links followed."""
-        if "\0" in name:
-            raise InputError("the path has a character that no file name has")
-        path = (self.folder / name).resolve()
+        path = resolved(self.folder / name)
         if not self.holds(path):
             raise InputError(f"{name}: lies outside the folder that Studio has opened, {self.folder}")
         return path
 
     def holds(self, path: Path) -> bool:
-        """Whether a path lies in the folder, links followed."""
-        return path.resolve().is_relative_to(self.folder)
+        """Whether a path lies in the folder, links followed; those in a circle lie nowhere."""
+        try:
+            return resolved(path).is_relative_to(self.folder)
+        except InputError:
+            return False
 
     def file(self, name: str) -> Path:
         """The path of a file that is there."""

@@ -24,7 +24,7 @@ from starlette.staticfiles import StaticFiles
 import malus
 from malus import lengths
 from malus._files import sha256_of
-from malus.errors import InputError, MalusError
+from malus.errors import InputError, MalusError, ending_of
 from malus.studio import checks, folders, marks, masks, pictures, preview, results, runs, settings
 from malus.studio.access import REPORTS, Access, Guard, Root
 from malus.studio.document import ChangedError, StationDocument
@@ -115,10 +115,13 @@ class Studio:
         folder = self._report_keys.get(request.path_params["key"])
         if folder is None:
             return Response("This report was opened by an earlier Studio.", 404)
-        path = (folder / request.path_params["path"]).resolve()
-        if not path.is_relative_to(folder.resolve()) or not path.is_file():
-            return Response("There is no such file in the report.", 404)
-        return FileResponse(path)
+        try:
+            path = self.root.file(f"{folder}/{request.path_params['path']}")
+            if path.is_relative_to(self.root.path(str(folder))):
+                return FileResponse(path)
+        except (MalusError, OSError):
+            pass
+        return Response("There is no such file in the report.", 404)
 
     def _report_address(self, folder: Path) -> str:
         """Address of the page in this folder, with a key that opens the folder and nothing else."""
@@ -365,6 +368,8 @@ async def _answer(function: Callable[[], Any]) -> Response:
         return JSONResponse({"error": f"the request is not what Studio expects ({type(error).__name__}: {error})"}, 400)
     except OSError as error:
         return JSONResponse({"error": f"{error.filename or 'a file'}: {error.strerror or error}"}, 400)
+    except Exception as error:  # what nobody has thought of is said on the page, as the command line does
+        return JSONResponse({"error": ending_of(error)[1], "field": "station"}, 500)
     return result if isinstance(result, Response) else JSONResponse(result)
 
 

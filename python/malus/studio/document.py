@@ -12,7 +12,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import AoT, Table
 
-from malus._files import write_bytes
+from malus._files import read_regular, write_bytes
 from malus.errors import InputError
 
 #: Tables of a station file that stand any number of times.
@@ -43,7 +43,7 @@ class StationDocument:
     def read(cls, path: Path) -> StationDocument:
         """Read a file; InputError unless it is TOML in UTF-8."""
         try:
-            return cls(path, path.read_bytes().decode("utf-8"))
+            return cls(path, read_regular(path).decode("utf-8"))
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
         except UnicodeDecodeError:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from malus import _core, exif, station_import
+from malus._files import open_regular, read_regular
 from malus.errors import InputError
 from malus.raw import is_raw
 from malus.scans import is_scan
@@ -36,8 +37,8 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 def _is_station(path: Path) -> bool:
     try:
-        return path.suffix == ".toml" and "[polarized]" in path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
+        return path.suffix == ".toml" and b"[polarized]" in read_regular(path)
+    except OSError:
         return False
 
 
@@ -139,7 +140,7 @@ def _kind_of_prior(path: Path) -> str | None:
         return "depth" if _first(tags.get(_SAMPLE_FORMAT)) == _FLOATING and tags.get(_SAMPLES, 1) == 1 else None
     if kind == ".ply":
         try:
-            with path.open("rb") as file:
+            with open_regular(path) as file:
                 header = file.read(_PLY_HEADER).partition(b"end_header")[0]
         except OSError:
             return None

@@ -51,7 +51,8 @@ def _folders_with(root: Root, file: str) -> list[str]:
 def summary(folder: Path) -> dict[str, Any]:
     """The figures of a result that a list shows; `problem` for one that is not finished."""
     try:
-        quality = Workspace(folder).quality
+        workspace = Workspace(folder)
+        quality = workspace.quality
     except (MalusError, json.JSONDecodeError) as error:
         return {"problem": str(error)}
     keys = ("name", "unit", "gsd", "width", "height", "method", "status", "confidence", "warnings")
@@ -59,7 +60,7 @@ def summary(folder: Path) -> dict[str, Any]:
         **{key: quality[key] for key in keys},
         "coverage": quality["coverage"]["fraction"],
         "sigma_gsd": quality["sigma"]["median_gsd"] if quality["sigma"] else None,
-        "report": (folder / "report" / "index.html").is_file(),
+        "report": workspace.has("report/index.html"),
     }
 
 

@@ -162,6 +162,7 @@ class Runs:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 text=True,
+                errors="replace",  # what a library writes there need not be text
                 # Ctrl-C in Studio's terminal ends Studio, which then ends its runs.
                 start_new_session=True,
             )
@@ -172,16 +173,17 @@ class Runs:
             run.process = process
             if run.state == "canceled":
                 process.send_signal(signal.SIGINT)
-        errors = threading.Thread(target=_read_errors, args=(process, run))
-        errors.start()
-        assert process.stdout is not None
-        for line in process.stdout:
-            try:
-                run.take(json.loads(line))
-            except (json.JSONDecodeError, KeyError, TypeError):
-                run.note(line.rstrip())
-        code = process.wait()
-        errors.join()
+        with process:
+            errors = threading.Thread(target=_read_errors, args=(process, run))
+            errors.start()
+            assert process.stdout is not None
+            for line in process.stdout:
+                try:
+                    run.take(json.loads(line))
+                except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+                    run.note(line.rstrip())
+            code = process.wait()
+            errors.join()
         with self._changed:
             if run.state == "running":
                 run.state = "done" if code == 0 else "failed"

@@ -1,0 +1,60 @@
+"""Patterns of file names, tried on a bounded number of names."""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections.abc import Iterator
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+from malus.errors import InputError
+
+#: A pattern that looks at more goes through the whole disk. The C++ library has the same bound.
+MOST_NAMES = 100_000
+
+
+def matching(folder: Path, pattern: str, where: str) -> list[Path]:
+    """The paths that match a pattern relative to a folder; ** is any number of folders, also none. Hidden names are left out
+    unless the pattern begins with their dot.
+
+    InputError, which begins with `where` the pattern stands, if too many names have to be looked at.
+    """
+    found = [folder]
+    names = _counted(where)
+    for part in Path(pattern).parts:
+        found = list(dict.fromkeys(path for place in found for path in _step(place, part, names)))
+    return [path for path in found if path.exists()]
+
+
+def _counted(where: str) -> Iterator[None]:
+    """Gives so many times what is asked for before each name."""
+    yield from [None] * MOST_NAMES
+    raise InputError(f"{where}: more than {MOST_NAMES} names to look at, expected a pattern for a few folders")
+
+
+def _step(place: Path, part: str, names: Iterator[None]) -> Iterator[Path]:
+    """Where one part of a pattern leads from a place."""
+    if part == "**":
+        yield place
+        left = [place]
+        while left:
+            inside = list(_entries(left.pop(), part, names))
+            yield from inside
+            left += [path for path in inside if path.is_dir()]
+    elif glob.has_magic(part):
+        yield from (path for path in _entries(place, part, names) if fnmatchcase(path.name, part))
+    else:
+        next(names)
+        yield place / part
+
+
+def _entries(folder: Path, part: str, names: Iterator[None]) -> Iterator[Path]:
+    try:
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                next(names)
+                if part.startswith(".") or not entry.name.startswith("."):
+                    yield Path(entry.path)
+    except OSError:
+        return  # no folder, or one that may not be looked into
