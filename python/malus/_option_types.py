@@ -13,23 +13,23 @@ class CaptureSection(Section):
     registration: Literal["auto", "on", "off"]
     """register the images to the first: auto leaves aligned images untouched"""
     keep_below_px: float
-    """with auto: displacements below this are not resampled away"""
+    """registration = auto: images that lie closer than this are left as they are, in px"""
     saturation: float
     """fraction of the white level from which a pixel is saturated"""
     interpolation: Literal["bicubic", "keys"]
-    """of the one resampling, and of registration: bicubic as OpenCV (a = -0.75) or keys (a = -0.5)"""
+    """interpolation of the images when they are registered and resampled: bicubic as OpenCV's (a = -0.75) or keys (a = -0.5)"""
     fine_sigma_px: float
-    """registration compares images in a band of scales: its fine end"""
+    """registration compares images after a band-pass filter: standard deviation of its finer Gaussian, in px"""
     coarse_sigma_px: float
-    """and its coarse end"""
+    """standard deviation of the coarser Gaussian of registration's band-pass filter, in px"""
     cauchy_scale: float
     """disagreement between images, in units of the noise, that halves a pixel's weight"""
     max_iterations: int
-    """Gauss-Newton steps at each level of the pyramid"""
+    """registration: largest number of Gauss-Newton steps at each level of the image pyramid"""
     max_shift: float
-    """largest displacement that is believed, as a fraction of the image width"""
+    """registration: a larger displacement counts as a failure; share of the image width"""
     max_uncertainty_px: float
-    """displacements known less well than this count as not found"""
+    """registration: a displacement with a larger standard deviation counts as not found, in px"""
 
 
 class CaptureValues(TypedDict, total=False):
@@ -51,13 +51,13 @@ class PolarizationSection(Section):
     """Options of the section polarization."""
 
     weighting: Literal["uniform", "noise"]
-    """weights of the images in the sinusoid fit"""
+    """weights of the images when the sinusoid is fitted: by their noise, or all alike"""
     recover_outliers: bool
     """where a pixel does not fit, try it without one image (needs five or more)"""
     misfit_sigmas: float
-    """a pixel does not follow the sinusoid beyond this many standard deviations of the noise …"""
+    """a pixel does not follow the sinusoid if its residual exceeds this many standard deviations of the noise and misfit_fraction"""
     misfit_fraction: float
-    """… and beyond this share of its intensity"""
+    """a pixel does not follow the sinusoid if its residual exceeds this share of its intensity and misfit_sigmas"""
     dark_sigmas: float
     """a pixel is dark below this many standard deviations of the noise without light"""
     max_condition: float
@@ -83,7 +83,7 @@ class PolarizerSection(Section):
     angle_sigma_deg: float
     """standard deviation of each angle as read off the scale"""
     zero_sigma_deg: float
-    """and of the zero that they share"""
+    """standard deviation of the zero of the polarizer's scale, which all angles share"""
     gain_sigma: float
     """standard deviation of the exposure from image to image"""
     min_improvement: float
@@ -112,11 +112,11 @@ class PhotosSection(Section):
     backend: Literal["auto", "colmap", "pycolmap"]
     """what runs COLMAP: the program, the Python package pycolmap, or the program if there is one and else the package"""
     max_features: int
-    """most features of a photo"""
+    """largest number of features that are taken of a photo"""
     max_side_px: int
     """photos with a longer side are reduced to find features"""
     guided_matching: bool
-    """search again for matches along the epipolar lines of the first"""
+    """once photos are matched, search along their epipolar lines for further matches"""
     exhaustive_limit: int
     """most photos of which every pair is matched; of more, only photos near each other in their names' order"""
     min_inliers: int
@@ -126,15 +126,15 @@ class PhotosSection(Section):
     match_windows: bool
     """measure the points anew by least-squares matching of windows, and adjust all cameras to that"""
     match_points_a_photo: int
-    """points of a photo that are measured so, those in many photos first"""
+    """match_windows: largest number of points that are measured anew in a photo, those seen in many photos first"""
     match_radius: int
-    """of the square windows, in px; twice this, of coarser images, where noise hides what is there"""
+    """radius of the square windows, in px; twice as large, in coarser images, where noise hides the texture"""
     match_range_px: float
-    """farthest a window may end from where the point is expected, in px"""
+    """match_windows: farthest that a window may end from where its point is expected, in px"""
     match_min_correlation: float
-    """lowest correlation of a window that counts"""
+    """match_windows: windows with a lower correlation are left out"""
     match_floor_px: float
-    """smallest standard deviation of a window's position, in px"""
+    """match_windows: smallest standard deviation that a window's position may have, in px"""
     search_limit_s: int
     """longest search for a first pair, for 20 photos, before the next assumption on the focal length is tried, in s"""
     mark_sigma_px: float
@@ -173,19 +173,19 @@ class SweepSection(Section):
     station_gamma: float
     """the station's linear intensity is raised to 1 / this, to be coded like the photos; 1 = as it is"""
     window_radius: int
-    """of the square windows that are compared, in px"""
+    """radius of the square windows that are compared, in px"""
     known_window_radius: int
-    """the same in a sweep about a known surface, on which large windows lie exactly"""
+    """radius of the windows in a sweep about a known surface, in px; larger, as they lie on that surface"""
     best_views: int
-    """photos that count at a pixel: those that match best"""
+    """number of photos whose match counts at a pixel, the best ones"""
     max_views: int
-    """photos that are compared in one part of the image"""
+    """largest number of photos that are compared in one part of the image"""
     min_level_px: int
     """shorter side of the coarsest image, at least, in px"""
     min_points: int
     """fewest triangulated points on the object"""
     noise: float
-    """standard deviation of an intensity, coded, of white"""
+    """standard deviation of the photos' noise, as a share of white"""
     min_parallax: float
     """photos with less parallax than this, of the photos' median, are left out if others suffice"""
     max_angle_deg: float
@@ -203,9 +203,9 @@ class SweepSection(Section):
     min_region_px: int
     """fewest connected pixels that are kept: what agrees by chance comes in small regions"""
     sigma_scale: float
-    """standard deviation of depth over half the difference of the halves"""
+    """factor from half the difference of the two halves' depths to the standard deviation of depth"""
     sigma_floor_gsd: float
-    """smallest standard deviation, in GSD"""
+    """smallest standard deviation that a swept depth may have, in GSD"""
     again: bool
     """sweep a station again about its fused surface, and fuse with that; where the photos agree on too little, leave out what that surface contradicts instead"""
 
@@ -248,11 +248,11 @@ class PriorSection(Section):
     keep_raised: bool
     """whether points that stand out together are kept as a part of the surface; strays never are"""
     neighbors: int
-    """nearest neighbors a point is compared with, in the view"""
+    """number of nearest neighbors, in the image, that a point of the cloud is compared with"""
     outlier_tolerance: float
-    """largest distance from the neighbors' median depth, in their robust standard deviations"""
+    """a point is an outlier if it is farther from the median depth of its neighbors, in their robust standard deviations"""
     outlier_floor_gsd: float
-    """distance from it that is always allowed, in GSD"""
+    """distance from the median depth of its neighbors that makes no point an outlier, in GSD"""
     max_slope_deg: float
     """steepest slope of a visible surface; points farther behind their neighbors are hidden"""
     min_points: int
@@ -268,7 +268,7 @@ class PriorSection(Section):
     max_unknowns: int
     """largest smoothing system solved at once; larger rasters are solved in overlapping tiles"""
     sigma_samples: int
-    """draws from which the standard deviation is estimated"""
+    """number of random draws from which the prior's standard deviation is estimated"""
 
 
 class PriorValues(TypedDict, total=False):
@@ -328,11 +328,11 @@ class LightSection(Section):
     """Options of the section light."""
 
     model: Literal["directional", "first_order"]
-    """shading as a function of the normal"""
+    """the light: from one direction, or with a constant part from everywhere"""
     without_prior: Literal["contour", "convex"]
     """what tells a bump from a hollow where there is neither a prior nor [optics] light: the object's outline, or that it is convex in the whole"""
     iterations: int
-    """of the robust fit"""
+    """rounds of the robust fit of the light"""
     outlier_scale: float
     """residual, in robust standard deviations, at which a pixel has half its weight"""
     max_condition: float
@@ -359,19 +359,19 @@ class HeightSection(Section):
     """Options of the section height."""
 
     method: Literal["likelihood", "linear", "literal"]
-    """how the height follows from polarization and shading"""
+    """equations of the height: Gauss-Newton on the likelihood, the linear system, or the paper's rows as printed"""
     perspective: bool
     """metric perspective form; false = orthographic as printed"""
     smoothness: float
-    """weight of the second differences"""
+    """weight of the height's second differences, which smooths it"""
     boundary: Literal["natural", "prior"]
     """height at the border of the object"""
     boundary_weight: float
     """weight of the prior's height at the border, per pixel"""
     iterations: int
-    """largest number of Gauss-Newton steps"""
+    """largest number of Gauss-Newton steps of the height"""
     tolerance: float
-    """RMS change of the slope at which they end"""
+    """the Gauss-Newton steps end when the slopes change by less than this (RMS)"""
     shading_error: float | Literal["auto"]
     """standard deviation of the shading model, share of the intensity; auto = from the fit of the light"""
     stokes_error: float
@@ -449,63 +449,63 @@ class RefineSection(Section):
     """Options of the section refine."""
 
     iterations: int
-    """rounds of: fit reflection, weigh residuals, solve"""
+    """rounds; each fits the reflection, weighs the residuals and solves for the surface"""
     surroundings_iterations: int
-    """such rounds, of one step each, with a map of the surroundings: map and surface find each other slowly"""
+    """rounds where a map of the surroundings is fitted, of one step each: map and surface find each other slowly"""
     fine_iterations: int
-    """such rounds after those at half the resolution"""
+    """rounds at full resolution after those at half the resolution"""
     coarsest_px: float
     """where a search is worth it, objects are refined at half the resolution first, down to this width and height, in px"""
     more_iterations: int
-    """most such rounds at the end while the surface moves by 0.5 GSD"""
+    """largest number of further rounds at the end, while the surface still moves by more than 0.5 GSD"""
     steps: int
-    """Gauss-Newton steps of each solve after the first two, which take one"""
+    """Gauss-Newton steps in each round; the first two rounds take one"""
     tile_px: int
-    """largest side of a tile's core"""
+    """largest side of a tile without its margins, in px"""
     margin_px: int
-    """overlap of a tile with its neighbors"""
+    """margin by which a tile overlaps its neighbors, in px"""
     strip_megapixels: float
     """size of the strips of whole rows of tiles that are worked on one after the other; memory grows with it"""
     robust_scale: float
-    """Stokes residual, in standard deviations, that counts half"""
+    """residual of the polarization, in standard deviations, at which a pixel has half its weight"""
     graduation: float
-    """factor on robust_scale of specular regions in the first round, halved every round"""
+    """robust_scale is this many times larger for specular regions in the first round; the factor is halved every round"""
     relative_error: float
     """error of the reflection model as a share of s0"""
     slope_error: float
-    """error of the reflection model as a slope"""
+    """error of the reflection model, as an error of the slope"""
     prior_weight: float
-    """weight of a full prior block, in 1 / GSD, where the prior's sigma is large"""
+    """weight of the prior's mean over a block of 8 x 8 pixels, in 1 / GSD, where the prior's sigma is large"""
     good_prior_weight: float
-    """the same where its sigma is small; between them by the sigma"""
+    """weight of the prior's mean over a block of 8 x 8 pixels, in 1 / GSD, where the prior's sigma is small"""
     prior_robust_gsd: float
-    """distance from the prior that counts half"""
+    """distance from the prior, in GSD, at which the prior has half its weight"""
     albedo_weight: float
-    """weight of the albedo gradient in diffuse regions, up to 2.5 times that where albedo varies little"""
+    """weight of changes of albedo in diffuse regions; up to 2.5 times that where albedo varies little"""
     albedo_contrast: float
-    """log-albedo step between pixels that counts half"""
+    """step of ln albedo between neighboring pixels at which it has half its weight"""
     smoothness: float
     """weight of the second differences of the change to the prior, where all that is wrong with the polarization is noise; less by the share of other errors"""
     search_sharpening: float
     """factor on the prior's detail that the search for a better minimum starts with"""
     search: bool
-    """with specular regions: solve from a second start and keep the better regions of both"""
+    """where regions are specular: solve from a second start, too, and keep the better regions of both"""
     environment: bool
-    """fit what diffuse regions mirror of the surroundings"""
+    """let diffuse regions mirror smooth surroundings, whose light is fitted"""
     lobe: bool
-    """fit a highlight of a small source in diffuse regions"""
+    """let diffuse regions have the highlight of one small source, which is fitted"""
     regional_weights: bool
-    """down-weigh regions that fit badly"""
+    """give less weight to regions that fit badly, such as cast shadows"""
     surroundings: bool
-    """where that explains more of the polarization, take the object as matt and mirroring its surroundings"""
+    """fit a map of the surroundings that a matte or glossy object mirrors, where that explains more of the polarization"""
     correct_index: bool
     """replace a refractive index that the polarization clearly contradicts"""
     evidence: bool
     """keep the prior's surface where the reflection model does not explain the polarization"""
     explained_least: float
-    """share of the polarization, explained at the prior's slopes, up to which the prior's surface is kept …; with a map of the surroundings other limits hold"""
+    """the prior's surface is kept where the model explains no more than this share of the polarization at the prior's slopes; with a map of the surroundings other limits hold"""
     explained_enough: float
-    """… and from which on the refined one is"""
+    """the refined surface is kept where the model explains at least this share of the polarization at the prior's slopes"""
     anchor: float
     """the prior's low frequencies are kept beyond this times the square root of its points' noise (GSD) times their distance (px), in px; 0 = not"""
 
@@ -596,13 +596,13 @@ class AssessSection(Section):
     sigma_limit_gsd: float
     """pixels with a larger standard deviation of depth count as uncertain"""
     profile_step_px: float
-    """largest distance of profile samples"""
+    """largest distance between the samples of a profile, in px"""
     alignment: Literal["none", "rigid", "similarity"]
     """move the surface onto the reference first (ICP)"""
     max_distance_gsd: float
     """points farther from the reference than this are not compared"""
     reference_neighbors: int
-    """points of a reference cloud that make its local plane"""
+    """number of points of a reference cloud to which its local plane is fitted"""
 
 
 class AssessValues(TypedDict, total=False):

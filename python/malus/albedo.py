@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from malus._robust import robust_spread
 from malus.errors import DataError
 from malus.workspace import Workspace
 
@@ -87,7 +88,7 @@ def _robust_fit(predicted: Callable[[Floats], Floats], target: Floats, x: Floats
     for _ in range(_STEPS):
         now = predicted(x)
         residual = target - now
-        spread = 1.4826 * float(np.median(np.abs(residual))) + 1e-9
+        spread = robust_spread(residual) + 1e-9
         weight = 1 / (1 + (residual / (2.4 * spread)) ** 2)
         step = 1e-4
         jacobian = np.stack([(predicted(x + step * axis) - now) / step for axis in np.eye(len(x))], -1)

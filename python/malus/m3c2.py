@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from malus import _core
 from malus._extra import extra
 from malus._files import write_text
+from malus._robust import robust_spread
 from malus.errors import DataError, InputError
 from malus.workspace import Workspace
 
@@ -118,7 +119,7 @@ def _summary(found: NDArray[np.float64], detectable: NDArray[np.float64], gsd: f
             "count": int(known.sum()),
             "mean": float(values.mean()),
             "rmse": float(np.sqrt(np.mean(values**2))),
-            "mad": float(1.4826 * np.median(np.abs(values - median))),
+            "mad": robust_spread(values - median),
             "p05": float(np.percentile(values, 5)),
             "median": median,
             "p95": float(np.percentile(values, 95)),

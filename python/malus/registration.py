@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
 from malus._files import write_text
+from malus._robust import robust_spread
 from malus.errors import DataError
 from malus.object.ply import write_ply
 from malus.workspace import Workspace
@@ -303,7 +304,7 @@ def _step(at: Points, slope: Points, off: NDArray[np.float64]) -> tuple[Points, 
     normal = np.column_stack([-slope, np.ones(len(slope))])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     distance = off * normal[:, 2]
-    limit = 4.685 * 1.4826 * float(np.median(np.abs(distance))) + 1e-12
+    limit = 4.685 * robust_spread(distance) + 1e-12
     weight = np.maximum(0, 1 - (distance / limit) ** 2) ** 2
     rows = np.column_stack([np.cross(at, normal), normal])
     matrix = rows.T @ (weight[:, None] * rows)

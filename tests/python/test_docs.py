@@ -114,6 +114,15 @@ def test_cpp_on_the_pages_is_what_the_tests_build() -> None:
     assert blocks and all(block in program for block in blocks)
 
 
+def test_help_of_an_option_stands_alone() -> None:
+    """Editors show it without that of the option before it."""
+    options = (ROOT / "python/malus/_option_types.py").read_text(encoding="utf-8")
+    helps = re.findall(r'^    """(.*)"""$', options, re.MULTILINE)
+    assert len(helps) > 150
+    leaning = r"… |and |of |the same|such |they |it |their |its "
+    assert not [text for text in helps if re.match(leaning, text) or text.endswith("…")]
+
+
 def test_troubleshooting_quotes_messages_that_exist() -> None:
     sources = "\n".join(
         path.read_text(encoding="utf-8")

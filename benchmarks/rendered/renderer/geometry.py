@@ -69,6 +69,11 @@ def dot_target(albedo, X, Y, p, r):
     albedo[d < 2.2 * r], albedo[d < 1.3 * r], albedo[d < 0.35 * r] = 0.8, 0.06, 0.8
 
 
+def object_mesh(V, N, F, bsdf, uv=None, tex=None, albedo=None):
+    """The object (label 1) where it is one mesh; its diffuse albedo is `tex` over uv, or one value."""
+    return dict(name="object", V=V, N=N, F=F, uv=uv, tex=tex, albedo=albedo, bsdf=bsdf, label=1, material=1)
+
+
 def board(size, z, rng, feature, points, r, px=2048, gain=1.0, turn=None):
     """Flat textured support (label 2) so that photographs can be oriented; `turn` = 3x3 applied to its vertices."""
     w, h = size

@@ -145,8 +145,8 @@ void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>&
                   const Context& context) {
   const Image<float> mosaic = std::move(exposures.images[0]);
   const std::string name = exposures.names[0];
-  // Samples that make a pixel: its neighbors twice, once through their smoothed contrasts; in color those two
-  // further.
+  // A pixel is made of samples up to 3 px away: of its neighbors, whose contrasts are smoothed over theirs. In color up
+  // to 4 px.
   const Mask saturated = spread_flags(exposures.saturated[0], spec.mosaic_colors ? 4 : 3);
   exposures.images.assign(4, {});
   if (!spec.mosaic_colors) {

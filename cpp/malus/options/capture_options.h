@@ -28,17 +28,20 @@ struct RegistrationOptions {
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
     visit("interpolation", self.interpolation, any_value,
-          "of the one resampling, and of registration: bicubic as OpenCV (a = -0.75) or keys (a = -0.5)");
+          "interpolation of the images when they are registered and resampled: bicubic as OpenCV's (a = -0.75) or keys "
+          "(a = -0.5)");
     visit("fine_sigma_px", self.fine_sigma_px, Range{0.3, 10},
-          "registration compares images in a band of scales: its fine end");
-    visit("coarse_sigma_px", self.coarse_sigma_px, Range{1, 100}, "and its coarse end");
+          "registration compares images after a band-pass filter: standard deviation of its finer Gaussian, in px");
+    visit("coarse_sigma_px", self.coarse_sigma_px, Range{1, 100},
+          "standard deviation of the coarser Gaussian of registration's band-pass filter, in px");
     visit("cauchy_scale", self.cauchy_scale, Range{0.1, 100},
           "disagreement between images, in units of the noise, that halves a pixel's weight");
-    visit("max_iterations", self.max_iterations, Range{1, 1000}, "Gauss-Newton steps at each level of the pyramid");
+    visit("max_iterations", self.max_iterations, Range{1, 1000},
+          "registration: largest number of Gauss-Newton steps at each level of the image pyramid");
     visit("max_shift", self.max_shift, Range{0, 0.5},
-          "largest displacement that is believed, as a fraction of the image width");
+          "registration: a larger displacement counts as a failure; share of the image width");
     visit("max_uncertainty_px", self.max_uncertainty_px, Range{0.001, 10},
-          "displacements known less well than this count as not found");
+          "registration: a displacement with a larger standard deviation counts as not found, in px");
   }
 };
 
@@ -60,7 +63,7 @@ struct CaptureOptions {
     visit("registration", self.mode, any_value,
           "register the images to the first: auto leaves aligned images untouched");
     visit("keep_below_px", self.keep_below_px, Range{0, 1},
-          "with auto: displacements below this are not resampled away");
+          "registration = auto: images that lie closer than this are left as they are, in px");
     visit("saturation", self.saturation, Range{0.5, 1}, "fraction of the white level from which a pixel is saturated");
     RegistrationOptions::fields(self.registration, visit);
   }

@@ -86,34 +86,39 @@ struct RefineOptions {
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
-    visit("iterations", self.iterations, Range{1, 50}, "rounds of: fit reflection, weigh residuals, solve");
+    visit("iterations", self.iterations, Range{1, 50},
+          "rounds; each fits the reflection, weighs the residuals and solves for the surface");
     visit("surroundings_iterations", self.surroundings_iterations, Range{1, 50},
-          "such rounds, of one step each, with a map of the surroundings: map and surface find each other slowly");
-    visit("fine_iterations", self.fine_iterations, Range{1, 50}, "such rounds after those at half the resolution");
+          "rounds where a map of the surroundings is fitted, of one step each: map and surface find each other slowly");
+    visit("fine_iterations", self.fine_iterations, Range{1, 50},
+          "rounds at full resolution after those at half the resolution");
     visit("coarsest_px", self.coarsest_px, Range{16, 1e9},
           "where a search is worth it, objects are refined at half the resolution first, down to this width and "
           "height, in px");
     visit("more_iterations", self.more_iterations, Range{0, 50},
-          "most such rounds at the end while the surface moves by 0.5 GSD");
-    visit("steps", self.steps, Range{1, 50}, "Gauss-Newton steps of each solve after the first two, which take one");
-    visit("tile_px", self.tile_px, Range{64, 4096}, "largest side of a tile's core");
-    visit("margin_px", self.margin_px, Range{16, 512}, "overlap of a tile with its neighbors");
+          "largest number of further rounds at the end, while the surface still moves by more than 0.5 GSD");
+    visit("steps", self.steps, Range{1, 50}, "Gauss-Newton steps in each round; the first two rounds take one");
+    visit("tile_px", self.tile_px, Range{64, 4096}, "largest side of a tile without its margins, in px");
+    visit("margin_px", self.margin_px, Range{16, 512}, "margin by which a tile overlaps its neighbors, in px");
     visit("strip_megapixels", self.strip_megapixels, Range{0.001, 1e6},
           "size of the strips of whole rows of tiles that are worked on one after the other; memory grows with it");
     visit("robust_scale", self.robust_scale, Range{0.1, 100},
-          "Stokes residual, in standard deviations, that counts half");
+          "residual of the polarization, in standard deviations, at which a pixel has half its weight");
     visit("graduation", self.graduation, Range{1, 100},
-          "factor on robust_scale of specular regions in the first round, halved every round");
+          "robust_scale is this many times larger for specular regions in the first round; the factor is halved every "
+          "round");
     visit("relative_error", self.relative_error, Range{0, 0.1}, "error of the reflection model as a share of s0");
-    visit("slope_error", self.slope_error, Range{0, 1}, "error of the reflection model as a slope");
+    visit("slope_error", self.slope_error, Range{0, 1}, "error of the reflection model, as an error of the slope");
     visit("prior_weight", self.prior_weight, not_negative,
-          "weight of a full prior block, in 1 / GSD, where the prior's sigma is large");
+          "weight of the prior's mean over a block of 8 x 8 pixels, in 1 / GSD, where the prior's sigma is large");
     visit("good_prior_weight", self.good_prior_weight, not_negative,
-          "the same where its sigma is small; between them by the sigma");
-    visit("prior_robust_gsd", self.prior_robust_gsd, Range{0.01, 1000}, "distance from the prior that counts half");
+          "weight of the prior's mean over a block of 8 x 8 pixels, in 1 / GSD, where the prior's sigma is small");
+    visit("prior_robust_gsd", self.prior_robust_gsd, Range{0.01, 1000},
+          "distance from the prior, in GSD, at which the prior has half its weight");
     visit("albedo_weight", self.albedo_weight, not_negative,
-          "weight of the albedo gradient in diffuse regions, up to 2.5 times that where albedo varies little");
-    visit("albedo_contrast", self.albedo_contrast, Range{1e-4, 10}, "log-albedo step between pixels that counts half");
+          "weight of changes of albedo in diffuse regions; up to 2.5 times that where albedo varies little");
+    visit("albedo_contrast", self.albedo_contrast, Range{1e-4, 10},
+          "step of ln albedo between neighboring pixels at which it has half its weight");
     visit(
         "smoothness", self.smoothness, not_negative,
         "weight of the second differences of the change to the prior, where all that is wrong with the polarization is "
@@ -121,20 +126,25 @@ struct RefineOptions {
     visit("search_sharpening", self.search_sharpening, Range{-10, 10},
           "factor on the prior's detail that the search for a better minimum starts with");
     visit("search", self.search, any_value,
-          "with specular regions: solve from a second start and keep the better regions of both");
-    visit("environment", self.environment, any_value, "fit what diffuse regions mirror of the surroundings");
-    visit("lobe", self.lobe, any_value, "fit a highlight of a small source in diffuse regions");
-    visit("regional_weights", self.regional_weights, any_value, "down-weigh regions that fit badly");
+          "where regions are specular: solve from a second start, too, and keep the better regions of both");
+    visit("environment", self.environment, any_value,
+          "let diffuse regions mirror smooth surroundings, whose light is fitted");
+    visit("lobe", self.lobe, any_value, "let diffuse regions have the highlight of one small source, which is fitted");
+    visit("regional_weights", self.regional_weights, any_value,
+          "give less weight to regions that fit badly, such as cast shadows");
     visit("surroundings", self.surroundings, any_value,
-          "where that explains more of the polarization, take the object as matt and mirroring its surroundings");
+          "fit a map of the surroundings that a matte or glossy object mirrors, where that explains more of the "
+          "polarization");
     visit("correct_index", self.correct_index, any_value,
           "replace a refractive index that the polarization clearly contradicts");
     visit("evidence", self.evidence, any_value,
           "keep the prior's surface where the reflection model does not explain the polarization");
     visit("explained_least", self.explained_least, Range{-1, 1},
-          "share of the polarization, explained at the prior's slopes, up to which the prior's surface is kept …; with "
-          "a map of the surroundings other limits hold");
-    visit("explained_enough", self.explained_enough, Range{-1, 1}, "… and from which on the refined one is");
+          "the prior's surface is kept where the model explains no more than this share of the polarization at the "
+          "prior's slopes; with a map of the surroundings other limits hold");
+    visit("explained_enough", self.explained_enough, Range{-1, 1},
+          "the refined surface is kept where the model explains at least this share of the polarization at the prior's "
+          "slopes");
     visit("anchor", self.anchor, not_negative,
           "the prior's low frequencies are kept beyond this times the square root of its points' noise (GSD) times "
           "their distance (px), in px; 0 = not");

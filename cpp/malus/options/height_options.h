@@ -37,11 +37,11 @@ struct LightOptions {
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
-    visit("model", self.model, any_value, "shading as a function of the normal");
+    visit("model", self.model, any_value, "the light: from one direction, or with a constant part from everywhere");
     visit("without_prior", self.without_prior, any_value,
           "what tells a bump from a hollow where there is neither a prior nor [optics] light: the object's outline, or "
           "that it is convex in the whole");
-    visit("iterations", self.iterations, Range{1, 1000}, "of the robust fit");
+    visit("iterations", self.iterations, Range{1, 1000}, "rounds of the robust fit of the light");
     visit("outlier_scale", self.outlier_scale, Range{0.1, 100},
           "residual, in robust standard deviations, at which a pixel has half its weight");
     visit("max_condition", self.max_condition, Range{1, 1e12},
@@ -87,14 +87,16 @@ struct HeightOptions {
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
-    visit("method", self.method, any_value, "how the height follows from polarization and shading");
+    visit("method", self.method, any_value,
+          "equations of the height: Gauss-Newton on the likelihood, the linear system, or the paper's rows as printed");
     visit("perspective", self.perspective, any_value, "metric perspective form; false = orthographic as printed");
-    visit("smoothness", self.smoothness, not_negative, "weight of the second differences");
+    visit("smoothness", self.smoothness, not_negative, "weight of the height's second differences, which smooths it");
     visit("boundary", self.boundary, any_value, "height at the border of the object");
     visit("boundary_weight", self.boundary_weight, not_negative,
           "weight of the prior's height at the border, per pixel");
-    visit("iterations", self.iterations, Range{1, 1000}, "largest number of Gauss-Newton steps");
-    visit("tolerance", self.tolerance, not_negative, "RMS change of the slope at which they end");
+    visit("iterations", self.iterations, Range{1, 1000}, "largest number of Gauss-Newton steps of the height");
+    visit("tolerance", self.tolerance, not_negative,
+          "the Gauss-Newton steps end when the slopes change by less than this (RMS)");
     visit("shading_error", self.shading_error, fraction_range,
           "standard deviation of the shading model, share of the intensity; auto = from the fit of the light");
     visit("stokes_error", self.stokes_error, fraction_range,

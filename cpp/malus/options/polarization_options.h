@@ -27,12 +27,15 @@ struct DecomposeOptions {
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
-    visit("weighting", self.weighting, any_value, "weights of the images in the sinusoid fit");
+    visit("weighting", self.weighting, any_value,
+          "weights of the images when the sinusoid is fitted: by their noise, or all alike");
     visit("recover_outliers", self.recover_outliers, any_value,
           "where a pixel does not fit, try it without one image (needs five or more)");
     visit("misfit_sigmas", self.misfit_sigmas, not_negative,
-          "a pixel does not follow the sinusoid beyond this many standard deviations of the noise …");
-    visit("misfit_fraction", self.misfit_fraction, fraction_range, "… and beyond this share of its intensity");
+          "a pixel does not follow the sinusoid if its residual exceeds this many standard deviations of the noise and "
+          "misfit_fraction");
+    visit("misfit_fraction", self.misfit_fraction, fraction_range,
+          "a pixel does not follow the sinusoid if its residual exceeds this share of its intensity and misfit_sigmas");
     visit("dark_sigmas", self.dark_sigmas, not_negative,
           "a pixel is dark below this many standard deviations of the noise without light");
     visit("max_condition", self.max_condition, Range{1, 1e6},
@@ -62,7 +65,8 @@ struct PolarizerOptions {
           "polarizer angles and exposures from the images: auto only where that is significantly better");
     visit("angle_sigma_deg", self.angle_sigma_deg, Range{0.01, 45},
           "standard deviation of each angle as read off the scale");
-    visit("zero_sigma_deg", self.zero_sigma_deg, Range{0.01, 90}, "and of the zero that they share");
+    visit("zero_sigma_deg", self.zero_sigma_deg, Range{0.01, 90},
+          "standard deviation of the zero of the polarizer's scale, which all angles share");
     visit("gain_sigma", self.gain_sigma, Range{1e-4, 0.5}, "standard deviation of the exposure from image to image");
     visit("min_improvement", self.min_improvement, fraction_range,
           "auto: share of what the sinusoid's squared residuals have beyond noise that calibrated angles must remove");

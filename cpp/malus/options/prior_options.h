@@ -44,10 +44,10 @@ struct PhotosOptions {
     visit("backend", self.backend, any_value,
           "what runs COLMAP: the program, the Python package pycolmap, or the program if there is one and else the "
           "package");
-    visit("max_features", self.max_features, Range{500, 1e6}, "most features of a photo");
+    visit("max_features", self.max_features, Range{500, 1e6}, "largest number of features that are taken of a photo");
     visit("max_side_px", self.max_side_px, Range{200, 1e5}, "photos with a longer side are reduced to find features");
     visit("guided_matching", self.guided_matching, any_value,
-          "search again for matches along the epipolar lines of the first");
+          "once photos are matched, search along their epipolar lines for further matches");
     visit("exhaustive_limit", self.exhaustive_limit, Range{2, 1e6},
           "most photos of which every pair is matched; of more, only photos near each other in their names' order");
     visit("min_inliers", self.min_inliers, Range{6, 1e4}, "fewest matches that make two photos a pair");
@@ -57,15 +57,15 @@ struct PhotosOptions {
     visit("match_windows", self.match_windows, any_value,
           "measure the points anew by least-squares matching of windows, and adjust all cameras to that");
     visit("match_points_a_photo", self.match_points_a_photo, Range{30, 1e6},
-          "points of a photo that are measured so, those in many photos first");
+          "match_windows: largest number of points that are measured anew in a photo, those seen in many photos first");
     visit("match_radius", self.match_radius, Range{3, 32},
-          "of the square windows, in px; twice this, of coarser images, where noise hides what is there");
+          "radius of the square windows, in px; twice as large, in coarser images, where noise hides the texture");
     visit("match_range_px", self.match_range_px, Range{0.1, 100},
-          "farthest a window may end from where the point is expected, in px");
+          "match_windows: farthest that a window may end from where its point is expected, in px");
     visit("match_min_correlation", self.match_min_correlation, fraction_range,
-          "lowest correlation of a window that counts");
+          "match_windows: windows with a lower correlation are left out");
     visit("match_floor_px", self.match_floor_px, Range{1e-4, 10},
-          "smallest standard deviation of a window's position, in px");
+          "match_windows: smallest standard deviation that a window's position may have, in px");
     visit("search_limit_s", self.search_limit_s, Range{5, 1e6},
           "longest search for a first pair, for 20 photos, before the next assumption on the focal length is tried, in "
           "s");
@@ -102,14 +102,15 @@ struct SweepOptions {
   static void fields(Self& self, Visitor&& visit) {
     visit("station_gamma", self.station_gamma, Range{0.2, 5},
           "the station's linear intensity is raised to 1 / this, to be coded like the photos; 1 = as it is");
-    visit("window_radius", self.window_radius, Range{1, 4}, "of the square windows that are compared, in px");
+    visit("window_radius", self.window_radius, Range{1, 4}, "radius of the square windows that are compared, in px");
     visit("known_window_radius", self.known_window_radius, Range{1, 8},
-          "the same in a sweep about a known surface, on which large windows lie exactly");
-    visit("best_views", self.best_views, Range{1, 16}, "photos that count at a pixel: those that match best");
-    visit("max_views", self.max_views, Range{1, 64}, "photos that are compared in one part of the image");
+          "radius of the windows in a sweep about a known surface, in px; larger, as they lie on that surface");
+    visit("best_views", self.best_views, Range{1, 16}, "number of photos whose match counts at a pixel, the best ones");
+    visit("max_views", self.max_views, Range{1, 64},
+          "largest number of photos that are compared in one part of the image");
     visit("min_level_px", self.min_level_px, Range{16, 1e6}, "shorter side of the coarsest image, at least, in px");
     visit("min_points", self.min_points, Range{3, 1e9}, "fewest triangulated points on the object");
-    visit("noise", self.noise, Range{1e-5, 1}, "standard deviation of an intensity, coded, of white");
+    visit("noise", self.noise, Range{1e-5, 1}, "standard deviation of the photos' noise, as a share of white");
     visit("min_parallax", self.min_parallax, fraction_range,
           "photos with less parallax than this, of the photos' median, are left out if others suffice");
     visit("max_angle_deg", self.max_angle_deg, Range{1, 89}, "largest angle between a photo's view and the station's");
@@ -123,8 +124,9 @@ struct SweepOptions {
     visit("min_region_px", self.min_region_px, not_negative,
           "fewest connected pixels that are kept: what agrees by chance comes in small regions");
     visit("sigma_scale", self.sigma_scale, Range{0, 100},
-          "standard deviation of depth over half the difference of the halves");
-    visit("sigma_floor_gsd", self.sigma_floor_gsd, not_negative, "smallest standard deviation, in GSD");
+          "factor from half the difference of the two halves' depths to the standard deviation of depth");
+    visit("sigma_floor_gsd", self.sigma_floor_gsd, not_negative,
+          "smallest standard deviation that a swept depth may have, in GSD");
     visit("again", self.again, any_value,
           "sweep a station again about its fused surface, and fuse with that; where the photos agree on too little, "
           "leave out what that surface contradicts instead");
@@ -164,10 +166,13 @@ struct PriorOptions {
           "bending, over what is usual, at which the smoothing gives way to a step or an occluding edge");
     visit("keep_raised", self.keep_raised, any_value,
           "whether points that stand out together are kept as a part of the surface; strays never are");
-    visit("neighbors", self.neighbors, Range{3, 100}, "nearest neighbors a point is compared with, in the view");
+    visit("neighbors", self.neighbors, Range{3, 100},
+          "number of nearest neighbors, in the image, that a point of the cloud is compared with");
     visit("outlier_tolerance", self.outlier_tolerance, Range{1, 100},
-          "largest distance from the neighbors' median depth, in their robust standard deviations");
-    visit("outlier_floor_gsd", self.outlier_floor_gsd, not_negative, "distance from it that is always allowed, in GSD");
+          "a point is an outlier if it is farther from the median depth of its neighbors, in their robust standard "
+          "deviations");
+    visit("outlier_floor_gsd", self.outlier_floor_gsd, not_negative,
+          "distance from the median depth of its neighbors that makes no point an outlier, in GSD");
     visit("max_slope_deg", self.max_slope_deg, Range{1, 89},
           "steepest slope of a visible surface; points farther behind their neighbors are hidden");
     visit("min_points", self.min_points, Range{3, 1e9}, "fewest visible points on the object");
@@ -183,7 +188,8 @@ struct PriorOptions {
           "a highlight, need not go on as its surroundings do");
     visit("max_unknowns", self.max_unknowns, Range{1000, 1e7},
           "largest smoothing system solved at once; larger rasters are solved in overlapping tiles");
-    visit("sigma_samples", self.sigma_samples, Range{4, 1000}, "draws from which the standard deviation is estimated");
+    visit("sigma_samples", self.sigma_samples, Range{4, 1000},
+          "number of random draws from which the prior's standard deviation is estimated");
   }
 };
 

@@ -70,12 +70,13 @@ struct AssessOptions {
           "histograms span plus and minus this; auto = what the distances span, without far ones");
     visit("sigma_limit_gsd", self.sigma_limit_gsd, Range{1e-6, 1e6},
           "pixels with a larger standard deviation of depth count as uncertain");
-    visit("profile_step_px", self.profile_step_px, Range{0.05, 100}, "largest distance of profile samples");
+    visit("profile_step_px", self.profile_step_px, Range{0.05, 100},
+          "largest distance between the samples of a profile, in px");
     visit("alignment", self.alignment, any_value, "move the surface onto the reference first (ICP)");
     visit("max_distance_gsd", self.max_distance_gsd, Range{1e-3, 1e9},
           "points farther from the reference than this are not compared");
     visit("reference_neighbors", self.reference_neighbors, Range{3, 64},
-          "points of a reference cloud that make its local plane");
+          "number of points of a reference cloud to which its local plane is fitted");
   }
 };
 

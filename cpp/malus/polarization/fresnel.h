@@ -58,26 +58,6 @@ inline double specular_degree(double zenith_rad, double eta) {
   return sin2 * specular_degree_over_sin2(sin2, eta);
 }
 
-/// Derivative of Eq 6 by the zenith, per radian.
-inline double diffuse_degree_slope(double zenith_rad, double eta) {
-  const double s = std::sin(zenith_rad), c = std::cos(zenith_rad), q = std::sqrt(eta * eta - s * s);
-  const double sum = eta + 1 / eta, difference = eta - 1 / eta;
-  const double denominator = 2 + 2 * eta * eta - sum * sum * s * s + 4 * c * q;
-  const double denominator_slope = -2 * sum * sum * s * c - 4 * s * q - 4 * s * c * c / q;
-  return difference * difference * (2 * s * c * denominator - s * s * denominator_slope) / (denominator * denominator);
-}
-
-/// Derivative of Eq 8 by the zenith, per radian; negative beyond Brewster's angle.
-inline double specular_degree_slope(double zenith_rad, double eta) {
-  const double s = std::sin(zenith_rad), c = std::cos(zenith_rad), q = std::sqrt(eta * eta - s * s);
-  const double s2 = s * s, eta2 = eta * eta;
-  const double numerator = 2 * s2 * c * q;
-  const double numerator_slope = 2 * s * (2 * c * c * q - s2 * q - s2 * c * c / q);
-  const double denominator = eta2 - (1 + eta2) * s2 + 2 * s2 * s2;
-  const double denominator_slope = 2 * s * c * (4 * s2 - 1 - eta2);
-  return (numerator_slope * denominator - numerator * denominator_slope) / (denominator * denominator);
-}
-
 /// Brewster's angle, where the specular degree is 1.
 inline double brewster_angle(double eta) {
   return std::atan(eta);

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from malus import assess
 from malus._core import FusedSurface
 from malus._extra import extra
+from malus._robust import robust_spread
 from malus.camera import Camera
 from malus.errors import DataError
 from malus.exports import Exporter
@@ -129,7 +130,7 @@ def _stable(distance: NDArray[np.float32]) -> tuple[NDArray[np.bool_], float, fl
     medians = np.full((rows, columns), np.nan)
     medians[enough] = np.nanmedian(blocks[enough], axis=1)
     middle = float(np.median(medians[enough]))
-    spread = 1.4826 * float(np.median(np.abs(medians[enough] - middle)))
+    spread = robust_spread(medians[enough] - middle)
     stable = np.abs(medians - middle) <= _APART * spread
     pixels = np.kron(stable, np.ones((_BLOCK_PX, _BLOCK_PX), bool))[:height, :width]
     return pixels, spread, middle

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus import _core, registration, scans
+from malus._robust import robust_spread
 from malus.errors import DataError
 from malus.object.meshing import ObjectMesh
 from malus.object.views import Floats, View
@@ -127,7 +128,7 @@ def compare(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) ->
         "absolute_median_gsd": float(np.median(np.abs(compared))),
         "distance_gsd": {
             "mean": float(compared.mean()), "rmse": float(np.sqrt((compared.astype(np.float64) ** 2).mean())),
-            "mad": float(1.4826 * np.median(np.abs(compared - median))), "p05": percentiles[0], "median": median,
+            "mad": robust_spread(compared - median), "p05": percentiles[0], "median": median,
             "p95": percentiles[1],
         },
         "completeness": _completeness(reference, mesh, gsd, threads),

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus import _core, stereo
+from malus._robust import robust_spread
 from malus.camera import Camera
 from malus.errors import DataError, InputError
 from malus.options import Options
@@ -315,7 +316,7 @@ def _contradicted(swept: Swept, fused: FusedOnce) -> NDArray[np.bool_]:
     """
     gap = np.log(swept.depth / fused.depth)
     gap -= np.nanmedian(gap)
-    far: NDArray[np.bool_] = np.abs(gap) > LARGEST_GAP * 1.4826 * np.nanmedian(np.abs(gap))
+    far: NDArray[np.bool_] = np.abs(gap) > LARGEST_GAP * robust_spread(gap)
     return far
 
 

@@ -95,17 +95,5 @@ TEST(Fresnel, SpecularZenithOnBothBranches) {
   EXPECT_NEAR(specular_zenith(0.3, 1.5, SpecularBranch::above_brewster).zenith_rad / degree_rad, 82.3, 0.05);
 }
 
-TEST(Fresnel, SlopesAreTheDerivatives) {
-  for (const double eta : indices) {
-    for (double zenith = 1 * degree_rad; zenith <= 88 * degree_rad; zenith += degree_rad) {
-      const double h = 1e-5;
-      EXPECT_NEAR(diffuse_degree_slope(zenith, eta),
-                  (diffuse_degree(zenith + h, eta) - diffuse_degree(zenith - h, eta)) / (2 * h), 1e-7);
-      EXPECT_NEAR(specular_degree_slope(zenith, eta),
-                  (specular_degree(zenith + h, eta) - specular_degree(zenith - h, eta)) / (2 * h), 1e-6);
-    }
-  }
-}
-
 }  // namespace
 }  // namespace malus

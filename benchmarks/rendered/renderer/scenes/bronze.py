@@ -2,7 +2,7 @@
 
 import lights
 import numpy as np
-from geometry import axes, board, fbm, grid_mesh, local, sample_raster, smin, sstep, text_ring
+from geometry import axes, board, fbm, grid_mesh, local, object_mesh, sample_raster, smin, sstep, text_ring
 from scipy.ndimage import gaussian_filter
 
 
@@ -76,7 +76,7 @@ def scene(style, rng, quality):
     s = lights.direction(*style["softbox"])
     return dict(
         meshes=[
-            dict(name="object", V=V, N=N, F=F, albedo=None, tex=None, uv=UV, bsdf=metal, label=1, material=1),
+            object_mesh(V, N, F, metal, uv=UV),
             support,
         ],
         lights=[lights.room(tent), lights.softbox(s * 240, (90, 90), 2.5)],

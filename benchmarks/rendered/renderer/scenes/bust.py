@@ -2,7 +2,7 @@
 
 import lights
 import numpy as np
-from geometry import board, star_shaped
+from geometry import board, object_mesh, star_shaped
 
 
 def bump(d, az, el, sa, se, amplitude):
@@ -58,17 +58,7 @@ def scene(style, rng, quality):
     s, sky = lights.direction(*style["light"]), 0.04
     return dict(
         meshes=[
-            dict(
-                name="object",
-                V=V,
-                N=N,
-                F=F,
-                albedo=0.6,
-                uv=None,
-                bsdf=dict(type="pplastic", int_ior=1.5, specular_reflectance=1.0, alpha=0.15),
-                label=1,
-                material=1,
-            ),
+            object_mesh(V, N, F, dict(type="pplastic", int_ior=1.5, specular_reflectance=1.0, alpha=0.15), albedo=0.6),
             board((460, 330), -82.0, rng, 3.0, points.values(), 3.0),
         ],
         lights=[lights.directional(s, np.pi), lights.constant(sky)],

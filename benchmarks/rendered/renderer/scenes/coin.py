@@ -2,7 +2,7 @@
 
 import lights
 import numpy as np
-from geometry import axes, board, fbm, grid_mesh, local, sample_raster, sstep, text_ring
+from geometry import axes, board, fbm, grid_mesh, local, object_mesh, sample_raster, sstep, text_ring
 from scipy.ndimage import gaussian_filter
 
 LACQUER = dict(type="pplastic", int_ior=1.5, specular_reflectance=1.0, alpha=0.05)
@@ -49,18 +49,7 @@ def scene(style, rng, quality, material=LACQUER):
     s = lights.direction(*style["light"])
     return dict(
         meshes=[
-            dict(
-                name="object",
-                V=V,
-                N=N,
-                F=F,
-                albedo=None,
-                tex=albedo if lacquer else None,
-                uv=UV,
-                bsdf=material,
-                label=1,
-                material=1,
-            ),
+            object_mesh(V, N, F, material, uv=UV, tex=albedo if lacquer else None),
             support,
         ],
         lights=[lights.constant(0.6), lights.softbox(s * 260, (130, 130), 1.6)],

@@ -3,7 +3,7 @@
 import lights
 import numpy as np
 from cameras import around
-from geometry import board, close_holes, smin, sstep, surface_nets
+from geometry import board, close_holes, object_mesh, smin, sstep, surface_nets
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 
@@ -107,17 +107,13 @@ def scene(style, rng, quality):
     boxes = [(around(az, el) * distance, size, power) for az, el, distance, size, power in style["softboxes"]]
     return dict(
         meshes=[
-            dict(
-                name="object",
-                V=V,
-                N=N,
-                F=F,
+            object_mesh(
+                V,
+                N,
+                F,
+                dict(type="pplastic", int_ior=style["index"], alpha=style["alpha"], specular_reflectance=1.0),
                 uv=np.stack([a, np.full_like(a, 0.5)], 1),
                 tex=ramp,
-                albedo=None,
-                label=1,
-                material=1,
-                bsdf=dict(type="pplastic", int_ior=style["index"], alpha=style["alpha"], specular_reflectance=1.0),
             ),
             support,
         ],

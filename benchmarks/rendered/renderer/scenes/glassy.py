@@ -2,7 +2,7 @@
 
 import lights
 import numpy as np
-from geometry import axes, board, flat_square, grid_mesh, smin, sstep
+from geometry import axes, board, flat_square, grid_mesh, object_mesh, smin, sstep
 from scipy.ndimage import gaussian_filter
 
 
@@ -41,16 +41,8 @@ def scene(style, rng, quality):
     points = {"P1": (-64.0, -44.0), "P2": (66.0, -45.0), "P3": (63.0, 44.0)}
     return dict(
         meshes=[
-            dict(
-                name="object",
-                V=V,
-                N=N,
-                F=F,
-                albedo=0.012,
-                uv=None,
-                bsdf=dict(type="pplastic", int_ior=1.5, specular_reflectance=1.0, alpha=0.015),
-                label=1,
-                material=1,
+            object_mesh(
+                V, N, F, dict(type="pplastic", int_ior=1.5, specular_reflectance=1.0, alpha=0.015), albedo=0.012
             ),
             board((220, 160), 0.0, rng, 1.3, points.values(), 1.3, gain=0.25),
         ],

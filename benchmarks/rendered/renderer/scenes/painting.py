@@ -2,7 +2,7 @@
 
 import lights
 import numpy as np
-from geometry import axes, board, dot_target, fbm, grid_mesh, local, sstep, window
+from geometry import axes, board, dot_target, fbm, grid_mesh, local, object_mesh, sstep, window
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
@@ -93,17 +93,13 @@ def scene(style, rng, quality):
     at = lambda p: [*p, float(z[np.searchsorted(y, p[1]), np.searchsorted(x, p[0])])]
     return dict(
         meshes=[
-            dict(
-                name="object",
-                V=V,
-                N=N,
-                F=F,
+            object_mesh(
+                V,
+                N,
+                F,
+                dict(type="pplastic", int_ior=1.5, alpha=style["alpha"], specular_reflectance=1.0),
                 uv=UV,
                 tex=alb.astype(np.float32),
-                albedo=None,
-                label=1,
-                material=1,
-                bsdf=dict(type="pplastic", int_ior=1.5, alpha=style["alpha"], specular_reflectance=1.0),
             ),
             support,
         ],

@@ -2,7 +2,7 @@
 
 import lights
 import numpy as np
-from geometry import axes, cut_wedge, dot_target, fbm, grid_mesh, sstep
+from geometry import axes, cut_wedge, dot_target, fbm, grid_mesh, object_mesh, sstep
 from scipy.ndimage import gaussian_filter
 
 
@@ -109,17 +109,13 @@ def scene(style, rng, quality):
     s, sky = lights.direction(rng.uniform(*style["light_azimuth"]), style["light_elevation"]), 0.07
     return dict(
         meshes=[
-            dict(
-                name="object",
-                V=V,
-                N=N,
-                F=F,
-                albedo=None,
-                tex=alb.astype(np.float32),
+            object_mesh(
+                V,
+                N,
+                F,
+                dict(type="pplastic", int_ior=1.5, specular_reflectance=1.0, alpha=0.25),
                 uv=UV,
-                bsdf=dict(type="pplastic", int_ior=1.5, specular_reflectance=1.0, alpha=0.25),
-                label=1,
-                material=1,
+                tex=alb.astype(np.float32),
             )
         ],
         lights=[lights.directional(s, np.pi), lights.constant(sky)],

@@ -4,7 +4,7 @@ metal, shell. Each has a file of its name beside this one; shape and color are d
 
 import lights
 import numpy as np
-from geometry import board, star_shaped
+from geometry import board, object_mesh, star_shaped
 
 
 def waves(rng, count, k):
@@ -68,18 +68,7 @@ def scene_of(kind):
         ramp = np.tile((np.arange(128) + 0.5) / 128, (4, 1)).astype(np.float32)
         a = np.clip(albedo(D), 0.01, 0.95)
         bsdf = metal or dict(type="pplastic", int_ior=1.5, specular_reflectance=1.0, alpha=0.15)
-        mesh = dict(
-            name="object",
-            V=V,
-            N=N,
-            F=F,
-            albedo=None,
-            uv=np.stack([a, np.full_like(a, 0.5)], 1),
-            tex=None if metal else ramp,
-            bsdf=bsdf,
-            label=1,
-            material=1,
-        )
+        mesh = object_mesh(V, N, F, bsdf, uv=np.stack([a, np.full_like(a, 0.5)], 1), tex=None if metal else ramp)
         s = lights.direction(60, 50)
         return dict(
             meshes=[mesh, board((230, 165), -40.0, rng, 1.5, points.values(), 1.5)],

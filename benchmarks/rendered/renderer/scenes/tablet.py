@@ -2,7 +2,7 @@
 
 import lights
 import numpy as np
-from geometry import axes, board, cut_wedge, fbm, flat_square, grid_mesh, smin, sstep
+from geometry import axes, board, cut_wedge, fbm, flat_square, grid_mesh, object_mesh, smin, sstep
 from scipy.ndimage import gaussian_filter
 
 
@@ -93,17 +93,13 @@ def scene(style, rng, quality):
     c = lights.direction(az + 180 + style["card_turn"], 16.0) * 150
     return dict(
         meshes=[
-            dict(
-                name="object",
-                V=V,
-                N=N,
-                F=F,
+            object_mesh(
+                V,
+                N,
+                F,
+                dict(type="pplastic", int_ior=1.5, alpha=style["alpha"], specular_reflectance=style["gloss"]),
                 uv=UV,
                 tex=alb.astype(np.float32),
-                albedo=None,
-                label=1,
-                material=1,
-                bsdf=dict(type="pplastic", int_ior=1.5, alpha=style["alpha"], specular_reflectance=style["gloss"]),
             ),
             support,
         ],
