@@ -99,7 +99,7 @@ def test_time_of_the_optimization_and_the_plates_is_expected(small_station: Path
     by_eq_16 = dict(expected_times(station, paper, threads=1))
     assert together["fuse"] > 20 * by_eq_16["fuse"] and together["height"] == by_eq_16["height"]
     outcome = run_malus("paper", small_station, "-o", small_station.parent / "work", "--threads", "2", "--json")
-    shares = {}
+    shares: dict[str, float] = {}
     for line in outcome.out.splitlines():
         event = json.loads(line)
         if event["event"] == "progress":

@@ -82,10 +82,8 @@ def test_capture_on_arrays() -> None:
     for value, image in zip((0.1, 0.2, 0.3, 0.4), malus.capture.demosaic(mosaic), strict=True):
         np.testing.assert_allclose(image, value, atol=1e-6)
 
-    u, v = np.meshgrid(np.arange(160), np.arange(120))
-
     def texture(shift: tuple[float, float]) -> np.ndarray:
-        x, y = u - shift[0], v - shift[1]
+        x, y = np.meshgrid(np.arange(160) - shift[0], np.arange(120) - shift[1])
         return 0.5 + 0.2 * (np.sin(x / 3 + np.sin(y / 7)) + np.cos(y / 4 + np.cos(x / 9)))
 
     found = malus.capture.register([texture((0, 0)), texture((1.25, -0.5))], threads=2)
