@@ -31,15 +31,26 @@ def angle_deg(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     return float(np.degrees(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1))))
 
 
-def without_prior(station: Path) -> Path:
-    """The station's file without [prior], beside it."""
-    path = station.with_name("station_without_prior.toml")
-    path.write_text(re.sub(r"(?m)^\[prior\][^\[]*", "", station.read_text()))
+def without_prior(scene: Path, folder: Path) -> Path:
+    """The station file without [prior], among links to the scene's files and to what lies beside the scene."""
+    copy = folder / scene.name
+    copy.mkdir()
+    for entry in (*scene.parent.iterdir(), *scene.iterdir()):
+        if entry.resolve() != scene.resolve():
+            (folder / entry.relative_to(scene.parent)).symlink_to(entry.resolve())
+    path = copy / "station_without_prior.toml"
+    path.unlink(missing_ok=True)
+    path.write_text(re.sub(r"(?m)^\[prior\][^\[]*", "", (scene / "station.toml").read_text()))
     return path
 
 
 def row(scene: Path) -> str:
-    station = malus.Station.load(without_prior(scene / "station.toml"))
+    with tempfile.TemporaryDirectory(prefix="malus-") as folder:
+        station = malus.Station.load(without_prior(scene, Path(folder)))
+        return row_of(station, scene)
+
+
+def row_of(station: malus.Station, scene: Path) -> str:
     truth = np.load(scene / "gt/depth_normal_mask.npz")
     cells = [scene.name]
     for assumption in ASSUMPTIONS:

@@ -30,7 +30,7 @@ from malus.object.definition import is_object_file
 from malus.object.run import doubted_stations, object_summary
 from malus.options import MAIN
 from malus.progress import BarProgress, JsonProgress, ProgressView, WarningsOnly
-from malus.reconstruction import expected_times
+from malus.reconstruction import PLATES_SECONDS, expected_times
 from malus.report_head import size_of_object
 from malus.shell import SHELLS, completion, manual
 from malus.threads import ALL_CORES
@@ -360,7 +360,10 @@ def _reconstruct(
     if getattr(args, "pixels", None):
         station = station.with_curves_of([_pixel(text) for text in args.pixels])
     with _view(args) as view:
-        view.expect(expected_times(station, options, until=until, threads=args.threads))
+        expected = expected_times(station, options, until=until, threads=args.threads)
+        if args.command == "paper":
+            expected.append(("paper", PLATES_SECONDS))
+        view.expect(expected)
 
         def reconstruct(until: str | None) -> None:
             malus.reconstruct(
@@ -596,8 +599,11 @@ def _list_options(preset: str | None, *, main_only: bool) -> None:
 def _paper(args: argparse.Namespace) -> None:
     if (args.station is None) == (args.campaign is None):
         raise InputError("paper: expected either STATION.toml or --campaign WORK…")
-    if args.campaign is not None and args.pixels:
-        raise InputError("--pixels is for a station, expected no --campaign beside it")
+    if args.campaign is not None:
+        of_a_run = ("pixels", "reference", "register", "m3c2", "set", "options", "fusion", "preset", "replace")
+        given = [f"--{name}" for name in of_a_run if getattr(args, name)]
+        if given:
+            raise InputError(f"{', '.join(given)}: for a station's run, expected no --campaign beside it")
     if args.campaign is not None:
         for path in malus.merge_campaign(args.campaign, args.output):
             print(path)

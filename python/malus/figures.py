@@ -654,14 +654,15 @@ class Plates:
                          borderaxespad=0, columnspacing=1, handlelength=1.2)  # fmt: skip
             below.set_ylabel("detail [µm]", fontsize=LETTERS_PT)
             below.set_xlabel(f"along the profile [{self.unit}]", fontsize=LETTERS_PT)
-            columns = [profile["position"], *(profile[name] for name in present)]
+            columns = [profile["position"], *(profile[name] for name in present), *details.values()]
             spread = ", ".join(f"{name} {np.nanstd(values):.2g} µm" for name, values in details.items())
             yield self.figure(
                 f"profile_{number}", f"Profile {profile['name']}",
                 "Above: height over the chord of the fused section, towards the camera; polarization alone has no absolute "
                 f"height. Below: what is finer than {sigma_px:g} px ({shown(sigma_px * self.gsd, self.unit)}), its form taken out"
                 + ("." if cut is None else "; single spikes reach beyond the scale."),
-                drawing, [f"position_{self.unit}", *(f"{name}_{self.unit}" for name in present)],
+                drawing,
+                [f"position_{self.unit}", *(f"{name}_{self.unit}" for name in present), *(f"{name}_detail_um" for name in details)],
                 list(zip(*columns, strict=True)), f"A section of {along[-1] if len(along) else 0:.3g} {self.unit}. Spread of the detail: {spread}.",
             )  # fmt: skip
 

@@ -270,6 +270,8 @@ def _fused_of(description: dict[str, Any], images: dict[str, Any], options: Opti
 
 #: Seconds of the report: of any, and for a megapixel.
 _REPORT_SECONDS = (4.0, 3.0)
+#: Seconds of the paper's plates and tables: 25 of them took 11 on an example. They are as large in print for any image.
+PLATES_SECONDS = 11.0
 
 
 def expected_times(

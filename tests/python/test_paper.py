@@ -26,6 +26,7 @@ from malus.figures import Plates
 from malus.paper.contact_sheet import contact_sheet
 from malus.paper.plates import oblique, sinusoids
 from malus.paper.tables import table_1, table_2
+from malus.reconstruction import expected_times
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +78,35 @@ def test_sinusoid_plate_fits_what_was_measured(paper_work: Path) -> None:
     assert np.all(np.diff([row["degree"] for row in rows[::6]]) > 0), "weakly to strongly polarized"
 
 
+def test_all_curves_of_a_profile_are_in_its_numbers(paper_work: Path) -> None:
+    """Those of the lower panel, too: the detail by which the surfaces differ."""
+    with (paper_work / "paper/fig_12_profile_1.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    section = np.array([float(row["fused_mm"] or "nan") for row in rows])
+    detail = np.array([float(row["fused_detail_um"] or "nan") for row in rows]) / 1000
+    known = np.isfinite(section)
+    assert known.sum() > 20 and np.array_equal(known, np.isfinite(detail))
+    assert {"prior_mm", "polarization_mm", "prior_detail_um"} <= rows[0].keys()
+    form = (section - detail)[known]
+    assert np.abs(np.diff(form, 2)).max() < np.abs(np.diff(section[known], 2)).max(), "what is left is smoother"
+
+
+def test_time_of_the_optimization_and_the_plates_is_expected(small_station: Path) -> None:
+    """It was not: the bar stood at 40 % when all was done."""
+    station, paper = malus.Station.load(small_station), malus.Options.preset("paper")
+    together = dict(expected_times(station, paper, threads=1))
+    paper.optimize.enabled = False
+    by_eq_16 = dict(expected_times(station, paper, threads=1))
+    assert together["fuse"] > 20 * by_eq_16["fuse"] and together["height"] == by_eq_16["height"]
+    outcome = run_malus("paper", small_station, "-o", small_station.parent / "work", "--threads", "2", "--json")
+    shares: dict[str, float] = {}
+    for line in outcome.out.splitlines():
+        event = json.loads(line)
+        if event["event"] == "progress":
+            shares[event["step"]] = event["overall"]
+    assert shares["paper"] - shares["assess"] > 0.2 and shares["report"] == pytest.approx(1)
+
+
 def test_sinusoid_plate_has_room_for_all_pixels_that_a_station_may_name() -> None:
     curves = [
         {"u": 4100 + k, "v": 3200, "angles_deg": [0, 45, 90, 135], "intensities": [0.4, 0.5, 0.6, 0.5]}
@@ -119,8 +149,10 @@ def test_pixels_that_are_none_are_named(small_station: Path, tmp_path: Path) -> 
     ):
         outcome = run_malus("paper", small_station, "-o", tmp_path / "work", "--pixels", *words)
         assert outcome.code == 2 and said in " ".join(outcome.err.split()), outcome.err
-    outcome = run_malus("paper", "--campaign", tmp_path, "-o", tmp_path / "all", "--pixels", "1,1")
-    assert outcome.code == 2 and "--pixels is for a station" in outcome.err
+    with_campaign = ("paper", "--campaign", tmp_path, "-o", tmp_path / "all")
+    for words in (("--pixels", "1,1"), ("--reference", tmp_path / "scan.ply"), ("--set", "grid.grid_px=8")):
+        outcome = run_malus(*with_campaign, *words)
+        assert outcome.code == 2 and f"{words[0]}: for a station's run" in " ".join(outcome.err.split()), outcome.err
 
 
 def test_tables_are_those_of_quality_json(paper_work: Path) -> None:

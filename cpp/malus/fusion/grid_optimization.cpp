@@ -324,6 +324,11 @@ void optimize_grid_surface(FusedSurface& surface, const OptimizeInput& input, co
   }
   surface.normals = normals_from_depth(surface.depth, camera, context);
   surface.status = unfinished == 0 ? FusionStatus::converged : FusionStatus::iteration_limit;
+  // What Eq 16 lacked is there now; what the equations suppose is not tested any more than before.
+  surface.confidence = {};
+  surface.confidence.limit(ConfidenceLevel::partial,
+                           "All equations of the paper count alike: light, albedo and reflection that are not what "
+                           "they suppose are taken for shape, and nothing tells where.");
   if (unfinished > 0)
     surface.warnings.push_back(
         "the optimization of all equations together ended at its iteration limit (optimize.iterations = " +

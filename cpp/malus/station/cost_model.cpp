@@ -69,7 +69,14 @@ Expected height_cost(const Workload& work) {
 }
 
 Expected grid_cost(const Workload& work) {
-  return expected({0.12, 0.8, 56, 0}, work.object_mpx, work.threads);
+  Expected cost = expected({0.12, 0.8, 56, 0}, work.object_mpx, work.threads);
+  if (work.options.optimize.enabled) {
+    // A thread has one tile, whose size is fixed.
+    const Expected together = expected({85, 0.95, 100, 160}, work.object_mpx, work.threads);
+    cost.seconds += together.seconds;
+    cost.megabytes = std::max(cost.megabytes, together.megabytes);
+  }
+  return cost;
 }
 
 Expected refined_cost(const Workload& work) {

@@ -15,7 +15,7 @@ const std::vector<Preset>& presets() {
            "light": {"model": "directional"},
            "height": {"method": "literal", "perspective": false, "smoothness": 0.001, "boundary": "natural"},
            "grid": {"grid_px": 4, "sigma_nodes": 1, "unit_scaling": true},
-           "optimize": {"enabled": true, "iterations": 40}})"},
+           "optimize": {"enabled": true, "iterations": 100}})"},
   };
   return all;
 }

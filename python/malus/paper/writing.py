@@ -15,6 +15,10 @@ from malus.paper.tables import WORDS, Table, table_1, table_2
 from malus.workspace import Workspace
 
 TABLES = ("table_1", "table_2")
+_NAMES = (
+    "In the figures *prior* is the surface by photogrammetry and *fused* the fusion, as malus calls them everywhere else. "
+    "The numbers of each figure are in the CSV file of its name.\n"
+)
 
 
 def _numbered(plates: Plates) -> Iterator[tuple[str, Figure]]:
@@ -65,7 +69,7 @@ def write_paper(work: str | Path) -> Path:
                 files.append(f"{name}.{ending}")
         write_bytes(workspace.folder / "paper/contact_sheet.png", encode(contact_sheet(pictures), "PNG"))
         files.append("paper/contact_sheet.png")
-        write_text(workspace.folder / "paper/captions.md", "\n".join(captions))
+        write_text(workspace.folder / "paper/captions.md", "\n".join([_NAMES, *captions]))
         files.append("paper/captions.md")
         for table in tables:
             files += [f"paper/{name}" for name in _write_table(workspace.folder / "paper", table)]

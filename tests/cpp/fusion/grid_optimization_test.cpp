@@ -69,6 +69,9 @@ TEST(GridOptimization, FindsTheSurfaceThatAllEquationsHoldAt) {
     const FusedSurface after = scene.optimized(of_equations_only());
     EXPECT_EQ(after.status, FusionStatus::converged);
     EXPECT_TRUE(after.warnings.empty());
+    EXPECT_EQ(after.confidence.level, ConfidenceLevel::partial);
+    ASSERT_EQ(after.confidence.reasons.size(), 1U) << "what is said of Eq 16 alone holds no longer";
+    EXPECT_NE(after.confidence.reasons[0].find("All equations"), std::string::npos);
     EXPECT_GT(before, 0.5);
     // The prior's slopes, which hold what the equations leave free, are most of what is left.
     EXPECT_LT(scene.error(after), 0.2 * before);
