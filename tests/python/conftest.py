@@ -108,6 +108,12 @@ def malus_station(*arguments: str | Path, **options: object) -> Outcome:
     return run_program(program, *arguments, **options)
 
 
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each test is in a folder of its own: what a command leaves where it is called does not lie in the repository."""
+    monkeypatch.chdir(tmp_path)
+
+
 @pytest.fixture(scope="session")
 def scene() -> synthetic.Scene:
     """A small carved stone with exact truth."""
