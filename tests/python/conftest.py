@@ -291,6 +291,28 @@ def small_station(small_station_source: Path, tmp_path: Path) -> Path:
     return folder / "station.toml"
 
 
+def metashape_cameras(station: Path, label: str, scale: float = 0.25) -> str:
+    """The cameras.xml of a Metashape project in meters, of a station in millimeters; one unit of the chunk is `scale` m."""
+    camera = package.Station.load(station).describe()["camera"]
+    fx, fy, cx, cy = camera["params"][:4]
+    width, height = camera["width"], camera["height"]
+    pose = np.eye(4)
+    pose[:3, :3] = np.transpose(camera["rotation"])
+    pose[:3, 3] = -pose[:3, :3] @ camera["translation"] / 1000 / scale
+    return f"""<document><chunk><sensors><sensor id="0" type="frame"><resolution width="{width}" height="{height}"/>
+<calibration class="adjusted"><f>{fy}</f><b1>{fx - fy}</b1><cx>{cx + 0.5 - width / 2}</cx><cy>{cy + 0.5 - height / 2}</cy>
+</calibration></sensor></sensors><cameras><camera id="0" sensor_id="0" label="{label}">
+<transform>{" ".join(f"{value:.17g}" for value in pose.ravel())}</transform></camera></cameras>
+<transform><scale>{scale}</scale></transform></chunk></document>"""
+
+
+def cloud_in_meters(station: Path, path: Path) -> None:
+    """The cloud of a station in millimeters, as a program whose unit is the meter writes it."""
+    import trimesh
+
+    trimesh.PointCloud(trimesh.load(station.parent / "dense/cloud.ply").vertices / 1000).export(path)
+
+
 def half_written(folder: Path) -> list[Path]:
     """Files below a folder that have the name of those not finished, which both programs give them."""
     return list(folder.rglob(".*.partial-*"))

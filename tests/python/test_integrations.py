@@ -15,10 +15,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 
 import malus
-from conftest import ROOT, run_program
+from conftest import ROOT, cloud_in_meters, metashape_cameras, run_program
 from conftest import malus as run_malus
 
 _IN_BLENDER = """
@@ -161,30 +160,18 @@ class _Chunk:
     """What the script asks of a chunk of Metashape, of a station whose camera and cloud are known, in meters."""
 
     def __init__(self, station: Path) -> None:
-        self.camera = malus.Station.load(station).describe()["camera"]
-        self.point_cloud: trimesh.PointCloud | None = trimesh.load(station.parent / "dense/cloud.ply")
+        self.point_cloud: object = "is there"
         self.transform = types.SimpleNamespace(scale=0.25)
         self.crs = types.SimpleNamespace(wkt='LOCAL_CS["Local Coordinates (m)"]')
+        self._station = station
 
     def exportCameras(self, path: str, *, format: str) -> None:  # noqa: N802
         assert format == "XML"
-        fx, fy, cx, cy = self.camera["params"]
-        width, height = self.camera["width"], self.camera["height"]
-        pose = np.eye(4)
-        pose[:3, :3] = np.transpose(self.camera["rotation"])
-        pose[:3, 3] = -pose[:3, :3] @ self.camera["translation"] / 1000 / self.transform.scale
-        words = " ".join(f"{value:.17g}" for value in pose.ravel())
-        Path(path).write_text(
-            f"""<document><chunk><sensors><sensor id="0" type="frame"><resolution width="{width}" height="{height}"/>
-            <calibration class="adjusted"><f>{fy}</f><b1>{fx - fy}</b1><cx>{cx + 0.5 - width / 2}</cx>
-            <cy>{cy + 0.5 - height / 2}</cy></calibration></sensor></sensors>
-            <cameras><camera id="0" sensor_id="0" label="station"><transform>{words}</transform></camera></cameras>
-            <transform><scale>{self.transform.scale}</scale></transform></chunk></document>"""
-        )
+        Path(path).write_text(metashape_cameras(self._station, "station"))
 
     def exportPointCloud(self, path: str, *, format: str, **_: object) -> None:  # noqa: N802
-        assert format == "PLY" and self.point_cloud is not None
-        trimesh.PointCloud(self.point_cloud.vertices / 1000).export(path)
+        assert format == "PLY"
+        cloud_in_meters(self._station, Path(path))
 
 
 def _run_in_metashape(chunk: _Chunk, folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
@@ -204,19 +191,22 @@ def _run_in_metashape(chunk: _Chunk, folder: Path, monkeypatch: pytest.MonkeyPat
     return shown
 
 
-def test_metashape_script_writes_a_station_that_runs(small_station: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_metashape_script_writes_a_station_that_runs(
+    small_station: Path, small_station_source: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Metashape is not here: a stand-in has a chunk with the station's camera and cloud, and says what the script shows."""
-    chunk = _Chunk(small_station)
+    chunk = _Chunk(small_station_source / "station.toml")
+    expected = malus.Station.load(small_station).describe()["camera"]
     small_station.unlink()
     (shown,) = _run_in_metashape(chunk, small_station.parent / "pol", monkeypatch)
     assert small_station.exists(), shown
     description = malus.Station.load(small_station).describe()
     assert description["unit"] == "m"
     camera = description["camera"]
-    np.testing.assert_allclose(camera["params"][:4], chunk.camera["params"], atol=1e-9)
+    np.testing.assert_allclose(camera["params"][:4], expected["params"], atol=1e-9)
     assert not any(camera["params"][4:]), "terms of a distortion that the lens has not"
-    np.testing.assert_allclose(camera["rotation"], chunk.camera["rotation"], atol=1e-12)
-    np.testing.assert_allclose(1000 * np.array(camera["translation"]), chunk.camera["translation"], atol=1e-9)
+    np.testing.assert_allclose(camera["rotation"], expected["rotation"], atol=1e-12)
+    np.testing.assert_allclose(1000 * np.array(camera["translation"]), expected["translation"], atol=1e-9)
     outcome = run_malus("check", small_station, cwd=small_station.parent)
     assert outcome.code == 0, outcome.err
     # A second time there is a station file already: the script shows what malus says of it.
