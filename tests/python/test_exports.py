@@ -501,6 +501,8 @@ def test_colmap_goes_on_with_the_surface(workspace: malus.Workspace, points: np.
 def test_relight_folder_shades_as_openlime_computes_it(workspace: malus.Workspace, tmp_path: Path) -> None:
     from PIL import Image
 
+    rasterio = pytest.importorskip("rasterio")
+
     from malus.rti import relightable
 
     folder = malus.export(workspace.folder, "relight", tmp_path / "relight")
@@ -517,8 +519,11 @@ def test_relight_folder_shades_as_openlime_computes_it(workspace: malus.Workspac
     known = relightable(workspace)
     cosine = np.maximum(known.normals @ direction, 0)
     assert np.nanmean(np.abs(light - cosine)) < 0.05
-    normals = np.asarray(Image.open(folder / "normals.png")).astype(float) / 255 * 2 - 1
-    assert np.nanmax(np.abs(normals - known.normals)) < 0.005
+    with rasterio.open(folder / "normals.png") as file:
+        assert file.dtypes == ("uint16",) * 3
+        normals = np.moveaxis(file.read(), 0, -1) / 65535 * 2 - 1
+    assert np.nanmax(np.abs(normals - known.normals)) < 2e-5
+    assert "icc_profile" not in Image.open(folder / "normals.png").info, "normals are no colors"
     np.testing.assert_array_equal(np.asarray(Image.open(folder / "unshaded.png")), known.colors)
     assert np.abs((planes[0] - bias[0]) * scale[0] * 255 - known.colors).mean() < 2
     with pytest.raises(malus.InputError, match="is there already"):
