@@ -15,7 +15,6 @@ import pytest
 import tifffile
 
 from conftest import (
-    EXAMPLE,
     PATCH,
     TINY_PATCH,
     TINY_WINDOW,
@@ -50,27 +49,19 @@ def prepare(kind: str, target: Path) -> None:
         station.unlink()
         return
     assert kind.startswith("one mosaic image")
-    angles = np.array([[90, 45], [135, 0]])
-    target.mkdir(parents=True)
-    images = {angle: tifffile_or_png(EXAMPLE / f"pol/pol_{angle:03d}.png") for angle in (0, 30, 60, 90, 120, 150)}
+    cut_out(target, WINDOW, PATCH)
     # Of four images at 0 to 135 degrees each pixel is one sample of the sinusoid through six.
-    mosaic = np.zeros(images[0].shape, np.uint16)
-    stack = np.stack(list(images.values())).astype(float)
-    phases = 2 * np.radians(list(images))
+    stack = np.stack([tifffile.imread(path) for path in sorted((target / "pol").iterdir())]).astype(float)
+    phases = 2 * np.radians(range(0, 180, 30))
     mean, c, s = stack.mean(0), (stack.T @ np.cos(phases)).T / 3, (stack.T @ np.sin(phases)).T / 3
-    for (row, column), angle in np.ndenumerate(angles):
+    mosaic = np.zeros(mean.shape, np.uint16)
+    for (row, column), angle in np.ndenumerate(np.array([[90, 45], [135, 0]])):
         a = 2 * np.radians(angle)
         value = mean + c * np.cos(a) + s * np.sin(a)
         mosaic[row::2, column::2] = np.clip(np.rint(value), 0, 65535)[row::2, column::2]
     tifffile.imwrite(target / "mosaic.tif", mosaic)
-    for name in ("dense", "sparse"):
-        shutil.copytree(EXAMPLE / name, target / name)
-
-
-def tifffile_or_png(path: Path) -> np.ndarray:
-    import matplotlib.image
-
-    return np.rint(matplotlib.image.imread(path) * 65535).astype(np.uint16)
+    shutil.rmtree(target / "pol")
+    (target / "station.toml").unlink()
 
 
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
