@@ -519,7 +519,8 @@ def test_relight_folder_shades_as_openlime_computes_it(workspace: malus.Workspac
     assert np.nanmean(np.abs(light - cosine)) < 0.05
     normals = sixteen_bits(folder / "normals.png") / 65535 * 2 - 1
     assert np.nanmax(np.abs(normals - known.normals)) < 2e-5
-    assert "icc_profile" not in Image.open(folder / "normals.png").info, "normals are no colors"
+    with Image.open(folder / "normals.png") as picture:
+        assert "icc_profile" not in picture.info, "normals are no colors"
     np.testing.assert_array_equal(np.asarray(Image.open(folder / "unshaded.png")), known.colors)
     assert np.abs((planes[0] - bias[0]) * scale[0] * 255 - known.colors).mean() < 2
     with pytest.raises(malus.InputError, match="is there already"):
