@@ -1,4 +1,5 @@
-"""Meshroom node (2025 and later) that runs a station: put it into a folder "malus" on MESHROOM_PLUGINS_PATH or MESHROOM_NODES_PATH.
+"""Meshroom node (2025 and later) that runs a station. Meshroom loads packages only: put it, beside an empty file __init__.py, into
+a folder malus_nodes, and name the folder above in MESHROOM_NODES_PATH.
 
 `malus` must be on the PATH. Output: the workspace, and its mesh for the nodes that follow.
 """
@@ -34,20 +35,24 @@ class MalusReconstruction(desc.CommandLineNode):
         ),
     ]
     outputs = [
+        # A folder of its own: Meshroom's log and status are in the node's, and Malus takes none that has others' files.
         desc.File(
-            name="workspace", label="Workspace", description="Folder with every result.", value="{nodeCacheFolder}"
+            name="workspace",
+            label="Workspace",
+            description="Folder with every result.",
+            value="{nodeCacheFolder}/workspace",
         ),
         desc.File(
             name="mesh",
             label="Mesh",
             description="Textured surface, world frame, meters.",
-            value="{nodeCacheFolder}/fused/surface.glb",
+            value="{nodeCacheFolder}/workspace/fused/surface.glb",
             semantic="3d",
         ),
         desc.File(
             name="report",
             label="Report",
             description="How far the surface may be trusted, and every figure.",
-            value="{nodeCacheFolder}/report/index.html",
+            value="{nodeCacheFolder}/workspace/report/index.html",
         ),
     ]

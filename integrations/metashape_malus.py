@@ -1,7 +1,7 @@
 """Metashape Professional 2.x: Tools > Run Script. Exports the active chunk for a station of Malus, and writes the station file.
 
-Written after the reference of Metashape 2.1 and NOT tested in it. What it does by hand: export cameras.xml and the point cloud in the
-chunk's own coordinates, then `malus import` with both.
+Written after the reference of Metashape 2.1 and NOT tested in it; the tests run it with a stand-in for Metashape. What it does by
+hand: export cameras.xml and the point cloud in local coordinates, then `malus import` with both.
 """
 
 import shutil
@@ -11,19 +11,31 @@ from pathlib import Path
 import Metashape
 
 
+def unfit(chunk):
+    """Why the chunk cannot be taken as it is; None if it can."""
+    if chunk is None or chunk.point_cloud is None:
+        return "The active chunk has no point cloud: build one first (Workflow > Build Point Cloud)."
+    if not chunk.transform.scale:
+        return "The active chunk has no scale: add a scale bar or markers of known place, and update the transform."
+    # Elsewhere the cloud would be written in degrees, or in another frame than the cameras.
+    if chunk.crs is not None and not chunk.crs.wkt.startswith("LOCAL_CS"):
+        return "The chunk lies on the Earth: choose Local Coordinates in the Reference pane's settings first."
+    return None
+
+
 def export_station():
     """Ask for the folder of polarized images and the station's camera, export what Malus needs beside it."""
     chunk = Metashape.app.document.chunk
-    if chunk is None or chunk.point_cloud is None:
-        Metashape.app.messageBox("The active chunk has no point cloud: build one, and set the scale, first.")
-        return
     malus = shutil.which("malus")
-    if malus is None:
-        Metashape.app.messageBox("The program malus is not on the PATH of Metashape.")
+    reason = unfit(chunk) or (None if malus else "The program malus is not on the PATH of Metashape.")
+    if reason:
+        Metashape.app.messageBox(reason)
         return
     folder = Metashape.app.getExistingDirectory("Folder of the images through the polarizer")
+    if not folder:
+        return
     label = Metashape.app.getString("Label of the station's camera in this chunk", "station.jpg")
-    if not folder or not label:
+    if not label:
         return
     here = Path(folder).parent
     cameras, cloud, station = here / "cameras.xml", here / "cloud.ply", here / "station.toml"
@@ -35,26 +47,10 @@ def export_station():
         save_point_normal=True,
         save_point_color=True,
     )
-    told = subprocess.run(
-        [
-            malus,
-            "import",
-            folder,
-            "-o",
-            station,
-            "--metashape",
-            cameras,
-            "--label",
-            label,
-            "--cloud",
-            cloud,
-            "--unit",
-            "m",
-        ],
-        capture_output=True,
-        text=True,
-    )
-    Metashape.app.messageBox(told.stdout or told.stderr)
+    words = {"-o": station, "--metashape": cameras, "--label": label, "--cloud": cloud, "--unit": "m"}
+    options = [str(word) for pair in words.items() for word in pair]
+    told = subprocess.run([malus, "import", folder, *options], capture_output=True, text=True)
+    Metashape.app.messageBox(told.stderr if told.returncode else told.stdout)
 
 
 export_station()

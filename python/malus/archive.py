@@ -164,6 +164,11 @@ class _Crate:
         ]
 
 
+def _flat(entities: list[Any]) -> Any:
+    """RO-Crate's JSON-LD has no list of one."""
+    return entities[0] if len(entities) == 1 else entities
+
+
 def _describe_root(crate: _Crate, made: datetime) -> None:
     quality, known = crate.quality, crate.object
     title = known.get("title", quality["name"])
@@ -234,17 +239,20 @@ def _add_steps(crate: _Crate, inputs: dict[str, Any]) -> None:
             taken += [crate.placed[f"results/{file}"] for file in manifest["steps"][before]["outputs"]]
         action = {
             "name": f"{name}: {purpose.get(name, name)}",
+            "description": f"Step '{name}' of the reconstruction: {purpose.get(name, name)}",
             "instrument": tool,
-            "object": taken,
-            "result": made,
-            "additionalProperty": crate.values(f"setting-{name}", settings),
+            "object": _flat(taken),
+            "result": _flat(made),
+            "additionalProperty": _flat(crate.values(f"setting-{name}", settings)),
             "actionStatus": "http://schema.org/CompletedActionStatus",
         }
         if "finished" in times:
             end = datetime.fromisoformat(times["finished"])
             action |= {
-                "endTime": end.isoformat(),
-                "startTime": (end - timedelta(seconds=float(times.get("seconds", 0)))).isoformat(),
+                "endTime": end.isoformat(timespec="milliseconds"),
+                "startTime": (end - timedelta(seconds=float(times.get("seconds", 0)))).isoformat(
+                    timespec="milliseconds"
+                ),
             }
         if agent is not None:
             action["agent"] = agent

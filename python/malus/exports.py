@@ -28,7 +28,7 @@ from malus.iiif import write_iiif
 from malus.raster import sample
 from malus.repair import FILLED_COLOR, filled, trimmed
 from malus.result import Result
-from malus.rti import write_relight, write_rti
+from malus.rti import normal_levels, write_relight, write_rti
 from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
 from malus.threads import ALL_CORES
 from malus.trust import extras_of, said_of, words_of
@@ -352,11 +352,10 @@ def _write_normal_map(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     if path.suffix.lower() == ".exr":
         _write_exr(exporter, path, {"RGB": normals})
         return
-    levels = np.rint((normals + 1) / 2 * 65535).astype(np.uint16)
     is_png = path.suffix.lower() == ".png"
     write, tag = (_core.write_png16, tag_png) if is_png else (_core.write_tiff16, tag_tiff)
     with replacing(path) as temporary:
-        write(str(temporary), levels)
+        write(str(temporary), normal_levels(normals))
         tag(temporary, exporter.xmp())
 
 

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from malus import _core
 from malus._files import new_folder, replacing, write_text
 from malus.units import METERS
 from malus.viewer import object_window, unshaded_color, viewer_normals
 from malus.workspace import Workspace
-from malus.xmp import save_png
+from malus.xmp import save_png, tag_png
 
 #: More than viewers of PTM files open.
 _SIDE_PX = 8192
@@ -48,6 +49,11 @@ def polynomial(normals: NDArray[np.float64]) -> NDArray[np.float64]:
     lights = _hemisphere(120)
     inverse = np.linalg.pinv(basis(lights))
     return np.asarray(np.maximum(normals @ lights.T, 0) @ inverse.T, dtype=np.float64)
+
+
+def normal_levels(normals: NDArray[np.floating]) -> NDArray[np.uint16]:
+    """Components of unit vectors as 16 bits: 0 … 65535 for −1 … 1."""
+    return np.asarray(np.rint((normals + 1) / 2 * 65535), dtype=np.uint16)
 
 
 def write_ptm(path: Path, coefficients: NDArray[np.float64], colors: NDArray[np.uint8]) -> None:
@@ -136,7 +142,9 @@ def write_relight(workspace: Workspace, folder: Path, said: dict[str, str], xmp:
         for k, plane in enumerate((found.colors, levels[..., :3], levels[..., 3:])):
             # Without halved colors: these are numbers.
             Image.fromarray(np.ascontiguousarray(plane)).save(new / f"plane_{k}.jpg", quality=_QUALITY, subsampling=0)
-        save_png(new / "normals.png", np.rint((shown + 1) / 2 * 255).astype(np.uint8), xmp)
+        # 16 bits, as 8 would round directions to half a degree; and no color profile, as it is no color.
+        _core.write_png16(str(new / "normals.png"), normal_levels(shown))
+        tag_png(new / "normals.png", xmp)
         save_png(new / ("albedo.png" if found.without_highlights else "unshaded.png"), found.colors, xmp)
         write_text(new / "info.json", json.dumps(info, indent=1) + "\n")
     return folder

@@ -108,6 +108,12 @@ def malus_station(*arguments: str | Path, **options: object) -> Outcome:
     return run_program(program, *arguments, **options)
 
 
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each test is in a folder of its own: what a command leaves where it is called does not lie in the repository."""
+    monkeypatch.chdir(tmp_path)
+
+
 @pytest.fixture(scope="session")
 def scene() -> synthetic.Scene:
     """A small carved stone with exact truth."""
@@ -283,6 +289,28 @@ def small_station(small_station_source: Path, tmp_path: Path) -> Path:
     folder = tmp_path / "station"
     shutil.copytree(small_station_source, folder)
     return folder / "station.toml"
+
+
+def metashape_cameras(station: Path, label: str, scale: float = 0.25) -> str:
+    """The cameras.xml of a Metashape project in meters, of a station in millimeters; one unit of the chunk is `scale` m."""
+    camera = package.Station.load(station).describe()["camera"]
+    fx, fy, cx, cy = camera["params"][:4]
+    width, height = camera["width"], camera["height"]
+    pose = np.eye(4)
+    pose[:3, :3] = np.transpose(camera["rotation"])
+    pose[:3, 3] = -pose[:3, :3] @ camera["translation"] / 1000 / scale
+    return f"""<document><chunk><sensors><sensor id="0" type="frame"><resolution width="{width}" height="{height}"/>
+<calibration class="adjusted"><f>{fy}</f><b1>{fx - fy}</b1><cx>{cx + 0.5 - width / 2}</cx><cy>{cy + 0.5 - height / 2}</cy>
+</calibration></sensor></sensors><cameras><camera id="0" sensor_id="0" label="{label}">
+<transform>{" ".join(f"{value:.17g}" for value in pose.ravel())}</transform></camera></cameras>
+<transform><scale>{scale}</scale></transform></chunk></document>"""
+
+
+def cloud_in_meters(station: Path, path: Path) -> None:
+    """The cloud of a station in millimeters, as a program whose unit is the meter writes it."""
+    import trimesh
+
+    trimesh.PointCloud(trimesh.load(station.parent / "dense/cloud.ply").vertices / 1000).export(path)
 
 
 def half_written(folder: Path) -> list[Path]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import shutil
 import zipfile
 from pathlib import Path
@@ -74,7 +75,11 @@ def test_catalog_words_and_paradata(bag: Path, finished_grid: Path) -> None:
         assert action["@type"] == "CreateAction" and action["agent"] == {"@id": "#recorded-by"}
         results = action["result"] if isinstance(action["result"], list) else [action["result"]]
         assert {entry["@id"] for entry in results} == {f"results/{output}" for output in step["outputs"]}
+        # As the profile's validator reads ISO 8601: at most three digits of a second.
+        assert all(re.fullmatch(r"[-\d]{10}T[\d:]{8}\.\d{3}\+00:00", action[f"{end}Time"]) for end in ("start", "end"))
         assert action["startTime"] <= action["endTime"]
+        assert name in action["description"]
+        assert not [key for key, value in action.items() if isinstance(value, list) and len(value) == 1]
     settings = {entity["name"]: entity["value"] for key, entity in known.items() if key.startswith("#setting-")}
     assert json.loads(settings["height.smoothness"]) == workspace.options().height.smoothness
     assert known["#OpenCV"]["softwareVersion"].startswith("4.")

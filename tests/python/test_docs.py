@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 import shlex
 import shutil
@@ -13,7 +14,16 @@ import numpy as np
 import pytest
 import tifffile
 
-from conftest import EXAMPLE, PATCH, WINDOW, cut_out, run_program
+from conftest import (
+    PATCH,
+    TINY_PATCH,
+    TINY_WINDOW,
+    WINDOW,
+    cloud_in_meters,
+    cut_out,
+    metashape_cameras,
+    run_program,
+)
 from conftest import malus as run_malus
 
 ROOT = Path(__file__).parents[2]
@@ -31,28 +41,27 @@ def prepare(kind: str, target: Path) -> None:
     if kind.startswith("examples/"):
         shutil.copytree(ROOT / kind, target, dirs_exist_ok=True, ignore=shutil.ignore_patterns("views"))
         return
+    if kind == "what Metashape exports of examples/relief":
+        cut_out(target, WINDOW, PATCH)
+        station = target / "station.toml"
+        (target / "cameras.xml").write_text(metashape_cameras(station, "station.jpg"))
+        cloud_in_meters(station, target / "cloud.ply")
+        station.unlink()
+        return
     assert kind.startswith("one mosaic image")
-    angles = np.array([[90, 45], [135, 0]])
-    target.mkdir(parents=True)
-    images = {angle: tifffile_or_png(EXAMPLE / f"pol/pol_{angle:03d}.png") for angle in (0, 30, 60, 90, 120, 150)}
+    cut_out(target, WINDOW, PATCH)
     # Of four images at 0 to 135 degrees each pixel is one sample of the sinusoid through six.
-    mosaic = np.zeros(images[0].shape, np.uint16)
-    stack = np.stack(list(images.values())).astype(float)
-    phases = 2 * np.radians(list(images))
+    stack = np.stack([tifffile.imread(path) for path in sorted((target / "pol").iterdir())]).astype(float)
+    phases = 2 * np.radians(range(0, 180, 30))
     mean, c, s = stack.mean(0), (stack.T @ np.cos(phases)).T / 3, (stack.T @ np.sin(phases)).T / 3
-    for (row, column), angle in np.ndenumerate(angles):
+    mosaic = np.zeros(mean.shape, np.uint16)
+    for (row, column), angle in np.ndenumerate(np.array([[90, 45], [135, 0]])):
         a = 2 * np.radians(angle)
         value = mean + c * np.cos(a) + s * np.sin(a)
         mosaic[row::2, column::2] = np.clip(np.rint(value), 0, 65535)[row::2, column::2]
     tifffile.imwrite(target / "mosaic.tif", mosaic)
-    for name in ("dense", "sparse"):
-        shutil.copytree(EXAMPLE / name, target / name)
-
-
-def tifffile_or_png(path: Path) -> np.ndarray:
-    import matplotlib.image
-
-    return np.rint(matplotlib.image.imread(path) * 65535).astype(np.uint16)
+    shutil.rmtree(target / "pol")
+    (target / "station.toml").unlink()
 
 
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
@@ -86,6 +95,62 @@ def test_commands_and_programs_of_a_tutorial_run(page: Path, tmp_path: Path, req
     if program:
         outcome = run_program(sys.executable, "-c", program, cwd=tmp_path)
         assert outcome.code == 0, outcome.err
+
+
+def _commands_of(text: str) -> list[list[str]]:
+    """The words of everything on a page that begins with `malus` and one of its commands."""
+    # Two spaces, or an indent of four, are a line of code; single backticks may be broken over two lines.
+    lines = [line.removeprefix("$ ").strip() for _, block in BLOCK.findall(text) for line in block.splitlines()]
+    lines += [line.strip() for line in text.splitlines() if line.startswith("    ")]
+    lines += re.findall(r"(?<!`)`([^`]+)`(?!`)", BLOCK.sub("", text))
+    lines = [re.sub(r"\s+", " ", line).split(" #")[0].removeprefix(".venv/bin/") for line in lines]
+    return [words for line in lines if len(words := line.split()) > 1 and words[0] == "malus"]
+
+
+def test_every_command_on_the_pages_is_there() -> None:
+    """What is not run is at least a command, and has options, that the program knows."""
+    from malus import cli
+
+    (choices,) = (action.choices for action in cli._parser()._actions if isinstance(action, argparse._SubParsersAction))
+    wrong, seen = [], set()
+    for page in PAGES:
+        for words in _commands_of(page.read_text(encoding="utf-8")):
+            # `malus demo relief|bust|coin|glass`, `malus COMMAND …`: words in capitals stand for others.
+            command = choices.get(words[1])
+            if command is None:
+                if not words[1].isupper() and words[1].isalpha():
+                    wrong.append(f"{page.name}: {' '.join(words)}")
+                continue
+            seen.add(words[1])
+            options = {
+                re.split(r"[=\]]", word.strip("[]…"))[0] for word in words[2:] if word.strip("[").startswith("-")
+            }
+            unknown = options - set(command._option_string_actions) - {"--help"}
+            wrong += [f"{page.name}: malus {words[1]} {option}" for option in sorted(unknown)]
+    assert not wrong
+    assert len(seen) > 12, seen
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_files_on_a_page_are_toml(page: Path) -> None:
+    for language, block in BLOCK.findall(page.read_text(encoding="utf-8")):
+        if language == "toml":
+            tomllib.loads(block)
+
+
+def test_station_file_and_program_of_the_readme_run(tmp_path: Path) -> None:
+    blocks = dict(BLOCK.findall((ROOT / "README.md").read_text(encoding="utf-8")))
+    prepare("examples/relief", tmp_path)
+    (tmp_path / "station.toml").write_text(blocks["toml"])
+    outcome = run_malus("check", "station.toml", cwd=tmp_path)
+    assert outcome.code == 0, outcome.err
+    # The program, of as little as will do; its last line names images and angles that the reader has.
+    small = tmp_path / "small"
+    cut_out(small, TINY_WINDOW, TINY_PATCH)
+    given = "import numpy\nimages, angles_rad = [numpy.full((4, 5), 0.5, numpy.float32)] * 3, [0, 1, 2]\n"
+    outcome = run_program(sys.executable, "-c", given + blocks["python"], cwd=small)
+    assert outcome.code == 0, outcome.err
+    assert (small / "relief.glb").stat().st_size > 1000
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

@@ -171,25 +171,25 @@ def test_meshes_with_fewer_faces_stay_on_the_surface(workspace: malus.Workspace,
         assert (np.asarray(mesh.vertex_normals) @ workspace.pose[0][2] < 0).mean() > 0.99
 
 
-def test_normal_map_is_opengl_and_displacement_fits_it(workspace: malus.Workspace, tmp_path: Path) -> None:
+def sixteen_bits(path: Path) -> np.ndarray:
+    """H×W×3 of a picture of 16 bits, by GDAL."""
     rasterio = pytest.importorskip("rasterio")
-    path = malus.export(workspace.folder, "normal-map", tmp_path / "n.png")
     with warnings.catch_warnings():
         # That a picture has no place on the Earth is as it should be.
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         file = rasterio.open(path)
     with file:
         assert file.dtypes == ("uint16",) * 3
-        png = np.moveaxis(file.read(), 0, -1) / 65535 * 2 - 1
+        return np.moveaxis(file.read(), 0, -1)
+
+
+def test_normal_map_is_opengl_and_displacement_fits_it(workspace: malus.Workspace, tmp_path: Path) -> None:
+    png = sixteen_bits(malus.export(workspace.folder, "normal-map", tmp_path / "n.png")) / 65535 * 2 - 1
     with tifffile.TiffFile(malus.export(workspace.folder, "normal-map", tmp_path / "n.tif")) as tiff:
         words = tiff.pages[0].asarray()
         assert tiff.pages[0].photometric == tifffile.PHOTOMETRIC.RGB
     assert words.dtype == np.uint16
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-        file = rasterio.open(tmp_path / "n.tif")
-    with file:
-        np.testing.assert_array_equal(np.moveaxis(file.read(), 0, -1), words)
+    np.testing.assert_array_equal(sixteen_bits(tmp_path / "n.tif"), words)
     library = pytest.importorskip("OpenEXR")
     with library.File(str(malus.export(workspace.folder, "normal-map", tmp_path / "n.exr"))) as file:
         floats = file.channels()["RGB"].pixels
@@ -518,8 +518,10 @@ def test_relight_folder_shades_as_openlime_computes_it(workspace: malus.Workspac
     known = relightable(workspace)
     cosine = np.maximum(known.normals @ direction, 0)
     assert np.nanmean(np.abs(light - cosine)) < 0.05
-    normals = np.asarray(Image.open(folder / "normals.png")).astype(float) / 255 * 2 - 1
-    assert np.nanmax(np.abs(normals - known.normals)) < 0.005
+    normals = sixteen_bits(folder / "normals.png") / 65535 * 2 - 1
+    assert np.nanmax(np.abs(normals - known.normals)) < 2e-5
+    with Image.open(folder / "normals.png") as picture:
+        assert "icc_profile" not in picture.info, "normals are no colors"
     np.testing.assert_array_equal(np.asarray(Image.open(folder / "unshaded.png")), known.colors)
     assert np.abs((planes[0] - bias[0]) * scale[0] * 255 - known.colors).mean() < 2
     with pytest.raises(malus.InputError, match="is there already"):

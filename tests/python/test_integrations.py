@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
+import pkgutil
+import runpy
 import shlex
 import shutil
 import sys
@@ -14,7 +17,7 @@ import numpy as np
 import pytest
 
 import malus
-from conftest import ROOT, run_program
+from conftest import ROOT, cloud_in_meters, metashape_cameras, run_program
 from conftest import malus as run_malus
 
 _IN_BLENDER = """
@@ -112,9 +115,8 @@ def test_blender_opens_displacement_and_normal_map(finished_grid: Path, tmp_path
     assert np.median(normals[..., 2]) > 0.8
 
 
-def test_command_of_the_meshroom_node_runs(
-    small_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def meshroom(monkeypatch: pytest.MonkeyPatch) -> None:
     """Meshroom is not here: a stand-in takes the descriptor's declarations as they are."""
     desc = types.ModuleType("meshroom.core.desc")
     desc.CommandLineNode = object  # type: ignore[attr-defined]
@@ -123,13 +125,106 @@ def test_command_of_the_meshroom_node_runs(
     core.desc = desc  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "meshroom", types.ModuleType("meshroom"))
     monkeypatch.setitem(sys.modules, "meshroom.core", core)
-    monkeypatch.syspath_prepend(str(ROOT / "integrations"))
-    node = importlib.import_module("meshroom_malus").MalusReconstruction
+
+
+def test_meshroom_node_runs_in_a_folder_of_meshroom(
+    small_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, meshroom: None
+) -> None:
+    # As Meshroom's loader does it: packages below a folder of MESHROOM_NODES_PATH, and the modules in them.
+    nodes = tmp_path / "nodes"
+    package = nodes / "malus_nodes"
+    package.mkdir(parents=True)
+    (package / "__init__.py").touch()
+    shutil.copy(ROOT / "integrations/meshroom_malus.py", package)
+    monkeypatch.syspath_prepend(str(nodes))
+    assert [name for _, name, is_package in pkgutil.walk_packages([str(nodes)]) if is_package] == ["malus_nodes"]
+    node = importlib.import_module("malus_nodes.meshroom_malus").MalusReconstruction
     values = {parameter.name: parameter.value for parameter in [*node.inputs, *node.outputs]}
     values |= {"station": str(small_station), "fusion": "grid"}
-    made = {name: str(value).replace("{nodeCacheFolder}", str(tmp_path / "cache")) for name, value in values.items()}
+    # Meshroom's own files are in the node's folder before the program starts.
+    cache = tmp_path / "a cache" / "MalusReconstruction" / "1234"
+    cache.mkdir(parents=True)
+    own = [cache / "status", cache / "log"]
+    for file in own:
+        file.write_text("Meshroom's")
+    made = {name: str(value).replace("{nodeCacheFolder}", str(cache)) for name, value in values.items()}
     words = shlex.split(node.commandLine.format(**{f"{name}Value": value for name, value in made.items()}))
     assert words.pop(0) == "malus"
-    outcome = run_malus(*words)
+    outcome = run_malus(*words, cwd=cache)
     assert outcome.code == 0, outcome.err
     assert all(Path(made[output.name]).exists() for output in node.outputs)
+    assert all(file.read_text() == "Meshroom's" for file in own)
+
+
+class _Chunk:
+    """What the script asks of a chunk of Metashape, of a station whose camera and cloud are known, in meters."""
+
+    def __init__(self, station: Path) -> None:
+        self.point_cloud: object = "is there"
+        self.transform = types.SimpleNamespace(scale=0.25)
+        self.crs = types.SimpleNamespace(wkt='LOCAL_CS["Local Coordinates (m)"]')
+        self._station = station
+
+    def exportCameras(self, path: str, *, format: str) -> None:  # noqa: N802
+        assert format == "XML"
+        Path(path).write_text(metashape_cameras(self._station, "station"))
+
+    def exportPointCloud(self, path: str, *, format: str, **_: object) -> None:  # noqa: N802
+        assert format == "PLY"
+        cloud_in_meters(self._station, Path(path))
+
+
+def _run_in_metashape(chunk: _Chunk, folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What the script shows its user."""
+    shown: list[str] = []
+    metashape = types.ModuleType("Metashape")
+    metashape.CamerasFormatXML, metashape.PointCloudFormatPLY, metashape.PointCloudData = "XML", "PLY", 1  # type: ignore[attr-defined]
+    metashape.app = types.SimpleNamespace(  # type: ignore[attr-defined]
+        document=types.SimpleNamespace(chunk=chunk),
+        messageBox=shown.append,
+        getExistingDirectory=lambda hint: str(folder),
+        getString=lambda label, value: "station",
+    )
+    monkeypatch.setitem(sys.modules, "Metashape", metashape)
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
+    runpy.run_path(str(ROOT / "integrations/metashape_malus.py"))
+    return shown
+
+
+def test_metashape_script_writes_a_station_that_runs(
+    small_station: Path, small_station_source: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Metashape is not here: a stand-in has a chunk with the station's camera and cloud, and says what the script shows."""
+    chunk = _Chunk(small_station_source / "station.toml")
+    expected = malus.Station.load(small_station).describe()["camera"]
+    small_station.unlink()
+    (shown,) = _run_in_metashape(chunk, small_station.parent / "pol", monkeypatch)
+    assert small_station.exists(), shown
+    description = malus.Station.load(small_station).describe()
+    assert description["unit"] == "m"
+    camera = description["camera"]
+    np.testing.assert_allclose(camera["params"][:4], expected["params"], atol=1e-9)
+    assert not any(camera["params"][4:]), "terms of a distortion that the lens has not"
+    np.testing.assert_allclose(camera["rotation"], expected["rotation"], atol=1e-12)
+    np.testing.assert_allclose(1000 * np.array(camera["translation"]), expected["translation"], atol=1e-9)
+    outcome = run_malus("check", small_station, cwd=small_station.parent)
+    assert outcome.code == 0, outcome.err
+    # A second time there is a station file already: the script shows what malus says of it.
+    (shown,) = _run_in_metashape(chunk, small_station.parent / "pol", monkeypatch)
+    assert "exists already" in shown
+
+
+@pytest.mark.parametrize("missing", ["point cloud", "scale", "Local Coordinates"])
+def test_metashape_script_says_what_the_chunk_lacks(
+    small_station: Path, monkeypatch: pytest.MonkeyPatch, missing: str
+) -> None:
+    chunk = _Chunk(small_station)
+    if missing == "point cloud":
+        chunk.point_cloud = None
+    elif missing == "scale":
+        chunk.transform.scale = None
+    else:
+        chunk.crs.wkt = 'GEOGCS["WGS 84"]'
+    (shown,) = _run_in_metashape(chunk, small_station.parent / "pol", monkeypatch)
+    assert missing in shown
+    assert not (small_station.parent / "cameras.xml").exists()
