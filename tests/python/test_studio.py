@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from http.client import HTTPConnection
@@ -824,6 +824,13 @@ def test_two_dates_are_compared(served: Served, page: Any, finished_grid: Path) 
     page.frame_locator("iframe").get_by_role("heading", name="what changed").wait_for()
 
 
+def wait_for(page: Any, said: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE_MS / 1000
+    while not said():
+        assert time.monotonic() < deadline
+        page.wait_for_timeout(50)
+
+
 def held(page: Any, name: str) -> list[Any]:
     """The first question of this name, which is not answered before it is let go on."""
     kept: list[Any] = []
@@ -833,8 +840,7 @@ def held(page: Any, name: str) -> list[Any]:
 
 def let_go(page: Any, kept: list[Any], name: str) -> None:
     """Answer the question that is held."""
-    while not kept:
-        page.wait_for_timeout(20)
+    wait_for(page, lambda: bool(kept))
     with page.expect_response(kept[0].request.url):
         kept[0].continue_()
     page.unroute(f"**/api/{name}*")
@@ -856,7 +862,7 @@ def test_what_is_typed_while_an_answer_is_awaited_stays(served: Served, page: An
     )
     level.press_sequentially("000")
     level.press("Tab")
-    wait_for_text(station, "white_level = 60000")
+    wait_for(page, lambda: "white_level = 60000" in station.read_text())
     assert 'name = "Quick"' in station.read_text()
     # What was typed in whole before the answer came is a change, too.
     kept = held(page, "set")
@@ -866,18 +872,8 @@ def test_what_is_typed_while_an_answer_is_awaited_stays(served: Served, page: An
     let_go(page, kept, "set")
     page.locator("#plan", has_text=re.compile("Ready|cannot run yet")).wait_for()
     level.press("Tab")
-    deadline = time.monotonic() + PATIENCE_MS / 1000
-    while "white_level" in station.read_text():
-        assert time.monotonic() < deadline
-        page.wait_for_timeout(50)
+    wait_for(page, lambda: "white_level" not in station.read_text())
     assert 'name = "Slow"' in station.read_text()
-
-
-def wait_for_text(file: Path, text: str) -> None:
-    deadline = time.monotonic() + PATIENCE_MS / 1000
-    while text not in file.read_text():
-        assert time.monotonic() < deadline, file.read_text()
-        time.sleep(0.05)
 
 
 @needs_browser
@@ -892,10 +888,11 @@ def test_the_last_of_quick_choices_counts(served: Served, page: Any) -> None:
     assert page.locator("[data-tool=move]").count() == 1
     # A folder that answers late is not shown instead of the one that was chosen after it.
     go(page, "Images")
+    page.get_by_role("button", name="opened folder: museum").click()
+    page.get_by_role("button", name="pol (6 images)").wait_for()
     kept = held(page, "folder")
     page.get_by_role("button", name=re.compile(r"^views \(")).click()
-    while not kept:
-        page.wait_for_timeout(20)
+    wait_for(page, lambda: bool(kept))
     page.get_by_role("button", name="pol (6 images)").click()
     page.get_by_alt_text("Phase in a circle of colors").wait_for()
     let_go(page, kept, "folder")

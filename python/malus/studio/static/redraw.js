@@ -23,7 +23,8 @@ export function redraw(place, ...children) {
   const old = before[at];
   const called = calledOf(old);
   const typed = isText(old) && old.value !== old.defaultValue ? old.value : null;
-  old.defaultValue = old.value;  // Its removal is no end of typing.
+  // Browsers take its removal for the end of typing.
+  old.addEventListener('change', (event) => event.stopImmediatePropagation(), { capture: true });
   place.replaceChildren(...children);
   const now = controlsOf(place);
   const same = now.find((control) => calledOf(control) === called) ?? now[at];
