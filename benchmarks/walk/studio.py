@@ -63,6 +63,7 @@ def served(folder: Path) -> Iterator[str]:
 
 def go(person: Person, name: str) -> None:
     person.press(person.page.get_by_role("banner").get_by_role("button", name=name, exact=True))
+    person.page.locator("main:not([aria-busy])").wait_for()
 
 
 def create(person: Person) -> None:
@@ -76,6 +77,8 @@ def create(person: Person) -> None:
     page.locator("#plan", has_text="Ready").wait_for()
     person.press(page.get_by_role("button", name="Show the coarse surface upon the image"))
     page.locator("#overlay-note", has_text="Yellow is near").wait_for()
+    person.press(page.get_by_role("button", name="Compare direction and zero of the scale with the coarse surface"))
+    page.get_by_alt_text("Phase as the coarse surface expects it").wait_for()
     person.pictured("station", whole=True)
 
 
@@ -141,7 +144,6 @@ def large_and_dark(person: Person) -> None:
     page.set_viewport_size({"width": 640, "height": 450})
     for name in PAGES:
         go(person, name)
-        page.wait_for_load_state("networkidle")
         person.pictured(f"dark_{name.lower()}")
         if page.evaluate("document.documentElement.scrollWidth > innerWidth"):
             person.serious.append(f"{name} at 200 %: wider than the window")

@@ -178,11 +178,18 @@ def test_figures_lie_beside_the_page_with_their_numbers(work: Path) -> None:
     assert float(row["p50"]) == pytest.approx(np.nanmedian(degree), rel=1e-6)
 
 
-def test_first_come_confidence_photograph_size_accuracy_and_gain(work: Path) -> None:
+def test_first_come_photograph_confidence_size_accuracy_and_gain(work: Path) -> None:
     text = (work / "report/index.html").read_text()
     places = [
         text.index(part)
-        for part in ('class="verdict', "Photograph of", "<dt>Size", "<dt>Accuracy", "the coarse surface alone")
+        for part in (
+            "Photograph of",
+            "<dt>Confidence",
+            "<dt>Size",
+            "<dt>Accuracy",
+            'class="verdict',
+            "the coarse surface alone",
+        )
     ]
     assert places == sorted(places)
     quality = json.loads((work / "quality.json").read_text())

@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from http.client import HTTPConnection
@@ -25,7 +25,7 @@ import numpy as np
 import pytest
 
 from conftest import EXAMPLE
-from malus import _core
+from malus import InputError, Station, _core
 from malus.figures import encode
 from malus.photogrammetry.model import SparseModel
 from test_raw import ANGLES, scene, write_dng
@@ -41,6 +41,8 @@ needs_browser = pytest.mark.skipif(
     CHROMIUM is None or find_spec("playwright") is None or find_spec("axe_playwright_python") is None,
     reason="Chromium, playwright or axe-playwright-python is not installed",
 )
+#: How long an answer of the page and a run may take on a machine that is busy otherwise.
+PATIENCE_MS, RUN_MS = 180_000, 900_000
 #: Where the browser's pictures go, to be looked at.
 PICTURES = Path(os.environ.get("MALUS_PICTURES", ""))
 
@@ -60,7 +62,7 @@ class Served:
         self, method: str, address: str, headers: dict[str, str], body: str | bytes = ""
     ) -> tuple[int, dict[str, str], str]:
         content = body if isinstance(body, bytes) else body.encode()
-        with closing(HTTPConnection(self.host, timeout=30)) as connection:
+        with closing(HTTPConnection(self.host, timeout=120)) as connection:
             connection.putrequest(method, address, skip_host=True)
             for name, value in {"Host": self.host, "Content-Length": str(len(content)), **headers}.items():
                 connection.putheader(name, value)
@@ -102,7 +104,7 @@ def stop(process: subprocess.Popen[str]) -> int:
     process.send_signal(signal.SIGINT)
     assert process.stdout is not None
     process.stdout.close()
-    return process.wait(timeout=90)
+    return process.wait(timeout=180)
 
 
 @pytest.fixture(scope="module")
@@ -523,6 +525,29 @@ def test_control_points_are_judged_at_once(small_station: Path) -> None:
     assert "expected a place within the polarized image" in marks.control(small_station, None, "", "A")["problem"]
 
 
+def test_direction_and_zero_are_told_by_the_coarse_surface(tmp_path: Path) -> None:
+    phases = pytest.importorskip("malus.studio.phases")
+    folder = tmp_path / "relief"
+    shutil.copytree(EXAMPLE, folder, ignore=shutil.ignore_patterns("views"))
+    station = folder / "station.toml"
+    said = phases.compared(Station.load(station), 2)
+    assert said["severity"] == "note" and "fits the slopes" in said["message"]
+    assert said["measured"].startswith("data:image/") and said["expected"].startswith("data:image/")
+    text = station.read_text()
+    for line, severity, words in (
+        ('angle_direction = "cw"', "error", "the other angle_direction"),
+        ("angle_zero_deg = 45", "warning", "is angle_zero_deg right"),
+    ):
+        key = line.split(" = ")[0]
+        kept = "\n".join(row for row in text.splitlines() if not row.startswith(key))
+        station.write_text(kept.replace("[polarized]", f"[polarized]\n{line}"))
+        said = phases.compared(Station.load(station), 2)
+        assert said["severity"] == severity and words in said["suggestion"], said
+    station.write_text(re.sub(r"(?m)^angles_deg = .*$", 'angles_deg = "auto"', text))
+    with pytest.raises(InputError, match="with all angles given"):
+        phases.compared(Station.load(station), 2)
+
+
 # ---- the whole way in a browser ----
 
 
@@ -543,15 +568,20 @@ def page(served: Served) -> Iterator[Any]:
                 else None
             ),
         )
-        shown.set_default_timeout(60000)
+        shown.set_default_timeout(PATIENCE_MS)
         shown.goto(served.entrance)
         yield shown
         assert not problems
         browser.close()
 
 
-def go(page: Any, name: str) -> None:
+def hurry(page: Any, name: str) -> None:
     page.get_by_role("banner").get_by_role("button", name=name, exact=True).click()
+
+
+def go(page: Any, name: str) -> None:
+    hurry(page, name)
+    page.locator("main:not([aria-busy])").wait_for()
 
 
 def pictured(page: Any, name: str) -> None:
@@ -588,6 +618,8 @@ def test_from_a_folder_to_the_report(served: Served, page: Any) -> None:
     assert 'cloud = "dense/cloud.ply"' in station.read_text()
     page.get_by_role("button", name="Show the coarse surface upon the image").click()
     page.locator("#overlay-note", has_text="Yellow is near").wait_for()
+    page.get_by_role("button", name="Compare direction and zero of the scale with the coarse surface").click()
+    page.get_by_alt_text("Phase as the coarse surface expects it").wait_for()
     require_accessible(page)
     pictured(page, "station")
     draw_a_mask(page)
@@ -601,8 +633,9 @@ def test_from_a_folder_to_the_report(served: Served, page: Any) -> None:
 def draw_a_mask(page: Any) -> None:
     go(page, "Draw")
     page.locator("[data-tool=polygon]").click()
+    page.locator("#draw-stage").scroll_into_view_if_needed()
     box = page.locator("#draw-stage").bounding_box()
-    assert box
+    assert box and 0 <= box["y"] and box["y"] + box["height"] <= 900  # in whole on the screen, with the tools
     width = min(box["width"], box["height"] * 200 / 160)
     height = width * 160 / 200
     for x, y in ((-0.45, -0.45), (0.45, -0.45), (0.45, 0.45), (-0.45, 0.45), (-0.45, -0.45)):
@@ -643,7 +676,7 @@ def run_and_show(page: Any) -> None:
     page.get_by_role("button", name="Resume").click()
     pictured(page, "run")
     require_accessible(page)
-    page.get_by_role("button", name="Show the report").click()
+    page.get_by_role("button", name="Show the report").click(timeout=RUN_MS)
     page.frame_locator("iframe").get_by_text("Confidence").first.wait_for()
     pictured(page, "report")
     page.get_by_role("button", name="Profile").first.click()
@@ -665,6 +698,7 @@ def test_patches_by_keyboard_alone_and_undone(served: Served, page: Any) -> None
     station = served.folder / "station.toml"
     go(page, "Draw")
     page.locator("#draw-what").select_option("patch")
+    page.locator("#draw-stage:not([inert])").wait_for()  # what is inert takes no focus
     page.locator("[data-tool=box]").focus()
     page.keyboard.press("Enter")
     page.locator("#draw-stage").focus()
@@ -767,7 +801,7 @@ def test_what_is_drawn_outlives_changes_by_others(served: Served, page: Any) -> 
     page.locator("#message", has_text="please make your last change once more").wait_for()
     title.fill("Other")
     title.press("Tab")
-    expect(page.locator("#station-text")).to_have_value(re.compile("Other"), timeout=60000)
+    expect(page.locator("#station-text")).to_have_value(re.compile("Other"), timeout=PATIENCE_MS)
     assert "# once more" in station.read_text() and 'name = "Other"' in station.read_text()
 
 
@@ -802,7 +836,7 @@ def test_control_points_are_marked(served: Served, page: Any) -> None:
     page.route("**/api/control", lambda route: route.fulfill(json=OF_THREE_POINTS))
     named.fill("T2")
     named.press("Tab")
-    page.get_by_text("The camera stands where 1 points put it.").wait_for()
+    page.get_by_text("The camera stands where 1 point puts it.").wait_for()
     page.unroute("**/api/control")
     page.get_by_role("button", name="Remove").click()
     page.get_by_text("Mark each point where the image shows it.").wait_for()
@@ -815,7 +849,7 @@ def test_several_stations_are_queued_and_two_results_compared(served: Served, pa
     for name in ("first.toml", "second.toml"):
         (served.folder / name).write_text(text.split("[[scale]]")[0])
     other = page.context.new_page()
-    other.set_default_timeout(60000)
+    other.set_default_timeout(PATIENCE_MS)
     other.goto(served.entrance)
     go(other, "Run")
     other.get_by_label("Run station.toml").uncheck()
@@ -825,8 +859,8 @@ def test_several_stations_are_queued_and_two_results_compared(served: Served, pa
     other.get_by_role("button", name="Add to the queue").click()
     other.locator("p[data-state]", has_text="left").first.wait_for()
     other.close()  # which ends no run
-    deadline = time.monotonic() + 600
-    while not (served.folder / "second_work" / "report" / "index.html").exists():
+    deadline = time.monotonic() + RUN_MS / 1000
+    while {run["state"] for run in ask(served, "runs")} != {"done"}:
         assert time.monotonic() < deadline
         time.sleep(0.2)
     go(page, "Results")
@@ -853,7 +887,7 @@ def test_two_dates_are_compared(served: Served, page: Any, finished_grid: Path) 
     page.get_by_label("Both stand in one frame already").check()
     page.get_by_role("button", name="Find what changed").click()
     run = page.get_by_role("article").filter(has_text="change_dates_later_dates_earlier")
-    run.get_by_role("button", name="Show the report").click(timeout=300_000)
+    run.get_by_role("button", name="Show the report").click(timeout=RUN_MS)
     page.frame_locator("iframe").get_by_role("heading", level=1).wait_for()
     require_accessible(page)
     pictured(page, "dates")
@@ -864,13 +898,97 @@ def test_two_dates_are_compared(served: Served, page: Any, finished_grid: Path) 
     page.frame_locator("iframe").get_by_role("heading", name="what changed").wait_for()
 
 
+def wait_for(page: Any, said: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE_MS / 1000
+    while not said():
+        assert time.monotonic() < deadline
+        page.wait_for_timeout(50)
+
+
+def held(page: Any, name: str) -> list[Any]:
+    """The first question of this name, which is not answered before it is let go on."""
+    kept: list[Any] = []
+    page.route(f"**/api/{name}*", lambda route: route.continue_() if kept else kept.append(route))
+    return kept
+
+
+def let_go(page: Any, kept: list[Any], name: str) -> None:
+    """Answer the question that is held."""
+    wait_for(page, lambda: bool(kept))
+    with page.expect_response(kept[0].request.url):
+        kept[0].continue_()
+    page.unroute(f"**/api/{name}*")
+
+
+@needs_browser
+def test_what_is_typed_while_an_answer_is_awaited_stays(served: Served, page: Any) -> None:
+    station = served.folder / "station.toml"
+    go(page, "Station")
+    kept = held(page, "set")
+    place = page.get_by_role("textbox", name="Name of the object")
+    place.fill("Quick")
+    level = page.get_by_label("White level")
+    level.click()  # which leaves the name
+    level.press_sequentially("60")
+    let_go(page, kept, "set")
+    page.locator("#station-text").evaluate(
+        "text => new Promise(done => { const look = () => text.value.includes('Quick') ? done() : setTimeout(look, 20); look(); })"
+    )
+    level.press_sequentially("000")
+    level.press("Tab")
+    wait_for(page, lambda: "white_level = 60000" in station.read_text())
+    assert 'name = "Quick"' in station.read_text()
+    # What was typed in whole before the answer came is a change, too.
+    kept = held(page, "set")
+    place.fill("Slow")
+    level.click()
+    level.fill("")
+    let_go(page, kept, "set")
+    page.locator("#plan", has_text=re.compile("Ready|cannot run yet")).wait_for()
+    level.press("Tab")
+    wait_for(page, lambda: "white_level" not in station.read_text())
+    assert 'name = "Slow"' in station.read_text()
+
+
+@needs_browser
+def test_the_last_of_quick_choices_counts(served: Served, page: Any) -> None:
+    from playwright.sync_api import expect
+
+    for name in ("Images", "Station", "Draw", "Options", "Station", "Run", "Draw"):
+        hurry(page, name)
+    page.locator("main:not([aria-busy])").wait_for()
+    assert page.evaluate("[...document.querySelectorAll('main > section')].filter(one => !one.hidden).map(one => one.id)") == ["draw"]  # fmt: skip
+    assert page.evaluate("document.querySelectorAll('#draw, #draw [inert]').length") == 1
+    assert page.locator("[data-tool=move]").count() == 1
+    # A folder that answers late is not shown instead of the one that was chosen after it.
+    go(page, "Images")
+    page.get_by_role("button", name="opened folder: museum").click()
+    page.get_by_role("button", name="pol (6 images)").wait_for()
+    kept = held(page, "folder")
+    page.get_by_role("button", name=re.compile(r"^views \(")).click()
+    wait_for(page, lambda: bool(kept))
+    page.get_by_role("button", name="pol (6 images)").click()
+    page.get_by_alt_text("Phase in a circle of colors").wait_for()
+    let_go(page, kept, "folder")
+    page.wait_for_timeout(300)
+    expect(page.locator("#crumbs")).to_contain_text("pol")
+    expect(page.locator("#angles tbody tr")).to_have_count(6)
+    # Two presses make one station.
+    page.get_by_label("File", exact=True).fill("twice.toml")
+    page.get_by_role("button", name="Create the station").dblclick()
+    page.locator("#station").wait_for(state="visible")
+    page.locator("main:not([aria-busy])").wait_for()
+    assert page.locator("#open-station").text_content() == "twice.toml"
+    assert not page.locator("#message").text_content()
+    (served.folder / "twice.toml").unlink()
+
+
 @needs_browser
 def test_large_type_and_dark_colors(page: Any) -> None:
     page.emulate_media(color_scheme="dark")
     page.set_viewport_size({"width": 640, "height": 450})  # what 200 % leaves of 1280 x 900
     for name in ("Images", "Station", "Draw", "Options", "Run", "Results"):
         go(page, name)
-        page.wait_for_load_state("networkidle")
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), name
         require_accessible(page)
         pictured(page, f"dark_{name}")

@@ -25,7 +25,7 @@ import malus
 from malus import lengths
 from malus._files import sha256_of
 from malus.errors import InputError, MalusError, ending_of
-from malus.studio import checks, folders, marks, masks, pictures, preview, results, runs, settings
+from malus.studio import checks, folders, marks, masks, phases, pictures, preview, results, runs, settings
 from malus.studio.access import REPORTS, Access, Guard, Root
 from malus.studio.document import ChangedError, StationDocument
 
@@ -75,6 +75,7 @@ class Studio:
             "mask": lambda q: Response(masks.read(self.root.file(q["path"])), media_type="image/png"),
             "relief": lambda q: Response(results.relief(self.root.directory(q["path"])), media_type="image/png"),
             "overlay": self._overlay,
+            "phases": lambda q: phases.compared(malus.Station.load(self.root.file(q["path"])), self._threads),
             "outline": lambda q: Response(masks.outline_of_prior(malus.Station.load(self.root.file(q["path"])), self._threads), media_type="image/png"),
         }  # fmt: skip
         told: dict[str, Callable[[Json], Any]] = {

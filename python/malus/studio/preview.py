@@ -35,15 +35,30 @@ def decoded(pixels: NDArray[np.float32], response: str) -> NDArray[np.float32]:
     return pixels ** np.float32(gamma)
 
 
+def small_images(
+    paths: Sequence[Path], response: str, exposure_s: Sequence[float] | None = None
+) -> list[NDArray[np.float32]]:
+    """The images linear and small, of equal exposure, not saturated: what is saturated in the files is flat in all of them."""
+    stack = [_small(path, response) for path in paths]
+    if len({image.shape for image in stack}) > 1:
+        raise InputError("the images are not of one size, expected one camera and one setting")
+    if exposure_s:
+        stack = [image / np.float32(seconds) for image, seconds in zip(stack, exposure_s, strict=True)]
+    white = max(float(image.max()) for image in stack)
+    return [image / np.float32(1.02 * max(white, 1e-12)) for image in stack]
+
+
 def _small(path: Path, response: str) -> NDArray[np.float32]:
     pixels, _ = linear_or_encoded(path, half_size=True)
     gray = pixels if pixels.ndim == 2 else pixels.mean(-1)
     return decoded(reduced(gray, step_for(gray.shape, SIDE_PX)), response)
 
 
-def _shown(values: NDArray[Any], colors: str, low: float, high: float) -> str:
+def as_picture(values: NDArray[Any], colors: str, low: float, high: float) -> str:
+    """Data address of a picture in the colors of matplotlib's map of that name; gray where there is no value."""
     scaled = np.clip((np.nan_to_num(values, nan=low) - low) / max(high - low, 1e-9), 0, 1)
     picture = np.rint(255 * mpl.colormaps[colors](scaled)[..., :3]).astype(np.uint8)
+    picture[~np.isfinite(values)] = 128
     return "data:image/webp;base64," + base64.b64encode(encode(picture, "WEBP", quality=88)).decode()
 
 
@@ -56,14 +71,9 @@ def preview(
     (fewer than three angles).
     """
     start = time.monotonic()
-    stack = [_small(path, response) for path in paths]
-    if len({image.shape for image in stack}) > 1:
-        raise InputError("the images are not of one size, expected one camera and one setting")
+    images = small_images(paths, response)
     sign = -1.0 if direction == "cw" else 1.0
     angles_rad = [float(np.radians(sign * (angle - zero_deg))) for angle in angles_deg]
-    white = max(float(image.max()) for image in stack)
-    # Not saturated, whatever the level: what is saturated in the files is flat in all of them.
-    images = [image / np.float32(1.02 * max(white, 1e-6)) for image in stack]
     state = polarization.decompose(images, angles_rad)
     degree = np.asarray(state.degree)
     low, high = (float(p) for p in np.nanpercentile(state.unpolarized, [0.5, 99.5]))
@@ -72,9 +82,9 @@ def preview(
     if len(images) > 3:
         findings.append(evidence.check_response(images, angles_rad))  # type: ignore[arg-type]
     return {
-        "intensity": _shown(np.asarray(state.unpolarized) ** (1 / 2.2), "gray", low ** (1 / 2.2), high ** (1 / 2.2)),
-        "degree": _shown(degree, "viridis", 0, top),
-        "phase": _shown(np.degrees(np.asarray(state.phase_rad)), "twilight", 0, 180),
+        "intensity": as_picture(np.asarray(state.unpolarized) ** (1 / 2.2), "gray", low ** (1 / 2.2), high ** (1 / 2.2)),
+        "degree": as_picture(degree, "viridis", 0, top),
+        "phase": as_picture(np.degrees(np.asarray(state.phase_rad)), "twilight", 0, 180),
         "degree_top": top,
         "degree_median": float(np.nanmedian(degree)),
         "residual_median": float(np.nanmedian(np.asarray(state.residual))),

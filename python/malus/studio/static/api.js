@@ -50,6 +50,20 @@ export const doing = (work) => async (event) => {
   }
 };
 
+// Work that is not begun again while it is being done: a button may be pressed twice.
+export const once = (work) => {
+  let busy = false;
+  return async (event) => {
+    if (busy) return undefined;
+    busy = true;
+    try {
+      return await work(event);
+    } finally {
+      busy = false;
+    }
+  };
+};
+
 const METERS = { um: 1e-6, mm: 1e-3, cm: 1e-2, m: 1, in: 0.0254, ft: 0.3048 };
 // A length of the station's unit in µm, mm or m, whichever is handy.
 export function length(value, unit, digits = 2) {

@@ -2,6 +2,7 @@
 import { ask, byId, doing, make, say, send, tell } from './api.js';
 import { LABELS, Layer } from './layer.js';
 import { change, changing, redo, state, take, undo } from './open_station.js';
+import { redraw } from './redraw.js';
 import { ImageView } from './view.js';
 
 const stage = byId('draw-stage');
@@ -32,15 +33,17 @@ const TOOLS = {
 let showing = Promise.resolve();
 const inTurn = (work) => { showing = showing.catch(() => {}).then(work); return showing; };
 
-// Nothing is drawn on what is about to be replaced.
+// Nothing is drawn on what is about to be replaced. The image keeps the keyboard if it has it.
 export async function showDrawing() {
-  const drawn = [byId('tools'), byId('draw-stage')];
+  const drawn = [byId('tools'), stage, byId('draw-side')];
+  const focused = document.activeElement === stage;
   for (const part of drawn) part.inert = true;
   const shown = inTurn(showChoice);
   try {
     await shown;
   } finally {
     if (shown === showing) for (const part of drawn) part.inert = false;
+    if (focused) stage.focus();
   }
 }
 
@@ -419,11 +422,11 @@ async function addShape([[u0, v0], [u1, v1]]) {
 
 function drawSide() {
   const side = byId('draw-side');
-  if (painted()) side.replaceChildren(make('p', { class: 'note' }, what.value === 'mask'
+  if (painted()) redraw(side, make('p', { class: 'note' }, what.value === 'mask'
     ? 'Paint what is the object. “Find the edge” looks for it around what is painted; “Similar color” adds what is connected and looks alike.' : 'Blue: diffuse. Orange: specular. What is not painted is decided by the program.'));
-  else if (what.value === 'scale') side.replaceChildren(...scaleSide());
-  else if (what.value === 'control') side.replaceChildren(...controlSide());
-  else side.replaceChildren(...shapeSide(what.value));
+  else if (what.value === 'scale') redraw(side, ...scaleSide());
+  else if (what.value === 'control') redraw(side, ...controlSide());
+  else redraw(side, ...shapeSide(what.value));
 }
 
 function shapeSide(list) {
@@ -550,11 +553,13 @@ function markedIn(entry) {
   return places.length ? `in ${places.join(', ')}` : 'not marked yet';
 }
 
+const counted = (count, one, several) => `${count} ${count === 1 ? one : several}`;
+
 function verdict() {
   const { image: seen, datum } = examined;
   const said = [];
   const accuracy = seen?.center_sigma == null ? '' : `, ± ${seen.center_sigma.toPrecision(2)} ${state.station.values.station?.unit ?? 'mm'}`;
-  if (seen?.use === 'resection') said.push(`The camera stands where ${seen.points.filter((one) => !one.check).length} points put it${accuracy}.`);
+  if (seen?.use === 'resection') said.push(`The camera stands where ${counted(seen.points.filter((one) => !one.check).length, 'point puts', 'points put')} it${accuracy}.`);
   if (datum) said.push(`Coordinates fit to ${datum.sigma.toPrecision(2)} ${state.station.values.station?.unit ?? 'mm'}.`);
   for (const found of [seen, datum]) if (found?.doubtful) said.push(`Without point ${found.doubtful} the others fit far better: is its mark right?`);
   return said.join(' ') || 'Mark each point where the image shows it.';

@@ -1,14 +1,20 @@
 // Folders with thumbnails, and the table that makes a new station of some images.
-import { addressOf, ask, byId, doing, make, tell } from './api.js';
+import { addressOf, ask, byId, doing, make, once, tell } from './api.js';
 import { openStation, state, take } from './open_station.js';
 import { showPage } from './pages.js';
 
 let folder = null;
 let shots = [];
+let opened = 0;
 const form = byId('new-station');
 
 export async function showFolder(path = folder?.path ?? '') {
-  folder = await ask('folder', { path });
+  const mine = ++opened;
+  const found = await ask('folder', { path });
+  const home = found.parent ?? '';
+  const beside = await ask('folder', { path: home });
+  if (mine !== opened) return;  // Another folder has been chosen meanwhile.
+  folder = found;
   byId('crumbs').replaceChildren(...crumbs(folder.path, folder.opened));
   byId('folder-list').replaceChildren(...[cards(folder.stations.map(stationCard), 'Stations'), cards(folder.folders.map(folderCard), 'Folders'), imageCards()].flat());
   shots = folder.images.map((image) => ({ ...image, use: true, angle: null, exposure: null }));
@@ -18,13 +24,11 @@ export async function showFolder(path = folder?.path ?? '') {
   form.elements.response.value = 'linear';
   form.elements.source.value = 'names';
   byId('taken-fields').hidden = true;
-  const home = folder.parent === null ? '' : folder.parent;
-  const beside = await ask('folder', { path: home });
   const free = ['station', folder.name, ...Array.from({ length: 99 }, (_, at) => `station_${at + 2}`)].map((name) => `${home && home !== '.' ? `${home}/` : ''}${name}.toml`);
   form.elements.path.value = free.find((name) => !beside.stations.includes(name));
   byId('preview').replaceChildren();
   drawTable();
-  await fill();
+  fill();  // Files may take their time; it says itself what goes wrong.
 }
 
 function crumbs(path, opened) {
@@ -45,11 +49,13 @@ function imageCards() {
 }
 
 function drawTable() {
+  const dated = shots.some((shot) => shot.taken);
+  byId('angles').tHead.rows[0].cells[3].hidden = !dated;
   byId('angles').tBodies[0].replaceChildren(...shots.map((shot) => make('tr', {},
     make('td', {}, make('input', { type: 'checkbox', checked: shot.use, 'aria-label': `${shot.name} is polarized`, change: (event) => { shot.use = event.target.checked; preview(); } })),
     make('td', {}, shot.name),
     make('td', {}, make('input', { type: 'number', step: 'any', value: shot.angle ?? '', 'aria-label': `Angle of ${shot.name}`, change: (event) => { shot.angle = event.target.value === '' ? null : Number(event.target.value); preview(); } })),
-    make('td', {}, shot.taken?.replace(/^(\d+):(\d+):/, '$1-$2-') ?? 'not said'))));
+    make('td', { hidden: !dated }, shot.taken?.replace(/^(\d+):(\d+):/, '$1-$2-') ?? 'not said'))));
 }
 
 const used = () => shots.filter((shot) => shot.use && shot.angle !== null);
@@ -59,10 +65,13 @@ async function fill() {
   const source = form.elements.source.value;
   if (source === 'typed') return preview();
   const images = shots.filter((shot) => shot.use).map((shot) => shot.path);
+  const mine = opened;
   try {
     const found = await tell('angles', { folder: folder.path, source, images, first: form.elements.first.value, step: form.elements.step.value });
+    if (mine !== opened) return undefined;
     for (const { image, angle, exposure } of found) Object.assign(shots.find((shot) => shot.path === image) ?? {}, { angle, exposure: exposure ?? null });
   } catch (error) {
+    if (mine !== opened) return undefined;
     byId('preview').replaceChildren(make('p', { class: 'warning' }, error.message));
     if (source === 'names' && shots.every((shot) => shot.taken)) {
       form.elements.source.value = 'taken';
@@ -79,11 +88,11 @@ let asked = 0;
 async function preview() {
   const chosen = used();
   const place = byId('preview');
+  const number = ++asked;
   if (new Set(chosen.map((shot) => ((shot.angle % 180) + 180) % 180)).size < 3) {
     place.replaceChildren(make('p', { class: 'note' }, 'Three angles that differ give a preview of intensity, degree and phase.'));
     return;
   }
-  const number = ++asked;
   place.replaceChildren(make('p', { class: 'note' }, 'Computing a preview …'));
   try {
     const maps = await tell('preview', { ...scale(), images: chosen.map((shot) => shot.path), angles_deg: chosen.map((shot) => shot.angle) });
@@ -109,7 +118,7 @@ form.elements.source.addEventListener('change', () => { byId('taken-fields').hid
 byId('fill-angles').addEventListener('click', doing(fill));
 for (const name of ['angle_direction', 'angle_zero_deg', 'response']) form.elements[name].addEventListener('change', preview);
 
-form.addEventListener('submit', doing(async () => {
+form.addEventListener('submit', doing(once(async () => {
   const chosen = used();
   const without = shots.filter((shot) => shot.use && shot.angle === null);
   if (without.length) throw new Error(`${without.map((shot) => shot.name).join(', ')}: no angle; type it, or do not use the image`);
@@ -119,4 +128,4 @@ form.addEventListener('submit', doing(async () => {
   take(await tell('create', { ...scale(), ...(raw ? { response: null } : {}), path: form.elements.path.value, name: form.elements.name.value, unit: form.elements.unit.value,
     images: chosen.map((shot) => shot.path), angles_deg: chosen.map((shot) => shot.angle), exposure_s: differ ? exposures : null }));
   await openStation(state.station.path);
-}));
+})));

@@ -1,6 +1,7 @@
 // The options that matter most, with what each means and what it may be; only what differs from the default is written.
 import { ask, byId, doing, make, tell } from './api.js';
 import { state } from './open_station.js';
+import { redraw } from './redraw.js';
 
 export async function showOptions() {
   draw(await ask('options', { path: state.station.path }));
@@ -8,7 +9,7 @@ export async function showOptions() {
 
 function draw({ options, file }) {
   byId('options-file').textContent = `What differs from the defaults is kept in ${file}, which every run of this station reads.`;
-  byId('option-list').replaceChildren(...options.map(row));
+  redraw(byId('option-list'), ...options.map(row));
 }
 
 function row(option) {
@@ -18,14 +19,13 @@ function row(option) {
   const set = async (value) => {
     try {
       draw(await tell('option', { path: state.station.path, name: option.name, value }));
-      byId(id).focus();
     } catch (error) {
       says.textContent = error.message;
     }
   };
   const control = controlOf(option, { id, 'aria-describedby': `${id}-help ${id}-wrong` }, (value) => set(value === option.default ? null : value));
   return make('div', { class: `field${changed ? ' changed' : ''}` }, make('label', { for: id }, option.title),
-    make('div', { class: 'row' }, control, changed ? make('button', { type: 'button', 'aria-label': `${option.title}: back to the default`, click: doing(() => set(null)) }, 'Back to the default') : null),
+    make('div', { class: 'row' }, control, changed ? make('button', { type: 'button', 'aria-label': `${option.title}: back to the default`, click: doing(async () => { await set(null); byId(id).focus(); }) }, 'Back to the default') : null),
     make('div', { class: 'says' }, make('p', { class: 'note', id: `${id}-help` }, make('code', {}, option.name), `: ${option.meaning.replace(/ …$/, '')}. Default: ${option.default}.`), says));
 }
 

@@ -3,6 +3,7 @@ import { byId, doing, say } from './api.js';
 
 let pages = {};
 let current = 'images';
+let turn = 0;
 
 // Name → { show, enter, leave }: what draws the part, what is done before that when the user goes there, and what before another
 // part is shown; leave returns what went wrong, or nothing.
@@ -11,7 +12,10 @@ export function setPages(all) {
 }
 
 export async function showPage(name, focus = true) {
+  const mine = ++turn;
+  byId('main').setAttribute('aria-busy', 'true');
   const unsaved = current !== name ? await pages[current].leave?.() : '';
+  if (mine !== turn) return;  // Another part has been chosen meanwhile.
   current = name;
   for (const page of Object.keys(pages)) byId(page).hidden = page !== name;
   for (const button of document.querySelectorAll('[data-page]')) {
@@ -20,15 +24,14 @@ export async function showPage(name, focus = true) {
   }
   document.title = `${byId(`${name}-title`).textContent} – Malus Studio`;
   if (focus) byId('main').focus();
+  byId(name).inert = true;  // What it showed before may be outdated: nothing is changed upon that.
   await doing(async () => {
-    byId(name).inert = true;  // What it showed before may be outdated: nothing is changed upon that.
-    try {
-      await pages[name].enter?.();
-    } finally {
-      byId(name).inert = false;
-    }
-    await pages[name].show();
+    await pages[name].enter?.();
+    if (mine === turn) await pages[name].show();
   })();
+  if (mine !== turn) return;
+  byId(name).inert = false;
+  byId('main').removeAttribute('aria-busy');
   if (unsaved) say(unsaved);
 }
 

@@ -39,17 +39,18 @@ export function showReport(work, address) {
 
 async function showBoth([a, b]) {
   const figure = (path) => make('figure', {}, make('img', { src: addressOf('relief', { path }), alt: `Relief shading of the surface in ${path}` }), make('figcaption', {}, path));
-  place.replaceChildren(make('h3', { tabindex: -1 }, `${a} and ${b}`), make('div', { class: 'pair' }, figure(a), figure(b)));
+  const shown = make('div', {}, make('h3', { tabindex: -1 }, `${a} and ${b}`), make('div', { class: 'pair' }, figure(a), figure(b)));
+  place.replaceChildren(shown);
   try {
     const said = await ask('difference', { a, b });
-    const shown = (value) => length(value, said.unit);
-    place.append(make('figure', {}, make('img', { src: said.picture, alt: `Difference of the two surfaces; blue where ${b} is nearer to the camera, red where it is farther`, style: 'max-width:100%' })),
-      make('div', { class: 'legend' }), make('p', {}, make('span', {}, `${shown(said.limit)} farther`), make('span', {}, 'alike'), make('span', {}, `${shown(said.limit)} nearer`)),
-      make('p', {}, `${b} against ${a}: nearer to the camera by ${shown(said.mean)} on average (median ${shown(said.median)}); RMS ${shown(said.rms)}.`));
+    const told = (value) => length(value, said.unit);
+    shown.append(make('figure', {}, make('img', { src: said.picture, alt: `Difference of the two surfaces; blue where ${b} is nearer to the camera, red where it is farther`, style: 'max-width:100%' })),
+      make('div', { class: 'legend' }), make('p', {}, make('span', {}, `${told(said.limit)} farther`), make('span', {}, 'alike'), make('span', {}, `${told(said.limit)} nearer`)),
+      make('p', {}, `${b} against ${a}: nearer to the camera by ${told(said.mean)} on average (median ${told(said.median)}); RMS ${told(said.rms)}.`));
   } catch (error) {
-    place.append(make('p', { class: 'warning' }, error.message));
+    shown.append(make('p', { class: 'warning' }, error.message));
   }
-  place.append(twoDates(a, b));
+  shown.append(twoDates(a, b));
 }
 
 // Two dates, from whatever places: the later surface is laid upon the earlier one first.

@@ -1,5 +1,5 @@
 // The queue of runs, with progress by step and overall.
-import { ask, byId, doing, duration, make, tell } from './api.js';
+import { ask, byId, doing, duration, make, say, tell } from './api.js';
 import { state } from './open_station.js';
 import { showPage } from './pages.js';
 import { showReport } from './results.js';
@@ -37,7 +37,19 @@ async function refresh() {
   if (order.some((element, at) => list.children[at] !== element)) list.append(...order);
   if (!runs.length) list.replaceChildren(make('p', { class: 'note' }, form.hidden ? 'There is no station in the opened folder yet; make one under Images.' : 'Nothing has been run yet.'));
   else list.querySelector('p.note')?.remove();
-  if (runs.some((run) => run.state === 'waiting' || run.state === 'running')) timer = setTimeout(() => refresh().catch(() => { timer = setTimeout(refresh, 3000); }), 700);
+  if (runs.some((run) => run.state === 'waiting' || run.state === 'running')) timer = later(700);
+}
+
+// Looks again after a while; also if Studio does not answer, which is said.
+function later(ms) {
+  timer = setTimeout(async () => {
+    try {
+      await refresh();
+    } catch (error) {
+      say(error.message);
+      later(3000);
+    }
+  }, ms);
 }
 
 function card(run) {

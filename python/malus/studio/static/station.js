@@ -2,12 +2,14 @@
 import { ask, byId, doing, duration, make, tell } from './api.js';
 import { change, changing, reread, state, take } from './open_station.js';
 import { showPage } from './pages.js';
+import { redraw } from './redraw.js';
 import { ImageView } from './view.js';
 
 let candidates = { priors: [], models: [], images: [] };
 let modelImages = [];
 
 export async function showStation() {
+  byId('plan').textContent = 'Reading the file …';
   candidates = await ask('candidates');
   await draw();
 }
@@ -24,6 +26,7 @@ function named(value) {
 }
 
 async function draw() {
+  byId('phases').replaceChildren();
   byId('station-text').value = state.station.text;
   const model = under('camera', 'colmap_model');
   try {
@@ -31,14 +34,11 @@ async function draw() {
   } catch {
     modelImages = [];  // The check below says what is wrong with it.
   }
-  const controls = () => [...byId('fields').querySelectorAll('input, select, button')];
-  const focused = controls().indexOf(document.activeElement);
-  const open = byId('catalog')?.open;
-  byId('fields').replaceChildren(...groups());
-  byId('catalog').open = open ?? false;
-  if (focused >= 0) controls()[focused]?.focus();
+  const fresh = groups();
+  fresh[0].querySelector('#catalog').open = byId('catalog')?.open ?? false;
+  redraw(byId('fields'), ...fresh);
   await propose();
-  await check();
+  doing(check)();  // Which takes its time, while the fields can be filled in already.
 }
 
 // What lies in the folder and is beyond doubt, to be taken over at once.
@@ -154,6 +154,7 @@ let asked = 0;
 export async function check() {
   const number = ++asked;
   byId('plan').textContent = 'Checking …';
+  byId('plan').className = '';
   const said = await ask('check', { path: state.station.path });
   if (number !== asked) return;
   for (const place of document.querySelectorAll('[data-says]')) place.replaceChildren();
@@ -192,6 +193,20 @@ byId('show-overlay').addEventListener('click', doing(async () => {
     note.textContent = `Yellow is near (${said.near}), violet is far (${said.far}). Edges and steps of the colors should lie on those of the image.`;
   } catch (error) {
     note.textContent = error.message;
+  }
+}));
+byId('show-phases').addEventListener('click', doing(async () => {
+  const place = byId('phases');
+  place.replaceChildren(make('p', { class: 'note' }, 'Comparing the phase with the slopes of the surface …'));
+  const figure = (picture, alt, caption) => make('figure', {}, make('img', { src: picture, alt }), make('figcaption', {}, caption));
+  try {
+    const said = await ask('phases', { path: state.station.path });
+    const words = `${said.message[0].toUpperCase()}${said.message.slice(1)}.${said.suggestion ? ` To do: ${said.suggestion}${/[?.]$/.test(said.suggestion) ? '' : '.'}` : ''}`;
+    place.replaceChildren(make('p', { class: said.severity === 'note' ? 'note' : said.severity }, words), make('div', { class: 'maps' },
+      figure(said.measured, 'Phase as it was measured, in a circle of colors', 'Phase as it was measured, by direction and zero as they are set now'),
+      figure(said.expected, 'Phase as the coarse surface expects it, in a circle of colors', 'Phase that the coarse surface expects where it is matt. Where it mirrors, the opposite color is measured: red for blue, dark for light')));
+  } catch (error) {
+    place.replaceChildren(make('p', { class: 'error' }, error.message));
   }
 }));
 byId('overlay-strength').addEventListener('input', () => view?.redraw());
