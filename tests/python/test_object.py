@@ -263,6 +263,20 @@ def test_texture_has_the_color_of_the_place_in_any_light(sphere) -> None:  # typ
     assert np.median(mesh.normal_map[corner[:, 1], corner[:, 0], 2]) > 250
 
 
+def test_between_rims_the_color_is_that_of_the_place_beside(sphere, views: list[View]) -> None:  # type: ignore[no-untyped-def]
+    """No station sees a belt of ten GSD; it has no specks of the color that stands for what is far from anything seen."""
+    belted = [replace(view, usable=view.usable & (np.abs(view.points[..., 1]) > 1)) for view in views]
+    belt = np.abs(sphere.vertices[:, 1]) < 0.8
+    above, below = belt & (sphere.vertices[:, 2] > 2), belt & (sphere.vertices[:, 2] < -2)
+    whole, paint = (Paint.of(some, sphere.vertices, sphere.normals) for some in (views, belted))
+    expected, found = (paint_.linear(sphere.vertices, sphere.normals) for paint_ in (whole, paint))
+    for part in (above, below):
+        np.testing.assert_allclose(found[part], expected[part], rtol=0.02)
+    far = sphere.vertices[:, 0] < -2
+    alone = Paint.of(belted[:1], sphere.vertices, sphere.normals)
+    assert (alone.linear(sphere.vertices[far], sphere.normals[far]) == alone.missing / alone.white).all()
+
+
 def test_albedo_has_a_texture_of_its_own(sphere, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     """The photographs are lit from one side and differ in exposure; the albedos do only the latter, and one station has none."""
     lit = [replace(view, color=view.color * (1.2 + view.normals[..., :1])) for view in
