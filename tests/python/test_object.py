@@ -263,6 +263,16 @@ def test_texture_has_the_color_of_the_place_in_any_light(sphere) -> None:  # typ
     assert np.median(mesh.normal_map[corner[:, 1], corner[:, 0], 2]) > 250
 
 
+def test_what_one_station_was_told_to_leave_out_has_the_color_that_others_see(sphere, views: list[View]) -> None:  # type: ignore[no-untyped-def]
+    outside = views[0].points[..., 2] > 4
+    part = replace(
+        views[0], usable=views[0].usable & ~outside, color=np.where(outside[..., None], np.nan, views[0].color)
+    )
+    paints = [Paint.of([first, *views[1:]], sphere.vertices, sphere.normals) for first in (views[0], part)]
+    expected, found = (paint.linear(sphere.vertices, sphere.normals) for paint in paints)
+    np.testing.assert_allclose(found, expected, rtol=0.02)
+
+
 def test_between_rims_the_color_is_that_of_the_place_beside(sphere, views: list[View]) -> None:  # type: ignore[no-untyped-def]
     """No station sees a belt of ten GSD; it has no specks of the color that stands for what is far from anything seen."""
     belted = [replace(view, usable=view.usable & (np.abs(view.points[..., 1]) > 1)) for view in views]

@@ -99,9 +99,11 @@ def _sights(points: Floats, normals: Floats, views: Sequence[View], images: Sequ
         at = view.meet(points)
         facing = view.facing(points, normals)
         near = np.abs((at.normals * (at.points - points)).sum(1)) < _NEAR_GSD * view.gsd
-        seen = (at.weight > 0) & near & (facing > LEAST_COSINE)
+        color = images[k][at.v, at.u]
+        seen = (at.weight > 0) & near & (facing > LEAST_COSINE) & np.isfinite(color).all(1)
         weights[k] = np.where(seen, facing**2, 0)
-        colors[k] = images[k][at.v, at.u]
+        # What a station was told to leave out has no color there; no number times no weight would be none for all.
+        colors[k] = np.where(seen[:, None], color, 0)
     return weights, colors
 
 
