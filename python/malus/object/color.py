@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -35,7 +36,7 @@ class _Lent:
         """Color of the nearest of these places, NaN where none is near."""
         away, nearest = self.tree.query(points, distance_upper_bound=self.reach, workers=1)
         near = np.isfinite(away)
-        return np.where(near[:, None], self.colors[np.where(near, nearest, 0)], np.nan)
+        return np.asarray(np.where(near[:, None], self.colors[np.where(near, nearest, 0)], np.nan))
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class Paint:
         white = max(float(np.percentile(known, _WHITE_PERCENTILE)), 1e-12)
         spatial = extra("scipy.spatial", "scipy", "the texture of an object", "object")
         # Where only each n-th place is looked at, they lie further apart.
-        reach = _LENT_GSD * float(np.median([view.gsd for view in views])) * np.sqrt(every)
+        reach = _LENT_GSD * float(np.median([view.gsd for view in views])) * math.sqrt(every)
         lent = _Lent(spatial.cKDTree(points[some][seen]), known, reach)
         return Paint(views, pictures, gains, white, np.median(known, axis=0), lent)
 
