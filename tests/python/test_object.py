@@ -87,6 +87,11 @@ def sphere_view(name: str, direction: tuple[float, float, float], offset: float 
     )  # fmt: skip
 
 
+def stereo(points: NDArray[np.float64], normals: NDArray[np.float64]) -> OrientedPoints:
+    """A cloud."""
+    return OrientedPoints(points, normals, np.full(len(points), 0.1), np.zeros(len(points), np.int64))
+
+
 AXES = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
 
 
@@ -116,12 +121,40 @@ def test_stations_that_disagree_meet_in_the_middle_by_their_variances() -> None:
     assert figures["rms_ratio"] == pytest.approx(0.1 / (np.sqrt(2) * SIGMA), rel=0.02)
 
 
+def test_what_one_station_sees_flat_is_there_if_stereo_found_it_too() -> None:
+    """A rim that one view makes stand off the sphere is not in the cloud."""
+    view = sphere_view("a", (1, 0, 0))
+    wrong = view.points[..., 1] > 0
+    beside = replace(view, points=np.where(wrong[..., None], view.points + [0, 3, 0], view.points))
+    directions = np.random.default_rng(1).normal(size=(60000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    alone, _ = combine([beside])
+    told, _ = combine([beside], stereo(RADIUS * directions, directions))
+    flat = view.usable & (view.cosine <= 0.5)
+    assert len(alone.points) == (view.usable & ~flat).sum()
+    assert len(told.points) - len(alone.points) == pytest.approx((flat & ~wrong).sum(), rel=0.01)
+    nobody, _ = combine([beside], stereo(RADIUS * directions[:3], directions[:3]))
+    assert len(nobody.points) == len(alone.points)
+
+
+def test_a_station_that_says_it_is_unsure_of_a_flat_place_counts_as_it_does_elsewhere() -> None:
+    """What a station states of its places differs more than their errors do; of two that state the same as a whole it is the mean."""
+    first, second = sphere_view("a", (1, 0, 0)), sphere_view("b", (1, 0.1, 0), offset=0.1)
+    unsure = replace(second, sigma=np.where(np.abs(second.points[..., 2]) > 5, 4 * SIGMA, SIGMA))
+    points, _ = combine([first, unsure])
+    both = (points.stations == 2) & (np.abs(points.points[:, 2]) > 5.5) & (np.abs(points.points[:, 2]) < 7)
+    assert both.sum() > 100
+    assert np.median(np.linalg.norm(points.points[both], axis=1)) == pytest.approx(RADIUS + 0.05, abs=0.01)
+    # The one that is surer of it tells how sure the mean is.
+    assert np.median(points.sigma[both]) == pytest.approx(np.sqrt(2 / (1 + 1 / 16)) * SIGMA, rel=0.05)
+
+
 def test_stereo_counts_where_no_station_looks_and_not_off_the_object(views: list[View]) -> None:
     direction = np.array([0.0, 0.0, 1.0])
     cloud = np.array([RADIUS * direction, -RADIUS * direction, 1.3 * RADIUS * direction, [30.0, 0, 0]])
     normals = np.array([direction, -direction, direction, direction])
     points, _ = combine(views[:5])  # nobody sees the sphere from below
-    kept = unseen_stereo(cloud, normals, 0.1, views[:5], points)
+    kept = unseen_stereo(stereo(cloud, normals), views[:5], points)
     assert kept.points == pytest.approx(cloud[1:2])
     assert kept.stations.tolist() == [0]
 
@@ -132,11 +165,11 @@ def test_one_station_with_the_whole_object_in_it_tells_what_lies_beside(views: l
     ground, up = np.array([[0.0, 0.0, -1.2 * RADIUS]]), np.array([[0.0, 0.0, 1.0]])
     along = views[0]
     points, _ = combine([*down, along])
-    assert len(unseen_stereo(ground, up, 0.1, down, points).points) == 1
-    assert len(unseen_stereo(ground, up, 0.1, [*down, along], points).points) == 0
+    assert len(unseen_stereo(stereo(ground, up), down, points).points) == 1
+    assert len(unseen_stereo(stereo(ground, up), [*down, along], points).points) == 0
     # A station that was told to reconstruct a part says nothing of the rest.
     part = replace(along, object=along.object & (np.arange(SIDE) < SIDE / 2))
-    assert len(unseen_stereo(ground, up, 0.1, [*down, part], points).points) == 1
+    assert len(unseen_stereo(stereo(ground, up), [*down, part], points).points) == 1
 
 
 def test_stereo_beside_what_stations_see_is_left_out(views: list[View]) -> None:
@@ -145,9 +178,9 @@ def test_stereo_beside_what_stations_see_is_left_out(views: list[View]) -> None:
     cloud = (RADIUS - 0.3) * np.stack([np.sin(angles), 0 * angles, np.cos(angles)], 1)
     normals = np.tile([0.0, 1.0, 0.0], (2, 1))
     points, _ = combine(views[:5])
-    unbounded = unseen_stereo(cloud, normals, 0.1, views[:5], points.select(np.zeros(len(points.points), bool)))
+    unbounded = unseen_stereo(stereo(cloud, normals), views[:5], points.select(np.zeros(len(points.points), bool)))
     assert unbounded.points == pytest.approx(cloud)
-    assert unseen_stereo(cloud, normals, 0.1, views[:5], points).points == pytest.approx(cloud[1:])
+    assert unseen_stereo(stereo(cloud, normals), views[:5], points).points == pytest.approx(cloud[1:])
 
 
 @pytest.fixture(scope="module")
@@ -264,6 +297,30 @@ def test_texture_has_the_color_of_the_place_in_any_light(sphere) -> None:  # typ
     assert shown[above].mean() > shown[below].mean() + 60
     # A fine normal is a third component near 1: the decimated sphere is smooth.
     assert np.median(mesh.normal_map[corner[:, 1], corner[:, 0], 2]) > 250
+
+
+def test_what_one_station_was_told_to_leave_out_has_the_color_that_others_see(sphere, views: list[View]) -> None:  # type: ignore[no-untyped-def]
+    outside = views[0].points[..., 2] > 4
+    part = replace(
+        views[0], usable=views[0].usable & ~outside, color=np.where(outside[..., None], np.nan, views[0].color)
+    )
+    paints = [Paint.of([first, *views[1:]], sphere.vertices, sphere.normals) for first in (views[0], part)]
+    expected, found = (paint.linear(sphere.vertices, sphere.normals) for paint in paints)
+    np.testing.assert_allclose(found, expected, rtol=0.02)
+
+
+def test_between_rims_the_color_is_that_of_the_place_beside(sphere, views: list[View]) -> None:  # type: ignore[no-untyped-def]
+    """No station sees a belt of ten GSD; it has no specks of the color that stands for what is far from anything seen."""
+    belted = [replace(view, usable=view.usable & (np.abs(view.points[..., 1]) > 1)) for view in views]
+    belt = np.abs(sphere.vertices[:, 1]) < 0.8
+    above, below = belt & (sphere.vertices[:, 2] > 2), belt & (sphere.vertices[:, 2] < -2)
+    whole, paint = (Paint.of(some, sphere.vertices, sphere.normals) for some in (views, belted))
+    expected, found = (paint_.linear(sphere.vertices, sphere.normals) for paint_ in (whole, paint))
+    for part in (above, below):
+        np.testing.assert_allclose(found[part], expected[part], rtol=0.02)
+    far = sphere.vertices[:, 0] < -2
+    alone = Paint.of(belted[:1], sphere.vertices, sphere.normals)
+    assert (alone.linear(sphere.vertices[far], sphere.normals[far]) == alone.missing / alone.white).all()
 
 
 def test_albedo_has_a_texture_of_its_own(sphere, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]

@@ -15,8 +15,10 @@ from malus.object.views import LEAST_COSINE, Floats, View
 _LEAST_FACING = 0.5
 #: Two surfaces that lie further apart than this many of their standard deviations are not measurements of one.
 _MOST_RATIO = 4.0
-#: A place that one station alone sees must face it (cosine): nobody else tells whether it is a rim.
+#: A place that one station alone sees must face it (cosine), as nobody else tells whether it is a rim; or stereo must have found it:
+#: so many of the nearest points of its cloud lie within as many GSD, and within so many of the surface.
 _LEAST_COSINE_ALONE = 0.5
+_WITNESSES, _OF_NEAREST, _WITNESS_GSD, _WITNESS_ACROSS_GSD = 2, 6, 4.0, 2.0
 #: A point is an outlier unless this share of so many neighbors continues its surface.
 _NEIGHBORS, _LEAST_TOGETHER = 8, 0.6
 #: Points of which another station is surer by this factor are left to that station.
@@ -67,27 +69,40 @@ class Agreement:
     expected: Floats
 
 
-def combine(views: Sequence[View]) -> tuple[OrientedPoints, list[Agreement]]:
+def combine(views: Sequence[View], cloud: OrientedPoints | None = None) -> tuple[OrientedPoints, list[Agreement]]:
     """The stations' surfaces as one set of points, each the mean of all stations that see it.
 
-    A station counts by the inverse of its variance and by the cosine under which it sees the place. The standard deviation of a
-    mean is the weighted mean of the variances: stations share a prior, so their errors do not average out. Points that
-    another station looks through are left out, and so are those that another one sees better.
+    A station counts by the inverse of its usual variance and by the cosine under which it sees the place: what it states of the
+    place itself exaggerates how much surer the view from the front is (decision 90). The standard deviation of a mean is the
+    mean of those stated, not smaller: stations share a prior, so their errors do not average out. Points that another station
+    looks through are left out, and so are those that another one sees better. `cloud`: stereo's points, which tell rims from what one
+    station alone sees flat.
     """
-    parts, agreements = [], []
+    parts, doubted, agreements = [], [], []
     for view in views:
-        points, agreement = _mean_with_others(view, [other for other in views if other is not view])
-        parts.append(points)
+        believed, doubtful, agreement = _mean_with_others(view, [other for other in views if other is not view])
+        parts.append(believed)
+        doubted.append(doubtful)
         agreements.append(agreement)
+    if cloud is not None and views:
+        flat = joined(doubted)
+        parts.append(flat.select(_found_by(cloud, flat, float(np.median([view.gsd for view in views])))))
     return joined(parts), agreements
 
 
-def _mean_with_others(view: View, others: Sequence[View]) -> tuple[OrientedPoints, Agreement]:
+def _usual_sigma(view: View) -> float:
+    """Median standard deviation of a station's places."""
+    return float(np.median(view.sigma[view.usable])) if view.usable.any() else view.gsd
+
+
+def _mean_with_others(view: View, others: Sequence[View]) -> tuple[OrientedPoints, OrientedPoints, Agreement]:
+    """Means at the places of a view that are to be believed, those that it alone sees too flat for that, and how well others agree."""
     points, normals, sigma = (values[view.usable] for values in (view.points, view.normals, view.sigma))
-    own = view.cosine[view.usable] / sigma**2
+    cosine, usual = view.cosine[view.usable], _usual_sigma(view)
+    own = cosine / usual**2
     total, best = own.copy(), own.copy()
     moved = np.zeros(len(points))
-    variance = own * sigma**2
+    cosines, stated = cosine.copy(), cosine / sigma**2
     normal = normals * own[:, None]
     seen = np.ones(len(points), np.int64)
     squares, count = np.zeros(len(points)), np.zeros(len(points), np.int64)
@@ -99,13 +114,15 @@ def _mean_with_others(view: View, others: Sequence[View]) -> tuple[OrientedPoint
         apart = (at.normals * (at.points - points)).sum(-1) / np.maximum(facing, _LEAST_FACING)
         spread = np.hypot(sigma, at.sigma)
         same = (at.weight > 0) & (facing > _LEAST_FACING) & (other.facing(points, normals) > LEAST_COSINE)
-        near = same & (np.abs(apart) < np.maximum(_MOST_RATIO * spread, 2 * view.gsd))
+        others_usual = _usual_sigma(other)
+        near = same & (np.abs(apart) < max(_MOST_RATIO * float(np.hypot(usual, others_usual)), 2 * view.gsd))
         # The one that sees a place better is right about what is not there.
-        contradicted |= other.in_front(points, _MOST_RATIO) & ~near & (at.weight > view.cosine[view.usable])
-        weight = np.where(near, at.weight / at.sigma**2, 0.0)
+        contradicted |= other.in_front(points, _MOST_RATIO) & ~near & (at.weight > cosine)
+        weight = np.where(near, at.weight / others_usual**2, 0.0)
         total += weight
         moved += np.where(near, weight * apart, 0)
-        variance += np.where(near, weight * at.sigma**2, 0)
+        cosines += np.where(near, at.weight, 0)
+        stated += np.where(near, at.weight / at.sigma**2, 0)
         normal += np.where(near[:, None], weight[:, None] * at.normals, 0)
         best = np.maximum(best, weight)
         seen += near
@@ -120,24 +137,36 @@ def _mean_with_others(view: View, others: Sequence[View]) -> tuple[OrientedPoint
     mean = OrientedPoints(
         points + normals * (moved / total)[:, None],
         normal / np.linalg.norm(normal, axis=1, keepdims=True),
-        np.sqrt(variance / total),
+        np.sqrt(cosines / stated),
         seen,
     )
-    believed = (seen > 1) | (view.cosine[view.usable] > _LEAST_COSINE_ALONE)
-    kept = mean.select(believed & ~contradicted & (_SURER * own >= best))
-    return kept, Agreement(view.name, ratio, np.concatenate(distances or [[]]), np.concatenate(expected or [[]]))
+    believed = (seen > 1) | (cosine > _LEAST_COSINE_ALONE)
+    kept = ~contradicted & (_SURER * own >= best)
+    agreement = Agreement(view.name, ratio, np.concatenate(distances or [[]]), np.concatenate(expected or [[]]))
+    return mean.select(kept & believed), mean.select(kept & ~believed), agreement
 
 
-def unseen_stereo(
-    points: Floats, normals: Floats, sigma: float, views: Sequence[View], seen_points: OrientedPoints
-) -> OrientedPoints:
-    """Of a cloud's points (N×3, with normals) those where no station looks; `sigma`: their standard deviation.
+def _found_by(cloud: OrientedPoints, points: OrientedPoints, gsd: float) -> NDArray[np.bool_]:
+    """Which points lie on the surface of the cloud's points about them."""
+    if len(cloud.points) < _OF_NEAREST or not len(points.points):
+        return np.zeros(len(points.points), bool)
+    spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
+    away, nearest = spatial.cKDTree(cloud.points).query(points.points, _OF_NEAREST, workers=1)
+    across = ((cloud.points[nearest] - points.points[:, None]) * points.normals[:, None]).sum(-1)
+    parallel = (cloud.normals[nearest] * points.normals[:, None]).sum(-1) > _LEAST_FACING
+    witness = parallel & (away < _WITNESS_GSD * gsd) & (np.abs(across) < _WITNESS_ACROSS_GSD * gsd)
+    return np.asarray(witness.sum(1) >= _WITNESSES)
+
+
+def unseen_stereo(cloud: OrientedPoints, views: Sequence[View], seen_points: OrientedPoints) -> OrientedPoints:
+    """Of a cloud's points those where no station looks.
 
     Points that a station looks through are left out, and those that lie beside the object: for most stations, or for one that
     has the whole object within its contour. That is the ground. So is what lies near `seen_points`, those of the stations: a
     good point would be one of their surface, the rest are errors.
     """
     spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
+    points, normals, sigma = cloud.points, cloud.normals, cloud.sigma
     free = np.ones(len(points), bool)
     votes = np.zeros(len(points), np.int64)
     for view in views:
@@ -153,9 +182,9 @@ def unseen_stereo(
             free &= within | ~inside
     free &= votes > 0
     if len(seen_points.points):
-        free[free] = spatial.cKDTree(seen_points.points).query(points[free], workers=1)[0] > _MOST_RATIO * sigma
-    count = int(free.sum())
-    return OrientedPoints(points[free], normals[free], np.full(count, sigma), np.zeros(count, np.int64))
+        away = spatial.cKDTree(seen_points.points).query(points[free], workers=1)[0]
+        free[free] = away > _MOST_RATIO * sigma[free]
+    return cloud.select(free)
 
 
 def _has_all(view: View, points: OrientedPoints) -> bool:

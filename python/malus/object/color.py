@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from malus._extra import extra
 from malus.chart import srgb_bytes
 from malus.object.arrays import chunks
 from malus.object.views import LEAST_COSINE, Floats, View
@@ -17,31 +20,57 @@ _NEAR_GSD = 4.0
 _WHITE_PERCENTILE = 99.5
 #: Places that brightness and white are found from, at most about.
 _SAMPLE = 200000
+#: A place that no station sees, between rims, has the color of the nearest that one does, within so many GSD.
+_LENT_GSD = 10.0
+
+
+@dataclass(frozen=True)
+class _Lent:
+    """Colors (N×C) of places that stations see, found by where they are (tree), for places up to `reach` away."""
+
+    tree: Any
+    colors: Floats
+    reach: float
+
+    def to(self, points: Floats) -> Floats:
+        """Color of the nearest of these places, NaN where none is near."""
+        away, nearest = self.tree.query(points, distance_upper_bound=self.reach, workers=1)
+        near = np.isfinite(away)
+        return np.asarray(np.where(near[:, None], self.colors[np.where(near, nearest, 0)], np.nan))
 
 
 @dataclass(frozen=True)
 class Paint:
-    """How stations' images (H×W×C, linear) are blended: a factor for each, the value that is shown white, and the color (C) of what none sees."""
+    """How stations' images (H×W×C, linear) are blended: a factor for each, the value that is shown white, and
+    the colors (C) of what none sees: `lent` near what one does, else `missing`.
+    """
 
     views: Sequence[View]
     images: Sequence[Floats]
     gains: Floats
     white: float
     missing: Floats
+    lent: _Lent | None
 
     @staticmethod
     def of(views: Sequence[View], points: Floats, normals: Floats, images: Sequence[Floats] | None = None) -> Paint:
         """Found from what several stations see of the surface with these points and normals (N×3); images: their photographs."""
         pictures = [view.color for view in views] if images is None else images
-        some = slice(None, None, max(1, len(points) // _SAMPLE))
+        every = max(1, len(points) // _SAMPLE)
+        some = slice(None, None, every)
         weights, colors = _sights(points[some], normals[some], views, pictures)
         gains = np.exp(_log_gains(weights, colors))
         mean = _mean(weights, colors * gains[:, None, None])
-        known = mean[np.isfinite(mean).all(1)]
+        seen = np.isfinite(mean).all(1)
+        known = mean[seen]
         if not len(known):
-            return Paint(views, pictures, gains, 1.0, np.full(colors.shape[2], 0.5))
+            return Paint(views, pictures, gains, 1.0, np.full(colors.shape[2], 0.5), None)
         white = max(float(np.percentile(known, _WHITE_PERCENTILE)), 1e-12)
-        return Paint(views, pictures, gains, white, np.median(known, axis=0))
+        spatial = extra("scipy.spatial", "scipy", "the texture of an object", "object")
+        # Where only each n-th place is looked at, they lie further apart.
+        reach = _LENT_GSD * float(np.median([view.gsd for view in views])) * math.sqrt(every)
+        lent = _Lent(spatial.cKDTree(points[some][seen]), known, reach)
+        return Paint(views, pictures, gains, white, np.median(known, axis=0), lent)
 
     def linear(self, points: Floats, normals: Floats) -> Floats:
         """Linear color (N×3, 1 = white) of places; stations count by the square of the cosine under which they see them."""
@@ -50,6 +79,9 @@ class Paint:
             weights, colors = _sights(points[rows], normals[rows], self.views, self.images)
             parts.append(_mean(weights, colors * self.gains[:, None, None]))
         color = np.concatenate(parts)
+        unseen = np.flatnonzero(~np.isfinite(color).all(axis=1))
+        if self.lent is not None and len(unseen):
+            color[unseen] = self.lent.to(points[unseen])
         known = np.asarray(np.isfinite(color).all(axis=1))
         color = np.where(known[:, None], color, self.missing) / self.white
         return np.asarray(np.repeat(color, 3, axis=1) if color.shape[1] == 1 else color)
@@ -68,9 +100,11 @@ def _sights(points: Floats, normals: Floats, views: Sequence[View], images: Sequ
         at = view.meet(points)
         facing = view.facing(points, normals)
         near = np.abs((at.normals * (at.points - points)).sum(1)) < _NEAR_GSD * view.gsd
-        seen = (at.weight > 0) & near & (facing > LEAST_COSINE)
+        color = images[k][at.v, at.u]
+        seen = (at.weight > 0) & near & (facing > LEAST_COSINE) & np.isfinite(color).all(1)
         weights[k] = np.where(seen, facing**2, 0)
-        colors[k] = images[k][at.v, at.u]
+        # What a station was told to leave out has no color there; no number times no weight would be none for all.
+        colors[k] = np.where(seen[:, None], color, 0)
     return weights, colors
 
 

@@ -222,9 +222,10 @@ def _fuse(
     phases = [Phases.of(Workspace(folder.parent / "stations" / view.name)) for view in views]
     told = telling(views, phases)
     views = sharpened(views, told)
-    points, _ = agreement.combine(views)
-    stereo = _stereo(thing, done, views, points, folder.parent)
-    everything = agreement.without_outliers(agreement.joined([points, stereo]), gsd)
+    clouds = _clouds(thing, done, folder.parent)
+    points, _ = agreement.combine(views, agreement.joined(clouds))
+    stereo = [agreement.unseen_stereo(cloud, views, points) for cloud in clouds]
+    everything = agreement.without_outliers(agreement.joined([points, *stereo]), gsd)
     say(0.3, f"a mesh of {len(everything.points)} points")
     with tempfile.TemporaryDirectory(prefix=".mesh-", dir=folder) as scratch:
         mesh = joined_mesh(pieces(everything, gsd), Path(scratch) / "open", thing.max_sigma_gsd * gsd)
@@ -279,10 +280,8 @@ def _simpler(thing: Object, mesh: ObjectMesh, points: OrientedPoints, gsd: float
     return joined_mesh(pieces(points, cell), scratch / "coarse", thing.max_sigma_gsd * gsd)
 
 
-def _stereo(
-    thing: Object, done: Sequence[Outcome], views: Sequence[View], points: OrientedPoints, output: Path
-) -> OrientedPoints:
-    """Points with normals of the stations' clouds, where no station looks and away from the `points` of those that do."""
+def _clouds(thing: Object, done: Sequence[Outcome], output: Path) -> list[OrientedPoints]:
+    """The stations' clouds that have normals, each once."""
     parts = []
     clouds: dict[str, str] = {}
     for outcome in done:
@@ -290,11 +289,12 @@ def _stereo(
         if cloud is not None:
             clouds.setdefault(cloud, outcome["station"])
     for cloud, station in clouds.items():
-        cloud_points, normals = _read_cloud(Path(cloud), thing.unit)
+        points, normals = _read_cloud(Path(cloud), thing.unit)
         noise = Workspace(output / "stations" / station).manifest["steps"]["prior"]["notes"]["noise"]
         if normals is not None:
-            parts.append(agreement.unseen_stereo(cloud_points, normals, float(noise), views, points))
-    return agreement.joined(parts)
+            count = len(points)
+            parts.append(OrientedPoints(points, normals, np.full(count, float(noise)), np.zeros(count, np.int64)))
+    return parts
 
 
 def _read_cloud(path: Path, unit: str) -> tuple[Floats, Floats | None]:
