@@ -522,12 +522,17 @@ def export(
     exporter = Exporter(Workspace(work), threads, albedo=albedo, chart=correction, trim=trim, fill=fill)
     with writing(path):
         write(exporter, path, Wishes(faces, interval, y_up, url))
-        try:
-            exporter.workspace.require_unchanged()
-        except InputError:
-            if path.is_dir():
-                shutil.rmtree(path)
-            else:
-                path.unlink()
-            raise
+        _keep_if_unchanged(path, exporter.workspace)
     return path
+
+
+def _keep_if_unchanged(path: Path, workspace: Workspace) -> None:
+    """Removes what was written of a workspace that a run has changed meanwhile: it may be of two surfaces."""
+    try:
+        workspace.require_unchanged()
+    except InputError:
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
+        raise
