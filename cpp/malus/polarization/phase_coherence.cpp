@@ -12,7 +12,7 @@ namespace {
 using Complex = std::complex<double>;
 
 constexpr int parts_per_side = 8;
-constexpr double min_ahead = 3, min_ahead_to_contradict = 4, min_coherence = 0.3, unrelated = 0.25;
+constexpr double min_ahead = 3, min_ahead_to_contradict = 4, min_coherence = 0.3;
 
 /// Weighted sums over cells; phases, azimuths and their products are of unit modulus.
 struct Sums {
@@ -107,9 +107,8 @@ PhaseCoherence phase_coherence(const std::vector<PhaseCell>& cells) {
 }
 
 bool knows_direction(const PhaseCoherence& coherence) {
-  const bool contradicts = coherence.ahead() < -min_ahead_to_contradict && coherence.direct < unrelated;
-  return (coherence.ahead() > min_ahead || contradicts) &&
-         std::max(coherence.direct, coherence.opposite) > min_coherence;
+  const bool is_ahead = coherence.ahead() > min_ahead || coherence.ahead() < -min_ahead_to_contradict;
+  return is_ahead && std::max(coherence.direct, coherence.opposite) > min_coherence;
 }
 
 bool knows_zero(const PhaseCoherence& coherence) {

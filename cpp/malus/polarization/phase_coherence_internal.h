@@ -41,11 +41,9 @@ struct PhaseCoherence {
 /// image, so that what neighboring cells have in common does not make them too small.
 PhaseCoherence phase_coherence(const std::vector<PhaseCell>& cells);
 
-/// Whether the data tell which way the scale counts. Of some 560 rendered stations two are wrong about it, by 3.6 and 4.9
-/// standard deviations (paintings under two lamps, whose light turns the phases); 0.3 of coherence and 3 standard
-/// deviations are asked for. What a person has stated is contradicted by 4, and only if the phases have next to nothing
-/// to do with it: of 38 stations that tell, the wrong direction has a coherence of at most 0.21, the second painting's
-/// right one 0.27.
+/// Whether the data tell which way the scale counts. Of some 500 rendered stations, unrelated ones among them, one is
+/// wrong about it, by 3.6 standard deviations (a painting under two lamps); 0.3 of coherence and 3 standard deviations
+/// are asked for, or 4 to contradict what a person has stated.
 bool knows_direction(const PhaseCoherence& coherence);
 
 /// Whether they tell its zero, too, so well that the standard deviation of the turn can be believed (4 and 0.3; below
