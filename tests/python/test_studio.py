@@ -948,6 +948,15 @@ def test_what_is_typed_while_an_answer_is_awaited_stays(served: Served, page: An
     level.press("Tab")
     wait_for(page, lambda: "white_level" not in station.read_text())
     assert 'name = "Slow"' in station.read_text()
+    # So does what was marked: the next key replaces it.
+    kept = held(page, "set")
+    level.fill("50000")
+    place.select_text()  # which leaves the level
+    let_go(page, kept, "set")
+    wait_for(page, lambda: level.input_value() == level.get_attribute("value") == "50000")
+    page.keyboard.insert_text("Marked")
+    page.keyboard.press("Tab")
+    wait_for(page, lambda: 'name = "Marked"' in station.read_text())
 
 
 @needs_browser

@@ -23,13 +23,23 @@ export function redraw(place, ...children) {
   const old = before[at];
   const called = calledOf(old);
   const typed = isText(old) && old.value !== old.defaultValue ? old.value : null;
+  const marked = isText(old) ? [old.selectionStart, old.selectionEnd] : null;
   // Browsers take its removal for the end of typing.
   old.addEventListener('change', (event) => event.stopImmediatePropagation(), { capture: true });
   place.replaceChildren(...children);
   const now = controlsOf(place);
   const same = now.find((control) => calledOf(control) === called) ?? now[at];
   same?.focus();
-  if (typed !== null && same && isText(same)) goOnTyping(same, typed);
+  if (!marked || !same || !isText(same)) return;
+  if (typed !== null) goOnTyping(same, typed);
+  markAgain(same, marked, typed);
+}
+
+// What was marked stays marked: what is typed next replaces it, as if nothing had been drawn. Fields of numbers do not tell what is
+// marked in them: one that was only entered is marked whole, as the Tab key does it.
+function markAgain(field, [start, end], typed) {
+  if (start !== null && field.selectionStart !== null) field.setSelectionRange(start, end);
+  else if (typed === null) field.select();
 }
 
 // What a program puts into a field does not count as a change by the user: that is told when the field is left.
