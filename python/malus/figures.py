@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from malus.errors import ResourceError
 from malus.lengths import scale_bar, shown
 from malus.units import METERS
 from malus.workspace import Raster, Workspace
@@ -93,7 +94,17 @@ class Figure:
 
 
 def encode(picture: NDArray[np.uint8], kind: str, **options: Any) -> bytes:
-    """Image file of a picture H×W, H×W×2 (gray, alpha), H×W×3 or H×W×4."""
+    """Image file of a picture H×W, H×W×2 (gray, alpha), H×W×3 or H×W×4.
+
+    ResourceError if Pillow has lost the kind: where there is too little memory to load a kind's library, Pillow leaves it
+    out without a word.
+    """
+    if kind not in Image.SAVE:
+        Image.init()
+    if kind not in Image.SAVE:
+        raise ResourceError(
+            f"Pillow cannot write {kind}: too little memory to load its library, or a Pillow that was built without it"
+        )
     mode = "LA" if picture.ndim == 3 and picture.shape[2] == 2 else None
     image = (
         Image.fromarray(np.ascontiguousarray(picture), mode) if mode else Image.fromarray(np.ascontiguousarray(picture))
