@@ -671,9 +671,7 @@ class Plates:
                 axes.margins(x=0.01)
                 style(axes)
                 axes.yaxis.set_major_locator(_few_ticks(5))
-            cut = _without_spikes(list(details.values()))
-            if cut is not None:
-                below.set_ylim(*cut)
+            beyond = self._cut_spikes(below, along, details)
             above.set_ylabel(f"height [{self.unit}]", fontsize=LETTERS_PT)
             above.legend(fontsize=LETTERS_PT, frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0, 1),
                          borderaxespad=0, columnspacing=1, handlelength=1.2)  # fmt: skip
@@ -686,11 +684,30 @@ class Plates:
                 f"profile_{number}", f"Profile {profile['name']}",
                 f"Above: height over the chord of the section of {self.words['fused']}, towards the camera; polarization alone has "
                 f"no absolute height. Below: what is finer than {sigma_px:g} px ({shown(sigma_px * self.gsd, self.unit)}), its form taken out"
-                + ("." if cut is None else "; single spikes reach beyond the scale."),
+                + ("." if not beyond else f"; cut off at the triangles, where {', '.join(beyond)}."),
                 drawing,
                 [f"position_{self.unit}", *(f"{word}_{self.unit}" for word in called), *(f"{self.words[name]}_detail_um" for name in details)],
                 list(zip(*columns, strict=True)), f"A section of {along[-1] if len(along) else 0:.3g} {self.unit}. Spread of the detail: {spread}.",
             )  # fmt: skip
+
+    def _cut_spikes(self, axes: Any, along: NDArray[np.float64], lines: Mapping[str, NDArray[np.float64]]) -> list[str]:
+        """Scale the axes so that all but a few far values can be read, a triangle where a line is cut off; in words how far
+        each line reaches.
+        """
+        limits = _without_spikes(list(lines.values()))
+        if limits is None:
+            return []
+        axes.set_ylim(*limits)
+        said = []
+        for name, values in lines.items():
+            known = np.nan_to_num(values)
+            for limit, marker, far in ((limits[0], "v", known < limits[0]), (limits[1], "^", known > limits[1])):
+                runs = np.split(np.arange(len(known)), np.nonzero(np.diff(far))[0] + 1)
+                tips = [run[np.argmax(np.abs(known[run]))] for run in runs if len(run) and far[run[0]]]
+                axes.plot(along[tips], [limit] * len(tips), marker, color=COLORS[name], ms=7, clip_on=False, zorder=6)
+            if known.min() < limits[0] or known.max() > limits[1]:
+                said.append(f"{self.words[name]} reaches from {known.min():.0f} to {known.max():.0f} µm")
+        return said
 
     def _histogram(
         self, name: str, title: str, axis: str, bins: Mapping[str, Mapping[str, Any]], notes: Mapping[str, str]
@@ -801,7 +818,7 @@ def _without_spikes(lines: Sequence[NDArray[np.float64]]) -> tuple[float, float]
     values = np.concatenate([line[np.isfinite(line)] for line in lines]) if lines else np.empty(0)
     if values.size == 0:
         return None
-    low, high = (float(p) for p in np.percentile(values, (2, 98)))
+    low, high = (float(p) for p in np.percentile(values, (5, 95)))
     low, high = low - (high - low), high + (high - low)
     if values.min() >= low and values.max() <= high:
         return None

@@ -212,6 +212,23 @@ def test_campaign_keeps_names_that_look_like_numbers(paper_work: Path, tmp_path:
         assert "\n19470," in (tmp_path / f"all/{name}.csv").read_text(), name
 
 
+def test_detail_beside_a_spike_can_be_read(paper_work: Path) -> None:
+    """A highlight of 11 mm made 50 µm a line."""
+    plates = Plates(malus.Workspace(paper_work), for_print=True, words=SURFACES)
+    profile = dict(plates.quality["profiles"][0])
+    spiked = list(profile["fused"])
+    spiked[len(spiked) // 2] += 11
+    plates.quality = plates.quality | {"profiles": [profile | {"fused": spiked}]}
+    (figure,) = plates.profiles()
+    assert figure.drawing is not None
+    below = figure.drawing.axes[1]
+    low, high = below.get_ylim()
+    assert high - low < 3000
+    (tip,) = [line for line in below.lines if line.get_marker() == "^" and len(line.get_xdata())]
+    assert tip.get_xdata()[0] == pytest.approx(profile["position"][len(spiked) // 2]) and tip.get_ydata()[0] == high
+    assert "cut off at the triangles, where fusion reaches from -" in figure.caption
+
+
 def test_histogram_of_a_rough_patch_can_be_read(paper_work: Path) -> None:
     """The numbers of a scale from -1 to 1 ran into each other, and what lies beyond it was not said."""
     plates = Plates(malus.Workspace(paper_work), for_print=True)
