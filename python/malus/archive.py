@@ -13,6 +13,7 @@ import mimetypes
 import os
 import shutil
 import zipfile
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -22,8 +23,9 @@ from malus import _core, exif
 from malus._extra import extra
 from malus._files import replacing, scratch_folder
 from malus.errors import InputError
-from malus.photogrammetry.photos import list_photos
+from malus.raw import is_raw, name_of
 from malus.scans import is_scan, read_scan
+from malus.station import Station
 from malus.workspace import Workspace
 
 #: [object] key → term of schema.org, as RO-Crate has it, and element of Dublin Core.
@@ -54,7 +56,14 @@ _CAPTURE = {
 }
 
 
-def _inputs(workspace: Workspace) -> dict[str, Path | None]:
+@dataclass(frozen=True)
+class _Input:
+    path: Path
+    sha256: str
+    """As the run read it."""
+
+
+def _inputs(workspace: Workspace) -> dict[str, _Input | None]:
     """Everything that the surface was made from, by its name relative to the station file → file; None for an array.
 
     InputError if one is gone or is not what the run read.
@@ -64,34 +73,47 @@ def _inputs(workspace: Workspace) -> dict[str, Path | None]:
         return dict.fromkeys(workspace.manifest["inputs"])
     here = workspace.folder / station.get("file_from_here", "")
     file = here if here.is_file() else Path(station["file"])
-    files: dict[str, Path | None] = {}
+    files: dict[str, _Input | None] = {}
     for name, sha256 in {**workspace.manifest["inputs"], file.name: station["says"]["sha256"]}.items():
         path = file.parent / name
         if not path.suffix and not path.is_file():  # an array, such as "prior points": it is given or made of a file
             files[name] = None
             continue
-        _require_there(path)
-        if _core.sha256_of_file(str(path)) != sha256:
-            raise _changed(path)
-        files[name] = path
+        files[name] = _as_read(path, sha256)
     return {**_files_behind_arrays(workspace, file), **files}
 
 
-def _files_behind_arrays(workspace: Workspace, file: Path) -> dict[str, Path | None]:
-    """What Python reads for the steps: RAW files, clouds of scanners, photographs. Of clouds it is known whether they are those of
-    the run; RAW files and photographs are what lies there now.
-    """
-    says, folder = workspace.manifest["station"]["says"], Path(workspace.manifest["station"]["file"]).parent
-    paths = [file.parent / os.path.relpath(path, folder) for path in says["files"]]
-    if "photos" in says:
-        photos = file.parent / os.path.relpath(says["photos"]["folder"], folder)
-        paths += [photo.path for photo in list_photos(photos, says["photos"]["exclude"])]
-    for path in paths:
+def _files_behind_arrays(workspace: Workspace, file: Path) -> dict[str, _Input]:
+    """What Python reads for the steps: RAW files, clouds of scanners, photographs. All are known to be those of the run."""
+    says = Station.load(file).describe()  # the steps were told of the developed images, not of the RAW files
+    inputs = workspace.manifest["inputs"]
+    developed = [PurePosixPath(name).name for name in inputs]
+    files: dict[str, _Input] = {}
+    for path in map(Path, says["files"]):
         _require_there(path)
-        points = workspace.manifest["inputs"].get("prior points")
-        if is_scan(path) and hashlib.sha256(read_scan(path, says["unit"])[0].tobytes()).hexdigest() != points:
+        if is_scan(path):
+            points = hashlib.sha256(read_scan(path, says["unit"])[0].tobytes()).hexdigest()
+            is_as_read = points == inputs.get("prior points")
+        elif is_raw(path):
+            is_as_read = any(name.startswith(name_of(path, path.read_bytes())) for name in developed)
+        else:
+            is_as_read = True  # what the C++ library read has its checksum among the inputs
+        if not is_as_read:
             raise _changed(path)
-    return {os.path.relpath(path, file.parent): path for path in paths}
+        files[os.path.relpath(path, file.parent)] = _Input(path, _core.sha256_of_file(str(path)))
+    figures = workspace.quality.get("photogrammetry")
+    if "photos" in says and figures:  # with a prior of its own the photographs were not used
+        for name, sha256 in figures["files"].items():
+            path = Path(says["photos"]["folder"]) / name
+            files[os.path.relpath(path, file.parent)] = _as_read(path, sha256)
+    return files
+
+
+def _as_read(path: Path, sha256: str) -> _Input:
+    _require_there(path)
+    if _core.sha256_of_file(str(path)) != sha256:
+        raise _changed(path)
+    return _Input(path, sha256)
 
 
 def _require_there(path: Path) -> None:
@@ -193,20 +215,19 @@ def _describe_root(crate: _Crate, made: datetime) -> None:
         root["temporalCoverage"] = known["recorded_on"]
 
 
-def _add_files(crate: _Crate, inputs: dict[str, Path | None]) -> dict[str, Any]:
+def _add_files(crate: _Crate, inputs: dict[str, _Input | None]) -> dict[str, Any]:
     """All inputs and results; returns the entities of inputs by their names in the manifest."""
     workspace = crate.workspace
-    hashes = workspace.manifest["inputs"]
     entities: dict[str, Any] = {}
-    for name, path in inputs.items():
-        if path is None:
+    for name, file in inputs.items():
+        if file is None:
             entities[name] = crate.entity(
                 f"#{name}", "Thing", {"name": name, "description": "an array given in memory"}
             )
             continue
-        place = _place(name, hashes.get(name, _core.sha256_of_file(str(path))))
-        facts = crate.values(place, _capture_of(path))
-        entities[name] = crate.file(place, path, hashes.get(name), **({"exifData": facts} if facts else {}))
+        place = _place(name, file.sha256)
+        facts = crate.values(place, _capture_of(file.path))
+        entities[name] = crate.file(place, file.path, file.sha256, **({"exifData": facts} if facts else {}))
     for name, output in workspace.outputs.items():
         crate.file(f"results/{name}", workspace.path(name), output["sha256"])
     crate.file("results/manifest.json", workspace.folder / "manifest.json", None, name="settings, versions and hashes")

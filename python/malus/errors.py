@@ -43,7 +43,8 @@ def ending_of(error: Exception) -> tuple[int, str]:
     """Exit code and message for whatever ends a run: the last net, so that nobody is shown a traceback."""
     if isinstance(error, MalusError):
         return error.exit_code, str(error)
-    if isinstance(error, MemoryError):
+    # A library that finds no room when it is loaded.
+    if isinstance(error, MemoryError) or (isinstance(error, ImportError) and "failed to map segment" in str(error)):
         return ResourceError.exit_code, "out of memory; see `malus check` for what the station needs"
     if isinstance(error, OSError):
         return ResourceError.exit_code, f"{error.filename or 'a file'}: {error.strerror or error}"

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from malus import _core, archive, drawings
+from malus import _core, archive, drawings, exported
 from malus._extra import extra
 from malus._files import replacing, write_bytes, write_text, writing
 from malus.albedo import albedo_of
@@ -523,6 +523,8 @@ def export(
     with writing(path):
         write(exporter, path, Wishes(faces, interval, y_up, url))
         _keep_if_unchanged(path, exporter.workspace)
+        if output is None:
+            exported.note(exporter.workspace, path)
     return path
 
 

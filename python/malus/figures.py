@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from malus.errors import ResourceError
 from malus.lengths import scale_bar, shown
 from malus.units import METERS
 from malus.workspace import Raster, Workspace
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 MAX_SIDE_PX = 1600
 #: Colors of the three surfaces in every plot.
 COLORS = {"prior": "#b0702a", "polarization": "#2f7fb3", "fused": "#1d2733"}
+#: What they are called in figures, unless those of the paper are asked for.
+OWN_WORDS = {name: name for name in COLORS}
 #: Figures of a map's values in its CSV file.
 _PERCENTILES = (0, 1, 5, 25, 50, 75, 95, 99, 100)
 _DPI = 150
@@ -93,7 +96,17 @@ class Figure:
 
 
 def encode(picture: NDArray[np.uint8], kind: str, **options: Any) -> bytes:
-    """Image file of a picture H×W, H×W×2 (gray, alpha), H×W×3 or H×W×4."""
+    """Image file of a picture H×W, H×W×2 (gray, alpha), H×W×3 or H×W×4.
+
+    ResourceError if Pillow has lost the kind: where there is too little memory to load a kind's library, Pillow leaves it
+    out without a word.
+    """
+    if kind not in Image.SAVE:
+        Image.init()
+    if kind not in Image.SAVE:
+        raise ResourceError(
+            f"Pillow cannot write {kind}: too little memory to load its library, or a Pillow that was built without it"
+        )
     mode = "LA" if picture.ndim == 3 and picture.shape[2] == 2 else None
     image = (
         Image.fromarray(np.ascontiguousarray(picture), mode) if mode else Image.fromarray(np.ascontiguousarray(picture))
@@ -268,9 +281,12 @@ class _Map:
 class Plates:
     """Draws the figures of one workspace."""
 
-    def __init__(self, workspace: Workspace, *, for_print: bool = False) -> None:
-        """for_print: figures keep what they were drawn from, so that they can be had as SVG and PDF, too."""
+    def __init__(self, workspace: Workspace, *, for_print: bool = False, words: Mapping[str, str] = OWN_WORDS) -> None:
+        """for_print: figures keep what they were drawn from, so that they can be had as SVG and PDF, too. words: what the
+        surfaces are called, by their names in quality.json.
+        """
         self.workspace = workspace
+        self.words = words
         self.for_print = for_print
         self.quality = workspace.quality
         self.unit = str(self.quality["unit"])
@@ -407,16 +423,23 @@ class Plates:
     def shadings(self) -> Iterator[Figure]:
         """Relief shading of prior and fused surface, the fused one from two more directions."""
         about = "Relief shading of the depth map after one plane is taken out, light 45° above the plane from the "
-        for name, surface, azimuth, side in (
-            ("hillshade_prior", "prior", 315, "upper left"),
-            ("hillshade_fused", "fused", 315, "upper left"),
-            ("hillshade_fused_right", "fused", 45, "upper right"),
-            ("hillshade_fused_below", "fused", 180, "bottom"),
+        for surface, view, azimuth, side in (
+            ("prior", "", 315, "upper left"),
+            ("fused", "", 315, "upper left"),
+            ("fused", "_right", 45, "upper right"),
+            ("fused", "_below", 180, "bottom"),
         ):
-            label = "Prior (coarse)" if surface == "prior" else f"Fused ({self.quality['method']})"
+            called = self.words[surface]
+            label = f"{called.capitalize()} ({'coarse' if surface == 'prior' else self.quality['method']})"
             yield self._map(
                 self.shade(surface, azimuth),
-                _Map(name, f"{label}, light from the {side}", about + side + ".", "gray", limits=(0, 1)),
+                _Map(
+                    f"hillshade_{called}{view}",
+                    f"{label}, light from the {side}",
+                    about + side + ".",
+                    "gray",
+                    limits=(0, 1),
+                ),
             )
 
     def elevations(self) -> Iterator[Figure]:
@@ -427,8 +450,8 @@ class Plates:
             yield self._map(
                 self.relief[surface],
                 _Map(
-                    f"elevation_{surface}",
-                    f"Elevation, {surface}",
+                    f"elevation_{self.words[surface]}",
+                    f"Elevation, {self.words[surface]}",
                     "Along the optical axis, above the plane that fits the depth map; positive towards the camera. "
                     "Relief shading over the colors.",
                     "viridis",
@@ -642,29 +665,49 @@ class Plates:
             }
             for axes, lines in ((above, {name: numbers(profile[name]) for name in present}), (below, details)):
                 for name, values in lines.items():
-                    axes.plot(along, values, color=COLORS[name], lw=1.6 if name == "fused" else 1.2, label=name)
+                    axes.plot(
+                        along, values, color=COLORS[name], lw=1.6 if name == "fused" else 1.2, label=self.words[name]
+                    )
                 axes.margins(x=0.01)
                 style(axes)
                 axes.yaxis.set_major_locator(_few_ticks(5))
-            cut = _without_spikes(list(details.values()))
-            if cut is not None:
-                below.set_ylim(*cut)
+            beyond = self._cut_spikes(below, along, details)
             above.set_ylabel(f"height [{self.unit}]", fontsize=LETTERS_PT)
             above.legend(fontsize=LETTERS_PT, frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0, 1),
                          borderaxespad=0, columnspacing=1, handlelength=1.2)  # fmt: skip
             below.set_ylabel("detail [µm]", fontsize=LETTERS_PT)
             below.set_xlabel(f"along the profile [{self.unit}]", fontsize=LETTERS_PT)
             columns = [profile["position"], *(profile[name] for name in present), *details.values()]
-            spread = ", ".join(f"{name} {np.nanstd(values):.2g} µm" for name, values in details.items())
+            spread = ", ".join(f"{self.words[name]} {np.nanstd(values):.2g} µm" for name, values in details.items())
+            called = [self.words[name] for name in present]
             yield self.figure(
                 f"profile_{number}", f"Profile {profile['name']}",
-                "Above: height over the chord of the fused section, towards the camera; polarization alone has no absolute "
-                f"height. Below: what is finer than {sigma_px:g} px ({shown(sigma_px * self.gsd, self.unit)}), its form taken out"
-                + ("." if cut is None else "; single spikes reach beyond the scale."),
+                f"Above: height over the chord of the section of {self.words['fused']}, towards the camera; polarization alone has "
+                f"no absolute height. Below: what is finer than {sigma_px:g} px ({shown(sigma_px * self.gsd, self.unit)}), its form taken out"
+                + ("." if not beyond else f"; cut off at the triangles, where {', '.join(beyond)}."),
                 drawing,
-                [f"position_{self.unit}", *(f"{name}_{self.unit}" for name in present), *(f"{name}_detail_um" for name in details)],
+                [f"position_{self.unit}", *(f"{word}_{self.unit}" for word in called), *(f"{self.words[name]}_detail_um" for name in details)],
                 list(zip(*columns, strict=True)), f"A section of {along[-1] if len(along) else 0:.3g} {self.unit}. Spread of the detail: {spread}.",
             )  # fmt: skip
+
+    def _cut_spikes(self, axes: Any, along: NDArray[np.float64], lines: Mapping[str, NDArray[np.float64]]) -> list[str]:
+        """Scale the axes so that all but a few far values can be read, a triangle where a line is cut off; in words how far
+        each line reaches.
+        """
+        limits = _without_spikes(list(lines.values()))
+        if limits is None:
+            return []
+        axes.set_ylim(*limits)
+        said = []
+        for name, values in lines.items():
+            known = np.nan_to_num(values)
+            for limit, marker, far in ((limits[0], "v", known < limits[0]), (limits[1], "^", known > limits[1])):
+                runs = np.split(np.arange(len(known)), np.nonzero(np.diff(far))[0] + 1)
+                tips = [run[np.argmax(np.abs(known[run]))] for run in runs if len(run) and far[run[0]]]
+                axes.plot(along[tips], [limit] * len(tips), marker, color=COLORS[name], ms=7, clip_on=False, zorder=6)
+            if known.min() < limits[0] or known.max() > limits[1]:
+                said.append(f"{self.words[name]} reaches from {known.min():.0f} to {known.max():.0f} µm")
+        return said
 
     def _histogram(
         self, name: str, title: str, axis: str, bins: Mapping[str, Mapping[str, Any]], notes: Mapping[str, str]
@@ -681,11 +724,11 @@ class Plates:
             total = counts.sum() + histogram["below"] + histogram["above"]
             inside = counts[(edges[1:] > low) & (edges[:-1] < high)].sum()
             if inside < total:
-                beyond.append(f"{surface} {100 * (total - inside) / total:.2g} %")
-            classes.append(f"{histogram['bin_width']:.2g} ({surface})")
+                beyond.append(f"{self.words[surface]} {100 * (total - inside) / total:.2g} %")
+            classes.append(f"{histogram['bin_width']:.2g} ({self.words[surface]})")
             axes.stairs(
                 100 * counts / max(total, 1) * width / histogram["bin_width"], edges, color=COLORS[surface], lw=1.5,
-                fill=surface == "fused", alpha=0.85 if surface == "fused" else 1, label=notes.get(surface, surface),
+                fill=surface == "fused", alpha=0.85 if surface == "fused" else 1, label=notes.get(surface),
                 zorder=2 if surface == "fused" else 3,
             )  # fmt: skip
         axes.set_xlim(low - 0.05 * (high - low), high + 0.05 * (high - low))
@@ -697,7 +740,7 @@ class Plates:
             axes.legend(fontsize=LETTERS_PT, frameon=False, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
         rows = [
             [
-                surface,
+                self.words[surface],
                 histogram["low"] + k * histogram["bin_width"],
                 histogram["low"] + (k + 1) * histogram["bin_width"],
                 n,
@@ -722,7 +765,7 @@ class Plates:
                     "distance to the fitted plane [GSD]",
                     {name: fit["histogram_gsd"] for name, fit in fits.items()},
                     {
-                        name: f"{name}: RMSE {fit['rmse_gsd']:.3g} GSD, classes of {fit['histogram_gsd']['bin_width']:.2g}"
+                        name: f"{self.words[name]}: RMSE {fit['rmse_gsd']:.3g} GSD, classes of {fit['histogram_gsd']['bin_width']:.2g}"
                         for name, fit in fits.items()
                     },
                 )
@@ -775,7 +818,7 @@ def _without_spikes(lines: Sequence[NDArray[np.float64]]) -> tuple[float, float]
     values = np.concatenate([line[np.isfinite(line)] for line in lines]) if lines else np.empty(0)
     if values.size == 0:
         return None
-    low, high = (float(p) for p in np.percentile(values, (2, 98)))
+    low, high = (float(p) for p in np.percentile(values, (5, 95)))
     low, high = low - (high - low), high + (high - low)
     if values.min() >= low and values.max() <= high:
         return None

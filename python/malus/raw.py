@@ -78,7 +78,7 @@ def develop(
             raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
         plane = _PLANES.get(channel)
         recipe = f"{_RECIPE} {library.__version__} {plane}".encode()
-        name = f"{path.stem}_{hashlib.sha256(content + recipe).hexdigest()[:16]}"
+        name = f"{name_of(path, content)}{hashlib.sha256(recipe).hexdigest()[:8]}"
         kept = next(
             (file for file in folder.glob(f"{glob.escape(name)}_*.tif") if file == _named_by_content(file, name)), None
         )
@@ -93,6 +93,11 @@ def develop(
         developed.append(kept)
     full_well_e, read_noise_e = _noise(images[0])
     return Developed(developed, full_well_e, read_noise_e)
+
+
+def name_of(path: Path, content: bytes) -> str:
+    """What the name of a developed image begins with: it says which RAW file it is of, and which state of it."""
+    return f"{path.stem}_{hashlib.sha256(content).hexdigest()[:16]}_"
 
 
 def _named_by_content(file: Path, name: str) -> Path:

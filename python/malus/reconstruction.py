@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from malus import _core, encoding, exif, photogrammetry, raw, scans
+from malus import _core, encoding, exif, exported, photogrammetry, raw, scans
 from malus._files import require_utf8
 from malus.camera import Camera
 from malus.errors import DataError
@@ -108,6 +108,9 @@ def reconstruct(
                 log = log or (lambda _, __: None)
                 core = _with_photos(station.describe(), core, settings, folder, run, threads, report, log, cameras)
         outcome = run(core, until, keep=keep_maps)
+    if workspace is not None and log is not None:
+        for path in exported.overtaken(Path(workspace)):
+            log("warning", f"{path} is of an earlier result of this workspace; export it again, or remove it")
     results = outcome.pop("results")
     return _result(outcome, station.name, workspace, save)
 

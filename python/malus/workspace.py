@@ -97,6 +97,11 @@ class Workspace:
             self._checked.add(name)
         return path
 
+    @property
+    def read(self) -> set[str]:
+        """Names of the files that were read so far."""
+        return set(self._checked)
+
     def require_unchanged(self) -> None:
         """InputError if another run has changed meanwhile what was read: it may be of two surfaces."""
         now = Workspace(self.folder).outputs

@@ -60,6 +60,53 @@ def test_keys_of_thousands_of_parts_are_refused_before_the_parser_sees_them(smal
         Campaign.load(small_station)
 
 
+@pytest.mark.parametrize(
+    "number",
+    [
+        "9" * 5000,
+        "1_" * 50_000 + "1",
+        "0x" + "f" * 5000,
+        "99999999999999999999",
+        "[9223372036854775808]",
+        "1e999",
+        "-1e999",
+    ],
+    ids=["5000 digits", "underscores", "hexadecimal", "20 digits", "64 bits", "exponent", "negative"],
+)
+def test_numbers_that_no_computer_holds_are_refused_in_every_file(small_station: Path, number: str) -> None:
+    """tomllib raises something else, or reads what the C++ library refuses; printing it then failed."""
+    for table, load in (("campaign", Campaign.load), ("object", Object.load)):
+        (small_station.parent / "x.toml").write_text(
+            f'[{table}]\nstations = ["station.toml"]\n[options.refine]\niterations = {number}\n'
+        )
+        with pytest.raises(InputError, match=r"x\.toml: is not valid TOML"):
+            load(small_station.parent / "x.toml")
+    edit(small_station, 'unit = "mm"', f'unit = "mm"\nx = {number}')
+    with pytest.raises(InputError, match=r"station\.toml, line 5: not TOML"):
+        Station.load(small_station)
+
+
+def test_files_of_windows_editors_begin_with_a_mark(small_station: Path) -> None:
+    from malus.studio import settings
+    from malus.studio.document import StationDocument
+
+    mark = b"\xef\xbb\xbf"
+    small_station.write_bytes(mark + small_station.read_bytes())
+    assert Station.load(small_station).describe()["unit"] == "mm"
+    document = StationDocument.read(small_station)
+    document.set("station", "name", "marked")
+    document.write(document.digest)
+    assert Station.load(small_station).describe()["name"] == "marked"
+    for table, load in (("campaign", Campaign.load), ("object", Object.load)):
+        file = small_station.parent / f"{table}.toml"
+        file.write_bytes(mark + f'[{table}]\nstations = ["station.toml"]\n'.encode())
+        load(file)
+    options = settings.file_of(small_station)
+    options.write_bytes(mark + b"[refine]\niterations = 3\n")
+    settings.change(small_station, "fusion.method", None)
+    assert settings.options_of(small_station).to_dict()["refine"]["iterations"] == 3
+
+
 @pytest.mark.parametrize("name", ["a\\nv 1 2 3", "a\\rb", "\\u001b[31mred", "a\\u0001", "a\\u007f"])
 def test_names_are_one_line_without_control_characters(small_station: Path, work: Path, name: str) -> None:
     """A second line was a vertex of OBJ files, which moved all triangles; XML cannot hold control characters."""

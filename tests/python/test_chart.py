@@ -87,7 +87,9 @@ def test_textures_have_the_charts_colors(tmp_path: Path) -> None:
     assert run_malus("run", station, "-o", work, "--fusion", "grid", "--quiet").code == 0
     correction = chart.ColorCorrection(np.linalg.inv(CAMERA), np.zeros(24), np.zeros(24), np.zeros((4, 2)), "here")
     file = correction.save(tmp_path / "chart.json")
-    path = malus.export(work, "obj", tmp_path / "a.obj", chart=file).with_suffix(".png")
+    told = run_malus("export", work, "--format", "obj", "--chart", file, "-o", tmp_path / "a.obj")
+    assert told.code == 0, told.err
+    path = tmp_path / "a.png"
     with Image.open(path) as image:
         profile = ImageCms.ImageCmsProfile(io.BytesIO(image.info["icc_profile"]))
         assert "sRGB" in ImageCms.getProfileDescription(profile)

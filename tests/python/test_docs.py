@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image
 
 from conftest import (
     PATCH,
@@ -21,15 +22,22 @@ from conftest import (
     WINDOW,
     cloud_in_meters,
     cut_out,
+    demo_with_photos,
     metashape_cameras,
     run_program,
 )
 from conftest import malus as run_malus
+from malus import InputError, Station
+from malus.campaign import Campaign
+from malus.object import Object
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs").rglob("*.md")) + [ROOT / "README.md", ROOT / "ARCHITECTURE.md"]
 TUTORIALS = sorted((ROOT / "docs/tutorials").glob("*.md"))
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+#: What a block may be: what a test runs, reads or builds; text is neither: listings, formulas, and how a command is written.
+KINDS = {"console", "python", "toml", "cpp", "cmake", "text"}
+MARK = re.compile(r"<!-- (run by|read as)( a part of)? (\S+) -->\n\n```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
 def prepare(kind: str, target: Path) -> None:
@@ -97,11 +105,83 @@ def test_commands_and_programs_of_a_tutorial_run(page: Path, tmp_path: Path, req
         assert outcome.code == 0, outcome.err
 
 
+def test_every_block_is_run_or_is_text() -> None:
+    """A command, a program or a file on a page is tried by some test; what is not says so by its kind."""
+    wrong = []
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        marked = {block for *_, block in MARK.findall(text)}
+        whole = page in TUTORIALS or page.name == "README.md"  # these are run from their beginning to their end
+        for kind, block in BLOCK.findall(text):
+            known = kind in KINDS and (kind in ("text", "cpp", "cmake") or whole or block in marked)
+            if not known:
+                wrong.append(f"{page.name}: {kind or 'no kind'}: {block[:60]!r}")
+        rest = BLOCK.sub("", text)
+        wrong += [f"{page.name}: not between ``` lines: {line}" for line in re.findall(r"\n\n    +(\S.*)", rest)]
+        wrong += [f"{page.name}: a block that does not end" for _ in re.findall(r"^\s*```", rest, re.MULTILINE)]
+    assert not wrong
+
+
+def test_marked_commands_are_in_the_test_that_their_page_names() -> None:
+    for page in PAGES:
+        for how, _, file, kind, block in MARK.findall(page.read_text(encoding="utf-8")):
+            if how != "run by":
+                continue
+            assert kind == "console"
+            test = (ROOT / file).read_text(encoding="utf-8")
+            for line in block.splitlines():
+                words = shlex.split(line.removeprefix("$ ").split(" >")[0])[1:]
+                names = [word for word in words if re.fullmatch(r"(--)?[a-zA-Z0-9_.]+", word) and not word.isupper()]
+                names = [word for word in names if "." not in word or word.startswith("--")]
+                missing = [word for word in names if f'"{word}"' not in test and not word.isdecimal()]
+                assert names and not missing, f"{page.name}: {line}: {file} has no {missing}"
+
+
+def stations_of_a_page(page: str, folder: Path) -> None:
+    """What the files on a page name."""
+    if page in ("station-file.md", "metashape.md"):
+        shutil.copytree(ROOT / "examples/relief", folder, dirs_exist_ok=True)
+        for name in ("cloud.ply", "scan.ply"):
+            shutil.copy(folder / "dense/cloud.ply", folder / name)
+        shutil.copytree(folder / "sparse", folder / "dense/sparse")
+        (folder / "dense/stereo/depth_maps").mkdir(parents=True)
+        (folder / "dense/stereo/depth_maps/view_00.jpg.geometric.bin").touch()
+    elif page == "batch.md":
+        for name in ("objects/vase", "objects/plate", "loans/coin"):
+            cut_out(folder / name, TINY_WINDOW, TINY_PATCH)
+    else:
+        station, _ = demo_with_photos(folder / "st1")
+        station.write_text(station.read_text().split("[photos]")[0] + '[photos]\nfolder = "../views"\n')
+        shutil.copytree(folder / "st1", folder / "st2")
+        shutil.copytree(ROOT / "examples/relief/views", folder / "views")
+        shutil.copy(ROOT / "examples/relief/dense/cloud.ply", folder / "scan.ply")
+
+
+@pytest.mark.parametrize("page", ["station-file.md", "tutorials/metashape.md", "batch.md", "object.md"])
+def test_files_on_a_page_are_read(page: str, tmp_path: Path) -> None:
+    """By the program, not as TOML only: every key is known, every value of its kind."""
+    stations_of_a_page(Path(page).name, tmp_path)
+    readers = {"station.toml": Station.load, "campaign.toml": Campaign.load, "object.toml": Object.load}
+    count = 0
+    for how, part, name, kind, block in MARK.findall((ROOT / "docs" / page).read_text(encoding="utf-8")):
+        if how == "read as":
+            assert kind == "toml"
+            if size := re.search(r"^width = (\d+)\nheight = (\d+)", block, re.MULTILINE):
+                for image in (tmp_path / "pol").iterdir():
+                    Image.new("L", (int(size[1]), int(size[2]))).save(image, compress_level=1)
+            (tmp_path / name).write_text(('[polarized]\nimages = "pol"\n' if part else "") + block)
+            readers[name](tmp_path / name)
+            (tmp_path / name).write_text((tmp_path / name).read_text() + "\n[nothing]\n")
+            with pytest.raises(InputError):
+                readers[name](tmp_path / name)
+            count += 1
+    assert count > 0
+
+
 def _commands_of(text: str) -> list[list[str]]:
     """The words of everything on a page that begins with `malus` and one of its commands."""
-    # Two spaces, or an indent of four, are a line of code; single backticks may be broken over two lines.
+    # Single backticks may be broken over two lines.
     lines = [line.removeprefix("$ ").strip() for _, block in BLOCK.findall(text) for line in block.splitlines()]
-    lines += [line.strip() for line in text.splitlines() if line.startswith("    ")]
     lines += re.findall(r"(?<!`)`([^`]+)`(?!`)", BLOCK.sub("", text))
     lines = [re.sub(r"\s+", " ", line).split(" #")[0].removeprefix(".venv/bin/") for line in lines]
     return [words for line in lines if len(words := line.split()) > 1 and words[0] == "malus"]
@@ -138,7 +218,7 @@ def test_files_on_a_page_are_toml(page: Path) -> None:
             tomllib.loads(block)
 
 
-def test_station_file_and_program_of_the_readme_run(tmp_path: Path) -> None:
+def test_station_file_commands_and_program_of_the_readme_run(tmp_path: Path) -> None:
     blocks = dict(BLOCK.findall((ROOT / "README.md").read_text(encoding="utf-8")))
     prepare("examples/relief", tmp_path)
     (tmp_path / "station.toml").write_text(blocks["toml"])
@@ -147,6 +227,11 @@ def test_station_file_and_program_of_the_readme_run(tmp_path: Path) -> None:
     # The program, of as little as will do; its last line names images and angles that the reader has.
     small = tmp_path / "small"
     cut_out(small, TINY_WINDOW, TINY_PATCH)
+    for line in blocks["console"].splitlines():
+        words = shlex.split(line, comments=True)
+        assert words[:2] == ["$", ".venv/bin/malus"], line
+        outcome = run_malus(*words[2:], cwd=small)
+        assert outcome.code == 0, outcome.err
     given = "import numpy\nimages, angles_rad = [numpy.full((4, 5), 0.5, numpy.float32)] * 3, [0, 1, 2]\n"
     outcome = run_program(sys.executable, "-c", given + blocks["python"], cwd=small)
     assert outcome.code == 0, outcome.err
@@ -177,6 +262,11 @@ def test_cpp_on_the_pages_is_what_the_tests_build() -> None:
         if language == "cpp"
     ]
     assert blocks and all(block in program for block in blocks)
+    build = (ROOT / "tests/consumer/CMakeLists.txt").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```cmake\n(.*?)^```", (ROOT / "README.md").read_text(encoding="utf-8"), re.M | re.DOTALL)
+    assert block.replace("(app ", "(consumer ").splitlines() == [
+        line for line in build.splitlines() if "malus" in line and "project" not in line
+    ]
 
 
 def test_help_of_an_option_stands_alone() -> None:

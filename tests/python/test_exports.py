@@ -17,7 +17,7 @@ import tifffile
 
 import malus
 from conftest import malus as run_malus
-from conftest import run_program
+from conftest import malus_here, run_program
 from malus import _core, drawings, exports
 from malus.trust import said_of
 from malus.xmp import NAMESPACE
@@ -594,6 +594,28 @@ def test_failed_export_leaves_nothing(finished_grid: Path, tmp_path: Path) -> No
     with pytest.raises(malus.InputError, match="cannot be written"):
         malus.export(finished_grid, "e57", tmp_path / "file" / "a.e57")
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_exports_of_an_earlier_surface_are_told_of(
+    finished_grid: Path, small_station_source: Path, tmp_path: Path
+) -> None:
+    """They are the user's and stay; those elsewhere, or removed, are nobody's business."""
+    work = tmp_path / "work"
+    shutil.copytree(finished_grid, work)
+    for name, output in (("stl", None), ("obj", None), ("contours", None), ("ply", tmp_path / "a.ply")):
+        malus.export(work, name, output)
+    (work / "export/contours.svg").unlink()
+    run = ("run", small_station_source / "station.toml", "-o", work, "--fusion", "grid", "--quiet")
+    kept = malus_here(*run)
+    assert kept.code == 0 and "export" not in kept.err
+    changed = malus_here(*run, "--set", "prior.smoothing_px=4")
+    told = [line for line in changed.err.splitlines() if "is of an earlier result" in line]
+    assert changed.code == 0 and len(told) == 2, changed.err
+    assert "export/surface.obj" in told[0] + told[1] and "export/surface.stl" in told[0] + told[1]
+    assert (work / "export/surface.stl").exists()
+    malus.export(work, "obj")
+    again = malus_here(*run, "--set", "prior.smoothing_px=4").err
+    assert "surface.stl is of an earlier" in again and "surface.obj" not in again
 
 
 def test_an_export_that_a_run_overtakes_is_not_kept(

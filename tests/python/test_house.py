@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -182,3 +183,19 @@ def test_what_an_outsider_runs_names_nothing_outside_of_the_repository() -> None
     for folder in ("benchmarks", "python", "scripts", "docs", "examples"):
         for file in (file for file in tracked() if file.is_relative_to(ROOT / folder)):
             assert not re.search(r"\bshared/(data|tools)", file.read_text(encoding="utf-8")), file
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="there is no compiler")
+@pytest.mark.parametrize("sanitizer", ["address", "thread"])
+def test_programs_under_sanitizers_start(tmp_path: Path, sanitizer: str) -> None:
+    """The loader picks between functions compiled for several processors before ThreadSanitizer is there: that crashed."""
+    source, program = tmp_path / "sum.cpp", tmp_path / "sum"
+    source.write_text(
+        '#include "malus/core/simd_internal.h"\n'
+        "MALUS_SIMD_CLONES double sum(const double* v, int n) {\n"
+        "  double s = 0;\n  for (int k = 0; k < n; ++k) s += v[k];\n  return s;\n}\n"
+        "int main() { const double v[] = {1, 2, 3}; return static_cast<int>(sum(v, 3)) - 6; }\n"
+    )
+    flags = ("-std=c++20", "-O1", "-g1", f"-fsanitize={sanitizer}", f"-I{ROOT / 'cpp'}")
+    subprocess.run(["g++", *flags, source, "-o", program], check=True)
+    assert subprocess.run([program], check=False).returncode == 0

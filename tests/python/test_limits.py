@@ -25,6 +25,7 @@ from malus import _patterns
 from malus._files import read_record, replacing, scratch_folder, write_record
 from malus._patterns import matching
 from malus.batch import _as_text
+from malus.errors import ending_of
 from malus.exif import tags_of
 from malus.photogrammetry.photos import describe_photo, list_photos
 
@@ -57,6 +58,20 @@ def test_too_little_memory_to_start_is_said(small_station: Path) -> None:
     outcome = malus("check", small_station, **limited(resource.RLIMIT_AS, 300 * MB))
     assert (outcome.code, outcome.err.count("\n")) == (5, 1)
     assert "300 MB" in outcome.err
+
+
+def test_libraries_that_found_no_room_are_said(
+    finished_grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pillow leaves out a kind of image whose library cannot be loaded; saving one was then KeyError: 'WEBP'."""
+    shutil.copytree(finished_grid, tmp_path / "work")
+    Image.init()
+    monkeypatch.delitem(Image.SAVE, "WEBP")
+    outcome = malus_here("report", tmp_path / "work")
+    assert outcome.code == 5 and "Pillow cannot write WEBP" in outcome.err and "report it" not in outcome.err
+    lost = ImportError("libxcb.so.1: failed to map segment from shared object")
+    assert ending_of(lost) == (5, "out of memory; see `malus check` for what the station needs")
+    assert "report it" in ending_of(ImportError("libxcb.so.1: no such file"))[1]
 
 
 def test_files_over_the_limit_of_size_are_like_a_full_disk(small_station: Path, tmp_path: Path) -> None:

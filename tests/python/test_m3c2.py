@@ -13,6 +13,7 @@ import tifffile
 
 import malus
 from conftest import malus as run_malus
+from conftest import malus_here
 from malus import m3c2
 
 # The packages that py4dgeo imports warn about each other.
@@ -56,6 +57,12 @@ def test_distance_to_a_moved_copy_is_the_motion(
     page = (work / "report/index.html").read_text()
     assert f'data-path="m3c2.distance_gsd.median">{figures["distance_gsd"]["median"]:.3g}<' in page
     assert (work / "report/figures/m3c2_distance.png").exists()
+    # Another surface: its distances are not those of this one.
+    station = malus.Workspace(work).manifest["station"]["file"]
+    changed = malus_here("run", station, "-o", work, "--fusion", "grid", "--set", "prior.smoothing_px=4", "--quiet")
+    assert changed.code == 0, changed.err
+    assert not (work / "m3c2.json").exists() and not (work / "fused/m3c2_distance.tif").exists()
+    assert "m3c2" not in (work / "report/index.html").read_text()
 
 
 @uses_py4dgeo

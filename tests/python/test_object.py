@@ -476,7 +476,8 @@ def test_command_line_makes_one_surface_and_does_nothing_twice(pair: Path, monke
     assert (output / "object/mesh.ply").read_bytes().startswith(b"ply")
     edit(output / "object/quality.json", '"gsd": ', '"gsd": 1')
     assert run_malus("object", pair, "-o", output, "--quiet").code == 0
-    assert json.loads((output / "object/quality.json").read_text())["gsd"] == quality["gsd"]
+    # There are no times in it: it is made again to the bit.
+    assert json.loads((output / "object/quality.json").read_text()) == quality
     # A cloud that is replaced while the surface is made, after the stations have been run.
     (output / "object/mesh.ply").write_bytes(b"spoiled")
     monkeypatch.setattr(object_run, "_write_mesh", changing(pair.parent / "o1/dense/cloud.ply", object_run._write_mesh))

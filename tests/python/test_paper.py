@@ -15,6 +15,7 @@ import pytest
 import tifffile
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Drawing
+from matplotlib.text import Text
 from PIL import Image
 
 import malus
@@ -25,7 +26,7 @@ from malus.demo import example_station
 from malus.figures import Plates
 from malus.paper.contact_sheet import contact_sheet
 from malus.paper.plates import oblique, sinusoids
-from malus.paper.tables import table_1, table_2
+from malus.paper.tables import SURFACES, table_1, table_2
 from malus.reconstruction import expected_times
 
 
@@ -69,6 +70,21 @@ def test_every_item_of_the_paper_is_left_for_print(paper_work: Path) -> None:
         assert title in page, title
 
 
+def test_plates_have_the_words_of_the_paper(paper_work: Path) -> None:
+    """Its tables had them, the plates beside them called the same surfaces otherwise."""
+    ours = re.compile(r"prior|fused", re.IGNORECASE)
+    named = (paper_work / "paper/captions.md").read_text().split("\n", 1)[1]
+    assert not ours.findall(named)
+    for path in (paper_work / "paper").glob("*.csv"):
+        assert not ours.findall(path.name + path.read_text()), path
+    plates = Plates(malus.Workspace(paper_work), for_print=True, words=SURFACES)
+    for figure in (*plates.profiles(), *plates.patches()):
+        assert figure.drawing is not None
+        said = [text.get_text() for text in figure.drawing.findobj(Text)]
+        assert any("fusion" in text for text in said) and not ours.findall(" ".join(said)), figure.name
+    assert any("fused" in figure.csv() for figure in Plates(malus.Workspace(paper_work)).profiles())
+
+
 def test_sinusoid_plate_fits_what_was_measured(paper_work: Path) -> None:
     with (paper_work / "paper/fig_01c_sinusoids.csv").open() as file:
         rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
@@ -82,11 +98,11 @@ def test_all_curves_of_a_profile_are_in_its_numbers(paper_work: Path) -> None:
     """Those of the lower panel, too: the detail by which the surfaces differ."""
     with (paper_work / "paper/fig_12_profile_1.csv").open() as file:
         rows = list(csv.DictReader(file))
-    section = np.array([float(row["fused_mm"] or "nan") for row in rows])
-    detail = np.array([float(row["fused_detail_um"] or "nan") for row in rows]) / 1000
+    section = np.array([float(row["fusion_mm"] or "nan") for row in rows])
+    detail = np.array([float(row["fusion_detail_um"] or "nan") for row in rows]) / 1000
     known = np.isfinite(section)
     assert known.sum() > 20 and np.array_equal(known, np.isfinite(detail))
-    assert {"prior_mm", "polarization_mm", "prior_detail_um"} <= rows[0].keys()
+    assert {"photogrammetry_mm", "polarization_mm", "photogrammetry_detail_um"} <= rows[0].keys()
     form = (section - detail)[known]
     assert np.abs(np.diff(form, 2)).max() < np.abs(np.diff(section[known], 2)).max(), "what is left is smoother"
 
@@ -98,7 +114,11 @@ def test_time_of_the_optimization_and_the_plates_is_expected(small_station: Path
     paper.optimize.enabled = False
     by_eq_16 = dict(expected_times(station, paper, threads=1))
     assert together["fuse"] > 20 * by_eq_16["fuse"] and together["height"] == by_eq_16["height"]
-    outcome = run_malus("paper", small_station, "-o", small_station.parent / "work", "--threads", "2", "--json")
+    work, cloud = small_station.parent / "work", small_station.parent / "dense/cloud.ply"
+    outcome = run_malus("paper", small_station, "-o", work, "--reference", cloud, "--threads", "2", "--json")
+    assert "error [GSD]" in (work / "paper/table_1.csv").read_text()
+    (row, *_) = csv.DictReader((work / "paper/table_1.csv").read_text().splitlines())
+    assert float(row["error [GSD]"]) > 0
     shares: dict[str, float] = {}
     for line in outcome.out.splitlines():
         event = json.loads(line)
@@ -190,6 +210,23 @@ def test_campaign_keeps_names_that_look_like_numbers(paper_work: Path, tmp_path:
     for name in ("table_1", "table_2"):
         assert "| 19470 |" in (tmp_path / f"all/{name}.md").read_text(), name
         assert "\n19470," in (tmp_path / f"all/{name}.csv").read_text(), name
+
+
+def test_detail_beside_a_spike_can_be_read(paper_work: Path) -> None:
+    """A highlight of 11 mm made 50 µm a line."""
+    plates = Plates(malus.Workspace(paper_work), for_print=True, words=SURFACES)
+    profile = dict(plates.quality["profiles"][0])
+    spiked = list(profile["fused"])
+    spiked[len(spiked) // 2] += 11
+    plates.quality = plates.quality | {"profiles": [profile | {"fused": spiked}]}
+    (figure,) = plates.profiles()
+    assert figure.drawing is not None
+    below = figure.drawing.axes[1]
+    low, high = below.get_ylim()
+    assert high - low < 3000
+    (tip,) = [line for line in below.lines if line.get_marker() == "^" and len(line.get_xdata())]
+    assert tip.get_xdata()[0] == pytest.approx(profile["position"][len(spiked) // 2]) and tip.get_ydata()[0] == high
+    assert "cut off at the triangles, where fusion reaches from -" in figure.caption
 
 
 def test_histogram_of_a_rough_patch_can_be_read(paper_work: Path) -> None:

@@ -23,6 +23,7 @@ from PIL import Image
 import malus as package
 from conftest import EXAMPLE, QUICK, QUICK_WORDS, demo_with_photos, edit, malus, malus_station
 from malus import _core
+from malus._files import sha256_of
 from malus.photogrammetry import database, photo_cameras
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.metashape import read_metashape
@@ -238,11 +239,13 @@ def test_what_did_not_change_is_made_once(small_station: Path, tmp_path: Path, m
     shutil.copytree(small_station.parent / "pol", small_station.parent / "views")
     edit(small_station, '[prior]\ncloud = "dense/cloud.ply"', '[photos]\nfolder = "views"')
     lens = package.Camera("PINHOLE", width, height, params, rotation, translation)
+    views = small_station.parent / "views"
+    figures = {"photogrammetry": {"files": {path.name: sha256_of(path) for path in views.iterdir()}}}
     surfaces = []
 
     def find(*_: object, log: Callable[[str, str], None], **__: object) -> SimpleNamespace:
         log("warning", "few photos")
-        return SimpleNamespace(station=lens, figures={}, times={"seconds": 1.0}, warnings=[])
+        return SimpleNamespace(station=lens, figures=figures, times={"seconds": 1.0}, warnings=[])
 
     def sweep(*_: object, fuse: Callable[[Any], Any], **__: object) -> package.photogrammetry.Swept:
         assert prior.prior_depth is not None and prior.prior_sigma is not None
@@ -268,10 +271,19 @@ def test_what_did_not_change_is_made_once(small_station: Path, tmp_path: Path, m
     steps = [step for step in STEPS if step not in ("m3c2", "paper", "report")]
     kept = {event.step for event in events if event.message == "kept from an earlier run"}
     assert kept == set(steps)
-    if find_spec("rocrate") is not None and find_spec("bagit") is not None:
-        with zipfile.ZipFile(package.export(tmp_path / "work", "archive")) as file:
-            packed = {name.partition("/inputs/")[2] for name in file.namelist()}
-        assert {f"{folder}/pol_030.tif" for folder in ("pol", "views")} <= packed
+    pytest.importorskip("rocrate")
+    pytest.importorskip("bagit")
+    shutil.copy(views / "pol_030.tif", views / "later.tif")
+    with zipfile.ZipFile(package.export(tmp_path / "work", "archive")) as file:
+        packed = {name.partition("/inputs/")[2] for name in file.namelist()}
+        graph = json.loads(file.read("small/data/ro-crate-metadata.json"))["@graph"]
+    assert {f"{folder}/pol_030.tif" for folder in ("pol", "views")} <= packed
+    assert "views/later.tif" not in packed  # the surface was not made from it
+    stated = {entity["@id"]: entity.get("sha256") for entity in graph}
+    assert stated["inputs/views/pol_030.tif"] == sha256_of(views / "pol_030.tif")
+    (views / "pol_030.tif").write_bytes((views / "pol_060.tif").read_bytes())
+    with pytest.raises(package.InputError, match=r"views/pol_030\.tif: was changed since"):
+        package.export(tmp_path / "work", "archive")
 
 
 def test_journal_repeats_only_what_changed(tmp_path: Path) -> None:

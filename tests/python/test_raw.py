@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import malus
 from conftest import malus as run_malus
 from conftest import malus_station
 from malus import raw
+from malus._files import sha256_of
 
 BLACK, WHITE = 512, 16383
 ANGLES = (0, 45, 90, 135)
@@ -103,6 +105,29 @@ def test_the_bytes_that_are_hashed_are_developed(station: Path, tmp_path: Path) 
     content, pixels = path.read_bytes(), raw.linear_image(path)
     write_dng(path, scene(0) * 0.5)
     np.testing.assert_array_equal(raw.linear_image(path, content), pixels)
+
+
+def test_the_archive_has_the_raw_files_that_were_developed(small_station: Path, tmp_path: Path) -> None:
+    for package in ("rawpy", "rocrate", "bagit"):
+        pytest.importorskip(package)
+    for path in sorted((small_station.parent / "pol").iterdir()):
+        write_dng(path.with_suffix(".dng"), tifffile.imread(path) / WHITE)
+    text = small_station.read_text().replace(".tif", ".dng").replace(f"white_level = {WHITE}\n", "")
+    small_station.write_text(text)
+    work = tmp_path / "work"
+    malus.reconstruct(malus.Station.load(small_station), malus.Options(fusion="grid"), workspace=work)
+    with zipfile.ZipFile(malus.export(work, "archive")) as file:
+        graph = json.loads(file.read("small/data/ro-crate-metadata.json"))["@graph"]
+    stated = {entity["@id"]: entity.get("sha256") for entity in graph if entity["@type"] == "File"}
+    packed = small_station.parent / "pol/pol_030.dng"
+    assert stated["inputs/pol/pol_030.dng"] == sha256_of(packed)
+    assert {name for name, digest in stated.items() if not digest} == {
+        "metadata/dublin_core.xml",
+        "results/manifest.json",
+    }
+    packed.write_bytes(packed.read_bytes()[:-1] + b"x")
+    with pytest.raises(malus.InputError, match=r"pol_030\.dng: was changed since"):
+        malus.export(work, "archive")
 
 
 def test_noise_comes_from_the_file(station: Path, tmp_path: Path) -> None:

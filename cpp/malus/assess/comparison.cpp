@@ -31,6 +31,19 @@ std::vector<Eigen::Vector3d> spread_points(const FusedSurface& surface) {
   return points;
 }
 
+/// Farther off is mostly a matter of place: a right surface is wrong by a few at most.
+constexpr int beside_gsd = 5;
+const std::string own_frame = "; if the reference has a frame of its own, `malus assess --register` finds its place";
+
+bool is_mostly_beyond(const Image<float>& distance, double limit) {
+  std::size_t known = 0, beyond = 0;
+  for (const float value : distance) {
+    known += std::isfinite(value) ? 1U : 0U;
+    beyond += std::abs(value) > limit ? 1U : 0U;
+  }
+  return 2 * beyond > known;
+}
+
 /// next ∘ first.
 SimilarityTransform compose(const SimilarityTransform& next, const SimilarityTransform& first) {
   SimilarityTransform result;
@@ -148,7 +161,10 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
       std::count_if(surface.depth.begin(), surface.depth.end(), [](float z) { return std::isfinite(z); });
   if (distances_gsd.empty()) {
     result.status = ComparisonStatus::nothing_near;
-    context.log(LogLevel::warning, "no pixel is near the reference (assess.max_distance_gsd)");
+    context.log(LogLevel::warning, "no pixel is near the reference (assess.max_distance_gsd)" + own_frame);
+  } else if (options.alignment == Alignment::none && is_mostly_beyond(result.distance, beside_gsd * gsd)) {
+    context.log(LogLevel::warning, "half of the surface lies farther than " + std::to_string(beside_gsd) +
+                                       " GSD from the reference" + own_frame);
   }
   result.compared_fraction = known > 0 ? static_cast<double>(distances_gsd.size()) / static_cast<double>(known) : 0;
   result.histogram_gsd = distance_histogram(distances_gsd, options.histogram_range_gsd, options.histogram_bins);

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import struct
 from dataclasses import replace
@@ -11,9 +10,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from malus._files import write_bytes
+from malus.figures import encode
 from malus.object.texture import TexturedMesh
 from malus.units import METERS
 
@@ -24,9 +23,7 @@ _WEBP = "EXT_texture_webp"
 
 def encoded(image: NDArray[np.uint8], kind: str, *, lossless: bool = False) -> bytes:
     """An image file in memory: JPEG, PNG or WEBP."""
-    content = io.BytesIO()
-    Image.fromarray(image).save(content, kind, quality=_QUALITY, lossless=lossless)
-    return content.getvalue()
+    return encode(image, kind, quality=_QUALITY, lossless=lossless)
 
 
 def glb(mesh: TexturedMesh, unit: str, name: str, *, webp: bool = False) -> bytes:

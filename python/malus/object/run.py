@@ -7,7 +7,6 @@ import json
 import math
 import shutil
 import tempfile
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -203,7 +202,6 @@ def _fuse(
     threads: int,
     say: Progress,
 ) -> None:
-    start = time.monotonic()
     done = [outcome for outcome in outcomes if outcome["status"] == "done"]
     (folder / "quality.json").unlink(missing_ok=True)
     # Of an earlier surface, which may have had other stations, or of a run that was ended.
@@ -249,7 +247,7 @@ def _fuse(
             "mesh": mesh_figures(mesh, gsd), "levels": levels, "albedo": albedos.figures(), "reference": compared, "agreement": agreement.agreement_figures(agreements, gsd),
             "sharpened_by": [view.name for view, _ in told],
             "photogrammetry": None if frame is None else frame.figures,
-            "warnings": _warnings(outcomes, [] if frame is None else frame.warnings, mesh, thing, folder.parent, compared), "seconds": round(time.monotonic() - start, 1),
+            "warnings": _warnings(outcomes, [] if frame is None else frame.warnings, mesh, thing, folder.parent, compared),
         }  # fmt: skip
         files += [
             folder / "mesh.ply",

@@ -153,8 +153,9 @@ def oblique(relief: Raster, shade: Raster, tilt_deg: float = _TILT_DEG) -> NDArr
 def views(plates: Plates) -> Iterator[Figure]:
     """Shaded oblique views of the three surfaces (Fig. 10)."""
     reliefs: dict[str, tuple[str, Raster, float]] = {}
-    for name, title in (("prior", "Photogrammetry"), ("fused", "Fusion")):
-        reliefs[name] = (title, plates.relief[name], plates.gsd * plates.step)
+    for name in ("prior", "fused"):
+        called = plates.words[name]
+        reliefs[called] = (called.capitalize(), plates.relief[name], plates.gsd * plates.step)
     if plates.quality["polarization_height"] is not None and plates.workspace.has("height/height.tif"):
         raster = plates.raster("height/height.tif")
         if np.isfinite(raster).any():

@@ -11,12 +11,12 @@ from malus.errors import InputError
 from malus.figures import Figure, Plates, encode
 from malus.paper import plates as own
 from malus.paper.contact_sheet import contact_sheet
-from malus.paper.tables import WORDS, Table, table_1, table_2
+from malus.paper.tables import SURFACES, WORDS, Table, table_1, table_2
 from malus.workspace import Workspace
 
 TABLES = ("table_1", "table_2")
 _NAMES = (
-    "In the figures *prior* is the surface by photogrammetry and *fused* the fusion, as malus calls them everywhere else. "
+    "*Photogrammetry* is what malus calls the prior everywhere else, and *fusion* its fused surface. "
     "The numbers of each figure are in the CSV file of its name.\n"
 )
 
@@ -49,7 +49,7 @@ def write_paper(work: str | Path) -> Path:
     shows; contact_sheet.png has all plates on one page; each table is .csv and .md. Raises InputError unless all that they show is as the steps left it.
     """
     workspace = Workspace(work)
-    plates = Plates(workspace, for_print=True)
+    plates = Plates(workspace, for_print=True, words=SURFACES)
     tables = [table_1(workspace), table_2(workspace)]
     pictures, captions = [], []
     with workspace.recording("paper") as files:

@@ -211,6 +211,7 @@ def _placed_and_scaled(
             "points": len(model.points),
             "relief": solved.model.relief(),
             "windows": matched.figures,
+            "files": solved.hashes,
         },
         "scale": scale,
     }

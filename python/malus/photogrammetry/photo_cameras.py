@@ -89,6 +89,8 @@ class PhotoCameras:
     pairs: int
     sparing: bool
     """Whether matches are so few that they were searched for again, and that fewer place an image."""
+    hashes: dict[str, str]
+    """SHA-256 of every photo by its name, as it was read."""
 
 
 def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) -> PhotoCameras:
@@ -145,6 +147,7 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
         unregistered=[photo.name for photo in photos if photo.name not in model.images],
         pairs=len(pairs),
         sparing=sparing,
+        hashes=hashes,
     )
 
 

@@ -43,7 +43,7 @@ class StationDocument:
     def read(cls, path: Path) -> StationDocument:
         """Read a file; InputError unless it is TOML in UTF-8."""
         try:
-            return cls(path, read_regular(path).decode("utf-8"))
+            return cls(path, read_regular(path).decode("utf-8-sig"))
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
         except UnicodeDecodeError:
@@ -99,7 +99,7 @@ class StationDocument:
     def require(self, expected: str | None) -> None:
         """Raise ChangedError unless the file is the one that `expected` is the digest of; InputError if there must be none (None)."""
         # Bytes: text mode would turn the line ends of Windows into others.
-        current = digest_of(self.path.read_bytes().decode("utf-8", "replace")) if self.path.exists() else None
+        current = digest_of(self.path.read_bytes().decode("utf-8-sig", "replace")) if self.path.exists() else None
         if current == expected:
             return
         if expected is None:

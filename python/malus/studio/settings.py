@@ -52,7 +52,7 @@ def change(station: Path, name: str, value: Any) -> None:
         Options().update({section: {key: value}})
     path = file_of(station)
     try:
-        document = tomlkit.parse(path.read_text(encoding="utf-8") if path.is_file() else "")
+        document = tomlkit.parse(path.read_text(encoding="utf-8-sig") if path.is_file() else "")
     except (TOMLKitError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not valid TOML ({error})") from None
     table = document.setdefault(section, tomlkit.table())

@@ -151,6 +151,21 @@ TEST(Comparison, FarPixelsAreLeftOutAndNamed) {
   const ReferenceComparison nothing = compare_with_reference(wavy(50), mesh_of(reference_view), gsd, options, context);
   EXPECT_EQ(nothing.status, ComparisonStatus::nothing_near);
   EXPECT_NE(said.find("no pixel is near the reference"), std::string::npos) << said;
+  EXPECT_NE(said.find("--register"), std::string::npos) << said;
+}
+
+TEST(Comparison, AReferenceBesideTheSurfaceIsSaid) {
+  const TriangleMesh reference = mesh_of(wavy(0));
+  std::string said;
+  Context context;
+  context.on_log = [&](LogLevel, const std::string& message) { said += message; };
+  AssessOptions options;
+  compare_with_reference(wavy(4 * gsd), reference, gsd, options, context);
+  EXPECT_TRUE(said.empty()) << said;
+  const ReferenceComparison beside = compare_with_reference(wavy(8 * gsd), reference, gsd, options, context);
+  EXPECT_EQ(beside.status, ComparisonStatus::done);
+  EXPECT_NE(said.find("farther than 5 GSD from the reference"), std::string::npos) << said;
+  EXPECT_NE(said.find("--register"), std::string::npos) << said;
 }
 
 TEST(Comparison, IcpUndoesAKnownMotionAndIsOffByDefault) {
