@@ -53,7 +53,9 @@ void run_by_tbb(int threads, int calls, const Work& work) {
   }
   // The arena says how many threads a loop has, also if there are fewer processors.
   constexpr std::size_t most_threads = 256;
-  static const auto* const limit = new tbb::global_control(tbb::global_control::max_allowed_parallelism, most_threads);
+  // Never let go of. Volatile, or compilers drop the pointer and LeakSanitizer takes what it points to for lost.
+  static const tbb::global_control* const volatile limit =
+      new tbb::global_control(tbb::global_control::max_allowed_parallelism, most_threads);
   static_cast<void>(limit);
   // Kept, since the loops of a thread mostly have the same number of threads: these stay together.
   thread_local std::unique_ptr<tbb::task_arena, Release> arena;
