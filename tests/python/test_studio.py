@@ -938,25 +938,33 @@ def test_what_is_typed_while_an_answer_is_awaited_stays(served: Served, page: An
     level.press("Tab")
     wait_for(page, lambda: "white_level = 60000" in station.read_text())
     assert 'name = "Quick"' in station.read_text()
+    wait_for(page, lambda: level.get_attribute("value") == "60000")
     # What was typed in whole before the answer came is a change, too.
     kept = held(page, "set")
     place.fill("Slow")
     level.click()
     level.fill("")
     let_go(page, kept, "set")
-    page.locator("#plan", has_text=re.compile("Ready|cannot run yet")).wait_for()
+    wait_for(page, lambda: place.get_attribute("value") == "Slow")
     level.press("Tab")
     wait_for(page, lambda: "white_level" not in station.read_text())
     assert 'name = "Slow"' in station.read_text()
+    wait_for(page, lambda: not level.get_attribute("value"))
     # So does what was marked: the next key replaces it.
     kept = held(page, "set")
     level.fill("50000")
     place.select_text()  # which leaves the level
     let_go(page, kept, "set")
-    wait_for(page, lambda: level.input_value() == level.get_attribute("value") == "50000")
+    wait_for(page, lambda: level.get_attribute("value") == "50000")
     page.keyboard.insert_text("Marked")
+    kept = held(page, "set")
+    level.select_text()  # which leaves the name
+    let_go(page, kept, "set")
+    wait_for(page, lambda: place.get_attribute("value") == "Marked")
+    page.keyboard.insert_text("70000")
     page.keyboard.press("Tab")
-    wait_for(page, lambda: 'name = "Marked"' in station.read_text())
+    wait_for(page, lambda: "white_level = 70000" in station.read_text())
+    assert 'name = "Marked"' in station.read_text()
 
 
 @needs_browser

@@ -23,23 +23,28 @@ export function redraw(place, ...children) {
   const old = before[at];
   const called = calledOf(old);
   const typed = isText(old) && old.value !== old.defaultValue ? old.value : null;
-  const marked = isText(old) ? [old.selectionStart, old.selectionEnd] : null;
+  const marked = isText(old) ? markedIn(old) : null;
   // Browsers take its removal for the end of typing.
   old.addEventListener('change', (event) => event.stopImmediatePropagation(), { capture: true });
   place.replaceChildren(...children);
   const now = controlsOf(place);
   const same = now.find((control) => calledOf(control) === called) ?? now[at];
   same?.focus();
-  if (!marked || !same || !isText(same)) return;
+  if (!same || !isText(same)) return;
   if (typed !== null) goOnTyping(same, typed);
-  markAgain(same, marked, typed);
+  if (marked) markAgain(same, marked);
 }
 
-// What was marked stays marked: what is typed next replaces it, as if nothing had been drawn. Fields of numbers do not tell what is
-// marked in them: one that was only entered is marked whole, as the Tab key does it.
-function markAgain(field, [start, end], typed) {
-  if (start !== null && field.selectionStart !== null) field.setSelectionRange(start, end);
-  else if (typed === null) field.select();
+// Where what is marked in a field begins and ends. Fields of numbers do not tell, but whether it is all of them.
+function markedIn(field) {
+  if (field.selectionStart !== null) return [field.selectionStart, field.selectionEnd];
+  return field.value !== '' && String(document.getSelection()) === field.value ? [0, field.value.length] : null;
+}
+
+// What was marked stays marked: what is typed next replaces it, as if nothing had been drawn.
+function markAgain(field, [start, end]) {
+  if (field.selectionStart !== null) field.setSelectionRange(start, end);
+  else field.select();
 }
 
 // What a program puts into a field does not count as a change by the user: that is told when the field is left.

@@ -77,6 +77,7 @@ const drawn = (field, title, said, what) => row(field, title, make('output', {},
 
 const set = (changes) => {
   byId('plan').textContent = 'Saving …';
+  asked += 1;  // What an earlier check says is no longer of interest.
   return doing(async () => { await change(changes); await draw(); })();
 };
 const text = (field, title, table, key, { kind = 'text', help = '', placeholder = '' } = {}) => row(field, title, make('input', { type: kind, step: 'any', value: under(table, key) ?? '', placeholder,
