@@ -484,6 +484,19 @@ def test_the_edge_that_is_found_has_no_specks(tmp_path: Path) -> None:
     assert (object_ != disc)[np.abs(away - 70) > 3].sum() == 0
 
 
+def test_where_no_edge_is_found_what_is_painted_stays(tmp_path: Path) -> None:
+    import tifffile
+
+    from malus.errors import DataError
+    from malus.studio import masks
+
+    v, u = np.mgrid[:240, :320]
+    seen = np.random.default_rng(1).integers(100, 110, v.shape, np.uint8)
+    tifffile.imwrite(tmp_path / "same.tif", seen)
+    with pytest.raises(DataError, match="no edge was found by color"):
+        masks.cut_out(tmp_path / "same.tif", np.where(np.hypot(u - 160, v - 120) < 20, 3, 0).astype(np.uint8), 2)
+
+
 def test_marks_are_judged_at_once(served: Served) -> None:
     model = SparseModel.read(served.folder / "sparse")
     cameras = {name: image.camera for name, image in model.images.items() if name.startswith("view")}

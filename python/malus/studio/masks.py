@@ -76,9 +76,13 @@ def cut_out(image: Path, hints: Bytes, threads: int) -> bytes:
     step = step_for(picture.shape, _CUT_SIDE_PX)
     small = np.ascontiguousarray(picture[::step, ::step])
     found = _core.cut_out_object(small, np.ascontiguousarray(hints[::step, ::step]), _CUT_ITERATIONS, threads)
-    whole = Image.fromarray(without_specks(found)).resize(
-        (picture.shape[1], picture.shape[0]), Image.Resampling.BILINEAR
-    )
+    cleaned = without_specks(found)
+    if not cleaned.any():
+        raise DataError(
+            "no edge was found by color: what is painted looks like what lies around it. It stays as it is; the brush and the "
+            "eraser make a mask without it"
+        )
+    whole = Image.fromarray(cleaned).resize((picture.shape[1], picture.shape[0]), Image.Resampling.BILINEAR)
     return encode(np.where(np.asarray(whole) >= 128, 255, 0).astype(np.uint8), "PNG")
 
 

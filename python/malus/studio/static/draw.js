@@ -168,8 +168,13 @@ async function cutOut() {
   if (!near) throw new Error('Paint roughly over the object first; the edge is then found around it.');
   byId('draw-state').textContent = 'Finding the edge …';
   const hints = await layer.png((kind, x, y) => kind ? 3 : x > near[0] && y > near[1] && x < near[2] && y < near[3] ? 2 : 0);
-  await layer.load(await send('POST', 'cut', { image: image.value }, hints));
-  byId('draw-state').textContent = 'The edge was found by color. Correct it with brush and eraser, or find it again.';
+  let said = '';
+  try {
+    await layer.load(await send('POST', 'cut', { image: image.value }, hints));
+    said = 'The edge was found by color. Correct it with brush and eraser, or find it again.';
+  } finally {
+    byId('draw-state').textContent = said;
+  }
 }
 
 async function outline() {
