@@ -764,10 +764,7 @@ class Plates:
                     f"Patch {patch['name']}",
                     "distance to the fitted plane [GSD]",
                     {name: fit["histogram_gsd"] for name, fit in fits.items()},
-                    {
-                        name: f"{self.words[name]}: RMSE {fit['rmse_gsd']:.3g} GSD, classes of {fit['histogram_gsd']['bin_width']:.2g}"
-                        for name, fit in fits.items()
-                    },
+                    {name: f"{self.words[name]}: RMSE {fit['rmse_gsd']:.3g} GSD" for name, fit in fits.items()},
                 )
 
 

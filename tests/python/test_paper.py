@@ -247,11 +247,11 @@ def test_histogram_of_a_rough_patch_can_be_read(paper_work: Path) -> None:
 
 def test_histograms_with_classes_of_their_own_can_be_compared(paper_work: Path) -> None:
     """Classes of one width for all surfaces put a flat one into a single bar; wide ones must not hide narrow ones either."""
-    plates = Plates(malus.Workspace(paper_work), for_print=True)
+    plates = Plates(malus.Workspace(paper_work), for_print=True, words=SURFACES)
 
     def fit(width: float, classes: int) -> dict[str, object]:
         bins = {"low": -width * classes / 2, "bin_width": width, "counts": [7] * classes, "below": 0, "above": 0}
-        return {"rmse_gsd": width, "histogram_gsd": bins}
+        return {"rmse_gsd": 1.0123 * width, "histogram_gsd": bins}
 
     patch = {"name": "flat", "prior": fit(0.05, 10), "polarization": fit(2, 10), "fused": fit(0.01, 10)}
     plates.quality = plates.quality | {"patches": [patch]}
@@ -259,10 +259,14 @@ def test_histograms_with_classes_of_their_own_can_be_compared(paper_work: Path) 
     assert figure.drawing is not None
     axes = figure.drawing.axes[0]
     heights = {line.get_label().split(":")[0]: line.get_data().values.max() for line in axes.patches}
-    assert heights["fused"] == pytest.approx(10) and heights["prior"] == pytest.approx(2)
+    assert heights["fusion"] == pytest.approx(10) and heights["photogrammetry"] == pytest.approx(2)
     assert np.diff(axes.get_xlim())[0] == pytest.approx(1.1 * 0.5), "five times the range of the narrowest, and margins"
     assert "in 0.01 GSD" in axes.get_ylabel() and "Beyond the scale: polarization" in figure.caption
-    assert "prior: RMSE 0.05 GSD, classes of 0.05" in [text.get_text() for text in axes.get_legend().get_texts()]
+    assert "classes of 0.05 (photogrammetry), 2 (polarization), 0.01 (fusion) GSD" in figure.caption
+    legend = axes.get_legend()
+    assert "photogrammetry: RMSE 0.0506 GSD" in [text.get_text() for text in legend.get_texts()]
+    FigureCanvasAgg(figure.drawing).draw()
+    assert legend.get_window_extent().x1 <= figure.drawing.bbox.x1, "it was cut off with the paper's words"
 
 
 def test_shares_of_classes_stand_below_their_map(paper_work: Path) -> None:
