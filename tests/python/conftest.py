@@ -53,6 +53,7 @@ LONGEST_FIRST = (
     "test_object.py",
     "test_pipeline.py",
     "test_studio.py",
+    "test_studio_in_haste.py",
     "test_docs.py",
     "test_batch.py",
     "test_control.py",

@@ -8,14 +8,8 @@ import json
 import os
 import re
 import shutil
-import signal
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import closing
-from dataclasses import dataclass
-from http.client import HTTPConnection
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -28,98 +22,34 @@ from conftest import EXAMPLE
 from malus import InputError, Station, _core
 from malus.figures import encode
 from malus.photogrammetry.model import SparseModel
+from studio_browser import (
+    PATIENCE_MS,
+    RUN_MS,
+    Served,
+    brought,
+    chromium,
+    draw,
+    go,
+    needs_browser,
+    needs_studio,
+    opened,
+    pictured,
+    require_accessible,
+    studio,
+)
 from test_raw import ANGLES, scene, write_dng
 
 marks = pytest.importorskip("malus.studio.marks")
-pytestmark = pytest.mark.skipif(
-    any(find_spec(name) is None for name in ("starlette", "uvicorn", "tomlkit")),
-    reason="the extra studio is not installed",
-)
-
-CHROMIUM = next((path for path in (os.environ.get("MALUS_CHROMIUM"), shutil.which("chromium"), shutil.which("google-chrome")) if path), None)  # fmt: skip
-needs_browser = pytest.mark.skipif(
-    CHROMIUM is None or find_spec("playwright") is None or find_spec("axe_playwright_python") is None,
-    reason="Chromium, playwright or axe-playwright-python is not installed",
-)
-#: How long an answer of the page and a run may take on a machine that is busy otherwise.
-PATIENCE_MS, RUN_MS = 180_000, 900_000
-#: Where the browser's pictures go, to be looked at.
-PICTURES = Path(os.environ.get("MALUS_PICTURES", ""))
-
-
-@dataclass
-class Served:
-    """A Studio that runs for a folder."""
-
-    folder: Path
-    entrance: str
-
-    @property
-    def host(self) -> str:
-        return urlsplit(self.entrance).netloc
-
-    def ask(
-        self, method: str, address: str, headers: dict[str, str], body: str | bytes = ""
-    ) -> tuple[int, dict[str, str], str]:
-        content = body if isinstance(body, bytes) else body.encode()
-        with closing(HTTPConnection(self.host, timeout=120)) as connection:
-            connection.putrequest(method, address, skip_host=True)
-            for name, value in {"Host": self.host, "Content-Length": str(len(content)), **headers}.items():
-                connection.putheader(name, value)
-            connection.endheaders(content)
-            response = connection.getresponse()
-            said = {name.lower(): value for name, value in response.getheaders()}
-            return response.status, said, response.read().decode(errors="replace")
-
-    def tell(self, name: str, body: object, method: str = "POST") -> tuple[int, Any]:
-        """What a page of this Studio is answered."""
-        cookie = self.cookie()
-        own = {"Cookie": cookie, "Origin": f"http://{self.host}", "X-Malus-Page": self.page_token(cookie)}
-        sent = body if isinstance(body, str | bytes) else json.dumps(body)
-        status, _, text = self.ask(method, f"/api/{name}", own, sent)
-        return status, json.loads(text) if text.startswith(("{", "[")) else text
-
-    def cookie(self) -> str:
-        _, headers, _ = self.ask("GET", "/?" + urlsplit(self.entrance).query, {})
-        return headers["set-cookie"].split(";")[0]
-
-    def page_token(self, cookie: str) -> str:
-        found = re.search(r'name="malus-page" content="([^"]+)"', self.ask("GET", "/", {"Cookie": cookie})[2])
-        assert found
-        return found[1]
-
-
-def start(folder: Path) -> tuple[subprocess.Popen[str], Served]:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "malus", "studio", str(folder), "--no-browser"], stdout=subprocess.PIPE, text=True
-    )
-    assert process.stdout is not None
-    for line in process.stdout:
-        if "token=" in line:
-            return process, Served(folder, line.strip())
-    raise AssertionError("malus studio printed no address")
-
-
-def stop(process: subprocess.Popen[str]) -> int:
-    process.send_signal(signal.SIGINT)
-    assert process.stdout is not None
-    process.stdout.close()
-    return process.wait(timeout=180)
+pytestmark = needs_studio
 
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory, small_station_source: Path) -> Iterator[Served]:
-    folder = tmp_path_factory.mktemp("studio") / "museum"
-    shutil.copytree(small_station_source, folder)
-    (folder / "station.toml").unlink()
-    (folder / "views").mkdir()
-    for name in ("view_00.jpg", "view_04.jpg", "view_08.jpg"):
-        shutil.copy(EXAMPLE / "views" / name, folder / "views")
+    folder = brought(small_station_source, tmp_path_factory.mktemp("studio") / "museum")
     (folder.parent / "secret.png").write_bytes((EXAMPLE / "pol" / "pol_000.png").read_bytes())
     (folder / "way_out").symlink_to(folder.parent)
-    process, studio = start(folder)
-    yield studio
-    assert stop(process) == 0
+    with studio(folder) as running:
+        yield running
 
 
 # ---- who may talk to it ----
@@ -334,7 +264,7 @@ def test_a_mask_is_not_written_for_a_station_that_changed_meanwhile(served: Serv
     assert status == 409 and "drawn.toml: was changed by another program" in said["error"]
     assert (served.folder / "drawn_mask.png").read_bytes() == before
     # After it was read again, what was drawn is saved, and what the other wrote stays.
-    digest = ask(served, "station?path=drawn.toml")["digest"]
+    digest = served.asked("station?path=drawn.toml")["digest"]
     assert save(digest, 0, known)[0] == 200
     assert (served.folder / "drawn_mask.png").read_bytes() != before
     assert "# mine" in (served.folder / "drawn.toml").read_text()
@@ -566,51 +496,8 @@ def test_direction_and_zero_are_told_by_the_coarse_surface(tmp_path: Path) -> No
 
 @pytest.fixture(scope="module")
 def page(served: Served) -> Iterator[Any]:
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        shown = browser.new_context(viewport={"width": 1280, "height": 900}).new_page()
-        problems: list[str] = []
-        shown.on("pageerror", lambda error: problems.append(str(error)))
-        shown.on(
-            "console",
-            lambda line: (
-                problems.append(line.text)
-                if line.type == "error" and not re.search("status of 40[09]", line.text)
-                else None
-            ),
-        )
-        shown.set_default_timeout(PATIENCE_MS)
-        shown.goto(served.entrance)
+    with chromium() as browser, opened(browser, served) as shown:
         yield shown
-        assert not problems
-        browser.close()
-
-
-def hurry(page: Any, name: str) -> None:
-    page.get_by_role("banner").get_by_role("button", name=name, exact=True).click()
-
-
-def go(page: Any, name: str) -> None:
-    hurry(page, name)
-    page.locator("main:not([aria-busy])").wait_for()
-
-
-def pictured(page: Any, name: str) -> None:
-    if PICTURES.name:
-        page.screenshot(path=PICTURES / f"{name}.png")
-
-
-def require_accessible(page: Any) -> None:
-    from axe_playwright_python.sync_playwright import Axe
-
-    found = [v for v in Axe().run(page).response["violations"] if v["impact"] in ("serious", "critical")]
-    assert not found, [(v["id"], [node["html"] for node in v["nodes"]][:3]) for v in found]
-
-
-def ask(served: Served, address: str) -> Any:
-    return json.loads(served.ask("GET", f"/api/{address}", {"Cookie": served.cookie()})[2])
 
 
 @needs_browser
@@ -709,9 +596,7 @@ def run_and_show(page: Any) -> None:
 @needs_browser
 def test_patches_by_keyboard_alone_and_undone(served: Served, page: Any) -> None:
     station = served.folder / "station.toml"
-    go(page, "Draw")
-    page.locator("#draw-what").select_option("patch")
-    page.locator("#draw-stage:not([inert])").wait_for()  # what is inert takes no focus
+    draw(page, "patch")
     page.locator("[data-tool=box]").focus()
     page.keyboard.press("Enter")
     page.locator("#draw-stage").focus()
@@ -873,7 +758,7 @@ def test_several_stations_are_queued_and_two_results_compared(served: Served, pa
     other.locator("p[data-state]", has_text="left").first.wait_for()
     other.close()  # which ends no run
     deadline = time.monotonic() + RUN_MS / 1000
-    while {run["state"] for run in ask(served, "runs")} != {"done"}:
+    while {run["state"] for run in served.asked("runs")} != {"done"}:
         assert time.monotonic() < deadline
         time.sleep(0.2)
     go(page, "Results")
@@ -883,7 +768,7 @@ def test_several_stations_are_queued_and_two_results_compared(served: Served, pa
     page.get_by_text("RMS").wait_for()
     require_accessible(page)
     pictured(page, "compared")
-    said = ask(served, "difference?a=first_work&b=second_work")
+    said = served.asked("difference?a=first_work&b=second_work")
     assert said["rms"] == 0 and said["unit"] == "mm"
 
 
@@ -909,108 +794,6 @@ def test_two_dates_are_compared(served: Served, page: Any, finished_grid: Path) 
     page.get_by_role("button", name="Report", exact=True).first.click()  # of a run, which hides the comparison's page
     page.get_by_role("button", name="change_dates_later_dates_earlier").click()
     page.frame_locator("iframe").get_by_role("heading", name="what changed").wait_for()
-
-
-def wait_for(page: Any, said: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE_MS / 1000
-    while not said():
-        assert time.monotonic() < deadline
-        page.wait_for_timeout(50)
-
-
-def held(page: Any, name: str) -> list[Any]:
-    """The first question of this name, which is not answered before it is let go on."""
-    kept: list[Any] = []
-    page.route(f"**/api/{name}*", lambda route: route.continue_() if kept else kept.append(route))
-    return kept
-
-
-def let_go(page: Any, kept: list[Any], name: str) -> None:
-    """Answer the question that is held."""
-    wait_for(page, lambda: bool(kept))
-    with page.expect_response(kept[0].request.url):
-        kept[0].continue_()
-    page.unroute(f"**/api/{name}*")
-
-
-@needs_browser
-def test_what_is_typed_while_an_answer_is_awaited_stays(served: Served, page: Any) -> None:
-    station = served.folder / "station.toml"
-    go(page, "Station")
-    kept = held(page, "set")
-    place = page.get_by_role("textbox", name="Name of the object")
-    place.fill("Quick")
-    level = page.get_by_label("White level")
-    level.click()  # which leaves the name
-    level.press_sequentially("60")
-    let_go(page, kept, "set")
-    page.locator("#station-text").evaluate(
-        "text => new Promise(done => { const look = () => text.value.includes('Quick') ? done() : setTimeout(look, 20); look(); })"
-    )
-    level.press_sequentially("000")
-    level.press("Tab")
-    wait_for(page, lambda: "white_level = 60000" in station.read_text())
-    assert 'name = "Quick"' in station.read_text()
-    wait_for(page, lambda: level.get_attribute("value") == "60000")
-    # What was typed in whole before the answer came is a change, too.
-    kept = held(page, "set")
-    place.fill("Slow")
-    level.click()
-    level.fill("")
-    let_go(page, kept, "set")
-    wait_for(page, lambda: place.get_attribute("value") == "Slow")
-    level.press("Tab")
-    wait_for(page, lambda: "white_level" not in station.read_text())
-    assert 'name = "Slow"' in station.read_text()
-    wait_for(page, lambda: not level.get_attribute("value"))
-    # So does what was marked: the next key replaces it.
-    kept = held(page, "set")
-    level.fill("50000")
-    place.select_text()  # which leaves the level
-    let_go(page, kept, "set")
-    wait_for(page, lambda: level.get_attribute("value") == "50000")
-    page.keyboard.insert_text("Marked")
-    kept = held(page, "set")
-    level.select_text()  # which leaves the name
-    let_go(page, kept, "set")
-    wait_for(page, lambda: place.get_attribute("value") == "Marked")
-    page.keyboard.insert_text("70000")
-    page.keyboard.press("Tab")
-    wait_for(page, lambda: "white_level = 70000" in station.read_text())
-    assert 'name = "Marked"' in station.read_text()
-
-
-@needs_browser
-def test_the_last_of_quick_choices_counts(served: Served, page: Any) -> None:
-    from playwright.sync_api import expect
-
-    for name in ("Images", "Station", "Draw", "Options", "Station", "Run", "Draw"):
-        hurry(page, name)
-    page.locator("main:not([aria-busy])").wait_for()
-    assert page.evaluate("[...document.querySelectorAll('main > section')].filter(one => !one.hidden).map(one => one.id)") == ["draw"]  # fmt: skip
-    assert page.evaluate("document.querySelectorAll('#draw, #draw [inert]').length") == 1
-    assert page.locator("[data-tool=move]").count() == 1
-    # A folder that answers late is not shown instead of the one that was chosen after it.
-    go(page, "Images")
-    page.get_by_role("button", name="opened folder: museum").click()
-    page.get_by_role("button", name="pol (6 images)").wait_for()
-    kept = held(page, "folder")
-    page.get_by_role("button", name=re.compile(r"^views \(")).click()
-    wait_for(page, lambda: bool(kept))
-    page.get_by_role("button", name="pol (6 images)").click()
-    page.get_by_alt_text("Phase in a circle of colors").wait_for()
-    let_go(page, kept, "folder")
-    page.wait_for_timeout(300)
-    expect(page.locator("#crumbs")).to_contain_text("pol")
-    expect(page.locator("#angles tbody tr")).to_have_count(6)
-    # Two presses make one station.
-    page.get_by_label("File", exact=True).fill("twice.toml")
-    page.get_by_role("button", name="Create the station").dblclick()
-    page.locator("#station").wait_for(state="visible")
-    page.locator("main:not([aria-busy])").wait_for()
-    assert page.locator("#open-station").text_content() == "twice.toml"
-    assert not page.locator("#message").text_content()
-    (served.folder / "twice.toml").unlink()
 
 
 @needs_browser
