@@ -13,6 +13,7 @@ from studio_browser import (
     Served,
     brought,
     chromium,
+    draw,
     go,
     held,
     hurry,
@@ -156,3 +157,45 @@ def test_the_last_of_quick_choices_counts(served: Served, page: Any) -> None:
     assert page.locator("#open-station").text_content() == "twice.toml"
     assert not page.locator("#message").text_content()
     (served.folder / "twice.toml").unlink()
+
+
+TWO_PATCHES = """
+[[patch]]
+name = "first"
+box = [10, 10, 30, 30]
+
+[[patch]]
+name = "second"
+box = [40, 40, 60, 60]
+"""
+
+
+def add(page: Any, station: Path, text: str) -> None:
+    """What another program writes into the station's file, and is shown in the page."""
+    station.write_text(station.read_text() + text)
+    go(page, "Station")
+
+
+def test_two_changes_of_a_list_at_once_are_both_made(page: Any, station: Path) -> None:
+    add(page, station, TWO_PATCHES)
+    draw(page, "patch")
+    kept = held(page, "set")
+    for name in ("first", "second"):
+        page.get_by_role("group", name=f"patch {name}").get_by_role("button", name="Remove").click()
+    page.get_by_role("button", name="Add one by numbers").click()
+    let_go(page, kept, "set")
+    page.get_by_role("group", name="patch 1").wait_for()
+    wait_for(page, lambda: "[80, 64, 120, 96]" in station.read_text())
+    assert "first" not in station.read_text() and "second" not in station.read_text()
+
+
+def test_a_list_that_another_program_changed_is_not_overwritten(page: Any, station: Path) -> None:
+    add(page, station, TWO_PATCHES)
+    draw(page, "patch")
+    station.write_text(station.read_text().replace("second", "theirs"))
+    page.get_by_role("group", name="patch first").get_by_role("button", name="Remove").click()
+    page.locator("#message", has_text="please make your last change once more").wait_for()
+    page.get_by_role("group", name="patch first").get_by_role("button", name="Remove").click()
+    page.get_by_role("group", name="patch first").wait_for(state="detached")
+    page.get_by_role("group", name="patch theirs").wait_for()
+    assert "theirs" in station.read_text() and "first" not in station.read_text()

@@ -403,14 +403,43 @@ function cross(context, [x, y], text) {
 
 // ---- lists beside the image: patches, profiles, distances ----
 
-const entries = (list) => structuredClone(state.station.values[list] ?? []);
-const store = async (list, all) => {
-  await change([{ list, entries: all }]);
+// Each list as it is being changed. A change is made upon those before it, also where their answers are still awaited.
+const drafts = new Map();
+function entries(list) {
+  let draft = drafts.get(list);
+  if (!draft || (!draft.awaited && draft.station !== state.station)) {
+    draft = { station: state.station, all: structuredClone(state.station.values[list] ?? []), awaited: 0 };
+    drafts.set(list, draft);
+  }
+  return draft.all;
+}
+
+// Tells of a change of these entries. They are no longer the list if what they were changed upon has become another one.
+async function store(list, all) {
+  if (entries(list) !== all) throw new Error('The list has changed meanwhile; please make your last change once more.');
+  const draft = drafts.get(list);
+  draft.awaited += 1;
+  try {
+    await change([{ list, entries: all }]);
+    draft.station = state.station;
+  } catch (error) {
+    if (drafts.get(list) === draft) drafts.delete(list);
+    if (what.value === list) drawSide();
+    throw error;
+  } finally {
+    draft.awaited -= 1;
+  }
   if (what.value !== list) return;  // Something else is being shown by now, and draws itself.
   await examine();
   drawSide();
   view.redraw();
-};
+}
+
+function remove(list, all, entry) {
+  const at = all.indexOf(entry);
+  if (at >= 0) all.splice(at, 1);  // Its button may be pressed twice.
+  return store(list, all);
+}
 
 async function addShape([[u0, v0], [u1, v1]]) {
   if (Math.hypot(u1 - u0, v1 - v0) < 2) return;
@@ -440,7 +469,7 @@ function shapeSide(list) {
   const row = (entry, at) => make('fieldset', {}, make('legend', {}, `${list} ${entry.name ?? at + 1}`),
     make('label', {}, 'name ', make('input', { value: entry.name ?? '', change: doing((event) => { entry.name = event.target.value || undefined; return store(list, all); }) })),
     ...keys.map((key) => make('label', {}, `${key} [px] `, make('input', { value: entry[key].join(', '), change: doing((event) => { entry[key] = numbersIn(event.target, entry[key].length); return store(list, all); }) }))),
-    button('Remove', () => store(list, all.filter((other) => other !== entry))));
+    button('Remove', () => remove(list, all, entry)));
   return [...all.map(row), button(`Add one by numbers`, () => addShape([[0.4 * view.size.x, 0.4 * view.size.y], [0.6 * view.size.x, 0.6 * view.size.y]]))];
 }
 
@@ -468,8 +497,8 @@ function scaleSide() {
     ...['a', 'b'].map((name) => make('p', {}, button(`Mark end ${name}`, async () => { end = { distance: at, name }; tool = 'mark'; await examine(); drawTools(); drawSide(); stage.focus(); }, { 'aria-pressed': String(tool === 'mark' && end.distance === at && end.name === name) }),
       ` in ${(entry[name] ?? []).length} photos: ${(entry[name] ?? []).map((mark) => mark.image).join(', ') || 'none yet, two or more are needed'}`)),
     at === end.distance ? offTheLines() : null, fitOf(at),
-    button('Remove', () => store('scale', all.filter((other) => other !== entry))));
-  return [make('p', { class: 'note' }, examined.problem || 'Red lines: where the end lies by its marks in the other photos.'), ...all.map(row), button('Add a known distance', () => store('scale', [...all, { distance: 100, a: [], b: [] }]))];
+    button('Remove', () => remove('scale', all, entry)));
+  return [make('p', { class: 'note' }, examined.problem || 'Red lines: where the end lies by its marks in the other photos.'), ...all.map(row), button('Add a known distance', () => { all.push({ distance: 100, a: [], b: [] }); return store('scale', all); })];
 }
 
 // How far the mark in this photo lies from the lines that the other photos allow.
@@ -547,7 +576,7 @@ function controlSide() {
     ...[0, 1, 2].map((index) => axis(entry, index)),
     make('label', {}, 'only to check ', make('input', { type: 'checkbox', checked: entry.check ?? false, change: doing((event) => { entry.check = event.target.checked || undefined; return kept(); }) })),
     make('p', {}, button('Mark it', async () => { point = at; tool = 'mark'; await examine(); drawTools(); drawSide(); stage.focus(); }, { 'aria-pressed': String(tool === 'mark' && point === at) }), ` ${markedIn(entry)}`),
-    ...fitOfPoint(nameOf(entry, at)), button('Remove', () => store('control', all.filter((other) => other !== entry))));
+    ...fitOfPoint(nameOf(entry, at)), button('Remove', () => remove('control', all, entry)));
   const pasted = make('textarea', { rows: 4, placeholder: 'P1 104.2 88.0 12.5', 'aria-label': 'Coordinates, a point a line: name X Y Z', input: (event) => { coordinates = event.target.value; } }, coordinates);
   return [make('p', { class: 'note' }, examined.problem || verdict()), ...all.map(row),
     make('fieldset', {}, make('legend', {}, 'add points'), pasted, button('Take these coordinates', takeTyped))];
