@@ -199,3 +199,52 @@ def test_a_list_that_another_program_changed_is_not_overwritten(page: Any, stati
     page.get_by_role("group", name="patch first").wait_for(state="detached")
     page.get_by_role("group", name="patch theirs").wait_for()
     assert "theirs" in station.read_text() and "first" not in station.read_text()
+
+
+def test_an_image_that_is_chosen_while_another_one_is_loading_is_drawn_on(page: Any) -> None:
+    kept = held(page, "size")
+    go_on = page.get_by_role("banner").get_by_role("button", name="Draw", exact=True)
+    go_on.click()
+    wait_for(page, lambda: bool(kept))
+    # By the keyboard or a script, as what is inert takes no pointer.
+    page.locator("#draw-image").evaluate("one => { one.selectedIndex = 2; one.dispatchEvent(new Event('change')); }")
+    let_go(page, kept, "size")
+    page.locator("main:not([aria-busy])").wait_for()
+    page.wait_for_function("!document.querySelector('#draw [inert]')")
+
+
+def test_nothing_is_marked_while_another_image_is_loading(page: Any, station: Path) -> None:
+    go(page, "Station")
+    page.get_by_label("Photographs from all around").select_option("views")
+    wait_for(page, lambda: "views" in station.read_text())
+    draw(page, "scale")
+    page.get_by_role("button", name="Add a known distance").click()
+    page.get_by_role("button", name="Mark end a").click()
+    page.get_by_role("button", name="Mark end a", pressed=True).wait_for()
+    kept = held(page, "size")
+    page.locator("#draw-image").select_option("views/view_04.jpg")
+    wait_for(page, lambda: bool(kept))
+    box = page.locator("#draw-stage").bounding_box()
+    assert box
+    page.mouse.click(box["x"] + 300, box["y"] + 200)  # on the photo that is still to be seen
+    let_go(page, kept, "size")
+    page.locator("#draw-stage:not([inert])").wait_for()
+    page.locator("#draw-stage").click(position={"x": 100, "y": 100})
+    page.get_by_text(re.compile(r"in \d photos: .*view_04.jpg")).wait_for()
+    go(page, "Draw")
+    page.get_by_role("button", name="Undo the last change").click()
+    page.get_by_text(re.compile(r"in 0 photos")).first.wait_for()
+    assert "view_04" not in station.read_text()  # there was one mark only
+
+
+def test_nothing_is_painted_while_the_edge_is_looked_for(page: Any) -> None:
+    draw(page, "mask")
+    stage = page.locator("#draw-stage")
+    page.locator("[data-tool=brush]").click()
+    stage.drag_to(stage, source_position={"x": 200, "y": 200}, target_position={"x": 300, "y": 260})
+    kept = held(page, "cut")
+    page.get_by_role("button", name="Find the edge").click()
+    wait_for(page, lambda: bool(kept))
+    assert stage.evaluate("stage => stage.inert")
+    let_go(page, kept, "cut")
+    page.locator("#draw-stage:not([inert])").wait_for()

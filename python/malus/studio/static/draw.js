@@ -33,19 +33,26 @@ const TOOLS = {
 let showing = Promise.resolve();
 const inTurn = (work) => { showing = showing.catch(() => {}).then(work); return showing; };
 
-// Nothing is drawn on what is about to be replaced. The image keeps the keyboard if it has it.
-export async function showDrawing() {
+// Nothing is drawn on what is about to be replaced: until the last such work has ended. What has the keyboard keeps it.
+let awaited = 0;
+let focused = null;
+async function resting(work) {
   const drawn = [byId('tools'), stage, byId('draw-side')];
-  const focused = document.activeElement === stage;
+  if (!awaited) focused = document.activeElement;
+  awaited += 1;
   for (const part of drawn) part.inert = true;
-  const shown = inTurn(showChoice);
   try {
-    await shown;
+    return await work();
   } finally {
-    if (shown === showing) for (const part of drawn) part.inert = false;
-    if (focused) stage.focus();
+    awaited -= 1;
+    if (!awaited) {
+      for (const part of drawn) part.inert = false;
+      if (document.activeElement === document.body) focused.focus({ preventScroll: true });
+    }
   }
 }
+
+export const showDrawing = () => resting(() => inTurn(showChoice));
 
 async function showChoice() {
   view ??= makeView();
@@ -145,7 +152,7 @@ function drawTools() {
     extra.unshift(number('width [px]', width, 1, 2000, (value) => { width = value; }), number('tolerance', tolerance, 0, 255, (value) => { tolerance = value; }));
     extra.push(button('Undo', () => layer.undo()), button('Redo', () => layer.redo()), button('Clear', () => layer.edit(layer.whole, (context) => context.clearRect(...layer.whole))));
     if (what.value === 'mask') {
-      extra.push(button('Find the edge', cutOut, { title: 'GrabCut: finds the edge of what is roughly painted' }), button("Prior's outline", outline),
+      extra.push(button('Find the edge', () => resting(cutOut), { title: 'GrabCut: finds the edge of what is roughly painted' }), button("Prior's outline", () => resting(outline)),
         button('Invert', invert));
     }
     if (inConflict()) extra.push(button('Keep mine', keepMine, { class: 'main' }), button("Take the file's", takeTheirs));
@@ -613,4 +620,4 @@ function fitOfPoint(name) {
 }
 
 what.addEventListener('change', doing(() => showDrawing()));
-image.addEventListener('change', doing(() => inTurn(showImage)));
+image.addEventListener('change', doing(() => resting(() => inTurn(showImage))));
