@@ -248,3 +248,28 @@ def test_nothing_is_painted_while_the_edge_is_looked_for(page: Any) -> None:
     assert stage.evaluate("stage => stage.inert")
     let_go(page, kept, "cut")
     page.locator("#draw-stage:not([inert])").wait_for()
+
+
+def test_a_tool_that_is_chosen_by_the_keyboard_keeps_it(page: Any) -> None:
+    draw(page, "patch")
+    page.locator("[data-tool=box]").focus()
+    page.keyboard.press("Enter")
+    page.locator("[data-tool=box][aria-pressed=true]").wait_for()
+    assert page.evaluate("document.activeElement.dataset.tool") == "box"
+
+
+#: A run as the page is told of it.
+RUN = {
+    "number": 1, "title": "museum", "state": "waiting", "fraction": 0, "step": "", "message": "", "seconds_left": None, "steps": {},
+    "error": "", "work": "station_work", "report": None, "asked": {"name": "run", "body": {}},
+}  # fmt: skip
+
+
+def test_a_button_of_a_run_that_begins_meanwhile_keeps_the_keyboard(page: Any) -> None:
+    run = dict(RUN)
+    page.route("**/api/runs*", lambda route: route.fulfill(json=[run]))
+    go(page, "Run")
+    page.get_by_role("button", name="Cancel").focus()
+    run["state"] = "running"
+    page.locator("p[data-state]", has_text="starting").wait_for()
+    assert page.evaluate("document.activeElement.textContent") == "Cancel"

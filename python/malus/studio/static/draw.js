@@ -158,7 +158,7 @@ function drawTools() {
     if (inConflict()) extra.push(button('Keep mine', keepMine, { class: 'main' }), button("Take the file's", takeTheirs));
     else extra.push(button('Save', saveLayer, { class: 'main' }));
   }
-  byId('tools').replaceChildren(...tools, ...extra);
+  redraw(byId('tools'), ...tools, ...extra);
 }
 
 function invert() {

@@ -2,6 +2,7 @@
 import { ask, byId, doing, duration, make, say, tell } from './api.js';
 import { state } from './open_station.js';
 import { showPage } from './pages.js';
+import { redraw } from './redraw.js';
 import { showReport } from './results.js';
 
 const form = byId('start-run');
@@ -75,7 +76,7 @@ function update(element, run) {
   const again = (text) => make('button', { type: 'button', click: doing(async () => { await tell(run.asked.name, run.asked.body); await refresh(); }) }, text);
   const buttons = { waiting: [cancel(run)], running: [cancel(run)], failed: [again('Try again')], canceled: [again('Resume')],
     done: [make('button', { type: 'button', class: 'main', click: async () => { await showPage('results'); showReport(run.work, run.report); } }, 'Show the report')] };
-  part('[data-buttons]').replaceChildren(...buttons[run.state]);
+  redraw(part('[data-buttons]'), ...buttons[run.state]);
 }
 
 const cancel = (run) => make('button', { type: 'button', click: doing(async () => { await tell('cancel', { number: run.number }); await refresh(); }) }, 'Cancel');
