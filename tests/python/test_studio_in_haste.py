@@ -258,6 +258,61 @@ def test_a_tool_that_is_chosen_by_the_keyboard_keeps_it(page: Any) -> None:
     assert page.evaluate("document.activeElement.dataset.tool") == "box"
 
 
+def test_a_step_of_undo_that_fails_is_not_lost(page: Any, station: Path) -> None:
+    place = page.get_by_role("textbox", name="Name of the object")
+    place.fill("Other")
+    place.press("Tab")
+    wait_for(page, lambda: "Other" in station.read_text())
+    page.route("**/api/text", lambda route: route.fulfill(status=400, json={"error": "no room on the disk"}))
+    page.get_by_role("button", name="Undo the last change").click()
+    page.locator("#message", has_text="no room on the disk").wait_for()
+    page.unroute("**/api/text")
+    page.get_by_role("button", name="Undo the last change").click()
+    wait_for(page, lambda: "Other" not in station.read_text())
+    assert page.locator("#redo").is_enabled()
+
+
+def test_text_of_the_file_that_is_being_typed_stays(page: Any, station: Path) -> None:
+    text = page.locator("#station-text")
+    page.locator("summary", has_text="The station file").click()
+    kept = held(page, "set")
+    place = page.get_by_role("textbox", name="Name of the object")
+    place.fill("Quick")
+    place.press("Tab")
+    text.press("Control+End")
+    text.press_sequentially("# typed meanwhile")
+    let_go(page, kept, "set")
+    wait_for(page, lambda: "Quick" in station.read_text())
+    page.wait_for_function("document.querySelector('#fields input').value === 'Quick'")
+    assert text.input_value().endswith("# typed meanwhile") and "Quick" not in text.input_value()
+    # It was typed upon a file that has changed since: that is said before it replaces the file.
+    save = page.locator("#save-text")
+    save.click()
+    page.locator("#message", has_text="What you have typed still stands here").wait_for()
+    assert "Quick" in station.read_text() and "typed" not in station.read_text()
+    save.click()
+    wait_for(page, lambda: "# typed meanwhile" in station.read_text())
+    assert "Quick" not in station.read_text()
+
+
+def test_the_station_that_was_opened_last_stays_open(served: Served, page: Any, station: Path) -> None:
+    other = served.folder / "station_other.toml"
+    other.write_text(STATION)
+    kept = held(page, "set")
+    place = page.get_by_role("textbox", name="Name of the object")
+    place.fill("Quick")
+    place.press("Tab")
+    go(page, "Images")
+    page.get_by_role("button", name=f"Open {other.name}").click()
+    page.wait_for_timeout(300)
+    let_go(page, kept, "set")
+    wait_for(page, lambda: "Quick" in station.read_text())
+    page.locator("#open-station", has_text=other.name).wait_for()
+    page.locator("#plan", has_text="Ready").wait_for()
+    assert page.locator("#open-station").text_content() == other.name
+    assert "Quick" not in other.read_text()
+
+
 #: A run as the page is told of it.
 RUN = {
     "number": 1, "title": "museum", "state": "waiting", "fraction": 0, "step": "", "message": "", "seconds_left": None, "steps": {},

@@ -1,6 +1,6 @@
 // Folders with thumbnails, and the table that makes a new station of some images.
 import { addressOf, ask, byId, doing, make, once, tell } from './api.js';
-import { openStation, state, take } from './open_station.js';
+import { createStation, openStation } from './open_station.js';
 import { showPage } from './pages.js';
 
 let folder = null;
@@ -125,7 +125,6 @@ form.addEventListener('submit', doing(once(async () => {
   const exposures = chosen.map((shot) => shot.exposure);
   const differ = new Set(exposures.filter((exposure) => exposure !== null)).size > 1;
   const raw = chosen.some((shot) => /\.(3fr|arw|cr2|cr3|crw|dng|iiq|nef|nrw|orf|pef|raf|rw2|sr2|srw)$/i.test(shot.name));
-  take(await tell('create', { ...scale(), ...(raw ? { response: null } : {}), path: form.elements.path.value, name: form.elements.name.value, unit: form.elements.unit.value,
-    images: chosen.map((shot) => shot.path), angles_deg: chosen.map((shot) => shot.angle), exposure_s: differ ? exposures : null }));
-  await openStation(state.station.path);
+  await createStation({ ...scale(), ...(raw ? { response: null } : {}), path: form.elements.path.value, name: form.elements.name.value, unit: form.elements.unit.value,
+    images: chosen.map((shot) => shot.path), angles_deg: chosen.map((shot) => shot.angle), exposure_s: differ ? exposures : null });
 })));

@@ -32,7 +32,7 @@ function show(station) {
   return station;
 }
 
-// What reads and changes the station's file, one after another.
+// What opens, reads and changes the station's file, one after another: an answer is about the station that is open when it comes.
 let before = Promise.resolve();
 function inTurn(work) {
   const made = before.then(work);
@@ -72,10 +72,13 @@ async function changingPage(work) {
 // The file as it was before its last change, or after the change that was undone last.
 async function step(from, to) {
   await changingPage(async () => {
-    const text = from().pop();
+    const text = from().at(-1);
     if (text === undefined) return;
-    to().push(state.station.text);
-    show(await tell('text', { path: state.station.path, digest: state.station.digest, text }));
+    const left = state.station.text;
+    const station = await tell('text', { path: state.station.path, digest: state.station.digest, text });
+    from().pop();
+    to().push(left);
+    show(station);
   });
   await showAgain();
 }
@@ -83,7 +86,12 @@ export const undo = () => step(() => past, () => future);
 export const redo = () => step(() => future, () => past);
 
 export async function openStation(path) {
-  take(await ask('station', { path }));
+  await inTurn(async () => take(await ask('station', { path })));
+  await showPage('station');
+}
+
+export async function createStation(content) {
+  await inTurn(async () => take(await tell('create', content)));
   await showPage('station');
 }
 

@@ -27,7 +27,7 @@ function named(value) {
 
 async function draw() {
   byId('phases').replaceChildren();
-  byId('station-text').value = state.station.text;
+  showText();
   const model = under('camera', 'colmap_model');
   try {
     modelImages = model ? (await ask('model', { path: named(model) })).images : [];
@@ -39,6 +39,16 @@ async function draw() {
   redraw(byId('fields'), ...fresh);
   await propose();
   doing(check)();  // Which takes its time, while the fields can be filled in already.
+}
+
+// The text of the file, unless somebody is typing in it: then what it is typed upon.
+const fileText = byId('station-text');
+let typedUpon = null;
+function showText() {
+  const { path, text: content, digest } = state.station;
+  if (typedUpon?.path === path && fileText.value !== typedUpon.text) return;
+  fileText.value = content;
+  typedUpon = { path, digest, text: fileText.value };  // Whose line ends are the browser's.
 }
 
 // What lies in the folder and is beyond doubt, to be taken over at once.
@@ -214,11 +224,20 @@ byId('overlay-strength').addEventListener('input', () => view?.redraw());
 
 byId('save-text').addEventListener('click', doing(async () => {
   try {
-    await changing(async () => take(await tell('text', { path: state.station.path, digest: state.station.digest, text: byId('station-text').value })));
+    await changing(async () => {
+      const { path, digest } = typedUpon;
+      const typed = fileText.value;
+      const station = await tell('text', { path, digest, text: typed });
+      typedUpon = { path, digest: station.digest, text: typed };
+      take(station);
+    });
   } catch (error) {
-    if (error.status === 409) error.message += '. What you have typed still stands here: read the file again to drop it, or save once more to replace the file.';
+    if (error.status === 409) {
+      error.message += '. What you have typed still stands here: read the file again to drop it, or save once more to replace the file.';
+      typedUpon.digest = state.station.digest;
+    }
     throw error;
   }
   await draw();
 }));
-byId('reload-text').addEventListener('click', doing(async () => { await reread(); await draw(); }));
+byId('reload-text').addEventListener('click', doing(async () => { await reread(); typedUpon = null; await draw(); }));
