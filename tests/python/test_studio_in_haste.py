@@ -313,6 +313,24 @@ def test_the_station_that_was_opened_last_stays_open(served: Served, page: Any, 
     assert "Quick" not in other.read_text()
 
 
+def test_a_press_that_lasts_longer_than_an_answer_is_a_press(page: Any, station: Path) -> None:
+    add(page, station, TWO_PATCHES)
+    draw(page, "patch")
+    kept = held(page, "set")
+    field = page.get_by_role("group", name="patch first").get_by_label("name")
+    field.fill("mine")
+    removing = page.get_by_role("group", name="patch second").get_by_role("button", name="Remove").bounding_box()
+    assert removing
+    page.mouse.move(removing["x"] + 5, removing["y"] + 5)
+    page.mouse.down()  # which leaves the field
+    let_go(page, kept, "set")
+    wait_for(page, lambda: "mine" in station.read_text())
+    page.wait_for_timeout(300)
+    page.mouse.up()
+    wait_for(page, lambda: "second" not in station.read_text())
+    assert "mine" in station.read_text()
+
+
 #: A run as the page is told of it.
 RUN = {
     "number": 1, "title": "museum", "state": "waiting", "fraction": 0, "step": "", "message": "", "seconds_left": None, "steps": {},

@@ -12,8 +12,31 @@ function calledOf(control) {
 const isText = (control) => control.tagName === 'INPUT' && !['checkbox', 'range'].includes(control.type);
 
 // Replaces what a place shows. The control that has the keyboard keeps it, and what is being typed stays: an answer may arrive
-// while somebody already fills in the next field.
+// while somebody already fills in the next field. Nor is a button replaced that is pressed: it would never be released.
 export function redraw(place, ...children) {
+  waiting.get(place)?.done();
+  waiting.delete(place);
+  if (pressed && place.contains(pressed)) return new Promise((done) => { waiting.set(place, { children, done }); });
+  replace(place, children);
+  return Promise.resolve();
+}
+
+// What the pointer presses, and what is to be shown in a place when it is released. Choices open by the press itself.
+let pressed = null;
+const waiting = new Map();
+document.addEventListener('pointerdown', (event) => { pressed = event.target.closest('select') ? null : event.target; }, { capture: true });
+const letGo = (event) => {
+  if (!pressed || event.buttons) return;
+  pressed = null;
+  setTimeout(() => {  // The click comes after this event.
+    const all = [...waiting];
+    waiting.clear();
+    for (const [place, { children, done }] of all) { replace(place, children); done(); }
+  });
+};
+for (const name of ['pointerup', 'pointercancel', 'pointermove']) document.addEventListener(name, letGo, { capture: true });
+
+function replace(place, children) {
   const before = controlsOf(place);
   const at = before.indexOf(document.activeElement);
   if (at < 0) {

@@ -36,7 +36,7 @@ async function draw() {
   }
   const fresh = groups();
   fresh[0].querySelector('#catalog').open = byId('catalog')?.open ?? false;
-  redraw(byId('fields'), ...fresh);
+  await redraw(byId('fields'), ...fresh);
   await propose();
   doing(check)();  // Which takes its time, while the fields can be filled in already.
 }
