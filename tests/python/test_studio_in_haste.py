@@ -331,6 +331,78 @@ def test_a_press_that_lasts_longer_than_an_answer_is_a_press(page: Any, station:
     assert "mine" in station.read_text()
 
 
+def test_angles_that_are_typed_before_the_names_are_read_stay(page: Any) -> None:
+    go(page, "Images")
+    kept = held(page, "angles")
+    page.get_by_role("button", name="pol (6 images)").click()
+    typed = page.get_by_label("Angle of pol_030.tif")
+    typed.fill("33")
+    typed.press("Tab")
+    let_go(page, kept, "angles")
+    page.get_by_alt_text("Phase in a circle of colors").wait_for()
+    assert page.get_by_label("Angle of pol_060.tif").input_value() == "60"
+    assert typed.input_value() == "33"
+
+
+def test_a_check_that_fails_is_said(page: Any, station: Path) -> None:
+    page.route("**/api/check*", lambda route: route.fulfill(status=400, json={"error": "no room on the disk"}))
+    place = page.get_by_role("textbox", name="Name of the object")
+    place.fill("Other")
+    place.press("Tab")
+    page.locator("#plan", has_text="could not be checked").wait_for()
+
+
+def test_a_preview_of_another_folder_is_not_shown(page: Any) -> None:
+    go(page, "Images")
+    kept = held(page, "preview")
+    page.get_by_role("button", name="pol (6 images)").click()
+    wait_for(page, lambda: bool(kept))
+    page.get_by_role("button", name="opened folder: museum").click()
+    page.get_by_role("button", name="views (3 images)").click()
+    page.locator("#preview .warning").wait_for()
+    let_go(page, kept, "preview")
+    page.wait_for_timeout(300)
+    assert page.locator("#preview .warning").count() == 1
+
+
+def test_the_surface_upon_the_image_is_that_of_the_file(page: Any, station: Path) -> None:
+    show = page.get_by_role("button", name="Show the coarse surface upon the image")
+    show.click()
+    page.locator("#overlay-note", has_text="Yellow is near").wait_for()
+    cameras = page.get_by_label("Cameras (COLMAP model)")
+    cameras.select_option("")
+    page.locator("#overlay-stage").wait_for(state="hidden")
+    cameras.select_option("sparse")
+    page.locator("#plan", has_text="Ready").wait_for()
+    kept = held(page, "overlay")
+    show.click()
+    wait_for(page, lambda: bool(kept))
+    cameras.select_option("")
+    page.locator("#plan", has_text="cannot run yet").wait_for()
+    let_go(page, kept, "overlay")
+    page.wait_for_timeout(300)
+    assert not page.locator("#overlay-note").text_content() and page.locator("#overlay-stage").is_hidden()
+
+
+def test_what_is_said_of_another_mark_is_dropped(page: Any, station: Path) -> None:
+    add(page, station, '\n[photos]\nfolder = "views"\n\n[[scale]]\ndistance = 10\na = []\nb = []\n')
+    draw(page, "scale")
+    kept: list[Any] = []
+    page.route("**/api/marks", lambda route: fulfil_marks(route, "of b") if kept else kept.append(route))
+    page.get_by_role("button", name="Mark end a").click()
+    wait_for(page, lambda: bool(kept))
+    page.get_by_role("button", name="Mark end b").click()
+    side = page.locator("#draw-side")
+    side.get_by_text("of b").wait_for()
+    fulfil_marks(kept[0], "of a")
+    page.wait_for_timeout(300)
+    assert side.get_by_text("of b").count() == 1 and side.get_by_text("of a").count() == 0
+
+
+def fulfil_marks(route: Any, said: str) -> None:
+    route.fulfill(json={"problem": said, "lines": [], "fits": {}})
+
+
 #: A run as the page is told of it.
 RUN = {
     "number": 1, "title": "museum", "state": "waiting", "fraction": 0, "step": "", "message": "", "seconds_left": None, "steps": {},

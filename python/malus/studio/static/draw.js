@@ -115,9 +115,17 @@ async function showImage() {
 }
 
 // Where what is being marked lies in this photo by its marks in others, and how well everything fits.
+let questions = 0;
 async function examine() {
-  if (what.value === 'scale') examined = await tell('marks', { path: state.station.path, image: here(), distance: end.distance, end: end.name });
-  if (what.value === 'control') examined = await tell('control', { path: state.station.path, image: polarized() ? '' : here(), name: entries('control')[point] ? nameOf(entries('control')[point], point) : '' });
+  const mine = ++questions;
+  const said = await examination();
+  if (said && mine === questions) examined = said;  // Else something else is being marked by now.
+}
+
+async function examination() {
+  if (what.value === 'scale') return tell('marks', { path: state.station.path, image: here(), distance: end.distance, end: end.name });
+  if (what.value === 'control') return tell('control', { path: state.station.path, image: polarized() ? '' : here(), name: entries('control')[point] ? nameOf(entries('control')[point], point) : '' });
+  return null;
 }
 
 const painting = () => state.station.painted[what.value];

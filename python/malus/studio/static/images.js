@@ -2,6 +2,7 @@
 import { addressOf, ask, byId, doing, make, once, tell } from './api.js';
 import { createStation, openStation } from './open_station.js';
 import { showPage } from './pages.js';
+import { redraw } from './redraw.js';
 
 let folder = null;
 let shots = [];
@@ -19,6 +20,7 @@ export async function showFolder(path = folder?.path ?? '') {
   byId('folder-list').replaceChildren(...[cards(folder.stations.map(stationCard), 'Stations'), cards(folder.folders.map(folderCard), 'Folders'), imageCards()].flat());
   shots = folder.images.map((image) => ({ ...image, use: true, angle: null, exposure: null }));
   form.hidden = shots.length < 3;
+  asked += 1;  // A preview of the folder before is no longer of interest.
   if (form.hidden) return;
   form.elements.name.value = folder.home;
   form.elements.response.value = 'linear';
@@ -51,7 +53,7 @@ function imageCards() {
 function drawTable() {
   const dated = shots.some((shot) => shot.taken);
   byId('angles').tHead.rows[0].cells[3].hidden = !dated;
-  byId('angles').tBodies[0].replaceChildren(...shots.map((shot) => make('tr', {},
+  redraw(byId('angles').tBodies[0], ...shots.map((shot) => make('tr', {},
     make('td', {}, make('input', { type: 'checkbox', checked: shot.use, 'aria-label': `${shot.name} is polarized`, change: (event) => { shot.use = event.target.checked; preview(); } })),
     make('td', {}, shot.name),
     make('td', {}, make('input', { type: 'number', step: 'any', value: shot.angle ?? '', 'aria-label': `Angle of ${shot.name}`, change: (event) => { shot.angle = event.target.value === '' ? null : Number(event.target.value); preview(); } })),
@@ -60,16 +62,20 @@ function drawTable() {
 
 const used = () => shots.filter((shot) => shot.use && shot.angle !== null);
 
-// Angles by the chosen source; what it cannot say is left to be typed.
+// Angles by the chosen source; what it cannot say is left to be typed, and what is typed before it answers stays.
 async function fill() {
   const source = form.elements.source.value;
   if (source === 'typed') return preview();
   const images = shots.filter((shot) => shot.use).map((shot) => shot.path);
   const mine = opened;
+  const before = new Map(shots.map(({ path, angle }) => [path, angle]));
   try {
     const found = await tell('angles', { folder: folder.path, source, images, first: form.elements.first.value, step: form.elements.step.value });
     if (mine !== opened) return undefined;
-    for (const { image, angle, exposure } of found) Object.assign(shots.find((shot) => shot.path === image) ?? {}, { angle, exposure: exposure ?? null });
+    for (const { image, angle, exposure } of found) {
+      const shot = shots.find(({ path }) => path === image);
+      if (shot?.angle === before.get(image)) Object.assign(shot, { angle, exposure: exposure ?? null });
+    }
   } catch (error) {
     if (mine !== opened) return undefined;
     byId('preview').replaceChildren(make('p', { class: 'warning' }, error.message));

@@ -81,7 +81,13 @@ async function showProfile(result) {
     const dot = (x, y) => strokes.map((look) => drawn('circle', { cx: x, cy: y, r: result.width / 120, ...look }));
     line.replaceChildren(...(toSecond ? strokes.map((look) => drawn('path', { d: `M${x1} ${y1}L${x2} ${y2}`, ...look })) : []), ...dot(x1, y1), ...(toSecond ? dot(x2, y2) : []));
   };
-  const draw = doing(async () => { marked(true); chart.replaceChildren(...plots(await tell('profile', { path: result.path, ...ends() }))); });
+  let asked = 0;
+  const draw = doing(async () => {
+    marked(true);
+    const number = ++asked;
+    const section = await tell('profile', { path: result.path, ...ends() });
+    if (number === asked) chart.replaceChildren(...plots(section));
+  });
   let second = false;
   picture.addEventListener('click', (event) => {
     const box = picture.getBoundingClientRect();

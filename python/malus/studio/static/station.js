@@ -26,7 +26,7 @@ function named(value) {
 }
 
 async function draw() {
-  byId('phases').replaceChildren();
+  forgetPictures();
   showText();
   const model = under('camera', 'colmap_model');
   try {
@@ -39,6 +39,15 @@ async function draw() {
   await redraw(byId('fields'), ...fresh);
   await propose();
   doing(check)();  // Which takes its time, while the fields can be filled in already.
+}
+
+// Pictures that were made by the file as it was before, also those that are still being made.
+let pictures = 0;
+function forgetPictures() {
+  pictures += 1;
+  byId('phases').replaceChildren();
+  byId('overlay-stage').hidden = true;
+  byId('overlay-note').textContent = '';
 }
 
 // The text of the file, unless somebody is typing in it: then what it is typed upon.
@@ -166,7 +175,13 @@ export async function check() {
   const number = ++asked;
   byId('plan').textContent = 'Checking …';
   byId('plan').className = '';
-  const said = await ask('check', { path: state.station.path });
+  let said;
+  try {
+    said = await ask('check', { path: state.station.path });
+  } catch (error) {
+    if (number === asked) byId('plan').textContent = 'The station could not be checked.';
+    throw error;
+  }
   if (number !== asked) return;
   for (const place of document.querySelectorAll('[data-says]')) place.replaceChildren();
   for (const line of said.lines) {
@@ -186,10 +201,12 @@ let view = null;
 byId('show-overlay').addEventListener('click', doing(async () => {
   const note = byId('overlay-note');
   note.textContent = 'Looking where the surface lies in the image …';
+  const mine = pictures;
   try {
     const said = await ask('overlay', { path: state.station.path });
     const picture = Object.assign(new Image(), { src: said.picture });
     await picture.decode();
+    if (mine !== pictures) return;
     byId('overlay-stage').hidden = false;
     view ??= new ImageView(byId('overlay-stage'));
     await view.open(state.station.images[0]);
@@ -203,21 +220,23 @@ byId('show-overlay').addEventListener('click', doing(async () => {
     view.redraw();
     note.textContent = `Yellow is near (${said.near}), violet is far (${said.far}). Edges and steps of the colors should lie on those of the image.`;
   } catch (error) {
-    note.textContent = error.message;
+    if (mine === pictures) note.textContent = error.message;
   }
 }));
 byId('show-phases').addEventListener('click', doing(async () => {
   const place = byId('phases');
   place.replaceChildren(make('p', { class: 'note' }, 'Comparing the phase with the slopes of the surface …'));
+  const mine = pictures;
   const figure = (picture, alt, caption) => make('figure', {}, make('img', { src: picture, alt }), make('figcaption', {}, caption));
   try {
     const said = await ask('phases', { path: state.station.path });
+    if (mine !== pictures) return;
     const words = `${said.message[0].toUpperCase()}${said.message.slice(1)}.${said.suggestion ? ` To do: ${said.suggestion}${/[?.]$/.test(said.suggestion) ? '' : '.'}` : ''}`;
     place.replaceChildren(make('p', { class: said.severity === 'note' ? 'note' : said.severity }, words), make('div', { class: 'maps' },
       figure(said.measured, 'Phase as it was measured, in a circle of colors', 'Phase as it was measured, by direction and zero as they are set now'),
       figure(said.expected, 'Phase as the coarse surface expects it, in a circle of colors', 'Phase that the coarse surface expects where it is matt. Where it mirrors, the opposite color is measured: red for blue, dark for light')));
   } catch (error) {
-    place.replaceChildren(make('p', { class: 'error' }, error.message));
+    if (mine === pictures) place.replaceChildren(make('p', { class: 'error' }, error.message));
   }
 }));
 byId('overlay-strength').addEventListener('input', () => view?.redraw());
