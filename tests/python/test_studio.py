@@ -35,6 +35,7 @@ from studio_browser import (
     needs_browser,
     needs_studio,
     opened,
+    paused,
     pictured,
     require_accessible,
     studio,
@@ -528,7 +529,7 @@ def test_from_a_folder_to_the_report(served: Served, page: Any) -> None:
     draw_a_mask(page)
     assert 'mask = "station_mask.png"' in station.read_text()
     set_options(page, served.folder)
-    run_and_show(page)
+    run_and_show(served, page)
     manifest = json.loads((served.folder / "station_work" / "manifest.json").read_text())
     assert manifest["options"]["surface"]["subsample"] == 2
 
@@ -570,12 +571,14 @@ def set_options(page: Any, folder: Path) -> None:
     pictured(page, "options")
 
 
-def run_and_show(page: Any) -> None:
+def run_and_show(served: Served, page: Any) -> None:
     go(page, "Run")
     page.get_by_label("Fusion").select_option("grid")
     page.get_by_role("button", name="Add to the queue").click()
-    page.locator("p[data-state]", has_text="left").wait_for()
-    page.get_by_role("button", name="Cancel").click()
+    with paused(served):
+        page.locator("p[data-state]", has_text="left").wait_for()
+        page.get_by_role("button", name="Cancel").click()
+        page.locator("p[data-state]", has_text="canceled").wait_for()
     page.get_by_role("button", name="Resume").click()
     pictured(page, "run")
     require_accessible(page)
@@ -773,8 +776,10 @@ def test_several_stations_are_queued_and_two_results_compared(served: Served, pa
     for name in ("first.toml", "second.toml"):
         other.get_by_label(f"Run {name}").check()
     other.get_by_role("button", name="Add to the queue").click()
-    other.locator("p[data-state]", has_text="left").first.wait_for()
-    other.close()  # which ends no run
+    with paused(served):
+        other.locator("p[data-state]", has_text="left").wait_for()
+        other.locator("p[data-state]", has_text="waiting").wait_for()
+        other.close()  # which ends no run
     deadline = time.monotonic() + RUN_MS / 1000
     while {run["state"] for run in served.asked("runs")} != {"done"}:
         assert time.monotonic() < deadline
