@@ -1,8 +1,9 @@
 """What a person reads on the console: a run at 80 columns, redirected, interrupted and resumed.
 
-    python benchmarks/walk/console.py STATION.toml -o TEXTS [--fusion grid]
+    python benchmarks/walk/console.py STATION.toml -o TEXTS [--fusion grid] [--page docs/console.md]
 
 TEXTS gets a text for each, the terminal's as it stood on the screen at the end. Printed: what is wrong with them. Exit code 1 then.
+--page writes the texts into a page, below their marks.
 """
 
 from __future__ import annotations
@@ -26,15 +27,15 @@ COLUMNS = 80
 _CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
-def command(station: Path, work: Path, fusion: str) -> list[str]:
-    return [sys.executable, "-m", "malus", "run", str(station), "-o", str(work), "--fusion", fusion]
+def command(station: Path, work: str, fusion: str) -> list[str]:
+    return [sys.executable, "-m", "malus", "run", str(station), "-o", work, "--fusion", fusion]
 
 
-def on_terminal(words: list[str], *, interrupt_at: str = "") -> tuple[int, str, list[str]]:
+def on_terminal(words: list[str], folder: Path | None = None, *, interrupt_at: str = "") -> tuple[int, str, list[str]]:
     """Exit code, what the screen showed at the end, and every state of a line. Ctrl-C is pressed once `interrupt_at` is shown."""
     main, other = pty.openpty()
     fcntl.ioctl(other, termios.TIOCSWINSZ, struct.pack("HHHH", 24, COLUMNS, 0, 0))
-    process = subprocess.Popen(words, stdin=other, stdout=other, stderr=other, start_new_session=True)
+    process = subprocess.Popen(words, stdin=other, stdout=other, stderr=other, start_new_session=True, cwd=folder)
     os.close(other)
     said = b""
     while True:
@@ -78,10 +79,20 @@ def problems(code: int, expected: int, text: str, states: list[str]) -> list[str
     return found + ["a traceback"] * ("Traceback" in text)
 
 
+def with_texts(page: str, texts: dict[str, str]) -> str:
+    """The page with each text in the block below its mark."""
+    for name, text in texts.items():
+        before, mark, after = page.partition(f"<!-- console: {name} -->\n\n```text\n")
+        if mark:
+            page = before + mark + text.rstrip() + "\n```" + after.partition("```")[2]
+    return page
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("station", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="TEXTS")
+    parser.add_argument("--page", type=Path)
     parser.add_argument("--fusion", default="refined", choices=("refined", "grid"))
     args = parser.parse_args()
     args.output.mkdir(parents=True, exist_ok=True)
@@ -92,23 +103,26 @@ def main() -> int:
         print(f"{name}: {seconds:.1f} s", *found, sep="\n  ", flush=True)
         wrong.extend(found)
 
-    with tempfile.TemporaryDirectory() as folder:
-        words = command(args.station, Path(folder) / "work", args.fusion)
-        for name, expected, at in (("interrupted", 130, "height"), ("resumed", 0, "")):
+    station = args.station.resolve()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for kind, work, expected, at in (
+            ("interrupted", "work", 130, "height"),
+            ("resumed", "work", 0, ""),
+            ("terminal", "again", 0, ""),
+        ):
             start = time.monotonic()
-            code, text, states = on_terminal(words, interrupt_at=at)
-            keep(name, time.monotonic() - start, text, problems(code, expected, text, states))
-        words = command(args.station, Path(folder) / "again", args.fusion)
+            code, text, states = on_terminal(command(station, work, args.fusion), folder, interrupt_at=at)
+            keep(kind, time.monotonic() - start, text, problems(code, expected, text, states))
         start = time.monotonic()
-        code, text, states = on_terminal(words)
-        keep("terminal", time.monotonic() - start, text, problems(code, 0, text, states))
-        words = command(args.station, Path(folder) / "third", args.fusion)
-        start = time.monotonic()
-        done = subprocess.run(words, capture_output=True, text=True)
+        done = subprocess.run(command(station, "third", args.fusion), cwd=folder, capture_output=True, text=True)
         text = f"standard output:\n{done.stdout}\nstandard error:\n{done.stderr}"
         found = problems(done.returncode, 0, text, [])
         found += ["control characters in a file"] * bool(re.search(r"[\x1b\r]", text))
         keep("redirected", time.monotonic() - start, text, found)
+        if args.page:
+            texts = {path.stem: path.read_text().replace(name, "/home/anna") for path in args.output.glob("*.txt")}
+            args.page.write_text(with_texts(args.page.read_text(), texts))
     return int(bool(wrong))
 
 

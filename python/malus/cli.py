@@ -14,7 +14,7 @@ import textwrap
 from collections.abc import Sequence
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol, TextIO, TypeAlias
 
 import malus
 from malus import _core, batch, m3c2, registration, studio
@@ -427,16 +427,17 @@ def _require_own_folder(work: Path, station: Path) -> None:
         )
 
 
-def _print_lines(*lines: str, hang: int = 2) -> None:
+def _print_lines(*lines: str, hang: int = 2, to: TextIO | None = None) -> None:
     """Lines for a person: on a terminal no wider than that, without breaking words; to a file as they are."""
+    stream = to or sys.stdout
     for line in lines:
-        if sys.stdout.isatty():
+        if stream.isatty():
             indent = " " * (len(line) - len(line.lstrip()) + hang)
             columns = max(40, shutil.get_terminal_size().columns)
             line = textwrap.fill(
                 line, columns, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
             )
-        print(line)
+        print(line, file=stream)
 
 
 def _print_files(work: Path, step: str) -> None:
@@ -726,7 +727,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if "MALUS_TRACEBACK" in os.environ:
             raise
         code, message = ending_of(error)
-        print(f"malus: {message}", file=sys.stderr)
+        _print_lines(f"malus: {message}", to=sys.stderr)
         return code
     return 0
 

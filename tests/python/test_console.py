@@ -107,6 +107,16 @@ def test_options_fit_on_a_terminal(capsys: pytest.CaptureFixture[str], monkeypat
     assert max(map(len, lines)) <= 80 and sum(not line.startswith(" ") for line in lines) == len(MAIN)
 
 
+def test_errors_fit_on_a_terminal(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli.sys.stderr, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.chdir("/")  # a long path of the test's folder stays in one piece
+    assert cli.main(["check", r"C:\Users\Anna\museum\station.toml"]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert max(map(len, lines)) <= 80 and len(lines) > 1
+    assert "drive C: of Windows is /mnt/c in WSL" in " ".join(line.strip() for line in lines)
+
+
 def test_results_do_not_lie_among_the_inputs(small_station: Path) -> None:
     outcome = run_malus("run", small_station, "-o", small_station.parent)
     assert outcome.code == 2 and "station_work" in outcome.err
