@@ -579,7 +579,9 @@ def run_and_show(served: Served, page: Any) -> None:
         page.locator("p[data-state]", has_text="left").wait_for()
         page.get_by_role("button", name="Cancel").click()
         page.locator("p[data-state]", has_text="canceled").wait_for()
-    page.get_by_role("button", name="Resume").click()
+    page.get_by_role("button", name="Resume").press("Enter")
+    page.get_by_role("article").get_by_text("canceled").wait_for(state="detached")
+    wait_for(page, lambda: page.evaluate("document.activeElement.textContent") in ("Cancel", "Show the report"))
     pictured(page, "run")
     require_accessible(page)
     page.get_by_role("button", name="Show the report").click(timeout=RUN_MS)
@@ -828,3 +830,12 @@ def test_large_type_and_dark_colors(page: Any) -> None:
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), name
         require_accessible(page)
         pictured(page, f"dark_{name}")
+    page.get_by_role("button", name="Report", exact=True).first.click()
+    heading = page.locator("#result-view h3")
+    heading.wait_for()
+    box = heading.bounding_box()
+    assert box and 0 <= box["y"] < 400  # what was asked for is on the screen
+    assert page.evaluate("document.activeElement.tagName") == "H3"
+    page.set_viewport_size({"width": 390, "height": 844})  # a phone
+    go(page, "Run")
+    assert page.evaluate("[...document.querySelectorAll('.scroll')].every(one => one.scrollWidth <= one.clientWidth)")

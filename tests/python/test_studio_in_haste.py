@@ -21,6 +21,7 @@ from studio_browser import (
     needs_browser,
     needs_studio,
     opened,
+    require_accessible,
     studio,
     wait_for,
 )
@@ -268,7 +269,7 @@ def test_a_step_of_undo_that_fails_is_not_lost(page: Any, station: Path) -> None
     page.unroute("**/api/text")
     page.get_by_role("button", name="Undo the last change").click()
     wait_for(page, lambda: "Other" not in station.read_text())
-    assert page.locator("#redo").is_enabled()
+    page.locator("#redo:not([disabled])").wait_for()
 
 
 def test_text_of_the_file_that_is_being_typed_stays(page: Any, station: Path) -> None:
@@ -417,3 +418,13 @@ def test_a_button_of_a_run_that_begins_meanwhile_keeps_the_keyboard(page: Any) -
     run["state"] = "running"
     page.locator("p[data-state]", has_text="starting").wait_for()
     assert page.evaluate("document.activeElement.textContent") == "Cancel"
+
+
+def test_results_that_cannot_be_read_can_be_scrolled_to_by_the_keyboard(page: Any) -> None:
+    broken = [
+        {"path": f"work_{k}", "problem": f"manifest.json: no results of a run ({'broken ' * 20})"} for k in (1, 2)
+    ]
+    page.route("**/api/results*", lambda route: route.fulfill(json=broken))
+    page.set_viewport_size({"width": 390, "height": 844})
+    go(page, "Results")
+    require_accessible(page)

@@ -16,7 +16,7 @@ export async function showResults() {
   const chosen = new Set();
   const compare = make('button', { type: 'button', class: 'compare', disabled: true, click: doing(() => showBoth([...chosen])) }, 'Compare the two that are ticked');
   const tick = (path) => (event) => { if (event.target.checked) chosen.add(path); else chosen.delete(path); compare.disabled = chosen.size !== 2; };
-  byId('result-list').replaceChildren(make('div', { class: 'scroll' }, make('table', {}, make('caption', {}, 'Results in the opened folder'),
+  byId('result-list').replaceChildren(make('div', { class: 'scroll', tabindex: 0, role: 'group', 'aria-label': 'Results' }, make('table', {}, make('caption', {}, 'Results in the opened folder'),
     make('thead', {}, make('tr', {}, ...['compare', 'folder', 'object', 'confidence', 'accuracy', 'coverage', 'warnings', 'show'].map((text) => make('th', { scope: 'col' }, text)))),
     make('tbody', {}, ...all.map((result) => line(result, tick))))), compare,
     ...(compared.length ? [make('h3', {}, 'Comparisons of two dates'), make('ul', {}, ...compared.map(({ path, report }) => make('li', {}, make('button', { type: 'button', class: 'link', click: () => showReport(path, report) }, path))))] : []));
@@ -32,15 +32,23 @@ function line(result, tick) {
   return make('tr', {}, make('td', {}, result.problem ? null : make('input', { type: 'checkbox', 'aria-label': `Compare ${result.path}`, change: tick(result.path) })), make('th', { scope: 'row' }, result.path), ...cells);
 }
 
+// Shows something of the results below their table, and goes there: it may lie below what the window shows.
+function present(title, ...parts) {
+  const heading = make('h3', { tabindex: -1 }, title);
+  place.replaceChildren(heading, ...parts);
+  heading.focus({ preventScroll: true });
+  heading.scrollIntoView();
+}
+
 export function showReport(work, address) {
-  place.replaceChildren(make('h3', {}, `Report of ${work}`), make('p', {}, make('a', { href: address, target: '_blank', rel: 'noopener' }, 'Open it in a tab of its own')),
+  present(`Report of ${work}`, make('p', {}, make('a', { href: address, target: '_blank', rel: 'noopener' }, 'Open it in a tab of its own')),
     make('iframe', { src: address, title: `Report of ${work}` }));
 }
 
 async function showBoth([a, b]) {
   const figure = (path) => make('figure', {}, make('img', { src: addressOf('relief', { path }), alt: `Relief shading of the surface in ${path}` }), make('figcaption', {}, path));
-  const shown = make('div', {}, make('h3', { tabindex: -1 }, `${a} and ${b}`), make('div', { class: 'pair' }, figure(a), figure(b)));
-  place.replaceChildren(shown);
+  const shown = make('div', {}, make('div', { class: 'pair' }, figure(a), figure(b)));
+  present(`${a} and ${b}`, shown);
   try {
     const said = await ask('difference', { a, b });
     const told = (value) => length(value, said.unit);
@@ -103,7 +111,7 @@ async function showProfile(result) {
     await change([{ list: 'profile', entries: [...profiles, { name: `picked ${profiles.length + 1}`, ...ends() }] }]);
     keep.textContent = `Kept in ${state.station.path}; the next run reports it`;
   }) }, 'Keep it in the open station');
-  place.replaceChildren(make('h3', {}, `Profile on ${result.path}`), make('div', { class: 'pair' }, picked, make('div', {}, make('p', { class: 'note' }, 'Press two places of the picture, or type their pixels.'),
+  present(`Profile on ${result.path}`, make('div', { class: 'pair' }, picked, make('div', {}, make('p', { class: 'note' }, 'Press two places of the picture, or type their pixels.'),
     make('p', { class: 'row' }, ...inputs.map((input) => make('label', {}, input.getAttribute('aria-label'), input)), make('button', { type: 'button', click: draw }, 'Draw'), keep), chart)));
   await draw();
 }

@@ -73,10 +73,17 @@ function update(element, run) {
   part('[data-error]').textContent = run.error;
   if (element.dataset.showing === run.state) return;
   element.dataset.showing = run.state;
-  const again = (text) => make('button', { type: 'button', click: doing(async () => { await tell(run.asked.name, run.asked.body); await refresh(); }) }, text);
+  const again = (text) => make('button', { type: 'button', click: doing(() => startAgain(run)) }, text);
   const buttons = { waiting: [cancel(run)], running: [cancel(run)], failed: [again('Try again')], canceled: [again('Resume')],
     done: [make('button', { type: 'button', class: 'main', click: async () => { await showPage('results'); showReport(run.work, run.report); } }, 'Show the report')] };
   redraw(part('[data-buttons]'), ...buttons[run.state]);
+}
+
+// The keyboard stays with the run, which is a new one.
+async function startAgain(run) {
+  const { number } = await tell(run.asked.name, run.asked.body);
+  await refresh();
+  byId('run-list').querySelector(`[data-run="${number}"] button`)?.focus();
 }
 
 const cancel = (run) => make('button', { type: 'button', click: doing(async () => { await tell('cancel', { number: run.number }); await refresh(); }) }, 'Cancel');
