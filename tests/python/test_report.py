@@ -136,6 +136,12 @@ def test_numbers_of_the_profiles_stand_right_and_empty_columns_are_left_out(work
         assert len({len(row[column][1].partition(".")[2]) for row in rows}) == 1, column
 
 
+def test_words_of_solvers_stand_among_the_parameters_only(work: Path) -> None:
+    told, provenance = (work / "report/index.html").read_text().split('<section id="provenance"')
+    assert "converged" in provenance and "converged" not in told
+    assert "The light stands" in told
+
+
 def test_page_is_self_contained_and_described(work: Path, page: Page) -> None:
     for address in page.addresses:
         if address.startswith(("data:", "#")):
