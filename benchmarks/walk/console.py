@@ -48,6 +48,7 @@ def on_terminal(words: list[str], folder: Path | None = None, *, interrupt_at: s
         said += block
         if interrupt_at and interrupt_at in said.decode(errors="replace"):
             interrupt_at = ""
+            time.sleep(1)  # as a person who has seen it
             os.killpg(process.pid, signal.SIGINT)
     text = said.decode(errors="replace")
     states = [_CONTROL.sub("", state) for state in re.split(r"[\r\n]", text)]
@@ -107,7 +108,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for kind, work, expected, at in (
-            ("interrupted", "work", 130, "height"),
+            ("interrupted", "work", 130, "evidence"),
             ("resumed", "work", 0, ""),
             ("terminal", "again", 0, ""),
         ):
