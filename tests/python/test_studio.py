@@ -834,7 +834,7 @@ def test_large_type_and_dark_colors(page: Any) -> None:
     heading = page.locator("#result-view h3")
     heading.wait_for()
     box = heading.bounding_box()
-    assert box and 0 <= box["y"] < 400  # what was asked for is on the screen
+    assert box and -1 < box["y"] < 400  # what was asked for is on the screen, to parts of a pixel
     assert page.evaluate("document.activeElement.tagName") == "H3"
     page.set_viewport_size({"width": 390, "height": 844})  # a phone
     go(page, "Run")
