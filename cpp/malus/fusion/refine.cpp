@@ -1,11 +1,9 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <complex>
 #include <limits>
 #include <memory>
 #include <optional>
-#include <span>
 #include <utility>
 
 #include "malus/core/depth_normals_internal.h"
@@ -26,7 +24,7 @@
 #include "malus/fusion/self_mirroring_internal.h"
 #include "malus/fusion/surface_evidence_internal.h"
 #include "malus/fusion/surface_sigma_internal.h"
-#include "malus/fusion/surroundings_fit_internal.h"
+#include "malus/fusion/surroundings_course_internal.h"
 #include "malus/fusion/tile_solver_internal.h"
 
 namespace malus {
@@ -78,70 +76,6 @@ MirroredTerms mirrored_terms(const RefineOptions& options) {
   return {options.environment, options.lobe};
 }
 
-/// How the map of the surroundings is fitted next.
-struct MapCourse {
-  MirrorMaterial material;
-  int rounds_to_keep = 0;  ///< for which its roughness is not asked again
-};
-
-/// Takes over a fit of the surroundings, and of a metal how well it predicts s0.
-void take_surroundings(const SurroundingsFit& fit, RefinementImage& image, RefineReport& report, MapCourse& course,
-                       const Context& context) {
-  constexpr double least_error = 0.05;
-  report.surroundings = fit.surroundings;
-  MirrorMaterial& material = course.material;
-  if (material.is_metal()) {
-    material.intensity_error = std::max(least_error, deviation_per_median * fit.intensity_error);
-    image.reflection.metal_error = material.intensity_error;
-    report.metal_index = material.index;
-  }
-  image.reflection.mirrored =
-      std::make_shared<MirroredLightTable>(report.surroundings, material.index, image.camera, context);
-}
-
-/// Fits the surroundings at the current surface, near the roughness that is known, if it is.
-SurroundingsFit fit_mirrored(RefinementImage& image, RefineReport& report, MapCourse& course, const Context& context) {
-  constexpr std::size_t enough = 12000;
-  static constexpr std::array any{0.04, 0.08, 0.12, 0.2, 0.3, 0.42};
-  constexpr double near = 1.25;
-  constexpr int rounds_between = 3;
-  const double known = report.surroundings.roughness;
-  const std::array close{known, known / near, known * near};
-  std::span<const double> tried = any;
-  if (!report.surroundings.radiance.empty()) {
-    tried = close;
-    if (course.rounds_to_keep > 0) tried = tried.first(1);
-  }
-  const SurroundingsFit fit = fit_surroundings(collect_samples(image, Reflection::diffuse, enough), course.material,
-                                               tried, report.surroundings.radiance, context);
-  if (tried.size() == 1) {
-    --course.rounds_to_keep;
-  } else if (fit.surroundings.roughness == known) {
-    course.rounds_to_keep = rounds_between;
-  }
-  take_surroundings(fit, image, report, course, context);
-  return fit;
-}
-
-/// The metal that explains the polarization and the light of the pixels best, if any explains both.
-std::optional<std::pair<MirrorMaterial, SurroundingsFit>> find_metal(const std::vector<ReflectionSample>& samples,
-                                                                     double dielectric_cost, const Context& context) {
-  // Silver and gold, alloys of copper, iron and lead; at 550 nm.
-  static constexpr std::array<std::complex<double>, 3> metals{{{0.1, 3.6}, {0.63, 3.19}, {2.5, 3.0}}};
-  static constexpr std::array roughnesses{0.08, 0.15, 0.3};
-  // Of metals s0 was found to within 0.03 to 0.11 at the prior's slopes, of clay, glaze, paint and stone to 0.27 to
-  // 0.9.
-  constexpr double largest_error = 0.15, cost_margin = 0.1;
-  std::optional<std::pair<MirrorMaterial, SurroundingsFit>> best;
-  for (const std::complex<double> index : metals) {
-    const MirrorMaterial metal{index};
-    SurroundingsFit fit = fit_surroundings(samples, metal, roughnesses, {}, context);
-    if (fit.intensity_error > largest_error || fit.cost > dielectric_cost + cost_margin) continue;
-    if (!best || fit.cost < best->second.cost) best.emplace(metal, std::move(fit));
-  }
-  return best;
-}
-
 /// Fits what all pixels share at the current surface; the mirror image's light only if it is not known yet. Returns by
 /// how much the lobe lowered the robust cost.
 double fit_reflection(RefinementImage& image, const RefineOptions& options, bool is_mirror_known, RefineReport& report,
@@ -150,7 +84,7 @@ double fit_reflection(RefinementImage& image, const RefineOptions& options, bool
   const auto diffuse = collect_samples(image, Reflection::diffuse, sample_count);
   if (image.reflection.mirrored) {
     fit_mirrored(image, report, course, context);
-    image.shading = fit_body_shading(diffuse, *image.reflection.mirrored);
+    image.shading = fit_body_shading(diffuse, image.reflection);
   } else if (!diffuse.empty()) {
     const Shading shading = fit_shading(diffuse);
     image.shading = shading.harmonics;
@@ -328,6 +262,7 @@ class Refiner {
       report_.eta_sigma = 0;
       return;
     }
+    find_other_finish(dielectric, image_, report_, map_, context_);
     if (options_.correct_index) correct_index();
     if (mean_over_object(explained(nullptr).shares(false, context_)) > by_labels + clearly) {
       report_index(image_.reflection.eta != supposed_index(), index_of_body_sigma);
@@ -336,8 +271,9 @@ class Refiner {
     image_.kind = labels;
     image_.usable = usable;
     image_.reflection = model;
+    image_.other_finish = {};
     report_.surroundings = {};
-    report_.self_mirroring_share = 0;
+    report_.self_mirroring_share = report_.other_finish_share = 0;
   }
 
   /// Returns what the solver took.

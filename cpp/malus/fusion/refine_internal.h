@@ -44,6 +44,7 @@ struct RefineReport {
   Surroundings surroundings;   ///< without radiance if they are not the model
   /// Share of the usable pixels that mirror the object itself and are left out with such a model, 0 … 1.
   double self_mirroring_share = 0;
+  double other_finish_share = 0;  ///< of the usable pixels; 0 = all have one finish
   /// n + i k of the metal that the model with surroundings takes the object for; 0 = not for a metal.
   std::complex<double> metal_index = 0;
   double eta_sigma = 0;              ///< 0 = the index is given, NaN = neither given nor told by the data

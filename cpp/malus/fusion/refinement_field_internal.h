@@ -36,7 +36,7 @@ struct RefinementField : SurfaceEstimate {
   }
   PixelReflection reflection_at(int u, int v) const { return reflection_at(u, v, frame_at(u, v)); }
   PixelReflection reflection_at(int u, int v, const RayFrame& frame) const {
-    return {reflection, kind_at(u, v), s0(u, v), mirror_body(u, v), frame};
+    return {reflection, kind_at(u, v), s0(u, v), mirror_body(u, v), frame, has_other_finish(u, v)};
   }
   double robust_scale_at(int u, int v) const {
     return kind_at(u, v) == Reflection::specular ? robust_scale * specular_widening : robust_scale;

@@ -95,6 +95,7 @@ RefinementField RefinementImage::part(const PixelRect& rect, const Context& cont
   field.usable = cropped(usable, rect);
   field.x = cropped(x, rect);
   field.kind = cropped(kind, rect);
+  if (!other_finish.empty()) field.other_finish = cropped(other_finish, rect);
   field.reflection = reflection;
   field.shading = shading;
   const Size size = rect.size();

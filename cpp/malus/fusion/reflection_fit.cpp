@@ -331,6 +331,12 @@ std::array<double, node_count> nodes_of(const Eigen::VectorXd& values) {
 
 }  // namespace
 
+ReflectionSample sample_of(const PixelData& pixel, const Eigen::Vector2d& slopes, const RayFrame& frame) {
+  const double s0 = pixel.s0;
+  return {slopes[0], slopes[1], s0, pixel.s1, pixel.s2, std::sqrt(pixel.variance + model_error * model_error * s0 * s0),
+          frame};
+}
+
 std::vector<ReflectionSample> collect_samples(const RefinementImage& image, Reflection kind,
                                               std::size_t largest_count) {
   const auto takes_part = [&](std::size_t i) {
@@ -348,10 +354,8 @@ std::vector<ReflectionSample> collect_samples(const RefinementImage& image, Refl
       if (!takes_part(i) || !is_chosen(i, share)) continue;
       const Eigen::Vector2d slopes = central_slopes(image, u, v);
       if (slopes.squaredNorm() > largest_tan2) continue;
-      const PixelData pixel = image.source->at(u, v);
-      const double s0 = pixel.s0;
-      samples.push_back({slopes[0], slopes[1], s0, pixel.s1, pixel.s2,
-                         std::sqrt(pixel.variance + model_error * model_error * s0 * s0), image.frame_at(u, v)});
+      samples.push_back(sample_of(image.source->at(u, v), slopes, image.frame_at(u, v)));
+      samples.back().other_finish = image.has_other_finish(u, v);
     }
   }
   return samples;
@@ -375,7 +379,7 @@ Shading fit_shading(const std::vector<ReflectionSample>& samples) {
   return shading;
 }
 
-ShadingHarmonics fit_body_shading(const std::vector<ReflectionSample>& samples, const MirroredLightTable& mirrored) {
+ShadingHarmonics fit_body_shading(const std::vector<ReflectionSample>& samples, const ReflectionModel& model) {
   ShadingHarmonics harmonics = ShadingHarmonics::Unit(0);
   if (samples.size() < 200) return harmonics;
   const auto count = static_cast<Eigen::Index>(samples.size());
@@ -384,6 +388,7 @@ ShadingHarmonics fit_body_shading(const std::vector<ReflectionSample>& samples, 
   for (Eigen::Index i = 0; i < count; ++i) {
     const ReflectionSample& s = samples[static_cast<std::size_t>(i)];
     rows.row(i) = shading_basis(normal_of(s.frame, s.p, s.q)).transpose();
+    const MirroredLightTable& mirrored = *model.table_of(s.other_finish);
     values[i] = std::max(s.s0 - mirrored.at(s.p, s.q, s.frame).stokes[0], 0.0);
   }
   // Errors are relative down to a tenth of the usual light. A metal has none from a body.

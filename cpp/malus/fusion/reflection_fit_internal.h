@@ -15,9 +15,13 @@ struct ReflectionSample {
   double s0 = 0, s1 = 0, s2 = 0;
   double sigma = 1;  ///< of s1 and s2: noise and a small relative model error
   RayFrame frame;
+  bool other_finish = false;  ///< as rough as the other of two finishes
 
   double tan2() const { return p * p + q * q; }
 };
+
+/// A pixel at these slopes.
+ReflectionSample sample_of(const PixelData& pixel, const Eigen::Vector2d& slopes, const RayFrame& frame);
 
 /// Usable pixels of one kind at the current slopes, thinned evenly to at most about `largest_count`.
 std::vector<ReflectionSample> collect_samples(const RefinementImage& image, Reflection kind, std::size_t largest_count);
@@ -31,8 +35,8 @@ struct Shading {
 /// Robust fits of s0 against the normals.
 Shading fit_shading(const std::vector<ReflectionSample>& samples);
 
-/// Of the body's light against the normals, to the second order; the errors are relative.
-ShadingHarmonics fit_body_shading(const std::vector<ReflectionSample>& samples, const MirroredLightTable& mirrored);
+/// Of the body's light against the normals, to the second order; the errors are relative. The model has a map.
+ShadingHarmonics fit_body_shading(const std::vector<ReflectionSample>& samples, const ReflectionModel& model);
 
 /// How well a reflection model explains the Stokes vectors at known slopes: mean of ln(1 + r² / 4).
 struct DiffuseFit {

@@ -67,8 +67,13 @@ LobeAtPixel::Density LobeAtPixel::density(double p, double q, double roughness) 
 }
 
 PixelReflection::PixelReflection(const ReflectionModel& model, Reflection kind, double s0, double mirror_body,
-                                 const RayFrame& frame)
-    : model_(model), kind_(kind), s0_(s0), mirror_body_(mirror_body), frame_(frame) {
+                                 const RayFrame& frame, bool other_finish)
+    : model_(model),
+      kind_(kind),
+      s0_(s0),
+      mirror_body_(mirror_body),
+      frame_(frame),
+      mirrored_(model.table_of(other_finish)) {
   if (kind == Reflection::diffuse && !model.mirrored && model.lobe.strength > 0)
     lobe_ = LobeAtPixel(model.lobe.light, frame, model.eta);
 }
@@ -80,7 +85,7 @@ PredictedStokes PixelReflection::predict(double p, double q) const {
 
 PredictedStokes PixelReflection::predict_mirroring(double p, double q) const {
   const FresnelFactors f = fresnel_factors(p * p + q * q, model_.eta);
-  const MirroredLight mirrored = model_.mirrored->at(p, q, frame_);
+  const MirroredLight mirrored = mirrored_->at(p, q, frame_);
   PredictedStokes out;
   out.mirrored = mirrored.stokes[0];
   out.mirrored_by_p = mirrored.by_p[0];

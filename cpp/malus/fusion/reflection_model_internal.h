@@ -55,11 +55,17 @@ struct ReflectionModel {
   double eta = 1.5;
   /// What pixels that are not specular mirror; null = by environment and lobe.
   std::shared_ptr<const MirroredLightTable> mirrored;
+  /// The same of pixels with the other of two finishes; null = all have one.
+  std::shared_ptr<const MirroredLightTable> mirrored_by_other;
   /// Of a metal, all of whose light is mirrored: standard deviation of the predicted s0 as a share of it. 0 = no metal.
   double metal_error = 0;
   EnvironmentProfile environment;
   HighlightLobe lobe;
   MirrorReflection mirror;
+
+  const MirroredLightTable* table_of(bool other_finish) const {
+    return (other_finish && mirrored_by_other ? mirrored_by_other : mirrored).get();
+  }
 };
 
 /// The lobe as one pixel sees it. Slopes are against the pixel's viewing ray.
@@ -93,8 +99,10 @@ struct PredictedStokes {
 /// 2 p q) + (m1, m2); of a metal d = 0, and s0 = m0 is predicted, too.
 class PixelReflection {
  public:
-  /// mirror_body: s0 of the light from inside a specular body, from 0 to s0; not used for a diffuse one.
-  PixelReflection(const ReflectionModel& model, Reflection kind, double s0, double mirror_body, const RayFrame& frame);
+  /// mirror_body: s0 of the light from inside a specular body, from 0 to s0; not used for a diffuse one. other_finish:
+  /// of two that a map of the surroundings is seen through.
+  PixelReflection(const ReflectionModel& model, Reflection kind, double s0, double mirror_body, const RayFrame& frame,
+                  bool other_finish = false);
 
   PredictedStokes predict(double p, double q) const;
 
@@ -107,6 +115,7 @@ class PixelReflection {
   Reflection kind_;
   double s0_, mirror_body_;
   RayFrame frame_;
+  const MirroredLightTable* mirrored_;
   LobeAtPixel lobe_;
 };
 

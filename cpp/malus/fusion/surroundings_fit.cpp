@@ -40,7 +40,7 @@ struct LinearSystem {
   Eigen::Index parts = 2;
 };
 
-LinearSystem linearize(const std::vector<ReflectionSample>& samples, const Cells& cells, double roughness,
+LinearSystem linearize(const std::vector<ReflectionSample>& samples, const Cells& cells, const Finishes& finishes,
                        const MirrorMaterial& material) {
   const auto count = static_cast<Eigen::Index>(samples.size()), columns = static_cast<Eigen::Index>(cells.size());
   const Eigen::Index parts = material.is_metal() ? 3 : 2;
@@ -49,7 +49,8 @@ LinearSystem linearize(const std::vector<ReflectionSample>& samples, const Cells
   for (Eigen::Index i = 0; i < count; ++i) {
     const ReflectionSample& s = samples[static_cast<std::size_t>(i)];
     const double sigma = std::hypot(s.sigma, error_of_slopes(s, Reflection::diffuse));
-    mirrored_by_cell(s.p, s.q, s.frame, cells, roughness, material.index, response);
+    mirrored_by_cell(s.p, s.q, s.frame, cells, s.other_finish ? finishes.other : finishes.usual, material.index,
+                     response);
     const double factor = material.is_metal() ? 0 : fresnel_factors(s.tan2(), material.index.real()).diffuse;
     const Eigen::Vector2d diffuse = factor * Eigen::Vector2d(s.p * s.p - s.q * s.q, 2 * s.p * s.q);
     system.rows.row(i) = (response.row(1) - static_cast<float>(diffuse[0]) * response.row(0)) / sigma;
@@ -109,11 +110,11 @@ Residuals weigh(const LinearSystem& system, const Eigen::VectorXf& radiances, co
 }
 
 /// `start`: radiances that are about right, if there are any.
-SurroundingsFit fit(const std::vector<ReflectionSample>& samples, const Cells& cells, double roughness,
+SurroundingsFit fit(const std::vector<ReflectionSample>& samples, const Cells& cells, const Finishes& finishes,
                     const MirrorMaterial& material, const Image<float>& start = {}) {
   constexpr float ridge = 1e-4F, smoothness = 1e-3F;
   constexpr int rounds = 4, rounds_from_start = 1;
-  const LinearSystem system = linearize(samples, cells, roughness, material);
+  const LinearSystem system = linearize(samples, cells, finishes, material);
   Eigen::VectorXf radiances = Eigen::VectorXf::Zero(system.rows.cols());
   Residuals residuals{Eigen::VectorXf::Ones(static_cast<Eigen::Index>(samples.size()))};
   if (!start.empty()) {
@@ -135,7 +136,8 @@ SurroundingsFit fit(const std::vector<ReflectionSample>& samples, const Cells& c
   SurroundingsFit result;
   result.cost = residuals.cost;
   result.intensity_error = residuals.intensity_error;
-  result.surroundings.roughness = roughness;
+  result.surroundings.roughness = finishes.usual;
+  result.surroundings.other_roughness = finishes.other;
   result.surroundings.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
   for (std::size_t i = 0; i < cells.size(); ++i)
     result.surroundings.radiance(cells[i].column, cells[i].row) = radiances[static_cast<Eigen::Index>(i)];
@@ -145,12 +147,11 @@ SurroundingsFit fit(const std::vector<ReflectionSample>& samples, const Cells& c
 }  // namespace
 
 SurroundingsFit fit_surroundings(const std::vector<ReflectionSample>& samples, const MirrorMaterial& material,
-                                 std::span<const double> roughnesses, const Image<float>& start,
-                                 const Context& context) {
+                                 std::span<const Finishes> tried, const Image<float>& start, const Context& context) {
   const Cells cells = Surroundings::all_cells();
-  std::vector<SurroundingsFit> fits(roughnesses.size());
+  std::vector<SurroundingsFit> fits(tried.size());
   parallel_for(context, fits.size(), 1, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) fits[i] = fit(samples, cells, roughnesses[i], material, start);
+    for (std::size_t i = begin; i < end; ++i) fits[i] = fit(samples, cells, tried[i], material, start);
   });
   return *std::min_element(fits.begin(), fits.end(), [](const auto& a, const auto& b) { return a.cost < b.cost; });
 }
@@ -159,7 +160,7 @@ double index_of_body(const std::vector<ReflectionSample>& samples, double suppos
                      const Context& context) {
   const Cells cells = Surroundings::all_cells();
   const IndexSearch search = search_index(
-      supposed, [&](double index) { return fit(samples, cells, roughness, {index}).cost; }, context);
+      supposed, [&](double index) { return fit(samples, cells, {roughness}, {index}).cost; }, context);
   return search.contradicts() ? search.index : supposed;
 }
 

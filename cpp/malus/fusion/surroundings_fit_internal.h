@@ -25,13 +25,17 @@ struct MirrorMaterial {
   bool is_metal() const { return index.imag() > 0; }
 };
 
-/// Fits the radiance of all cells for each roughness and keeps the cheapest. With the light from the body put in from
-/// the measured s0, d = s0 − m0, the Stokes residual is linear in the radiances: robust non-negative least squares. A
-/// metal has no light from a body: there the measured s0 is a third equation, s0 = m0. `start`: radiance that is about
-/// right, or empty.
+/// Roughness of the facets of most pixels, and of those with the other finish, as of glaze and bare clay; 0 = no such.
+struct Finishes {
+  double usual = 0.1, other = 0;
+};
+
+/// Fits the radiance of all cells for each of these finishes and keeps the cheapest. With the light from the body put
+/// in from the measured s0, d = s0 − m0, the Stokes residual is linear in the radiances: robust non-negative least
+/// squares. A metal has no light from a body: there the measured s0 is a third equation, s0 = m0. `start`: radiance
+/// that is about right, or empty.
 SurroundingsFit fit_surroundings(const std::vector<ReflectionSample>& samples, const MirrorMaterial& material,
-                                 std::span<const double> roughnesses, const Image<float>& start,
-                                 const Context& context);
+                                 std::span<const Finishes> tried, const Image<float>& start, const Context& context);
 
 /// RMS error of the index below, of random objects where it was not the supposed one.
 inline constexpr double index_of_body_sigma = 0.08;

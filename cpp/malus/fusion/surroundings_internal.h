@@ -20,6 +20,7 @@ namespace malus {
 struct Surroundings {
   static constexpr int cells = 20;  ///< along the disc's diameter
   double roughness = 0.1;           ///< alpha of the facets' slopes
+  double other_roughness = 0;       ///< of pixels with another finish; 0 = all have one
   Image<float> radiance;            ///< cells × cells, not negative, in units of s0; 0 outside the disc
 
   /// Half vectors of the cells inside the disc, (x to the right, y upwards), and where they are in `radiance`.

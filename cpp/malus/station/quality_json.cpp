@@ -40,6 +40,8 @@ Json refine_report_json(const RefineReport& report) {
     for (int row = 0; row < radiance.height(); ++row)
       rows.push_back(std::vector<float>(radiance.row(row), radiance.row(row) + radiance.width()));
     surroundings = {{"roughness", report.surroundings.roughness},
+                    {"other_roughness", report.surroundings.other_roughness},
+                    {"other_finish_share", report.other_finish_share},
                     {"self_mirroring_share", report.self_mirroring_share},
                     {"radiance", rows}};
     if (report.metal_index != 0.0)

@@ -124,7 +124,7 @@ TEST(Surroundings, AreFoundFromWhatTheyMirror) {
   const Surroundings truth = window(0.2);
   const MirroredLightTable table(truth, 1.5, camera, Context{});
   const std::vector<ReflectionSample> samples = samples_under_window(table, 1.5);
-  const std::array tried{0.05, 0.1, 0.2, 0.4};
+  const std::array<Finishes, 4> tried{{{0.05}, {0.1}, {0.2}, {0.4}}};
   const SurroundingsFit fit = fit_surroundings(samples, {1.5}, tried, {}, Context{});
   EXPECT_EQ(fit.surroundings.roughness, 0.2);
   const MirroredLightTable found(fit.surroundings, 1.5, camera, Context{});
@@ -148,7 +148,8 @@ TEST(Surroundings, AreSmoothThoughSlopesAreWrong) {
     s.p += error(random);
     s.q += error(random);
   }
-  const Image<float> map = fit_surroundings(samples, {1.5}, std::array{0.2}, {}, Context{}).surroundings.radiance;
+  const Image<float> map =
+      fit_surroundings(samples, {1.5}, std::array{Finishes{0.2}}, {}, Context{}).surroundings.radiance;
   double rough = 0, sum = 0;
   for (int row = 6; row < 14; ++row) {
     for (int column = 6; column < 14; ++column) {
@@ -163,7 +164,7 @@ TEST(Surroundings, AreSmoothThoughSlopesAreWrong) {
 TEST(Surroundings, AreFoundInFewerRoundsFromThoseBefore) {
   const MirroredLightTable table(window(0.2), 1.5, camera, Context{});
   const std::vector<ReflectionSample> samples = samples_under_window(table, 1.5);
-  const std::array known{0.2};
+  const std::array known{Finishes{0.2}};
   const SurroundingsFit first = fit_surroundings(samples, {1.5}, known, {}, Context{});
   const SurroundingsFit again = fit_surroundings(samples, {1.5}, known, first.surroundings.radiance, Context{});
   EXPECT_NEAR(again.cost, first.cost, 0.01 * first.cost);
@@ -171,14 +172,16 @@ TEST(Surroundings, AreFoundInFewerRoundsFromThoseBefore) {
 
 TEST(Surroundings, BodysShadingIsThatOfItsOwnLight) {
   // Lit from one side only, which first-order harmonics cannot follow; in front of it, what the surface mirrors.
-  const MirroredLightTable table(window(0.2), 1.5, camera, Context{});
+  ReflectionModel model;
+  model.mirrored = std::make_shared<MirroredLightTable>(window(0.2), 1.5, camera, Context{});
+  const MirroredLightTable& table = *model.mirrored;
   std::vector<ReflectionSample> samples = samples_under_window(table, 1.5);
   const Eigen::Vector3d light = Eigen::Vector3d(0.9, -0.1, -0.4).normalized();
   const auto lit = [&](const ReflectionSample& s) {
     return 0.05 + 0.5 * std::max(normal_of(s.frame, s.p, s.q).dot(light), 0.0);
   };
   for (ReflectionSample& s : samples) s.s0 = lit(s) + table.at(s.p, s.q, s.frame).stokes[0];
-  const ShadingHarmonics shading = fit_body_shading(samples, table);
+  const ShadingHarmonics shading = fit_body_shading(samples, model);
   std::vector<double> errors;
   for (const ReflectionSample& s : samples)
     errors.push_back(std::abs(log_shading(shading, s.frame, s.p, s.q).value - std::log(lit(s))));

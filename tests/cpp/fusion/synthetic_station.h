@@ -24,9 +24,10 @@ struct SyntheticOptions {
   Size size{64, 56};
   Reflection kind = Reflection::diffuse;
   ReflectionModel model;
-  double noise = 2e-5;    ///< standard deviation of s1 and s2
-  double bump_gsd = 1.5;  ///< height of the bumps that the prior does not have
-  bool flat = false;      ///< nothing but the bumps on a tilted plane
+  double noise = 2e-5;        ///< standard deviation of s1 and s2
+  double bump_gsd = 1.5;      ///< height of the bumps that the prior does not have
+  bool flat = false;          ///< nothing but the bumps on a tilted plane
+  bool two_finishes = false;  ///< the right third has the model's other one
 };
 
 /// Of every synthetic station.
@@ -70,7 +71,8 @@ inline SyntheticStation make_station(const SyntheticOptions& options) {
                             ? mirror.body + mirror.environment * fresnel_factors(p * p + q * q, 1.5).reflectance
                         : options.model.metal_error > 0 ? options.model.mirrored->at(p, q, frame).stokes[0]
                                                         : 0.8 + 0.1 * std::sin(0.05 * u);
-      const PixelReflection pixel(options.model, options.kind, s0, mirror.body, frame);
+      const bool other_finish = options.two_finishes && 3 * u > 2 * size.width;
+      const PixelReflection pixel(options.model, options.kind, s0, mirror.body, frame, other_finish);
       const PredictedStokes m = pixel.predict(p, q);
       const double s1 = m.s1 + gauss(random), s2 = m.s2 + gauss(random);
       state.i_un(u, v) = static_cast<float>(s0 / 2);

@@ -1,0 +1,138 @@
+#include <algorithm>
+#include <array>
+#include <complex>
+#include <memory>
+#include <vector>
+
+#include "malus/core/robust_spread_internal.h"
+#include "malus/fusion/finishes_internal.h"
+#include "malus/fusion/surroundings_course_internal.h"
+
+namespace malus {
+namespace {
+
+constexpr std::array any_roughness{0.04, 0.08, 0.12, 0.2, 0.3, 0.42};
+constexpr double near = 1.25;  // factor between neighboring values of a roughness that is about known
+constexpr std::size_t enough_samples = 12000;
+
+std::shared_ptr<const MirroredLightTable> table_of(const Surroundings& surroundings, double roughness,
+                                                   const RefinementImage& image, const MapCourse& course,
+                                                   const Context& context) {
+  Surroundings seen = surroundings;
+  seen.roughness = roughness;
+  return std::make_shared<MirroredLightTable>(seen, course.material.index, image.camera, context);
+}
+
+/// These finishes, and those with one of the two a little smoother or rougher.
+std::vector<Finishes> finishes_near(const Finishes& known) {
+  std::vector<Finishes> tried{known};
+  for (const double factor : {1 / near, near}) {
+    tried.push_back({factor * known.usual, known.other});
+    if (known.other > 0) tried.push_back({known.usual, factor * known.other});
+  }
+  return tried;
+}
+
+/// Share of the usable pixels.
+double share_of(const Mask& pixels, const RefinementImage& image) {
+  double inside = 0, all = 0;
+  for (std::size_t i = 0; i < pixels.count(); ++i) {
+    all += image.usable[i] != 0;
+    inside += image.usable[i] && pixels[i];
+  }
+  return inside / std::max(all, 1.0);
+}
+
+/// Tells the pixels of the other finish by these surroundings, and fits them again with any of the finishes. Nothing
+/// where next to no pixel has the other one.
+std::optional<SurroundingsFit> fit_both(const Surroundings& surroundings, const std::vector<Finishes>& tried,
+                                        RefinementImage& image, const MapCourse& course, const Context& context) {
+  constexpr double least_share = 0.01;
+  image.reflection.mirrored = table_of(surroundings, tried.front().usual, image, course, context);
+  image.reflection.mirrored_by_other = table_of(surroundings, tried.front().other, image, course, context);
+  image.other_finish = pixels_of_other_finish(image, context);
+  if (share_of(image.other_finish, image) < least_share) return std::nullopt;
+  return fit_surroundings(collect_samples(image, Reflection::diffuse, enough_samples), course.material, tried,
+                          surroundings.radiance, context);
+}
+
+}  // namespace
+
+void take_surroundings(const SurroundingsFit& fit, RefinementImage& image, RefineReport& report, MapCourse& course,
+                       const Context& context) {
+  constexpr double least_error = 0.05;
+  report.surroundings = fit.surroundings;
+  MirrorMaterial& material = course.material;
+  if (material.is_metal()) {
+    material.intensity_error = std::max(least_error, deviation_per_median * fit.intensity_error);
+    image.reflection.metal_error = material.intensity_error;
+    report.metal_index = material.index;
+  }
+  const Surroundings& found = report.surroundings;
+  image.reflection.mirrored = table_of(found, found.roughness, image, course, context);
+  image.reflection.mirrored_by_other =
+      found.other_roughness > 0 ? table_of(found, found.other_roughness, image, course, context) : nullptr;
+  report.other_finish_share = found.other_roughness > 0 ? share_of(image.other_finish, image) : 0;
+}
+
+SurroundingsFit fit_mirrored(RefinementImage& image, RefineReport& report, MapCourse& course, const Context& context) {
+  constexpr int rounds_between = 3;
+  const Finishes known{report.surroundings.roughness, report.surroundings.other_roughness};
+  std::vector<Finishes> tried;
+  if (report.surroundings.radiance.empty()) {
+    for (const double roughness : any_roughness) tried.push_back({roughness});
+  } else {
+    tried = finishes_near(known);
+    if (course.rounds_to_keep > 0) tried.resize(1);
+  }
+  if (known.other > 0) image.other_finish = pixels_of_other_finish(image, context);
+  const SurroundingsFit fit = fit_surroundings(collect_samples(image, Reflection::diffuse, enough_samples),
+                                               course.material, tried, report.surroundings.radiance, context);
+  if (tried.size() == 1) {
+    --course.rounds_to_keep;
+  } else if (fit.surroundings.roughness == known.usual && fit.surroundings.other_roughness == known.other) {
+    course.rounds_to_keep = rounds_between;
+  }
+  take_surroundings(fit, image, report, course, context);
+  return fit;
+}
+
+std::optional<std::pair<MirrorMaterial, SurroundingsFit>> find_metal(const std::vector<ReflectionSample>& samples,
+                                                                     double dielectric_cost, const Context& context) {
+  // Silver and gold, alloys of copper, iron and lead; at 550 nm.
+  static constexpr std::array<std::complex<double>, 3> metals{{{0.1, 3.6}, {0.63, 3.19}, {2.5, 3.0}}};
+  static constexpr std::array<Finishes, 3> roughnesses{{{0.08}, {0.15}, {0.3}}};
+  // Of metals s0 was found to within 0.03 to 0.11 at the prior's slopes, of clay, glaze, paint and stone to 0.27 to
+  // 0.9.
+  constexpr double largest_error = 0.15, cost_margin = 0.1;
+  std::optional<std::pair<MirrorMaterial, SurroundingsFit>> best;
+  for (const std::complex<double> index : metals) {
+    const MirrorMaterial metal{index};
+    SurroundingsFit fit = fit_surroundings(samples, metal, roughnesses, {}, context);
+    if (fit.intensity_error > largest_error || fit.cost > dielectric_cost + cost_margin) continue;
+    if (!best || fit.cost < best->second.cost) best.emplace(metal, std::move(fit));
+  }
+  return best;
+}
+
+void find_other_finish(const SurroundingsFit& one, RefinementImage& image, RefineReport& report, MapCourse& course,
+                       const Context& context) {
+  constexpr double least_ratio = 1.9, worthwhile = 0.05;
+  constexpr int more_rounds = 2;
+  const Surroundings& alone = one.surroundings;
+  std::optional<SurroundingsFit> both;
+  for (const double other : any_roughness) {
+    if (std::max(other / alone.roughness, alone.roughness / other) < least_ratio) continue;
+    const auto fit = fit_both(alone, {{alone.roughness, other}}, image, course, context);
+    if (fit && (!both || fit->cost < both->cost)) both = fit;
+  }
+  for (int i = 0; i < more_rounds && both; ++i) {
+    const Surroundings& found = both->surroundings;
+    both = fit_both(found, finishes_near({found.roughness, found.other_roughness}), image, course, context);
+  }
+  const bool better = both && both->cost < one.cost - worthwhile;
+  if (!better) image.other_finish = {};
+  take_surroundings(better ? *both : one, image, report, course, context);
+}
+
+}  // namespace malus

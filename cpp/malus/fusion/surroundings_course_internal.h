@@ -1,0 +1,36 @@
+#pragma once
+
+#include <optional>
+#include <utility>
+
+#include "malus/core/context.h"
+#include "malus/fusion/refine_internal.h"
+#include "malus/fusion/refinement_image_internal.h"
+#include "malus/fusion/surroundings_fit_internal.h"
+
+namespace malus {
+
+/// How the map of the surroundings is fitted next.
+struct MapCourse {
+  MirrorMaterial material;
+  int rounds_to_keep = 0;  ///< for which its roughness is not asked again
+};
+
+/// Takes over a fit of the surroundings, and of a metal how well it predicts s0.
+void take_surroundings(const SurroundingsFit& fit, RefinementImage& image, RefineReport& report, MapCourse& course,
+                       const Context& context);
+
+/// Fits the surroundings at the current surface and takes them over: near the roughness that is known, if it is, and
+/// after telling anew which pixels have the other finish, if there is one.
+SurroundingsFit fit_mirrored(RefinementImage& image, RefineReport& report, MapCourse& course, const Context& context);
+
+/// The metal that explains the polarization and the light of the pixels best, if any explains both.
+std::optional<std::pair<MirrorMaterial, SurroundingsFit>> find_metal(const std::vector<ReflectionSample>& samples,
+                                                                     double dielectric_cost, const Context& context);
+
+/// Divides the object into two finishes, as of glaze and bare clay, where these explain clearly more than `one` does,
+/// the fit of a single one.
+void find_other_finish(const SurroundingsFit& one, RefinementImage& image, RefineReport& report, MapCourse& course,
+                       const Context& context);
+
+}  // namespace malus

@@ -1,0 +1,91 @@
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <memory>
+
+#include "malus/fusion/finishes_internal.h"
+#include "malus/fusion/refine_internal.h"
+#include "malus/fusion/surroundings_fit_internal.h"
+#include "synthetic_station.h"
+
+namespace malus {
+namespace {
+
+constexpr double glaze = 0.06, clay = 0.42;
+constexpr int width = 96, height = 80;
+
+/// Windows to the upper right and to the left, and a weak rest.
+Surroundings room(double roughness) {
+  Surroundings room;
+  room.roughness = roughness;
+  room.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
+  for (const Surroundings::Cell& cell : Surroundings::all_cells()) {
+    const bool window = std::hypot(cell.hx - 0.35, cell.hy - 0.25) < 0.15 || std::hypot(cell.hx + 0.3, cell.hy) < 0.2;
+    room.radiance(cell.column, cell.row) = window ? 5 : 0.2F;
+  }
+  return room;
+}
+
+/// A glazed body whose right third is bare clay, or is glazed, too.
+SyntheticStation bowl(bool two_finishes, ReflectionModel& model) {
+  SyntheticOptions scene;
+  scene.size = {width, height};
+  scene.bump_gsd = 0.4;
+  const Pinhole view = make_station(scene).prior.camera;
+  model.mirrored = std::make_shared<MirroredLightTable>(room(glaze), 1.5, view, Context{});
+  model.mirrored_by_other = std::make_shared<MirroredLightTable>(room(clay), 1.5, view, Context{});
+  scene.model = model;
+  scene.two_finishes = two_finishes;
+  return make_station(scene);
+}
+
+/// Share of the pixels of a part of the columns that are set.
+double share(const Mask& mask, int first, int end) {
+  double sum = 0;
+  for (int v = 0; v < height; ++v) {
+    for (int u = first; u < end; ++u) sum += mask(u, v) != 0;
+  }
+  return sum / (height * (end - first));
+}
+
+TEST(Finishes, AreToldByWhatExplainsThePolarization) {
+  ReflectionModel model;
+  const SyntheticStation station = bowl(true, model);
+  RefinementImage image = make_image(station.state, station.prior, Context{});
+  image.reflection = model;
+  const Mask other = pixels_of_other_finish(image, Context{});
+  EXPECT_LT(share(other, 0, 58), 0.1);
+  EXPECT_GT(share(other, 70, width), 0.8);
+}
+
+/// What the surface does afterwards is not asked here.
+RefineOptions one_round() {
+  RefineOptions options;
+  options.surroundings_iterations = 1;
+  return options;
+}
+
+TEST(Finishes, OfGlazeAndClayAreFoundAndExplainMore) {
+  ReflectionModel model;
+  const SyntheticStation station = bowl(true, model);
+  const RefineResult result = refine(station.state, station.prior, {}, one_round(), Context{});
+  ASSERT_TRUE(result.report.reflection.mirrored) << "the model must be the map";
+  EXPECT_LT(result.report.surroundings.roughness, 0.12);
+  EXPECT_GT(result.report.surroundings.other_roughness, 0.25);
+  EXPECT_GT(result.report.other_finish_share, 0.1);
+  EXPECT_LT(result.report.other_finish_share, 0.4);
+}
+
+TEST(Finishes, OfAGlazedBodyAreOne) {
+  ReflectionModel model;
+  const SyntheticStation station = bowl(false, model);
+  const RefineResult result = refine(station.state, station.prior, {}, one_round(), Context{});
+  ASSERT_TRUE(result.report.reflection.mirrored) << "the model must be the map";
+  EXPECT_EQ(result.report.surroundings.other_roughness, 0);
+  EXPECT_EQ(result.report.other_finish_share, 0);
+}
+
+}  // namespace
+}  // namespace malus
