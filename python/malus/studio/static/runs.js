@@ -22,10 +22,12 @@ export async function showRuns() {
 
 const rows = () => [...byId('queueable').tBodies[0].rows];
 
+let asked = 0;
 async function refresh() {
   clearTimeout(timer);
+  const mine = ++asked;
   const runs = await ask('runs');
-  if (byId('runs').hidden) return;
+  if (mine !== asked || byId('runs').hidden) return;  // A later answer says more, or is on its way.
   const list = byId('run-list');
   for (const run of [...runs].reverse()) {
     const old = list.querySelector(`[data-run="${run.number}"]`);
