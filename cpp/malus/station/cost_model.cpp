@@ -36,8 +36,10 @@ Expected polarization_cost(const Workload& work) {
 
 Expected prior_cost(const Workload& work) {
   constexpr Rates cloud{5.3, 0.88, 100, 250}, raster{0.04, 0.5, 35, 0};
-  const bool is_cloud =
-      std::holds_alternative<CloudFile>(work.station.prior) || std::holds_alternative<PointCloud>(work.station.prior);
+  // What was swept from photos is smoothed as a cloud is.
+  const bool is_cloud = std::holds_alternative<CloudFile>(work.station.prior) ||
+                        std::holds_alternative<PointCloud>(work.station.prior) ||
+                        std::holds_alternative<SweptDepth>(work.station.prior);
   return expected(is_cloud ? cloud : raster, work.object_mpx, work.threads);
 }
 
