@@ -105,14 +105,14 @@ WELL_MADE = st.builds(
     sensor=st.builds(
         synthetic.Sensor,
         angles_deg=st.sampled_from([(0, 45, 90, 135), (0, 30, 60, 90, 120, 150)]),
-        full_well_e=st.sampled_from([20000.0, 200000.0]),
+        full_well_e=st.just(200000.0),
         frames_averaged=st.just(64),
     ),
     reflectance=st.builds(
         synthetic.Reflectance,
         roughness=st.just(5.0),
-        light=st.tuples(st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.just(-1.0)),
-        sky=st.floats(0.0, 0.03),
+        light=st.tuples(st.floats(-0.12, 0.12), st.floats(-0.12, 0.12), st.just(-1.0)),
+        sky=st.floats(0.0, 0.01),
     ),
     seed=st.integers(0, 10**6),
     change=st.sampled_from([("", ""), ("", ""), ("[polarized]", '[polarized]\nmask = "gt/hole.png"')]),

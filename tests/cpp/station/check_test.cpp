@@ -59,7 +59,7 @@ TEST(CheckStation, ExpectsThatAPriorFromPhotosIsSmoothedAsACloudIs) {
   const double of_cloud = of_prior();
   station.prior = {};
   station.file.photos.emplace();
-  EXPECT_DOUBLE_EQ(of_prior(), of_cloud);
+  EXPECT_GT(of_prior(), of_cloud) << "its points hardly scatter";
 }
 
 TEST(CheckStation, ADistanceThatIsMetIsOffByNothing) {
