@@ -276,7 +276,14 @@ def _save(path: Path, image: NDArray[Any]) -> None:
 
 
 def write_station(
-    folder: str | Path, width: int, height: int, *, prior: str = "cloud", sensor: Sensor | None = None, seed: int = 0
+    folder: str | Path,
+    width: int,
+    height: int,
+    *,
+    prior: str = "cloud",
+    sensor: Sensor | None = None,
+    reflectance: Reflectance | None = None,
+    seed: int = 0,
 ) -> Path:
     """Write a relief of any size as a station and return its station file.
 
@@ -290,7 +297,7 @@ def write_station(
     folder, how = Path(folder), sensor or Sensor()
     scene = relief(width, height, seed=seed)
     names = []
-    for angle, image in zip(how.angles_deg, render(scene, sensor=how, seed=seed), strict=True):
+    for angle, image in zip(how.angles_deg, render(scene, reflectance, how, seed=seed), strict=True):
         names.append(f"pol/pol_{angle:03g}.tif")
         _save(folder / names[-1], image)
     if prior == "cloud":

@@ -49,7 +49,7 @@ class Windows {
   Windows(const Mask& mask, PixelRect box, std::span<const ViewPoint> points, double spacing_px, bool keep_raised,
           const Context& context)
       : keep_raised_(keep_raised) {
-    const double cell_px = std::max(1.0, 0.6 * spacing_px);
+    const double cell_px = cell_for_spacing(spacing_px);
     const std::vector<PixelRect> windows = pick_windows(box, points, window_cells * cell_px);
     splines_.resize(windows.size());
     parallel_for(context, windows.size(), 1, [&](std::size_t i, std::size_t) {
@@ -119,6 +119,10 @@ double minimize(Function&& function, double start, double step, double low, doub
 }
 
 }  // namespace
+
+double cell_for_spacing(double spacing_px) {
+  return std::max(1.0, 0.6 * spacing_px);
+}
 
 ResidualSpread robust_spread(Residuals& residuals, const Context& context) {
   double spread[2];

@@ -22,6 +22,9 @@ struct SmoothingStrength {
   double kappa = 0;  ///< 0 if no point has a slope
 };
 
+/// Side of a spline's cells, px, that follow all that points at this distance from each other can tell.
+double cell_for_spacing(double spacing_px);
+
 /// Smoothing of SmoothingSpline for these points by restricted maximum likelihood (Wahba 1985), the variance of the
 /// heights profiled out:
 ///   (Σw + 2 Σw' − 3) ln (penalized residual) + ln det A(λ, κ) − (n − 3) 2 ln λ − 2 Σw' 2 ln κ → min,

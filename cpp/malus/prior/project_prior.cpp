@@ -293,7 +293,9 @@ Smoothing smoothing_for(const VisiblePoints& visible, const Mask& mask, const Pr
   how.length_px = options.smoothing_px ? *options.smoothing_px
                                        : options.smoothing_scale * std::sqrt(spacing_px * how.strength.lambda);
   how.strength.lambda = how.length_px * how.length_px / spacing_px;
-  how.cell_px = std::max(1.0, 0.7 * how.length_px);
+  // Points that hardly scatter ask for little smoothing. Between them nothing is known all the same: finer cells than
+  // those the smoothing was chosen with cost time only.
+  how.cell_px = std::max(cell_for_spacing(spacing_px), 0.7 * how.length_px);
   how.tension_px = options.tension_spacings * spacing_px;
   how.edge_tolerance = options.edge_tolerance;
   how.keep_raised = options.keep_raised;

@@ -36,9 +36,12 @@ Expected polarization_cost(const Workload& work) {
 
 Expected prior_cost(const Workload& work) {
   constexpr Rates cloud{5.3, 0.88, 100, 250}, raster{0.04, 0.5, 35, 0};
-  const bool is_cloud =
-      std::holds_alternative<CloudFile>(work.station.prior) || std::holds_alternative<PointCloud>(work.station.prior);
-  return expected(is_cloud ? cloud : raster, work.object_mpx, work.threads);
+  // Points that hardly scatter are smoothed in finer cells: each thread has a system of the largest size.
+  constexpr Rates swept{10.4, 0.88, 100, 900};
+  const PriorSource& prior = work.station.prior;
+  const bool is_cloud = std::holds_alternative<CloudFile>(prior) || std::holds_alternative<PointCloud>(prior);
+  const bool is_swept = std::holds_alternative<SweptDepth>(prior);
+  return expected(is_swept ? swept : is_cloud ? cloud : raster, work.object_mpx, work.threads);
 }
 
 Expected polarizer_cost(const Workload& work) {

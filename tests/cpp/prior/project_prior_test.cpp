@@ -519,6 +519,24 @@ TEST(PriorOfDepthMap, SmoothsWhatWasMeasuredOverWindows) {
   });
 }
 
+TEST(PriorOfDepthMap, HasNoFinerCellsThanItsPointsTell) {
+  // Without noise hardly anything is smoothed, and cells of a pixel would be 10 800 unknowns: tiles, one after the other.
+  const Size size = test_camera().size;
+  Image<float> depth(size), sigma(size, 1, static_cast<float>(0.1 * gsd_mm));
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = 0; u < size.width; ++u) depth(u, v) = static_cast<float>(wavy_depth(u, v));
+  }
+  PriorOptions options;
+  options.max_unknowns = 4000;
+  int tiles = 0;
+  Context context;
+  context.on_progress = [&](const Progress& progress) { tiles += progress.fraction > 0.3 && progress.fraction < 1; };
+  const DepthPrior prior = project_prior({depth, sigma, {}}, test_camera(), test_pose(), full_mask(), options, context);
+  EXPECT_LT(prior.smoothing_px, 2);
+  EXPECT_EQ(tiles, 0);
+  EXPECT_LT(rms_gsd(prior.depth, wavy_depth), 0.1);
+}
+
 TEST(PriorOfDepthMap, GoesOnAsTheShapeItWasMeasuredAbout) {
   // A bulge that stereo did not see, and a tilt that the shape has wrong.
   const auto bulge = [](double u, double v) { return -6 * gsd_mm * std::exp(-(std::hypot(u - 50, v - 40) / 8)); };

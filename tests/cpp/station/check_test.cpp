@@ -52,6 +52,16 @@ TEST(CheckStation, MeasuresThePriorAsKnownDistancesMakeIt) {
   expect_contains(does, "200 mm from the camera");
 }
 
+TEST(CheckStation, ExpectsThatAPriorFromPhotosIsSmoothedAsACloudIs) {
+  Station station = scaled_station();
+  const auto of_prior = [&] { return expected_times(station, {}, "prior", {}, {}).back().seconds; };
+  station.prior = cloud_of(station);
+  const double of_cloud = of_prior();
+  station.prior = {};
+  station.file.photos.emplace();
+  EXPECT_GT(of_prior(), of_cloud) << "its points hardly scatter";
+}
+
 TEST(CheckStation, ADistanceThatIsMetIsOffByNothing) {
   Station station = scaled_station();
   station.prior = cloud_of(station);
