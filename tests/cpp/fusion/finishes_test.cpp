@@ -14,7 +14,7 @@ namespace malus {
 namespace {
 
 constexpr double glaze = 0.06, clay = 0.42;
-constexpr int width = 96, height = 80;
+constexpr Size bowl_size{96, 80};
 
 /// Windows to the upper right and to the left, and a weak rest.
 Surroundings room(double roughness) {
@@ -31,7 +31,7 @@ Surroundings room(double roughness) {
 /// A glazed body whose right third is bare clay, or is glazed, too.
 SyntheticStation bowl(bool two_finishes, ReflectionModel& model) {
   SyntheticOptions scene;
-  scene.size = {width, height};
+  scene.size = bowl_size;
   scene.bump_gsd = 0.4;
   const Pinhole view = make_station(scene).prior.camera;
   model.mirrored = std::make_shared<MirroredLightTable>(room(glaze), 1.5, view, Context{});
@@ -44,10 +44,10 @@ SyntheticStation bowl(bool two_finishes, ReflectionModel& model) {
 /// Share of the pixels of a part of the columns that are set.
 double share(const Mask& mask, int first, int end) {
   double sum = 0;
-  for (int v = 0; v < height; ++v) {
+  for (int v = 0; v < bowl_size.height; ++v) {
     for (int u = first; u < end; ++u) sum += mask(u, v) != 0;
   }
-  return sum / (height * (end - first));
+  return sum / (bowl_size.height * (end - first));
 }
 
 TEST(Finishes, AreToldByWhatExplainsThePolarization) {
@@ -57,7 +57,7 @@ TEST(Finishes, AreToldByWhatExplainsThePolarization) {
   image.reflection = model;
   const Mask other = pixels_of_other_finish(image, Context{});
   EXPECT_LT(share(other, 0, 58), 0.1);
-  EXPECT_GT(share(other, 70, width), 0.8);
+  EXPECT_GT(share(other, 70, bowl_size.width), 0.8);
 }
 
 /// What the surface does afterwards is not asked here.

@@ -520,7 +520,8 @@ TEST(PriorOfDepthMap, SmoothsWhatWasMeasuredOverWindows) {
 }
 
 TEST(PriorOfDepthMap, HasNoFinerCellsThanItsPointsTell) {
-  // Without noise hardly anything is smoothed, and cells of a pixel would be 10 800 unknowns: tiles, one after the other.
+  // Without noise hardly anything is smoothed, and cells of a pixel would be 10 800 unknowns: tiles, one after the
+  // other.
   const Size size = test_camera().size;
   Image<float> depth(size), sigma(size, 1, static_cast<float>(0.1 * gsd_mm));
   for (int v = 0; v < size.height; ++v) {
