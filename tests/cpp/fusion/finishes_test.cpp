@@ -14,7 +14,7 @@ namespace malus {
 namespace {
 
 constexpr double glaze = 0.06, clay = 0.42;
-constexpr Size bowl_size{96, 80};
+constexpr Size bowl_size{160, 128};
 
 /// Windows to the upper right and to the left, and a weak rest.
 Surroundings room(double roughness) {
@@ -56,8 +56,8 @@ TEST(Finishes, AreToldByWhatExplainsThePolarization) {
   RefinementImage image = make_image(station.state, station.prior, Context{});
   image.reflection = model;
   const Mask other = pixels_of_other_finish(image, Context{});
-  EXPECT_LT(share(other, 0, 58), 0.1);
-  EXPECT_GT(share(other, 70, bowl_size.width), 0.8);
+  EXPECT_LT(share(other, 0, 98), 0.1);
+  EXPECT_GT(share(other, 116, bowl_size.width), 0.8);
 }
 
 /// What the surface does afterwards is not asked here.
