@@ -60,31 +60,29 @@ TEST(Finishes, AreToldByWhatExplainsThePolarization) {
   EXPECT_GT(share(other, 116, bowl_size.width), 0.8);
 }
 
-/// What the surface does afterwards is not asked here.
-RefineOptions one_round() {
+/// Of a refinement with one round: what the surface does afterwards is not asked here.
+RefineReport report_of_bowl(bool two_finishes) {
+  ReflectionModel model;
+  const SyntheticStation station = bowl(two_finishes, model);
   RefineOptions options;
   options.surroundings_iterations = 1;
-  return options;
+  return refine(station.state, station.prior, {}, options, Context{}).report;
 }
 
-TEST(Finishes, OfGlazeAndClayAreFoundAndExplainMore) {
-  ReflectionModel model;
-  const SyntheticStation station = bowl(true, model);
-  const RefineResult result = refine(station.state, station.prior, {}, one_round(), Context{});
-  ASSERT_TRUE(result.report.reflection.mirrored) << "the model must be the map";
-  EXPECT_LT(result.report.surroundings.roughness, 0.12);
-  EXPECT_GT(result.report.surroundings.other_roughness, 0.25);
-  EXPECT_GT(result.report.other_finish_share, 0.1);
-  EXPECT_LT(result.report.other_finish_share, 0.4);
+TEST(Finishes, OfGlazeAndClayAreFound) {
+  const RefineReport report = report_of_bowl(true);
+  ASSERT_TRUE(report.reflection.mirrored) << "the model must be the map";
+  EXPECT_LT(report.surroundings.roughness, 0.12);
+  EXPECT_GT(report.surroundings.other_roughness, 0.25);
+  EXPECT_GT(report.other_finish_share, 0.1);
+  EXPECT_LT(report.other_finish_share, 0.4);
 }
 
 TEST(Finishes, OfAGlazedBodyAreOne) {
-  ReflectionModel model;
-  const SyntheticStation station = bowl(false, model);
-  const RefineResult result = refine(station.state, station.prior, {}, one_round(), Context{});
-  ASSERT_TRUE(result.report.reflection.mirrored) << "the model must be the map";
-  EXPECT_EQ(result.report.surroundings.other_roughness, 0);
-  EXPECT_EQ(result.report.other_finish_share, 0);
+  const RefineReport report = report_of_bowl(false);
+  ASSERT_TRUE(report.reflection.mirrored) << "the model must be the map";
+  EXPECT_EQ(report.surroundings.other_roughness, 0);
+  EXPECT_EQ(report.other_finish_share, 0);
 }
 
 }  // namespace
