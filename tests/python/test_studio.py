@@ -593,10 +593,14 @@ def run_and_show(served: Served, page: Any) -> None:
     picture.evaluate("image => image.decode()")
     box = picture.bounding_box()
     assert box
+    chart = page.locator("svg.profile").first
+    first = chart.get_attribute("aria-label")
     for x in (0.25, 0.75):
         picture.click(position={"x": x * box["width"], "y": 0.5 * box["height"]})
     page.locator(".picked path").first.wait_for(state="attached")
     assert abs(int(page.get_by_label("to x").input_value()) - 150) <= 1
+    wait_for(page, lambda: chart.get_attribute("aria-label") != first)
+    picked = chart.get_attribute("aria-label")
     # A profile that comes late is not shown instead of the one that was asked for after it.
     kept = held(page, "profile")
     far, show = page.get_by_label("to x"), page.get_by_role("button", name="Draw", exact=True).last
@@ -605,9 +609,7 @@ def run_and_show(served: Served, page: Any) -> None:
     wait_for(page, lambda: bool(kept))
     far.fill("120")
     show.click()
-    chart = page.locator("svg.profile").first
-    before = chart.get_attribute("aria-label")
-    wait_for(page, lambda: chart.get_attribute("aria-label") != before)
+    wait_for(page, lambda: chart.get_attribute("aria-label") != picked)
     last = chart.get_attribute("aria-label")
     let_go(page, kept, "profile")
     page.wait_for_timeout(300)

@@ -113,8 +113,9 @@ Image<float> surface_sigma(const RefinementField& field, const Image<std::uint8_
       slope(u, v) = static_cast<float>(slope_variance(field, u, v));
     }
   });
-  // A metal's brightness, which its slopes follow from, is less sure than polarization.
-  const double of_prior = field.reflection.metal_error > 0 ? 0.3 : 0.16;
+  // A metal's brightness, which its slopes follow from, is less sure than polarization under a plain light; of what a
+  // map of the surroundings explains the surface keeps most of the prior's errors.
+  const double of_prior = field.reflection.metal_error > 0 ? 0.3 : field.reflection.mirrored ? 0.7 : 0.16;
   const Image<float> changes = masked_blur(change, field.object, low_frequency_px, context);
   const Image<float> slopes = masked_blur(slope, field.object, high_frequency_px, context);
   const Image<float> prior = prior_variance(field, errors, context);
