@@ -15,9 +15,9 @@ constexpr std::array any_roughness{0.04, 0.08, 0.12, 0.2, 0.3, 0.42};
 constexpr double near = 1.25;  // factor between neighboring values of a roughness that is about known
 constexpr std::size_t enough_samples = 12000;
 
-std::shared_ptr<const MirroredLightTable> table_of(const Surroundings& surroundings, double roughness,
-                                                   const RefinementImage& image, const MapCourse& course,
-                                                   const Context& context) {
+std::shared_ptr<const MirroredLightTable> tabulated(const Surroundings& surroundings, double roughness,
+                                                    const RefinementImage& image, const MapCourse& course,
+                                                    const Context& context) {
   Surroundings seen = surroundings;
   seen.roughness = roughness;
   return std::make_shared<MirroredLightTable>(seen, course.material.index, image.camera, context);
@@ -48,8 +48,8 @@ double share_of(const Mask& pixels, const RefinementImage& image) {
 std::optional<SurroundingsFit> fit_both(const Surroundings& surroundings, const std::vector<Finishes>& tried,
                                         RefinementImage& image, const MapCourse& course, const Context& context) {
   constexpr double least_share = 0.01;
-  image.reflection.mirrored = table_of(surroundings, tried.front().usual, image, course, context);
-  image.reflection.mirrored_by_other = table_of(surroundings, tried.front().other, image, course, context);
+  image.reflection.mirrored = tabulated(surroundings, tried.front().usual, image, course, context);
+  image.reflection.mirrored_by_other = tabulated(surroundings, tried.front().other, image, course, context);
   image.other_finish = pixels_of_other_finish(image, context);
   if (share_of(image.other_finish, image) < least_share) return std::nullopt;
   return fit_surroundings(collect_samples(image, Reflection::diffuse, enough_samples), course.material, tried,
@@ -69,9 +69,9 @@ void take_surroundings(const SurroundingsFit& fit, RefinementImage& image, Refin
     report.metal_index = material.index;
   }
   const Surroundings& found = report.surroundings;
-  image.reflection.mirrored = table_of(found, found.roughness, image, course, context);
+  image.reflection.mirrored = tabulated(found, found.roughness, image, course, context);
   image.reflection.mirrored_by_other =
-      found.other_roughness > 0 ? table_of(found, found.other_roughness, image, course, context) : nullptr;
+      found.other_roughness > 0 ? tabulated(found, found.other_roughness, image, course, context) : nullptr;
   report.other_finish_share = found.other_roughness > 0 ? share_of(image.other_finish, image) : 0;
 }
 

@@ -156,11 +156,11 @@ SurroundingsFit fit_surroundings(const std::vector<ReflectionSample>& samples, c
   return *std::min_element(fits.begin(), fits.end(), [](const auto& a, const auto& b) { return a.cost < b.cost; });
 }
 
-double index_of_body(const std::vector<ReflectionSample>& samples, double supposed, double roughness,
+double index_of_body(const std::vector<ReflectionSample>& samples, double supposed, const Finishes& finishes,
                      const Context& context) {
   const Cells cells = Surroundings::all_cells();
   const IndexSearch search = search_index(
-      supposed, [&](double index) { return fit(samples, cells, {roughness}, {index}).cost; }, context);
+      supposed, [&](double index) { return fit(samples, cells, finishes, {index}).cost; }, context);
   return search.contradicts() ? search.index : supposed;
 }
 

@@ -43,7 +43,7 @@ inline constexpr double index_of_body_sigma = 0.08;
 /// Refractive index in [1.3, 2.0] for which surroundings explain the Stokes vectors best: the light from the body is
 /// polarized by it alone. `supposed`, unless another one within that range is clearly better. Slopes of the samples
 /// that are too small give one that is too large.
-double index_of_body(const std::vector<ReflectionSample>& samples, double supposed, double roughness,
+double index_of_body(const std::vector<ReflectionSample>& samples, double supposed, const Finishes& finishes,
                      const Context& context);
 
 }  // namespace malus

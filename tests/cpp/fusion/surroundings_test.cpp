@@ -252,10 +252,16 @@ TEST(Surroundings, AMetalFartherFromThePriorThanThePriorsErrorsStaysThePriors) {
 TEST(Surroundings, TellTheRefractiveIndexOfTheBody) {
   for (const double index : {1.7, 1.9}) {
     const MirroredLightTable table(window(0.2), index, camera, Context{});
-    EXPECT_NEAR(index_of_body(samples_under_window(table, index), 1.5, 0.2, Context{}), index, 0.04);
+    EXPECT_NEAR(index_of_body(samples_under_window(table, index), 1.5, {0.2}, Context{}), index, 0.04);
   }
+  std::vector<ReflectionSample> of_both =
+      samples_under_window(MirroredLightTable(window(0.42), 1.7, camera, Context{}), 1.7);
+  for (ReflectionSample& s : of_both) s.other_finish = true;
+  for (const ReflectionSample& s : samples_under_window(MirroredLightTable(window(0.08), 1.7, camera, Context{}), 1.7))
+    of_both.push_back(s);
+  EXPECT_NEAR(index_of_body(of_both, 1.5, {0.08, 0.42}, Context{}), 1.7, 0.04) << "of two finishes";
   const MirroredLightTable usual(window(0.2), 1.5, camera, Context{});
-  EXPECT_EQ(index_of_body(samples_under_window(usual, 1.5), 1.5, 0.2, Context{}), 1.5) << "kept to the bit";
+  EXPECT_EQ(index_of_body(samples_under_window(usual, 1.5), 1.5, {0.2}, Context{}), 1.5) << "kept to the bit";
 }
 
 TEST(Surroundings, CorrectAStatedIndexThatIsContradicted) {
