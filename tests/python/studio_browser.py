@@ -99,7 +99,10 @@ def studio(folder: Path) -> Iterator[Served]:
     finally:
         process.send_signal(signal.SIGINT)
         process.stdout.close()
-        code = process.wait(timeout=180)
+        try:
+            code = process.wait(timeout=180)
+        finally:
+            process.kill()
     assert code == 0
 
 
@@ -204,21 +207,46 @@ def paused(served: Served) -> Iterator[None]:
     try:
         yield
     finally:
-        with suppress(ProcessLookupError):
-            os.kill(process, signal.SIGCONT)
+        _signal(process, signal.SIGCONT)
 
 
 def _run_with_time_left(served: Served) -> int:
     deadline = time.monotonic() + RUN_MS / 1000
     while time.monotonic() < deadline:
-        for children in Path(f"/proc/{served.process.pid}/task").glob("*/children"):
-            with suppress(OSError):  # ended meanwhile
-                for process in map(int, children.read_text().split()):
-                    os.kill(process, signal.SIGSTOP)
-                    if any(
-                        run["state"] == "running" and run["seconds_left"] is not None for run in served.asked("runs")
-                    ):
-                        return process
-                    os.kill(process, signal.SIGCONT)
+        for process in _programs_of(served.process.pid):
+            _signal(process, signal.SIGSTOP)
+            try:
+                told = any(
+                    run["state"] == "running" and run["seconds_left"] is not None for run in served.asked("runs")
+                )
+            except BaseException:
+                _signal(process, signal.SIGCONT)
+                raise
+            if told:
+                return process
+            _signal(process, signal.SIGCONT)
         time.sleep(0.05)
     raise AssertionError("no run told how much time is left")
+
+
+def _programs_of(parent: int) -> list[int]:
+    """Programs that a process has started. One that is only being started still has its parent's words, and is left out:
+    its parent waits for it with Python's lock held, so that a Studio whose child is stopped then never answers again."""
+    found = []
+    for children in Path(f"/proc/{parent}/task").glob("*/children"):
+        with suppress(OSError):  # ended meanwhile
+            found += [
+                child for child in map(int, children.read_text().split()) if _words(child) not in ("", _words(parent))
+            ]
+    return found
+
+
+def _words(process: int) -> str:
+    with suppress(OSError):
+        return Path(f"/proc/{process}/cmdline").read_text()
+    return ""
+
+
+def _signal(process: int, name: signal.Signals) -> None:
+    with suppress(ProcessLookupError):
+        os.kill(process, name)
