@@ -276,6 +276,17 @@ class Refiner {
     report_.self_mirroring_share = report_.other_finish_share = 0;
   }
 
+  /// Lets a dielectric's map be fitted at the prior's low frequencies. To be called while the surface is the prior's.
+  void hold_map_to(const DepthPrior& prior) {
+    // What is finer than its smoothing the prior lacks.
+    constexpr double of_anchor = 0.5, of_smoothing = 1.5;
+    if (!image_.reflection.mirrored || image_.reflection.metal_error > 0) return;
+    const double anchor_px = anchor_length_px(prior, image_, options_.anchor);
+    if (anchor_px <= 0) return;
+    map_.slow_px = std::max(of_anchor * anchor_px, of_smoothing * prior.smoothing_px);
+    map_.x_prior = image_.x;
+  }
+
   /// Returns what the solver took.
   SolveStatistics run() {
     mirrors_ = specular_share(image_) > worthwhile_share;
@@ -767,6 +778,7 @@ RefineResult refine(const PolarizationState& state, const DepthPrior& prior, con
   refiner.label(input);
   refiner.find_index(input.refractive_index);
   if (options.surroundings && input.reflection == ReflectionChoice::automatic) refiner.choose_model();
+  refiner.hold_map_to(prior);
   refiner.run();
   refiner.weigh_evidence(prior);
   result.surface = refiner.finish(prior);

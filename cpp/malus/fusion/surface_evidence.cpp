@@ -115,10 +115,12 @@ Image<float> ExplainedByResult::shares(const Context& context) const {
 }
 
 void anchor_to_prior(RefinementImage& image, const Image<double>& x_prior, double length_px, const Context& context) {
+  if (length_px <= 0) return;
+  // Cells save time, and may be as large as the length.
+  int cell_px = prior_block_px;
+  while (cell_px > length_px && cell_px > 1) cell_px /= 2;
   // The means over cells and the interpolation between them smooth by a quarter of a squared cell themselves.
-  constexpr int cell_px = prior_block_px;
-  const double rest2 = length_px * length_px - 0.25 * cell_px * cell_px;
-  if (rest2 <= 0) return;
+  const double rest2 = square(std::max(length_px, static_cast<double>(cell_px))) - 0.25 * square(cell_px);
   const Size size = image.size(), count = cells_over(size, cell_px);
   Image<float> lack(count), weights(count);
   parallel_rows(context, count.height, [&](int row) {

@@ -6,6 +6,7 @@
 
 #include "malus/core/robust_spread_internal.h"
 #include "malus/fusion/finishes_internal.h"
+#include "malus/fusion/surface_evidence_internal.h"
 #include "malus/fusion/surroundings_course_internal.h"
 
 namespace malus {
@@ -41,6 +42,20 @@ double share_of(const Mask& pixels, const RefinementImage& image) {
     inside += image.usable[i] && pixels[i];
   }
   return inside / std::max(all, 1.0);
+}
+
+/// What the map is fitted to; tells before which pixels have the other finish, if there is one.
+std::vector<ReflectionSample> samples_of_map(RefinementImage& image, bool two_finishes, const MapCourse& course,
+                                             const Context& context) {
+  Image<double> refined;
+  if (course.slow_px > 0) {
+    refined = image.x;
+    anchor_to_prior(image, course.x_prior, course.slow_px, context);
+  }
+  if (two_finishes) image.other_finish = pixels_of_other_finish(image, context);
+  std::vector<ReflectionSample> samples = collect_samples(image, Reflection::diffuse, enough_samples);
+  if (!refined.empty()) image.x = std::move(refined);
+  return samples;
 }
 
 /// Tells the pixels of the other finish by these surroundings, and fits them again with any of the finishes. Nothing
@@ -85,9 +100,8 @@ SurroundingsFit fit_mirrored(RefinementImage& image, RefineReport& report, MapCo
     tried = finishes_near(known);
     if (course.rounds_to_keep > 0) tried.resize(1);
   }
-  if (known.other > 0) image.other_finish = pixels_of_other_finish(image, context);
-  const SurroundingsFit fit = fit_surroundings(collect_samples(image, Reflection::diffuse, enough_samples),
-                                               course.material, tried, report.surroundings.radiance, context);
+  const SurroundingsFit fit = fit_surroundings(samples_of_map(image, known.other > 0, course, context), course.material,
+                                               tried, report.surroundings.radiance, context);
   if (tried.size() == 1) {
     --course.rounds_to_keep;
   } else if (fit.surroundings.roughness == known.usual && fit.surroundings.other_roughness == known.other) {

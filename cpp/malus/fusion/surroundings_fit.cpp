@@ -114,6 +114,11 @@ SurroundingsFit fit(const std::vector<ReflectionSample>& samples, const Cells& c
                     const MirrorMaterial& material, const Image<float>& start = {}) {
   constexpr float ridge = 1e-4F, smoothness = 1e-3F;
   constexpr int rounds = 4, rounds_from_start = 1;
+  SurroundingsFit result;
+  result.surroundings.roughness = finishes.usual;
+  result.surroundings.other_roughness = finishes.other;
+  result.surroundings.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
+  if (samples.empty()) return result;  // all that is seen is too steep
   const LinearSystem system = linearize(samples, cells, finishes, material);
   Eigen::VectorXf radiances = Eigen::VectorXf::Zero(system.rows.cols());
   Residuals residuals{Eigen::VectorXf::Ones(static_cast<Eigen::Index>(samples.size()))};
@@ -133,12 +138,8 @@ SurroundingsFit fit(const std::vector<ReflectionSample>& samples, const Cells& c
     solve_nonnegative(normal, system.rows.transpose() * weights.cwiseProduct(system.values), radiances);
     residuals = weigh(system, radiances, material);
   }
-  SurroundingsFit result;
   result.cost = residuals.cost;
   result.intensity_error = residuals.intensity_error;
-  result.surroundings.roughness = finishes.usual;
-  result.surroundings.other_roughness = finishes.other;
-  result.surroundings.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
   for (std::size_t i = 0; i < cells.size(); ++i)
     result.surroundings.radiance(cells[i].column, cells[i].row) = radiances[static_cast<Eigen::Index>(i)];
   return result;

@@ -11,6 +11,7 @@
 #include "malus/fusion/refine_internal.h"
 #include "malus/fusion/reflection_model_internal.h"
 #include "malus/fusion/shading_internal.h"
+#include "malus/fusion/surroundings_course_internal.h"
 #include "malus/fusion/surroundings_fit_internal.h"
 #include "malus/fusion/surroundings_internal.h"
 #include "synthetic_station.h"
@@ -137,6 +138,12 @@ TEST(Surroundings, AreFoundFromWhatTheyMirror) {
   }
   EXPECT_LT(std::sqrt(error / size), 0.1);
   EXPECT_GE(*std::min_element(fit.surroundings.radiance.begin(), fit.surroundings.radiance.end()), 0);
+}
+
+TEST(Surroundings, OfNoSamplesAreDark) {
+  const std::array<Finishes, 1> tried{{{0.1}}};
+  const SurroundingsFit fit = fit_surroundings({}, {1.5}, tried, {}, Context{});
+  EXPECT_EQ(*std::max_element(fit.surroundings.radiance.begin(), fit.surroundings.radiance.end()), 0);
 }
 
 TEST(Surroundings, AreSmoothThoughSlopesAreWrong) {
@@ -285,6 +292,46 @@ TEST(Surroundings, CorrectAStatedIndexThatIsContradicted) {
   EXPECT_EQ(as_stated.report.reflection.eta, 1.5);
   EXPECT_FALSE(as_stated.report.stated_eta);
   EXPECT_LT(step_error(corrected.surface.depth, station.truth), step_error(as_stated.surface.depth, station.truth));
+}
+
+/// RMS of what a map mirrors of s1 and s2 beside what the true one does, over slopes.
+double error_of_map(const Surroundings& found, const MirroredLightTable& truth, const Pinhole& view) {
+  const MirroredLightTable table(found, 1.5, view, Context{});
+  const RayFrame frame = ray_frame(&view, 80, 64);
+  double squares = 0, count = 0;
+  for (double p = -0.4; p <= 0.4; p += 0.05) {
+    for (double q = -0.4; q <= 0.4; q += 0.05) {
+      squares += (table.at(p, q, frame).stokes - truth.at(p, q, frame).stokes).tail<2>().squaredNorm();
+      ++count;
+    }
+  }
+  return std::sqrt(squares / count);
+}
+
+TEST(Surroundings, DoNotFollowWhatTheSurfaceBends) {
+  SyntheticOptions scene;
+  scene.size = {160, 128};
+  scene.bump_gsd = 0;
+  const Pinhole view = make_station(scene).prior.camera;
+  const auto truth = std::make_shared<MirroredLightTable>(window(0.2), 1.5, view, Context{});
+  scene.model.mirrored = truth;
+  const SyntheticStation station = make_station(scene);
+  RefinementImage image = make_image(station.state, station.prior, Context{});
+  image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+  MapCourse held{{1.5}};
+  held.slow_px = 8;
+  held.x_prior = image.x;
+  // A bowl that has become deeper.
+  for (int v = 0; v < image.size().height; ++v) {
+    for (int u = 0; u < image.size().width; ++u) image.x(u, v) += 0.002 * (std::pow(u - 80, 2) + std::pow(v - 64, 2));
+  }
+  const Image<double> bent = image.x;
+  MapCourse free{{1.5}};
+  RefineReport of_held, of_free;
+  fit_mirrored(image, of_held, held, Context{});
+  EXPECT_TRUE(std::ranges::equal(image.x, bent)) << "the surface itself stays";
+  fit_mirrored(image, of_free, free, Context{});
+  EXPECT_LT(error_of_map(of_held.surroundings, *truth, view), 0.5 * error_of_map(of_free.surroundings, *truth, view));
 }
 
 TEST(Surroundings, LeaveNoIndexToBeEstimated) {
