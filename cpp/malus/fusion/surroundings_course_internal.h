@@ -17,7 +17,7 @@ struct MapCourse {
 
   /// A map and a surface that bends slowly explain each other wherever each normal is in one place only, as on a bowl:
   /// the map turns by what the surface does. So it is fitted at a surface that has the prior's low frequencies.
-  double slow_px = 0;     ///< longer waves than this Gaussian's are the prior's; 0 = at the surface as it is
+  double slow_px = 0;       ///< longer waves than this Gaussian's are the prior's; 0 = at the surface as it is
   Image<double> x_prior{};  ///< the prior at the nodes
 };
 
