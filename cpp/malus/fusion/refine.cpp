@@ -21,6 +21,7 @@
 #include "malus/fusion/reflection_fit_internal.h"
 #include "malus/fusion/reflection_labels_internal.h"
 #include "malus/fusion/region_choice_internal.h"
+#include "malus/fusion/same_normals_internal.h"
 #include "malus/fusion/self_mirroring_internal.h"
 #include "malus/fusion/surface_evidence_internal.h"
 #include "malus/fusion/surface_sigma_internal.h"
@@ -276,11 +277,13 @@ class Refiner {
     report_.self_mirroring_share = report_.other_finish_share = 0;
   }
 
-  /// Lets a dielectric's map be fitted at the prior's low frequencies. To be called while the surface is the prior's.
+  /// Lets a dielectric's map be fitted at the prior's low frequencies, and the surface have those that cannot be told
+  /// from a map. To be called while the surface is the prior's.
   void hold_map_to(const DepthPrior& prior) {
     // What is finer than its smoothing the prior lacks.
     constexpr double of_anchor = 0.5, of_smoothing = 1.5;
     if (!image_.reflection.mirrored || image_.reflection.metal_error > 0) return;
+    longest_wave_px_ = distance_of_same_normals(image_);
     const double anchor_px = anchor_length_px(prior, image_, options_.anchor);
     if (anchor_px <= 0) return;
     map_.slow_px = std::max(of_anchor * anchor_px, of_smoothing * prior.smoothing_px);
@@ -351,7 +354,8 @@ class Refiner {
         image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
       }
     });
-    anchor_to_prior(image_, x_prior, anchor_length_px(prior, image_, options_.anchor), context_);
+    anchor_to_prior(image_, x_prior, std::min(anchor_length_px(prior, image_, options_.anchor), longest_wave_px_),
+                    context_);
     // Of meshes and depth maps the errors are only supposed.
     if (prior.smoothing_px > 0) stay_near_prior(x_prior);
     // Pixels without usable polarization follow those around them, and are no evidence.
@@ -753,6 +757,7 @@ class Refiner {
   std::vector<Tile> tiles_;
   std::vector<TileStrip> strips_;
   MapCourse map_;
+  double longest_wave_px_ = std::numeric_limits<double>::infinity();  ///< of the surface that is not taken for a map
   std::optional<double> stated_index_;
   Eigen::Vector3d mean_normal_;  ///< of the surface that the refinement starts from
   bool mirrors_ = false;

@@ -1,0 +1,55 @@
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "malus/core/even_choice_internal.h"
+#include "malus/core/median_internal.h"
+#include "malus/core/robust_spread_internal.h"
+#include "malus/fusion/same_normals_internal.h"
+#include "malus/fusion/surroundings_internal.h"
+
+namespace malus {
+namespace {
+
+/// Robust standard deviation of places along one axis of the image.
+double spread(std::vector<double> places) {
+  const double middle = median(places);
+  for (double& place : places) place = std::abs(place - middle);
+  return robust_spread(places);
+}
+
+}  // namespace
+
+double distance_of_same_normals(const RefinementImage& image) {
+  struct Places {
+    std::vector<double> u, v;
+  };
+  constexpr double per_unit = 0.5 * Surroundings::cells, most_pixels = 4e5;
+  const double share = most_pixels / static_cast<double>(image.size().area());
+  Image<Places> cells({Surroundings::cells, Surroundings::cells});
+  for (int v = 0; v < image.size().height; ++v) {
+    for (int u = 0; u < image.size().width; ++u) {
+      const auto pixel =
+          static_cast<std::size_t>(v) * static_cast<std::size_t>(image.size().width) + static_cast<std::size_t>(u);
+      if (!image.pixels(u, v) || !image.usable(u, v) || !is_chosen(pixel, share)) continue;
+      const Eigen::Vector2d slopes = central_slopes(image, u, v);
+      const Eigen::Vector3d normal = normal_of(image.frame_at(u, v), slopes[0], slopes[1]);
+      const auto cell = [](double component) {
+        return std::clamp(static_cast<int>((component + 1) * per_unit), 0, Surroundings::cells - 1);
+      };
+      Places& places = cells(cell(normal.x()), cell(normal.y()));
+      places.u.push_back(u);
+      places.v.push_back(v);
+    }
+  }
+  double sum = 0, count = 0;
+  for (const Places& places : cells) {
+    if (places.u.empty()) continue;
+    const auto pixels = static_cast<double>(places.u.size());
+    sum += pixels * std::hypot(spread(places.u), spread(places.v));
+    count += pixels;
+  }
+  return sum / std::max(count, 1.0);
+}
+
+}  // namespace malus

@@ -1,0 +1,45 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "malus/core/robust_spread_internal.h"
+#include "malus/fusion/same_normals_internal.h"
+#include "synthetic_station.h"
+
+namespace malus {
+namespace {
+
+/// An image of 160 x 128 px whose surface lies so high [GSD] above a plane that faces the camera.
+template <class Height>
+RefinementImage surface(const SyntheticStation& station, const Height& height) {
+  RefinementImage image = make_image(station.state, station.prior, Context{});
+  for (int v = 0; v < image.size().height; ++v) {
+    for (int u = 0; u < image.size().width; ++u) image.x(u, v) = height(u - 80.0, v - 64.0);
+  }
+  return image;
+}
+
+TEST(SameNormals, AreBesideEachOtherOnABowlAndAllOverARelief) {
+  SyntheticOptions scene;
+  scene.size = {160, 128};
+  const SyntheticStation station = make_station(scene);
+  const auto bowl = [](double x, double y) { return 0.004 * (x * x + y * y); };
+  const auto relief = [](double x, double y) { return 1.5 * std::sin(0.3 * x) * std::cos(0.3 * y); };
+  const double on_bowl = distance_of_same_normals(surface(station, bowl));
+  // A cell is 0.1 of the normal's components wide: 12 px where it turns by 0.008 a px.
+  EXPECT_NEAR(on_bowl, std::hypot(12.5, 12.5) / 4 * deviation_per_median, 1.5);
+  // Even columns of 160 px and rows of 128: half of the places are within a quarter of either of the middle.
+  EXPECT_NEAR(distance_of_same_normals(surface(station, relief)), std::hypot(40, 32) * deviation_per_median, 8);
+}
+
+TEST(SameNormals, OfOneStrayFacetDoNotCount) {
+  SyntheticOptions scene;
+  scene.size = {160, 128};
+  const SyntheticStation station = make_station(scene);
+  const auto bowl = [](double x, double y) { return 0.004 * (x * x + y * y); };
+  const auto chipped = [&](double x, double y) { return x > 50 && y > 40 ? 0 : bowl(x, y); };
+  EXPECT_NEAR(distance_of_same_normals(surface(station, chipped)), distance_of_same_normals(surface(station, bowl)), 2);
+}
+
+}  // namespace
+}  // namespace malus
