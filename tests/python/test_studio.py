@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import importlib
 import io
 import json
 import os
@@ -168,6 +169,76 @@ def test_what_nobody_has_thought_of_is_said_on_the_page(capfd: pytest.CaptureFix
     response = asyncio.run(_answer(fail))
     assert response.status_code == 500 and "please report it: IndexError" in json.loads(response.body)["error"]
     assert capfd.readouterr().err == ""
+
+
+def test_what_json_cannot_say_can_be_opened_and_mended(tmp_path: Path) -> None:
+    from malus.studio.app import Studio, _answer
+
+    (tmp_path / "dated.toml").write_text(
+        "[object]\ndate = 1890-05-01\n[polarized]\nwhite_level = inf\nangles_deg = [nan, 45, 90]\n"
+    )
+    studio = Studio(tmp_path, 1)
+    response = asyncio.run(_answer(lambda: studio._station({"path": "dated.toml"})))
+    said = json.loads(response.body)
+    assert response.status_code == 200 and "date = 1890-05-01" in said["text"]
+    assert said["values"]["object"]["date"] == "1890-05-01"
+    assert said["values"]["polarized"] == {"white_level": None, "angles_deg": [None, 45, 90]}
+    studio.runs.close()
+
+
+def test_names_that_are_no_text_and_folders_that_are_locked_hide_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from malus.studio.app import Studio, _answer
+
+    for name in (b"B\xfcste.png", b"B\xfcste_work"):
+        (tmp_path / os.fsdecode(name)).mkdir()
+    for name in ("found", "locked"):
+        (tmp_path / name).mkdir()
+    stat = Path.stat
+
+    def locked(path: Path, **kept: Any) -> os.stat_result:
+        if path.parent.name == "locked":
+            raise PermissionError(13, "Permission denied", str(path))
+        return stat(path, **kept)
+
+    monkeypatch.setattr(Path, "stat", locked)
+    (tmp_path / os.fsdecode(b"B\xfcste_work") / "manifest.json").write_text("{}")
+    studio = Studio(tmp_path, 1)
+    folders = importlib.import_module("malus.studio.folders")
+    for asked in (lambda: folders.listing(studio.root, ""), lambda: studio._results({})):
+        response = asyncio.run(_answer(asked))
+        assert response.status_code == 200, response.body
+    said = folders.listing(studio.root, "")
+    assert [entry["name"] for entry in said["folders"]] == ["found", "locked"]
+    assert said["hidden"] == ["B\\xfcste.png", "B\\xfcste_work"]
+    studio.runs.close()
+
+
+def test_results_lie_as_deep_as_their_stations(served: Served) -> None:
+    deep = served.folder / "2026" / "castle" / "hall"
+    (deep / "station_work").mkdir(parents=True)
+    (deep / "station.toml").write_text('[polarized]\nimages = "pol"\n')
+    (deep / "station_work" / "manifest.json").write_text("{}")
+    assert "2026/castle/hall/station.toml" in served.asked("candidates")["stations"]
+    assert "2026/castle/hall/station_work" in [result["path"] for result in served.asked("results")]
+    shutil.rmtree(served.folder / "2026")
+
+
+def test_two_runs_do_not_share_a_folder(tmp_path: Path) -> None:
+    from malus.studio.app import Studio
+
+    for name in ("first", "second"):
+        (tmp_path / f"{name}.toml").write_text('[polarized]\nimages = "pol"\n')
+    studio = Studio(tmp_path, 1)
+    studio.runs.close()  # what is added waits
+    asked = {"path": "first.toml", "work": "work", "fusion": "refined"}
+    number = studio._run(asked)["number"]
+    assert studio._run(dict(asked))["number"] == number  # the button was pressed twice
+    for other in ({**asked, "fusion": "grid"}, {**asked, "path": "second.toml"}):
+        with pytest.raises(InputError, match=r"work: first.toml → work has not ended"):
+            studio._run(other)
+    assert len(studio.runs.all()) == 1
 
 
 def test_odd_lines_of_a_run_do_not_end_the_queue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from starlette.datastructures import Headers, MutableHeaders, QueryParams
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from malus._files import resolved
+from malus._files import require_utf8, resolved
 from malus.errors import InputError
 
 _POLICY = (
@@ -116,8 +116,9 @@ class Root:
         return path
 
     def holds(self, path: Path) -> bool:
-        """Whether a path lies in the folder, links followed; those in a circle lie nowhere."""
+        """Whether a path lies in the folder, links followed, and the page can name it; links in a circle lie nowhere."""
         try:
+            require_utf8(path)
             return resolved(path).is_relative_to(self.folder)
         except InputError:
             return False

@@ -5,7 +5,7 @@ async function answerOf(response) {
   const type = response.headers.get('Content-Type') || '';
   if (response.ok) return type.includes('json') ? response.json() : response.blob();
   const said = type.includes('json') ? await response.json() : { error: await response.text() };
-  throw Object.assign(new Error(said.error), { field: said.field, status: response.status });
+  throw Object.assign(new Error(said.error), { status: response.status });
 }
 
 const reach = async (address, options) => {
