@@ -152,7 +152,7 @@ class Studio:
             "error": error,
         }
 
-    def _images(self, document: StationDocument) -> tuple[list[str], Json | None]:
+    def _images(self, document: StationDocument) -> tuple[list[str], str | None]:
         """The polarized images by the page's names, and what is wrong with the station."""
         try:
             description = malus.Station.load(document.path).describe()
@@ -160,7 +160,7 @@ class Studio:
         except MalusError as error:
             # What is wrong may be mended by drawing, such as control points that are not marked yet.
             images = folders.polarized_images(self.root, document.path, document.values)
-            return images, {"field": checks.field_of(str(error)), "message": str(error)}
+            return images, str(error)
 
     def _painted(self, document: StationDocument, kind: str) -> Json | None:
         """The file that the station names for a mask or labels: its path by the page's name, and what tells its state; None if it
@@ -286,7 +286,7 @@ class Studio:
                     raise ChangedError(self.root.path(present["path"]) if present else document.path)
                 images, error = self._images(document)
                 if not images:
-                    raise InputError(error["message"] if error else f"{document.path}: has no images")
+                    raise InputError(error or f"{document.path}: has no images")
                 values = masks.decode(content, pictures.size_of(self.root.file(images[0])))
                 named = document.values.get(table, {}).get(key, "")
                 name = named if named and named not in words else f"{document.path.stem}_{kind}.png"

@@ -66,7 +66,9 @@ def listing(root: Root, name: str) -> dict[str, Any]:
             for path in folders
         ],
         "images": [
-            {"path": root.name(path), "name": path.name, "taken": exif.taken(path)} for path in files if _is_image(path)
+            {"path": root.name(path), "name": path.name, "taken": exif.taken(path), "raw": is_raw(path)}
+            for path in files
+            if _is_image(path)
         ],
         "stations": [root.name(path) for path in files if _is_station(path)],
         "tables": [root.name(path) for path in files if path.suffix.lower() == ".csv"],
