@@ -271,7 +271,7 @@ def test_the_report_says_what_was_found_of_finishes(
 ) -> None:
     shutil.copytree(work, tmp_path / "work")
     monkeypatch.setattr("malus.report_head.finishes_of", lambda _quality: "It has two finishes.")
-    write_report(tmp_path / "work")
+    malus.write_report(tmp_path / "work")
     text = (tmp_path / "work/report/index.html").read_text()
     assert "<p>It has two finishes.</p>" in text.split("<h3>In numbers</h3>")[0]
 
