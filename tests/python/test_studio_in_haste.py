@@ -692,3 +692,19 @@ def test_files_that_cannot_be_named_are_told_of(served: Served, page: Any) -> No
     go(page, "Images")
     page.locator("#folder-list", has_text="B\\xfcste.png").wait_for()
     odd.unlink()
+
+
+def test_a_mask_beside_the_images_is_none_of_them_and_is_taken(served: Served, page: Any) -> None:
+    folder = served.folder / "masked"
+    shutil.copytree(served.folder / "pol", folder)
+    (folder / "mask.png").write_bytes(encode(np.full((160, 200), 255, np.uint8), "PNG"))
+    go(page, "Images")
+    page.get_by_role("button", name="masked (7 images)").click()
+    page.get_by_alt_text("Phase in a circle of colors").wait_for()
+    assert not page.get_by_label("mask.png is polarized").is_checked()
+    page.get_by_label("File", exact=True).fill("masked.toml")
+    page.get_by_role("button", name="Create the station").click()
+    page.locator("#open-station", has_text="masked.toml").wait_for()
+    assert 'mask = "masked/mask.png"' in (served.folder / "masked.toml").read_text()
+    (served.folder / "masked.toml").unlink()
+    shutil.rmtree(folder)

@@ -184,6 +184,8 @@ class Studio:
         document.set("station", "unit", body.get("unit", "mm"))
         images = [self.root.file(name) for name in body["images"]]
         document.set("polarized", "images", [document.relative(image) for image in images])
+        if body.get("mask") is not None:
+            document.set("polarized", "mask", document.relative(self.root.file(body["mask"])))
         for key in ("angles_deg", "angle_direction", "angle_zero_deg", "response", "exposure_s"):
             if body.get(key) is not None:
                 document.set("polarized", key, body[key])

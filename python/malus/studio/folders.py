@@ -47,6 +47,7 @@ def listing(root: Root, name: str) -> dict[str, Any]:
     folder = root.directory(name)
     entries = sorted((path for path in folder.iterdir() if not path.name.startswith(".")), key=_natural)
     inside = [path for path in entries if root.holds(path)]
+    mask = station_import.mask_of(folder)
     # What may not be looked into stops nothing: pathlib raises then.
     folders = [path for path in inside if os.path.isdir(path)]
     files = [path for path in inside if os.path.isfile(path)]
@@ -70,6 +71,7 @@ def listing(root: Root, name: str) -> dict[str, Any]:
             for path in files
             if _is_image(path)
         ],
+        "mask": root.name(mask) if mask is not None and mask in files else None,
         "stations": [root.name(path) for path in files if _is_station(path)],
         "tables": [root.name(path) for path in files if path.suffix.lower() == ".csv"],
         "hidden": [as_text(path.name) for path in entries if not is_utf8(path.name)],

@@ -21,7 +21,7 @@ export async function showFolder(path = folder?.path ?? '') {
   byId('folder-list').replaceChildren(...[cards(folder.stations.map(stationCard), 'Stations'), cards(folder.folders.map(folderCard), 'Folders'), imageCards(), hiddenNote()].flat());
   const taken = (path) => beside.stations.includes(path);
   if (again && !taken(form.elements.path.value)) return;  // Who was elsewhere finds what was typed, and the preview.
-  shots = folder.images.map((image) => ({ ...image, use: true, angle: null, exposure: null }));
+  shots = folder.images.map((image) => ({ ...image, use: image.path !== folder.mask, angle: null, exposure: null }));
   form.hidden = shots.length < 3;
   asked += 1;  // A preview of the folder before is no longer of interest.
   if (form.hidden) return;
@@ -60,7 +60,7 @@ function drawTable() {
   byId('angles').tHead.rows[0].cells[3].hidden = !dated;
   redraw(byId('angles').tBodies[0], ...shots.map((shot) => make('tr', {},
     make('td', {}, make('input', { type: 'checkbox', checked: shot.use, 'aria-label': `${shot.name} is polarized`, change: (event) => { shot.use = event.target.checked; preview(); } })),
-    make('td', {}, shot.name),
+    make('td', {}, shot.path === folder.mask ? `${shot.name}, which becomes the mask` : shot.name),
     make('td', {}, make('input', { type: 'number', step: 'any', value: shot.angle ?? '', 'aria-label': `Angle of ${shot.name}`, change: doing((event) => { shot.angle = numberIn(event.target, true); return preview(); }) })),
     make('td', { hidden: !dated }, shot.taken?.replace(/^(\d+):(\d+):/, '$1-$2-') ?? 'not said'))));
 }
@@ -136,5 +136,5 @@ form.addEventListener('submit', doing(once(async () => {
   const exposures = chosen.map((shot) => shot.exposure);
   const differ = new Set(exposures.filter((exposure) => exposure !== null)).size > 1;
   await createStation({ ...scale(), ...(chosen.some((shot) => shot.raw) ? { response: null } : {}), path: form.elements.path.value, name: form.elements.name.value, unit: form.elements.unit.value,
-    images: chosen.map((shot) => shot.path), angles_deg: chosen.map((shot) => shot.angle), exposure_s: differ ? exposures : null });
+    images: chosen.map((shot) => shot.path), mask: chosen.some((shot) => shot.path === folder.mask) ? null : folder.mask, angles_deg: chosen.map((shot) => shot.angle), exposure_s: differ ? exposures : null });
 })));
