@@ -62,6 +62,11 @@ def three(tiny_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -
     outcome = run_malus("batch", file, "-o", output, "--jobs", "2", "--threads", "1")
     assert outcome.code == 2, outcome.err
     assert "1 of 3 stations failed" in outcome.err
+    assert outcome.err.startswith("100 %  batch ")
+    assert outcome.out.splitlines() == [
+        "museum: 2 of 3 stations done; confidence: 2 partial",
+        f"  page: {output / 'index.html'}",
+    ]
     assert "o01: " in outcome.err and "angles_deg" in outcome.err
     assert "Traceback" not in outcome.err
     return file, output

@@ -66,6 +66,8 @@ def test_lines_fit_on_a_terminal_and_stay_whole_in_a_file(
     first, *others = capsys.readouterr().out.splitlines()
     assert max(map(len, (first, *others))) <= 60 and all(line.startswith("    ") for line in others)
     assert " ".join((first + " " + " ".join(others)).split()) == " ".join(said.split())
+    cli._print_lines("1 of 2 stations failed\n  o1: no such file")  # what has lines keeps them
+    assert capsys.readouterr().out == "1 of 2 stations failed\n  o1: no such file\n"
 
 
 def test_json_result_lists_a_warning_once(capsys: pytest.CaptureFixture[str]) -> None:
