@@ -512,7 +512,9 @@ def _object(args: argparse.Namespace) -> None:
     shard = batch.parse_shard(args.shard) if args.shard else batch.shard_of_environment()
     with _view(args) as view:
         stations = _A_STATION_S * len(thing.campaign.stations)
-        view.expect([*([("photos", stations)] if thing.shared else []), ("stations", stations), ("object", stations)])
+        steps = [*(["photos"] if thing.shared else []), "stations", "object"]
+        view.expect([(step, stations) for step in steps], guessed=True)
+        view.progress(steps[0], 0.0, "")
         outcomes = run_object(
             thing,
             args.output,
@@ -565,7 +567,8 @@ def _batch(args: argparse.Namespace) -> None:
     _options(args, campaign.options)
     shard = batch.parse_shard(args.shard) if args.shard else batch.shard_of_environment()
     with _view(args) as view:
-        view.expect([("batch", _A_STATION_S * len(campaign.stations))])
+        view.expect([("batch", _A_STATION_S * len(campaign.stations))], guessed=True)
+        view.progress("batch", 0.0, f"{len(campaign.stations)} stations")
         outcomes = batch.run_campaign(
             campaign,
             args.output,

@@ -72,6 +72,12 @@ def three(tiny_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -
     return file, output
 
 
+def test_a_campaign_says_at_once_that_it_has_begun(three: tuple[Path, Path]) -> None:
+    file, output = three
+    first = json.loads(run_malus("batch", file, "-o", output, "--json").out.splitlines()[0])
+    assert (first["fraction"], first["message"], first["seconds_left"]) == (0.0, "3 stations", None)
+
+
 def test_broken_station_is_listed_and_the_others_finish(three: tuple[Path, Path]) -> None:
     _, output = three
     rows = json.loads((output / "campaign.json").read_text())["stations"]
