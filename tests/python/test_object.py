@@ -466,7 +466,7 @@ def test_command_line_makes_one_surface_and_does_nothing_twice(pair: Path, monke
     assert quality["agreement"]["rms_ratio"] < 0.05
     assert quality["mesh"]["triangles"] > 10000 and not quality["mesh"]["closed"]
     assert {"mesh.ply", "mesh.glb", "levels/0.glb", "report/index.html"} <= set(quality["files"])
-    assert "pair: 2 of 2 stations" in first.out
+    assert first.out.startswith("pair: ") and "mm, 2 of 2 stations, " in first.out
     assert not half_written(output)
     written = (output / "object/mesh.ply").stat().st_mtime_ns
     again = run_malus("object", pair, "-o", output, "--quiet")
