@@ -1,4 +1,5 @@
-"""What a person reads on the console: a run at 80 columns, redirected, interrupted and resumed.
+"""What a person reads on the console at 80 columns: a run, redirected, interrupted and resumed, what it refuses, many stations,
+and an object.
 
     python benchmarks/walk/console.py STATION.toml -o TEXTS [--fusion grid] [--page docs/console.md]
 
@@ -14,6 +15,7 @@ import os
 import pty
 import re
 import select
+import shutil
 import signal
 import struct
 import subprocess
@@ -27,8 +29,27 @@ COLUMNS = 80
 _CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
-def command(station: Path, work: str, fusion: str) -> list[str]:
-    return [sys.executable, "-m", "malus", "run", str(station), "-o", work, "--fusion", fusion]
+MALUS = [sys.executable, "-m", "malus"]
+
+
+def prepare(folder: Path, source: Path, fusion: str) -> str:
+    """The station in the folder; a copy that has lost an image, and a campaign of both; an object of two copies. Returns the name
+    of the station's folder.
+    """
+    name, broken = source.name, f"{source.name}_broken"
+    for copy in (name, broken, "figure/front", "figure/side"):
+        shutil.copytree(source, folder / copy)
+    side = folder / "figure/side/station.toml"
+    side.write_text(side.read_text().replace(f'name = "{name}"', 'name = "side"'))
+    min((folder / broken).rglob("pol_*")).unlink()
+    options = f'[options]\nfusion = "{fusion}"\n'
+    (folder / "campaign.toml").write_text(
+        f'[campaign]\nname = "Room 3"\nstations = ["{name}/station.toml", "{broken}/station.toml"]\n{options}'
+    )
+    (folder / "figure/object.toml").write_text(
+        f'[object]\nname = "figure"\nstations = ["*/station.toml"]\nfaces = 3000\nclosed = false\n{options}'
+    )
+    return name
 
 
 def on_terminal(words: list[str], folder: Path | None = None, *, interrupt_at: str = "") -> tuple[int, str, list[str]]:
@@ -104,19 +125,27 @@ def main() -> int:
         print(f"{name}: {seconds:.1f} s", *found, sep="\n  ", flush=True)
         wrong.extend(found)
 
-    station = args.station.resolve()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for kind, work, expected, at in (
-            ("interrupted", "work", 130, "evidence"),
-            ("resumed", "work", 0, ""),
-            ("terminal", "again", 0, ""),
+        station = prepare(folder, args.station.resolve().parent, args.fusion)
+
+        def run(work: str, which: str = station) -> list[str]:
+            return ["run", f"{which}/station.toml", "-o", work, "--fusion", args.fusion]
+
+        for kind, words, expected, at in (
+            ("interrupted", run("work"), 130, "evidence"),
+            ("resumed", run("work"), 0, ""),
+            ("terminal", run("again"), 0, ""),
+            ("inputs", run(station), 2, ""),
+            ("another", run("work", "figure/side"), 2, ""),
+            ("batch", ["batch", "campaign.toml", "-o", "room3"], 2, ""),
+            ("object", ["object", "figure/object.toml", "-o", "out"], 0, ""),
         ):
             start = time.monotonic()
-            code, text, states = on_terminal(command(station, work, args.fusion), folder, interrupt_at=at)
+            code, text, states = on_terminal([*MALUS, *words], folder, interrupt_at=at)
             keep(kind, time.monotonic() - start, text, problems(code, expected, text, states))
         start = time.monotonic()
-        done = subprocess.run(command(station, "third", args.fusion), cwd=folder, capture_output=True, text=True)
+        done = subprocess.run([*MALUS, *run("third")], cwd=folder, capture_output=True, text=True)
         text = f"standard output:\n{done.stdout}\nstandard error:\n{done.stderr}"
         found = problems(done.returncode, 0, text, [])
         found += ["control characters in a file"] * bool(re.search(r"[\x1b\r]", text))

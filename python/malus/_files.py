@@ -28,11 +28,22 @@ _OUT_OF_SOMETHING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ENOMEM, errno.
 def require_utf8(path: str | Path) -> None:
     """InputError for a path that is no text: station files, reports and the C++ library take names in UTF-8 only."""
     absolute = os.path.abspath(path)
+    if not is_utf8(absolute):
+        raise InputError(f"{as_text(absolute)}: this name is not in UTF-8, expected a file and folders whose names are")
+
+
+def is_utf8(name: str) -> bool:
+    """Whether the name of a file is text in UTF-8."""
     try:
-        absolute.encode()
+        name.encode()
     except UnicodeEncodeError:
-        shown = os.fsencode(absolute).decode("ascii", "backslashreplace")
-        raise InputError(f"{shown}: this name is not in UTF-8, expected a file and folders whose names are") from None
+        return False
+    return True
+
+
+def as_text(name: str) -> str:
+    """The name of a file as a person can read it, with the bytes that are no text by their numbers."""
+    return os.fsencode(name).decode("ascii", "backslashreplace")
 
 
 def resolved(path: str | Path) -> Path:

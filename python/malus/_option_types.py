@@ -11,7 +11,7 @@ class CaptureSection(Section):
     """Options of the section capture."""
 
     registration: Literal["auto", "on", "off"]
-    """register the images to the first: auto leaves aligned images untouched"""
+    """move the images until they lie on the first one: auto = where they do not lie there already, on = always, off = never"""
     keep_below_px: float
     """registration = auto: images that lie closer than this are left as they are, in px"""
     saturation: float
@@ -79,9 +79,9 @@ class PolarizerSection(Section):
     """Options of the section polarizer."""
 
     calibrate_angles: Literal["auto", "on", "off"]
-    """polarizer angles and exposures from the images: auto only where that is significantly better"""
+    """find the polarizer's angles and the exposures from the images themselves: auto = only where that fits clearly better than what the station says"""
     angle_sigma_deg: float
-    """standard deviation of each angle as read off the scale"""
+    """how far an angle that was read off the polarizer's scale is usually wrong (standard deviation), in degrees"""
     zero_sigma_deg: float
     """standard deviation of the zero of the polarizer's scale, which all angles share"""
     gain_sigma: float
@@ -110,11 +110,11 @@ class PhotosSection(Section):
     """Options of the section photos."""
 
     backend: Literal["auto", "colmap", "pycolmap"]
-    """what runs COLMAP: the program, the Python package pycolmap, or the program if there is one and else the package"""
+    """what finds the cameras of the photographs: the program COLMAP, the Python package pycolmap, or auto = the program if it is installed, else the package"""
     max_features: int
     """largest number of features that are taken of a photo"""
     max_side_px: int
-    """photos with a longer side are reduced to find features"""
+    """photographs with a longer side are made smaller before points are looked for that several of them show: a smaller number is faster, a larger one finds more"""
     guided_matching: bool
     """once photos are matched, search along their epipolar lines for further matches"""
     exhaustive_limit: int
@@ -207,7 +207,7 @@ class SweepSection(Section):
     sigma_floor_gsd: float
     """smallest standard deviation that a swept depth may have, in GSD"""
     again: bool
-    """sweep a station again about its fused surface, and fuse with that; where the photos agree on too little, leave out what that surface contradicts instead"""
+    """measure the surface in the photographs a second time, close to the fused one, and fuse with that; where they agree on too little, what the fused surface contradicts is left out instead"""
 
 
 class SweepValues(TypedDict, total=False):
@@ -240,7 +240,7 @@ class PriorSection(Section):
     sigma: float | Literal["auto"]
     """standard deviation of a cloud's points, or of the depth of another prior, in the station's unit; left out = the station file's, and without it a cloud's is measured and another's is raster_sigma_gsd"""
     smoothing_px: float | Literal["auto"]
-    """length over which the cloud is smoothed, in px; left out = from the cloud's noise and density"""
+    """over how many pixels a cloud is smoothed: more takes away more of its noise, less keeps more of its detail; auto = as its noise and its density ask for"""
     smoothing_scale: float
     """the estimated smoothing length times this; below 1 because what is smoothed away is lost to the fusion, noise is not"""
     edge_tolerance: float
@@ -475,7 +475,7 @@ class RefineSection(Section):
     slope_error: float
     """error of the reflection model, as an error of the slope"""
     prior_weight: float
-    """weight of the prior's mean over a block of 8 x 8 pixels, in 1 / GSD, where the prior's sigma is large"""
+    """how strongly the surface is held to the coarse one where that is uncertain: more stays closer to it, less believes the polarization more (weight of the mean of 8 x 8 pixels, in 1 / GSD)"""
     good_prior_weight: float
     """weight of the prior's mean over a block of 8 x 8 pixels, in 1 / GSD, where the prior's sigma is small"""
     prior_robust_gsd: float
@@ -549,7 +549,7 @@ class SurfaceSection(Section):
     """Options of the section surface."""
 
     subsample: int
-    """the mesh has every n-th pixel as a vertex"""
+    """only every n-th pixel, across and down, becomes a vertex of the mesh: 2 makes a quarter of the triangles"""
     max_incidence_deg: float
     """triangles seen flatter than this (normal to viewing ray) are left out: the sides of depth steps"""
     min_step_gsd: float
@@ -561,7 +561,7 @@ class SurfaceSection(Section):
     white_percentile: float
     """intensity percentile that becomes white in the vertex colors"""
     dem_pixel: float | Literal["auto"]
-    """pixel of the elevation model in the station's unit; auto = GSD x subsample"""
+    """side of a pixel of the elevation model (dem.tif), in the station's unit; auto = as fine as the mesh"""
     glb_triangles: int
     """surface.glb takes every n-th pixel as a vertex, n so large that it has about as many triangles at most"""
     glb_texture_px: int
@@ -598,7 +598,7 @@ class AssessSection(Section):
     profile_step_px: float
     """largest distance between the samples of a profile, in px"""
     alignment: Literal["none", "rigid", "similarity"]
-    """move the surface onto the reference first (ICP)"""
+    """move the surface onto the reference before they are compared: rigid = shift and turn it, similarity = change its size, too, none = leave it where it is"""
     max_distance_gsd: float
     """points farther from the reference than this are not compared"""
     reference_neighbors: int

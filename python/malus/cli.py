@@ -11,6 +11,7 @@ import shutil
 import signal
 import sys
 import textwrap
+from collections import Counter
 from collections.abc import Sequence
 from io import TextIOWrapper
 from pathlib import Path
@@ -37,6 +38,8 @@ from malus.threads import ALL_CORES
 
 INTERRUPTED = 130
 
+#: Seconds that a station is taken to last before any of a campaign is done, and the surface of an object for each of its stations.
+_A_STATION_S = 60.0
 #: What each single-step command runs, and with which fusion (None = as the options say); the steps that it needs are done first if they
 #: are not yet.
 STEP_COMMANDS = {
@@ -430,7 +433,7 @@ def _require_own_folder(work: Path, station: Path) -> None:
 def _print_lines(*lines: str, hang: int = 2, to: TextIO | None = None) -> None:
     """Lines for a person: on a terminal no wider than that, without breaking words; to a file as they are."""
     stream = to or sys.stdout
-    for line in lines:
+    for line in "\n".join(lines).split("\n"):
         if stream.isatty():
             indent = " " * (len(line) - len(line.lstrip()) + hang)
             columns = max(40, shutil.get_terminal_size().columns)
@@ -508,6 +511,10 @@ def _object(args: argparse.Namespace) -> None:
     _options(args, thing.campaign.options)
     shard = batch.parse_shard(args.shard) if args.shard else batch.shard_of_environment()
     with _view(args) as view:
+        stations = _A_STATION_S * len(thing.campaign.stations)
+        steps = [*(["photos"] if thing.shared else []), "stations", "object"]
+        view.expect([(step, stations) for step in steps], guessed=True)
+        view.progress(steps[0], 0.0, "")
         outcomes = run_object(
             thing,
             args.output,
@@ -534,7 +541,7 @@ def _print_object(folder: Path, outcomes: Sequence[batch.Outcome], quiet: bool) 
         for line in (*doubted_stations(quality), *(f"warning: {warning}" for warning in quality["warnings"])):
             print(line, file=sys.stderr)
         return
-    _print_lines(*object_summary(quality))
+    _print_lines(*object_summary(quality), f"  report: malus view {folder}")
 
 
 def _compare(args: argparse.Namespace) -> None:
@@ -560,6 +567,8 @@ def _batch(args: argparse.Namespace) -> None:
     _options(args, campaign.options)
     shard = batch.parse_shard(args.shard) if args.shard else batch.shard_of_environment()
     with _view(args) as view:
+        view.expect([("batch", _A_STATION_S * len(campaign.stations))], guessed=True)
+        view.progress("batch", 0.0, f"{len(campaign.stations)} stations")
         outcomes = batch.run_campaign(
             campaign,
             args.output,
@@ -572,8 +581,13 @@ def _batch(args: argparse.Namespace) -> None:
             ),
         )
     if not args.quiet and not args.json:
-        done = sum(outcome["status"] == "done" for outcome in outcomes)
-        print(f"{campaign.name}: {done} of {len(outcomes)} stations done, {args.output / 'index.html'}")
+        done = [outcome for outcome in outcomes if outcome["status"] == "done"]
+        levels = Counter(outcome["figures"].get("confidence") for outcome in done)
+        told = ", ".join(f"{levels[level]} {level}" for level in ("high", "partial", "low") if levels[level])
+        _print_lines(
+            f"{campaign.name}: {len(done)} of {len(outcomes)} stations done{f'; confidence: {told}' if told else ''}",
+            f"  page: {args.output / 'index.html'}",
+        )
     failed = batch.failure(outcomes)
     if failed is not None:
         raise failed

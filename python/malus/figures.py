@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from malus.columns import printed
 from malus.errors import ResourceError
 from malus.lengths import scale_bar, shown
 from malus.units import METERS
@@ -706,7 +707,9 @@ class Plates:
                 tips = [run[np.argmax(np.abs(known[run]))] for run in runs if len(run) and far[run[0]]]
                 axes.plot(along[tips], [limit] * len(tips), marker, color=COLORS[name], ms=7, clip_on=False, zorder=6)
             if known.min() < limits[0] or known.max() > limits[1]:
-                said.append(f"{self.words[name]} reaches from {known.min():.0f} to {known.max():.0f} µm")
+                said.append(
+                    f"{self.words[name]} reaches from {printed(f'{known.min():.0f}')} to {printed(f'{known.max():.0f}')} µm"
+                )
         return said
 
     def _histogram(

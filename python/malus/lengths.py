@@ -18,7 +18,7 @@ def shown(length: float, unit: str, digits: int = 2) -> str:
 
 
 def sides(lengths: Sequence[float], unit: str) -> str:
-    """Width and height, of the station's unit, in one unit that suits the longer: 31 × 12.5 mm."""
+    """Sides of something, of the station's unit, in one unit that suits the longest: 31 × 12.5 mm."""
     meters = [length * METERS[unit] for length in lengths]
     factor, name = next(((f, n) for f, n in ((1e6, "µm"), (1e3, "mm")) if max(meters) * f < 1000), (1.0, "m"))
     values = [length * factor for length in meters]

@@ -21,11 +21,12 @@ class Overall:
     """How much of the whole run is done, and how long the rest takes at the speed met so far.
 
     `expected`: steps in their order and the seconds that each is expected to take. A step whose first event says that it is done was kept
-    from an earlier run and says nothing of the speed.
+    from an earlier run and says nothing of the speed. guessed: only the ratios of these seconds mean something.
     """
 
-    def __init__(self, expected: Sequence[tuple[str, float]]) -> None:
+    def __init__(self, expected: Sequence[tuple[str, float]], *, guessed: bool = False) -> None:
         self._expected = dict(expected)
+        self._guessed = guessed
         self._done: dict[str, float] = {}
         self._kept: set[str] = set()
         self._start = time.monotonic()
@@ -49,8 +50,10 @@ class Overall:
         )
 
     @property
-    def seconds_left(self) -> float:
-        """Expected rest, at the speed met so far."""
+    def seconds_left(self) -> float | None:
+        """Expected rest, at the speed met so far; None before anything says it."""
+        if self._guessed and not any(self._done.values()):
+            return None
         rest = sum(seconds * (1 - self._done.get(step, 0.0)) for step, seconds in self._expected.items())
         computed = sum(self._expected[step] * part for step, part in self._done.items() if step not in self._kept)
         return rest * (time.monotonic() - self._start + _TRUST_SECONDS) / (computed + _TRUST_SECONDS)
@@ -71,9 +74,9 @@ class ProgressView:
     def __init__(self) -> None:
         self._overall = Overall([])
 
-    def expect(self, expected: Sequence[tuple[str, float]]) -> None:
-        """Steps to come and the seconds that each is expected to take."""
-        self._overall = Overall(expected)
+    def expect(self, expected: Sequence[tuple[str, float]], *, guessed: bool = False) -> None:
+        """Steps to come and the seconds that each is expected to take, or only a guess of them."""
+        self._overall = Overall(expected, guessed=guessed)
 
     def progress(self, step: str, fraction: float, message: str) -> None:
         """One progress event: `fraction` of `step` is done."""
@@ -122,7 +125,7 @@ class JsonProgress(ProgressView):
             fraction=round(fraction, 4),
             message=message,
             overall=round(self._overall.fraction, 4),
-            seconds_left=round(self._overall.seconds_left, 1),
+            seconds_left=None if (left := self._overall.seconds_left) is None else round(left, 1),
         )
 
     def log(self, level: str, message: str) -> None:
@@ -176,7 +179,8 @@ class BarProgress(ProgressView):
             if name not in self._tasks:
                 self._tasks[name] = self._bar.add_task(name, total=1.0, message="")
         self._bar.update(self._tasks[step], completed=fraction, message=message)
-        left = f"about {duration(self._overall.seconds_left)} left" if self._overall.fraction < 1 else "done"
+        seconds = self._overall.seconds_left
+        left = "done" if self._overall.fraction >= 1 else "begun" if seconds is None else f"about {duration(seconds)} left"
         self._bar.update(
             self._tasks["everything"],
             completed=self._overall.fraction,

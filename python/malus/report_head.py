@@ -38,6 +38,7 @@ class Head:
     covered_note: str
     gains_title: str
     gains: list[str]
+    finishes: str
 
 
 def size_of_object(workspace: Workspace) -> tuple[float, float] | None:
@@ -67,7 +68,7 @@ def head_of(plates: Plates, extent: list[float]) -> Head:
     return Head(
         encode(shown_picture, "WEBP", quality=88), picture.shape[1], picture.shape[0], 100 * length / width, label,
         sides(size, unit), accuracy, note, shown(plates.gsd, unit, 3), covered_of(quality), gains_title(quality),
-        gains_of(quality, unit),
+        gains_of(quality, unit), finishes_of(quality),
     )  # fmt: skip
 
 
@@ -97,9 +98,16 @@ def is_worse(patch: Mapping[str, Any]) -> bool:
     return bool(patch["prior"] and patch["fused"]) and patch["fused"]["rmse"] > _NOTABLE * patch["prior"]["rmse"]
 
 
+def is_better(patch: Mapping[str, Any]) -> bool:
+    """Whether fusion has made a flat patch flatter."""
+    return bool(patch["prior"] and patch["fused"]) and patch["prior"]["rmse"] >= _NOTABLE * patch["fused"]["rmse"]
+
+
 def gains_title(quality: Mapping[str, Any]) -> str:
-    """A change is called a gain only where nothing speaks against it."""
-    gained = quality["confidence"]["level"] != "low" and not any(is_worse(patch) for patch in quality["patches"])
+    """A change is called a gain only where something that is known speaks for it, and nothing against it."""
+    patches = quality["patches"]
+    proven = any(is_better(patch) for patch in patches) and not any(is_worse(patch) for patch in patches)
+    gained = quality["confidence"]["level"] != "low" and proven
     return f"What {'was gained over' if gained else 'fusion changed against'} the coarse surface alone"
 
 
@@ -112,7 +120,7 @@ def gains_of(quality: Mapping[str, Any], unit: str) -> list[str]:
         if patch["prior"] and patch["fused"]:
             before, after = patch["prior"]["rmse"], patch["fused"]["rmse"]
             times = before / max(after, 1e-12)
-            said = f"{times:.2g} times flatter" if times >= _NOTABLE else f"{1 / times:.2g} times rougher" if is_worse(patch) else "as flat as before"  # fmt: skip
+            said = f"{times:.2g} times flatter" if is_better(patch) else f"{1 / times:.2g} times rougher" if is_worse(patch) else "as flat as before"  # fmt: skip
             lines.append(
                 f"The flat patch “{patch['name']}” is {said}: {shown(after, unit)} from a plane (RMSE), with the coarse surface alone {shown(before, unit)}."
             )
@@ -126,3 +134,15 @@ def gains_of(quality: Mapping[str, Any], unit: str) -> list[str]:
             f"Fine relief has a spread of {after}, with the coarse surface alone {before}; fusion changed it by {changed} (robust σ)."
         )
     return lines
+
+
+def finishes_of(quality: Mapping[str, Any]) -> str:
+    """That the refinement found two finishes on the object, in a sentence; "" for one."""
+    found = (quality.get("refinement") or {}).get("surroundings") or {}
+    if not found.get("other_finish_share"):
+        return ""
+    usual, other = found["roughness"], found["other_roughness"]
+    return (
+        f"The object has two finishes, like glaze beside bare clay: about {100 * found['other_finish_share']:.0f} % of it is "
+        f"{'duller' if other > usual else 'glossier'} than the rest (roughness {other:.2g} against {usual:.2g})."
+    )

@@ -62,9 +62,20 @@ def three(tiny_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -
     outcome = run_malus("batch", file, "-o", output, "--jobs", "2", "--threads", "1")
     assert outcome.code == 2, outcome.err
     assert "1 of 3 stations failed" in outcome.err
+    assert outcome.err.startswith("100 %  batch ")
+    assert outcome.out.splitlines() == [
+        "museum: 2 of 3 stations done; confidence: 2 partial",
+        f"  page: {output / 'index.html'}",
+    ]
     assert "o01: " in outcome.err and "angles_deg" in outcome.err
     assert "Traceback" not in outcome.err
     return file, output
+
+
+def test_a_campaign_says_at_once_that_it_has_begun(three: tuple[Path, Path]) -> None:
+    file, output = three
+    first = json.loads(run_malus("batch", file, "-o", output, "--json").out.splitlines()[0])
+    assert (first["fraction"], first["message"], first["seconds_left"]) == (0.0, "3 stations", None)
 
 
 def test_broken_station_is_listed_and_the_others_finish(three: tuple[Path, Path]) -> None:

@@ -54,6 +54,16 @@ def test_json_events_say_how_far_everything_is(capsys: pytest.CaptureFixture[str
     assert event["seconds_left"] > 0
 
 
+def test_no_time_is_made_up_where_none_is_known(capsys: pytest.CaptureFixture[str]) -> None:
+    view = JsonProgress()
+    view.expect([("batch", 60.0)], guessed=True)
+    for fraction in (0.0, 0.5):
+        view.progress("batch", fraction, "")
+    first, second = map(json.loads, capsys.readouterr().out.splitlines())
+    assert (first["overall"], first["seconds_left"]) == (0.0, None)
+    assert second["overall"] == 0.5 and second["seconds_left"] < 10
+
+
 def test_lines_fit_on_a_terminal_and_stay_whole_in_a_file(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -66,6 +76,8 @@ def test_lines_fit_on_a_terminal_and_stay_whole_in_a_file(
     first, *others = capsys.readouterr().out.splitlines()
     assert max(map(len, (first, *others))) <= 60 and all(line.startswith("    ") for line in others)
     assert " ".join((first + " " + " ".join(others)).split()) == " ".join(said.split())
+    cli._print_lines("1 of 2 stations failed\n  o1: no such file")  # what has lines keeps them
+    assert capsys.readouterr().out == "1 of 2 stations failed\n  o1: no such file\n"
 
 
 def test_json_result_lists_a_warning_once(capsys: pytest.CaptureFixture[str]) -> None:

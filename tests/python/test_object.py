@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import importlib
 import json
 import os
 import re
@@ -465,7 +466,7 @@ def test_command_line_makes_one_surface_and_does_nothing_twice(pair: Path, monke
     assert quality["agreement"]["rms_ratio"] < 0.05
     assert quality["mesh"]["triangles"] > 10000 and not quality["mesh"]["closed"]
     assert {"mesh.ply", "mesh.glb", "levels/0.glb", "report/index.html"} <= set(quality["files"])
-    assert "pair: 2 of 2 stations" in first.out
+    assert first.out.startswith("pair: ") and "mm, 2 of 2 stations, " in first.out
     assert not half_written(output)
     written = (output / "object/mesh.ply").stat().st_mtime_ns
     again = run_malus("object", pair, "-o", output, "--quiet")
@@ -529,19 +530,51 @@ def test_the_page_says_how_far_stations_can_be_trusted_and_forgets_one_that_is_t
         confidence = json.loads((output / f"stations/{name}/quality.json").read_text())["confidence"]
         row = text.split(f'<tr id="{name}">')[1].split("</tr>")[0]
         assert f"confidence {confidence['level']}" in row
-        assert all(text.count(reason) == 2 for reason in confidence["reasons"])  # once for each station, first of all
+        assert all(text.count(reason) == 1 for reason in confidence["reasons"])  # once for all stations, first of all
         said = f"{name}: confidence {confidence['level']}: {confidence['reasons'][0]}"
         assert said in outcome.out and said in quiet.err
+        assert " 50 %  stations " in outcome.err and "100 %  object " in outcome.err
+        size, mesh = outcome.out.splitlines()[0], outcome.out.splitlines()[2]
+        assert re.fullmatch(r"pair: [\d.]+ × [\d.]+ × [\d.]+ mm, 2 of 2 stations, one pixel is [\d.]+ µm", size)
+        assert "triangles, open; 100.0 % of the surface measured" in mesh
+        assert f"  report: malus view {output / 'object'}" in outcome.out
         assert row.count('<td class="n">') == 6, "numbers stand right"
         assert f"Agreement of {name} with the other stations: 100.0 % of what they see together" in text
     require_gone(pair, output)
+
+
+def test_reasons_are_given_once_for_all_their_stations() -> None:
+    page = importlib.import_module("malus.object.page")
+    same = "The light is a map, fitted at 2.5 mm."
+    stations = [
+        {"station": "a", "reasons": f"In 47 % of the object it is the prior's. {same}"},
+        {"station": "b", "reasons": same},
+        {"station": "c", "reasons": f"In 8 % of the object it is the prior's. {same}"},
+    ]
+    assert page.reasons_of(stations) == [
+        ("In 8 to 47 % of the object it is the prior's.", ["a", "c"]),
+        (same, ["a", "b", "c"]),
+    ]
+    assert page.reasons_of([]) == []
+
+
+def test_maps_on_the_page_are_cut_to_what_they_show_and_have_a_scale(tmp_path: Path) -> None:
+    page = importlib.import_module("malus.object.page")
+    colors = np.full((100, 200, 3), 128, np.uint8)
+    colors[40:60, 50:150] = (10, 128, 128)
+    Image.fromarray(colors).save(tmp_path / "a.png")
+    quality = {"unit": "mm", "stations": [{"station": "a", "status": "done", "gsd": 0.5}]}
+    shown = page._maps(tmp_path, quality)["a"]
+    assert (shown.width, shown.height) == (108, 20)
+    assert shown.bar_label == "10 mm" and shown.bar_percent == pytest.approx(100 * 10 / 54)
 
 
 def test_a_station_that_had_failed_is_forgotten_when_it_is_taken_out(pair: Path) -> None:
     (pair.parent / "o1/pol/pol_030.tif").write_bytes(b"no image")
     output = pair.parent / "out"
     assert malus_here("object", pair, "-o", output, "--threads", "1", "--quiet").code == 2
-    assert 'id="o1"' in (output / "object/report/index.html").read_text()
+    page = (output / "object/report/index.html").read_text()
+    assert 'id="o1"' in page and "One surface of 1 station " in page and "No two stations see the same place." in page
     require_gone(pair, output)
 
 

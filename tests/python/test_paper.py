@@ -226,7 +226,7 @@ def test_detail_beside_a_spike_can_be_read(paper_work: Path) -> None:
     assert high - low < 3000
     (tip,) = [line for line in below.lines if line.get_marker() == "^" and len(line.get_xdata())]
     assert tip.get_xdata()[0] == pytest.approx(profile["position"][len(spiked) // 2]) and tip.get_ydata()[0] == high
-    assert "cut off at the triangles, where fusion reaches from -" in figure.caption
+    assert "cut off at the triangles, where fusion reaches from −" in figure.caption
 
 
 def test_histogram_of_a_rough_patch_can_be_read(paper_work: Path) -> None:

@@ -24,7 +24,7 @@ from conftest import run_program
 from malus import _core, figures, lengths, pages, viewer
 from malus.columns import MINUS, aligned, decimals
 from malus.report import _number
-from malus.report_head import accuracy_of, covered_of, gains_of, gains_title
+from malus.report_head import accuracy_of, covered_of, finishes_of, gains_of, gains_title
 from malus.trust import what_to_trust
 
 
@@ -242,10 +242,38 @@ def test_what_was_computed_is_no_accuracy_where_something_speaks_against_it() ->
 
 def test_a_change_is_no_gain_where_something_speaks_against_it() -> None:
     rougher = {"name": "2", "prior": {"rmse": 0.05}, "fused": {"rmse": 0.2}}
+    as_before = {"name": "3", "prior": {"rmse": 0.05}, "fused": {"rmse": 0.05}}
     assert "was gained" in gains_title(figures_of("partial"))
-    for quality in (figures_of("low"), figures_of("high", patches=[rougher])):
+    for quality in (
+        figures_of("low"),
+        figures_of("high", patches=[rougher]),
+        figures_of("high", patches=[as_before]),
+        figures_of("high", patches=[]),
+    ):
         assert gains_title(quality) == "What fusion changed against the coarse surface alone"
     assert "4 times rougher" in gains_of(figures_of("high", patches=[rougher]), "mm")[0]
+
+
+def test_two_finishes_are_told_in_a_sentence() -> None:
+    def told(usual: float, other: float, share: float) -> str:
+        found = {"roughness": usual, "other_roughness": other, "other_finish_share": share}
+        return finishes_of(figures_of("high", refinement={"surroundings": found}))
+
+    assert told(0.05, 0.525, 0.106).endswith("about 11 % of it is duller than the rest (roughness 0.53 against 0.05).")
+    assert "about 30 % of it is glossier than the rest (roughness 0.1 against 0.4)" in told(0.4, 0.1, 0.3)
+    assert told(0.05, 0, 0) == ""
+    for one in ({}, {"refinement": None}, {"refinement": {"surroundings": None}}):
+        assert finishes_of(figures_of("high", **one)) == ""
+
+
+def test_the_report_says_what_was_found_of_finishes(
+    work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(work, tmp_path / "work")
+    monkeypatch.setattr("malus.report_head.finishes_of", lambda _quality: "It has two finishes.")
+    malus.write_report(tmp_path / "work")
+    text = (tmp_path / "work/report/index.html").read_text()
+    assert "<p>It has two finishes.</p>" in text.split("<h3>In numbers</h3>")[0]
 
 
 def test_what_the_coarse_surface_does_not_cover_is_not_called_measured() -> None:

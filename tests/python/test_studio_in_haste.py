@@ -1,14 +1,20 @@
-"""Studio's page and people who are quicker than its answers."""
+"""Studio's page and people who are quicker than its answers, look elsewhere or change their minds."""
 
 from __future__ import annotations
 
+import io
+import os
 import re
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
 
+from malus.figures import encode
 from studio_browser import (
     Served,
     brought,
@@ -233,8 +239,7 @@ def test_nothing_is_marked_while_another_image_is_loading(page: Any, station: Pa
     page.get_by_text(re.compile(r"in \d photos: .*view_04.jpg")).wait_for()
     go(page, "Draw")
     page.get_by_role("button", name="Undo the last change").click()
-    page.get_by_text(re.compile(r"in 0 photos")).first.wait_for()
-    assert "view_04" not in station.read_text()  # there was one mark only
+    wait_for(page, lambda: "view_04" not in station.read_text())  # there was one mark only
 
 
 def test_nothing_is_painted_while_the_edge_is_looked_for(page: Any) -> None:
@@ -260,12 +265,16 @@ def test_a_tool_that_is_chosen_by_the_keyboard_keeps_it(page: Any) -> None:
 
 def test_a_step_of_undo_that_fails_is_not_lost(page: Any, station: Path) -> None:
     place = page.get_by_role("textbox", name="Name of the object")
+    kept = held(page, "model")  # which the page asks for while it shows what was changed
     place.fill("Other")
     place.press("Tab")
-    wait_for(page, lambda: "Other" in station.read_text())
+    wait_for(page, lambda: bool(kept))
     page.route("**/api/text", lambda route: route.fulfill(status=400, json={"error": "no room on the disk"}))
     page.get_by_role("button", name="Undo the last change").click()
     page.locator("#message", has_text="no room on the disk").wait_for()
+    let_go(page, kept, "model")
+    page.locator("#plan", has_text="Ready").wait_for()
+    assert page.locator("#message").text_content() == "no room on the disk"
     page.unroute("**/api/text")
     page.get_by_role("button", name="Undo the last change").click()
     wait_for(page, lambda: "Other" not in station.read_text())
@@ -382,6 +391,16 @@ def test_the_surface_upon_the_image_is_that_of_the_file(page: Any, station: Path
     let_go(page, kept, "overlay")
     page.wait_for_timeout(300)
     assert not page.locator("#overlay-note").text_content() and page.locator("#overlay-stage").is_hidden()
+    cameras.select_option("sparse")
+    page.locator("#plan", has_text="Ready").wait_for()
+    kept = held(page, "size")  # of the image below the surface
+    show.click()
+    wait_for(page, lambda: bool(kept))
+    cameras.select_option("")
+    page.locator("#plan", has_text="cannot run yet").wait_for()
+    let_go(page, kept, "size")
+    page.wait_for_timeout(300)
+    assert not page.locator("#overlay-note").text_content()
 
 
 def test_what_is_said_of_another_mark_is_dropped(page: Any, station: Path) -> None:
@@ -428,3 +447,268 @@ def test_results_that_cannot_be_read_can_be_scrolled_to_by_the_keyboard(page: An
     page.set_viewport_size({"width": 390, "height": 844})
     go(page, "Results")
     require_accessible(page)
+
+
+def test_an_earlier_list_of_runs_that_comes_late_is_dropped(page: Any) -> None:
+    going = {**RUN, "number": 2, "work": "other_work", "state": "running"}
+    runs = [{**RUN, "state": "canceled"}, going]
+    kept: list[Any] = []
+
+    answered = 0
+
+    def answer(route: Any) -> None:
+        nonlocal answered
+        answered += 1
+        if answered == 2:
+            kept.append(route)  # the page looks again while a run goes on
+        else:
+            route.fulfill(json=runs)
+
+    page.route("**/api/runs*", answer)
+    page.route("**/api/run", lambda route: route.fulfill(json={"number": 3}))
+    go(page, "Run")
+    wait_for(page, lambda: bool(kept))
+    earlier = list(runs)
+    runs[:] = [going, {**RUN, "number": 3}]
+    page.get_by_role("button", name="Resume").press("Enter")
+    page.locator("[data-run='3']").wait_for()
+    kept[0].fulfill(json=earlier)
+    page.wait_for_timeout(300)
+    shown = page.locator("#run-list article").evaluate_all("cards => cards.map(card => card.dataset.run)")
+    assert shown == ["3", "2"]
+    assert page.evaluate("document.activeElement.closest('article').dataset.run") == "3"
+
+
+def test_a_profile_that_comes_late_is_dropped(page: Any) -> None:
+    result = {
+        "path": "work", "name": "museum", "unit": "mm", "gsd": 0.1, "width": 200, "height": 160, "method": "grid", "status": "converged",
+        "confidence": {"level": "high", "reasons": []}, "warnings": [], "coverage": 1, "sigma_gsd": None, "report": None,
+    }  # fmt: skip
+    page.route("**/api/results*", lambda route: route.fulfill(json=[result]))
+    page.route("**/api/relief*", lambda route: route.fulfill(body=encode(np.zeros((160, 200), np.uint8), "PNG")))
+    kept: list[Any] = []
+
+    def answer(route: Any) -> None:
+        far = route.request.post_data_json["to"][0]
+        if far == 100:
+            kept.append(route)
+        else:
+            route.fulfill(json=section_to(far))
+
+    page.route("**/api/profile", answer)
+    go(page, "Results")
+    page.get_by_role("button", name="Profile").click()
+    far, show = page.get_by_label("to x"), page.get_by_role("button", name="Draw", exact=True).last
+    chart = page.locator("svg.profile").first
+    for place in ("100", "120"):
+        far.fill(place)
+        show.click()
+    page.locator("svg.profile[aria-label*='along 120 mm']").first.wait_for()
+    kept[0].fulfill(json=section_to(100))
+    page.wait_for_timeout(300)
+    assert "along 120 mm" in str(chart.get_attribute("aria-label"))
+
+
+def section_to(far: int) -> dict[str, Any]:
+    return {"unit": "mm", "along": [0, far / 2, far], "prior": [0, 1, 0], "fused": [0, 2, 0]}
+
+
+def test_the_log_that_is_read_goes_on_with_its_run(page: Any) -> None:
+    lines = ["first line"]
+    page.route("**/api/runs*", lambda route: route.fulfill(json=[{**RUN, "state": "running"}]))
+    page.route("**/api/log*", lambda route: route.fulfill(json={"lines": lines}))
+    go(page, "Run")
+    page.get_by_text("Log", exact=True).click()
+    page.locator("pre", has_text="first line").wait_for()
+    lines.append("second line")
+    page.locator("pre", has_text="second line").wait_for()
+
+
+def test_what_was_typed_of_a_new_station_is_there_after_a_look_elsewhere(page: Any) -> None:
+    go(page, "Images")
+    page.get_by_role("button", name="views (3 images)").click()
+    page.locator("#preview .warning").wait_for()
+    angle = page.get_by_label("Angle of view_00.jpg")
+    angle.fill("10")
+    page.get_by_label("view_08.jpg is polarized").uncheck()
+    name, file = page.locator("#new-station [name=name]"), page.locator("#new-station [name=path]")
+    name.fill("Bust")
+    file.fill("bust.toml")
+    go(page, "Results")
+    go(page, "Images")
+    assert (angle.input_value(), name.input_value(), file.input_value()) == ("10", "Bust", "bust.toml")
+    assert not page.get_by_label("view_08.jpg is polarized").is_checked()
+    # Another folder begins anew, and so does this one after it.
+    page.get_by_role("button", name="opened folder: museum").click()
+    page.get_by_role("button", name="views (3 images)").click()
+    page.locator("#preview .warning").wait_for()
+    assert angle.input_value() == "" and file.input_value() != "bust.toml"
+
+
+def test_a_name_that_is_taken_meanwhile_is_not_proposed_again(served: Served, page: Any) -> None:
+    go(page, "Images")
+    page.get_by_role("button", name="pol (6 images)").click()
+    page.get_by_alt_text("Phase in a circle of colors").wait_for()
+    file = page.locator("#new-station [name=path]")
+    proposed = file.input_value()
+    (served.folder / proposed).write_text(STATION)
+    go(page, "Results")
+    go(page, "Images")
+    assert file.input_value() != proposed
+    (served.folder / proposed).unlink()
+
+
+def test_stations_that_were_ticked_stay_ticked(served: Served, page: Any) -> None:
+    (served.folder / "station_b.toml").write_text(STATION)
+    go(page, "Run")
+    page.get_by_label("Run station.toml").uncheck()
+    page.get_by_label("Run station_b.toml").check()
+    go(page, "Results")
+    go(page, "Run")
+    assert (
+        page.get_by_label("Run station_b.toml").is_checked() and not page.get_by_label("Run station.toml").is_checked()
+    )
+    # Who opens another station means that one.
+    page.get_by_label("Run station.toml").check()
+    open_station(page, "station_b.toml")
+    go(page, "Run")
+    assert (
+        page.get_by_label("Run station_b.toml").is_checked() and not page.get_by_label("Run station.toml").is_checked()
+    )
+
+
+def test_what_is_no_number_removes_none(page: Any, station: Path) -> None:
+    level = page.get_by_label("White level")
+    level.fill("60000")
+    level.press("Tab")
+    wait_for(page, lambda: "white_level = 60000" in station.read_text())
+    wait_for(page, lambda: level.get_attribute("value") == "60000")
+    level.select_text()
+    level.press_sequentially("1e")  # A browser says of it what it says of an empty field.
+    level.press("Tab")
+    page.locator("#message", has_text="Expected a number; it stays 60000").wait_for()
+    assert level.input_value() == "60000" and "white_level = 60000" in station.read_text()
+    level.fill("")
+    level.press("Tab")
+    wait_for(page, lambda: "white_level" not in station.read_text())
+
+
+def test_a_similar_color_that_is_found_late_is_not_painted_elsewhere(page: Any, station: Path) -> None:
+    draw(page, "mask")
+    page.locator("[data-tool=similar]").click()
+    kept = held(page, "similar")
+    page.locator("#draw-stage").click(position={"x": 300, "y": 200})
+    wait_for(page, lambda: bool(kept))
+    page.locator("#draw-what").select_option("labels")
+    let_go(page, kept, "similar")
+    wait_for(page, lambda: 'mask = "station_mask.png"' in station.read_text())
+    page.locator("#tools select").wait_for()
+    page.get_by_role("button", name="Save", exact=True).click()
+    page.locator("#message", has_text="Nothing is painted").wait_for()
+    assert "reflection" not in station.read_text()
+
+
+def test_the_edge_that_is_found_late_is_saved_with_its_mask(served: Served, page: Any, station: Path) -> None:
+    draw(page, "mask")
+    stage = page.locator("#draw-stage")
+    page.locator("[data-tool=brush]").click()
+    stage.drag_to(stage, source_position={"x": 200, "y": 200}, target_position={"x": 300, "y": 260})
+    kept: list[Any] = []
+    page.route("**/api/cut*", lambda route: kept.append(route))
+    page.get_by_role("button", name="Find the edge").click()
+    wait_for(page, lambda: bool(kept))
+    hurry(page, "Run")
+    page.wait_for_timeout(300)
+    whole = encode(np.full((160, 200), 255, np.uint8), "PNG")
+    kept[0].fulfill(body=whole, content_type="image/png")
+    page.locator("#runs").wait_for(state="visible")
+    wait_for(page, lambda: 'mask = "station_mask.png"' in station.read_text())
+    with Image.open(io.BytesIO((served.folder / "station_mask.png").read_bytes())) as saved:
+        assert np.asarray(saved).min() == 255
+
+
+THREE_DISTANCES = """
+[photos]
+folder = "views"
+
+[[scale]]
+distance = 10
+a = []
+b = []
+
+[[scale]]
+distance = 20
+a = []
+b = []
+
+[[scale]]
+distance = 30
+a = []
+b = []
+"""
+
+
+def test_what_is_being_marked_stays_when_another_is_removed(page: Any, station: Path) -> None:
+    add(page, station, THREE_DISTANCES)
+    draw(page, "scale")
+    page.get_by_role("group", name="distance 2").get_by_role("button", name="Mark end a").click()
+    page.get_by_role("button", name="Mark end a", pressed=True).wait_for()
+    page.get_by_role("group", name="distance 1").get_by_role("button", name="Remove").click()
+    page.get_by_role("group", name="distance 3").wait_for(state="detached")
+    page.get_by_role("group", name="distance 1").get_by_role("button", name="Mark end a", pressed=True).wait_for()
+    page.locator("#draw-stage").click(position={"x": 100, "y": 100})
+    wait_for(page, lambda: "view_00.jpg" in station.read_text())
+    second, third = station.read_text().split("[[scale]]")[1:]
+    assert "distance = 20" in second and "view_00.jpg" in second and "view_00.jpg" not in third
+    # Where that one is removed, nothing is marked.
+    page.get_by_role("group", name="distance 1").get_by_role("button", name="Remove").click()
+    page.get_by_role("group", name="distance 2").wait_for(state="detached")
+    page.locator("[data-tool=move][aria-pressed=true]").wait_for()
+
+
+def test_of_coordinates_with_a_mistake_none_is_taken(page: Any, station: Path) -> None:
+    add(page, station, '\n[[control]]\nname = "A"\nxyz = [1, 2, 3]\n')
+    draw(page, "control")
+    typed = page.get_by_label("Coordinates, a point a line: name X Y Z")
+    typed.fill("A 7 8 9\nP1 1 2 3\nP2 4 5")
+    page.get_by_role("button", name="Take these coordinates").click()
+    page.locator("#message", has_text="P2 4 5").wait_for()
+    typed.fill("")
+    page.get_by_label("only to check").check()
+    wait_for(page, lambda: "check = true" in station.read_text())
+    assert "P1" not in station.read_text() and "xyz = [1, 2, 3]" in station.read_text()
+
+
+def test_why_there_is_nothing_to_draw_on_is_said(served: Served, page: Any, station: Path) -> None:
+    outside = served.folder.parent / "outside"
+    shutil.copytree(served.folder / "pol", outside)
+    station.write_text(STATION.replace('"pol"', '"../outside"'))
+    go(page, "Station")
+    draw_button = page.get_by_role("banner").get_by_role("button", name="Draw", exact=True)
+    draw_button.click()
+    page.locator("#draw-side", has_text="lies outside the folder that Studio has opened").wait_for()
+    shutil.rmtree(outside)
+
+
+def test_files_that_cannot_be_named_are_told_of(served: Served, page: Any) -> None:
+    odd = served.folder / os.fsdecode(b"B\xfcste.png")
+    odd.write_bytes(b"")
+    go(page, "Images")
+    page.locator("#folder-list", has_text="B\\xfcste.png").wait_for()
+    odd.unlink()
+
+
+def test_a_mask_beside_the_images_is_none_of_them_and_is_taken(served: Served, page: Any) -> None:
+    folder = served.folder / "masked"
+    shutil.copytree(served.folder / "pol", folder)
+    (folder / "mask.png").write_bytes(encode(np.full((160, 200), 255, np.uint8), "PNG"))
+    go(page, "Images")
+    page.get_by_role("button", name="masked (7 images)").click()
+    page.get_by_alt_text("Phase in a circle of colors").wait_for()
+    assert not page.get_by_label("mask.png is polarized").is_checked()
+    page.get_by_label("File", exact=True).fill("masked.toml")
+    page.get_by_role("button", name="Create the station").click()
+    page.locator("#open-station", has_text="masked.toml").wait_for()
+    assert 'mask = "masked/mask.png"' in (served.folder / "masked.toml").read_text()
+    (served.folder / "masked.toml").unlink()
+    shutil.rmtree(folder)

@@ -61,7 +61,8 @@ struct CaptureOptions {
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
     visit("registration", self.mode, any_value,
-          "register the images to the first: auto leaves aligned images untouched");
+          "move the images until they lie on the first one: auto = where they do not lie there already, on = always, "
+          "off = never");
     visit("keep_below_px", self.keep_below_px, Range{0, 1},
           "registration = auto: images that lie closer than this are left as they are, in px");
     visit("saturation", self.saturation, Range{0.5, 1}, "fraction of the white level from which a pixel is saturated");

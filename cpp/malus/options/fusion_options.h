@@ -110,7 +110,8 @@ struct RefineOptions {
     visit("relative_error", self.relative_error, Range{0, 0.1}, "error of the reflection model as a share of s0");
     visit("slope_error", self.slope_error, Range{0, 1}, "error of the reflection model, as an error of the slope");
     visit("prior_weight", self.prior_weight, not_negative,
-          "weight of the prior's mean over a block of 8 x 8 pixels, in 1 / GSD, where the prior's sigma is large");
+          "how strongly the surface is held to the coarse one where that is uncertain: more stays closer to it, less "
+          "believes the polarization more (weight of the mean of 8 x 8 pixels, in 1 / GSD)");
     visit("good_prior_weight", self.good_prior_weight, not_negative,
           "weight of the prior's mean over a block of 8 x 8 pixels, in 1 / GSD, where the prior's sigma is small");
     visit("prior_robust_gsd", self.prior_robust_gsd, Range{0.01, 1000},

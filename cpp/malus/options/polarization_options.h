@@ -62,9 +62,11 @@ struct PolarizerOptions {
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
     visit("calibrate_angles", self.calibrate_angles, any_value,
-          "polarizer angles and exposures from the images: auto only where that is significantly better");
+          "find the polarizer's angles and the exposures from the images themselves: auto = only where that fits clearly "
+          "better than what the station says");
     visit("angle_sigma_deg", self.angle_sigma_deg, Range{0.01, 45},
-          "standard deviation of each angle as read off the scale");
+          "how far an angle that was read off the polarizer's scale is usually wrong (standard deviation), in "
+          "degrees");
     visit("zero_sigma_deg", self.zero_sigma_deg, Range{0.01, 90},
           "standard deviation of the zero of the polarizer's scale, which all angles share");
     visit("gain_sigma", self.gain_sigma, Range{1e-4, 0.5}, "standard deviation of the exposure from image to image");

@@ -42,10 +42,12 @@ struct PhotosOptions {
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
     visit("backend", self.backend, any_value,
-          "what runs COLMAP: the program, the Python package pycolmap, or the program if there is one and else the "
-          "package");
+          "what finds the cameras of the photographs: the program COLMAP, the Python package pycolmap, or auto = the "
+          "program if it is installed, else the package");
     visit("max_features", self.max_features, Range{500, 1e6}, "largest number of features that are taken of a photo");
-    visit("max_side_px", self.max_side_px, Range{200, 1e5}, "photos with a longer side are reduced to find features");
+    visit("max_side_px", self.max_side_px, Range{200, 1e5},
+          "photographs with a longer side are made smaller before points are looked for that several of them show: a "
+          "smaller number is faster, a larger one finds more");
     visit("guided_matching", self.guided_matching, any_value,
           "once photos are matched, search along their epipolar lines for further matches");
     visit("exhaustive_limit", self.exhaustive_limit, Range{2, 1e6},
@@ -128,8 +130,8 @@ struct SweepOptions {
     visit("sigma_floor_gsd", self.sigma_floor_gsd, not_negative,
           "smallest standard deviation that a swept depth may have, in GSD");
     visit("again", self.again, any_value,
-          "sweep a station again about its fused surface, and fuse with that; where the photos agree on too little, "
-          "leave out what that surface contradicts instead");
+          "measure the surface in the photographs a second time, close to the fused one, and fuse with that; where "
+          "they agree on too little, what the fused surface contradicts is left out instead");
   }
 };
 
@@ -158,7 +160,8 @@ struct PriorOptions {
           "standard deviation of a cloud's points, or of the depth of another prior, in the station's unit; left out = "
           "the station file's, and without it a cloud's is measured and another's is raster_sigma_gsd");
     visit("smoothing_px", self.smoothing_px, Range{0.1, 1000.0},
-          "length over which the cloud is smoothed, in px; left out = from the cloud's noise and density");
+          "over how many pixels a cloud is smoothed: more takes away more of its noise, less keeps more of its "
+          "detail; auto = as its noise and its density ask for");
     visit("smoothing_scale", self.smoothing_scale, Range{0.1, 10},
           "the estimated smoothing length times this; below 1 because what is smoothed away is lost to the fusion, "
           "noise is not");

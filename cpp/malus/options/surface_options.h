@@ -21,7 +21,8 @@ struct SurfaceOptions {
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
-    visit("subsample", self.subsample, Range{1, 64}, "the mesh has every n-th pixel as a vertex");
+    visit("subsample", self.subsample, Range{1, 64},
+          "only every n-th pixel, across and down, becomes a vertex of the mesh: 2 makes a quarter of the triangles");
     visit("max_incidence_deg", self.max_incidence_deg, Range{45, 90},
           "triangles seen flatter than this (normal to viewing ray) are left out: the sides of depth steps");
     visit("min_step_gsd", self.min_step_gsd, not_negative,
@@ -33,7 +34,7 @@ struct SurfaceOptions {
     visit("white_percentile", self.white_percentile, Range{1, 100},
           "intensity percentile that becomes white in the vertex colors");
     visit("dem_pixel", self.dem_pixel, Range{1e-9, 1e9},
-          "pixel of the elevation model in the station's unit; auto = GSD x subsample");
+          "side of a pixel of the elevation model (dem.tif), in the station's unit; auto = as fine as the mesh");
     visit("glb_triangles", self.glb_triangles, Range{100, 1e9},
           "surface.glb takes every n-th pixel as a vertex, n so large that it has about as many triangles at most");
     visit("glb_texture_px", self.glb_texture_px, Range{16, 16384},
@@ -72,7 +73,9 @@ struct AssessOptions {
           "pixels with a larger standard deviation of depth count as uncertain");
     visit("profile_step_px", self.profile_step_px, Range{0.05, 100},
           "largest distance between the samples of a profile, in px");
-    visit("alignment", self.alignment, any_value, "move the surface onto the reference first (ICP)");
+    visit("alignment", self.alignment, any_value,
+          "move the surface onto the reference before they are compared: rigid = shift and turn it, similarity = "
+          "change its size, too, none = leave it where it is");
     visit("max_distance_gsd", self.max_distance_gsd, Range{1e-3, 1e9},
           "points farther from the reference than this are not compared");
     visit("reference_neighbors", self.reference_neighbors, Range{3, 64},

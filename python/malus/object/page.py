@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +16,7 @@ from PIL import Image
 
 from malus import _core
 from malus._files import replacing, write_text
+from malus.lengths import scale_bar, shown, sides
 from malus.object.agreement import Agreement
 from malus.object.glb import encoded, glb
 from malus.object.meshing import ObjectMesh
@@ -26,6 +30,9 @@ from malus.viewer import base64_text, pack
 _TEXTURE_SIDE = 2048
 #: Distances of this many standard deviations, and beyond, have the last color of the map.
 _MOST_RATIO = 4.0
+#: Color of what no map says anything of, and the room that is left around the rest, in its own size.
+_NOTHING, _ROOM = 128, 0.05
+_NUMBER = re.compile(r"\d+(?:\.\d+)?")
 #: Distances from the reference of so many GSD, and beyond, have the first or last color.
 _MOST_DISTANCE_GSD = 2.0
 
@@ -36,7 +43,7 @@ def colors_of(shares: NDArray[np.float64]) -> NDArray[np.uint8]:
     value = np.clip(np.where(known, shares, 0), 0, 1)[..., None]
     low, middle, high = (np.array(color) for color in ((33.0, 102, 172), (247, 247, 247), (178, 24, 43)))
     color = np.where(value < 0.5, low + (middle - low) * 2 * value, middle + (high - middle) * (2 * value - 1))
-    return np.asarray(np.where(known[..., None], np.rint(color), 128), dtype=np.uint8)
+    return np.asarray(np.where(known[..., None], np.rint(color), _NOTHING), dtype=np.uint8)
 
 
 def write_maps(folder: Path, agreements: Sequence[Agreement]) -> list[Path]:
@@ -113,8 +120,63 @@ def _small(texture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(picture)
 
 
-def _pictures(folder: Path) -> dict[str, str]:
-    return {path.stem: base64_text(path.read_bytes()) for path in sorted(folder.glob("*.png"))}
+@dataclass(frozen=True)
+class _Map:
+    """A station's map as the page shows it: what says something of it, with a scale bar."""
+
+    png: str
+    width: int
+    height: int
+    bar_percent: float
+    bar_label: str
+
+
+def _maps(folder: Path, quality: Mapping[str, Any]) -> dict[str, _Map]:
+    pixels = {row["station"]: row["gsd"] for row in quality["stations"] if row["status"] == "done"}
+    return {path.stem: _map(path, pixels[path.stem], quality["unit"]) for path in sorted(folder.glob("*.png"))}
+
+
+def _map(path: Path, gsd: float, unit: str) -> _Map:
+    with Image.open(path) as image:
+        colors = np.asarray(image)
+    rows, columns = (np.nonzero((colors != _NOTHING).any(axis=(2, axis)))[0] for axis in (1, 0))
+    if len(rows):
+        colors = colors[_with_room(rows, colors.shape[0]), _with_room(columns, colors.shape[1])]
+    height, width = colors.shape[:2]
+    length, label = scale_bar(width * gsd, unit)
+    content = io.BytesIO()
+    Image.fromarray(colors).save(content, "PNG")
+    return _Map(base64_text(content.getvalue()), width, height, 100 * length / (width * gsd), label)
+
+
+def _with_room(places: NDArray[np.intp], size: int) -> slice:
+    room = int(_ROOM * (places[-1] - places[0]))
+    return slice(max(0, int(places[0]) - room), min(size, int(places[-1]) + room + 1))
+
+
+def reasons_of(stations: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[str]]]:
+    """Why stations are not trusted wholly: each sentence once, with the stations of which it is said. Numbers in it that differ
+    from station to station become the least and the most of them.
+    """
+    said: dict[str, list[tuple[str, list[str]]]] = {}
+    for row in stations:
+        # A number's point has no blank behind it.
+        for sentence in filter(None, re.split(r"(?<=\.) (?=[A-Z])", row["reasons"])):
+            said.setdefault(_NUMBER.sub("#", sentence), []).append((row["station"], _NUMBER.findall(sentence)))
+    return [
+        (_filled(pattern, [numbers for _, numbers in told]), [station for station, _ in told])
+        for pattern, told in said.items()
+    ]
+
+
+def _filled(pattern: str, numbers: Sequence[Sequence[str]]) -> str:
+    """A sentence with # for each number, with these numbers of each station."""
+    spans = iter([sorted(column, key=float) for column in zip(*numbers, strict=True)])
+    return re.sub("#", lambda _: _span(next(spans)), pattern)
+
+
+def _span(ordered: Sequence[str]) -> str:
+    return ordered[0] if ordered[0] == ordered[-1] else f"{ordered[0]} to {ordered[-1]}"
 
 
 def _other_warnings(quality: Mapping[str, Any]) -> list[str]:
@@ -142,8 +204,11 @@ def write_page(
         scan_name=Path(scan["file"]).name if scan else None,
         other_warnings=_other_warnings(quality),
         view=_turntable(mesh, full, quality["gsd"], views, None if comparison is None else comparison.distances),
-        maps=_pictures(folder / "agreement"),
-        distances=_pictures(folder / "reference"),
+        maps=_maps(folder / "agreement", quality),
+        distances=_maps(folder / "reference", quality),
+        shown=partial(shown, unit=quality["unit"]),
+        size=sides(quality["mesh"]["extent"], quality["unit"]),
+        reasons=reasons_of([row for row in quality["stations"] if row.get("confidence", "high") != "high"]),
         linked=linked,
         version=_core.version,
     )

@@ -19,6 +19,7 @@ from malus import _core, batch, scans
 from malus._files import new_folder, read_record, sha256_of, write_record
 from malus.batch import Outcome
 from malus.errors import DataError, InputError, MalusError
+from malus.lengths import shown, sides
 from malus.object import agreement, meshing, page, reference, texture
 from malus.object.agreement import Agreement, OrientedPoints
 from malus.object.albedo import Albedos
@@ -445,12 +446,17 @@ def _warnings(
 
 def object_summary(quality: Mapping[str, Any]) -> list[str]:
     """The figures that matter first, a line each, for the terminal; the warnings last."""
-    mesh, met = quality["mesh"], quality["agreement"]
+    mesh, met, unit = quality["mesh"], quality["agreement"], quality["unit"]
+    sigma = mesh["sigma_median_gsd"]
     used = sum(row["status"] == "done" for row in quality["stations"])
     lines = [
-        f"{quality['name']}: {used} of {len(quality['stations'])} stations, {mesh['triangles']} triangles, "
-        f"{'closed' if mesh['closed'] else 'open'}",
-        f"  GSD {quality['gsd']:.4g} {quality['unit']}, {100 * mesh['measured_fraction']:.1f} % of the surface measured",
+        f"{quality['name']}: {sides(mesh['extent'], unit)}, {used} of {len(quality['stations'])} stations, one pixel is "
+        f"{shown(quality['gsd'], unit)}",
+        f"  accuracy: {shown(sigma * quality['gsd'], unit)} (one standard deviation of what was measured, median)"
+        if sigma is not None
+        else "  accuracy: not known",
+        f"  mesh: {mesh['triangles']} triangles, {'closed' if mesh['closed'] else 'open'}; "
+        f"{100 * mesh['measured_fraction']:.1f} % of the surface measured",
     ]
     if met["rms_ratio"] is not None:
         lines.append(

@@ -14,16 +14,17 @@ from starlette.datastructures import Headers, MutableHeaders, QueryParams
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from malus._files import resolved
+from malus._files import require_utf8, resolved
 from malus.errors import InputError
 
 _POLICY = (
     "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; object-src 'none'; "
     "base-uri 'none'; form-action 'self'; frame-ancestors 'self'"
 )
-#: A report may come from elsewhere: its scripts run, but as a page of no origin, which cannot talk to Studio.
+#: A report may come from elsewhere: its scripts run, but as a page of no origin, which cannot talk to Studio, nor load anything
+#: that would tell others of it.
 _REPORT_POLICY = (
-    "sandbox allow-scripts allow-popups allow-downloads; default-src 'none'; img-src * data: blob:; "
+    "sandbox allow-scripts allow-popups allow-downloads; default-src 'none'; img-src {hosts} data: blob:; "
     "style-src 'unsafe-inline'; script-src 'unsafe-inline' blob:; worker-src blob:; frame-ancestors 'self'"
 )
 #: Addresses that carry their own random key.
@@ -37,6 +38,7 @@ class Access:
         self._token = secrets.token_urlsafe(32)
         self._cookie = f"malus_studio_{port}"
         self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
+        self.report_policy = _REPORT_POLICY.format(hosts=" ".join(sorted(self._hosts)))
         self.page_token = secrets.token_urlsafe(32)
         self.entrance = f"http://127.0.0.1:{port}/?token={self._token}"
 
@@ -90,7 +92,7 @@ class Guard:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
                 report = scope["path"].startswith(REPORTS)
-                headers["Content-Security-Policy"] = _REPORT_POLICY if report else _POLICY
+                headers["Content-Security-Policy"] = self._access.report_policy if report else _POLICY
                 if not report:  # a page of another port has the cookie too, but may not show what it brings
                     headers["Cross-Origin-Resource-Policy"] = "same-origin"
                 headers["X-Content-Type-Options"] = "nosniff"
@@ -116,8 +118,9 @@ class Root:
         return path
 
     def holds(self, path: Path) -> bool:
-        """Whether a path lies in the folder, links followed; those in a circle lie nowhere."""
+        """Whether a path lies in the folder, links followed, and the page can name it; links in a circle lie nowhere."""
         try:
+            require_utf8(path)
             return resolved(path).is_relative_to(self.folder)
         except InputError:
             return False

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import datetime
 import json
+import math
 import os
 import secrets
 import threading
@@ -150,7 +152,7 @@ class Studio:
             "error": error,
         }
 
-    def _images(self, document: StationDocument) -> tuple[list[str], Json | None]:
+    def _images(self, document: StationDocument) -> tuple[list[str], str | None]:
         """The polarized images by the page's names, and what is wrong with the station."""
         try:
             description = malus.Station.load(document.path).describe()
@@ -158,7 +160,7 @@ class Studio:
         except MalusError as error:
             # What is wrong may be mended by drawing, such as control points that are not marked yet.
             images = folders.polarized_images(self.root, document.path, document.values)
-            return images, {"field": checks.field_of(str(error)), "message": str(error)}
+            return images, str(error)
 
     def _painted(self, document: StationDocument, kind: str) -> Json | None:
         """The file that the station names for a mask or labels: its path by the page's name, and what tells its state; None if it
@@ -182,10 +184,13 @@ class Studio:
         document.set("station", "unit", body.get("unit", "mm"))
         images = [self.root.file(name) for name in body["images"]]
         document.set("polarized", "images", [document.relative(image) for image in images])
+        if body.get("mask") is not None:
+            document.set("polarized", "mask", document.relative(self.root.file(body["mask"])))
         for key in ("angles_deg", "angle_direction", "angle_zero_deg", "response", "exposure_s"):
             if body.get(key) is not None:
                 document.set("polarized", key, body[key])
-        document.write(None)
+        with self._editing:
+            document.write(None)
         return self._shown(document)
 
     def _set(self, body: Json) -> Json:
@@ -283,7 +288,7 @@ class Studio:
                     raise ChangedError(self.root.path(present["path"]) if present else document.path)
                 images, error = self._images(document)
                 if not images:
-                    raise InputError(error["message"] if error else f"{document.path}: has no images")
+                    raise InputError(error or f"{document.path}: has no images")
                 values = masks.decode(content, pictures.size_of(self.root.file(images[0])))
                 named = document.values.get(table, {}).get(key, "")
                 name = named if named and named not in words else f"{document.path.stem}_{kind}.png"
@@ -360,18 +365,29 @@ async def _answer(function: Callable[[], Any]) -> Response:
     """What a function returns, computed on another thread, or its error in the page's form."""
     try:
         result = await asyncio.get_running_loop().run_in_executor(_WORKERS, function)
+        return result if isinstance(result, Response) else JSONResponse(_plain(result))
     except asyncio.CancelledError:  # Studio is being ended, and this took longer than it waits.
         return Response("Malus Studio has been ended.", 503)
     except MalusError as error:
         status = 409 if isinstance(error, ChangedError) else 400
-        return JSONResponse({"error": str(error), "field": checks.field_of(str(error))}, status)
+        return JSONResponse({"error": str(error)}, status)
     except (KeyError, ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         return JSONResponse({"error": f"the request is not what Studio expects ({type(error).__name__}: {error})"}, 400)
     except OSError as error:
         return JSONResponse({"error": f"{error.filename or 'a file'}: {error.strerror or error}"}, 400)
     except Exception as error:  # what nobody has thought of is said on the page, as the command line does
-        return JSONResponse({"error": ending_of(error)[1], "field": "station"}, 500)
-    return result if isinstance(result, Response) else JSONResponse(result)
+        return JSONResponse({"error": ending_of(error)[1]}, 500)
+
+
+def _plain(value: Any) -> Any:
+    """A value of a station file as JSON has it: dates and times as text, and nothing for numbers that are none (nan, inf)."""
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, datetime.date | datetime.time):
+        return value.isoformat()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _asking(function: Callable[[Json], Any]) -> Callable[[Request], Awaitable[Response]]:

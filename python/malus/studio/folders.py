@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from malus import _core, exif, station_import
-from malus._files import open_regular, read_regular
+from malus._files import as_text, is_utf8, open_regular, read_regular
 from malus.errors import InputError
 from malus.raw import is_raw
 from malus.scans import is_scan
 from malus.studio.access import Root
 
 _IMAGES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg"})
-#: Folders and files that are looked through for clouds and models, at most.
-_SEARCHED = 5000
-_SEARCH_DEPTH = 4
+#: Folders and files that are looked through for stations, results, clouds and models, at most.
+_SEARCHED = 20_000
+_SEARCH_DEPTH = 8
 #: What the page offers where nothing says the angles.
 _INSTEAD = "another source above, or the angles typed into the table"
 #: TIFF tags, and the value that floating-point pixels have.
@@ -47,8 +47,10 @@ def listing(root: Root, name: str) -> dict[str, Any]:
     folder = root.directory(name)
     entries = sorted((path for path in folder.iterdir() if not path.name.startswith(".")), key=_natural)
     inside = [path for path in entries if root.holds(path)]
-    folders = [path for path in inside if path.is_dir()]
-    files = [path for path in inside if path.is_file()]
+    mask = station_import.mask_of(folder)
+    # What may not be looked into stops nothing: pathlib raises then.
+    folders = [path for path in inside if os.path.isdir(path)]
+    files = [path for path in inside if os.path.isfile(path)]
     return {
         "path": root.name(folder),
         "name": folder.name,
@@ -59,16 +61,20 @@ def listing(root: Root, name: str) -> dict[str, Any]:
             {
                 "path": root.name(path),
                 "name": path.name,
-                "is_work": (path / "manifest.json").is_file(),
+                "is_work": os.path.isfile(path / "manifest.json"),
                 "images": _count(path),
             }
             for path in folders
         ],
         "images": [
-            {"path": root.name(path), "name": path.name, "taken": exif.taken(path)} for path in files if _is_image(path)
+            {"path": root.name(path), "name": path.name, "taken": exif.taken(path), "raw": is_raw(path)}
+            for path in files
+            if _is_image(path)
         ],
+        "mask": root.name(mask) if mask is not None and mask in files else None,
         "stations": [root.name(path) for path in files if _is_station(path)],
         "tables": [root.name(path) for path in files if path.suffix.lower() == ".csv"],
+        "hidden": [as_text(path.name) for path in entries if not is_utf8(path.name)],
     }
 
 
@@ -104,23 +110,29 @@ def angles(root: Root, folder: str, source: str, names: Sequence[str], first: fl
     return [{"image": root.name(shot.image), "angle": shot.angle_deg, "exposure": shot.exposure_s} for shot in shots]
 
 
+def below(root: Root) -> Iterator[tuple[Path, list[str]]]:
+    """The opened folder and those below it, each with its files; not what lies within results, and no more than is quickly seen."""
+    seen = 0
+    for place, folders, files in os.walk(root.folder):
+        here = Path(place)
+        deeper = len(here.relative_to(root.folder).parts) < _SEARCH_DEPTH and "manifest.json" not in files
+        folders[:] = sorted(f for f in folders if not f.startswith(".")) if deeper else []
+        seen += 1 + len(files)
+        if seen > _SEARCHED:
+            return
+        if root.holds(here):
+            yield here, files
+
+
 def candidates(root: Root) -> dict[str, list[Any]]:
     """What the station file may name, and the stations there are: `priors` as {kind, path}, the kinds being the keys of [prior];
     `models` of COLMAP, folders of `images`, and `stations`, as paths.
     """
     priors: list[dict[str, str]] = []
     models, images, stations = [], [], []
-    seen = 0
-    for place, folders, files in os.walk(root.folder):
-        here = Path(place)
-        depth = len(here.relative_to(root.folder).parts)
-        # What a run has left is no input.
-        folders[:] = sorted(f for f in folders if not f.startswith(".")) if depth < _SEARCH_DEPTH and "manifest.json" not in files else []  # fmt: skip
-        if "manifest.json" in files:
+    for here, files in below(root):
+        if "manifest.json" in files:  # What a run has left is no input.
             continue
-        seen += len(files)
-        if seen > _SEARCHED:
-            break
         names = set(files)
         if names & {"cameras.txt", "cameras.bin"} and names & {"images.txt", "images.bin"}:
             models.append(root.name(here))

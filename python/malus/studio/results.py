@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from malus.errors import DataError, InputError, MalusError
 from malus.figures import encode, gray, hillshade, reduced, step_for
 from malus.studio.access import Root
+from malus.studio.folders import below
 from malus.workspace import Workspace
 
 #: Long side of the pictures of results.
 _SIDE_PX = 1400
-_SEARCH_DEPTH = 4
 #: Relative difference of two cameras that rounding explains.
 _SAME_CAMERA = 1e-6
 
@@ -40,12 +40,8 @@ def folder_of_comparison(root: Root, before: Path, after: Path) -> Path:
 
 
 def _folders_with(root: Root, file: str) -> list[str]:
-    found = set()
-    for depth in range(_SEARCH_DEPTH):
-        for path in root.folder.glob("/".join(["*"] * depth + [file])):
-            if root.holds(path):  # a link may lead elsewhere, or back
-                found.add(root.name(path.parent))
-    return sorted(found)
+    # A link may lead elsewhere.
+    return sorted(root.name(here) for here, files in below(root) if file in files and root.holds(here / file))
 
 
 def summary(folder: Path) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from malus.errors import InputError
 from malus.studio import settings
 
 #: Lines of a run's log that are kept.
@@ -105,11 +106,18 @@ class Runs:
         page: Path,
         station: Path | None = None,
     ) -> Run:
-        """Queue a run; one that waits or runs for the same results is returned instead, one that has ended is forgotten."""
+        """Queue a run; the same one that waits or runs already is returned instead, one that has ended is forgotten.
+
+        Raises InputError while another run has the same folder for its results.
+        """
         with self._changed:
             for run in self._runs:
                 if run.work == work and run.state not in _ENDED:
-                    return run
+                    if run.asked == asked:
+                        return run
+                    raise InputError(
+                        f"{work.name}: {run.title} has not ended, expected another folder, or that one canceled first"
+                    )
             self._runs = [run for run in self._runs if run.work != work]
             self._number += 1
             run = Run(self._number, work, title, asked, command, page, station)

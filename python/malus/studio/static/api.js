@@ -5,7 +5,7 @@ async function answerOf(response) {
   const type = response.headers.get('Content-Type') || '';
   if (response.ok) return type.includes('json') ? response.json() : response.blob();
   const said = type.includes('json') ? await response.json() : { error: await response.text() };
-  throw Object.assign(new Error(said.error), { field: said.field, status: response.status });
+  throw Object.assign(new Error(said.error), { status: response.status });
 }
 
 const reach = async (address, options) => {
@@ -63,6 +63,14 @@ export const once = (work) => {
     }
   };
 };
+
+// The number in a field; null for an empty one that may be empty. What says no number becomes what stood there before.
+export function numberIn(field, mayBeEmpty = false) {
+  if (field.value.trim() !== '') return Number(field.value);
+  if (mayBeEmpty && !field.validity.badInput) return null;
+  field.value = field.defaultValue;
+  throw new Error(`Expected a number; it stays ${field.value || 'empty'}.`);
+}
 
 const METERS = { um: 1e-6, mm: 1e-3, cm: 1e-2, m: 1, in: 0.0254, ft: 0.3048 };
 // A length of the station's unit in µm, mm or m, whichever is handy.

@@ -1,5 +1,5 @@
 // Drawing on the image: the object's mask, labels of reflection, flat patches, profiles, the ends of known distances, and control points.
-import { ask, byId, doing, make, say, send, tell } from './api.js';
+import { ask, byId, doing, make, numberIn, say, send, tell } from './api.js';
 import { LABELS, Layer } from './layer.js';
 import { change, changing, redo, state, take, undo } from './open_station.js';
 import { redraw } from './redraw.js';
@@ -63,7 +63,7 @@ async function showChoice() {
   byId('tools').replaceChildren();
   byId('draw-side').replaceChildren();
   if (list.length) await showImage();
-  else byId('draw-side').replaceChildren(make('p', { class: 'note' }, what.value === 'scale' ? 'Known distances are marked in photographs. There are none yet: choose their folder, or the cameras that a COLMAP model has of them, under Station.' : 'The station has no image that can be shown.'));
+  else byId('draw-side').replaceChildren(make('p', { class: 'note' }, what.value === 'scale' ? 'Known distances are marked in photographs. There are none yet: choose their folder, or the cameras that a COLMAP model has of them, under Station.' : state.station.error ?? 'The station has no image that can be shown.'));
 }
 
 // Known distances are marked in photographs, control points also in the polarized image; with a prior only there.
@@ -78,7 +78,7 @@ const nameOfLayer = () => `${shown.what} of ${shown.station}`;
 
 // Saves what is painted before something else is shown; what was painted and undone leaves nothing to save. Returns what goes wrong:
 // the layer then stays in this page until it is saved.
-export async function leaveDrawing() {
+async function saveBefore() {
   if (!layer?.changed || shown.station !== state.station.path || !layer.box(0)) return '';
   try {
     await saveLayer();
@@ -89,11 +89,14 @@ export async function leaveDrawing() {
   }
 }
 
+// What is still being looked for belongs to it.
+export const leaveDrawing = () => inTurn(saveBefore);
+
 window.addEventListener('beforeunload', (event) => { if (layer?.changed || unsaved.size) event.preventDefault(); });
 
 async function showImage() {
   if (shown.what !== what.value) {
-    say(await leaveDrawing());
+    say(await saveBefore());
     byId('draw-state').textContent = '';
   }
   if (shown.image !== image.value) {
@@ -160,7 +163,7 @@ function drawTools() {
     extra.unshift(number('width [px]', width, 1, 2000, (value) => { width = value; }), number('tolerance', tolerance, 0, 255, (value) => { tolerance = value; }));
     extra.push(button('Undo', () => layer.undo()), button('Redo', () => layer.redo()), button('Clear', () => layer.edit(layer.whole, (context) => context.clearRect(...layer.whole))));
     if (what.value === 'mask') {
-      extra.push(button('Find the edge', () => resting(cutOut), { title: 'GrabCut: finds the edge of what is roughly painted' }), button("Prior's outline", () => resting(outline)),
+      extra.push(button('Find the edge', () => resting(() => inTurn(cutOut)), { title: 'GrabCut: finds the edge of what is roughly painted' }), button("Prior's outline", () => resting(() => inTurn(outline))),
         button('Invert', invert));
     }
     if (inConflict()) extra.push(button('Keep mine', keepMine, { class: 'main' }), button("Take the file's", takeTheirs));
@@ -199,8 +202,9 @@ async function outline() {
 }
 
 async function similar([u, v]) {
-  const found = await tell('similar', { image: image.value, u: Math.round(u), v: Math.round(v), tolerance });
-  await layer.load(found, { add: true, as: label });
+  const [asked, kind] = [layer, label];
+  const found = await tell('similar', { image: shown.image, u: Math.round(u), v: Math.round(v), tolerance });
+  await asked.load(found, { add: true, as: kind });
 }
 
 async function saveLayer() {
@@ -243,13 +247,6 @@ async function takeTheirs() {
   layer.saved = layer.edits;
   layer = await loadLayer();
   drawTools();
-}
-
-// The number in a field; one that says none keeps what it said before.
-function numberIn(field) {
-  if (field.value.trim() !== '') return Number(field.value);
-  field.value = field.defaultValue;
-  throw new Error(`Expected a number; it stays ${field.value}.`);
 }
 
 // As many numbers as a field's list had before.
@@ -297,7 +294,7 @@ async function press(at) {
     const here = view.toStage(at);
     if (first && Math.hypot(first[0] - here[0], first[1] - here[1]) < 10) endPolygon();
     else points.push(at);
-  } else if (tool === 'similar') await similar(at);
+  } else if (tool === 'similar') await inTurn(() => similar(at));
   else if (tool === 'mark') await setMark(at);
   else if (tool !== 'move') { points = [at, at]; pressed = true; }
 }
@@ -452,7 +449,15 @@ async function store(list, all) {
 
 function remove(list, all, entry) {
   const at = all.indexOf(entry);
-  if (at >= 0) all.splice(at, 1);  // Its button may be pressed twice.
+  if (at < 0) return undefined;  // Its button was pressed twice.
+  all.splice(at, 1);
+  const marked = list === 'scale' ? end.distance : point;
+  if (tool === 'mark' && at === marked) {  // Nothing else is marked in its place.
+    tool = 'move';
+    drawTools();
+  }
+  if (at < marked && list === 'scale') end.distance -= 1;
+  if (at < marked && list === 'control') point -= 1;
   return store(list, all);
 }
 
@@ -556,14 +561,17 @@ async function setPoint([x, y]) {
 
 // Lines "name X Y Z", as instruments and spreadsheets write them; a known name gets new coordinates.
 async function takeCoordinates(text) {
-  const all = entries('control');
-  for (const line of text.split('\n').map((row) => row.trim()).filter(Boolean)) {
+  const read = text.split('\n').map((row) => row.trim()).filter(Boolean).map((line) => {
     const [name, ...xyz] = line.split(/[;,\s]+/);
     const numbers = xyz.map(Number);
     if (numbers.length !== 3 || !numbers.every(Number.isFinite)) throw new Error(`“${line}” is not a name and three numbers X Y Z, with a point as decimal sign.`);
+    return { name, xyz: numbers };
+  });
+  const all = entries('control');
+  for (const { name, xyz } of read) {
     const known = all.find((entry, at) => nameOf(entry, at) === name);
-    if (known) known.xyz = numbers;
-    else all.push({ name, xyz: numbers });
+    if (known) known.xyz = xyz;
+    else all.push({ name, xyz });
   }
   await store('control', all);
 }

@@ -1,5 +1,5 @@
 // Folders with thumbnails, and the table that makes a new station of some images.
-import { addressOf, ask, byId, doing, make, once, tell } from './api.js';
+import { addressOf, ask, byId, doing, make, numberIn, once, tell } from './api.js';
 import { createStation, openStation } from './open_station.js';
 import { showPage } from './pages.js';
 import { redraw } from './redraw.js';
@@ -15,10 +15,13 @@ export async function showFolder(path = folder?.path ?? '') {
   const home = found.parent ?? '';
   const beside = await ask('folder', { path: home });
   if (mine !== opened) return;  // Another folder has been chosen meanwhile.
+  const again = folder?.path === found.path && shots.length === found.images.length && shots.every((shot, at) => shot.path === found.images[at].path);
   folder = found;
   byId('crumbs').replaceChildren(...crumbs(folder.path, folder.opened));
-  byId('folder-list').replaceChildren(...[cards(folder.stations.map(stationCard), 'Stations'), cards(folder.folders.map(folderCard), 'Folders'), imageCards()].flat());
-  shots = folder.images.map((image) => ({ ...image, use: true, angle: null, exposure: null }));
+  byId('folder-list').replaceChildren(...[cards(folder.stations.map(stationCard), 'Stations'), cards(folder.folders.map(folderCard), 'Folders'), imageCards(), hiddenNote()].flat());
+  const taken = (path) => beside.stations.includes(path);
+  if (again && !taken(form.elements.path.value)) return;  // Who was elsewhere finds what was typed, and the preview.
+  shots = folder.images.map((image) => ({ ...image, use: image.path !== folder.mask, angle: null, exposure: null }));
   form.hidden = shots.length < 3;
   asked += 1;  // A preview of the folder before is no longer of interest.
   if (form.hidden) return;
@@ -27,7 +30,7 @@ export async function showFolder(path = folder?.path ?? '') {
   form.elements.source.value = 'names';
   byId('taken-fields').hidden = true;
   const free = ['station', folder.name, ...Array.from({ length: 99 }, (_, at) => `station_${at + 2}`)].map((name) => `${home && home !== '.' ? `${home}/` : ''}${name}.toml`);
-  form.elements.path.value = free.find((name) => !beside.stations.includes(name));
+  form.elements.path.value = free.find((name) => !taken(name));
   byId('preview').replaceChildren();
   drawTable();
   fill();  // Files may take their time; it says itself what goes wrong.
@@ -50,13 +53,15 @@ function imageCards() {
     make('span', {}, image.name))), 'Images');
 }
 
+const hiddenNote = () => folder.hidden.length ? [make('p', { class: 'warning' }, `Not shown, as their names are not in UTF-8, and to be renamed first: ${folder.hidden.join(', ')}`)] : [];
+
 function drawTable() {
   const dated = shots.some((shot) => shot.taken);
   byId('angles').tHead.rows[0].cells[3].hidden = !dated;
   redraw(byId('angles').tBodies[0], ...shots.map((shot) => make('tr', {},
     make('td', {}, make('input', { type: 'checkbox', checked: shot.use, 'aria-label': `${shot.name} is polarized`, change: (event) => { shot.use = event.target.checked; preview(); } })),
-    make('td', {}, shot.name),
-    make('td', {}, make('input', { type: 'number', step: 'any', value: shot.angle ?? '', 'aria-label': `Angle of ${shot.name}`, change: (event) => { shot.angle = event.target.value === '' ? null : Number(event.target.value); preview(); } })),
+    make('td', {}, shot.path === folder.mask ? `${shot.name}, which becomes the mask` : shot.name),
+    make('td', {}, make('input', { type: 'number', step: 'any', value: shot.angle ?? '', 'aria-label': `Angle of ${shot.name}`, change: doing((event) => { shot.angle = numberIn(event.target, true); return preview(); }) })),
     make('td', { hidden: !dated }, shot.taken?.replace(/^(\d+):(\d+):/, '$1-$2-') ?? 'not said'))));
 }
 
@@ -70,7 +75,7 @@ async function fill() {
   const mine = opened;
   const before = new Map(shots.map(({ path, angle }) => [path, angle]));
   try {
-    const found = await tell('angles', { folder: folder.path, source, images, first: form.elements.first.value, step: form.elements.step.value });
+    const found = await tell('angles', { folder: folder.path, source, images, first: Number(form.elements.first.value), step: Number(form.elements.step.value) });
     if (mine !== opened) return undefined;
     for (const { image, angle, exposure } of found) {
       const shot = shots.find(({ path }) => path === image);
@@ -130,7 +135,6 @@ form.addEventListener('submit', doing(once(async () => {
   if (without.length) throw new Error(`${without.map((shot) => shot.name).join(', ')}: no angle; type it, or do not use the image`);
   const exposures = chosen.map((shot) => shot.exposure);
   const differ = new Set(exposures.filter((exposure) => exposure !== null)).size > 1;
-  const raw = chosen.some((shot) => /\.(3fr|arw|cr2|cr3|crw|dng|iiq|nef|nrw|orf|pef|raf|rw2|sr2|srw)$/i.test(shot.name));
-  await createStation({ ...scale(), ...(raw ? { response: null } : {}), path: form.elements.path.value, name: form.elements.name.value, unit: form.elements.unit.value,
-    images: chosen.map((shot) => shot.path), angles_deg: chosen.map((shot) => shot.angle), exposure_s: differ ? exposures : null });
+  await createStation({ ...scale(), ...(chosen.some((shot) => shot.raw) ? { response: null } : {}), path: form.elements.path.value, name: form.elements.name.value, unit: form.elements.unit.value,
+    images: chosen.map((shot) => shot.path), mask: chosen.some((shot) => shot.path === folder.mask) ? null : folder.mask, angles_deg: chosen.map((shot) => shot.angle), exposure_s: differ ? exposures : null });
 })));

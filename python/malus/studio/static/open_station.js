@@ -5,7 +5,8 @@ import { showAgain, showPage } from './pages.js';
 // The parts of the page that need an open station.
 export const OF_A_STATION = ['station', 'draw', 'options'];
 
-// The open station as the server last said it: path, text, digest, values, images, painted ({mask, labels}: path and digest), error.
+// The open station as the server last said it: path, text, digest, values, images, painted ({mask, labels}: path and digest), and what
+// is wrong with its images or else with it (error).
 export const state = { station: null };
 // Earlier and later states of its file, for undo and redo.
 let past = [];

@@ -9,18 +9,24 @@ const form = byId('start-run');
 let timer = null;
 const STATES = { waiting: 'waiting for its turn', running: 'running', done: 'done', failed: 'stopped by an error', canceled: 'canceled; it goes on where it was when it is started again' };
 
+let tickedFor;  // the open station when stations were ticked: who opens another one means that one
+
 export async function showRuns() {
   const { stations } = await ask('candidates');
   form.hidden = !stations.length;
   const typed = Object.fromEntries(rows().map((row) => [row.dataset.station, row.querySelector('[name=work]').value]));
+  const open = state.station?.path ?? stations[0];
+  const kept = tickedFor === open ? new Set(chosen().map((row) => row.dataset.station)) : new Set([open]);
+  tickedFor = open;
   byId('queueable').tBodies[0].replaceChildren(...stations.map((path) => make('tr', { 'data-station': path },
-    make('td', {}, make('input', { type: 'checkbox', checked: path === (state.station?.path ?? stations[0]), 'aria-label': `Run ${path}` })),
+    make('td', {}, make('input', { type: 'checkbox', checked: kept.has(path), 'aria-label': `Run ${path}` })),
     make('th', { scope: 'row' }, path),
     make('td', {}, make('input', { name: 'work', size: 30, value: typed[path] ?? path.replace(/\.toml$/, '_work'), 'aria-label': `Results of ${path} go to` })))));
   await refresh();
 }
 
 const rows = () => [...byId('queueable').tBodies[0].rows];
+const chosen = () => rows().filter((row) => row.querySelector('input[type=checkbox]').checked);
 
 let asked = 0;
 async function refresh() {
@@ -40,6 +46,7 @@ async function refresh() {
   if (order.some((element, at) => list.children[at] !== element)) list.append(...order);
   if (!runs.length) list.replaceChildren(make('p', { class: 'note' }, form.hidden ? 'There is no station in the opened folder yet; make one under Images.' : 'Nothing has been run yet.'));
   else list.querySelector('p.note')?.remove();
+  await Promise.all([...list.querySelectorAll('[data-run]')].map(showLog));
   if (runs.some((run) => run.state === 'waiting' || run.state === 'running')) timer = later(700);
 }
 
@@ -56,13 +63,24 @@ function later(ms) {
 }
 
 function card(run) {
-  const log = make('pre', { tabindex: 0, 'aria-label': `Log of run ${run.number}` });
   const element = make('article', { class: 'run', 'data-run': run.number, 'aria-label': `Run ${run.number}` },
     make('h3', {}, run.title), make('p', { 'data-state': '', role: 'status' }), make('progress', { max: 1, value: 0, 'aria-label': `Progress of run ${run.number}` }),
     make('ol'), make('p', { class: 'error', 'data-error': '' }), make('div', { class: 'row', 'data-buttons': '' }),
-    make('details', { toggle: doing(async (event) => { if (event.target.open) log.textContent = (await ask('log', { number: run.number })).lines.join('\n'); }) }, make('summary', {}, 'Log'), log));
+    make('details', { toggle: doing(() => showLog(element)) }, make('summary', {}, 'Log'), make('pre', { tabindex: 0, 'aria-label': `Log of run ${run.number}` })));
   update(element, run);
   return element;
+}
+
+// The log of a run while somebody reads it. Who has gone up in it stays there; else the newest line is seen.
+async function showLog(element) {
+  if (!element.querySelector('details').open) return;
+  const log = element.querySelector('pre');
+  const { lines } = await ask('log', { number: element.dataset.run });
+  const atEnd = log.scrollTop + log.clientHeight >= log.scrollHeight - 4;
+  const text = lines.join('\n');
+  if (log.textContent === text) return;
+  log.textContent = text;
+  if (atEnd) log.scrollTop = log.scrollHeight;
 }
 
 function update(element, run) {
@@ -91,10 +109,9 @@ async function startAgain(run) {
 const cancel = (run) => make('button', { type: 'button', click: doing(async () => { await tell('cancel', { number: run.number }); await refresh(); }) }, 'Cancel');
 
 form.addEventListener('submit', doing(async () => {
-  const chosen = rows().filter((row) => row.querySelector('input[type=checkbox]').checked);
-  if (!chosen.length) throw new Error('Tick the stations that shall run.');
+  if (!chosen().length) throw new Error('Tick the stations that shall run.');
   try {
-    for (const row of chosen) await tell('run', { path: row.dataset.station, work: row.querySelector('[name=work]').value, fusion: form.elements.fusion.value });
+    for (const row of chosen()) await tell('run', { path: row.dataset.station, work: row.querySelector('[name=work]').value, fusion: form.elements.fusion.value });
   } finally {
     await refresh();
   }

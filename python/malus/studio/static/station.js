@@ -1,5 +1,5 @@
 // The station's fields with what the checks say beside each, the coarse surface over the image, and the file itself.
-import { ask, byId, doing, duration, make, tell } from './api.js';
+import { ask, byId, doing, duration, make, numberIn, say, tell } from './api.js';
 import { change, changing, reread, state, take } from './open_station.js';
 import { showPage } from './pages.js';
 import { redraw } from './redraw.js';
@@ -38,7 +38,7 @@ async function draw() {
   fresh[0].querySelector('#catalog').open = byId('catalog')?.open ?? false;
   await redraw(byId('fields'), ...fresh);
   await propose();
-  doing(check)();  // Which takes its time, while the fields can be filled in already.
+  check().catch((error) => say(error.message));  // Which takes its time, while the fields can be filled in already.
 }
 
 // Pictures that were made by the file as it was before, also those that are still being made.
@@ -100,7 +100,7 @@ const set = (changes) => {
   return doing(async () => { await change(changes); await draw(); })();
 };
 const text = (field, title, table, key, { kind = 'text', help = '', placeholder = '' } = {}) => row(field, title, make('input', { type: kind, step: 'any', value: under(table, key) ?? '', placeholder,
-  change: (event) => set([{ table, key, value: event.target.value === '' ? null : kind === 'number' ? Number(event.target.value) : event.target.value }]) }), help);
+  change: doing((event) => set([{ table, key, value: kind === 'number' ? numberIn(event.target, true) : event.target.value || null }])) }), help);
 
 // A choice; the present value stays choosable even if it is not among the options.
 function choice(field, title, present, options, onChange, help = '') {
@@ -171,7 +171,7 @@ function anglesOf(typed) {
 }
 
 let asked = 0;
-export async function check() {
+async function check() {
   const number = ++asked;
   byId('plan').textContent = 'Checking …';
   byId('plan').className = '';
@@ -210,6 +210,7 @@ byId('show-overlay').addEventListener('click', doing(async () => {
     byId('overlay-stage').hidden = false;
     view ??= new ImageView(byId('overlay-stage'));
     await view.open(state.station.images[0]);
+    if (mine !== pictures) return;
     view.paint = (context) => {
       context.globalAlpha = Number(byId('overlay-strength').value);
       view.inImage(context, () => {
