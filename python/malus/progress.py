@@ -180,7 +180,9 @@ class BarProgress(ProgressView):
                 self._tasks[name] = self._bar.add_task(name, total=1.0, message="")
         self._bar.update(self._tasks[step], completed=fraction, message=message)
         seconds = self._overall.seconds_left
-        left = "done" if self._overall.fraction >= 1 else "begun" if seconds is None else f"about {duration(seconds)} left"
+        left = (
+            "done" if self._overall.fraction >= 1 else "begun" if seconds is None else f"about {duration(seconds)} left"
+        )
         self._bar.update(
             self._tasks["everything"],
             completed=self._overall.fraction,
