@@ -580,8 +580,9 @@ def _batch(args: argparse.Namespace) -> None:
                 "batch", done / total, f"{outcome['station']}: {outcome['status']}"
             ),
         )
-    if not args.quiet and not args.json:
         done = [outcome for outcome in outcomes if outcome["status"] == "done"]
+        view.progress("batch", 1.0, f"{len(done)} of {len(outcomes)} done")
+    if not args.quiet and not args.json:
         levels = Counter(outcome["figures"].get("confidence") for outcome in done)
         told = ", ".join(f"{levels[level]} {level}" for level in ("high", "partial", "low") if levels[level])
         _print_lines(

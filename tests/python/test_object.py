@@ -524,6 +524,8 @@ def test_the_page_says_how_far_stations_can_be_trusted_and_forgets_one_that_is_t
     output = pair.parent / "out"
     outcome = malus_here("object", pair, "-o", output, "--threads", "1")
     assert outcome.code == 0, outcome.err
+    again = malus_here("object", pair, "-o", output)
+    assert "stations      2 of 2 done" in again.err and "100 %  object " in again.err, "all kept"
     quiet = malus_here("object", pair, "-o", output, "--quiet")
     text = html.unescape((output / "object/report/index.html").read_text())
     for name in ("o0", "o1"):

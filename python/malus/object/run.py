@@ -82,6 +82,7 @@ def run_object(
     done = [outcome for outcome in outcomes if outcome["status"] == "done"]
     if not done:
         raise batch.failure(outcomes) or DataError(f"{thing.name}: has no stations")
+    say("stations", 1.0, f"{len(done)} of {len(outcomes)} done")  # some from an earlier run, of which nothing was said
     folder = Path(output) / "object"
     key = _key(thing, outcomes)
     # Of two shards that end at once one makes the surface; the other is told so.
