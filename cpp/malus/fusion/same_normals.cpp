@@ -49,7 +49,8 @@ double distance_of_same_normals(const RefinementImage& image) {
     sum += pixels * std::hypot(spread(places.u), spread(places.v));
     count += pixels;
   }
-  return sum / std::max(count, 1.0);
+  constexpr double least_px = 1;  // where each pixel has a normal of its own nothing is told, and 0 would mean no limit
+  return std::max(sum / std::max(count, 1.0), least_px);
 }
 
 }  // namespace malus

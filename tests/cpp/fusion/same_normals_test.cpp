@@ -9,12 +9,13 @@
 namespace malus {
 namespace {
 
-/// An image of 160 x 128 px whose surface lies so high [GSD] above a plane that faces the camera.
+/// An image whose surface lies so high [GSD] above a plane that faces the camera.
 template <class Height>
 RefinementImage surface(const SyntheticStation& station, const Height& height) {
   RefinementImage image = make_image(station.state, station.prior, Context{});
   for (int v = 0; v < image.size().height; ++v) {
-    for (int u = 0; u < image.size().width; ++u) image.x(u, v) = height(u - 80.0, v - 64.0);
+    for (int u = 0; u < image.size().width; ++u)
+      image.x(u, v) = height(u - 0.5 * image.size().width, v - 0.5 * image.size().height);
   }
   return image;
 }
@@ -39,6 +40,13 @@ TEST(SameNormals, OfOneStrayFacetDoNotCount) {
   const auto bowl = [](double x, double y) { return 0.004 * (x * x + y * y); };
   const auto chipped = [&](double x, double y) { return x > 50 && y > 40 ? 0 : bowl(x, y); };
   EXPECT_NEAR(distance_of_same_normals(surface(station, chipped)), distance_of_same_normals(surface(station, bowl)), 2);
+}
+
+TEST(SameNormals, OfPixelsThatShareNoneAreNeverNowhere) {
+  SyntheticOptions scene;
+  scene.size = {12, 10};
+  const SyntheticStation station = make_station(scene);
+  EXPECT_EQ(distance_of_same_normals(surface(station, [](double x, double y) { return 0.1 * (x * x + y * y); })), 1);
 }
 
 }  // namespace
