@@ -280,10 +280,10 @@ class Refiner {
   /// Lets a dielectric's map be fitted at the prior's low frequencies, and the surface have those that cannot be told
   /// from a map. To be called while the surface is the prior's.
   void hold_map_to(const DepthPrior& prior) {
-    // What is finer than its smoothing the prior lacks.
+    // What is finer than its smoothing the prior lacks, and cannot give.
     constexpr double of_anchor = 0.5, of_smoothing = 1.5;
     if (!image_.reflection.mirrored || image_.reflection.metal_error > 0) return;
-    longest_wave_px_ = distance_of_same_normals(image_);
+    longest_wave_px_ = std::max(distance_of_same_normals(image_), prior.smoothing_px);
     const double anchor_px = anchor_length_px(prior, image_, options_.anchor);
     if (anchor_px <= 0) return;
     map_.slow_px = std::max(of_anchor * anchor_px, of_smoothing * prior.smoothing_px);
