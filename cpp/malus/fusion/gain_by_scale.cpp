@@ -19,6 +19,12 @@ Size cells_over(Size image, int cell_px) {
   return {(image.width + cell_px - 1) / cell_px, (image.height + cell_px - 1) / cell_px};
 }
 
+/// Brings s0 of a metal, which its surface must explain, too, to the unit of (s1, s2); 0 for a dielectric.
+double weight_of_s0(const RefinementField& part, int u, int v) {
+  const double error = part.reflection.metal_error * part.s0(u, v), precision = part.stokes_precision(u, v);
+  return error > 0 && precision > 0 ? 1 / (error * std::sqrt(precision)) : 0;
+}
+
 Image<float> summed_nearby(const Image<float>& sums, const Context& context) {
   constexpr double region_cells = 1.5;
   Mask all(sums.size());
@@ -28,7 +34,8 @@ Image<float> summed_nearby(const Image<float>& sums, const Context& context) {
 
 }  // namespace
 
-GainByScale::GainByScale(Size image) : cells_(cells_over(image, finest_px)), within_(cells_.size()) {}
+GainByScale::GainByScale(Size image, bool of_metal)
+    : of_metal_(of_metal), cells_(cells_over(image, finest_px)), within_(cells_.size()) {}
 
 void GainByScale::Products::add(std::size_t cell, double weight, const Stokes& change, const Stokes& rest) {
   dd[cell] += static_cast<float>(weight * change.dot(change));
@@ -58,12 +65,14 @@ void GainByScale::add(const RefinementField& part, RowRange rows, int first_row,
           const PixelReflection reflection = part.reflection_at(u, v);
           const PredictedStokes result = reflection.predict(slopes[0], slopes[1]);
           const PredictedStokes prior = reflection.predict(before[0], before[1]);
-          const Stokes change{result.s1 - prior.s1, result.s2 - prior.s2};
-          const Stokes rest{part.s1(u, v) - result.s1, part.s2(u, v) - result.s2};
+          const double of_s0 = weight_of_s0(part, u, v);
+          const Stokes change{result.s1 - prior.s1, result.s2 - prior.s2, of_s0 * (result.mirrored - prior.mirrored)};
+          const Stokes rest{part.s1(u, v) - result.s1, part.s2(u, v) - result.s2,
+                            of_s0 * (part.s0(u, v) - result.mirrored)};
           pixels.push_back({weight, change, rest});
           cell.weight += weight;
-          cell.change += {weight * change.s1, weight * change.s2};
-          cell.rest += {weight * rest.s1, weight * rest.s2};
+          cell.change += change * weight;
+          cell.rest += rest * weight;
         }
       }
       if (cell.weight <= 0) continue;
@@ -104,7 +113,8 @@ Image<GainByScale::Cell> GainByScale::parents_of(const Image<Cell>& cells) {
 }
 
 GainByScale::Gains GainByScale::gains(const Context& context) const {
-  constexpr double half = 0.5, of_pixels = 0.25;
+  constexpr double half = 0.5;
+  const double of_pixels = of_metal_ ? half : 0.25;
   Gains gains;
   // All scales together on the raster of 16 px.
   constexpr int all_px = 16;

@@ -22,9 +22,11 @@ namespace malus {
 /// largest cells. c is half: the derivatives by both slopes are in what is left over, and half of the square of such
 /// errors has a curl, which no surface can take up. It is a quarter at the finest scale, where a surface at the pixels'
 /// corners cannot follow all that pixels have.
+/// A metal's s0 is a third value, in units of its errors. Its texture looks like slopes, which the surface takes up
+/// pixel by pixel: so c is half at the finest scale, too.
 class GainByScale {
  public:
-  explicit GainByScale(Size image);
+  GainByScale(Size image, bool of_metal);
 
   /// Adds some of a part's rows. The part is at the refined surface, and its weights are of it.
   void add(const RefinementField& part, RowRange rows, int first_row, const Context& context);
@@ -44,14 +46,17 @@ class GainByScale {
  private:
   struct Stokes {
     double s1 = 0, s2 = 0;
-    double dot(const Stokes& other) const { return s1 * other.s1 + s2 * other.s2; }
+    double s0 = 0;  ///< of a metal, in units of the errors of the others
+    double dot(const Stokes& other) const { return s1 * other.s1 + s2 * other.s2 + s0 * other.s0; }
     Stokes& operator+=(const Stokes& other) {
       s1 += other.s1;
       s2 += other.s2;
+      s0 += other.s0;
       return *this;
     }
-    Stokes operator-(const Stokes& other) const { return {s1 - other.s1, s2 - other.s2}; }
-    Stokes operator/(double value) const { return {s1 / value, s2 / value}; }
+    Stokes operator-(const Stokes& other) const { return {s1 - other.s1, s2 - other.s2, s0 - other.s0}; }
+    Stokes operator*(double factor) const { return {factor * s1, factor * s2, factor * s0}; }
+    Stokes operator/(double value) const { return {s1 / value, s2 / value, s0 / value}; }
   };
   /// Pixels of a cell, by their weights.
   struct Cell {
@@ -75,6 +80,7 @@ class GainByScale {
 
   static constexpr int finest_px = 4, coarsest_px = 64;
 
+  bool of_metal_;
   Image<Cell> cells_;
   Products within_;  ///< of pixels against the means of their cells
 };

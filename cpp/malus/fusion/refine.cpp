@@ -337,8 +337,7 @@ class Refiner {
     const Image<float> in_metal = explained_as_metal ? trust_in_metal(after, x_prior) : Image<float>();
     // A metal's slopes are not those that a dielectric's formulas give, however well these fit.
     const bool is_metal = looks_like_metal(image_), settled = has_settled(report_);
-    std::optional<GainByScale::Gains> gains;
-    if (!explained_as_metal) gains = gain_of_movement(x_prior);
+    const GainByScale::Gains gains = gain_of_movement(x_prior);
     parallel_rows(context_, size.height, [&](int v) {
       for (int u = 0; u < size.width; ++u) {
         if (!image_.object(u, v)) continue;
@@ -349,7 +348,7 @@ class Refiner {
                              : explained_as_metal ? share(in_metal)
                              : with_map           ? trust_with_surroundings(share(shares), share(after))
                                                   : trust_of(share(shares), share(after));
-        const double gained = gains ? trust_of_gain(between_cells(gains->all.gain, gains->all.cell_px, u, v)) : 1;
+        const double gained = trust_of_gain(between_cells(gains.all.gain, gains.all.cell_px, u, v));
         if (image_.pixels(u, v)) report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(255 * trust * gained));
         image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
       }
@@ -473,7 +472,7 @@ class Refiner {
 
   /// Leaves of the movement from the prior what is gain, and returns how much of it that is.
   GainByScale::Gains gain_of_movement(const Image<double>& x_prior) {
-    GainByScale gain(image_.size());
+    GainByScale gain(image_.size(), image_.reflection.metal_error > 0);
     for (const TileStrip& tiles : strips_) {
       StripField strip = strip_field(image_, tiles.rows, whole_blocks(weights_reach_px), context_);
       update_weights(strip.field, weights(1, false), context_);

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <complex>
 #include <functional>
+#include <memory>
 #include <random>
 #include <string>
 
@@ -23,14 +25,15 @@ SyntheticOptions matte_scene() {
 }
 
 /// Gains where the surface has moved by `movement` from the prior and the measurement is what is predicted there plus
-/// noise of a standard deviation.
-GainByScale::Gains gains_of(const std::function<double(int, int)>& movement, double noise, double overshoot = 1) {
+/// noise of a standard deviation. s0 is a metal's alone.
+GainByScale::Gains gains_of(const std::function<double(int, int)>& movement, double noise, double overshoot = 1,
+                            const ReflectionModel& model = matte_scene().model, double texture = 0) {
   const SyntheticStation station = make_station(matte_scene());
   RefinementImage image = make_image(station.state, station.prior, Context{});
   image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
-  image.reflection = matte_scene().model;
+  image.reflection = model;
   RefinementField field = image.part(image.everything(), Context{});
-  field.stokes_precision.fill(1);
+  field.stokes_precision.fill(1e4);
   std::mt19937 random(3);
   std::normal_distribution<double> gauss(0, noise);
   const auto move = [&](double factor) {
@@ -43,13 +46,14 @@ GainByScale::Gains gains_of(const std::function<double(int, int)>& movement, dou
     for (int u = 0; u < field.size().width; ++u) {
       if (!field.usable(u, v)) continue;
       const Eigen::Vector2d slopes = central_slopes(field, u, v);
-      const PredictedStokes model = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
-      field.s1(u, v) = static_cast<float>(model.s1 + gauss(random));
-      field.s2(u, v) = static_cast<float>(model.s2 + gauss(random));
+      const PredictedStokes light = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
+      field.s1(u, v) = static_cast<float>(light.s1 + gauss(random));
+      field.s2(u, v) = static_cast<float>(light.s2 + gauss(random));
+      if (model.metal_error > 0) field.s0(u, v) = static_cast<float>(light.mirrored * (1 + texture * gauss(random)));
     }
   }
   move(overshoot);
-  GainByScale gain(image.size());
+  GainByScale gain(image.size(), model.metal_error > 0);
   gain.add(field, {0, 50}, 0, Context{});  // in two parts that share a row of cells
   gain.add(field, {50, 161}, 0, Context{});
   return gain.gains(Context{});
@@ -82,6 +86,22 @@ TEST(GainByScale, WhatWasMovedTooFarGoesBack) {
   const GainByScale::Gains gains = gains_of(relief, 0, 1.5);
   EXPECT_NEAR(at_center(gains.scales[4]), 1 / 1.5, 0.05);
   EXPECT_LT(at_center(gains_of(relief, 0, -0.5).scales[4]), 0.01) << "the other way";
+}
+
+TEST(GainByScale, TextureOfAMetalIsNoGainThoughItsPolarizationIsExplained) {
+  Surroundings window;
+  window.roughness = 0.3;
+  window.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
+  for (const Surroundings::Cell& cell : Surroundings::all_cells())
+    window.radiance(cell.column, cell.row) = cell.hx > 0 ? 1.0F : 0.1F;
+  ReflectionModel metal;
+  const Pinhole view = make_station(matte_scene()).prior.camera;
+  metal.mirrored = std::make_shared<MirroredLightTable>(window, std::complex(0.63, 3.19), view, Context{});
+  metal.metal_error = 0.05;
+  EXPECT_GT(at_center(gains_of(relief, 0, 1, metal).scales.front()), 0.99);
+  const double noise = 1e-4, texture = 0.1 / noise;
+  EXPECT_LT(at_center(gains_of(relief, noise, 1, metal, texture).scales.front()), 0.2);
+  EXPECT_GT(at_center(gains_of(relief, noise, 1, metal).scales.front()), 0.9) << "s0 without texture";
 }
 
 /// Gains of all scales are one, but for the finest.
