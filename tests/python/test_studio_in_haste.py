@@ -472,12 +472,41 @@ def test_an_earlier_list_of_runs_that_comes_late_is_dropped(page: Any) -> None:
     assert page.evaluate("document.activeElement.closest('article').dataset.run") == "3"
 
 
+#: A result of the station that most tests open.
+RESULT = {
+    "path": "work", "name": "museum", "unit": "mm", "gsd": 0.1, "width": 200, "height": 160, "method": "grid", "status": "converged",
+    "confidence": {"level": "high", "reasons": []}, "warnings": [], "coverage": 1, "sigma_gsd": None, "report": None,
+    "station": "station.toml",
+}  # fmt: skip
+
+
+def test_a_profile_is_kept_in_the_station_of_its_result_only(served: Served, page: Any) -> None:
+    (served.folder / "station_b.toml").write_text(STATION)
+    results = [{**RESULT, "station": "station_b.toml"}]
+    page.route("**/api/results*", lambda route: route.fulfill(json=results))
+    page.route("**/api/relief*", lambda route: route.fulfill(body=encode(np.zeros((160, 200), np.uint8), "PNG")))
+    page.route("**/api/profile", lambda route: route.fulfill(json=section_to(100)))
+    go(page, "Results")
+    page.get_by_role("button", name="Profile").click()
+    page.locator("svg.profile").first.wait_for()
+    keep = page.get_by_role("button", name="Keep it in the open station")
+    assert keep.is_disabled()
+    page.get_by_text("open station_b.toml first: this is a result of that station").wait_for()
+    open_station(page, "station_b.toml")
+    go(page, "Results")
+    assert keep.is_enabled()
+    open_station(page, "station.toml")
+    go(page, "Results")
+    assert keep.is_disabled()
+    results[0] = {**RESULT, "station": None}
+    go(page, "Results")
+    page.get_by_role("button", name="Profile").click()
+    page.get_by_text("the station of this result does not lie in the opened folder").wait_for()
+    require_accessible(page)
+
+
 def test_a_profile_that_comes_late_is_dropped(page: Any) -> None:
-    result = {
-        "path": "work", "name": "museum", "unit": "mm", "gsd": 0.1, "width": 200, "height": 160, "method": "grid", "status": "converged",
-        "confidence": {"level": "high", "reasons": []}, "warnings": [], "coverage": 1, "sigma_gsd": None, "report": None,
-    }  # fmt: skip
-    page.route("**/api/results*", lambda route: route.fulfill(json=[result]))
+    page.route("**/api/results*", lambda route: route.fulfill(json=[RESULT]))
     page.route("**/api/relief*", lambda route: route.fulfill(body=encode(np.zeros((160, 200), np.uint8), "PNG")))
     kept: list[Any] = []
 
