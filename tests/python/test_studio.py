@@ -451,7 +451,10 @@ def test_raw_files_become_a_station(served: Served) -> None:
     status, station = served.tell("create", {"path": "raw/station.toml", "images": names, "angles_deg": list(ANGLES)})
     assert (status, station["error"], station["images"]) == (200, None, names)
     checked = json.loads(served.ask("GET", "/api/check?path=raw/station.toml", {"Cookie": served.cookie()})[2])
-    assert "there is no [prior]" in checked["lines"][0]["message"] and checked["lines"][0]["field"] == "prior"
+    (line,) = checked["lines"]
+    assert (line["severity"], line["field"]) == ("error", "prior") and "there is no coarse surface yet" in line[
+        "message"
+    ]
     shutil.rmtree(folder)
 
 

@@ -567,6 +567,31 @@ def test_what_was_typed_of_a_new_station_is_there_after_a_look_elsewhere(page: A
     assert angle.input_value() == "" and file.input_value() != "bust.toml"
 
 
+def test_cameras_and_surface_are_proposed_from_the_own_object(served: Served, page: Any) -> None:
+    """Another object with cameras and a cloud of its own lies beside it."""
+    one, other = served.folder / "objects/one", served.folder / "objects/other"
+    for place in (one, other):
+        place.mkdir(parents=True)
+        for part in ("sparse", "dense"):
+            shutil.copytree(served.folder / part, place / part)
+    (one / "station.toml").write_text("[polarized]\nimages = '../../pol'\nangles_deg = [0, 30, 60, 90, 120, 150]\n")
+    go(page, "Images")
+    page.get_by_role("button", name="opened folder: museum").click()
+    page.get_by_role("button", name="objects", exact=True).click()
+    page.get_by_role("button", name="one", exact=True).click()
+    page.get_by_role("button", name="Open station.toml").click()
+    proposed = "Found in this folder: the cameras in objects/one/sparse, this station as station.jpg among them, the coarse surface objects/one/dense/cloud.ply."
+    page.get_by_text(proposed).wait_for()
+    page.locator("#plan", has_text="The station cannot run yet").wait_for()
+    page.locator("[data-says=prior]", has_text="Wrong: there is no coarse surface yet").wait_for()
+    surfaces = page.get_by_label("Coarse surface (prior)").locator("option").all_inner_texts()
+    assert surfaces[1] == "objects/one/dense/cloud.ply (point cloud)" and len(surfaces) == 4
+    page.get_by_role("button", name="Use them").click()
+    page.locator("#plan", has_text="Ready").wait_for()
+    assert 'cloud = "dense/cloud.ply"' in (one / "station.toml").read_text()
+    shutil.rmtree(served.folder / "objects")
+
+
 def test_a_name_that_is_taken_meanwhile_is_not_proposed_again(served: Served, page: Any) -> None:
     go(page, "Images")
     page.get_by_role("button", name="pol (6 images)").click()
@@ -686,6 +711,27 @@ def test_what_is_being_marked_stays_when_another_is_removed(page: Any, station: 
     page.get_by_role("group", name="distance 1").get_by_role("button", name="Remove").click()
     page.get_by_role("group", name="distance 2").wait_for(state="detached")
     page.locator("[data-tool=move][aria-pressed=true]").wait_for()
+
+
+def test_no_lines_are_seen_between_the_squares_of_an_image(page: Any) -> None:
+    square = io.BytesIO()
+    Image.new("L", (512, 512), 200).save(square, "JPEG")
+    page.route("**/api/size*", lambda route: route.fulfill(json={"width": 1536, "height": 512}))
+    page.route("**/api/tile*", lambda route: route.fulfill(body=square.getvalue(), content_type="image/jpeg"))
+    draw(page, "profile")
+
+    def row() -> Any:
+        box = page.locator("#draw-stage").bounding_box()
+        shown = np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("L"), dtype=int)
+        y, left, right = (int(part) for part in (box["y"] + box["height"] / 2 - 20, box["x"], box["x"] + box["width"]))
+        return shown[y, left + 10 : right - 10]
+
+    for _ in range(4):  # at any size, and at its end once more
+        wait_for(page, lambda: abs(np.median(row()) - 200) <= 2)
+        wait_for(page, lambda: abs(row() - 200).max() <= 2)
+        page.locator("#draw-stage").press("+")
+        page.wait_for_timeout(500)  # it grows for 0.35 s
+    assert abs(row() - 200).max() <= 2
 
 
 def test_of_coordinates_with_a_mistake_none_is_taken(page: Any, station: Path) -> None:
