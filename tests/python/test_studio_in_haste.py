@@ -586,8 +586,9 @@ def test_cameras_and_surface_are_proposed_from_the_own_object(served: Served, pa
     page.locator("[data-says=prior]", has_text="Wrong: there is no coarse surface yet").wait_for()
     surfaces = page.get_by_label("Coarse surface (prior)").locator("option").all_inner_texts()
     assert surfaces[1] == "objects/one/dense/cloud.ply (point cloud)" and len(surfaces) == 4
-    page.get_by_role("button", name="Use them").click()
+    page.get_by_role("button", name="Use them").press("Enter")
     page.locator("#plan", has_text="Ready").wait_for()
+    assert page.evaluate("document.activeElement.id") == "plan", "the keyboard goes on from there"
     assert 'cloud = "dense/cloud.ply"' in (one / "station.toml").read_text()
     shutil.rmtree(served.folder / "objects")
 

@@ -51,7 +51,7 @@ def is_result(folder: Path) -> bool:
         return False
     except (ValueError, RecursionError):
         return True
-    return isinstance(said, dict) and "steps" in said and "format" in said
+    return isinstance(said, dict) and ("steps" in said or "format" in said)
 
 
 def listing(root: Root, name: str) -> dict[str, Any]:

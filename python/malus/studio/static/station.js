@@ -97,7 +97,7 @@ async function propose() {
     words.push(`the coarse surface ${priors[0].path}`);
   }
   place.hidden = false;
-  place.replaceChildren(make('p', {}, `Found in this folder: ${words.join(', ')}.`), make('p', {}, make('button', { type: 'button', class: 'main', click: () => set(changes) }, 'Use them')));
+  place.replaceChildren(make('p', {}, `Found in this folder: ${words.join(', ')}.`), make('p', {}, make('button', { type: 'button', class: 'main', click: () => set(changes).then(() => byId('plan').focus()) }, 'Use them')));
 }
 
 const says = (field) => make('div', { class: 'says', 'data-says': field });
