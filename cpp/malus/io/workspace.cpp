@@ -162,8 +162,8 @@ bool has_files(const fs::path& folder) {
   });
 }
 
-/// Whether a manifest is that of something else: IIIF, web pages and archives have one, too. What says nothing, or cannot
-/// be read, may be a damaged one of a run.
+/// Whether a manifest is that of something else: IIIF, web pages and archives have one, too. What says nothing, or
+/// cannot be read, may be a damaged one of a run.
 bool is_of_something_else(const fs::path& manifest) {
   try {
     const SortedJson json = SortedJson::parse(read_file(manifest, "manifest"), require_shallow);
