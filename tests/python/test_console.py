@@ -100,6 +100,7 @@ def test_closing_lines_say_size_accuracy_and_warnings(finished_grid: Path) -> No
     quality = malus.Workspace(finished_grid).quality
     lines = malus.report.summary_lines({**quality, "warnings": ["fuse: doubtful"]}, (59.2, 47.3))
     assert "59.2 x 47.3 mm" in lines[0] and f"one pixel is {1000 * quality['gsd']:.0f} µm" in lines[0]
+    assert "24.0 x 24.1 mm" in malus.report.summary_lines(quality, (24, 24.1))[0]
     assert lines[1].startswith("  accuracy: ") and lines[1].count("µm") == 2
     assert lines[-1] == "  warning: fuse: doubtful"
     assert not any("converged" in line for line in lines)
