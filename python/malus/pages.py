@@ -22,12 +22,16 @@ def template(name: str, filters: Mapping[str, Callable[..., Any]] | None = None)
     Values are escaped; one that was not given is an error.
     """
     environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        loader=jinja2.FunctionLoader(lambda name: _text("templates", name)),
     )
     environment.filters["base64"] = lambda content: base64.b64encode(content).decode()
     environment.filters.update(filters or {})
     environment.globals["asset"] = asset
-    return environment.from_string(_text("templates", name))
+    return environment.get_template(name)
 
 
 def _text(folder: str, name: str) -> str:

@@ -19,7 +19,7 @@ from malus.columns import aligned, decimals, printed
 from malus.errors import ExternalError, InputError
 from malus.figures import Figure, Plates, encode, gray
 from malus.glossary import definitions
-from malus.lengths import shown
+from malus.lengths import shown, sides
 from malus.options import Options
 from malus.pages import template
 from malus.paper import plates as paper_plates
@@ -75,7 +75,7 @@ def _other_warnings(quality: Mapping[str, Any]) -> list[str]:
 def summary_lines(quality: Mapping[str, Any], size: tuple[float, float] | None) -> list[str]:
     """What a person wants to know first, a line each, for the terminal; size: of the object, in the station's unit."""
     unit = quality["unit"]
-    extent = "" if size is None else f"{_number(size[0])} x {_number(size[1])} {unit}, "
+    extent = "" if size is None else f"{sides(size, unit).replace('×', 'x')}, "
     lines = [
         f"{quality['name']}: {extent}{100 * quality['coverage']['fraction']:.1f} % of it covered, "
         f"one pixel is {shown(quality['gsd'], unit)}"

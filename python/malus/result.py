@@ -109,8 +109,8 @@ class Result:
         parts = []
         if self.quality is not None:
             parts.append(f"{self.quality['method']} fusion")
-        if self.status is not None:
-            parts.append(self.status)
+        if self.status not in (None, "converged", "done"):
+            parts.append("still changing when its computation ended")
         if self.confidence is not None:
             parts.append(f"{self.confidence.level} confidence")
         if self.camera is not None:

@@ -18,6 +18,7 @@ from malus import _core, figures
 from malus.albedo import diffuse_albedo
 from malus.figures import reduced, step_for
 from malus.surface import Mesh, mesh_from_depth, normals_from_depth
+from malus.units import METERS
 from malus.workspace import Raster, Workspace
 
 #: Longest side of the relighting viewer's normal map: larger stations are averaged down, so that the page stays light.
@@ -123,7 +124,7 @@ def relighting(workspace: Workspace) -> dict[str, Any]:
         "prior": _packed_normals(prior),
         "color": base64_text(figures.encode(np.dstack([display, mask]), "WEBP", quality=_QUALITY)),
         "gsd": float(workspace.quality["gsd"]) * window.step,
-        "unit": str(workspace.quality["unit"]),
+        "meters": METERS[workspace.quality["unit"]],
     }
 
 
@@ -161,6 +162,7 @@ def mesh_view(workspace: Workspace) -> dict[str, Any]:
         "indices": pack_indices(mesh.triangles),
         "size": size,
         "unit": str(workspace.quality["unit"]),
+        "meters": METERS[workspace.quality["unit"]],
         # Where the station stands, in the mesh's own frame.
         "eye": [float(x) for x in -(low + high) / 2],
         "extent": [float(x) for x in high - low],

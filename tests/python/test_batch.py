@@ -89,6 +89,7 @@ def test_broken_station_is_listed_and_the_others_finish(three: tuple[Path, Path]
     assert (output / "campaign.csv").read_text().count("\n") == 4
     page = (output / "index.html").read_text()
     assert "2 done, 1 failed" in page and "o01" in page
+    assert "</b>, done" not in page and "not converged" not in page
     assert page.count("confidence partial") == 2 and "grid transfer takes all detail" in page
     assert (output / "stations/o02/fused/surface.ply").exists()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import re
 import sys
@@ -99,9 +100,23 @@ def test_closing_lines_say_size_accuracy_and_warnings(finished_grid: Path) -> No
     quality = malus.Workspace(finished_grid).quality
     lines = malus.report.summary_lines({**quality, "warnings": ["fuse: doubtful"]}, (59.2, 47.3))
     assert "59.2 x 47.3 mm" in lines[0] and f"one pixel is {1000 * quality['gsd']:.0f} µm" in lines[0]
+    assert "24.0 x 24.1 mm" in malus.report.summary_lines(quality, (24, 24.1))[0]
     assert lines[1].startswith("  accuracy: ") and lines[1].count("µm") == 2
     assert lines[-1] == "  warning: fuse: doubtful"
     assert not any("converged" in line for line in lines)
+
+
+def test_what_did_not_come_to_rest_is_said_in_plain_words(small_station_source: Path, tmp_path: Path) -> None:
+    outcome = run_malus(
+        "run", small_station_source / "station.toml", "-o", tmp_path / "work", "--fusion", "grid",
+        "--set", "height.iterations=1", "--set", "optimize.enabled=true",
+    )  # fmt: skip
+    assert outcome.code == 0, outcome.err
+    report = (tmp_path / "work/report/index.html").read_text().split('<section id="provenance"')[0]
+    for said in (outcome.out, html.unescape(report)):
+        assert "The surface's fine detail is less sure by about that" in said and "larger height.iterations" in said
+        assert "The equations were not solved together, as optimize.enabled asks for" in said
+        assert "iteration limit" not in said and "converged" not in said
 
 
 def test_main_options_are_a_dozen_of_all() -> None:

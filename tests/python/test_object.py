@@ -57,6 +57,7 @@ from malus.object.views import LEAST_COSINE
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.shared_frame import load_cameras
 from malus.reconstruction import expected_times
+from view_scale import drawn_mm, pixel_mm, turning_view
 
 RADIUS, FAR, FOCAL, SIDE = 10.0, 60.0, 300.0, 128
 SIGMA = 0.05
@@ -542,7 +543,27 @@ def test_the_page_says_how_far_stations_can_be_trusted_and_forgets_one_that_is_t
         assert f"  report: malus view {output / 'object'}" in outcome.out
         assert row.count('<td class="n">') == 6, "numbers stand right"
         assert f"Agreement of {name} with the other stations: 100.0 % of what they see together" in text
+    require_scale(output)
     require_gone(pair, output)
+
+
+def require_scale(output: Path) -> None:
+    """What the page's view shows is as large by its scale bar as the mesh is, however far one zooms."""
+    page = output / "object/report/index.html"
+    views = json.loads(page.read_text().split('id="object-data">')[1].split("</script>")[0])
+    longest = max(views["extent"])
+    with turning_view(page, "object") as view:
+        home = pixel_mm(view)
+        assert max(drawn_mm(view)) == pytest.approx(longest, rel=0.08)
+        view.get_by_role("button", name="Zoom in").click()
+        assert pixel_mm(view) == pytest.approx(home / 1.5, rel=2e-3)
+        view.locator("canvas").focus()
+        for key in "--":
+            view.page.keyboard.press(key)
+        assert pixel_mm(view) == pytest.approx(home / 1.5 / 0.8**2, rel=2e-3)
+        assert max(drawn_mm(view)) == pytest.approx(longest, rel=0.08)
+        view.page.keyboard.press("0")
+        assert pixel_mm(view) == pytest.approx(home, rel=2e-3)
 
 
 def test_reasons_are_given_once_for_all_their_stations() -> None:

@@ -26,6 +26,7 @@ from malus.columns import MINUS, aligned, decimals
 from malus.report import _number
 from malus.report_head import accuracy_of, covered_of, finishes_of, gains_of, gains_title
 from malus.trust import what_to_trust
+from view_scale import drawn_mm, pixel_mm, turning_view
 
 
 class Page(HTMLParser):
@@ -573,6 +574,25 @@ def test_scale_bars_measure_their_pictures(work: Path) -> None:
             for share, said, within in bars:
                 assert share == pytest.approx(said, rel=0.02) and within, (medium, bars)
         browser.close()
+
+
+def test_the_scale_of_the_turning_view_follows_zoom(work: Path) -> None:
+    text = (work / "report/index.html").read_text()
+    width, height, depth = json.loads(text.split('id="mesh-data">')[1].split("</script>")[0])["extent"]
+    with turning_view(work / "report/index.html", "mesh") as view:
+        home = pixel_mm(view)
+        across, down = drawn_mm(view)
+        # Turned by 18 degrees to the side and some up.
+        assert across == pytest.approx(0.94 * width + 0.3 * depth, rel=0.1)
+        assert down == pytest.approx(0.98 * height + 0.2 * depth, rel=0.15)
+        view.get_by_role("button", name="Zoom out").click()
+        assert pixel_mm(view) == pytest.approx(1.5 * home, rel=2e-3)
+        assert drawn_mm(view) == pytest.approx([across, down], rel=0.03)
+        view.locator("canvas").focus()
+        view.page.keyboard.press("+")
+        assert pixel_mm(view) == pytest.approx(1.5 / 1.25 * home, rel=2e-3)
+        view.get_by_role("button", name="Reset").click()
+        assert pixel_mm(view) == pytest.approx(home, rel=2e-3)
 
 
 def test_views_start_in_a_browser(work: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,8 @@ def test_result_says_what_it_is(result: malus.Result, scene: synthetic.Scene) ->
     assert result.warnings == result.quality["warnings"]
     assert "'in memory'" in repr(result) and result.confidence.level in repr(result)
     assert len(repr(result)) < 200
+    assert "converged" not in repr(result), "a solver's word says nothing of how good the surface is"
+    assert "still changing when" in repr(replace(result, status="not converged"))
 
 
 def test_notebook_shows_prior_and_surface(result: malus.Result) -> None:

@@ -9,8 +9,11 @@ import json
 import os
 import re
 import shutil
+import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -202,7 +205,7 @@ def test_names_that_are_no_text_and_folders_that_are_locked_hide_nothing_else(
         return stat(path, **kept)
 
     monkeypatch.setattr(Path, "stat", locked)
-    (tmp_path / os.fsdecode(b"B\xfcste_work") / "manifest.json").write_text("{}")
+    (tmp_path / os.fsdecode(b"B\xfcste_work") / "manifest.json").write_text('{"format": 2, "steps": {}}')
     studio = Studio(tmp_path, 1)
     folders = importlib.import_module("malus.studio.folders")
     for asked in (lambda: folders.listing(studio.root, ""), lambda: studio._results({})):
@@ -218,10 +221,66 @@ def test_results_lie_as_deep_as_their_stations(served: Served) -> None:
     deep = served.folder / "2026" / "castle" / "hall"
     (deep / "station_work").mkdir(parents=True)
     (deep / "station.toml").write_text('[polarized]\nimages = "pol"\n')
-    (deep / "station_work" / "manifest.json").write_text("{}")
+    (deep / "station_work" / "manifest.json").write_text('{"format": 2, "steps": {}}')
     assert "2026/castle/hall/station.toml" in served.asked("candidates")["stations"]
     assert "2026/castle/hall/station_work" in [result["path"] for result in served.asked("results")]
     shutil.rmtree(served.folder / "2026")
+
+
+def test_a_manifest_of_something_else_is_no_result(tmp_path: Path) -> None:
+    from malus.studio.app import Studio
+
+    iiif = {"@context": "http://iiif.io/api/presentation/3/context.json", "type": "Manifest", "items": []}
+    for name, text in (("", json.dumps(iiif)), ("page", "[1]"), ("damaged_work", '{"format": 2, "st'), ("tiles", "{}")):
+        (tmp_path / name).mkdir(exist_ok=True)
+        (tmp_path / name / "manifest.json").write_text(text)
+    (tmp_path / "page/station.toml").write_text('[polarized]\nimages = "pol"\n')
+    squares = tmp_path / "tiles/picture/full/max/0"
+    squares.mkdir(parents=True)
+    (squares / "default.jpg").write_bytes(b"")
+    (tmp_path / "tiles/picture/info.json").write_text("{}")
+    studio = Studio(tmp_path, 1)
+    studio.runs.close()
+    folders = importlib.import_module("malus.studio.folders")
+    assert [result["path"] for result in studio._results({})] == ["damaged_work"]
+    assert {entry["name"]: entry["is_work"] for entry in folders.listing(studio.root, "")["folders"]} == {
+        "damaged_work": True, "page": False, "tiles": False
+    }  # fmt: skip
+    found = folders.candidates(studio.root)
+    assert found["stations"] == ["page/station.toml"] and found["images"] == []
+    with pytest.raises(InputError, match="tiles: holds other files"):
+        studio._run({"path": "page/station.toml", "work": "tiles", "fusion": "grid"})
+
+
+def test_of_two_pages_that_create_a_station_at_once_one_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from malus.studio.app import Studio
+    from malus.studio.document import StationDocument
+
+    studio = Studio(tmp_path, 1)
+    studio.runs.close()
+    require, meeting = StationDocument.require, threading.Barrier(2)
+
+    def require_both(document: StationDocument, expected: str | None) -> None:
+        """Looks whether the file is there, and waits for the other page to have looked, too."""
+        require(document, expected)
+        with suppress(threading.BrokenBarrierError):
+            meeting.wait(timeout=3)
+
+    monkeypatch.setattr(StationDocument, "require", require_both)
+
+    def create(name: str) -> str:
+        try:
+            return str(studio._create({"path": "a.toml", "name": name, "images": [], "angles_deg": []})["text"])
+        except InputError as error:
+            return str(error)
+
+    with ThreadPoolExecutor(2) as pages:
+        first, second = pages.map(create, ("one", "two"))
+    written = (tmp_path / "a.toml").read_text()
+    assert written in (first, second)
+    assert "exists already" in (second if written == first else first)
 
 
 def test_two_runs_do_not_share_a_folder(tmp_path: Path) -> None:
@@ -392,7 +451,10 @@ def test_raw_files_become_a_station(served: Served) -> None:
     status, station = served.tell("create", {"path": "raw/station.toml", "images": names, "angles_deg": list(ANGLES)})
     assert (status, station["error"], station["images"]) == (200, None, names)
     checked = json.loads(served.ask("GET", "/api/check?path=raw/station.toml", {"Cookie": served.cookie()})[2])
-    assert "there is no [prior]" in checked["lines"][0]["message"] and checked["lines"][0]["field"] == "prior"
+    (line,) = checked["lines"]
+    assert (line["severity"], line["field"]) == ("error", "prior") and "there is no coarse surface yet" in line[
+        "message"
+    ]
     shutil.rmtree(folder)
 
 
@@ -675,6 +737,20 @@ def run_and_show(served: Served, page: Any) -> None:
     wait_for(page, lambda: chart.get_attribute("aria-label") != first)
     require_accessible(page)
     pictured(page, "profile")
+    keep_only_in_its_own_station(served, page)
+
+
+def keep_only_in_its_own_station(served: Served, page: Any) -> None:
+    page.get_by_role("button", name="Keep it in the open station").click()
+    page.get_by_text("Kept in station.toml; the next run reports it.").wait_for()
+    said = served.asked("station?path=station.toml")
+    (kept,) = said["values"]["profile"]
+    assert kept["name"] == "picked 1" and abs(kept["to"][0] - 150) <= 1
+    (served.folder / "other.toml").write_text(said["text"])
+    asked = {"path": "other.toml", "digest": said["digest"], "work": "station_work", "from": [1, 1], "to": [9, 9]}
+    status, answer = served.tell("keep", asked)
+    assert status == 400 and "station_work: is a result of station.toml, expected one of other.toml" in answer["error"]
+    (served.folder / "other.toml").unlink()
 
 
 @needs_browser

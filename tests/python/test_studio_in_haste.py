@@ -472,12 +472,41 @@ def test_an_earlier_list_of_runs_that_comes_late_is_dropped(page: Any) -> None:
     assert page.evaluate("document.activeElement.closest('article').dataset.run") == "3"
 
 
+#: A result of the station that most tests open.
+RESULT = {
+    "path": "work", "name": "museum", "unit": "mm", "gsd": 0.1, "width": 200, "height": 160, "method": "grid", "status": "converged",
+    "confidence": {"level": "high", "reasons": []}, "warnings": [], "coverage": 1, "sigma_gsd": None, "report": None,
+    "station": "station.toml",
+}  # fmt: skip
+
+
+def test_a_profile_is_kept_in_the_station_of_its_result_only(served: Served, page: Any) -> None:
+    (served.folder / "station_b.toml").write_text(STATION)
+    results = [{**RESULT, "station": "station_b.toml"}]
+    page.route("**/api/results*", lambda route: route.fulfill(json=results))
+    page.route("**/api/relief*", lambda route: route.fulfill(body=encode(np.zeros((160, 200), np.uint8), "PNG")))
+    page.route("**/api/profile", lambda route: route.fulfill(json=section_to(100)))
+    go(page, "Results")
+    page.get_by_role("button", name="Profile").click()
+    page.locator("svg.profile").first.wait_for()
+    keep = page.get_by_role("button", name="Keep it in the open station")
+    assert keep.is_disabled()
+    page.get_by_text("open station_b.toml first: this is a result of that station").wait_for()
+    open_station(page, "station_b.toml")
+    go(page, "Results")
+    assert keep.is_enabled()
+    open_station(page, "station.toml")
+    go(page, "Results")
+    assert keep.is_disabled()
+    results[0] = {**RESULT, "station": None}
+    go(page, "Results")
+    page.get_by_role("button", name="Profile").click()
+    page.get_by_text("the station of this result does not lie in the opened folder").wait_for()
+    require_accessible(page)
+
+
 def test_a_profile_that_comes_late_is_dropped(page: Any) -> None:
-    result = {
-        "path": "work", "name": "museum", "unit": "mm", "gsd": 0.1, "width": 200, "height": 160, "method": "grid", "status": "converged",
-        "confidence": {"level": "high", "reasons": []}, "warnings": [], "coverage": 1, "sigma_gsd": None, "report": None,
-    }  # fmt: skip
-    page.route("**/api/results*", lambda route: route.fulfill(json=[result]))
+    page.route("**/api/results*", lambda route: route.fulfill(json=[RESULT]))
     page.route("**/api/relief*", lambda route: route.fulfill(body=encode(np.zeros((160, 200), np.uint8), "PNG")))
     kept: list[Any] = []
 
@@ -536,6 +565,32 @@ def test_what_was_typed_of_a_new_station_is_there_after_a_look_elsewhere(page: A
     page.get_by_role("button", name="views (3 images)").click()
     page.locator("#preview .warning").wait_for()
     assert angle.input_value() == "" and file.input_value() != "bust.toml"
+
+
+def test_cameras_and_surface_are_proposed_from_the_own_object(served: Served, page: Any) -> None:
+    """Another object with cameras and a cloud of its own lies beside it."""
+    one, other = served.folder / "objects/one", served.folder / "objects/other"
+    for place in (one, other):
+        place.mkdir(parents=True)
+        for part in ("sparse", "dense"):
+            shutil.copytree(served.folder / part, place / part)
+    (one / "station.toml").write_text("[polarized]\nimages = '../../pol'\nangles_deg = [0, 30, 60, 90, 120, 150]\n")
+    go(page, "Images")
+    page.get_by_role("button", name="opened folder: museum").click()
+    page.get_by_role("button", name="objects", exact=True).click()
+    page.get_by_role("button", name="one", exact=True).click()
+    page.get_by_role("button", name="Open station.toml").click()
+    proposed = "Found in this folder: the cameras in objects/one/sparse, this station as station.jpg among them, the coarse surface objects/one/dense/cloud.ply."
+    page.get_by_text(proposed).wait_for()
+    page.locator("#plan", has_text="The station cannot run yet").wait_for()
+    page.locator("[data-says=prior]", has_text="Wrong: there is no coarse surface yet").wait_for()
+    surfaces = page.get_by_label("Coarse surface (prior)").locator("option").all_inner_texts()
+    assert surfaces[1] == "objects/one/dense/cloud.ply (point cloud)" and len(surfaces) == 4
+    page.get_by_role("button", name="Use them").press("Enter")
+    page.locator("#plan", has_text="Ready").wait_for()
+    assert page.evaluate("document.activeElement.id") == "plan", "the keyboard goes on from there"
+    assert 'cloud = "dense/cloud.ply"' in (one / "station.toml").read_text()
+    shutil.rmtree(served.folder / "objects")
 
 
 def test_a_name_that_is_taken_meanwhile_is_not_proposed_again(served: Served, page: Any) -> None:
@@ -657,6 +712,27 @@ def test_what_is_being_marked_stays_when_another_is_removed(page: Any, station: 
     page.get_by_role("group", name="distance 1").get_by_role("button", name="Remove").click()
     page.get_by_role("group", name="distance 2").wait_for(state="detached")
     page.locator("[data-tool=move][aria-pressed=true]").wait_for()
+
+
+def test_no_lines_are_seen_between_the_squares_of_an_image(page: Any) -> None:
+    square = io.BytesIO()
+    Image.new("L", (512, 512), 200).save(square, "JPEG")
+    page.route("**/api/size*", lambda route: route.fulfill(json={"width": 1536, "height": 512}))
+    page.route("**/api/tile*", lambda route: route.fulfill(body=square.getvalue(), content_type="image/jpeg"))
+    draw(page, "profile")
+
+    def row() -> Any:
+        box = page.locator("#draw-stage").bounding_box()
+        shown = np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("L"), dtype=int)
+        y, left, right = (int(part) for part in (box["y"] + box["height"] / 2 - 20, box["x"], box["x"] + box["width"]))
+        return shown[y, left + 10 : right - 10]
+
+    for _ in range(4):  # at any size, and at its end once more
+        wait_for(page, lambda: abs(np.median(row()) - 200) <= 2)
+        wait_for(page, lambda: abs(row() - 200).max() <= 2)
+        page.locator("#draw-stage").press("+")
+        page.wait_for_timeout(500)  # it grows for 0.35 s
+    assert abs(row() - 200).max() <= 2
 
 
 def test_of_coordinates_with_a_mistake_none_is_taken(page: Any, station: Path) -> None:

@@ -32,7 +32,7 @@ struct SimilarityTransform {
 enum class ComparisonStatus { not_run, done, nothing_near, not_aligned };
 constexpr auto names_of(ComparisonStatus) {
   return std::to_array<std::string_view>(
-      {"not run", "done", "no pixel near the reference", "alignment did not converge"});
+      {"not run", "done", "no pixel near the reference", "the alignment did not come to rest"});
 }
 
 /// Where point-to-plane ICP has moved points to.

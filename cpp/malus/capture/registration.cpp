@@ -440,7 +440,7 @@ void set_status(ImageRegistration& result, double similarity, double texture, do
     message << "the image does not resemble the others (regression " << similarity << ")";
   } else if (!(last_step_px <= 0.01)) {
     result.status = RegistrationStatus::not_converged;
-    message << "still moving by " << last_step_px << " px after " << options.max_iterations << " iterations";
+    message << "its place was still changing, by " << last_step_px << " px, when the search ended";
   } else {
     result.status = RegistrationStatus::ok;
   }

@@ -2,6 +2,9 @@
 #include <atomic>
 #include <cmath>
 #include <limits>
+#include <numbers>
+#include <sstream>
+#include <string>
 #include <vector>
 
 #include "malus/core/depth_normals_internal.h"
@@ -178,6 +181,16 @@ double mean_of(const Image<float>& values) {
   return sum / count;
 }
 
+/// What it means that the height was not at rest. Without any height no surface was made.
+std::string caution_of_moving_height(const HeightMap& height) {
+  std::ostringstream text;
+  text.precision(2);
+  text << "The height from polarization alone was still changing when its computation ended: its slopes by "
+       << std::atan(height.last_update) * 180 / std::numbers::pi << "° in the last of " << height.iterations
+       << " rounds. The surface's fine detail is less sure by about that; with a larger height.iterations it goes on.";
+  return text.str();
+}
+
 }  // namespace
 
 FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const GridFusionOptions& options,
@@ -207,8 +220,7 @@ FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const G
   surface.confidence.limit(ConfidenceLevel::partial,
                            "The paper's grid transfer takes all detail from the polarization height; nothing holds it "
                            "against the prior.");
-  if (height.status != HeightStatus::converged)
-    surface.warnings.push_back("polarization height: " + std::string(enum_name(height.status)));
+  if (height.status != HeightStatus::converged) surface.warnings.push_back(caution_of_moving_height(height));
   surface.depth = Image<float>::uninitialized(coarse.size());
   surface.sigma = Image<float>::uninitialized(coarse.size());
   const double mean_depth = height.perspective ? 0 : mean_of(prior.depth);

@@ -331,8 +331,9 @@ void optimize_grid_surface(FusedSurface& surface, const OptimizeInput& input, co
                            "they suppose are taken for shape, and nothing tells where.");
   if (unfinished > 0)
     surface.warnings.push_back(
-        "the optimization of all equations together ended at its iteration limit (optimize.iterations = " +
-        std::to_string(options.iterations) + ")");
+        "The surface was still changing when the solution of all equations together ended, after optimize.iterations "
+        "= " +
+        std::to_string(options.iterations) + " rounds: its fine detail is less sure. With more rounds it goes on.");
 }
 
 }  // namespace malus

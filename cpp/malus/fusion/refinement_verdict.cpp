@@ -39,7 +39,8 @@ void judge_solver(const RefineReport& report, FusedSurface& surface) {
   if (last.rejected_steps >= many_rejections * report.tiles) {
     problem = "The refinement found no better surface than the prior in most of the image.";
   } else if (!has_settled(report)) {
-    problem = "The surface still moved by " + rounded(last.change_gsd) + " GSD in the last round.";
+    problem = "The refined surface was still changing when the refinement ended, by " + rounded(last.change_gsd) +
+              " GSD in the last round.";
   }
   surface.status = problem.empty() ? FusionStatus::converged : FusionStatus::not_converged;
   if (problem.empty()) return;
@@ -100,7 +101,7 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
     return;
   }
   if (!has_settled(report)) {
-    warn(ConfidenceLevel::partial, "The surface is the prior's: the refined one did not settle.", surface);
+    warn(ConfidenceLevel::partial, "The surface is the prior's: the refined one did not come to rest.", surface);
     return;
   }
   if (is_the_prior(report)) {

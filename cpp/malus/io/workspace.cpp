@@ -162,6 +162,17 @@ bool has_files(const fs::path& folder) {
   });
 }
 
+/// Whether a manifest is that of something else: IIIF, web pages and archives have one, too. What says nothing, or
+/// cannot be read, may be a damaged one of a run.
+bool is_of_something_else(const fs::path& manifest) {
+  try {
+    const SortedJson json = SortedJson::parse(read_file(manifest, "manifest"), require_shallow);
+    return json.is_object() && !json.empty() && !json.contains("format") && !json.contains("steps");
+  } catch (const std::exception&) {
+    return false;
+  }
+}
+
 /// Removes files that a run which was killed had begun to write; the folder's lock is held.
 void remove_unfinished(const fs::path& folder) {
   std::error_code error;
@@ -202,7 +213,7 @@ struct Workspace::State {
 
 Workspace::Workspace(const fs::path& given_folder, const Owner& owner, bool replace) {
   const fs::path folder = fs::absolute(given_folder).lexically_normal();
-  const bool exists = fs::exists(folder / "manifest.json");
+  const bool exists = fs::exists(folder / "manifest.json") && !is_of_something_else(folder / "manifest.json");
   if (!exists && fs::is_directory(folder) && has_files(folder)) {
     throw input_error("folder " + folder.string() +
                       " is not empty and not a workspace, expected a new or an empty one" + ", such as " +

@@ -180,7 +180,8 @@ Plan check_station(const Station& station, const Options& options, const Context
     details["prior"] = std::visit(PriorCheck{station, object, options.prior, context, plan, details}, station.prior);
   } else if (!station.file.photos) {
     plan.warnings.emplace_back(
-        "there is no [prior]: only the polarization maps and a height from them (`decompose`, `height`) can be made");
+        "no coarse surface is named ([prior], or [photos] to make one from), which `malus run` needs; without one "
+        "`malus decompose` and `malus height` show what polarization alone tells");
   }
 
   if (const std::string scale = describe_scale(station.file); !scale.empty()) plan.does.push_back("scale: " + scale);

@@ -174,7 +174,11 @@ FusedSurface fuse_by_grid(const Job& job, const HeightMap& height, const DepthPr
                           const CalibratedPolarization& polarization, const ReflectionMap& reflection,
                           const InputEvidence& evidence) {
   FusedSurface surface = fuse_grid(height, prior, job.options.grid, job.context);
-  if (job.options.optimize.enabled && height.status == HeightStatus::converged) {
+  if (job.options.optimize.enabled && height.status != HeightStatus::converged) {
+    surface.warnings.emplace_back(
+        "The equations were not solved together, as optimize.enabled asks for: that needs a height from polarization "
+        "alone that has come to rest.");
+  } else if (job.options.optimize.enabled) {
     optimize_grid_surface(surface,
                           {.polarization = *polarization.state,
                            .reflection = reflection,

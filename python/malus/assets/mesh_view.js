@@ -55,25 +55,24 @@
   const renderer = new THREE.WebGLRenderer({canvas, antialias: true, alpha: true, preserveDrawingBuffer: true});
   renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
   const radius = Math.hypot(...data.extent) / 2;
-  const camera = new THREE.PerspectiveCamera(32, 1, radius / 100, radius * 100);
+  // Parallel rays: the scale bar holds at every depth.
+  const camera = new THREE.OrthographicCamera(-1, 1, 1, -1, -100 * radius, 100 * radius);
   const lamp = new THREE.DirectionalLight(0xffffff, 2.6);
   scene.add(new THREE.AmbientLight(0xffffff, 0.7), lamp, lamp.target);
 
   const controls = new THREE.OrbitControls(camera, canvas);
   controls.enableDamping = false;
   controls.zoomToCursor = true;
-
-  function distance() {
-    const half = Math.tan(camera.fov * Math.PI / 360);
-    return 1.12 * Math.max(data.extent[1] / 2 / half, data.extent[0] / 2 / half / camera.aspect) + data.extent[2] / 2;
-  }
+  [controls.minZoom, controls.maxZoom] = [0.2, 100];
 
   function home() {
     const eye = new THREE.Vector3(...data.eye).normalize();
     // A little from the side, so that the form shows.
     eye.x += 0.35;
     eye.y += 0.22;
-    camera.position.copy(eye.normalize().multiplyScalar(distance()));
+    camera.position.copy(eye.normalize().multiplyScalar(4 * radius));
+    camera.zoom = 1;
+    camera.updateProjectionMatrix();
     controls.target.set(0, 0, 0);
     controls.update();
   }
@@ -85,7 +84,10 @@
     const size = renderer.getPixelRatio();
     if (canvas.width !== Math.floor(w * size) || canvas.height !== Math.floor(h * size)) {
       renderer.setSize(w, h, false);
-      camera.aspect = w / h;
+      // The surface fills the view as the station sees it, and what is deep of it has room when it is turned.
+      camera.top = 0.56 * Math.max(data.extent[1], data.extent[0] * h / w) + 0.2 * data.extent[2];
+      camera.right = camera.top * w / h;
+      [camera.left, camera.bottom] = [-camera.right, -camera.top];
       camera.updateProjectionMatrix();
     }
     // The light stands to the upper left of the viewer.
@@ -95,6 +97,7 @@
     lamp.position.copy(camera.position).addScaledVector(across, -0.9 * far).addScaledVector(up, 0.9 * far);
     lamp.target.position.copy(controls.target);
     renderer.render(scene, camera);
+    drawScaleBar(root.querySelector('.scale'), 2 * camera.top / camera.zoom / h * data.meters);
   }
   function redraw() {
     if (!waiting) requestAnimationFrame(draw);
@@ -112,8 +115,8 @@
     redraw();
   }
   function zoom(factor) {
-    camera.position.sub(controls.target).multiplyScalar(1 / factor).add(controls.target);
-    controls.update();
+    camera.zoom = Math.min(controls.maxZoom, Math.max(controls.minZoom, camera.zoom * factor));
+    camera.updateProjectionMatrix();
     redraw();
   }
 

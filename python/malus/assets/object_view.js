@@ -46,11 +46,20 @@
   const renderer = new THREE.WebGLRenderer({canvas, antialias: true, alpha: true, preserveDrawingBuffer: true});
   renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
   const radius = Math.hypot(...data.extent) / 2;
-  const camera = new THREE.PerspectiveCamera(32, 1, radius / 100, radius * 100);
+  // Parallel rays: the scale bar holds at every depth.
+  const camera = new THREE.OrthographicCamera(-1, 1, 1, -1, -20 * radius, 20 * radius);
   camera.up.set(...data.up);
-  camera.position.set(...data.eye).multiplyScalar(1.1 * radius / Math.tan(camera.fov * Math.PI / 360));
   const controls = new THREE.OrbitControls(camera, canvas);
   controls.enableDamping = false;
+  [controls.minZoom, controls.maxZoom] = [0.2, 100];
+  function home() {
+    camera.position.set(...data.eye).multiplyScalar(4 * radius);
+    camera.zoom = 1;
+    camera.updateProjectionMatrix();
+    controls.target.set(0, 0, 0);
+    controls.update();
+    redraw();
+  }
 
   let waiting = false;
   function draw() {
@@ -58,7 +67,8 @@
     const {clientWidth: w, clientHeight: h} = canvas, size = renderer.getPixelRatio();
     if (canvas.width !== Math.floor(w * size) || canvas.height !== Math.floor(h * size)) {
       renderer.setSize(w, h, false);
-      camera.aspect = w / h;
+      [camera.right, camera.top] = [1.1 * radius * Math.max(1, w / h), 1.1 * radius * Math.max(1, h / w)];
+      [camera.left, camera.bottom] = [-camera.right, -camera.top];
       camera.updateProjectionMatrix();
     }
     // The lamp goes with the viewer, turned to the side and up.
@@ -67,6 +77,7 @@
     lamp.position.copy(axis(2)).multiplyScalar(Math.cos(side) * Math.cos(height))
         .addScaledVector(axis(0), Math.sin(side) * Math.cos(height)).addScaledVector(axis(1), Math.sin(height));
     renderer.render(scene, camera);
+    drawScaleBar(root.querySelector('.scale'), 2 * camera.top / camera.zoom / h * data.meters);
   }
   function redraw() {
     if (!waiting) requestAnimationFrame(draw);
@@ -89,17 +100,23 @@
     controls.update();
     redraw();
   }
+  function zoom(factor) {
+    camera.zoom = Math.min(controls.maxZoom, Math.max(controls.minZoom, camera.zoom * factor));
+    camera.updateProjectionMatrix();
+    redraw();
+  }
   canvas.addEventListener('keydown', event => {
     const act = {
       ArrowLeft: () => turn(-0.1, 0), ArrowRight: () => turn(0.1, 0), ArrowUp: () => turn(0, 0.1),
-      ArrowDown: () => turn(0, -0.1), '+': () => camera.position.multiplyScalar(0.8),
-      '=': () => camera.position.multiplyScalar(0.8), '-': () => camera.position.multiplyScalar(1.25)
+      ArrowDown: () => turn(0, -0.1), '+': () => zoom(1.25), '=': () => zoom(1.25), '-': () => zoom(0.8), 0: home
     }[event.key];
     if (!act) return;
     act();
-    redraw();
     event.preventDefault();
   });
+  root.querySelector('[data-act=in]').addEventListener('click', () => zoom(1.5));
+  root.querySelector('[data-act=out]').addEventListener('click', () => zoom(1 / 1.5));
+  root.querySelector('[data-act=reset]').addEventListener('click', home);
   // The wheel scrolls the page until the view has been chosen.
   canvas.addEventListener('pointerdown', () => canvas.focus({preventScroll: true}));
   canvas.addEventListener('wheel', event => {
@@ -108,7 +125,7 @@
   controls.addEventListener('change', redraw);
   root.addEventListener('input', paint);
   new ResizeObserver(redraw).observe(canvas);
-  controls.update();
+  home();
   paint();
   root.classList.add('ready');
 })();

@@ -133,15 +133,7 @@
     const azimuth = Math.round((450 - Math.atan2(light[1], light[0]) * 180 / Math.PI) % 360);
     const elevation = Math.round(Math.acos(Math.min(1, Math.hypot(...light))) * 180 / Math.PI);
     state.textContent = `Light from ${azimuth}° (clockwise from up), ${elevation}° high${held ? ', held' : ''}; zoom ${zoom.toFixed(1)}×`;
-    drawScale(data.gsd * density / (fit() * zoom));
-  }
-
-  // A bar of a round length; `size` is what a CSS pixel measures on the object.
-  function drawScale(size) {
-    const most = 140 * size, power = 10 ** Math.floor(Math.log10(most));
-    const length = [5, 2, 1].find(n => n * power <= most) * power;
-    scale.style.width = `${length / size}px`;
-    scale.textContent = `${Number(length.toPrecision(2))} ${data.unit}`;
+    drawScaleBar(scale, data.gsd * data.meters * density / (fit() * zoom));
   }
 
   function redraw() {

@@ -1,7 +1,7 @@
 // The parts of three.js that mesh_view.js and object_view.js use; README.md says how three.min.js is made from this.
 export {
   AmbientLight, BufferAttribute, BufferGeometry, DataTexture, DataUtils, DirectionalLight, DoubleSide, HalfFloatType, LinearFilter, Mesh,
-  MeshStandardMaterial, ObjectSpaceNormalMap, PerspectiveCamera, RGBAFormat, Scene, SRGBColorSpace, Texture, Vector3, WebGLRenderer
+  MeshStandardMaterial, ObjectSpaceNormalMap, OrthographicCamera, RGBAFormat, Scene, SRGBColorSpace, Texture, Vector3, WebGLRenderer
 } from 'three';
 export { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
 export { GLTFLoader } from 'three/examples/jsm/loaders/GLTFLoader.js';

@@ -24,6 +24,7 @@ from malus.object.reference import Comparison
 from malus.object.texture import NearestVertices, TexturedMesh
 from malus.object.views import View, sees
 from malus.pages import template
+from malus.units import METERS
 from malus.viewer import base64_text, pack
 
 #: Longest side of the texture in the page.
@@ -78,7 +79,12 @@ def _colors_of_distances(distances: NDArray[np.floating], gsd: float) -> NDArray
 
 
 def _turntable(
-    mesh: TexturedMesh, full: ObjectMesh, gsd: float, views: Sequence[View], distances: NDArray[np.float32] | None
+    mesh: TexturedMesh,
+    full: ObjectMesh,
+    gsd: float,
+    unit: str,
+    views: Sequence[View],
+    distances: NDArray[np.float32] | None,
 ) -> dict[str, Any]:
     """The textured mesh as a GLB file, its albedo, and colors of its vertices for what was measured.
 
@@ -98,6 +104,7 @@ def _turntable(
         "stations": pack(colors_of(1 - count).T),
         "sigma": pack(colors_of(sigma).T),
         "reference": None if distances is None else pack(_colors_of_distances(distances[nearest], gsd).T),
+        "meters": METERS[unit],
         "extent": np.ptp(mesh.vertices, axis=0).tolist(),
         "eye": (to_eye / np.linalg.norm(to_eye)).tolist(),
         "up": (-first.rotation[1]).tolist(),
@@ -203,7 +210,9 @@ def write_page(
         quality=quality,
         scan_name=Path(scan["file"]).name if scan else None,
         other_warnings=_other_warnings(quality),
-        view=_turntable(mesh, full, quality["gsd"], views, None if comparison is None else comparison.distances),
+        view=_turntable(
+            mesh, full, quality["gsd"], quality["unit"], views, None if comparison is None else comparison.distances
+        ),
         maps=_maps(folder / "agreement", quality),
         distances=_maps(folder / "reference", quality),
         shown=partial(shown, unit=quality["unit"]),

@@ -105,7 +105,10 @@ def _reason(number: int, bar: Mapping[str, Any], ends: _Ends, registered: Mappin
 
 def _warn(result: Mapping[str, Any], log: Log) -> None:
     if result["status"] != "converged":
-        log("warning", "the adjustment of the scale did not converge")
+        log(
+            "warning",
+            "[[scale]]: the size was still changing when its adjustment ended; are all marks where they should be?",
+        )
     if result["redundancy"] > 0 and result["unit_weight"] > _SUSPICIOUS:
         worst = max(result["distances"], key=lambda fit: float(fit["worst_px"]))
         log(

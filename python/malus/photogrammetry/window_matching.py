@@ -111,7 +111,11 @@ def _warn(bench: Bench, figures: dict[str, Any], stations: Mapping[str, StationV
             "the station may be turned about the object by some hundredths of a degree",
         )
     elif figures["status"] != "converged":
-        bench.log("warning", "the adjustment to the matched windows did not converge")
+        bench.log(
+            "warning",
+            "the cameras' places were still changing when their adjustment to the matched windows ended: the station may be turned "
+            "about the object by some hundredths of a degree",
+        )
     for lens in figures["lens_sigma"]:
         if lens["image"] in stations:
             bench.log(

@@ -92,6 +92,7 @@ class Studio:
             "similar": self._similar,
             "run": self._run,
             "compare": self._compare,
+            "keep": self._keep,
             "cancel": lambda body: self.runs.cancel(int(body["number"])),
             "profile": lambda body: results.profile(self.root.directory(body["path"]), tuple(body["from"]), tuple(body["to"])),
         }  # fmt: skip
@@ -209,6 +210,22 @@ class Studio:
             document.write(body["digest"])
             return self._shown(document)
 
+    def _keep(self, body: Json) -> Json:
+        """Add a profile that was picked on a result to the station whose result it is: on another its pixels mean another place."""
+        station, work = self.root.file(body["path"]), self.root.directory(body["work"])
+        owner = results.station_of(self.root, work)
+        if owner != self.root.name(station):
+            whose = owner or "a station outside of this folder"
+            raise InputError(f"{body['work']}: is a result of {whose}, expected one of {body['path']}; open the other station to keep the profile there")  # fmt: skip
+        with self._editing:
+            document = StationDocument.read(station)
+            document.require(body["digest"])
+            profiles = list(document.values.get("profile", []))
+            entry = {"name": f"picked {len(profiles) + 1}", "from": body["from"], "to": body["to"]}
+            document.set_list("profile", [*profiles, entry])
+            document.write(body["digest"])
+            return self._shown(document)
+
     def _set_text(self, body: Json) -> Json:
         with self._editing:
             document = StationDocument(self.root.file(body["path"]), body["text"])
@@ -321,7 +338,7 @@ class Studio:
         station, work = self.root.file(body["path"]), self.root.path(body["work"])
         if work == self.root.folder or work == station.parent:
             raise InputError(f"{body['work']}: holds the inputs, expected a folder of its own for the results: {station.stem}_work")  # fmt: skip
-        if work.is_dir() and any(work.iterdir()) and not (work / "manifest.json").is_file():
+        if work.is_dir() and any(work.iterdir()) and not folders.is_result(work):
             raise InputError(f"{body['work']}: holds other files, expected a new folder or one with results of this station")  # fmt: skip
         fusion = body.get("fusion", "refined")
         if fusion not in ("grid", "refined"):
@@ -346,7 +363,7 @@ class Studio:
         found = []
         for name in results.works(self.root):
             folder = self.root.directory(name)
-            said = results.summary(folder)
+            said = results.summary(self.root, folder)
             address = self._report_address(folder / "report") if said.get("report") else None
             found.append({"path": name, **said, "report": address})
         return found

@@ -28,6 +28,14 @@ _FIELDS = (
 )
 
 
+#: Other commands can do without one, which the page does not have.
+_NO_SURFACE = {
+    "severity": "error",
+    "field": "prior",
+    "message": "there is no coarse surface yet: choose one, or the photographs from all around of which it is to be made",
+}
+
+
 def field_of(message: str) -> str:
     """The field of the page that a message concerns; "station" if none is named."""
     for field, pattern in _FIELDS:
@@ -44,6 +52,8 @@ def check(path: Path, threads: int) -> dict[str, Any]:
     except MalusError as error:
         return {"lines": [{"severity": "error", "field": field_of(_without_path(str(error), path)), "message": str(error)}]}  # fmt: skip
     lines = [{"severity": "warning", "field": field_of(text), "message": text} for text in plan["warnings"]]
+    if not any(step.startswith("fuse:") for step in plan["does"]):
+        lines = [line for line in lines if line["field"] != "prior"] + [_NO_SURFACE]
     return {"lines": lines, "plan": plan}
 
 

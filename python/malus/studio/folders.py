@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -42,6 +43,17 @@ def _is_station(path: Path) -> bool:
         return False
 
 
+def is_result(folder: Path) -> bool:
+    """Whether a folder holds what a run has left, be it damaged. Others write a manifest.json, too: IIIF, web pages, archives."""
+    try:
+        said = json.loads(read_regular(folder / "manifest.json"))
+    except OSError:
+        return False
+    except (ValueError, RecursionError):
+        return True
+    return isinstance(said, dict) and ("steps" in said or "format" in said)
+
+
 def listing(root: Root, name: str) -> dict[str, Any]:
     """A folder for the page: its folders, images, station files and tables, in natural order."""
     folder = root.directory(name)
@@ -61,7 +73,7 @@ def listing(root: Root, name: str) -> dict[str, Any]:
             {
                 "path": root.name(path),
                 "name": path.name,
-                "is_work": os.path.isfile(path / "manifest.json"),
+                "is_work": is_result(path),
                 "images": _count(path),
             }
             for path in folders
@@ -115,7 +127,9 @@ def below(root: Root) -> Iterator[tuple[Path, list[str]]]:
     seen = 0
     for place, folders, files in os.walk(root.folder):
         here = Path(place)
-        deeper = len(here.relative_to(root.folder).parts) < _SEARCH_DEPTH and "manifest.json" not in files
+        # The squares of a picture for the web (IIIF) are no images of the object.
+        inner = "info.json" in files or ("manifest.json" in files and is_result(here))
+        deeper = len(here.relative_to(root.folder).parts) < _SEARCH_DEPTH and not inner
         folders[:] = sorted(f for f in folders if not f.startswith(".")) if deeper else []
         seen += 1 + len(files)
         if seen > _SEARCHED:
@@ -131,7 +145,7 @@ def candidates(root: Root) -> dict[str, list[Any]]:
     priors: list[dict[str, str]] = []
     models, images, stations = [], [], []
     for here, files in below(root):
-        if "manifest.json" in files:  # What a run has left is no input.
+        if "manifest.json" in files and is_result(here):  # What a run has left is no input.
             continue
         names = set(files)
         if names & {"cameras.txt", "cameras.bin"} and names & {"images.txt", "images.bin"}:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from malus.errors import DataError, InputError, MalusError
 from malus.figures import encode, gray, hillshade, reduced, step_for
 from malus.studio.access import Root
-from malus.studio.folders import below
+from malus.studio.folders import below, is_result
 from malus.workspace import Workspace
 
 #: Long side of the pictures of results.
@@ -25,7 +25,7 @@ _SAME_CAMERA = 1e-6
 
 def works(root: Root) -> list[str]:
     """Folders below the root that hold the results of a run."""
-    return _folders_with(root, "manifest.json")
+    return [name for name in _folders_with(root, "manifest.json") if is_result(root.path(name))]
 
 
 def comparisons(root: Root) -> list[str]:
@@ -44,7 +44,17 @@ def _folders_with(root: Root, file: str) -> list[str]:
     return sorted(root.name(here) for here, files in below(root) if file in files and root.holds(here / file))
 
 
-def summary(folder: Path) -> dict[str, Any]:
+def station_of(root: Root, folder: Path) -> str | None:
+    """The station file whose result the folder holds, by the page's name; None if it does not lie in the opened folder."""
+    owner = Workspace(folder).manifest.get("station") or {}
+    # Both may have been moved or copied together.
+    for path in (folder / str(owner.get("file_from_here")), Path(str(owner.get("file")))):
+        if path.is_file() and root.holds(path):
+            return root.name(path)
+    return None
+
+
+def summary(root: Root, folder: Path) -> dict[str, Any]:
     """The figures of a result that a list shows; `problem` for one that is not finished."""
     try:
         workspace = Workspace(folder)
@@ -54,6 +64,7 @@ def summary(folder: Path) -> dict[str, Any]:
     keys = ("name", "unit", "gsd", "width", "height", "method", "status", "confidence", "warnings")
     return {
         **{key: quality[key] for key in keys},
+        "station": station_of(root, folder),
         "coverage": quality["coverage"]["fraction"],
         "sigma_gsd": quality["sigma"]["median_gsd"] if quality["sigma"] else None,
         "report": workspace.has("report/index.html"),

@@ -64,8 +64,8 @@ TEST(Verdict, WhatDidNotSettleIsThePriors) {
   EXPECT_EQ(surface.status, FusionStatus::not_converged);
   EXPECT_EQ(surface.confidence.level, ConfidenceLevel::partial);
   ASSERT_EQ(surface.confidence.reasons.size(), 1u);
-  EXPECT_TRUE(mentions(surface.confidence.reasons, "did not settle"));
-  EXPECT_TRUE(mentions(surface.warnings, "moved by 1.2 GSD"));
+  EXPECT_TRUE(mentions(surface.confidence.reasons, "did not come to rest"));
+  EXPECT_TRUE(mentions(surface.warnings, "still changing when the refinement ended, by 1.2 GSD"));
 }
 
 TEST(Verdict, AWrongModelDoesNoHarmWhereThePriorStayed) {

@@ -202,6 +202,12 @@ TEST(Workspace, TakesNoFolderThatHasOtherFiles) {
         "not empty and not a workspace", (folder / "work").string());
   }
   std::filesystem::remove(folder / "thesis.doc");
+  folder.write("manifest.json", R"({"@context": "http://iiif.io/api/presentation/3/context.json", "items": []})");
+  for (const bool replace : {false, true}) {
+    expect_error(
+        ErrorCode::input, [&] { Workspace(folder.path(), owner, replace); }, "not empty and not a workspace");
+  }
+  std::filesystem::remove(folder / "manifest.json");
   folder.write(".DS_Store", "1");
   const Workspace workspace(folder.path(), owner, false);
 }

@@ -98,3 +98,6 @@ export async function createStation(content) {
 
 // Changes values of the station file; what the server then says of it is the truth.
 export const change = (changes) => changingPage(async () => take(await tell('set', { path: state.station.path, digest: state.station.digest, changes })));
+
+// Adds a profile that was picked on a result to the open station, if the result is of that.
+export const keepProfile = (work, ends) => changingPage(async () => take(await tell('keep', { path: state.station.path, digest: state.station.digest, work, ...ends })));

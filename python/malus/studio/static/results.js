@@ -1,13 +1,16 @@
 // Finished results: their figures, two beside each other or as two dates, profiles picked on a surface, and the report.
 import { addressOf, ask, byId, doing, length, make, tell } from './api.js';
-import { change, state } from './open_station.js';
+import { keepProfile, state } from './open_station.js';
 import { showPage } from './pages.js';
 
 let all = [];
 const place = byId('result-view');
+// Says anew whether what is shown can be kept in the open station, which may have become another one.
+let offer = () => {};
 
 export async function showResults() {
   all = await ask('results');
+  offer();
   const compared = await ask('comparisons');
   if (!all.length) {
     byId('result-list').replaceChildren(make('p', { class: 'note' }, 'There are no results in this folder yet.'));
@@ -106,13 +109,20 @@ async function showProfile(result) {
     if (second) marked(false);
     else draw();
   });
-  const keep = make('button', { type: 'button', disabled: !state.station, click: doing(async () => {
-    const profiles = structuredClone(state.station.values.profile ?? []);
-    await change([{ list: 'profile', entries: [...profiles, { name: `picked ${profiles.length + 1}`, ...ends() }] }]);
-    keep.textContent = `Kept in ${state.station.path}; the next run reports it`;
+  const said = make('p', { class: 'note', role: 'status' });
+  const keep = make('button', { type: 'button', click: doing(async () => {
+    await keepProfile(result.path, ends());
+    said.textContent = `Kept in ${state.station.path}; the next run reports it.`;
   }) }, 'Keep it in the open station');
+  // On another station's images the same pixels are another place.
+  offer = () => {
+    keep.disabled = !result.station || result.station !== state.station?.path;
+    said.textContent = !keep.disabled ? '' : result.station ? `To keep it for the next run, open ${result.station} first: this is a result of that station.`
+      : 'It cannot be kept: the station of this result does not lie in the opened folder.';
+  };
+  offer();
   present(`Profile on ${result.path}`, make('div', { class: 'pair' }, picked, make('div', {}, make('p', { class: 'note' }, 'Press two places of the picture, or type their pixels.'),
-    make('p', { class: 'row' }, ...inputs.map((input) => make('label', {}, input.getAttribute('aria-label'), input)), make('button', { type: 'button', click: draw }, 'Draw'), keep), chart)));
+    make('p', { class: 'row' }, ...inputs.map((input) => make('label', {}, input.getAttribute('aria-label'), input)), make('button', { type: 'button', click: draw }, 'Draw'), keep), said, chart)));
   await draw();
 }
 

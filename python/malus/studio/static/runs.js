@@ -44,7 +44,7 @@ async function refresh() {
   for (const old of list.querySelectorAll('[data-run]')) if (!known.has(old.dataset.run)) old.remove();
   const order = [...list.children].sort((a, b) => b.dataset.run - a.dataset.run);
   if (order.some((element, at) => list.children[at] !== element)) list.append(...order);
-  if (!runs.length) list.replaceChildren(make('p', { class: 'note' }, form.hidden ? 'There is no station in the opened folder yet; make one under Images.' : 'Nothing has been run yet.'));
+  if (!runs.length) list.replaceChildren(make('p', { class: 'note' }, form.hidden ? 'There is no station in the opened folder yet; make one under Images.' : 'Nothing has been run since Studio was opened; earlier results stand under Results.'));
   else list.querySelector('p.note')?.remove();
   await Promise.all([...list.querySelectorAll('[data-run]')].map(showLog));
   if (runs.some((run) => run.state === 'waiting' || run.state === 'running')) timer = later(700);

@@ -60,13 +60,29 @@ function showText() {
   typedUpon = { path, digest, text: fileText.value };  // Whose line ends are the browser's.
 }
 
-// What lies in the folder and is beyond doubt, to be taken over at once.
+// Of what lies in the opened folder, what is nearest to the station: below its own folder, or else below the one that holds that, and so on.
+// Other objects may lie beside it.
+function nearest(found, pathOf) {
+  const folders = state.station.path.split('/').slice(0, -1);
+  for (let depth = folders.length; depth > 0; --depth) {
+    const below = found.filter((one) => pathOf(one).startsWith(`${folders.slice(0, depth).join('/')}/`));
+    if (below.length) return below;
+  }
+  return found;
+}
+const nearestFirst = (found, pathOf = (path) => path) => {
+  const near = nearest(found, pathOf);
+  return [...near, ...found.filter((one) => !near.includes(one))];
+};
+
+// What lies near the station and is beyond doubt, to be taken over at once.
 async function propose() {
   const place = byId('proposal');
   place.hidden = true;
-  if (state.station.values.camera || state.station.values.prior || candidates.models.length !== 1) return;
-  const model = candidates.models[0];
-  const priors = candidates.priors.filter(({ kind }) => kind !== 'depth');
+  const models = nearest(candidates.models, (path) => path);
+  if (state.station.values.camera || state.station.values.prior || models.length !== 1) return;
+  const [model] = models;
+  const priors = nearest(candidates.priors.filter(({ kind }) => kind !== 'depth'), ({ path }) => path);
   const { images } = await ask('model', { path: model });
   const own = new Set(['station', ...state.station.images.map((path) => path.split('/').pop().replace(/\.\w+$/, ''))]);
   const views = images.filter((name) => own.has(name.split('/').pop().replace(/\.\w+$/, '')));
@@ -81,7 +97,7 @@ async function propose() {
     words.push(`the coarse surface ${priors[0].path}`);
   }
   place.hidden = false;
-  place.replaceChildren(make('p', {}, `Found in this folder: ${words.join(', ')}.`), make('p', {}, make('button', { type: 'button', class: 'main', click: () => set(changes) }, 'Use them')));
+  place.replaceChildren(make('p', {}, `Found in this folder: ${words.join(', ')}.`), make('p', {}, make('button', { type: 'button', class: 'main', click: () => set(changes).then(() => byId('plan').focus()) }, 'Use them')));
 }
 
 const says = (field) => make('div', { class: 'says', 'data-says': field });
@@ -152,10 +168,10 @@ function surfaceGroup() {
   const setPrior = (chosen) => set(Object.keys(PRIORS).map((key) => ({ table: 'prior', key, value: chosen.startsWith(`${key}:`) ? chosen.slice(key.length + 1) : null, is_path: true })));
   const withImage = (name) => set([{ table: 'camera', key: 'image', value: name || null }]);
   return group('Camera and coarse surface',
-    choice('camera', 'Cameras (COLMAP model)', named(under('camera', 'colmap_model')), paths(candidates.models), path('camera', 'colmap_model'), 'A folder with cameras and images of COLMAP. Left out when the cameras are to be found from photographs.'),
+    choice('camera', 'Cameras (COLMAP model)', named(under('camera', 'colmap_model')), paths(nearestFirst(candidates.models)), path('camera', 'colmap_model'), 'A folder with cameras and images of COLMAP. Left out when the cameras are to be found from photographs.'),
     modelImages.length ? choice('camera', "This station's name in the model", under('camera', 'image') ?? '', [['', 'choose'], ...modelImages.map((name) => [name, name])], withImage) : null,
-    choice('prior', 'Coarse surface (prior)', kind ? `${kind}:${named(under('prior', kind))}` : '', [['', 'none'], ...candidates.priors.map((found) => [`${found.kind}:${found.path}`, `${found.path} (${PRIORS[found.kind]})`])], setPrior, 'From photogrammetry or a scanner, in the frame of the cameras. Left out when it is to be made from photographs.'),
-    choice('photos', 'Photographs from all around', named(under('photos', 'folder')), paths(candidates.images), path('photos', 'folder'), 'Only if there is no coarse surface yet: cameras and surface are then made from them.'),
+    choice('prior', 'Coarse surface (prior)', kind ? `${kind}:${named(under('prior', kind))}` : '', [['', 'none'], ...nearestFirst(candidates.priors, ({ path }) => path).map((found) => [`${found.kind}:${found.path}`, `${found.path} (${PRIORS[found.kind]})`])], setPrior, 'From photogrammetry or a scanner, in the frame of the cameras. Left out when it is to be made from photographs.'),
+    choice('photos', 'Photographs from all around', named(under('photos', 'folder')), paths(nearestFirst(candidates.images)), path('photos', 'folder'), 'Only if there is no coarse surface yet: cameras and surface are then made from them.'),
     drawn('scale', 'Known distances', String((state.station.values.scale ?? []).length || 'none'), 'scale'),
     drawn('control', 'Control points', namesOf('control'), 'control'));
 }

@@ -30,7 +30,8 @@ export class ImageView {
     return new Promise((resolve, reject) => {
       this.viewer.addOnceHandler('open', () => { this.size = { x: width, y: height }; resolve(); });
       this.viewer.addOnceHandler('open-failed', () => reject(new Error('The image cannot be shown.')));
-      this.viewer.open({ width, height, tileSize: TILE, minLevel: 0, maxLevel, getTileUrl });
+      // The squares are JPEGs. Addresses with .png in them would be taken for transparent ones, and lines be left between squares.
+      this.viewer.open({ width, height, tileSize: TILE, minLevel: 0, maxLevel, getTileUrl, hasTransparency: () => false });
     });
   }
 

@@ -1,0 +1,62 @@
+"""The scale of a view that can be turned, read as a person does: the bar's label over its length, and what it measures then."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+_MM = {"µm": 1e-3, "mm": 1.0, "m": 1e3}
+#: Columns and rows of the canvas in which something is drawn, in CSS pixels.
+_DRAWN = """(canvas) => {
+  const copy = Object.assign(document.createElement('canvas'), { width: canvas.clientWidth, height: canvas.clientHeight });
+  const context = copy.getContext('2d');
+  context.drawImage(canvas, 0, 0, copy.width, copy.height);
+  const { data } = context.getImageData(0, 0, copy.width, copy.height), columns = new Set(), rows = new Set();
+  for (let i = 0; i < copy.width * copy.height; ++i) {
+    if (data[4 * i + 3] > 127) { columns.add(i % copy.width); rows.add(Math.floor(i / copy.width)); }
+  }
+  return [columns.size, rows.size];
+}"""
+
+
+@contextmanager
+def turning_view(path: Path, name: str) -> Iterator[Any]:
+    """The view `name` of the page, on a phone's width, drawn for the first time."""
+    playwright = pytest.importorskip("playwright.sync_api")
+    chromium = os.environ.get("MALUS_CHROMIUM") or shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("chromium is not installed")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(
+            executable_path=chromium,
+            args=["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
+        )
+        page = browser.new_page(viewport={"width": 390, "height": 844})
+        page.set_default_timeout(120_000)
+        page.goto(path.resolve().as_uri())
+        page.locator(f"#{name}.ready .scale:not(:empty)").wait_for()
+        yield page.locator(f"#{name}")
+        browser.close()
+
+
+def pixel_mm(view: Any) -> float:
+    """What a CSS pixel of the view measures by its scale bar, once it has been drawn."""
+    view.page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    bar = view.locator(".scale")
+    value, unit = re.fullmatch(r"([\d.]+) (µm|mm|m)", bar.inner_text()).groups()  # type: ignore[union-attr]
+    width = bar.evaluate("element => element.getBoundingClientRect().width")
+    assert 20 < width <= 141
+    return float(value) * _MM[unit] / float(width)
+
+
+def drawn_mm(view: Any) -> list[float]:
+    """Width and height of what the view shows, by its scale bar."""
+    size = pixel_mm(view)
+    return [count * size for count in view.locator("canvas").evaluate(_DRAWN)]
