@@ -24,6 +24,7 @@
 
 #include "malus/core/version.h"
 #include "malus/station/options.h"
+#include "malus/station/overtaken_exports_internal.h"
 #include "malus/station/presets_internal.h"
 #include "malus/station/reconstruct.h"
 
@@ -128,6 +129,9 @@ void run(const Arguments& arguments) {
   if (!arguments.reference.empty()) where.reference = arguments.reference;
   const malus::Options options = read_options(arguments);
   malus::reconstruct(malus::Station::load(arguments.station), options, where, context);
+  for (const std::string& told : malus::overtaken_exports(arguments.workspace)) {
+    reporter.log(malus::LogLevel::warning, told);
+  }
   reporter.close(malus::surface_confidence(arguments.workspace));
 }
 

@@ -16,6 +16,7 @@
 #include "malus/station/check.h"
 #include "malus/station/check_picture_internal.h"
 #include "malus/station/json_fields_internal.h"
+#include "malus/station/overtaken_exports_internal.h"
 #include "malus/station/presets_internal.h"
 #include "malus/station/reconstruct.h"
 #include "malus/station/step_watch_internal.h"
@@ -212,6 +213,7 @@ void bind_workspace(py::module_& module) {
     const Confidence& confidence = found->confidence;
     return py::make_tuple(enum_name(confidence.level), confidence.reasons, found->assessed);
   });
+  module.def("overtaken_exports", [](const std::string& folder) { return overtaken_exports(folder); });
   module.def("read_manifest", [](const std::string& folder) { return Workspace::read_manifest(folder).dump(); });
   module.def("surface_words", [](const std::string& quality) { return surface_words(Json::parse(quality)).dump(); });
   module.def("surface_extras", [](const std::string& quality, const std::string& versions) {

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from malus import _core, encoding, exif, exported, photogrammetry, raw, scans
+from malus import _core, encoding, exif, photogrammetry, raw, scans
 from malus._files import require_utf8
 from malus.camera import Camera
 from malus.errors import DataError
@@ -109,8 +109,8 @@ def reconstruct(
                 core = _with_photos(station.describe(), core, settings, folder, run, threads, report, log, cameras)
         outcome = run(core, until, keep=keep_maps)
     if workspace is not None and log is not None:
-        for path in exported.overtaken(Path(workspace)):
-            log("warning", f"{path} is of an earlier result of this workspace; export it again, or remove it")
+        for told in _core.overtaken_exports(str(workspace)):
+            log("warning", told)
     results = outcome.pop("results")
     return _result(outcome, station.name, workspace, save)
 

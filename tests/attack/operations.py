@@ -17,7 +17,7 @@ import sys
 import time
 from collections import Counter
 
-from programs import Attack, arguments_of_attack, attacks_on_station
+from programs import Attack, attacks_on_station, parser_of_attack
 
 #: Operation → what the system may say of it. ESTALE, EBUSY: another machine moved or holds the file; EDQUOT: the quota is
 #: used up, of which a network's disk tells at fsync and close only.
@@ -80,7 +80,7 @@ def may_watch() -> bool:
 
 def main() -> int:
     """Attack for so many seconds; the exit code is 1 if there were findings."""
-    arguments = arguments_of_attack(__doc__)
+    arguments = parser_of_attack(__doc__).parse_args()
     if not may_watch():
         print("strace may not watch other processes here: left out")
         return 0

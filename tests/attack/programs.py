@@ -132,10 +132,17 @@ class Attack:
     """One way to work on a station, and what it leaves if nothing disturbs it."""
 
     def __init__(
-        self, name: str, folder: Path, command: Callable[[Path], list[str]], start: Path | None = None
+        self,
+        name: str,
+        folder: Path,
+        command: Callable[[Path], list[str]],
+        start: Path | None = None,
+        *,
+        repeatable: bool = True,
     ) -> None:
-        """`command` of a workspace; `start`: what lies in it before."""
+        """`command` of a workspace; `start`: what lies in it before. Of what is not repeatable only the files' names count."""
         self.name, self.folder, self.command, self.start = name, folder, command, start
+        self.repeatable = repeatable
         self.findings: list[str] = []
         self.runs: Counter[str] = Counter()
         work = self.new_folder("undisturbed")
@@ -143,7 +150,16 @@ class Attack:
         done = self.run(work)
         assert done.returncode == 0, done.stderr
         self.seconds = time.monotonic() - started
-        self.expected = state_of(work)
+        self.expected = self.state_of(work)
+
+    def state_of(self, work: Path) -> dict[str, str]:
+        """What a run leaves, as far as it is the same each time."""
+        state = state_of(work)
+        return state if self.repeatable else dict.fromkeys(state, "there")
+
+    def kills(self) -> int:
+        """How many runs were killed before they had ended."""
+        return sum(count for what, count in self.runs.items() if what.startswith("kills"))
 
     def expect(self, holds: bool, what: str) -> None:
         """It is a finding unless it holds."""
@@ -174,13 +190,13 @@ class Attack:
         """Run to the end: the result must be that of the undisturbed run, and nothing else may lie about."""
         done = self.run(work)
         self.expect(done.returncode == 0, f"{after}: the next run ends with {done.returncode}: {done.stderr}")
-        now = state_of(work)
+        now = self.state_of(work)
         wrong = sorted(name for name in now.keys() | self.expected.keys() if now.get(name) != self.expected.get(name))
         self.expect(not wrong, f"{after}, then resumed: {', '.join(wrong)} differ")
 
     def nothing_false(self, work: Path, after: str) -> None:
         """Every file of a step that a manifest calls done is there, as the undisturbed run makes it."""
-        now = state_of(work)
+        now = self.state_of(work)
         for manifest in work.rglob("manifest.json"):
             folder = manifest.parent.relative_to(work)
             steps = json.loads(manifest.read_text(encoding="utf-8"))["steps"]
@@ -214,9 +230,9 @@ class Attack:
                 self.command(work), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
             )
             time.sleep(moment)
+            self.runs["kills" if run.poll() is None else "ended before the kill"] += 1
             run.send_signal(signal.SIGKILL)
             run.wait()
-            self.runs["kills"] += 1
             self.expect(group_ended(run.pid), f"killed after {moment} s: processes that it started go on")
             self.nothing_false(work, f"killed after {moment} s")
         self.resume(work, f"killed after {moments_s} s")
@@ -236,8 +252,8 @@ class Attack:
         }  # fmt: skip
         what = f"{victim} killed after {moment_s} s"
         time.sleep(moment_s)
+        self.runs[f"kills of a {victim.split()[0]}" if runs[victim].poll() is None else "ended before the kill"] += 1
         runs[victim].send_signal(signal.SIGKILL)
-        self.runs[f"kills of a {victim.split()[0]}"] += 1
         last = next(reversed(runs.values()))
         try:
             _, error = last.communicate(timeout=LONGEST_S)
@@ -247,7 +263,11 @@ class Attack:
             self.expect(False, f"{what}: did not end")
         for run in runs.values():
             run.terminate()
-            run.communicate()
+            try:
+                run.communicate(timeout=60)
+            except subprocess.TimeoutExpired:  # a worker of Dask's whose scheduler has ended first is deaf
+                run.kill()
+                run.communicate()
             self.expect(group_ended(run.pid), f"{what}: processes that it started go on")
         self.nothing_false(work, what)
         self.resume(work, what)
@@ -370,6 +390,17 @@ def attacks_on(program: Path, folder: Path) -> dict[str, Attack]:
     return attacks
 
 
+def attack_on_photos(folder: Path) -> Attack:
+    """A run from photographs: COLMAP, the sweep, the surface and the report. COLMAP's model is another one each time."""
+    sys.path.append(str(Path(__file__).resolve().parents[1] / "python"))
+    from conftest import demo_with_photos
+
+    folder.mkdir()
+    station, _ = demo_with_photos(folder / "station")
+    run = [sys.executable, "-m", "malus.cli", "run", str(station), "--fusion", "grid", *QUIET]
+    return Attack("photos", folder, lambda work: [*run, "-o", str(work)], repeatable=False)
+
+
 def killed_beside_others(batch: Attack, chance: random.Random) -> None:
     """A campaign of which a shard is killed beside the other one, or a part of a Dask cluster."""
     whole = batch.command(Path("WORK"))
@@ -389,31 +420,43 @@ def killed_beside_others(batch: Attack, chance: random.Random) -> None:
     batch.killed_together(commands, chance.choice(list(commands)), chance.uniform(0, 2 * batch.seconds))
 
 
-def arguments_of_attack(description: str | None) -> argparse.Namespace:
+def kill(attacks: dict[str, Attack], chance: random.Random) -> None:
+    """One to three kills of one of them by chance, the quicker ones more often."""
+    if "batch" in attacks and chance.random() < 0.1:
+        killed_beside_others(attacks["batch"], chance)
+    [attack] = chance.choices(list(attacks.values()), [1 / attack.seconds**0.5 for attack in attacks.values()])
+    attack.killed([chance.uniform(0, attack.seconds) for _ in range(chance.randint(1, 3))])
+
+
+def parser_of_attack(description: str | None) -> argparse.ArgumentParser:
     """Which program is attacked, where, for how long, and with which chance."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("program", type=Path)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seconds", type=float, default=120)
     parser.add_argument("--seed", type=int, default=1)
-    return parser.parse_args()
+    return parser
 
 
 def main() -> int:
     """Attack for so many seconds; the exit code is 1 if there were findings."""
-    arguments = arguments_of_attack(__doc__)
+    parser = parser_of_attack(__doc__)
+    parser.add_argument("--kills", type=int, help="only kills, so many in all, however long they take")
+    parser.add_argument("--photos", action="store_true", help="only runs from photographs, which take minutes each")
+    arguments = parser.parse_args()
     end = time.monotonic() + arguments.seconds
-    attacks = attacks_on(arguments.program.resolve(), arguments.folder.resolve())
+    folder = arguments.folder.resolve()
+    if arguments.photos:
+        attacks = {"photos": attack_on_photos(folder / "photos")}
+    else:
+        attacks = attacks_on(arguments.program.resolve(), folder)
     chance = random.Random(arguments.seed)
-    once = disturbances(attacks["grid"])
+    once = [] if arguments.kills or arguments.photos else disturbances(attacks["grid"])
     chance.shuffle(once)
-    while time.monotonic() < end:
+    while sum(map(Attack.kills, attacks.values())) < arguments.kills if arguments.kills else time.monotonic() < end:
         if once:
             once.pop()()
-        if chance.random() < 0.1:
-            killed_beside_others(attacks["batch"], chance)
-        attack = chance.choice(list(attacks.values()))
-        attack.killed([chance.uniform(0, attack.seconds) for _ in range(chance.randint(1, 3))])
+        kill(attacks, chance)
     for name, attack in attacks.items():
         print(f"{name}: {dict(attack.runs)}; undisturbed {attack.seconds:.1f} s")
     findings = sum(len(attack.findings) for attack in attacks.values())

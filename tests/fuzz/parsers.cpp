@@ -1,9 +1,11 @@
 // libFuzzer over every parser of users' files. One program, a target for each of its names (fuzz_ply, fuzz_station, …):
 // whatever the bytes are, a parser returns or throws malus::Error, in time and memory that the file's size bounds.
 
+#include <sanitizer/allocator_interface.h>
 #include <unistd.h>
 
 #include <array>
+#include <atomic>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
@@ -27,6 +29,24 @@ namespace malus {
 namespace {
 
 namespace fs = std::filesystem;
+
+/// Memory that all threads have taken, now and at the most since the input began [bytes].
+std::atomic<std::size_t> taken = 0, most_taken = 0;
+/// What an input may take beside its share by its size: images take what their pixels do, too.
+std::size_t allowed_bytes = 0;
+constexpr std::size_t always_allowed = 64 << 20, allowed_per_byte = 10;
+/// Four double samples in one strip, and the three floats that are made of them.
+constexpr std::size_t allowed_per_pixel = 4 * sizeof(double) + 3 * sizeof(float);
+
+void on_allocation(const volatile void*, std::size_t size) {
+  const std::size_t now = taken += size;
+  for (std::size_t most = most_taken; now > most && !most_taken.compare_exchange_weak(most, now);) {
+  }
+}
+
+void on_release(const volatile void* memory) {
+  taken -= __sanitizer_get_allocated_size(memory);
+}
 
 /// Folder in memory for the files of one process.
 const fs::path& folder() {
@@ -75,11 +95,18 @@ void read_colmap(std::string_view input, const std::string& extension) {
 
 void read_images(std::string_view input) {
   const fs::path path = write("image", input);
-  attempt([&] { read_image_size(path); });
-  attempt([&] { read_image(path); });
-  attempt([&] { read_float_raster(path); });
-  attempt([&] { read_labels(path); });
-  attempt([&] { read_mask(path); });
+  attempt([&] { allowed_bytes += allowed_per_pixel * read_image_size(path).area(); });
+  // Each of these decodes the whole image first: one of them for an input, by its last byte.
+  switch (input.empty() ? 0 : static_cast<unsigned char>(input.back()) % 3) {
+    case 0:
+      attempt([&] { read_float_raster(path); });
+      break;
+    case 1:
+      attempt([&] { read_labels(path); });
+      break;
+    default:
+      attempt([&] { read_mask(path); });
+  }
 }
 
 void read_station(std::string_view input) {
@@ -141,6 +168,7 @@ const Target* target = nullptr;
 }  // namespace malus
 
 extern "C" int LLVMFuzzerInitialize(int*, char*** arguments) {
+  __sanitizer_install_malloc_and_free_hooks(malus::on_allocation, malus::on_release);
   const std::string program = std::filesystem::path((*arguments)[0]).filename();
   for (const malus::Target& candidate : malus::targets) {
     if (program == "fuzz_" + std::string(candidate.name)) malus::target = &candidate;
@@ -151,6 +179,13 @@ extern "C" int LLVMFuzzerInitialize(int*, char*** arguments) {
 }
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
-  malus::target->read({reinterpret_cast<const char*>(data), size});
-  return 0;
+  using namespace malus;
+  const std::size_t before = taken;
+  most_taken = before;
+  allowed_bytes = always_allowed + allowed_per_byte * size;
+  target->read({reinterpret_cast<const char*>(data), size});
+  const std::size_t grown = most_taken - before;
+  if (grown <= allowed_bytes) return 0;
+  std::fprintf(stderr, "%zu bytes took %zu of memory, allowed: %zu\n", size, grown, allowed_bytes);
+  std::abort();
 }

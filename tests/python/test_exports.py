@@ -17,7 +17,7 @@ import tifffile
 
 import malus
 from conftest import malus as run_malus
-from conftest import malus_here, run_program
+from conftest import malus_here, malus_station, run_program
 from malus import _core, drawings, exports
 from malus.trust import said_of
 from malus.xmp import NAMESPACE
@@ -613,6 +613,8 @@ def test_exports_of_an_earlier_surface_are_told_of(
     assert changed.code == 0 and len(told) == 2, changed.err
     assert "export/surface.obj" in told[0] + told[1] and "export/surface.stl" in told[0] + told[1]
     assert (work / "export/surface.stl").exists()
+    alone = malus_station(*run[1:], "--set", "prior.smoothing_px=4")
+    assert alone.code == 0 and [line for line in alone.err.splitlines() if "is of an earlier result" in line] == told
     malus.export(work, "obj")
     again = malus_here(*run, "--set", "prior.smoothing_px=4").err
     assert "surface.stl is of an earlier" in again and "surface.obj" not in again

@@ -10,9 +10,11 @@ import os
 import resource
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -52,6 +54,27 @@ def test_a_limit_of_address_space_ends_a_run_and_the_next_one_finishes(
     assert outcome.code == 0 or "memory" in outcome.err
     assert not half_written(tmp_path)
     assert malus_station(*arguments).code == 0
+
+
+def test_compressed_text_of_a_png_takes_no_memory(tmp_path: Path) -> None:
+    """A few KB of it would be kept as megabytes."""
+
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+    Image.new("L", (8, 6)).save(tmp_path / "plain.png")
+    plain = (tmp_path / "plain.png").read_bytes()
+    head = plain.index(b"IDAT") - 4
+    text = chunk(b"zTXt", b"key\0\0" + zlib.compress(b"a" * (7 * MB)))
+    (tmp_path / "text.png").write_bytes(plain[:head] + 16 * text + plain[head:])
+    reads = (
+        "import resource, sys; from malus import _core; before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss;"
+        "_core.read_image_dn(sys.argv[1]); print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", reads, tmp_path / "text.png"], capture_output=True, text=True, check=True
+    )
+    assert int(done.stdout) << 10 < 32 * MB
 
 
 def test_too_little_memory_to_start_is_said(small_station: Path) -> None:

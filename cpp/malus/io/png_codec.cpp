@@ -49,6 +49,8 @@ bool read_header(Reader& reader) {
   if (setjmp(png_jmpbuf(reader.png))) return false;
   png_set_user_limits(reader.png, 1 << 20, 1 << 20);
   png_set_read_fn(reader.png, &reader, read_bytes);
+  // Only what pixels need: a few KB of compressed text would be decompressed to megabytes, and kept.
+  png_set_keep_unknown_chunks(reader.png, PNG_HANDLE_CHUNK_NEVER, nullptr, -1);
   // A wrong checksum is damage; the default for ancillary chunks would be a warning nobody sees.
   png_set_crc_action(reader.png, PNG_CRC_ERROR_QUIT, PNG_CRC_WARN_DISCARD);
   png_read_info(reader.png, reader.info);

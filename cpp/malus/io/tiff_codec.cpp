@@ -183,6 +183,15 @@ Layout read_layout(TIFF* tiff) {
   return layout;
 }
 
+/// Memory for a block is taken before it is read: a small file may not claim one that is far larger than its image.
+void check_block(const Layout& layout) {
+  constexpr std::size_t always_taken = 32 << 20, most_images = 4;
+  const std::size_t area = std::size_t{layout.block_width} * layout.block_height;
+  if (area * layout.samples * layout.sample_bytes() > always_taken && area > most_images * layout.size.area()) {
+    throw std::runtime_error("has tiles far larger than its image");
+  }
+}
+
 double most_pixels(const Layout& layout, std::size_t file_bytes) {
   // LZW strings reach 4096 bytes for 12 bits; nothing else that libtiff reads is denser by much.
   const double ratio = layout.compression == COMPRESSION_NONE ? 1 : 4096;
@@ -301,6 +310,7 @@ RawImage decode_tiff(std::string_view bytes, const HeaderCheck& check) {
                                       source_size, nullptr, nullptr, options.options));
   if (!tiff) throw std::runtime_error("is not a readable TIFF (" + errors.message + ")");
   const Layout layout = read_layout(tiff.get());
+  check_block(layout);
   check({layout.size, layout.channels, most_pixels(layout, bytes.size())});
 
   const bool is_float = layout.format == SAMPLEFORMAT_IEEEFP;

@@ -156,6 +156,22 @@ TEST(ImageFile, TiffLayouts) {
   }
 }
 
+TEST(ImageFile, ATileFarLargerThanItsImageIsRefused) {
+  const TemporaryFolder folder;
+  const std::string path = (folder / "a.tif").string();
+  TIFF* tiff = TIFFOpen(path.c_str(), "w");
+  for (const ttag_t side : {TIFFTAG_IMAGEWIDTH, TIFFTAG_IMAGELENGTH}) TIFFSetField(tiff, side, 8);
+  for (const ttag_t side : {TIFFTAG_TILEWIDTH, TIFFTAG_TILELENGTH}) TIFFSetField(tiff, side, 1 << 14);
+  TIFFSetField(tiff, TIFFTAG_SAMPLESPERPIXEL, 1);
+  TIFFSetField(tiff, TIFFTAG_BITSPERSAMPLE, 8);
+  TIFFSetField(tiff, TIFFTAG_PHOTOMETRIC, PHOTOMETRIC_MINISBLACK);
+  char bytes[16] = {};
+  TIFFWriteRawTile(tiff, 0, bytes, sizeof bytes);
+  TIFFClose(tiff);
+  expect_error(
+      ErrorCode::input, [&] { read_image(path); }, "a.tif", "tiles far larger than its image");
+}
+
 TEST(ImageFile, FloatTiffKeepsEveryBit) {
   const TemporaryFolder folder;
   for (const int channels : {1, 3}) {
