@@ -23,7 +23,7 @@ import pytest
 from PIL import Image
 
 from conftest import Outcome, edit, half_written, malus, malus_here, malus_station
-from malus import _patterns
+from malus import _core, _patterns
 from malus._files import read_record, replacing, scratch_folder, write_record
 from malus._patterns import matching
 from malus.batch import _as_text
@@ -115,6 +115,10 @@ def test_what_a_killed_run_had_begun_to_write_is_removed_by_the_next(small_stati
     assert malus_station(*arguments).code == 0
     (tmp_path / "fused").rename(tmp_path / "work/fused")
     assert malus_station(*arguments).code == 0
+    assert not half_written(tmp_path)
+    (tmp_path / "work/report").mkdir()
+    (tmp_path / "work/report/.page.partial-0a1b.png").write_bytes(b"half")
+    _core.forget_step(str(tmp_path / "work"), "report")  # as the next report begins
     assert not half_written(tmp_path)
 
 

@@ -173,8 +173,8 @@ bool is_of_something_else(const fs::path& manifest) {
   }
 }
 
-/// Removes files that a run which was killed had begun to write; the folder's lock is held.
-void remove_unfinished(const fs::path& folder) {
+/// The folder's lock is held.
+void remove_unfinished_files(const fs::path& folder) {
   std::error_code error;
   constexpr auto options = fs::directory_options::skip_permission_denied;
   for (fs::recursive_directory_iterator entry(folder, options, error), end; !error && entry != end;
@@ -220,7 +220,7 @@ Workspace::Workspace(const fs::path& given_folder, const Owner& owner, bool repl
                       (folder / "work").string());
   }
   state_ = std::make_unique<State>(folder);
-  remove_unfinished(folder);
+  remove_unfinished();
   Manifest& manifest = state_->manifest;
   if (exists) {
     try {
@@ -276,6 +276,10 @@ std::vector<std::string> Workspace::changed_since(std::string_view step, const C
     if (changed[k] != 0) paths.push_back(outputs[k].path);
   }
   return paths;
+}
+
+void Workspace::remove_unfinished() const {
+  remove_unfinished_files(state_->folder);
 }
 
 void Workspace::forget(const std::string& step, const std::vector<std::string>& leaves) {

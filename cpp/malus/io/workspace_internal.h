@@ -76,6 +76,9 @@ class Workspace {
   /// its record of the step was edited.
   std::vector<std::string> changed_since(std::string_view step, const Context& context) const;
 
+  /// Removes files that a run which was killed had begun to write.
+  void remove_unfinished() const;
+
   /// Removes the marks of a step and of all that came after it, then their files: those recorded, and of `leaves` what
   /// there is.
   void forget(const std::string& step, const std::vector<std::string>& leaves);

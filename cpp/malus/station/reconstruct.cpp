@@ -79,7 +79,9 @@ void claim_workspace(const std::filesystem::path& folder, const Station& station
 }
 
 void forget_step(const std::filesystem::path& folder, const std::string& name) {
-  Workspace(folder).forget(name, files_of(step_table(), name));
+  Workspace workspace(folder);
+  workspace.remove_unfinished();
+  workspace.forget(name, files_of(step_table(), name));
 }
 
 void record_step(const std::filesystem::path& folder, const std::string& name, const std::vector<std::string>& files,

@@ -59,7 +59,8 @@ std::optional<SurfaceConfidence> surface_confidence(const std::filesystem::path&
 /// Makes a folder the station's workspace, or throws as reconstruct would. For programs that write to it before.
 void claim_workspace(const std::filesystem::path& folder, const Station& station, bool replace);
 
-/// For steps that another program does with a finished workspace: removes what the step, and those after it, left.
+/// For steps that another program does with a finished workspace: removes what the step, and those after it, left,
+/// and what was not finished.
 void forget_step(const std::filesystem::path& workspace, const std::string& step);
 /// The same, once `files` below the workspace are written: marks the step as done.
 void record_step(const std::filesystem::path& workspace, const std::string& step, const std::vector<std::string>& files,
