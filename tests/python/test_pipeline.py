@@ -431,7 +431,7 @@ def test_decompose_needs_no_prior(small_station: Path, tmp_path: Path) -> None:
     refused = run_malus("run", small_station, "-o", tmp_path / "work", "--quiet")
     assert refused.code == 2 and "only `decompose` and `height` can be run" in refused.err
     checked = run_malus("check", small_station, cwd=tmp_path)
-    assert "a height from them" in checked.out and "height: height from polarization alone" in checked.out
+    assert "what polarization alone tells" in checked.out and "height: height from polarization alone" in checked.out
     assert "picture of image and mask: station-check.png" in checked.out
 
 
