@@ -1,10 +1,9 @@
 """What ± 50 % of each constant of prior, sweep and fusion does to the fused surface of rendered stations.
 
-    python benchmarks/constants.py STATION.toml… [--swept STATION.toml…] -o OUT [--jobs 1] [--only PATTERN] [--no-build] [--table]
+    python benchmarks/constants.py -o OUT [STATION.toml…] [--map STATION.toml…] [--index STATION.toml…]
+                                   [--swept STATION.toml…] [--jobs 1] [--only PATTERN] [--no-build] [--table]
 
-STATION: a station file of a rendered station (`random_stations.py`, or rendered/renderer/render.py). --swept: the same, with the coarse
-surface swept from the station's photographs at their true poses instead of its cloud; for the sweep's constants and those of the prior
-that a cloud does not reach.
+STATION: a station file of a rendered station (`random_stations.py`, or rendered/renderer/render.py).
 
 varied_source.py makes OUT/tree, a copy of the C++ sources whose constants an environment variable multiplies, and builds it. Every
 constant is then taken times 0.5 and 1.5 (whole numbers rounded, at least 1; options that are on are switched off), one at a time, from
@@ -12,7 +11,14 @@ the step on that it belongs to. A constant whose code a station does not reach i
 median error of its normals (harm.py) the ratio to the same with nothing varied is kept, and whether depth, standard deviation and
 everything else are the same to the bit.
 
-OUT/results.jsonl has a line for each run; what it has is not run again. --table prints what it has, as JSON with --json FILE.
+A map of the surroundings and the search for the refractive index take ten times as long as all the rest of a small station. So they are
+left out (refine.surroundings and refine.correct_index off) but on the stations of --map and --index, on which only the constants are varied
+that those before do not reach; and a quarter of the pixels fits the map. Of an object that is larger than 128 x 96 px only the middle is
+taken. --swept: the coarse surface is swept from the station's photographs at their true poses instead of taken from its cloud; for the
+sweep's constants, and those of the prior that a cloud does not reach.
+
+OUT/results.jsonl has a line for each run; what it has is not run again. --table prints what it has; --docs FILE writes it into the last
+column of the tables of docs/constants.md, by the names in their column "where".
 """
 
 from __future__ import annotations
@@ -44,9 +50,19 @@ from rendered_files import Array, read_cloud, vectors
 Row = dict[str, Any]
 FACTORS = (0.5, 1.5)
 TIME_LIMIT_S = 300
+MIDDLE = (96, 128)  # rows and columns
 # What the steps before leave is the same for all constants of a stage.
-BEFORE = {"prior": "polarization", "fuse": "evidence", "grid": "evidence"}
+BEFORE = {"prior": "polarization", "fuse": "evidence", "grid": "evidence", "map": "evidence", "index": "evidence"}
+NO_MAP, NO_INDEX = "refine.surroundings=false", "refine.correct_index=false"
+SETTINGS = {"map": [NO_INDEX], "index": [NO_MAP]}  # of the others: both
+FEWER_PIXELS = "surroundings_course.cpp:enough_samples"
 GRID = ["--fusion", "grid", "--set", "optimize.enabled=true"]
+OF_KIND = {
+    "map": ("surroundings", "finishes", "same_normals", "self_mirroring", "refine.surroundings"),
+    "index": ("index_search", "refine.correct_index", "reflection_fit.cpp:largest_count", "reflection_fit.cpp:largest_sigma",
+              "reflection_fit.cpp:error_of_model", "reflection_fit.cpp:clear_scatters"),
+}  # fmt: skip
+OF_SWEPT = ("project_prior.cpp:stride", "project_prior.cpp:surroundings_px", "project_prior.cpp:independent_px", "prior.hole_slope")
 # Files whose constants are looked at after the depth is known: two stations show what there is.
 AFTER_THE_DEPTH = ("surface_sigma", "refinement_verdict")
 SECTIONS = {"prior": ("prior", "Prior"), "sweep": ("prior", "Sweep"), "refine": ("fusion", "Refine")}
@@ -137,13 +153,35 @@ def write_photos(station: Path, folder: Path) -> None:
     vectors(read_cloud(station / "dense/mvs_cloud.ply"), ("x", "y", "z"))[::20].tofile(folder / "points.f64")
 
 
-class Station:
-    """A rendered station: what was made of it before, and runs with a change."""
+def only_middle(toml: Path, out: Path) -> Path:
+    """The station file, or where its object is large, one of a copy whose object is only the middle."""
+    station, folder = toml.resolve().parent, out / "middle" / toml.resolve().parent.name
+    truth = dict(np.load(station / "gt/depth_normal_mask.npz"))
+    middle = np.zeros(truth["label"].shape, bool)
+    top, left = (max((side - limit) // 2, 0) for side, limit in zip(middle.shape, MIDDLE, strict=True))
+    middle[top : top + MIDDLE[0], left : left + MIDDLE[1]] = True
+    if ((truth["label"] == 1) & middle).sum() > 0.6 * (truth["label"] == 1).sum():
+        return toml
+    (folder / "gt").mkdir(parents=True, exist_ok=True)
+    truth["label"] = np.where(middle, truth["label"], 0)
+    np.savez(folder / "gt/depth_normal_mask.npz", **truth)
+    cv2.imwrite(str(folder / "mask.png"), np.uint8(255 * (truth["label"] == 1)))
+    shutil.copyfile(station / "meta.json", folder / "meta.json")
+    for name in ("pol", "dense", "gt_sparse", "views"):
+        (folder / name).unlink(missing_ok=True)
+        (folder / name).symlink_to(station / name)
+    text = re.sub(r"(?ms)^\[\[.*", "", re.sub("(?m)^mask = .*\n", "", toml.read_text()))
+    (folder / toml.name).write_text(text.replace("[polarized]\n", '[polarized]\nmask = "mask.png"\n'))
+    return folder / toml.name
 
-    def __init__(self, toml: Path, swept: bool, out: Path) -> None:
-        self.toml, self.swept, self.out = toml.resolve(), swept, out
+
+class Station:
+    """A rendered station: what was made of it before, and runs with a change. kind: "plain", "map", "index" or "swept"."""
+
+    def __init__(self, toml: Path, kind: str, out: Path) -> None:
+        self.toml, self.kind, self.swept, self.out = only_middle(toml, out).absolute(), kind, kind == "swept", out
         self.folder = self.toml.parent
-        self.name = self.folder.name + ("_noisy" if "noisy" in toml.stem else "") + ("_swept" if swept else "")
+        self.name = self.folder.name + ("_noisy" if "noisy" in toml.stem else "") + ("" if kind == "plain" else f"_{kind}")
         self.base = out / "base" / self.name
         self.truth = np.load(self.folder / "gt/depth_normal_mask.npz")
         self.meta = json.loads((self.folder / "meta.json").read_text())
@@ -151,11 +189,12 @@ class Station:
         self.reached: dict[str, set[str]] = {}
 
     def stages(self) -> tuple[str, ...]:
-        return ("sweep",) if self.swept else ("prior", "fuse", "grid")
+        return {"swept": ("sweep",), "map": ("map",), "index": ("index",), "plain": ("prior", "fuse", "grid")}[self.kind]
 
     def command(self, stage: str, work: Path, more: list[str]) -> list[str]:
         if self.swept:
-            return [str(self.out / "build/sweep-of-files"), str(self.toml), str(self.base / "photos"), str(work), *more]
+            return [str(self.out / "build/sweep-of-files"), str(self.toml), str(self.base / "photos"), str(work), NO_MAP, NO_INDEX, *more]
+        more = [*SETTINGS.get(stage, [NO_MAP, NO_INDEX]), *more]
         options = [word for option in more for word in ("--set", option)] + (GRID if stage == "grid" else [])
         return [str(self.out / "build/malus-station"), str(self.toml), "-o", str(work), "--threads", "1", "--quiet", *options]
 
@@ -176,6 +215,9 @@ class Station:
             self.reached[stage] = set(reached.read_text().split())
 
     def run(self, stage: str, options: list[str], environment: dict[str, str]) -> Row:
+        if stage == "map" and FEWER_PIXELS not in environment.get("MALUS_VARIED", ""):
+            fewer = f"{FEWER_PIXELS}=0.25"
+            environment = environment | {"MALUS_VARIED": ",".join(filter(None, [environment.get("MALUS_VARIED"), fewer]))}
         with tempfile.TemporaryDirectory(dir=self.base) as folder:
             work = Path(folder) / "work"
             if not self.swept:
@@ -208,7 +250,7 @@ class Station:
 def measured(station: Station, change: Change) -> Row:
     """A line of results.jsonl."""
     row: Row = dict(key=change.key, factor=change.factor, stage=change.stage, station=station.name)
-    stage = "sweep" if station.swept else change.stage
+    stage = change.stage if station.kind == "plain" else station.stages()[0]
     if change.varied and change.varied.split("=")[0] not in station.reached[stage]:
         return row | dict(reached=False)
     environment = {"MALUS_VARIED": change.varied} if change.varied else {}
@@ -221,11 +263,16 @@ def measured(station: Station, change: Change) -> Row:
     return row
 
 
-def wanted(station: Station, change: Change, number: int) -> bool:
-    """Whether a change is looked at on a station, the number-th of its kind."""
-    if station.swept:
-        return change.stage in ("sweep", "prior")
-    return change.stage != "sweep" and (number < 2 or not change.key.startswith(AFTER_THE_DEPTH))
+def wanted(station: Station, change: Change, number: int, reached: set[str]) -> bool:
+    """Whether a change is looked at on a station, the number-th of its kind; `reached`: what plain stations have shown."""
+    if station.kind == "swept":
+        return change.stage == "sweep" or change.key in OF_SWEPT
+    kind = next((kind for kind, keys in OF_KIND.items() if change.key.startswith(keys)), "plain")
+    if station.kind != "plain":
+        return kind == station.kind or (station.kind == "map" and kind == "plain" and change.stage == "fuse" and change.key not in reached)
+    if change.stage == "sweep" or kind != "plain":
+        return False
+    return number < 2 or not (change.key.startswith(AFTER_THE_DEPTH) or change.stage in ("prior", "grid"))
 
 
 # --- what came of it
@@ -291,19 +338,22 @@ def read_lines(path: Path) -> list[Row]:
 
 
 def measure(stations: list[Station], changes: list[Change], results: Path) -> None:
-    known = {(line["key"], line["factor"], line["station"]) for line in read_lines(results)}
-    counts = {True: 0, False: 0}
+    numbers: dict[str, int] = {}
     for station in stations:
-        number, counts[station.swept] = counts[station.swept], counts[station.swept] + 1
-        todo = [c for c in changes if wanted(station, c, number) and (c.key, c.factor, station.name) not in known]
+        number = numbers[station.kind] = numbers.get(station.kind, -1) + 1
+        lines = read_lines(results)
+        known = {(line["key"], line["factor"], line["station"]) for line in lines}
+        reached = {line["key"] for line in lines if line.get("ratios") and not line["station"].endswith(("_map", "_index", "_swept"))}
+        todo = [c for c in changes if wanted(station, c, number, reached) and (c.key, c.factor, station.name) not in known]
         if not todo:
             continue
         station.prepare()
         print(station.name, {stage: (row["seconds"], row.get("figures")) for stage, row in station.plain.items()}, flush=True)
         start = time.perf_counter()
         for done, change in enumerate(todo, 1):
+            row = measured(station, change)
             with results.open("a") as file:
-                file.write(json.dumps(measured(station, change)) + "\n")
+                file.write(json.dumps(row) + "\n")
             if done % 20 == 0 or done == len(todo):
                 print(f"{station.name}: {done} of {len(todo)}, {time.perf_counter() - start:.0f} s", flush=True)
 
@@ -311,6 +361,8 @@ def measure(stations: list[Station], changes: list[Change], results: Path) -> No
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("stations", nargs="*", type=Path)
+    parser.add_argument("--map", nargs="+", type=Path, default=[], metavar="STATION")
+    parser.add_argument("--index", nargs="+", type=Path, default=[], metavar="STATION")
     parser.add_argument("--swept", nargs="+", type=Path, default=[], metavar="STATION")
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--jobs", type=int, default=1, help="of the build")
@@ -328,7 +380,8 @@ def main() -> int:
     if not args.table:
         rooms = {path.name: room for room in varied_source.ROOMS for path in (ROOT / "cpp/malus" / room).iterdir()}
         changes = [c for c in changes_of_code(constants, rooms) + changes_of_options() if fnmatch.fnmatch(c.key, args.only)]
-        stations = [Station(path, False, out) for path in args.stations] + [Station(path, True, out) for path in args.swept]
+        kinds = dict(plain=args.stations, map=args.map, index=args.index, swept=args.swept)
+        stations = [Station(path, kind, out) for kind, paths in kinds.items() for path in paths]
         measure(stations, changes, results)
     found = summaries(read_lines(results))
     for key, row in found.items():
