@@ -51,6 +51,7 @@ Row = dict[str, Any]
 FACTORS = (0.5, 1.5)
 TIME_LIMIT_S = 300
 MIDDLE = (96, 128)  # rows and columns
+HEAD = "± 50 % [%]"
 # What the steps before leave is the same for all constants of a stage.
 BEFORE = {"prior": "polarization", "fuse": "evidence", "grid": "evidence", "map": "evidence", "index": "evidence"}
 NO_MAP, NO_INDEX = "refine.surroundings=false", "refine.correct_index=false"
@@ -62,7 +63,12 @@ OF_KIND = {
     "index": ("index_search", "refine.correct_index", "reflection_fit.cpp:largest_count", "reflection_fit.cpp:largest_sigma",
               "reflection_fit.cpp:error_of_model", "reflection_fit.cpp:clear_scatters"),
 }  # fmt: skip
-OF_SWEPT = ("project_prior.cpp:stride", "project_prior.cpp:surroundings_px", "project_prior.cpp:independent_px", "prior.hole_slope")
+OF_SWEPT = (
+    "project_prior.cpp:stride",
+    "project_prior.cpp:surroundings_px",
+    "project_prior.cpp:independent_px",
+    "prior.hole_slope",
+)
 # Files whose constants are looked at after the depth is known: two stations show what there is.
 AFTER_THE_DEPTH = ("surface_sigma", "refinement_verdict")
 SECTIONS = {"prior": ("prior", "Prior"), "sweep": ("prior", "Sweep"), "refine": ("fusion", "Refine")}
@@ -136,7 +142,10 @@ def write_photos(station: Path, folder: Path) -> None:
     """Views, mask and points for sweep_of_files: of the coarse cloud every 20th, in place of points that photos are matched by."""
     folder.mkdir(parents=True, exist_ok=True)
     truth = np.load(station / "gt/depth_normal_mask.npz")
-    images = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH) for path in sorted((station / "pol/lownoise").glob("*.png"))]
+    images = [
+        cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+        for path in sorted((station / "pol/lownoise").glob("*.png"))
+    ]
     unpolarized = np.mean(np.array(images, float), axis=0)  # evenly spaced angles
     lines = []
     for name, (width, height, lens, rotation, translation) in sorted(cameras_of(station / "gt_sparse").items()):
@@ -181,7 +190,9 @@ class Station:
     def __init__(self, toml: Path, kind: str, out: Path) -> None:
         self.toml, self.kind, self.swept, self.out = only_middle(toml, out).absolute(), kind, kind == "swept", out
         self.folder = self.toml.parent
-        self.name = self.folder.name + ("_noisy" if "noisy" in toml.stem else "") + ("" if kind == "plain" else f"_{kind}")
+        self.name = (
+            self.folder.name + ("_noisy" if "noisy" in toml.stem else "") + ("" if kind == "plain" else f"_{kind}")
+        )
         self.base = out / "base" / self.name
         self.truth = np.load(self.folder / "gt/depth_normal_mask.npz")
         self.meta = json.loads((self.folder / "meta.json").read_text())
@@ -189,14 +200,33 @@ class Station:
         self.reached: dict[str, set[str]] = {}
 
     def stages(self) -> tuple[str, ...]:
-        return {"swept": ("sweep",), "map": ("map",), "index": ("index",), "plain": ("prior", "fuse", "grid")}[self.kind]
+        return {"swept": ("sweep",), "map": ("map",), "index": ("index",), "plain": ("prior", "fuse", "grid")}[
+            self.kind
+        ]
 
     def command(self, stage: str, work: Path, more: list[str]) -> list[str]:
         if self.swept:
-            return [str(self.out / "build/sweep-of-files"), str(self.toml), str(self.base / "photos"), str(work), NO_MAP, NO_INDEX, *more]
+            return [
+                str(self.out / "build/sweep-of-files"),
+                str(self.toml),
+                str(self.base / "photos"),
+                str(work),
+                NO_MAP,
+                NO_INDEX,
+                *more,
+            ]
         more = [*SETTINGS.get(stage, [NO_MAP, NO_INDEX]), *more]
         options = [word for option in more for word in ("--set", option)] + (GRID if stage == "grid" else [])
-        return [str(self.out / "build/malus-station"), str(self.toml), "-o", str(work), "--threads", "1", "--quiet", *options]
+        return [
+            str(self.out / "build/malus-station"),
+            str(self.toml),
+            "-o",
+            str(work),
+            "--threads",
+            "1",
+            "--quiet",
+            *options,
+        ]
 
     def prepare(self) -> None:
         """What lies before each stage, the results with nothing varied, and the constants that were reached."""
@@ -217,7 +247,9 @@ class Station:
     def run(self, stage: str, options: list[str], environment: dict[str, str]) -> Row:
         if stage == "map" and FEWER_PIXELS not in environment.get("MALUS_VARIED", ""):
             fewer = f"{FEWER_PIXELS}=0.25"
-            environment = environment | {"MALUS_VARIED": ",".join(filter(None, [environment.get("MALUS_VARIED"), fewer]))}
+            environment = environment | {
+                "MALUS_VARIED": ",".join(filter(None, [environment.get("MALUS_VARIED"), fewer]))
+            }
         with tempfile.TemporaryDirectory(dir=self.base) as folder:
             work = Path(folder) / "work"
             if not self.swept:
@@ -225,7 +257,9 @@ class Station:
             command = self.command(stage, work, options) + ([] if self.swept else ["--until", "fuse"])
             start = time.perf_counter()
             try:
-                done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, timeout=TIME_LIMIT_S)
+                done = subprocess.run(
+                    command, env=os.environ | environment, capture_output=True, text=True, timeout=TIME_LIMIT_S
+                )
                 code, message = done.returncode, done.stderr.strip()[-300:]
             except subprocess.TimeoutExpired:
                 code, message = -1, "too slow"
@@ -243,7 +277,9 @@ class Station:
         files = {path.name: path.read_bytes() for path in sorted((work / "fused").iterdir())}
         if "refinement.json" in files:
             files["refinement.json"] = re.sub(rb'"[a-z_]*(seconds|share)": [^,}\\n]*', b"", files["refinement.json"])
-        rest = {name: content for name, content in files.items() if name not in ("depth.tif", "normals.tif", "sigma.tif")}
+        rest = {
+            name: content for name, content in files.items() if name not in ("depth.tif", "normals.tif", "sigma.tif")
+        }
         return dict(figures=figures, _depth=files["depth.tif"], _sigma=files["sigma.tif"], _rest=rest)
 
 
@@ -269,7 +305,9 @@ def wanted(station: Station, change: Change, number: int, reached: set[str]) -> 
         return change.stage == "sweep" or change.key in OF_SWEPT
     kind = next((kind for kind, keys in OF_KIND.items() if change.key.startswith(keys)), "plain")
     if station.kind != "plain":
-        return kind == station.kind or (station.kind == "map" and kind == "plain" and change.stage == "fuse" and change.key not in reached)
+        return kind == station.kind or (
+            station.kind == "map" and kind == "plain" and change.stage == "fuse" and change.key not in reached
+        )
     if change.stage == "sweep" or kind != "plain":
         return False
     return number < 2 or not (change.key.startswith(AFTER_THE_DEPTH) or change.stage in ("prior", "grid"))
@@ -286,14 +324,19 @@ def percent(ratio: float) -> str:
 
 def summary(rows: list[Row]) -> Row:
     """Of the lines of one constant: geometric means over the stations, the station where it changes most, and what stays the same."""
-    out: Row = dict(stations=len({row["station"] for row in rows}), reached=len({row["station"] for row in rows if row.get("reached", True)}))
+    out: Row = dict(
+        stations=len({row["station"] for row in rows}),
+        reached=len({row["station"] for row in rows if row.get("reached", True)}),
+    )
     ran = [row for row in rows if "ratios" in row]
     out["refused"] = sorted({f"{row['station']} x{row['factor']}" for row in rows if row.get("code", 0) != 0})
     out["same"] = {name: all(row["same"][name] for row in ran) for name in ("depth", "sigma", "rest")} if ran else {}
-    out["mean"], out["normals"] = {}, {}
+    out["mean"], out["normals"], out["factors"] = {}, {}, sorted({row["factor"] for row in rows})
     for factor in sorted({row["factor"] for row in rows}):
         of_factor = [row for row in ran if row["factor"] == factor]
-        missed = len([row for row in rows if row["factor"] == factor and not row.get("reached", True)])  # nothing changes there
+        missed = len(
+            [row for row in rows if row["factor"] == factor and not row.get("reached", True)]
+        )  # nothing changes there
         for name, figure in (("mean", "detail_mad"), ("normals", "normal_median")):
             logs = [math.log(row["ratios"][figure]) for row in of_factor]
             if logs:
@@ -312,18 +355,61 @@ def summary(rows: list[Row]) -> Row:
 def cell(found: Row) -> str:
     """Cell of docs/constants.md."""
     if not found["mean"]:
-        return "not reached" if not found["refused"] else "refused"
-    if found["same"]["depth"]:
-        return "nothing" if found["same"]["sigma"] and found["same"]["rest"] else "σ only" if not found["same"]["sigma"] else "its report only"
-    text = ", ".join(percent(ratio) for ratio in found["mean"].values())
-    normals = ", ".join(percent(ratio) for ratio in found["normals"].values())
-    if any(part != "0" for part in normals.split(", ")):
-        text += f" ({normals})"
+        return "refused" if found["refused"] else "not reached"
+    same = found["same"]
+    if same["depth"]:
+        return "nothing" if same["sigma"] and same["rest"] else "report only" if same["sigma"] else "σ only"
+    means, normals = ([percent(ratio) for ratio in found[name].values()] for name in ("mean", "normals"))
+    if len(means) == 1 and len(found["factors"]) > 1:
+        refused = [by for by in found["factors"] if str(by) not in found["mean"]]
+        means.insert(0 if refused == [FACTORS[0]] else 1, "refused")
+    text = ", ".join(means) if any(part != "0" for part in means) else "< .05"
+    if any(part != "0" for part in normals):
+        text += f" ({', '.join(normals)})"
     most = found["most"]
-    if abs(most["ratio"] - 1) >= 0.01:
-        scene = re.sub(r"^\d+_", "", most["station"])
-        text += f"; {scene.replace('_', ' ')} {percent(most['ratio'])}"
+    if found["reached"] > 1 and abs(most["ratio"] - 1) >= 0.01:
+        text += f"; {scene_of(most['station'])} {percent(most['ratio'])}"
     return text
+
+
+def scene_of(station: str) -> str:
+    return re.sub(r"^\d+_|_(map|index|swept|noisy|views).*", "", station).replace("_", " ")
+
+
+def keys_of(where: str, option: str, options: set[str]) -> list[str]:
+    """Names of constants in a row of docs/constants.md: in its column "where", or the options in its first column."""
+    if where:
+        files = re.findall(r"`([\w.]+\.(?:cpp|h))`: ((?:`[\w.]+`(?:, )?)+)", where)
+        return [f"{file}:{name}" for file, names in files for name in re.findall(r"`([\w.]+)`", names)]
+    names = re.findall(r"`(\w+)`", option)
+    return [key for name in names for key in sorted(options) if key.split(".")[1] == name]
+
+
+def cell_of_row(keys: list[str], found: dict[str, Row], left: dict[str, str]) -> str:
+    cells = [cell(found[key]) if key in found else "not varied" if key in left else "not measured" for key in keys]
+    return cells[0] if len(set(cells)) == 1 else " / ".join(cells)
+
+
+def fill_docs(docs: Path, found: dict[str, Row], left: dict[str, str]) -> None:
+    """Write the last column of the tables of constants."""
+    lines, section = [], ""
+    options = {change.key for change in changes_of_options()}
+    for line in docs.read_text().splitlines():
+        if line.startswith("## "):
+            section = (re.findall(r"`(\w+)\.", line) or [""])[0]
+        cells = [part.strip() for part in line.strip("|").split("|")]
+        if line.startswith(("| constant", "| option")):
+            columns = len(cells) - ("± 50 %" in cells[-1])
+            line = "| " + " | ".join([*cells[:columns], HEAD]) + " |"
+        elif line.startswith("|---"):
+            line = "|" + "---|" * (columns + 1)
+        elif line.startswith("|"):
+            of_section = {key for key in options if key.startswith(f"{section}.")}
+            keys = keys_of(cells[3] if not section else "", cells[0], of_section)
+            text = cell_of_row(keys, found, left) if keys else "not varied"
+            line = "| " + " | ".join([*cells[:columns], text]) + " |"
+        lines.append(line)
+    docs.write_text("\n".join(lines) + "\n")
 
 
 def summaries(lines: list[Row]) -> dict[str, Row]:
@@ -343,12 +429,22 @@ def measure(stations: list[Station], changes: list[Change], results: Path) -> No
         number = numbers[station.kind] = numbers.get(station.kind, -1) + 1
         lines = read_lines(results)
         known = {(line["key"], line["factor"], line["station"]) for line in lines}
-        reached = {line["key"] for line in lines if line.get("ratios") and not line["station"].endswith(("_map", "_index", "_swept"))}
-        todo = [c for c in changes if wanted(station, c, number, reached) and (c.key, c.factor, station.name) not in known]
+        reached = {
+            line["key"]
+            for line in lines
+            if line.get("ratios") and not line["station"].endswith(("_map", "_index", "_swept"))
+        }
+        todo = [
+            c for c in changes if wanted(station, c, number, reached) and (c.key, c.factor, station.name) not in known
+        ]
         if not todo:
             continue
         station.prepare()
-        print(station.name, {stage: (row["seconds"], row.get("figures")) for stage, row in station.plain.items()}, flush=True)
+        print(
+            station.name,
+            {stage: (row["seconds"], row.get("figures")) for stage, row in station.plain.items()},
+            flush=True,
+        )
         start = time.perf_counter()
         for done, change in enumerate(todo, 1):
             row = measured(station, change)
@@ -366,9 +462,14 @@ def main() -> int:
     parser.add_argument("--swept", nargs="+", type=Path, default=[], metavar="STATION")
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--jobs", type=int, default=1, help="of the build")
-    parser.add_argument("--only", default="*", metavar="PATTERN", help="constants whose name matches, such as 'refine.cpp:*'")
+    parser.add_argument(
+        "--only", default="*", metavar="PATTERN", help="constants whose name matches, such as 'refine.cpp:*'"
+    )
     parser.add_argument("--no-build", dest="build", action="store_false", help="OUT/build is up to date")
     parser.add_argument("--table", action="store_true", help="print what OUT has, and run nothing")
+    parser.add_argument(
+        "--docs", type=Path, metavar="FILE", help="write the last column of its tables: docs/constants.md"
+    )
     parser.add_argument("--json", type=Path, help="write what OUT has to this file")
     args = parser.parse_args()
     out = args.output.resolve()
@@ -379,19 +480,27 @@ def main() -> int:
     constants = [varied_source.Constant(**entry) for entry in json.loads(listed.read_text())]
     if not args.table:
         rooms = {path.name: room for room in varied_source.ROOMS for path in (ROOT / "cpp/malus" / room).iterdir()}
-        changes = [c for c in changes_of_code(constants, rooms) + changes_of_options() if fnmatch.fnmatch(c.key, args.only)]
+        changes = [
+            c for c in changes_of_code(constants, rooms) + changes_of_options() if fnmatch.fnmatch(c.key, args.only)
+        ]
         kinds = dict(plain=args.stations, map=args.map, index=args.index, swept=args.swept)
         stations = [Station(path, kind, out) for kind, paths in kinds.items() for path in paths]
         measure(stations, changes, results)
-    found = summaries(read_lines(results))
-    for key, row in found.items():
-        print(f"{key:48s} {row['reached']} of {row['stations']}  {cell(row)}" + (f"  refused: {row['refused']}" if row["refused"] else ""))
-    for constant in constants:
-        if constant.left:
-            print(f"{constant.key:48s} not varied: {constant.left}")
+    report(summaries(read_lines(results)), constants, args)
+    return 0
+
+
+def report(found: dict[str, Row], constants: list[varied_source.Constant], args: argparse.Namespace) -> None:
+    for key, row in sorted(found.items()):
+        refused = f"  refused: {row['refused']}" if row["refused"] else ""
+        print(f"{key:48s} {row['reached']} of {row['stations']}  {cell(row)}{refused}")
+    left = {constant.key: constant.left for constant in constants if constant.left}
+    for key, why in left.items():
+        print(f"{key:48s} not varied: {why}")
+    if args.docs:
+        fill_docs(args.docs, found, left)
     if args.json:
         args.json.write_text(json.dumps(found, indent=1) + "\n")
-    return 0
 
 
 if __name__ == "__main__":

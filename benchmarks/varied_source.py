@@ -42,7 +42,11 @@ NAMELESS = (
     ("fusion/surface_sigma.cpp", "of_prior", ": «0.16»;"),
     ("fusion/surface_sigma.cpp", "of_changes", "changes(u, v) / «15»"),
     ("fusion/gain_by_scale.cpp", "of_pixels", "of_metal_ ? half : «0.25»"),
-    ("fusion/refinement_weights.cpp", "likely_step", "std::clamp(3.3 * field.reflection.mirror.body_spread, «0.25», «0.5»)"),
+    (
+        "fusion/refinement_weights.cpp",
+        "likely_step",
+        "std::clamp(3.3 * field.reflection.mirror.body_spread, «0.25», «0.5»)",
+    ),
     ("fusion/refinement_weights.cpp", "of_body_spread", "std::clamp(«3.3» * field"),
     ("fusion/refinement_weights.cpp", "least_cos2", "std::max(cos2 / count, «0.02»)"),
     ("fusion/reflection_fit.cpp", "robust_spread", "std::max(«1.5» * spread, 1e-12)"),
@@ -68,8 +72,11 @@ NAMELESS = (
     ("stereo/first_surface.cpp", "range_of_residuals", "«2» * quantile(residuals"),
     ("stereo/view_choice.cpp", "much_less_parallax", "parallax < «0.25» * least"),
     ("stereo/surface_sweep.cpp", "coarse_sweep", "constexpr std::array coarse_sweeps{Sweep{«0.5», «6», true, «1.0»}};"),
-    ("stereo/surface_sweep.cpp", "finest_sweep",
-     "constexpr std::array finest_sweeps{Sweep{«0.75», «2», true, «1.0»}, Sweep{«0.25», «2», true, «1.75»}};"),
+    (
+        "stereo/surface_sweep.cpp",
+        "finest_sweep",
+        "constexpr std::array finest_sweeps{Sweep{«0.75», «2», true, «1.0»}, Sweep{«0.25», «2», true, «1.75»}};",
+    ),
 )
 # Arrays of numbers, all of which are varied together.
 ARRAYS = (("fusion/refine.cpp", "search_widenings"), ("fusion/surroundings_course.cpp", "any_roughness"))
