@@ -1,7 +1,8 @@
 """What ± 50 % of each constant of prior, sweep and fusion does to the fused surface of rendered stations.
 
     python benchmarks/constants.py -o OUT [STATION.toml…] [--map STATION.toml…] [--index STATION.toml…]
-                                   [--swept STATION.toml…] [--jobs 1] [--only PATTERN] [--no-build] [--table]
+                                   [--swept STATION.toml…] [--stages prior…] [--jobs 1] [--only PATTERN]
+                                   [--no-build] [--table]
 
 STATION: a station file of a rendered station (`random_stations.py`, or rendered/renderer/render.py).
 
@@ -69,6 +70,7 @@ OF_SWEPT = (
     "project_prior.cpp:independent_px",
     "prior.hole_slope",
 )
+NOT_PLAIN = ("_map", "_index", "_swept")
 # Files whose constants are looked at after the depth is known: two stations show what there is.
 AFTER_THE_DEPTH = ("surface_sigma", "refinement_verdict")
 SECTIONS = {"prior": ("prior", "Prior"), "sweep": ("prior", "Sweep"), "refine": ("fusion", "Refine")}
@@ -300,7 +302,7 @@ def measured(station: Station, change: Change) -> Row:
 
 
 def wanted(station: Station, change: Change, number: int, reached: set[str]) -> bool:
-    """Whether a change is looked at on a station, the number-th of its kind; `reached`: what plain stations have shown."""
+    """Whether a change is looked at on a station, of plain ones the number-th; `reached`: what plain stations have shown."""
     if station.kind == "swept":
         return change.stage == "sweep" or change.key in OF_SWEPT
     kind = next((kind for kind, keys in OF_KIND.items() if change.key.startswith(keys)), "plain")
@@ -424,18 +426,17 @@ def read_lines(path: Path) -> list[Row]:
 
 
 def measure(stations: list[Station], changes: list[Change], results: Path) -> None:
-    numbers: dict[str, int] = {}
     for station in stations:
-        number = numbers[station.kind] = numbers.get(station.kind, -1) + 1
         lines = read_lines(results)
         known = {(line["key"], line["factor"], line["station"]) for line in lines}
+        others = {line["station"] for line in lines if not line["station"].endswith(NOT_PLAIN)} - {station.name}
         reached = {
             line["key"]
             for line in lines
-            if line.get("ratios") and not line["station"].endswith(("_map", "_index", "_swept"))
+            if line.get("ratios") and not line["station"].endswith(NOT_PLAIN)
         }
         todo = [
-            c for c in changes if wanted(station, c, number, reached) and (c.key, c.factor, station.name) not in known
+            c for c in changes if wanted(station, c, len(others), reached) and (c.key, c.factor, station.name) not in known
         ]
         if not todo:
             continue
@@ -465,6 +466,7 @@ def main() -> int:
     parser.add_argument(
         "--only", default="*", metavar="PATTERN", help="constants whose name matches, such as 'refine.cpp:*'"
     )
+    parser.add_argument("--stages", nargs="+", default=["prior", "sweep", "fuse", "grid"], help="of these alone")
     parser.add_argument("--no-build", dest="build", action="store_false", help="OUT/build is up to date")
     parser.add_argument("--table", action="store_true", help="print what OUT has, and run nothing")
     parser.add_argument(
@@ -481,7 +483,7 @@ def main() -> int:
     if not args.table:
         rooms = {path.name: room for room in varied_source.ROOMS for path in (ROOT / "cpp/malus" / room).iterdir()}
         changes = [
-            c for c in changes_of_code(constants, rooms) + changes_of_options() if fnmatch.fnmatch(c.key, args.only)
+            c for c in changes_of_code(constants, rooms) + changes_of_options() if fnmatch.fnmatch(c.key, args.only) and c.stage in args.stages
         ]
         kinds = dict(plain=args.stations, map=args.map, index=args.index, swept=args.swept)
         stations = [Station(path, kind, out) for kind, paths in kinds.items() for path in paths]
