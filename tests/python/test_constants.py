@@ -63,7 +63,7 @@ def row(station: str, factor: float, ratio: float, same: bool = False) -> dict[s
 def test_figures_are_means_over_stations() -> None:
     rows = [row("001_coin_sun", 0.5, 1.21), row("001_coin_sun", 1.5, 1.0)]
     rows += [row("002_bust_sun", 0.5, 1.0), row("002_bust_sun", 1.5, 0.995)]
-    assert constants.cell(constants.summary(rows)) == "+10, −0.2; coin sun +21"
+    assert constants.cell(constants.summary(rows)) == "+10, −0.3; coin sun +21"
     assert constants.cell(constants.summary([row("a", 0.5, 1.0, True), row("a", 1.5, 1.0, True)])) == "nothing"
     not_reached = dict(key="a", factor=0.5, station="a", reached=False)
     assert constants.cell(constants.summary([not_reached])) == "not reached"
