@@ -205,7 +205,7 @@ def main() -> None:
 Written by `benchmarks/run` on {platform.processor() or platform.machine()}, {arguments.threads} threads; medians of {arguments.runs}, each in a process of its own, in turn.
 Memory is written to and freed just before each, since a virtual machine's host may have taken back what was free (0.45 GB/s to get it
 again were seen, 6 GB/s after that). Only ratios within a table can be compared with other machines. Instructions of the kernels are counted by `tests/performance/run` (decision 35), the surface
-sweep is measured by `benchmarks/sweep.py` (docs/method.md).
+sweep is measured by `benchmarks/sweep.py` (docs/method.md), and what ± 50 % of each constant does by `benchmarks/constants.py` (docs/constants.md).
 
 {text}"""
     arguments.output.write_text(page)
