@@ -58,7 +58,8 @@ malus::SweepInput read_input(const fs::path& folder, std::vector<malus::SweepVie
   read(folder / "mask.u8", input.mask.data(), input.mask.count());
   std::vector<double> points(fs::file_size(folder / "points.f64") / sizeof(double));
   read(folder / "points.f64", points.data(), points.size());
-  for (std::size_t i = 0; i + 2 < points.size(); i += 3) input.points.emplace_back(points[i], points[i + 1], points[i + 2]);
+  for (std::size_t i = 0; i + 2 < points.size(); i += 3)
+    input.points.emplace_back(points[i], points[i + 1], points[i + 2]);
   return input;
 }
 

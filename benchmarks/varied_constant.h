@@ -52,8 +52,8 @@ std::array<T, N> of(const char* key, std::array<T, N> values) {
 }  // namespace malus_varied
 
 /// The same for a number without a name, evaluated once.
-#define MALUS_VARIED_VALUE(key, value)                                                  \
-  ([]() -> std::decay_t<decltype(value)> {                                              \
-    static const std::decay_t<decltype(value)> varied = malus_varied::of(key, value);   \
-    return varied;                                                                      \
+#define MALUS_VARIED_VALUE(key, value)                                                \
+  ([]() -> std::decay_t<decltype(value)> {                                            \
+    static const std::decay_t<decltype(value)> varied = malus_varied::of(key, value); \
+    return varied;                                                                    \
   }())
