@@ -47,6 +47,8 @@ NOT_LOADED = 127
 #: A run that takes longer has not ended by itself. A busy machine takes a hundred times as long as an idle one.
 LONGEST_S = 900
 NOBODY = 65534
+#: So many kills are told of at a time: a campaign that is ended by hand has a number, too.
+KILLS_TOLD = 25
 #: What says when or where something was done, and differs from run to run.
 NOT_COMPARED = ("manifest.json", ".lock")
 #: Time and memory of a step, in the report.
@@ -428,6 +430,11 @@ def kill(attacks: dict[str, Attack], chance: random.Random) -> None:
     attack.killed([chance.uniform(0, attack.seconds) for _ in range(chance.randint(1, 3))])
 
 
+def counts(attacks: dict[str, Attack]) -> str:
+    """What was done so far, of each."""
+    return "; ".join(f"{name}: {dict(attack.runs)}" for name, attack in attacks.items())
+
+
 def parser_of_attack(description: str | None) -> argparse.ArgumentParser:
     """Which program is attacked, where, for how long, and with which chance."""
     parser = argparse.ArgumentParser(description=description)
@@ -453,10 +460,15 @@ def main() -> int:
     chance = random.Random(arguments.seed)
     once = [] if arguments.kills or arguments.photos else disturbances(attacks["grid"])
     chance.shuffle(once)
-    while sum(map(Attack.kills, attacks.values())) < arguments.kills if arguments.kills else time.monotonic() < end:
+    kills = told = 0
+    while kills < arguments.kills if arguments.kills else time.monotonic() < end:
         if once:
             once.pop()()
         kill(attacks, chance)
+        kills = sum(map(Attack.kills, attacks.values()))
+        if kills // KILLS_TOLD > told:
+            told = kills // KILLS_TOLD
+            print(f"{kills} kills: {counts(attacks)}", file=sys.stderr, flush=True)
     for name, attack in attacks.items():
         print(f"{name}: {dict(attack.runs)}; undisturbed {attack.seconds:.1f} s")
     findings = sum(len(attack.findings) for attack in attacks.values())

@@ -29,8 +29,11 @@ void work_on(const Work& work) {
 #if defined(__SANITIZE_THREAD__)
 /// ThreadSanitizer does not see how oneTBB's library synchronizes its threads.
 std::atomic<bool> tbb_is_unusable{true};
+/// Most tests ask for one thread, which could not race with another.
+constexpr int fewest_threads = 2;
 #else
 std::atomic<bool> tbb_is_unusable{false};
+constexpr int fewest_threads = 1;
 #endif
 
 /// Left behind in the child of a fork, where letting go of it would wait for threads that are not there.
@@ -109,7 +112,7 @@ void parallel_for(const Context& context, std::size_t count, std::size_t grain,
       }
     }
   };
-  const int threads = std::max(context.threads, 1);
+  const int threads = std::max(context.threads, fewest_threads);
   run(threads, static_cast<int>(std::min(static_cast<std::size_t>(threads), blocks)), work);
   if (error) std::rethrow_exception(error);
 }
