@@ -43,10 +43,11 @@ from typing import Any
 import cv2
 import harm
 import numpy as np
+import sweep
 import tifffile
 import varied_source
 from measuring import ROOT
-from rendered_files import Array, read_cloud, vectors
+from rendered_files import read_cloud, vectors
 
 Row = dict[str, Any]
 FACTORS = (0.5, 1.5)
@@ -123,45 +124,19 @@ def changes_of_options() -> list[Change]:
 # --- stations
 
 
-def cameras_of(model: Path) -> dict[str, tuple[int, int, list[float], Array, Array]]:
-    """Size, fx fy cx cy (first pixel's center 0, 0), rotation and translation by image name, of a COLMAP text model of pinholes."""
-    lenses = {}
-    for words in map(str.split, (model / "cameras.txt").read_text().splitlines()):
-        if words and words[0] != "#":
-            fx, fy, cx, cy = map(float, words[4:8])
-            lenses[words[0]] = (int(words[2]), int(words[3]), [fx, fy, cx - 0.5, cy - 0.5])
-    cameras = {}
-    for words in map(str.split, (model / "images.txt").read_text().splitlines()):
-        if len(words) == 10 and words[0] != "#":
-            w, *xyz = map(float, words[1:5])
-            x = np.array(xyz)
-            cross = np.array([[0, -x[2], x[1]], [x[2], 0, -x[0]], [-x[1], x[0], 0]])
-            rotation = np.eye(3) + 2 * w * cross + 2 * cross @ cross
-            cameras[words[9]] = (*lenses[words[8]], rotation, np.array(words[5:8], float))
-    return cameras
-
-
 def write_photos(station: Path, folder: Path) -> None:
     """Views, mask and points for sweep_of_files: of the coarse cloud every 20th, in place of points that photos are matched by."""
     folder.mkdir(parents=True, exist_ok=True)
-    truth = np.load(station / "gt/depth_normal_mask.npz")
-    images = [
-        cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
-        for path in sorted((station / "pol/lownoise").glob("*.png"))
-    ]
-    unpolarized = np.mean(np.array(images, float), axis=0)  # evenly spaced angles
+    scene = sweep.load(station)
+    views = {"station": (scene.intensity, scene.camera)} | {f"view{i}": view for i, view in enumerate(scene.views)}
     lines = []
-    for name, (width, height, lens, rotation, translation) in sorted(cameras_of(station / "gt_sparse").items()):
-        stem = Path(name).stem
-        if stem == "station":
-            image = unpolarized / unpolarized.max()
-        else:
-            image = cv2.imread(str(station / "views" / name), cv2.IMREAD_GRAYSCALE) / 255.0
-        np.float32(image).tofile(folder / f"{stem}.f32")
-        numbers = [*lens, *rotation.ravel(), *translation]
-        lines.append(f"{stem} {width} {height} " + " ".join(f"{number:.17g}" for number in numbers))
+    for name, (image, camera) in views.items():
+        np.float32(image).tofile(folder / f"{name}.f32")
+        rotation, translation = camera.pose()
+        numbers = [*camera.params, *np.ravel(rotation), *np.ravel(translation)]
+        lines.append(f"{name} {camera.width} {camera.height} " + " ".join(f"{number:.17g}" for number in numbers))
     (folder / "cameras.txt").write_text("\n".join(lines) + "\n")
-    np.uint8(255 * (truth["label"] == 1)).tofile(folder / "mask.u8")
+    np.uint8(255 * scene.mask).tofile(folder / "mask.u8")
     vectors(read_cloud(station / "dense/mvs_cloud.ply"), ("x", "y", "z"))[::20].tofile(folder / "points.f64")
 
 
@@ -208,28 +183,13 @@ class Station:
         ]
 
     def command(self, stage: str, work: Path, more: list[str]) -> list[str]:
+        build = self.out / "build"
         if self.swept:
-            return [
-                str(self.out / "build/sweep-of-files"),
-                str(self.toml),
-                str(self.base / "photos"),
-                str(work),
-                NO_MAP,
-                NO_INDEX,
-                *more,
-            ]
-        more = [*SETTINGS.get(stage, [NO_MAP, NO_INDEX]), *more]
-        options = [word for option in more for word in ("--set", option)] + (GRID if stage == "grid" else [])
-        return [
-            str(self.out / "build/malus-station"),
-            str(self.toml),
-            "-o",
-            str(work),
-            "--threads",
-            "1",
-            "--quiet",
-            *options,
-        ]
+            program = map(str, (build / "sweep-of-files", self.toml, self.base / "photos", work))
+            return [*program, NO_MAP, NO_INDEX, *more]
+        options = [word for option in (*SETTINGS.get(stage, [NO_MAP, NO_INDEX]), *more) for word in ("--set", option)]
+        program = map(str, (build / "malus-station", self.toml, "-o", work))
+        return [*program, "--threads", "1", "--quiet", *options, *(GRID if stage == "grid" else [])]
 
     def prepare(self) -> None:
         """What lies before each stage, the results with nothing varied, and the constants that were reached."""
