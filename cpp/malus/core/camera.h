@@ -27,18 +27,18 @@ struct Pinhole {
   double focal() const { return 0.5 * (fx + fy); }
   /// Camera of a part of the raster.
   Pinhole cropped(const PixelRect& rect) const;
-  /// Camera of the raster whose pixels are means of 2 × 2 of this one's.
+  /// Camera of this raster binned 2 × 2 (each new pixel is the mean of 2 × 2 pixels).
   Pinhole binned() const {
     return {{(size.width + 1) / 2, (size.height + 1) / 2}, fx / 2, fy / 2, (cx - 0.5) / 2, (cy - 0.5) / 2};
   }
 };
 
-/// Lens models, named as in COLMAP, with its parameter order; `brown` is Eq 13 of the source paper.
+/// Lens models with COLMAP's names and parameter order; `brown` is Eq 13 of the source paper.
 enum class LensModel { simple_pinhole, pinhole, simple_radial, radial, opencv, full_opencv, brown };
 
 /// COLMAP's name of a model ("OPENCV"); "BROWN" for `brown`.
 std::string_view to_string(LensModel model);
-/// Model of that name, or an input error that lists the supported ones. `where` names file and field.
+/// Model with this name; throws an input error that lists the supported ones. `where` names file and field.
 LensModel lens_model(std::string_view name, const std::string& where);
 /// Number of parameters of a model.
 int parameter_count(LensModel model);
@@ -48,7 +48,7 @@ int parameter_count(LensModel model);
 /// Parameters are in COLMAP's order, but in the memory pixel convention (cx, cy are COLMAP's minus 0.5):
 ///   simple_pinhole f cx cy · pinhole fx fy cx cy · simple_radial f cx cy k · radial f cx cy k1 k2 ·
 ///   opencv fx fy cx cy k1 k2 p1 p2 · full_opencv … k1 k2 p1 p2 k3 k4 k5 k6.
-/// These models go from ideal to measured coordinates. `brown` (Eq 12 and 13) goes from measured to ideal:
+/// These models map ideal to measured coordinates. `brown` (Eq 12 and 13) maps measured to ideal coordinates:
 ///   brown focal_mm pixel_mm x0_mm y0_mm k1 k2 k3 p1 p2 p3 — see docs/conventions.md; image center at
 ///   ((width-1)/2, (height-1)/2), image x to the right and image y up, in millimeters.
 struct LensCamera {

@@ -11,10 +11,10 @@
 
 namespace malus {
 
-/// How far a surface may be trusted, from evidence and not from the solver.
-///   high     all of it is finer than its prior, as far as anything tells
-///   partial  nothing is wrong, but some of it, or all, is no better known than the prior; the reasons say which
-///   low      something contradicts the surface: it is not to be used before the reasons are looked into
+/// How far a surface may be trusted, judged from evidence and not from the solver.
+///   high     the whole surface is finer than its prior, as far as the evidence shows
+///   partial  no evidence contradicts the surface, but part or all of it is no better than the prior; see the reasons
+///   low      some evidence contradicts the surface: do not use it before checking the reasons
 enum class ConfidenceLevel { high, partial, low };
 constexpr auto names_of(ConfidenceLevel) {
   return std::to_array<std::string_view>({"high", "partial", "low"});
@@ -23,9 +23,9 @@ constexpr auto names_of(ConfidenceLevel) {
 struct Confidence {
   ConfidenceLevel level = ConfidenceLevel::high;
   std::vector<std::string>
-      reasons;  ///< one sentence each, for people, one of the level's own first; none if it is high
+      reasons;  ///< one sentence each, for people; a reason for this level comes first; empty if high
 
-  /// No more than this level, for this reason.
+  /// Lowers the level to `most` if it is higher, and records the reason.
   void limit(ConfidenceLevel most, std::string reason) {
     reasons.insert(most > level ? reasons.begin() : reasons.end(), std::move(reason));
     level = std::max(level, most);

@@ -19,10 +19,11 @@ struct Progress {
 /// Severity of a log line.
 enum class LogLevel { debug, info, warning };
 
-/// How a computation runs: threads, progress, cancellation, log. Passed to everything that takes long; never global.
-/// Callbacks may come from any thread, but never from two at once for one Context.
+/// How a computation runs: threads, progress, cancellation, log. Passed to every function that takes long; never
+/// global. Callbacks may come from any thread, but never from two at once for one Context.
 struct Context {
-  /// Threads for our loops, OpenCV, BLAS, Ceres and child programs. Results do not depend on it beyond rounding.
+  /// Threads for our loops, OpenCV, BLAS, Ceres and child programs. Results do not depend on the number beyond
+  /// rounding.
   int threads = 1;
   std::uint64_t seed = 0;
   std::function<void(const Progress&)> on_progress;

@@ -8,8 +8,9 @@
 
 namespace malus {
 
-/// Sets of the numbers 0 … count − 1, at first each its own, that are joined pair by pair (Galler & Fischer 1964).
-/// Several threads may join at once if no set reaches into the numbers of two of them.
+/// Union-find over the numbers 0 … count − 1: each starts as a set of its own, and sets are joined pair by pair (Galler
+/// & Fischer 1964). Several threads may join at once if each has its own numbers and no set holds numbers of two
+/// threads.
 class DisjointSets {
  public:
   explicit DisjointSets(std::size_t count) : parents_(count) { std::iota(parents_.begin(), parents_.end(), 0); }
@@ -19,10 +20,10 @@ class DisjointSets {
     parent(std::max(a, b)) = std::min(a, b);
   }
 
-  /// For each number which set it belongs to, numbered in the order of their least, and how many there are.
+  /// For each number the index of its set, and how many sets there are. Sets are ordered by their smallest members.
   std::pair<std::vector<int>, int> numbered() && {
     int count = 0;
-    // Roots are the least of their sets: they have a number before the others need it.
+    // A root is the smallest member of its set, so it has its index before other members look it up.
     for (std::size_t i = 0; i < parents_.size(); ++i) {
       parents_[i] = parents_[i] == static_cast<int>(i) ? count++ : parent(parents_[i]);
     }

@@ -5,11 +5,11 @@
 
 namespace malus {
 
-/// What went wrong, and with it the exit code of the programs (INTERFACES: 2, 3, 4, 5, 130).
+/// Kind of failure; its value is the exit code of the programs (2, 3, 4, 5, 130).
 enum class ErrorCode {
   input = 2,          ///< a file, field, value or command line is wrong
   data = 3,           ///< the data cannot support a result
-  external = 4,       ///< a program that is driven from here is missing or failed
+  external = 4,       ///< an external program that Malus calls is missing or failed
   resource = 5,       ///< out of disk or memory
   interrupted = 130,  ///< canceled by the user
 };

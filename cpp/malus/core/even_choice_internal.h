@@ -5,7 +5,7 @@
 
 namespace malus {
 
-/// Even, repeatable choice of a share of all pixels that does not follow rows or columns.
+/// Repeatable, evenly spread choice of a share of all pixels, without a pattern along rows or columns.
 inline bool is_chosen(std::size_t pixel, double share) {
   std::uint64_t hash = (static_cast<std::uint64_t>(pixel) + 1) * 0x9E3779B97F4A7C15ull;
   hash = (hash ^ (hash >> 30)) * 0xBF58476D1CE4E5B9ull;

@@ -1,8 +1,8 @@
 #pragma once
 
-// MALUS_FIELDS(a, b, …) in a struct lists these members once for whatever writes or reads them by name: it defines
-// fields(self, visit), which calls visit("a", self.a), visit("b", self.b), … Structs whose fields have more to say,
-// such as the range of an option, write that function themselves (core/fields.h).
+// MALUS_FIELDS(a, b, …) in a struct lists these members once for all code that writes or reads them by name. It defines
+// fields(self, visit), which calls visit("a", self.a), visit("b", self.b), … Structs whose fields carry more than a
+// name, such as the range of an option, define fields() themselves (core/fields.h).
 
 #define MALUS_FIELDS(...)                           \
   template <class Self, class Visitor>              \
@@ -10,7 +10,7 @@
     MALUS_RESCAN_64(MALUS_VISIT(__VA_ARGS__))       \
   }
 
-// One more field is taken each time the preprocessor scans the text again, 64 times at least.
+// Each time the preprocessor scans the text again, it expands one more field. MALUS_RESCAN_64 forces at least 64 scans.
 #define MALUS_VISIT(field, ...) \
   visit(#field, self.field);    \
   __VA_OPT__(MALUS_VISIT_NEXT MALUS_NO_ARGUMENTS(__VA_ARGS__))

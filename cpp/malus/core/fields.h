@@ -52,7 +52,7 @@ std::string_view enum_name(T value) {
   return names_of(value)[static_cast<std::size_t>(value)];
 }
 
-/// Value of that name, or nothing.
+/// Enum value with this name, or nothing.
 template <NamedEnum T>
 std::optional<T> enum_value(std::string_view name) {
   const auto names = names_of(T{});

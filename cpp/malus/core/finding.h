@@ -12,8 +12,8 @@ namespace malus {
 
 /// How much a finding matters.
 enum class Severity {
-  note,     ///< nothing is wrong, or the data cannot tell
-  caution,  ///< the input is right, but parts of the result suffer from it
+  note,     ///< nothing is wrong, or the data cannot decide
+  caution,  ///< the input is correct, but it degrades parts of the result
   warning,  ///< a person should look
   error,    ///< certain: the input is wrong
 };
@@ -21,15 +21,15 @@ constexpr auto names_of(Severity) {
   return std::to_array<std::string_view>({"note", "caution", "warning", "error"});
 }
 
-/// What a check of the input concluded, in words that a person who is no programmer can act on.
+/// Result of a check of the input, worded so that a person who is not a programmer can act on it.
 struct Finding {
-  /// What was looked at: "phase", "prior", "size", "encoding", "response", "contrast", "order", "registration",
+  /// What was checked: "phase", "prior", "size", "encoding", "response", "contrast", "order", "registration",
   /// "misfits", …
   std::string check;
   Severity severity = Severity::note;
   std::string message;
   std::string suggestion;                               ///< what to do; empty = nothing
-  std::vector<std::pair<std::string, double>> figures;  ///< what the message rests on, by name
+  std::vector<std::pair<std::string, double>> figures;  ///< numbers that support the message, by name
 
   MALUS_FIELDS(check, severity, message, suggestion, figures)
 

@@ -36,8 +36,8 @@ class Image {
   Image() = default;
   Image(Size size, int channels = 1, T value = T{})
       : size_(size), channels_(channels), pixels_(size.area() * static_cast<std::size_t>(channels), value) {}
-  /// An image with undefined values, all of which must be written. Nothing is touched here, so threads that write parts
-  /// of it also share the work of getting its memory.
+  /// An image with undefined values, all of which must be written. The memory is not touched here, so the threads that
+  /// write the image share the cost of first access to it.
   static Image uninitialized(Size size, int channels = 1) {
     Image image;
     image.size_ = size;

@@ -7,8 +7,8 @@
 
 namespace malus {
 
-/// Allocator of vectors that become large: pixels, points. Elements are left as they are unless a value is given, so
-/// that threads which fill parts of a vector also share the work of getting its memory from the system.
+/// Allocator of vectors that become large: pixels, points. Elements stay uninitialized unless a value is given, so the
+/// threads that fill a vector share the cost of first access to its memory.
 template <class T>
 struct LargeAllocator : std::allocator<T> {
   template <class U>

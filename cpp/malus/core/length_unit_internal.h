@@ -8,7 +8,7 @@
 
 namespace malus {
 
-/// A unit that a station may have for its lengths.
+/// A length unit that a station may use.
 struct LengthUnit {
   std::string_view name;
   double metres = 1;
@@ -18,7 +18,7 @@ struct LengthUnit {
 inline constexpr std::array<LengthUnit, 6> length_units{
     {{"um", 1e-6, 0}, {"mm", 1e-3, 1025}, {"cm", 1e-2, 1033}, {"m", 1, 9001}, {"in", 0.0254, 0}, {"ft", 0.3048, 9002}}};
 
-/// Unit of that name, or an input error that lists the known ones.
+/// Unit with this name; throws an input error that lists the known ones.
 inline const LengthUnit& length_unit(std::string_view name) {
   std::string known;
   for (const LengthUnit& unit : length_units) {

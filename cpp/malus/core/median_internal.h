@@ -7,7 +7,8 @@
 
 namespace malus {
 
-/// Middle of the values, the upper one of an even number, 0 of none; changes their order. None may be NaN.
+/// Median of the values: the upper of the two middle ones if their number is even, 0 if there are none. Reorders the
+/// values. None may be NaN.
 template <class T>
 T median_in_place(std::vector<T>& values) {
   if (values.empty()) return T{};
@@ -16,7 +17,7 @@ T median_in_place(std::vector<T>& values) {
   return *middle;
 }
 
-/// The same of a copy, or of values that are moved in.
+/// The same for a copy, or for values that are moved in.
 template <class T>
 T median(std::vector<T> values) {
   return median_in_place(values);

@@ -6,13 +6,13 @@
 
 namespace malus {
 
-/// The image's own memory for OpenCV. For sources only, of rooms that use OpenCV.
+/// View of the image's memory as an OpenCV matrix, without a copy. Include only in .cpp files of rooms that use OpenCV.
 template <class T>
 cv::Mat as_mat(Image<T>& image) {
   return {image.height(), image.width(), CV_MAKETYPE(cv::DataType<T>::depth, image.channels()), image.data()};
 }
 
-/// The same of an image that OpenCV must only read, which its matrices cannot say.
+/// The same for an image that OpenCV must not write to; cv::Mat cannot express const.
 template <class T>
 cv::Mat as_mat(const Image<T>& image) {
   return as_mat(const_cast<Image<T>&>(image));

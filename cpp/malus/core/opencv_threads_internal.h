@@ -5,9 +5,9 @@
 
 namespace malus {
 
-/// While one lives, OpenCV's functions take at most so many threads. OpenCV has one count for the process: of several
-/// of these at the same time the first sets it, and the last to end puts it back. For sources only, of rooms that use
-/// OpenCV.
+/// While an object of this class lives, OpenCV's functions use at most `threads` threads. OpenCV has one thread count
+/// per process: of several objects that live at the same time, the first sets the count and the last one destroyed
+/// restores it. Include only in .cpp files of rooms that use OpenCV.
 class OpenCvThreads {
  public:
   explicit OpenCvThreads(int threads) {

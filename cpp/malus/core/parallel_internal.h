@@ -10,12 +10,13 @@
 namespace malus {
 
 /// Calls body(begin, end) for consecutive blocks of at most `grain` indices that cover [0, count), on context.threads
-/// threads. Blocks are begun in their order and do not depend on the number of threads. The exception of the first
-/// block that throws one is rethrown here, the same with any number of threads; cancellation is checked before each
-/// block.
+/// threads. Blocks start in index order; their bounds do not depend on the number of threads. If blocks throw, the
+/// exception of the lowest such block is rethrown here, the same with any number of threads. Cancellation is checked
+/// before each block.
 ///
-/// Loops may be nested and may come from any thread. A loop within another's body shares its threads: whoever is done
-/// with the outer loop helps with the inner one, and both together take no more threads than the outer one may have.
+/// Loops may be nested and may come from any thread. A loop inside another loop's body shares the outer loop's threads:
+/// a thread that has finished with the outer loop helps with the inner one, and both together use no more threads than
+/// the outer loop may.
 void parallel_for(const Context& context, std::size_t count, std::size_t grain,
                   const std::function<void(std::size_t, std::size_t)>& body);
 
@@ -27,8 +28,8 @@ void parallel_rows(const Context& context, int height, Body&& body) {
   });
 }
 
-/// Sum of partial(begin, end) over the same fixed blocks, added in block order: the same with any number of threads.
-/// T needs operator+=.
+/// Sum of partial(begin, end) over the same fixed blocks, added in block order, so the sum is the same with any number
+/// of threads. T needs operator+=.
 template <class T, class Partial>
 T parallel_sum(const Context& context, std::size_t count, std::size_t grain, const T& zero, Partial&& partial) {
   std::vector<T> parts((count + grain - 1) / grain, zero);

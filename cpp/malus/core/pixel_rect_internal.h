@@ -14,16 +14,16 @@ struct PixelRect {
   int height() const { return v1 - v0; }
   Size size() const { return {width(), height()}; }
   bool operator==(const PixelRect&) const = default;
-  /// This one and so many pixels around it, as far as an image of that size has them.
+  /// This rectangle grown by `by` pixels on each side, clipped to an image of size `image`.
   PixelRect grown(int by, Size image) const {
     return {std::max(u0 - by, 0), std::max(v0 - by, 0), std::min(u1 + by, image.width),
             std::min(v1 + by, image.height)};
   }
-  /// The same pixels in an image that begins at (u, v) of this one.
+  /// The same pixels in the coordinates of an image whose top-left pixel is (u, v) here.
   PixelRect from(int u, int v) const { return {u0 - u, v0 - v, u1 - u, v1 - v}; }
 };
 
-/// Copy of a part of a raster; nothing of an empty one.
+/// Copy of a part of a raster; an empty raster gives an empty copy.
 template <class T>
 Image<T> cropped(const Image<T>& whole, const PixelRect& rect) {
   if (whole.empty()) return {};

@@ -2,7 +2,7 @@
 
 namespace malus {
 
-/// Refractive indices that the library takes, in station files and on arrays alike.
+/// Range of refractive indices that the library accepts, both in station files and with arrays.
 inline constexpr double least_refractive_index = 1.05, largest_refractive_index = 3;
 
 }  // namespace malus

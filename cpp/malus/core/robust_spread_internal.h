@@ -6,10 +6,11 @@
 
 namespace malus {
 
-/// Standard deviation of normal values about zero over the median of their absolute values.
+/// For normal values with mean zero: their standard deviation divided by the median of their absolute values.
 constexpr double deviation_per_median = 1.4826;
 
-/// Standard deviation of normal values with these absolute values, which outliers do not touch; changes their order.
+/// Robust standard deviation of zero-mean values, from their absolute values, which it reorders. Outliers hardly affect
+/// it.
 inline double robust_spread(std::vector<double>& absolute_values) {
   return deviation_per_median * median_in_place(absolute_values);
 }

@@ -13,7 +13,7 @@ namespace malus {
 struct PlaneShape {
   static constexpr std::string_view name = "plane";
   Eigen::Vector3d point = Eigen::Vector3d::Zero();
-  Eigen::Vector3d normal = Eigen::Vector3d::UnitZ();  ///< of any length, to either side
+  Eigen::Vector3d normal = Eigen::Vector3d::UnitZ();  ///< of any length and either sign
 
   MALUS_FIELDS(point, normal)
 };
@@ -26,7 +26,7 @@ struct SphereShape {
   MALUS_FIELDS(center, radius)
 };
 
-/// Round and endless.
+/// Circular cylinder of infinite length.
 struct CylinderShape {
   static constexpr std::string_view name = "cylinder";
   Eigen::Vector3d point = Eigen::Vector3d::Zero();  ///< on the axis

@@ -9,8 +9,8 @@ namespace malus {
 /// rises; the weights of all tiles add up to 1 at every pixel.
 class TiledAxis {
  public:
-  /// Pixels begin … end − 1 in `tiles` of nearly the same size, which reach `margin` beyond their cuts; weights change
-  /// within `ramp` of a cut, at most the margin.
+  /// Cuts the pixels begin … end − 1 into `tiles` tiles of nearly the same size, each extended by `margin` beyond its
+  /// cuts. Weights change within `ramp` of a cut; `ramp` is at most the margin.
   TiledAxis(int begin, int end, int tiles, int margin, int ramp)
       : begin_(begin), end_(end), tiles_(tiles), margin_(margin), ramp_(ramp) {}
 
@@ -23,7 +23,7 @@ class TiledAxis {
   int cut(int tile) const {
     return begin_ + static_cast<int>(static_cast<std::int64_t>(end_ - begin_) * tile / tiles_);
   }
-  /// From 0 to 1 across the start of a tile.
+  /// Rises from 0 to 1 across the start of a tile.
   double rise(int tile, int x) const {
     if (tile == 0) return 1;
     if (tile == tiles_) return 0;

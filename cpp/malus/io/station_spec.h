@@ -18,14 +18,14 @@
 
 namespace malus {
 
-// What can be said of a station. The specs list their fields once, as options do (core/fields.h), or by name only
-// (core/field_list.h): that list feeds the station file, the description for people and for Python, and what results
-// depend on.
+// Everything that a station file can state. Each spec lists its fields once, with ranges as options do (core/fields.h)
+// or by name only (core/field_list.h). That list feeds the reader of station files, the description for people and for
+// Python, and the record of what results depend on.
 
 /// Numbers greater than zero.
 inline constexpr Range positive_range{std::numeric_limits<double>::min()};
 
-/// In a spec's list of fields in the place of a range: the station file has it in a form of its own.
+/// Replaces the range in a spec's list of fields where the station file writes the field in a form of its own.
 struct OwnForm {};
 inline constexpr OwnForm own_form{};
 
@@ -35,7 +35,7 @@ constexpr auto names_of(AngleDirection) {
   return std::to_array<std::string_view>({"ccw", "cw"});
 }
 
-/// What is taken of a color image.
+/// Which channel, or combination of channels, of a color image is used.
 enum class ColorChannel { luminance, red, green, blue, mean };
 constexpr auto names_of(ColorChannel) {
   return std::to_array<std::string_view>({"luminance", "red", "green", "blue", "mean"});
@@ -43,14 +43,14 @@ constexpr auto names_of(ColorChannel) {
 
 /// [polarized]: the images taken through the polarizer, and how to read them. Paths are absolute once loaded.
 struct PolarizedSpec {
-  std::vector<std::filesystem::path> images;      ///< one a polarizer position, or one mosaic (see `mosaic`)
+  std::vector<std::filesystem::path> images;      ///< one per polarizer position, or one mosaic (see `mosaic`)
   std::optional<std::vector<double>> angles_deg;  ///< as read off the filter scale; nothing = "auto"
   AngleDirection angle_direction = AngleDirection::counter_clockwise;
   double angle_zero_deg = 0;  ///< what the scale reads when the axis is along image +x
   std::optional<std::array<double, 4>>
       mosaic;  ///< angles of the 2 × 2 cell: top left, top right, bottom left, bottom right
   std::optional<std::string> mosaic_colors;  ///< of a color camera's mosaic: Bayer pattern of the cells, "RGGB"
-  /// Exposure times [s] of the images, deliberately different: images of one angle are merged. Nothing = all alike.
+  /// Exposure times [s] of the images if they differ on purpose; images of one angle are merged. Nothing = all equal.
   std::optional<std::vector<double>> exposure_s;
   ColorChannel channel = ColorChannel::luminance;
   std::optional<std::array<double, 3>> channel_weights;  ///< weighted sum of R, G, B instead of `channel`
@@ -61,7 +61,7 @@ struct PolarizedSpec {
   std::optional<double> full_well_e;  ///< electrons at white level
   std::optional<double> read_noise_e;
   std::optional<std::filesystem::path> mask;
-  std::vector<std::array<double, 2>> curve_pixels;  ///< whose intensities are shown against the angle; none = chosen
+  std::vector<std::array<double, 2>> curve_pixels;  ///< shown as intensity against angle; empty = chosen automatically
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
@@ -85,8 +85,8 @@ struct PolarizedSpec {
   }
 };
 
-/// [object]: what a catalog says of the object and who recorded it; words for reports and archives, never computed
-/// with.
+/// [object]: catalog entries about the object and who recorded it. Text for reports and archives, never used in
+/// computations.
 struct ObjectSpec {
   std::optional<std::string> identifier, title, maker, date, place, material, description, collection;
   std::optional<std::string> recorded_by, recorded_on;
@@ -114,7 +114,7 @@ struct CameraSpec {
 
 /// [prior]: exactly one of a cloud, a mesh, a depth map and a shape.
 struct CloudFile {
-  std::filesystem::path path;  ///< of a file, or the folder of a COLMAP workspace
+  std::filesystem::path path;  ///< a file, or the folder of a COLMAP workspace
 };
 struct MeshFile {
   std::filesystem::path path;
@@ -153,7 +153,7 @@ struct ScaleBar {
   MALUS_FIELDS(distance, a, b, targets, targets_dictionary, a_xyz, b_xyz, check)
 };
 
-/// A point of known coordinates and where an image shows it.
+/// A point of known coordinates and its position in an image.
 struct MarkedPoint {
   std::string name;
   Eigen::Vector3d xyz = Eigen::Vector3d::Zero();
@@ -163,24 +163,25 @@ struct MarkedPoint {
 /// [[control]]: a point of known coordinates, marked in photos, in the polarized image, or in both.
 struct ControlPoint {
   std::string name;
-  std::array<double, 3> xyz{};  ///< in the frame that the result is to have, station unit
+  std::array<double, 3> xyz{};  ///< in the frame wanted for the result, station unit
   std::optional<std::array<double, 2>>
       pixel;                     ///< in the polarized image as taken: column and row, memory pixel convention
   std::vector<ImageMark> marks;  ///< in photos
-  bool check = false;            ///< held out: shows how well the others fit
+  bool check = false;            ///< held out of the fit: its residual shows how good the fit is
 
-  /// The point and its `pixel`, which there must be.
+  /// The point and its `pixel`, which must be set.
   MarkedPoint marked() const { return {name, {xyz[0], xyz[1], xyz[2]}, {(*pixel)[0], (*pixel)[1]}}; }
 
   MALUS_FIELDS(name, xyz, pixel, marks, check)
 };
 
-/// Pose of a camera by points of known coordinates.
+/// Pose of a camera from points of known coordinates.
 struct Resection {
   Pose pose;
-  double rms_px = 0;        ///< of the marks' distances from their points' images
+  double rms_px = 0;        ///< of the distances between marks and projected points
   double center_sigma = 0;  ///< standard deviation of the projection center along its most uncertain direction
-  std::optional<std::string> doubtful;  ///< point without which all others fit far better: its mark is likely wrong
+  std::optional<std::string>
+      doubtful;  ///< point without which all other points fit far better: its mark is likely wrong
 };
 
 /// [[patch]]: flat reference area in the polarized image.
@@ -199,7 +200,7 @@ struct ProfileSpec {
   MALUS_FIELDS(name, from, to)
 };
 
-/// Everything a station file says.
+/// Everything that a station file states.
 struct StationFile {
   std::filesystem::path path;  ///< of the file itself; empty for a station made in code
   std::string name;
@@ -208,22 +209,22 @@ struct StationFile {
   PolarizedSpec polarized;
   OpticsSpec optics;
   std::optional<CameraSpec>
-      camera;  ///< known lens and pose; with a depth map or shape as prior and no pose, the world is the camera
-  std::optional<LensCamera> lens;  ///< known lens, pose to come from [photos]; never together with `camera`
+      camera;  ///< known lens and pose; with a depth map or shape as prior and no pose, the world frame is the camera's
+  std::optional<LensCamera> lens;  ///< known lens; the pose comes from [photos]; never set together with `camera`
   std::vector<std::filesystem::path> camera_files;  ///< of the COLMAP model that `camera` was read from
   std::optional<std::string> camera_image;          ///< [camera].image: the station's name in the photos' model
   std::optional<PriorFile> prior;
-  std::optional<double> prior_sigma;  ///< standard deviation that is stated of the prior, station unit
+  std::optional<double> prior_sigma;  ///< stated standard deviation of the prior, station unit
   std::optional<PhotosSpec> photos;
   std::vector<ScaleBar> scale_bars;
-  double prior_scale = 1;            ///< of a given prior, by the bars; the camera's position has it already
-  std::vector<double> scale_errors;  ///< of each bar then, station unit
+  double prior_scale = 1;  ///< of a given prior, from the scale bars; already applied to the camera's position
+  std::vector<double> scale_errors;  ///< of each bar after scaling, station unit
   std::vector<ControlPoint> control;
-  std::optional<Resection> resection;  ///< if the control points gave the camera's pose
+  std::optional<Resection> resection;  ///< set if the control points gave the camera's pose
   std::vector<PatchSpec> patches;
   std::vector<ProfileSpec> profiles;
 
-  /// Whether the surface is made from [photos], whose frame then is that of the result.
+  /// Whether the surface is computed from [photos]; the result is then in the photos' frame.
   bool frame_is_of_photos() const { return photos && !prior; }
   /// The lens, whether the pose is known or not.
   std::optional<LensCamera> known_lens() const { return camera ? std::optional(camera->lens) : lens; }

@@ -45,8 +45,8 @@ struct RegistrationOptions {
   }
 };
 
-/// Whether images are registered: `on`, `off`, or `automatic`: yes, but images that already lie within
-/// `keep_below_px` (or three times the estimate's own uncertainty) of the first stay untouched, bit for bit.
+/// Whether images are registered: `on`, `off`, or `automatic`. With `automatic`, images that already lie within
+/// `keep_below_px` (or three times the estimate's own uncertainty) of the first image stay unchanged, bit for bit.
 enum class RegistrationMode { automatic, on, off };
 constexpr auto names_of(RegistrationMode) {
   return std::to_array<std::string_view>({"auto", "on", "off"});

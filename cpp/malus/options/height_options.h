@@ -17,10 +17,10 @@ constexpr auto names_of(LightModel) {
   return std::to_array<std::string_view>({"directional", "first_order"});
 }
 
-/// What tells a bump from a hollow where neither a prior nor a light is given.
+/// How bumps are told from hollows where neither a prior nor a light is given.
 enum class LightWithoutPrior {
-  contour,  ///< the object's outline, where its surface turns away from the view; convex if it does not do so
-  convex,   ///< the object is convex in the whole
+  contour,  ///< by the object's outline, where its surface turns away from the view; as `convex` if it does not
+  convex,   ///< the object is assumed to be convex as a whole
 };
 constexpr auto names_of(LightWithoutPrior) {
   return std::to_array<std::string_view>({"contour", "convex"});
@@ -52,12 +52,12 @@ struct LightOptions {
   }
 };
 
-/// How the height follows from polarization and shading.
+/// How the height is computed from polarization and shading.
 enum class HeightMethod {
   likelihood,  ///< Gauss–Newton from the likeliest of the other two and the prior: intensity and Stokes components as
                ///< measured, weighted by their noise
   linear,      ///< one linear system, rows weighted by what the slope lets the phase tell
-  literal,     ///< one linear system as printed, all rows alike
+  literal,     ///< one linear system as printed in the paper, all rows of equal weight
 };
 constexpr auto names_of(HeightMethod) {
   return std::to_array<std::string_view>({"likelihood", "linear", "literal"});

@@ -43,8 +43,8 @@ struct DecomposeOptions {
   }
 };
 
-/// Whether a polarizer's angles and exposures are calibrated: `automatic` where that is significantly better than what
-/// the station says, `on` always, `off` never (the scale's zero is still checked against the prior).
+/// When a polarizer's angles and exposures are calibrated: `automatic` = where calibrated values fit significantly
+/// better than the station's, `on` = always, `off` = never (the scale's zero is still checked against the prior).
 enum class AngleCalibration { automatic, on, off };
 constexpr auto names_of(AngleCalibration) {
   return std::to_array<std::string_view>({"auto", "on", "off"});
@@ -80,7 +80,7 @@ struct PolarizerOptions {
 };
 
 struct ReflectionOptions {
-  // What is known about the object, from the station and so not among the option fields.
+  // Known about the object. The station file states these values, so they are not among the option fields.
   ReflectionChoice reflection = ReflectionChoice::automatic;
   double refractive_index = 1.5;
 

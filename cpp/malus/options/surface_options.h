@@ -42,7 +42,7 @@ struct SurfaceOptions {
   }
 };
 
-/// How the surface is moved onto a reference before distances are taken.
+/// How the surface is moved onto a reference before distances are measured.
 enum class Alignment { none, rigid, similarity };
 constexpr auto names_of(Alignment) {
   return std::to_array<std::string_view>({"none", "rigid", "similarity"});
