@@ -17,27 +17,28 @@ namespace malus {
 /// What a stack is made from.
 struct CaptureInput {
   PolarizedSpec polarized;         ///< levels, response, channel, angles, mosaic, noise; its paths are not opened here
-  std::vector<std::string> names;  ///< of the images, for messages; one each
-  std::function<RawImage(std::size_t index)> load;  ///< is called by several threads at once
-  std::optional<LensCamera> lens;  ///< camera of the first image; nothing = pixels are taken as they are
+  std::vector<std::string> names;  ///< of the images, for messages; one per image
+  std::function<RawImage(std::size_t index)> load;  ///< called by several threads at once
+  std::optional<LensCamera> lens;                   ///< camera of the first image; nothing = no undistortion
   std::optional<Mask> mask;        ///< of the first image as captured, non-zero = object
 };
 
 /// Input that reads the files of a station.
 CaptureInput capture_input(const PolarizedSpec& polarized, const std::optional<LensCamera>& lens);
 
-/// Station images → registered, undistorted, linear images, one a polarizer position, in the order of the input.
+/// Station images → registered, undistorted, linear images, one per polarizer position, in the order of the input.
 ///
 /// Response, levels and channel: response_internal.h. A mosaic gives four images, in the order of its cell.
 /// Registration to the first image and undistortion are one resampling (resampling_internal.h). Several images at one
-/// angle stay separate, as the sinusoid fit averages them, unless exposure_s states different exposures: these are
-/// merged by inverse variance, without what is saturated, at the level of the shortest. Angles: a = ±(reading −
-/// angle_zero), minus for "cw"; empty when angles are "auto". The mask is the object as given (all, when none),
-/// undistorted, without pixels whose support leaves an image. Without a lens, stack.camera has the size only.
+/// angle stay separate, because the sinusoid fit averages them. If exposure_s states different exposures, they are
+/// merged by inverse variance, without saturated pixels, at the level of the shortest exposure. Angles: a = ±(reading −
+/// angle_zero), minus for "cw"; empty when angles are "auto". The mask is the given object mask (the whole image if
+/// none is given), undistorted, without pixels whose interpolation support extends beyond an image. Without a lens,
+/// only the size is set in stack.camera.
 ///
 /// Errors: input — sizes that differ between images, mask or lens (both are named), counts that do not fit, unusable
-/// levels, response or files; data — images that cannot be registered, more than 99 % of the object saturated,
-/// nothing left of the mask.
+/// levels, response or files; data — images that cannot be registered, more than 99 % of the object saturated, an empty
+/// mask.
 PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& options, const Context& context);
 
 }  // namespace malus

@@ -13,10 +13,10 @@ struct BandScales {
   double fine_sigma_px, coarse_sigma_px;
 };
 
-/// The band of images' contrast: b = (G_fine − G_coarse) I / G_coarse I.
+/// Band-pass contrast of images: b = (G_fine − G_coarse) I / G_coarse I.
 struct ContrastBands {
-  std::vector<Image<float>> bands;  ///< one an image
-  Image<float> information;         ///< 1 / expected noise variance of the first one's, up to a common factor
+  std::vector<Image<float>> bands;  ///< one per image
+  Image<float> information;         ///< 1 / expected noise variance of the first band, up to a common factor
 };
 
 /// quarters: the images after two steps of the pyramid (pyrDown), for a large G_coarse; empty = none. OpenCV is called

@@ -9,14 +9,14 @@
 
 namespace malus {
 
-/// Shot and read noise of a linear image from itself (photon transfer): the noise in 8 × 8 blocks from the mask
-/// (1 −2 1; −2 4 −2; 1 −2 1) / 6 of Immerkær (1996), in bins of intensity the lower decile over the blocks (those with
-/// the least texture), and a straight line variance = read² + signal / full well through the bins. An upper bound
-/// where everything is textured. Nothing when fewer than 100 unsaturated blocks exist.
+/// Estimates shot and read noise of a linear image from the image alone (photon transfer). Noise in 8 × 8 blocks: with
+/// the mask (1 −2 1; −2 4 −2; 1 −2 1) / 6 of Immerkær (1996). Noise per bin of intensity: the lower decile over the
+/// blocks (those with the least texture). A straight line variance = read² + signal / full well is fitted through the
+/// bins. An upper bound where everything is textured. Nothing when fewer than 100 unsaturated blocks exist.
 std::optional<NoiseModel> estimate_noise(const Image<float>& intensity, const Mask& saturated);
 
 /// Noise model of a station's linear images. Full well and read noise come from the station file, else from
-/// estimate_noise, else 20000 and 8 electrons. Added to them:
+/// estimate_noise, else 20000 and 8 electrons. The model also includes:
 ///  - the weighted sum of color channels, Σ w² of one channel's variance;
 ///  - quantization behind a response curve that is not linear: its variance slope² step² / 12 grows about linearly with
 ///    the signal, so it is carried as additional shot noise (matched at half of white), plus a constant part at black.

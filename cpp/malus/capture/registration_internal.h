@@ -26,20 +26,20 @@ struct ImageRegistration {
   Affine image_from_base = identity_affine();  ///< pixel of the first image → pixel of this one
   double displacement_px = 0;                  ///< RMS over the image's corners and center
   /// One standard deviation of the displacement, RMS over corners and center, from the scatter of the normal equations
-  /// between 96 parts of the image (sandwich estimate): holds what noise alone does not explain, such as edges whose
-  /// polarization changes their contrast.
+  /// between 96 parts of the image (sandwich estimate): includes errors that noise alone does not explain, such as
+  /// edges whose polarization changes their contrast.
   double rms_px = 0;
 };
 
 /// Registers linear images of one size to the first, by 6-parameter affine maps, all together.
 ///
-/// Each image is divided by its local mean in a band of scales: b_k = (G_fine − G_coarse) I_k / G_coarse I_k. Coarse to
+/// Images are compared by their contrast in a band of scales: b_k = (G_fine − G_coarse) I_k / G_coarse I_k. Coarse to
 /// fine, Gauss–Newton minimizes the weighted squares of b_k(W_k x) − mean_j b_j(W_j x), W_1 = identity, with the common
 /// gradient of the mean. Then the normal equations of all images share one 6 × 6 matrix H: with g_k the right-hand side
 /// of image k, the step is p_k = H⁻¹ (g_k − g_1). Weights: inverse noise variance times Cauchy in the disagreement of
-/// all images at that pixel, scaled by its lower quartile, so that pixels whose polarization changes them count little.
-/// Start: phase correlation at the coarsest level. The whole image is used, background included: texture around an
-/// object fixes the camera's motion better than the object alone.
+/// all images at that pixel, scaled by its lower quartile, so that pixels that change with the polarizer's angle get
+/// little weight. Start: phase correlation at the coarsest level. The whole image is used, background included: texture
+/// around an object fixes the camera's motion better than the object alone.
 ///
 /// Input error when sizes differ. An image that cannot be registered has a status, the identity and a message.
 std::vector<ImageRegistration> register_images(const std::vector<Image<float>>& images, const NoiseModel& noise,

@@ -8,27 +8,28 @@
 
 namespace malus {
 
-/// What registration does with a row of a block, in single precision: the arithmetic that its time goes into.
+/// Row by row arithmetic of registration, in single precision; most of registration's time is spent here.
 struct BlockRow {
   static constexpr int columns = 62;          ///< of a block
   static constexpr int length = columns + 2;  ///< with one more on either side for gradients
 };
 
-/// Bicubic values of `band` where the pixels (u, v), (u + 1, v), … of the first image lie in it. The 4 × 4 samples of
-/// each must exist. Near the identity the samples of neighboring pixels are neighbors, and are loaded as such.
+/// Bicubic values of `band` at the positions of the first image's pixels (u, v), (u + 1, v), … The 4 × 4 samples of
+/// each must exist. Near the identity, neighboring pixels have neighboring samples, which are loaded together.
 void resample_row(const Image<float>& band, const Affine& map, Interpolation interpolation, int u, int v,
                   std::span<float> values);
 
-/// A row in every image, aligned, and its neighbors in their mean. Each pointer is to BlockRow::length values.
+/// A row of every aligned image, and this row and its two neighbors in the images' mean. Each pointer is to
+/// BlockRow::length values.
 struct AlignedRow {
   std::span<const float* const> bands;  ///< one an image
   const float *mean, *mean_above, *mean_below;
-  const float* information;  ///< 1 / noise variance; 0 where a pixel does not count, first and last among them
+  const float* information;  ///< 1 / noise variance; 0 for pixels without weight, such as the first and last
   float x;                   ///< of the first pixel, from the image's center in units of its width …
   float x_step;              ///< … and from pixel to pixel
 };
 
-/// Sums over the pixels of a row, weighted by their information and how well the images agree; g = gradient of the
+/// Sums over the pixels of a row, weighted by their information and the agreement of the images; g = gradient of the
 /// mean.
 struct RowSums {
   double gradients[3][3] = {};  ///< g_u², g_u g_v, g_v²; times 1, x, x²

@@ -34,14 +34,14 @@ class ResamplingMap {
   bool identity_ = true;
 };
 
-/// A resampled image and where it is good.
+/// A resampled image and where it is valid.
 struct Resampled {
   Image<float> image;  ///< NaN outside
   Mask valid;          ///< 255 where all 4 × 4 samples lie in the source
 };
 
 /// Bicubic resampling of a raster with any number of channels, with weights computed for each pixel (OpenCV's tables
-/// round positions to 1/32 px). An identity map hands the source through bit for bit. Results do not depend on threads.
+/// round positions to 1/32 px). An identity map returns the source bit for bit. Results do not depend on threads.
 Resampled resample(const Image<float>& source, Size size, const ResamplingMap& map, Interpolation interpolation,
                    const Context& context);
 

@@ -21,7 +21,7 @@ struct ResponseCurve {
   std::vector<double> encoded;  ///< table: strictly increasing; DN, or [0, 1] when no value exceeds 1
   std::vector<double> linear;   ///< table: not decreasing, last value 1
 
-  /// True when linear = encoded; negative noise below the black level is kept then, so that dark means stay unbiased.
+  /// True when linear = encoded; values below the black level then stay negative, so that dark means stay unbiased.
   bool is_identity() const { return kind == Kind::linear || (kind == Kind::gamma && exponent == 1); }
   /// Linear intensity of an encoded one. sRGB: IEC 61966-2-1. Tables are interpolated linearly and held at their ends.
   double linearize(double value) const;
@@ -33,13 +33,13 @@ struct ResponseCurve {
 /// table. `where` names file and field in messages. Throws an input error that lists what was expected.
 ResponseCurve response_curve(const std::string& response, const std::string& where);
 
-/// Lookup table from a text file of at most 4 MB and 65536 rows; '#' starts a comment, columns are parted by blanks,
+/// Lookup table from a text file of at most 4 MB and 65536 rows; '#' starts a comment, columns are separated by blanks,
 /// commas or semicolons. Two columns: encoded (DN, or [0, 1] when none exceeds 1) and linear intensity in any unit
 /// (scaled so that the last is 1). One column: linear intensities of evenly spaced encoded values from black to white.
 /// Throws an input error naming file and line.
 ResponseCurve read_response_table(const std::filesystem::path& path);
 
-/// Digital numbers and what they mean.
+/// Black, white and saturation levels of digital numbers.
 struct Levels {
   double black_dn = 0;
   double white_dn = 1;

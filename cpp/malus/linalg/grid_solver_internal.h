@@ -9,16 +9,16 @@
 
 namespace malus {
 
-/// What a solve took; nothing here depends on the machine.
+/// Cost of a solve; no figure depends on the machine.
 struct GridSolveSummary {
   int iterations = 0;            ///< of conjugate gradients; 0 for a direct solve
   double relative_residual = 0;  ///< |A x − b| / |b|
   double bytes = 0;              ///< of the factor, complete or incomplete
 };
 
-/// Solver of the symmetric positive definite systems of one pixel grid: by CHOLMOD, in an elimination order that the
-/// pixels' positions give (nested dissection); systems above a size, or all, by conjugate gradients preconditioned by
-/// Eigen's incomplete Cholesky factorization.
+/// Solver of the symmetric positive definite systems of one pixel grid: by CHOLMOD, in an elimination order from the
+/// pixels' positions (nested dissection). Systems above a size limit are solved by conjugate gradients, preconditioned
+/// by Eigen's incomplete Cholesky factorization.
 class GridSolver {
  public:
   /// The largest systems that are factorized: their factor takes 1.1 GB and some seconds.
@@ -32,10 +32,10 @@ class GridSolver {
   /// Whether the systems are factorized.
   bool is_direct() const { return pixels_->count() <= direct_unknowns_; }
 
-  /// x = (A + ridge I)⁻¹ b. Conjugate gradients start from x if it has the system's size, and take fewer iterations the
-  /// better it is; they also end where |A x − b| is this share (`reduction`) of what it was at the start. The pattern
-  /// of the system must stay the same from call to call. Running out of memory throws ErrorCode::resource; what cannot
-  /// be solved is a status.
+  /// x = (A + ridge I)⁻¹ b. Conjugate gradients start from x if it has the system's size, and need fewer iterations the
+  /// closer x is to the solution. They also end once |A x − b| has fallen to the share `reduction` of its initial
+  /// value. The pattern of the system must stay the same from call to call. Running out of memory throws
+  /// ErrorCode::resource; a system that cannot be solved gives a status.
   SolveStatus solve(const GridSystem& system, double ridge, Eigen::VectorXd& x, double reduction = 0);
 
   const GridSolveSummary& summary() const { return summary_; }

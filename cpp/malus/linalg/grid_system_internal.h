@@ -37,9 +37,9 @@ class PixelIndex {
   std::vector<int> row_starts_;
 };
 
-/// Normal equations of a least-squares problem with one unknown a pixel, in which a row of the problem touches pixels
-/// at most `reach` apart along each axis. The pattern grows with the entries ever added and stays when the values are
-/// cleared, so that a solver's analysis stays good.
+/// Normal equations of a least-squares problem with one unknown per pixel, in which each equation involves pixels at
+/// most `reach` apart along each axis. The sparsity pattern grows with each new entry and is kept when the values are
+/// cleared, so that a solver's analysis stays valid.
 class GridSystem {
  public:
   /// Largest distance of two coupled pixels along each axis.
@@ -48,11 +48,11 @@ class GridSystem {
   explicit GridSystem(const PixelIndex& pixels);
 
   void clear(const Context& context);
-  /// Calls body(unknown) for every unknown, rows of pixels on the context's threads but in the same order with any
-  /// number of them. It may add entries between unknowns up to `reach` rows from its own.
+  /// Calls body(unknown) for every unknown, on the context's threads. Entries are added in the same order with any
+  /// number of threads. It may add entries between unknowns up to `reach` rows from its own.
   template <class Body>
   void for_each_unknown(const Context& context, Body&& body) const {
-    // A strip of rows adds to what lies up to `reach` rows outside it: every second strip at a time.
+    // A strip of rows also adds to entries up to `reach` rows outside it, so only every second strip runs at a time.
     constexpr int strip_rows = 16;
     static_assert(strip_rows > 2 * reach);
     const int height = pixels_->size().height, strips = (height + strip_rows - 1) / strip_rows;
@@ -64,7 +64,7 @@ class GridSystem {
       });
     }
   }
-  /// Adds to the symmetric entry of two unknowns (once, not once for each order). Not checked: within reach.
+  /// Adds to the symmetric entry of two unknowns; call it once per pair, not once per order. `reach` is not checked.
   void add(int a, int b, double value) {
     if (a > b) std::swap(a, b);
     const std::size_t column = static_cast<std::size_t>(a);
@@ -82,8 +82,8 @@ class GridSystem {
   }
 
   const PixelIndex& pixels() const { return *pixels_; }
-  /// Calls visit(du, dv, value) for the entry of an unknown with itself and with every later one it was ever coupled
-  /// with, which lies (du, dv) pixels from it.
+  /// Calls visit(du, dv, value) for the entries of an unknown: with itself, and with every later unknown that it was
+  /// ever coupled with, (du, dv) pixels away.
   template <class Visit>
   void for_each_entry(int unknown, Visit&& visit) const {
     const std::size_t column = static_cast<std::size_t>(unknown);
@@ -93,7 +93,7 @@ class GridSystem {
       visit(column_offset(slot), row_offset(slot), values[slot]);
     }
   }
-  /// Lower triangle with this added to the diagonal.
+  /// Lower triangle with `ridge` added to the diagonal.
   SymmetricSolver::Matrix lower(double ridge) const;
   const Eigen::VectorXd& right() const { return right_; }
   /// Largest diagonal entry.

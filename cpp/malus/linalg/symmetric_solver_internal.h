@@ -15,26 +15,26 @@ namespace malus {
 enum class SolveStatus {
   not_run,
   solved,
-  not_positive_definite,  ///< the matrix is singular or indefinite: some unknown is not held by any equation
+  not_positive_definite,  ///< the matrix is singular or indefinite: no equation determines some unknown
   inaccurate,             ///< the residual stays above the limit: the matrix is too ill conditioned
 };
 constexpr auto names_of(SolveStatus) {
   return std::to_array<std::string_view>({"not run", "solved", "not positive definite", "inaccurate"});
 }
 
-/// What a factorization takes, known after analyze() and before memory is spent.
+/// Cost of a factorization, known after analyze() and before its memory is allocated.
 struct FactorEstimate {
   double factor_bytes = 0;
   double flops = 0;
 };
 
 /// Direct solver of sparse symmetric positive definite systems A x = b: CHOLMOD's supernodal Cholesky factorization
-/// (cholmod_analyze_p, cholmod_factorize, cholmod_solve) on the calling thread, and so the same result whatever the
+/// (cholmod_analyze_p, cholmod_factorize, cholmod_solve) on the calling thread, so that results do not depend on the
 /// context's threads.
 ///
 /// Only the lower triangle of A is read (column-major, sorted). analyze() finds the elimination order for a pattern;
 /// factorize() may then be called for any number of matrices of that pattern, and solve() for any number of right-hand
-/// sides. Running out of memory throws ErrorCode::resource; a matrix that cannot be factorized is a status.
+/// sides. Running out of memory throws ErrorCode::resource; a matrix that cannot be factorized gives a status.
 class SymmetricSolver {
  public:
   using Matrix = Eigen::SparseMatrix<double, Eigen::ColMajor, int>;
@@ -46,20 +46,20 @@ class SymmetricSolver {
 
   /// `order`: elimination order, element k the unknown eliminated k-th; empty = one that CHOLMOD finds (METIS).
   FactorEstimate analyze(const Matrix& lower, std::span<const int> order = {});
-  /// Analyzes first if the pattern was not analyzed yet. Throws an input error if the pattern differs from the
-  /// analyzed.
+  /// Analyzes first if the pattern was not analyzed yet. Throws an input error if the pattern differs from the analyzed
+  /// one.
   SolveStatus factorize(const Matrix& lower);
   /// x = A⁻¹ b for the matrix last factorized; `lower` must still be that matrix (for the residual check and one step
   /// of iterative refinement). Returns `inaccurate` if |A x − b| > residual_limit · |b|.
   SolveStatus solve(const Matrix& lower, const Eigen::VectorXd& b, Eigen::VectorXd& x, double residual_limit = 1e-6);
 
-  /// Puts A⁻¹ b in the place of each column b, without a check of the residual or refinement.
+  /// Replaces each column b by A⁻¹ b, without residual check or refinement.
   void solve_columns(Eigen::MatrixXd& columns) const;
 
   /// ln det A of the matrix last factorized.
   double log_determinant() const;
 
-  /// Of the last analysis.
+  /// Estimate by the last analysis.
   FactorEstimate estimate() const;
   /// |A x − b| / |b| of the last solve.
   double relative_residual() const;

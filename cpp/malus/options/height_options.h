@@ -54,9 +54,9 @@ struct LightOptions {
 
 /// How the height is computed from polarization and shading.
 enum class HeightMethod {
-  likelihood,  ///< Gauss–Newton from the likeliest of the other two and the prior: intensity and Stokes components as
-               ///< measured, weighted by their noise
-  linear,      ///< one linear system, rows weighted by what the slope lets the phase tell
+  likelihood,  ///< Gauss–Newton on the measured intensity and Stokes components, weighted by their noise; starts from
+               ///< the likeliest of the other two methods' heights and the prior
+  linear,      ///< one linear system; phase rows count less where the surface is flat
   literal,     ///< one linear system as printed in the paper, all rows of equal weight
 };
 constexpr auto names_of(HeightMethod) {

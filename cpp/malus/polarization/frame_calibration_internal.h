@@ -1,6 +1,6 @@
 #pragma once
 
-// What images and surface together say of the polarizer's angles and exposures.
+// Polarizer angles and exposures from images and surface together.
 
 #include "malus/polarization/frame_estimate_internal.h"
 #include "malus/polarization/polarizer_calibration.h"
@@ -8,24 +8,25 @@
 
 namespace malus {
 
-/// The calibration, and the frame that takes Stokes vectors of the fit to it.
+/// The calibration, and the frame that maps the fit's Stokes vectors to the calibrated ones.
 struct CalibratedFrame {
   PolarizerCalibration calibration;
   StokesFrame frame = StokesFrame::Identity();
 };
 
-/// Angles and exposures of the fit with the frame that the images cannot tell: from the nominal values (angles within
-/// options.angle_sigma_deg each and options.zero_sigma_deg together, exposures within options.gain_sigma) and from the
-/// surface, weighed by their covariances (linear Gaussian; the frame estimate's covariance is taken as it is).
+/// Completes the fit's angles and exposures with the frame that images cannot determine. The frame follows from the
+/// nominal values (angles within options.angle_sigma_deg each and options.zero_sigma_deg together, exposures within
+/// options.gain_sigma) and from the surface, weighted by their covariances (linear Gaussian; the frame estimate's
+/// covariance is used unchanged).
 ///
-/// fit.angles_rad and gains are those that the Stokes vectors were computed with; `from_images` says that they are the
-/// fit's and not the nominal ones. A known scale is turned only if its zero is off by options.min_significance standard
-/// deviations and half a degree, whatever else is calibrated. With AngleCalibration::automatic and nominal angles
+/// The Stokes vectors were computed with fit.angles_rad and gains; `from_images`: these are fitted, not nominal,
+/// values. A known scale is turned only if its zero is off by more than options.min_significance standard deviations
+/// and more than half a degree, whatever else is calibrated. With AngleCalibration::automatic and nominal angles
 /// nothing but that zero is corrected; with `off` nothing is.
 ///
-/// Throws an input error that says how to mend the station file if the scale certainly counts the other way, or
-/// certainly has its zero off by 90°; with `off` these are warnings. A data error if the scale is unknown and the
-/// surface cannot tell it.
+/// Throws an input error that says how to correct the station file if the scale certainly counts the other way, or its
+/// zero is certainly off by 90°; with `off` these are warnings. Throws a data error if the scale is unknown and the
+/// surface cannot determine it.
 CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool known_scale,
                                 const FrameEstimate& surface, const PolarizerOptions& options);
 

@@ -10,10 +10,10 @@
 
 namespace malus {
 
-/// What else is fitted with the frame.
+/// Further unknowns that are fitted with the frame.
 enum class FrameTerms {
   none,
-  slopes,  ///< polarization of the scene that changes linearly with the slopes, as a wide highlight's does
+  slopes,  ///< a polarization of the scene that changes linearly with the slopes, as that of a wide highlight
   radial,  ///< the component along the azimuth depends on the zenith alone, as on mirroring objects
 };
 
@@ -23,7 +23,7 @@ class FrameFit {
   /// from_highlight_rad: of each cell, the angle between its normal and the half vector of light and view.
   FrameFit(std::vector<PhaseCell> cells, std::vector<double> from_highlight_rad, FrameTerms terms);
 
-  /// Iterates to the frame in which the equations are balanced, from `start`.
+  /// Iterates from `start` until the frame's corrections vanish.
   StokesFrame solve(const StokesFrame& start, const Context& context);
 
   /// Covariance of (b1, b2, δ) at the frame found: H⁻¹ Σ g gᵀ H⁻¹ over parts of the image and over zones around the
@@ -31,9 +31,9 @@ class FrameFit {
   Eigen::Matrix3d covariance(const StokesFrame& frame);
 
  private:
-  /// Zeniths at which the radial profile of a mirroring object is free, linear between.
+  /// Number of nodes (zeniths) of a mirroring object's radial profile, which is linear between them.
   static constexpr int profile_nodes = 10;
-  /// One step's unknowns: b1, b2, δ, then the radial profile or what b1 and b2 change with p and q.
+  /// One step's unknowns: b1, b2, δ, then the radial profile or the derivatives of b1 and b2 by p and q.
   using Vector = Eigen::Matrix<double, 3 + profile_nodes, 1>;
   using Matrix = Eigen::Matrix<double, 3 + profile_nodes, 3 + profile_nodes>;
 

@@ -7,9 +7,9 @@
 namespace malus {
 
 // Fresnel optics of a smooth dielectric of refractive index eta in air. Angles are zeniths: between the normal and the
-// viewing ray, [0, π/2]. Everything is closed form, two square roots at most, so that no table is needed per pixel.
-// The templates take automatic-differentiation scalars too; those are written in sin²θ because all of these are smooth
-// in it from frontal view on.
+// viewing ray, [0, π/2]. Everything is closed form, two square roots at most, so that no table is needed per pixel. The
+// templates also take automatic-differentiation scalars. They are written in sin²θ because all these functions are
+// smooth in sin²θ, frontal view included.
 
 /// Reflected share of the power polarized perpendicular (s) and parallel (p) to the plane of incidence.
 template <class T>
@@ -18,7 +18,7 @@ struct Reflectance {
   T p;
 };
 
-/// Fresnel power reflectances for a ray in air with sin² of its angle of incidence.
+/// Fresnel power reflectances for a ray in air, given sin² of its angle of incidence.
 template <class T>
 Reflectance<T> fresnel_reflectance(const T& sin2, double eta) {
   using std::sqrt;
@@ -69,15 +69,15 @@ inline double largest_diffuse_degree(double eta) {
   return difference * difference / (2 + 2 * eta * eta - sum * sum);
 }
 
-/// A zenith read off a degree of polarization.
+/// A zenith computed from a degree of polarization.
 struct ZenithFromDegree {
   double zenith_rad = 0;
-  bool clamped = false;  ///< the degree was below 0 or above what the model can give
+  bool clamped = false;  ///< the degree was below 0 or above the model's largest
 };
 
 /// Zenith of diffuse reflection of this degree: inverse of Eq 6. Eq 7's value f is cos θ; this is the same expression
-/// rearranged into sin²θ = 1 − f², which loses no digits at small degrees. Eq 7 turns back above the largest diffuse
-/// degree, so the degree is clamped to it and the result says so.
+/// rearranged into sin²θ = 1 − f², which loses no digits at small degrees. Above the largest diffuse degree Eq 7 turns
+/// back, so the degree is clamped to it and `clamped` is set.
 inline ZenithFromDegree diffuse_zenith(double degree, double eta) {
   const double largest = largest_diffuse_degree(eta);
   const double r = std::clamp(degree, 0.0, largest);
@@ -89,7 +89,7 @@ inline ZenithFromDegree diffuse_zenith(double degree, double eta) {
   return {degree >= largest ? std::numbers::pi / 2 : std::asin(sine), degree < 0 || degree > largest};
 }
 
-/// Side of Brewster's angle: one specular degree belongs to a zenith on each (0.3 at eta = 1.5: 26.4° and 82.3°).
+/// Side of Brewster's angle: each specular degree has one zenith on either side (0.3 at eta = 1.5: 26.4° and 82.3°).
 enum class SpecularBranch { below_brewster, above_brewster };
 
 /// Zenith of specular reflection of this degree on one side of Brewster's angle: closed-form inverse of Eq 8. From the

@@ -5,12 +5,13 @@
 
 namespace malus {
 
-/// Of a state whose images were interpolated from one mosaic: sets `variance_factor` from the sinusoid's residuals.
+/// Sets `variance_factor` of a state whose images were interpolated from one mosaic, from the sinusoid's residuals.
 ///
-/// Four polarizers leave one residual a pixel, in which texture shows that also passes for polarization. Its mean
-/// square nearby (Gaussian, 3 px), times five, as texture has less at the residual's frequency than at those of s1 and
-/// s2, times the number of pixels that share a measurement (`shared`), replaces the variance of the noise model; at
-/// least four times that, as four values a pixel come from one measurement a pixel.
+/// Four polarizers leave one residual per pixel. It shows the texture that also passes for polarization. The residual's
+/// local mean square (Gaussian, 3 px) replaces the noise model's variance. It is multiplied by five, because texture is
+/// weaker at the residual's frequency than at those of s1 and s2, and by the number of pixels that share a measurement
+/// (`shared`). The result is at least four times the noise model's variance, because four values per pixel come from
+/// one measurement per pixel.
 void add_interpolation_error(PolarizationState& state, const Image<float>& shared, const Context& context);
 
 }  // namespace malus

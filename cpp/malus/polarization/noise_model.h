@@ -8,7 +8,7 @@ namespace malus {
 struct NoiseModel {
   double full_well_e = 20000;  ///< electrons at white level
   double read_noise_e = 8;     ///< electrons RMS
-  double quantization = 0;     ///< one digital number in units of the white level
+  double quantization = 0;     ///< one digital number as a share of the white level
   int frames_averaged = 1;
 
   /// Variance of one (averaged) intensity whose expectation is `signal`.

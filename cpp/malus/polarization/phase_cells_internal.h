@@ -32,16 +32,17 @@ struct PhaseCell {
   std::complex<double> radial() const { return polarization() * std::conj(azimuth()); }
 };
 
-/// Cells of which most pixels are valid and have a surface that is inclined by 5° or more; below that an azimuth says
-/// nothing. Means have less noise than pixels, and a prior has no finer detail: about 25 000 cells of 2 to 4 px, in
-/// large images 100 000 larger ones. Bright pixels count most, in the slopes as they do in the mean Stokes vector.
+/// Cells in which most pixels are valid and have a surface inclined by 5° or more; at smaller slopes an azimuth is
+/// meaningless. Cells serve because means have less noise than pixels, and a prior has no finer detail: about 25 000
+/// cells of 2 to 4 px, in large images 100 000 larger ones. Mean slopes are weighted by brightness, as the mean Stokes
+/// vector is by nature.
 ///
 /// camera null = orthographic. normals: 3 channels, unit, camera frame, towards the camera, NaN = none; of the state's
 /// size, else an input error.
 std::vector<PhaseCell> phase_cells(const PolarizationState& state, const Pinhole* camera, const Image<float>& normals,
                                    const Context& context);
 
-/// Number of the part of an image that a cell lies in, of side × side parts of the box about all cells, row by row.
+/// Index of the image part that each cell lies in: side × side parts of the bounding box of all cells, row by row.
 std::vector<int> parts_of(const std::vector<PhaseCell>& cells, int side);
 
 }  // namespace malus

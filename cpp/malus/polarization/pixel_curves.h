@@ -12,15 +12,15 @@ namespace malus {
 /// Intensity of one pixel against the polarizer's angle (Fig. 1c).
 struct PixelCurve {
   int u = 0, v = 0;
-  std::vector<double> angles_deg;  ///< one an image, as the fit used them
+  std::vector<double> angles_deg;  ///< one per image, as the fit used them
   std::vector<double> intensities;
 
   MALUS_FIELDS(u, v, angles_deg, intensities)
 };
 
-/// Curves of the pixels (column, row), or if none are given of up to four valid ones: those in the middle of the
-/// object's weakly, moderately, strongly and very strongly polarized ones (ranks 10, 50, 90 and 99 % of the degree).
-/// Throws an input error for a pixel outside the images.
+/// Curves of the given pixels (column, row). If none are given: of up to four valid pixels, a weakly, a moderately, a
+/// strongly and a very strongly polarized one (ranks 10, 50, 90 and 99 % of the degree). Throws an input error for a
+/// pixel outside the images.
 std::vector<PixelCurve> pixel_curves(const PolarizationState& state, const std::vector<Image<float>>& images,
                                      const std::vector<double>& angles_rad,
                                      const std::vector<std::array<double, 2>>& pixels);

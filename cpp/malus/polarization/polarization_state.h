@@ -13,7 +13,8 @@
 
 namespace malus {
 
-/// Why a pixel carries (no) usable polarization; bits of PolarizationState::valid are listed in order of precedence.
+/// Whether a pixel has usable polarization, and if not, why; the values of PolarizationState::valid, in order of
+/// precedence.
 enum class PixelState : std::uint8_t {
   outside = 0,     ///< not on the object (mask)
   saturated = 64,  ///< at the white level in at least one image
@@ -34,50 +35,50 @@ struct PolarizationState {
   std::vector<int> exposures;      ///< how many images were averaged at each angle
   NoiseModel noise;                ///< of one image
   FitWeighting weighting = FitWeighting::uniform;
-  /// What the noise model's variances are multiplied by, for images that were interpolated; empty = 1.
+  /// Factor on the noise model's variances, for images that were interpolated; empty = 1.
   Image<float> variance_factor;
 
   Size size() const { return i_un.size(); }
   bool is_valid(int u, int v) const { return valid(u, v) == static_cast<std::uint8_t>(PixelState::valid); }
   /// Stokes vector (s0, s1, s2) of a pixel.
   Eigen::Vector3d stokes(int u, int v) const;
-  /// What the noise model's variances are multiplied by at a pixel.
+  /// Factor on the noise model's variances at a pixel.
   double variance_factor_at(int u, int v) const { return variance_factor.empty() ? 1.0 : variance_factor(u, v); }
   /// Covariance of (s0, s1, s2) from the noise model at the fitted intensities, times variance_factor.
   Eigen::Matrix3d stokes_covariance(int u, int v) const {
     return variance_factor_at(u, v) * stokes_covariance(stokes(u, v));
   }
-  /// The same of any Stokes vector seen under these angles and this noise, not interpolated.
+  /// The same for any Stokes vector at these angles and with this noise model, without variance_factor.
   Eigen::Matrix3d stokes_covariance(const Eigen::Vector3d& stokes) const;
   /// Covariance of (i_un, rho, phi) by linear propagation; phi's variance grows as 1 / rho².
   Eigen::Matrix3d covariance(int u, int v) const;
 };
 
-/// Variances of a pixel's Stokes components: of s0, and the mean of those of s1 and s2.
+/// Variances of a pixel's Stokes components: the variance of s0, and the mean of the variances of s1 and s2.
 struct StokesVariance {
   double intensity = 0;
   double linear = 0;
 };
 
-/// What PolarizationState::stokes_covariance says of single components, many times faster for the uniform fit, whose
-/// normal equations all pixels share.
+/// Variances of single Stokes components, as in PolarizationState::stokes_covariance. Many times faster for the uniform
+/// fit, where all pixels share the normal equations.
 class StokesVariances {
  public:
   /// The state must outlive this.
   explicit StokesVariances(const PolarizationState& state);
-  /// Of a pixel, whose Stokes vector the caller has at hand.
+  /// Variances at a pixel; `stokes` is its Stokes vector, which callers have computed already.
   StokesVariance operator()(int u, int v, const Eigen::Vector3d& stokes) const;
 
  private:
   struct Angle {
     Eigen::Vector3d row;                     ///< intensity = row · stokes
-    double to_intensity = 0, to_linear = 0;  ///< share of the intensity's variance in those of the components
+    double to_intensity = 0, to_linear = 0;  ///< factors from the intensity's variance to those of the components
   };
   const PolarizationState& state_;
   std::vector<Angle> angles_;
 };
 
-/// Phase [rad] of the Stokes components s1 and s2, or of half of each, in [0, π).
+/// Phase [rad], in [0, π), of the Stokes components s1 and s2; both may be halved.
 template <class Real>
 float phase_of(Real s1, Real s2) {
   Real phi = std::atan2(s2, s1) / 2;
@@ -89,8 +90,8 @@ inline float phase_of(const Eigen::Vector3d& stokes) {
   return phase_of(stokes[1], stokes[2]);
 }
 
-/// Degree of polarization without the bias that noise gives to a length: sqrt(max(ρ² − variance, 0)), with the variance
-/// of one component of (s1, s2) / s0. Without it noise alone looks like a tilted surface.
+/// Degree of polarization without the positive bias that noise adds to it: sqrt(max(ρ² − variance, 0)), with the
+/// variance of one component of (s1, s2) / s0. Without this correction, noise alone looks like a tilted surface.
 inline double debiased_degree(double rho, double variance) {
   return std::sqrt(std::max(rho * rho - variance, 0.0));
 }

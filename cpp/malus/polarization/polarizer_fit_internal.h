@@ -21,24 +21,24 @@ Eigen::MatrixX3d polarizer_rows(std::span<const double> angles_rad, std::span<co
 ///
 /// I_k(x) = g_k / 2 (s0 + s1 cos 2a_k + s2 sin 2a_k): K images are a matrix of rank 3. With the Stokes vectors of all
 /// pixels projected out (variable projection; Golub & Pereyra 1973) the sum of squares depends on the pixels through
-/// their K × K second moments only, so that one pass over the images serves all iterations (Gauss–Newton with
-/// Kaufman's derivative, Levenberg–Marquardt damping). Two more passes weigh down what does not follow (Cauchy). Means
-/// over square cells of pixels take part, about 5000 of them.
+/// their K × K second moments only, so that one pass over the images serves all iterations (Gauss–Newton with Kaufman's
+/// derivative, Levenberg–Marquardt damping). Two more passes down-weight cells that do not follow the model (Cauchy).
+/// The fit uses means over square cells of pixels, about 5000 cells.
 ///
-/// What cannot be seen in it: every map of the Stokes vectors that keeps the cone s0² = s1² + s2² gives an equal fit
-/// with other angles and exposures: the rotation (zero of the scale) and two boosts, a constant polarization of the
-/// whole scene that trades for exposures ∝ 1 + β cos 2(a − φ). There the nominal values decide: `nominal_rad` with
-/// options.angle_sigma_deg, and equal exposures with options.gain_sigma. Empty nominal_rad = angles entirely unknown:
-/// rotation and direction are then arbitrary, and K ≥ min_images_for_free_angles.
+/// Unobservable: every map of the Stokes vectors that keeps the cone s0² = s1² + s2² gives an equal fit with other
+/// angles and exposures. Such maps are the rotation (zero of the scale) and two boosts (a constant polarization of the
+/// whole scene, which is equivalent to exposures ∝ 1 + β cos 2(a − φ)). There the nominal values decide: `nominal_rad`
+/// with options.angle_sigma_deg, and equal exposures with options.gain_sigma. Empty nominal_rad = angles entirely
+/// unknown: rotation and direction are then arbitrary, and K ≥ min_images_for_free_angles.
 ///
-/// image_information: scaled by the scatter between 64 parts of the image, so that it holds what is not noise, too.
-/// images: K ≥ 3, one size, 1 channel, linear. mask: non-zero = object; saturated: may be empty. Throws an input error
-/// for sizes and counts that do not match, a data error when free angles have too few images or no solution.
+/// image_information: scaled by the scatter between 64 parts of the image, so that it also covers errors other than
+/// noise. images: K ≥ 3, one size, 1 channel, linear. mask: non-zero = object; saturated: may be empty. Throws an input
+/// error for sizes and counts that do not match, a data error when free angles have too few images or no solution.
 PolarizerFit fit_polarizer(std::span<const Image<float>> images, std::span<const double> nominal_rad,
                            const NoiseModel& noise, const Mask& mask, const Mask& saturated,
                            const PolarizerOptions& options, const Context& context);
 
-/// The angles as they are given (one an image), equal exposures, and what is known of them without looking at images.
+/// The given angles (one per image), equal exposures, and how well both are known without any use of the images.
 PolarizerFit polarizer_as_given(std::span<const double> angles_rad, const PolarizerOptions& options);
 
 }  // namespace malus

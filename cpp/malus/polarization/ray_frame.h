@@ -8,8 +8,8 @@
 
 namespace malus {
 
-/// Slopes of a surface seen along a ray: P to the right, Q upwards, both towards the viewer's side. tan²θ = P² + Q²
-/// with the zenith θ; the azimuth is atan2(Q, P).
+/// Slopes of a surface seen along a ray: its normal is ∝ P right + Q up + view (RayFrame). tan²θ = P² + Q² with the
+/// zenith θ; the azimuth is atan2(Q, P).
 struct Slopes {
   double p = 0;
   double q = 0;
@@ -19,14 +19,14 @@ struct Slopes {
 };
 
 /// Frame of one pixel's ray, in the camera frame: zenith and azimuth of a normal, and so the phase of polarization,
-/// refer to it and not to the optical axis. `right` is perpendicular to the ray and to the image's vertical, `up`
-/// points to the top of the image, `view` from the surface to the camera center.
+/// refer to this frame and not to the optical axis. `right` is perpendicular to the ray and to the image's vertical,
+/// `up` points to the top of the image, `view` from the surface to the camera center.
 struct RayFrame {
   Eigen::Vector3d right{1, 0, 0};
   Eigen::Vector3d up{0, -1, 0};
   Eigen::Vector3d view{0, 0, -1};
 
-  /// Normal with these slopes, unit length.
+  /// Unit normal with these slopes.
   Eigen::Vector3d normal(const Slopes& s) const { return (s.p * right + s.q * up + view).normalized(); }
   /// Slopes of a normal that faces the camera (n · view > 0).
   Slopes slopes(const Eigen::Vector3d& normal) const {
@@ -57,7 +57,7 @@ struct AffineSlopes {
   }
 };
 
-/// Slopes by the derivatives of L = ln z along u and v. The normal n = (fx L_u, fy L_v, −1 − (u−cx) L_u − (v−cy) L_v)
+/// Slopes from the derivatives of L = ln z along u and v. The normal n = (fx L_u, fy L_v, −1 − (u−cx) L_u − (v−cy) L_v)
 /// has n · view = 1 / |r|, r = the pixel's ray with z = 1, so that P = |r| n · right and Q = |r| n · up are affine.
 inline AffineSlopes slopes_of_log_depth(const Pinhole& camera, double u, double v) {
   const Eigen::Vector3d ray = camera.ray(u, v);

@@ -18,10 +18,10 @@ enum class Reflection : std::uint8_t { outside = 0, diffuse = 1, specular = 2 };
 /// Labels and zeniths of a station.
 struct ReflectionMap {
   Image<std::uint8_t> label;  ///< Reflection
-  Image<float> zenith;        ///< [rad], to the pixel's ray, by Eq 7 or Eq 8 from the degree as measured; NaN = none
+  Image<float> zenith;        ///< [rad], from the pixel's ray, by Eq 7 or Eq 8 from the measured degree; NaN = none
   double refractive_index = 1.5;
   double specular_share = 0;  ///< of the labeled pixels
-  double clamped_share = 0;   ///< of the labeled pixels: degree beyond what the label's model can give
+  double clamped_share = 0;   ///< of the labeled pixels: those with a degree beyond the range of the label's model
 
   Reflection at(int u, int v) const { return static_cast<Reflection>(label(u, v)); }
   /// Side of Brewster's angle on which the pixel's zenith lies.
@@ -31,23 +31,23 @@ struct ReflectionMap {
   }
 };
 
-/// Zenith of a degree of polarization under one kind of reflection: Eq 7 or Eq 8.
+/// Zenith that gives this degree of polarization under one kind of reflection: Eq 7 or Eq 8.
 inline ZenithFromDegree zenith_of(Reflection reflection, double degree, double eta, SpecularBranch branch) {
   return reflection == Reflection::specular ? specular_zenith(degree, eta, branch) : diffuse_zenith(degree, eta);
 }
 
-/// Labels every valid pixel diffuse or specular and reads its zenith off the degree of polarization.
+/// Labels every valid pixel diffuse or specular and computes its zenith from the degree of polarization.
 ///
 /// camera: of the rasters; null = orthographic. prior_normals: 3 channels, unit, camera frame, towards the camera, NaN
 /// = none; null if there is no prior. labels: needed for ReflectionChoice::labels, 1 = diffuse, 2 = specular, 0 =
 /// decide.
 ///
 /// Automatic choice with a prior: the radial Stokes component R = s1 cos 2α + s2 sin 2α, α the prior's azimuth in the
-/// ray's frame, is positive for diffuse and negative for specular reflection. The share of R < 0, weighted by sin²θ of
-/// the prior and pooled over regions that lean on the whole object where they are flat, decides at one half. Without a
-/// prior a degree above the largest diffuse one is the only evidence, so that the whole object gets one label, and a
-/// weakly polarizing specular one (near-frontal view) is taken for diffuse. The prior's zenith picks the side of
-/// Brewster's angle in Eq 8; without it the side below is assumed.
+/// ray's frame, is positive for diffuse and negative for specular reflection. The share of pixels with R < 0, weighted
+/// by sin²θ of the prior and pooled over regions, decides: specular above one half. In flat regions the share of the
+/// whole object prevails. Without a prior, degrees above the largest diffuse one are the only evidence: the whole
+/// object gets one label, and a weakly polarizing specular object (near-frontal view) is labeled diffuse. The prior's
+/// zenith picks the side of Brewster's angle in Eq 8; without it the side below is assumed.
 ReflectionMap map_reflection(const PolarizationState& state, const Pinhole* camera, const Image<float>* prior_normals,
                              const Image<std::uint8_t>* labels, const ReflectionOptions& options,
                              const Context& context);

@@ -10,14 +10,14 @@ namespace malus {
 ///
 /// Residuals and variances are in units that keep a product of several variances in range.
 struct SinusoidFit {
-  /// Images that are worked on together.
+  /// Number of images that are processed together.
   static constexpr std::size_t group = 6;
 
-  /// What one image has to do with the fit.
+  /// Coefficients of one image in the fit.
   struct View {
     float solver[3] = {};        ///< half of s0, s1, s2 are Σ solver · image
     float cosine = 0, sine = 0;  ///< of twice the polarizer angle
-    float weight = 0;            ///< of its residual; 0 for an image that only fills up the last group
+    float weight = 0;            ///< of its residual; 0 for an empty place in the last group
   };
   std::vector<View> views;                 ///< a multiple of `group`
   float noise_slope = 0, noise_floor = 0;  ///< variance = slope · intensity + floor; times `unit`
@@ -26,7 +26,7 @@ struct SinusoidFit {
   float dark = 0;                          ///< unpolarized intensity up to which a pixel is dark
 };
 
-/// Of the white level, from a sample of an image.
+/// Intensity of an image's sample, as a share of the white level.
 [[gnu::always_inline]] inline float intensity(float sample) {
   return sample;
 }
@@ -37,12 +37,12 @@ struct SinusoidFit {
 /// Whether a pixel was fitted, and follows the fit.
 enum class SinusoidOutcome : std::uint8_t { outside, misfit, fitted };
 
-/// A run of pixels in every raster, each pointer to the first of them; results are written for all of them.
+/// A run of pixels in every raster; each pointer is to the run's first pixel. Results are written for all its pixels.
 template <class Sample>
 struct SinusoidRun {
   static constexpr std::size_t length = 256;
 
-  const Sample* const* images;  ///< one a view
+  const Sample* const* images;  ///< one per view
   const std::uint8_t *mask, *saturated;
   float *i_un, *rho, *phi, *residual;  ///< as in PolarizationState
   std::uint8_t* valid;                 ///< the same
