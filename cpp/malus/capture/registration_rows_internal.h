@@ -22,7 +22,7 @@ void resample_row(const Image<float>& band, const Affine& map, Interpolation int
 /// A row of every aligned image, and this row and its two neighbors in the images' mean. Each pointer is to
 /// BlockRow::length values.
 struct AlignedRow {
-  std::span<const float* const> bands;  ///< one an image
+  std::span<const float* const> bands;  ///< one per image
   const float *mean, *mean_above, *mean_below;
   const float* information;  ///< 1 / noise variance; 0 for pixels without weight, such as the first and last
   float x;                   ///< of the first pixel, from the image's center in units of its width …
@@ -36,7 +36,7 @@ struct RowSums {
   struct Side {
     double along_u[2] = {}, along_v[2] = {};  ///< residual of the image times g; times 1, x
   };
-  std::vector<Side> sides;  ///< one an image
+  std::vector<Side> sides;  ///< one per image
 };
 
 /// Disagreement of the images at each pixel, per degree of freedom, in units of the noise variance; length values.

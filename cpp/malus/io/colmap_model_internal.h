@@ -17,7 +17,7 @@
 
 namespace malus {
 
-/// A keypoint of an image, memory pixel convention, and the point it sees.
+/// A keypoint of an image, memory pixel convention, and the point that it observes.
 struct ColmapKeypoint {
   static constexpr std::uint64_t no_point = std::numeric_limits<std::uint64_t>::max();
 
@@ -41,20 +41,20 @@ struct ColmapPoint {
   std::vector<std::pair<std::uint32_t, std::uint32_t>> track;
 };
 
-/// A COLMAP reconstruction by its ids. Pixels are in the memory convention: this file's functions are the only place
-/// that converts (COLMAP's pixel centers are at +0.5).
+/// A COLMAP reconstruction, keyed by COLMAP's ids. Pixels are in the memory convention: this file's functions are the
+/// only place that converts (COLMAP's pixel centers are at +0.5).
 struct ColmapModel {
   std::map<std::uint32_t, LensCamera> cameras;
   std::map<std::uint32_t, ColmapImage> images;
   std::map<std::uint64_t, ColmapPoint> points;
 
-  /// Image of that name; an input error lists the names there are. `where` names file and field.
+  /// Image with this name; otherwise an input error lists the existing names. `where` names file and field.
   const ColmapImage& image(const std::string& name, const std::string& where) const;
   /// Moves the model: x becomes scale · rotation · x + translation.
   void transform(double scale, const Eigen::Matrix3d& rotation, const Eigen::Vector3d& translation);
 };
 
-/// What to read of a model; points and keypoints are most of its bytes.
+/// Which parts of a model to read; points and keypoints are most of its bytes.
 enum class ColmapParts { cameras_and_images, everything };
 
 /// Reads cameras, images and points3D from a folder, binary (preferred, as COLMAP does) or text, of COLMAP 3.x and 4.x
@@ -66,11 +66,11 @@ ColmapModel read_colmap_model(const std::filesystem::path& folder, ColmapParts p
 /// The files of a model's cameras and images that read_colmap_model reads. Throws ErrorCode::input if there are none.
 std::vector<std::filesystem::path> colmap_model_files(const std::filesystem::path& folder);
 
-/// Writes a binary model that COLMAP 3.8 and 4.x read, to an existing folder. `brown` has no counterpart there: input
-/// error.
+/// Writes a binary model that COLMAP 3.8 and 4.x read, to an existing folder. Throws an input error for `brown`, which
+/// COLMAP does not have.
 void write_colmap_model(const std::filesystem::path& folder, const ColmapModel& model);
 
-/// Content of a cameras.txt with one PINHOLE camera (id 1), and of an images.txt with one image (id 1) that it took.
+/// Content of a cameras.txt with one PINHOLE camera (id 1), and of an images.txt with one image (id 1) of this camera.
 std::string colmap_text(const Pinhole& camera);
 std::string colmap_text(const Pose& pose, const std::string& image_name);
 
@@ -83,7 +83,7 @@ Eigen::Matrix3d rotation_from_quaternion(const std::array<double, 4>& wxyz, cons
 /// Unit quaternion (w, x, y, z), w ≥ 0, of a rotation.
 std::array<double, 4> quaternion_from_rotation(const Eigen::Matrix3d& rotation);
 
-/// A camera with COLMAP's principal point as one in the memory pixel convention.
+/// Converts a camera from COLMAP's pixel convention to the memory pixel convention.
 LensCamera from_colmap_pixels(LensCamera camera);
 /// The reverse.
 LensCamera to_colmap_pixels(LensCamera camera);

@@ -8,12 +8,12 @@
 
 namespace malus {
 
-/// What matches a pattern with *, ? and [...] as in a shell (a name that begins with a dot only if the pattern says
-/// so), in no order; a relative pattern starts at `base`, which is taken as it stands. Folders without permission have
-/// nothing.
+/// Files that match a pattern with *, ? and [...] as in a shell (a name that begins with a dot only if the pattern
+/// does, too), in no order. A relative pattern starts at `base`, in which wildcards have no meaning. Folders without
+/// permission count as empty.
 ///
-/// Unlike glob(3) it ends soon, whatever the pattern: input error, with `where` the pattern stands, after a hundred
-/// thousand names and folders looked at.
+/// Unlike glob(3) it ends soon with any pattern: after a hundred thousand names and folders it throws an input error.
+/// `where` tells the user where the pattern stands.
 std::vector<std::filesystem::path> match_files(const std::filesystem::path& base, const std::string& pattern,
                                                const std::string& where);
 

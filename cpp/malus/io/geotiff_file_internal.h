@@ -10,18 +10,18 @@
 
 namespace malus {
 
-/// How a raster lies in a plane of its own: x to the right and y up, the center of its top-left pixel at (0, 0).
+/// Position of a raster in its own plane: x to the right and y up, the center of its top-left pixel at (0, 0).
 struct PlaneReference {
   double pixel = 1;   ///< size of a pixel in both directions, in `unit`
   LengthUnit unit;    ///< of the plane's coordinates and of the values
   std::string title;  ///< name of the local coordinate system
-  /// What else a reader should know, as name and value (GDAL shows them as the dataset's metadata).
+  /// Further metadata, as name and value (GDAL shows them as the dataset's metadata).
   std::vector<std::pair<std::string, std::string>> metadata;
 };
 
 /// GeoTIFF 1.1 of one float channel in a local engineering coordinate system (not on the Earth): ModelPixelScale and
 /// ModelTiepoint with pixels as areas, GeoKeys of a user-defined model with its unit, GDAL's nodata value and metadata;
-/// NaN = no data. Atomic. Throws as write_float_tiff, and an input error for a raster that has not one channel.
+/// NaN = no data. Atomic. Throws as write_float_tiff, and an input error unless the raster has one channel.
 void write_geotiff(const std::filesystem::path& path, const Image<float>& image, const PlaneReference& reference);
 
 }  // namespace malus

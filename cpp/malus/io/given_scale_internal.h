@@ -8,16 +8,16 @@
 
 namespace malus {
 
-/// What makes a surface of unknown scale metric.
+/// Scale of a surface whose scale is unknown.
 struct GivenScale {
-  double factor = 1;           ///< known over measured distance: squares of all bars that are not held out
-  std::vector<double> errors;  ///< of each bar then, measured − known, station unit
+  double factor = 1;           ///< known over measured distance, by least squares over all bars that are not held out
+  std::vector<double> errors;  ///< of each bar after scaling, measured − known, station unit
 };
 
 /// Scale of a cloud and its cameras from known distances: between two points of the cloud's frame, or between points
-/// that are marked in two or more images of the model, where their rays meet in the least-squares sense. model null =
-/// there is none. `where` names file and table in messages. Throws an input error for marks in unknown images or whose
-/// rays are parallel, for points that coincide, and if every bar is held out.
+/// that are marked in two or more images of the model, where their rays meet in the least-squares sense. model: null =
+/// none. `where` names file and table in messages. Throws an input error for marks in unknown images or whose rays are
+/// parallel, for points that coincide, and if every bar is held out.
 GivenScale given_scale(const std::vector<ScaleBar>& bars, const ColmapModel* model, const std::string& where);
 
 }  // namespace malus

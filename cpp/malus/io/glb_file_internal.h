@@ -13,7 +13,7 @@
 
 namespace malus {
 
-/// The photograph of a mesh: every vertex takes its color from where this camera sees it.
+/// The photograph of a mesh: each vertex takes its color from its projection into this camera.
 struct ProjectedTexture {
   const Image<std::uint8_t>&
       image;  ///< sRGB, 1 or 3 channels, covers the whole view; may be smaller than the camera's size
@@ -22,12 +22,12 @@ struct ProjectedTexture {
 };
 
 /// Writes a mesh with a texture as binary glTF 2.0, atomically: one file, in meters (`unit` is the mesh's), in the
-/// mesh's own frame and therefore not turned to glTF's y up. Positions are 32-bit floats about the middle of the
-/// bounding box, which is the node's translation, so that a national grid loses nothing. UV = pixel grid of the camera;
-/// the texture is a JPEG, the material rough and not metallic. A second node carries the camera, to look from where the
-/// photograph was taken. `extras`: a JSON object of what the file says of itself (asset.extras), or nothing. Throws an
-/// input error for a mesh without triangles or with normals that are not one a vertex, a resource error when it cannot
-/// be written or would exceed 4 GB.
+/// mesh's own frame and therefore not turned to glTF's y up. Positions are 32-bit floats relative to the middle of the
+/// bounding box, which is the node's translation, so that coordinates of a national grid lose no precision. UV = pixel
+/// grid of the camera; the texture is a JPEG, the material rough and not metallic. A second node carries the camera, so
+/// that viewers can show the photograph's view. `extras`: a JSON object with metadata of the file (asset.extras), or
+/// empty. Throws an input error for a mesh without triangles or unless it has one normal per vertex, a resource error
+/// when it cannot be written or would exceed 4 GB.
 void write_glb(const std::filesystem::path& path, const TriangleMesh& mesh, const ProjectedTexture& texture,
                const LengthUnit& unit, const std::string& name, const Context& context = {},
                const std::string& extras = {});

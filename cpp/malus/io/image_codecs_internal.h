@@ -1,6 +1,6 @@
 #pragma once
 
-// Private to the io room: one decoder a format, each on the bytes of a whole file.
+// Private to the io room: one decoder per format; each takes the bytes of a whole file.
 
 #include <cstdint>
 #include <functional>
@@ -16,17 +16,17 @@ struct tiff;  // libtiff's TIFF
 
 namespace malus::codecs {
 
-/// What a header says.
+/// Content of an image file's header.
 struct ImageHeader {
   Size size;
   int channels = 1;        ///< of the result: 1 or 3
-  double most_pixels = 0;  ///< that a file of this length and compression can hold
+  double most_pixels = 0;  ///< largest number that a file of this length and compression can hold
 };
 
-/// Called with the header before pixels are decoded; throws when they are not wanted or cannot be in the file.
+/// Called with the header before pixels are decoded; throws when the pixels are not wanted or cannot be in the file.
 using HeaderCheck = std::function<void(const ImageHeader&)>;
 
-/// Most bytes that a byte of a Deflate stream can stand for.
+/// Largest number of bytes that one byte of a Deflate stream can expand to.
 inline constexpr double deflate_ratio = 1032;
 
 /// Throws std::runtime_error with the reason on files that are damaged or of an unsupported kind; the caller adds the

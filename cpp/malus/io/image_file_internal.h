@@ -16,27 +16,28 @@ struct RawImage {
   double full_scale_dn = 0;  ///< 255 or 65535; 1 for floating-point files
 };
 
-/// Reads PNG (1 to 16 bits; up to 8 come out scaled to 8), TIFF (8 or 16 bits unsigned, 32 or 64 bits float) or JPEG
-/// (8 bits), gray or color. The content decides, not the file name. An alpha channel is dropped; palettes are
-/// expanded. EXIF orientation is ignored: pixels come out in the order in which the sensor's file stores them, the same
-/// for all of a station's files. `what` names the file's purpose in messages.
+/// Reads PNG (1 to 16 bits; up to 8 are scaled to 8), TIFF (8 or 16 bits unsigned, 32 or 64 bits float) or JPEG (8
+/// bits), gray or color. The content decides, not the file name. An alpha channel is dropped; palettes are expanded.
+/// EXIF orientation is ignored: pixels keep the order in which the file stores them, the same for all files of a
+/// station. `what` names the file's purpose in messages.
 ///
 /// Throws ErrorCode::input for files that are missing, empty, truncated, damaged, not an image, of an unsupported kind,
 /// or that claim a size their bytes cannot hold (checked before memory is taken).
 RawImage read_image(const std::filesystem::path& path, const std::string& what = "image");
 
-/// Intensity of a photo as its file codes it, in [0, 1] of full scale: the mean of its channels. Errors as read_image.
+/// Intensity of a photo as encoded in its file, in [0, 1] of full scale: the mean of its channels. Errors as
+/// read_image.
 Image<float> read_intensity(const std::filesystem::path& path, const std::string& what = "photo");
 
 /// Size of an image from its header alone.
 Size read_image_size(const std::filesystem::path& path, const std::string& what = "image");
 
 /// Whether the name is that of a camera's RAW file, which the Python package develops (extra `raw`); read_image and
-/// read_image_size refuse it, as its bytes may look like a TIFF of a preview.
+/// read_image_size refuse such files, because their bytes may look like a preview's TIFF.
 bool is_raw_name(const std::filesystem::path& path);
 
-/// Mask from an image: 255 where any channel is not zero, else 0. Throws an input error if all of it is zero, and for
-/// photographs: more than 16 values, and more than 5 % of the pixels between black and white.
+/// Mask from an image: 255 where any channel is not zero, else 0. Throws an input error if all pixels are zero, or if
+/// the image looks like a photograph: more than 16 values, and more than 5 % of the pixels between black and white.
 Mask read_mask(const std::filesystem::path& path, const std::string& what = "mask");
 
 /// Values of an 8-bit one-channel image, unchanged (label images).

@@ -16,13 +16,14 @@ namespace malus {
 /// `what` says what the file is for ("polarized image"); the message names it, the path and the reason.
 std::uint64_t require_file(const std::filesystem::path& path, const std::string& what);
 
-/// What to write instead of the backslashes of a path or a line of a file; "" = there are none.
+/// Advice, for messages, on what to write instead of the backslashes in a path or in a line of a file; "" = no
+/// backslashes.
 std::string path_of_windows(std::string_view text);
 
 /// The whole file; errors as require_file, and ErrorCode::resource when reading fails.
 std::string read_file(const std::filesystem::path& path, const std::string& what);
 
-/// The same for files that may be large.
+/// As read_file, for files that may be large.
 LargeVector<char> read_bytes(const std::filesystem::path& path, const std::string& what);
 
 /// Reads a file front to back through one buffer, so that memory does not grow with the file.
@@ -34,12 +35,13 @@ class InputFile {
   InputFile& operator=(const InputFile&) = delete;
 
   std::uint64_t size() const { return size_; }
-  /// Bytes not read yet; what a header claims is compared with this before memory is taken for it.
+  /// Number of bytes not read yet. Sizes claimed by a header are compared with this before memory is allocated for
+  /// them.
   std::uint64_t remaining() const { return position_ < size_ ? size_ - position_ : 0; }
 
   /// Copies exactly `size` bytes; throws an input error ("… is truncated") when the file ends before.
   void read(void* target, std::size_t size);
-  /// Passes over exactly `size` bytes; errors as read.
+  /// Skips exactly `size` bytes; errors as in read().
   void skip(std::uint64_t size);
   /// Up to `size` bytes; the number copied is less only at the end of the file.
   std::size_t read_some(void* target, std::size_t size);

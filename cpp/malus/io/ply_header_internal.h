@@ -30,7 +30,7 @@ struct PlyElement {
   std::vector<PlyProperty> properties;
 
   bool has_lists() const;
-  /// Bytes of a record without lists; of one with lists the fewest it can have.
+  /// Bytes of a record; if it has lists, the smallest possible number.
   std::size_t smallest_record() const;
 };
 

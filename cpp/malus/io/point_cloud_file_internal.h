@@ -9,35 +9,34 @@
 
 namespace malus {
 
-/// Reads a point cloud, coordinates as they stand in the file.
+/// Reads a point cloud; coordinates are those of the file.
 ///
 /// PLY, ASCII or binary of either byte order, properties in any order and of any type: x, y, z; optionally nx, ny, nz
-/// and red, green, blue (floating-point colors are taken as 0 to 1, 16-bit ones are scaled); everything else is passed
-/// over. XYZ text: one point a line, separated by blanks, commas or semicolons; lines starting with #, // or % are
-/// comments, except that a first line with column names (x y z nx ny nz r g b, in any order) says what the columns are.
+/// and red, green, blue (floating-point colors are taken as 0 to 1, 16-bit ones are scaled); other properties are
+/// ignored. XYZ text: one point a line, separated by blanks, commas or semicolons; lines starting with #, // or % are
+/// comments, except that a first line with column names (x y z nx ny nz r g b, in any order) defines the columns.
 /// Without names: x y z; six columns are x y z r g b if the first line's last three are whole numbers from 0 to 255 and
-/// not a unit vector, else x y z nx ny nz; nine are x y z r g b nx ny nz; of others only the first three are used. A
-/// normal that is not finite becomes zero.
+/// not a unit vector, else x y z nx ny nz; nine are x y z r g b nx ny nz; with any other number only the first three
+/// are used. A normal that is not finite becomes zero.
 ///
 /// Throws ErrorCode::input naming the file: not a point cloud, truncated, more points claimed than its bytes can hold
-/// (checked before memory is taken), no x, y or z, malformed line; coordinates that are not finite are an error that
-/// says how many there are and which is the first. `what` names the file's purpose in messages.
+/// (checked before memory is taken), no x, y or z, malformed line; for coordinates that are not finite the error states
+/// their number and the first of them. `what` names the file's purpose in messages.
 PointCloud read_point_cloud(const std::filesystem::path& path, const Context& context = {},
                             const std::string& what = "point cloud");
 
-/// Reads a PLY mesh; vertices as read_point_cloud, polygons are cut into triangle fans. Errors also for a file without
-/// faces and for indices beyond the vertices.
+/// Reads a PLY mesh; vertices as in read_point_cloud, polygons are split into triangle fans. Further errors: a file
+/// without faces, and vertex indices out of range.
 TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context = {},
                        const std::string& what = "mesh");
 
-/// Reads what read_mesh reads, and every point cloud that read_point_cloud reads as a mesh without triangles.
+/// Reads the files of read_mesh, and those of read_point_cloud as a mesh without triangles.
 TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context& context = {},
                                 const std::string& what = "cloud or mesh");
 
-/// Writes binary little-endian PLY, atomically (see AtomicFile): x, y, z, then normals (float) and colors (uchar)
-/// where there are any. Coordinates are float unless rounding to float could move a point by more than a thousandth of
-/// the mean vertex spacing (diagonal of the bounding box / √count), as it does in a national grid; then they are
-/// double.
+/// Writes binary little-endian PLY, atomically (see AtomicFile): x, y, z, then normals (float) and colors (uchar) where
+/// there are any. Coordinates are float unless rounding to float could move a point by more than a thousandth of the
+/// mean vertex spacing (diagonal of the bounding box / √count), as in a national grid; in that case they are double.
 void write_ply(const std::filesystem::path& path, const PointCloud& cloud, const Context& context = {});
 /// The same with faces (list uchar int vertex_indices), and with comments, a line each, in the header.
 void write_ply(const std::filesystem::path& path, const TriangleMesh& mesh, const Context& context = {},

@@ -9,7 +9,7 @@
 
 namespace malus {
 
-/// Writes the values of one record after another.
+/// Writes the values of records one after another.
 class RecordEncoder {
  public:
   explicit RecordEncoder(char* at) : at_(at) {}
@@ -24,7 +24,7 @@ class RecordEncoder {
   char* at_;
 };
 
-/// Bytes for a place of a file.
+/// A block of bytes and its offset in a file.
 class FileBlock {
  public:
   FileBlock(std::size_t offset, std::size_t size) : offset_(offset), bytes_(size) {}
@@ -37,8 +37,7 @@ class FileBlock {
   LargeVector<char> bytes_;
 };
 
-/// Writes `count` records of `size` bytes each at a place of the file, on all threads: encode(i, encoder) puts record
-/// i.
+/// Writes `count` records of `size` bytes each at `offset`, on all threads: encode(i, encoder) puts record i.
 template <class Encode>
 void write_records(AtomicFile& file, std::size_t offset, std::size_t count, std::size_t size, const Context& context,
                    Encode&& encode) {

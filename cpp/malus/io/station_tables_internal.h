@@ -1,6 +1,6 @@
 #pragma once
 
-// Private to the io room: what a station says, as the tables of its file.
+// Private to the io room: a station from the tables of its file.
 
 #include <toml++/toml.h>
 
@@ -11,15 +11,15 @@
 
 namespace malus {
 
-/// What is in memory in place of the files that a station file names.
+/// Data in memory in place of files that a station file names.
 struct GivenInMemory {
-  std::vector<std::filesystem::path> images;  ///< how messages call them
+  std::vector<std::filesystem::path> images;  ///< their names in messages
   CameraSpec camera;
   bool has_prior = false;
 };
 
-/// As read_station_file, of tables that are read already. `path`: of the file, to which relative paths belong. `given`
-/// nullptr = everything is in files; else the tables name no images, mask, camera or photos.
+/// As read_station_file, but from tables that are parsed already. `path`: the file, whose folder relative paths start
+/// at. `given`: nullptr = all data are in files; otherwise the tables name no images, mask, camera or photos.
 StationFile read_station_tables(const toml::table& root, const std::filesystem::path& path, const GivenInMemory* given);
 
 }  // namespace malus

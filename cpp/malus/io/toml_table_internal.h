@@ -21,7 +21,7 @@ namespace malus {
 
 class TomlTable {
  public:
-  /// `name` is how messages call the table: "[polarized]", "[[patch]] 2". Throws for a key that is not `known`.
+  /// `name` is the table's name in messages: "[polarized]", "[[patch]] 2". Throws for a key that is not `known`.
   TomlTable(const toml::table& table, std::filesystem::path file, std::string name,
             const std::vector<std::string_view>& known);
 
@@ -30,9 +30,9 @@ class TomlTable {
   /// Whether the key holds the text "auto".
   bool is_auto(std::string_view key) const;
 
-  /// One line without control characters: formats of lines could not hold what others read as a line of its own.
+  /// One line without control characters, because line-based formats could not hold a line break.
   std::optional<std::string> text(std::string_view key) const;
-  /// Any number of lines.
+  /// Text of any number of lines.
   std::optional<std::string> lines(std::string_view key) const;
   std::optional<bool> boolean(std::string_view key) const;
   std::optional<double> number(std::string_view key, Range range = any_value) const;
@@ -50,17 +50,17 @@ class TomlTable {
   template <class T>
   T required(std::optional<T> value, std::string_view key, const std::string& expected) const;
 
-  /// Path of a file that exists, is readable and not empty; relative ones start at the station file's folder.
+  /// Path of a file that exists, is readable and not empty; relative paths start at the station file's folder.
   std::optional<std::filesystem::path> existing_file(std::string_view key) const;
-  /// The path that the key names. There need not be such a file, but the system must be able to look: names that are
-  /// too long, circles of links and folders without permission are errors.
+  /// The path that the key names. The file need not exist, but the system must be able to look it up: names that are
+  /// too long, cycles of links and folders without permission are errors.
   std::filesystem::path resolve(std::string_view key, const std::string& path) const;
 
   /// Input error "<file>, line L: <table>.<key> = <value>, expected <expected>".
   Error wrong(std::string_view key, const std::string& expected) const;
   /// Input error "<file>, line L: <table>.<key>: <message>".
   Error error(std::string_view key, const std::string& message) const;
-  /// "<file>: <table>.<key>", to name the field in messages of other parts.
+  /// "<file>: <table>.<key>", to name the field in messages from other code.
   std::string where(std::string_view key) const;
   const std::filesystem::path& file() const { return file_; }
 
