@@ -11,8 +11,8 @@ namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
 
-/// Derivative of ln z along one axis from the pixels before and after, which are NaN where there is none; NaN if
-/// neither is finite.
+/// Derivative of ln z along one axis from the values before, here and after (NaN = missing); NaN if neither neighbor is
+/// finite.
 double log_slope(double before, double here, double after) {
   const bool has_before = !std::isnan(before), has_after = !std::isnan(after);
   if (has_before && has_after) return 0.5 * (after - before);
@@ -47,7 +47,7 @@ class LogRows {
 
 Image<float> normals_from_depth(const Image<float>& depth, const Pinhole& camera, const Context& context) {
   auto normals = Image<float>::uninitialized(depth.size(), 3);
-  // Rows enough that each logarithm is taken little more than once.
+  // Blocks of this many rows, so that few logarithms are computed twice.
   parallel_for(context, static_cast<std::size_t>(depth.height()), 16, [&](std::size_t begin, std::size_t end) {
     const int first = static_cast<int>(begin), last = static_cast<int>(end);
     const LogRows logs(depth, first - 1, last + 1);

@@ -17,7 +17,7 @@ namespace {
 
 using Work = std::function<void()>;
 
-/// Whether this thread is within a loop's body.
+/// Whether this thread runs a loop's body.
 thread_local bool within_a_loop = false;
 
 void work_on(const Work& work) {
@@ -29,44 +29,44 @@ void work_on(const Work& work) {
 #if defined(__SANITIZE_THREAD__)
 /// ThreadSanitizer does not see how oneTBB's library synchronizes its threads.
 std::atomic<bool> tbb_is_unusable{true};
-/// Most tests ask for one thread, which could not race with another.
+/// Most tests ask for one thread, with which no race could occur.
 constexpr int fewest_threads = 2;
 #else
 std::atomic<bool> tbb_is_unusable{false};
 constexpr int fewest_threads = 1;
 #endif
 
-/// Left behind in the child of a fork, where letting go of it would wait for threads that are not there.
+/// Does not delete the arena in the child of a fork: there the destructor would wait for threads that do not exist.
 struct Release {
   void operator()(tbb::task_arena* arena) const {
     if (!tbb_is_unusable) delete arena;
   }
 };
 
-/// Calls work() so many times, as many at once as there are threads, by oneTBB's threads.
+/// Calls work() `calls` times on oneTBB's threads, at most `threads` calls at once.
 void run_by_tbb(int threads, int calls, const Work& work) {
   const auto call = [&] {
     tbb::parallel_for(
         0, calls, [&](int) { work_on(work); }, tbb::simple_partitioner());
   };
   if (within_a_loop) {
-    // Otherwise a thread that waits for an inner loop could begin another block of the outer one.
+    // Without isolation a thread that waits for an inner loop could begin another block of the outer loop.
     tbb::this_task_arena::isolate(call);
     return;
   }
-  // The arena says how many threads a loop has, also if there are fewer processors.
+  // The arena sets the number of threads of a loop, even if there are fewer processors.
   constexpr std::size_t most_threads = 256;
-  // Never let go of. Volatile, or compilers drop the pointer and LeakSanitizer takes what it points to for lost.
+  // Never deleted. Volatile, or compilers drop the pointer and LeakSanitizer reports the object as leaked.
   static const tbb::global_control* const volatile limit =
       new tbb::global_control(tbb::global_control::max_allowed_parallelism, most_threads);
   static_cast<void>(limit);
-  // Kept, since the loops of a thread mostly have the same number of threads: these stay together.
+  // Kept per calling thread: its loops mostly use the same number of threads, so the arena's threads are reused.
   thread_local std::unique_ptr<tbb::task_arena, Release> arena;
   if (!arena || arena->max_concurrency() != threads) arena.reset(new tbb::task_arena(threads));
   arena->execute(call);
 }
 
-/// The same by threads of this loop's own, for where oneTBB's cannot be used; loops within others have none.
+/// The same on threads that this loop starts itself, for use without oneTBB; inner loops start no threads.
 void run_by_own_threads(int calls, const Work& work) {
   std::vector<std::jthread> others;
   if (!within_a_loop) {
@@ -80,7 +80,7 @@ void run(int threads, int calls, const Work& work) {
     work();
     return;
   }
-  // The child of a fork has none of the threads that oneTBB counts on, and what these had locked stays locked.
+  // The child of a fork has none of oneTBB's threads, and locks that these held stay locked.
   static const int registered = pthread_atfork(nullptr, nullptr, [] { tbb_is_unusable = true; });
   static_cast<void>(registered);
   tbb_is_unusable ? run_by_own_threads(calls, work) : run_by_tbb(threads, calls, work);
@@ -93,7 +93,7 @@ void parallel_for(const Context& context, std::size_t count, std::size_t grain,
   const std::size_t blocks = (count + grain - 1) / grain;
   if (blocks == 0) return;
   std::atomic<std::size_t> next{0};
-  // Of the blocks that threw. Those before it have begun or will: which exception is rethrown is not left to chance.
+  // Lowest block that threw. All blocks before it still run, so the rethrown exception does not depend on timing.
   std::atomic<std::size_t> first_failed{blocks};
   std::exception_ptr error;
   std::mutex error_mutex;

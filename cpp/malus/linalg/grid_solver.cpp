@@ -10,7 +10,7 @@
 namespace malus {
 namespace {
 
-/// Far more than the largest rasters take from a start at half the resolution.
+/// Far more than the largest rasters need, with a start from half the resolution.
 constexpr int most_iterations = 20'000;
 
 using IncompleteCholesky = Eigen::IncompleteCholesky<double, Eigen::Lower, Eigen::NaturalOrdering<int>>;
@@ -43,7 +43,7 @@ SolveStatus GridSolver::solve_direct(const SymmetricSolver::Matrix& matrix, cons
   return status;
 }
 
-/// Eigen's own loop cannot be interrupted.
+/// Own loop, because Eigen's cannot be interrupted.
 SolveStatus GridSolver::solve_iteratively(const SymmetricSolver::Matrix& matrix, const Eigen::VectorXd& right,
                                           double reduction, Eigen::VectorXd& x) {
   const auto lower = matrix.selfadjointView<Eigen::Lower>();

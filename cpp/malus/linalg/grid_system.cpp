@@ -41,7 +41,7 @@ SymmetricSolver::Matrix GridSystem::lower(double ridge) const {
   int next = 0;
   for (int a = 0; a < count; ++a) {
     matrix.outerIndexPtr()[a] = next;
-    // Slots are ordered as the pixels are numbered: row indices come out sorted.
+    // Slots are in the order of the pixels' numbers, so row indices are sorted.
     for_each_entry(a, [&](int du, int dv, double value) {
       matrix.innerIndexPtr()[next] = pixels_->at(pixels_->u(a) + du, pixels_->v(a) + dv);
       matrix.valuePtr()[next] = value + (du == 0 && dv == 0 ? ridge : 0.0);

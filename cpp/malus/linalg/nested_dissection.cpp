@@ -5,7 +5,7 @@
 namespace malus {
 namespace {
 
-/// Boxes of no more pixels are numbered as they are.
+/// Boxes of at most this many pixels are numbered without further division.
 constexpr int leaf_pixels = 64;
 
 class Dissection {
@@ -36,7 +36,7 @@ class Dissection {
   std::vector<int> take() { return std::move(order_); }
 
  private:
-  /// Across the shorter side, so that a separator's fill stays in a band.
+  /// Numbers the unknowns line by line along the shorter side, so that a separator's fill stays in a band.
   void number(int u0, int v0, int u1, int v1) {
     const bool tall = v1 - v0 > u1 - u0;
     const int outer = tall ? v1 - v0 : u1 - u0, inner = tall ? u1 - u0 : v1 - v0;

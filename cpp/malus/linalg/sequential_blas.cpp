@@ -19,14 +19,14 @@ void blas_memory_free(void* buffer);
 namespace malus {
 namespace {
 
-// OpenBLAS has one count for the process: the first user saves it, the last one puts it back.
+// OpenBLAS has one thread count per process: the first user saves it, the last one restores it.
 std::mutex mutex;
 std::size_t users = 0;
 int threads_before = 1;
-/// Buffers that OpenBLAS has, which it never gives back.
+/// Buffers that OpenBLAS has allocated; it never frees them.
 std::set<const void*> buffers;
 
-/// What OpenBLAS takes for a buffer on x86-64.
+/// Size of one OpenBLAS buffer on x86-64.
 constexpr std::size_t buffer_bytes = std::size_t{128} << 20;
 
 void require_memory(std::size_t bytes) {
@@ -38,8 +38,8 @@ void require_memory(std::size_t bytes) {
   ::munmap(place, bytes);
 }
 
-/// Makes OpenBLAS have a buffer for each of its users. It asks for one when it is called, and if the system refuses, it
-/// asks again, forever.
+/// Makes OpenBLAS allocate one buffer per user in advance. Otherwise OpenBLAS allocates when it is called, and retries
+/// forever if the system refuses.
 void reserve_buffers() {
   struct Taken : std::vector<void*> {
     ~Taken() {
@@ -47,7 +47,7 @@ void reserve_buffers() {
     }
   } taken;
   while (buffers.size() < users) {
-    // One more, for whoever finds the buffers taken meanwhile.
+    // Room for one more, in case another thread takes the buffers meanwhile.
     require_memory(2 * buffer_bytes);
     taken.push_back(blas_memory_alloc(0));
     buffers.insert(taken.back());

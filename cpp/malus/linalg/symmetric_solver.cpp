@@ -28,7 +28,7 @@ cholmod_sparse view(const SymmetricSolver::Matrix& lower) {
   return view;
 }
 
-/// The same of right-hand sides.
+/// The same for right-hand sides.
 cholmod_dense view_of(Eigen::Ref<Eigen::MatrixXd> columns) {
   cholmod_dense view{};
   view.nrow = static_cast<std::size_t>(columns.rows());
@@ -72,7 +72,7 @@ struct SymmetricSolver::Impl {
     if (factor != nullptr) cholmod_free_factor(&factor, &common);
   }
 
-  /// Turns CHOLMOD's failures into errors; `what` was being done.
+  /// Throws if CHOLMOD failed; `what` names the operation.
   void check(const char* what) {
     if (common.status >= CHOLMOD_OK) return;
     const int status = common.status;
@@ -145,7 +145,7 @@ SolveStatus SymmetricSolver::factorize(const Matrix& lower) {
   cholmod_factorize(&matrix, impl_->factor, &impl_->common);
   impl_->check("factorizing");
   impl_->context.check_cancel();
-  // Failing at a column is a warning of CHOLMOD's, not an error.
+  // CHOLMOD reports a failure at a column as a warning, not as an error.
   return impl_->factor->minor == impl_->factor->n ? SolveStatus::solved : SolveStatus::not_positive_definite;
 }
 

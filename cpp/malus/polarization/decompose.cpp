@@ -40,7 +40,8 @@ void count_angles(std::span<const double> angles_rad, std::vector<double>& disti
   }
 }
 
-/// Pixels that one thread takes at a time: of large rasters a huge page, so that no two threads clear the same one.
+/// Number of pixels that one thread takes at a time. In large rasters they fill a huge page, so that no two threads
+/// clear the same page.
 std::size_t grain_of(std::size_t pixels) {
   constexpr std::size_t least = 64 * run_length, most = (std::size_t{2} << 20) / sizeof(float);
   return std::clamp(pixels / 16 / run_length * run_length, least, most);
@@ -88,7 +89,8 @@ struct Fit {
   double sum_normalized = 0;  ///< of the squared residuals over their variances
 };
 
-/// Fits pixel by pixel in double precision: with noise weights, and without an outlier. Makes what SinusoidFit needs.
+/// Fits pixel by pixel in double precision: with noise weights, and without an outlier. Also computes the coefficients
+/// of SinusoidFit.
 class PixelFitter {
  public:
   PixelFitter(Rows rows, const NoiseModel& noise, const DecomposeOptions& options)
@@ -98,8 +100,8 @@ class PixelFitter {
     }
   }
 
-  /// Fits a pixel and writes it into the rasters of a state; `recover`: if it does not follow the sinusoid, without the
-  /// image that spoils it most. `saturated`: the pixel is.
+  /// Fits a pixel and writes it into the rasters of a state; `recover`: a pixel that does not follow the sinusoid is
+  /// fitted without the image that fits worst. `saturated`: state of the pixel.
   void fit(const std::vector<double>& values, bool recover, bool saturated, PolarizationState& state,
            std::size_t pixel) const {
     Fit best = fit(values, rows_.size(), all_);
@@ -218,8 +220,8 @@ class PixelFitter {
   std::vector<Solver> without_;
 };
 
-/// A run that is shorter than fit_sinusoid's, by way of memory that is not; what is beyond `count` counts as off the
-/// object.
+/// Fits a run that is shorter than fit_sinusoid's runs, through a full-length copy. Pixels beyond `count` count as
+/// outside the object.
 template <class Sample>
 bool fit_short_run(const SinusoidFit& fit, SinusoidRun<Sample> run, std::size_t count) {
   std::vector<Sample> samples(fit.views.size() * run_length, Sample{});

@@ -12,7 +12,7 @@ namespace malus {
 namespace {
 
 constexpr double degrees = 180 / std::numbers::pi;
-/// An error of the zero below this is not worth a change [deg].
+/// Smaller errors of the zero are not corrected [deg].
 constexpr double small_zero_error_deg = 0.5;
 
 /// Angles, then ln gains of geometric mean 1, of the images after a change of frame.
@@ -47,15 +47,15 @@ Eigen::MatrixX3d frame_slopes(const std::vector<double>& angles_rad, const std::
   return slopes;
 }
 
-/// Covariance of angles and ln gains when what the images cannot tell has the covariance `of_frame` along `slopes`
-/// (2K × 3). The rest is known from images and nominal values; exposures are relative to their mean.
+/// Covariance of angles and ln gains. Along `slopes` (2K × 3), the directions that images cannot determine, it is
+/// `of_frame`. All other directions are known from images and nominal values; exposures are relative to their mean.
 Eigen::MatrixXd covariance_of(const PolarizerFit& fit, const Eigen::MatrixX3d& slopes,
                               const Eigen::Matrix3d& of_frame) {
   const Eigen::Index size = slopes.rows();
   Eigen::MatrixXd unseen(size, 4);
   unseen << slopes, Eigen::VectorXd::Zero(size);
   unseen.col(3).tail(size / 2).setOnes();
-  // A basis of everything that the nominal values keep apart from it.
+  // A basis of all directions orthogonal to the unseen ones in the metric of the nominal weights.
   const Eigen::MatrixXd weighted = fit.nominal_weight.asDiagonal() * unseen;
   const Eigen::MatrixXd orthogonal = weighted.householderQr().householderQ();
   const Eigen::MatrixXd seen = orthogonal.rightCols(size - 4);
@@ -90,7 +90,7 @@ std::string in_degrees(double value, double sigma) {
   return text.str();
 }
 
-/// What contradicts the scale beyond doubt, and how to mend it; empty if nothing does.
+/// What contradicts the scale beyond doubt, and how to correct it; empty if nothing does.
 std::string contradiction(const FrameEstimate& surface) {
   std::ostringstream text;
   text.precision(2);
@@ -111,7 +111,7 @@ std::string contradiction(const FrameEstimate& surface) {
   return text.str();
 }
 
-/// Of a scale that is known: what a person should look at, though nothing contradicts it beyond doubt.
+/// Warnings about a known scale that a person should check, though nothing contradicts the scale beyond doubt.
 std::vector<std::string> doubts(const FrameEstimate& surface) {
   if (!surface.limits.looks_off_by_quarter()) return {};
   return {
@@ -192,7 +192,7 @@ CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool 
                                    " too small");
   }
   if (only_check) return result;
-  // Angles that fit as they are: only a zero that is clearly off is worth a change.
+  // The nominal angles fit, so only a zero that is clearly off is corrected.
   const bool only_zero = options.calibrate_angles == AngleCalibration::automatic && !from_images;
   if (only_zero && !significant) return result;
   if (only_zero) values = {0, 0, surface.values[2]};
@@ -204,7 +204,8 @@ CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool 
   calibration.angles_sigma_deg.clear();
   calibration.gains.clear();
   calibration.gains_sigma.clear();
-  // Signs of the angles' correlations with exposures do not matter to standard deviations.
+  // `mirror` only changes the signs of the angles' correlations with exposures, which do not affect standard
+  // deviations.
   set_values(calibration, in_frame(fit.angles_rad, fit.gains, result.frame),
              covariance_of(fit, frame_slopes(fit.angles_rad, fit.gains), covariance));
   return result;

@@ -13,15 +13,16 @@ namespace {
 
 constexpr double pi = std::numbers::pi;
 constexpr std::size_t min_cells = 200;
-/// Share of the cells that must be left beside the highlight.
+/// Smallest share of the cells that must remain outside the highlight.
 constexpr double min_share_beside_highlight = 0.05;
-/// Error of the scale's zero from which the search does not start at the scale as given.
+/// Error of the scale's zero above which the search starts from the coherence instead of the scale as given.
 constexpr double gross_turn_rad = 10 * pi / 180;
-/// Standard deviation of a polarization of the whole scene that a mirroring object facing the camera may have, all of
-/// it reflecting the same lamp, and the slope (tan θ) at which it varies enough over an object to be told apart.
+/// Standard deviation of the constant polarization that a mirroring object facing the camera may have because all of it
+/// reflects the same lamp; and the slope (tan θ) at which this reflection varies enough over an object to be separated.
 constexpr double mirrored_lamp = 0.02, mirrored_lamp_slope = 0.4;
 
-/// Whether the degrees are too large for diffuse reflection: the median ratio to it, where zeniths are known well.
+/// Whether the degrees are too large for diffuse reflection: uses the median ratio to the diffuse degree, where zeniths
+/// are known well.
 bool degrees_are_specular(const std::vector<PhaseCell>& cells, double eta) {
   std::vector<double> ratios;
   for (const PhaseCell& cell : cells) {
@@ -32,7 +33,8 @@ bool degrees_are_specular(const std::vector<PhaseCell>& cells, double eta) {
   return !ratios.empty() && median_in_place(ratios) > 2.5;
 }
 
-/// Mean of sin²θ-weighed signs of R with the phases turned back: above one half, the polarization is specular.
+/// Whether the sin²θ-weighted share of cells with R < 0, with the phases turned back, is above one half: the
+/// polarization is then specular.
 bool mostly_across(const std::vector<PhaseCell>& cells, double turn_rad, bool mirrored) {
   const std::complex<double> turn = std::polar(1.0, -2 * turn_rad);
   double across = 0, all = 0;
@@ -55,7 +57,7 @@ std::vector<double> angles_from_highlight(const std::vector<PhaseCell>& cells, c
   return angles;
 }
 
-/// Leaves the cells beside the highlight, or all if that would leave too few.
+/// Keeps the cells outside the highlight only, or all cells if too few would remain.
 void keep_beside_highlight(std::vector<PhaseCell>& cells, std::vector<double>& from_highlight_rad, double limit_rad) {
   std::vector<PhaseCell> kept;
   std::vector<double> kept_rad;
@@ -73,12 +75,13 @@ void keep_beside_highlight(std::vector<PhaseCell>& cells, std::vector<double>& f
 
 /// (b1, b2, turn) of a frame without mirror: a turn, and then a boost.
 Eigen::Vector3d values_of(const StokesFrame& frame) {
-  const Eigen::Vector2d added = frame.col(0).tail<2>() / frame(0, 0);  // What the boost makes of no polarization.
+  const Eigen::Vector2d added = frame.col(0).tail<2>() / frame(0, 0);  // Unpolarized light after the boost.
   const StokesFrame turn = boost(-added[0], -added[1]) * frame;
   return {added[0], added[1], 0.5 * std::atan2(turn(2, 1), turn(1, 1))};
 }
 
-/// The frame to start from, and with it the reflection that most of the polarization is of.
+/// The frame to start from. Also sets estimate.specular, the kind of reflection that most of the polarization comes
+/// from.
 StokesFrame start_of(const std::vector<PhaseCell>& cells, const FrameHints& hints, FrameEstimate& estimate) {
   const PhaseCoherence& coherence = estimate.coherence;
   if (hints.known_scale) {
@@ -98,8 +101,8 @@ std::vector<PhaseCell> in_frame(std::vector<PhaseCell> cells, const StokesFrame&
   return cells;
 }
 
-/// A covariance whose turn is as uncertain as the coherence of all cells has it in the frame found, and as the turn
-/// that the coherence still asks for there, and as the turn that another description of the light asks for.
+/// The covariance scaled so that the turn's variance is at least that of the coherence of all cells in the frame found,
+/// plus the squares of the turn that this coherence still shows and of the turn from another model of the light.
 Eigen::Matrix3d honest_covariance(const Eigen::Matrix3d& scatter, const PhaseCoherence& in_found_frame,
                                   double other_turn_rad) {
   const double sigma = in_found_frame.turn_sigma_rad, left = in_found_frame.turn_rad;
@@ -135,7 +138,8 @@ FrameEstimate estimate_frame(const PolarizationState& state, const Pinhole* came
   std::vector<PhaseCell> beside = cells;
   if (!estimate.specular) keep_beside_highlight(beside, from_highlight_rad, options.highlight_deg * pi / 180);
   estimate.pixels = static_cast<double>(beside.size());
-  // The polarization of a wide highlight changes over a diffuse object: where that turns the frame, it is not known.
+  // The polarization of a wide highlight changes over a diffuse object. A fit that allows for it (FrameTerms::slopes)
+  // shows how far it may turn the frame; that turn enters the covariance.
   const bool mirror_taken = estimate.mirrored && !hints.known_scale;
   const auto values = [&](const StokesFrame& frame) {
     return values_of(mirror_taken ? StokesFrame(frame * mirrored_scale()) : frame);

@@ -13,8 +13,8 @@ namespace {
 constexpr double pi = std::numbers::pi;
 constexpr int zones = 10, parts_per_side = 8;
 constexpr double profile_step_rad = 10 * pi / 180;
-/// Noise of s1 / s0 and s2 / s0 that every cell is given at least, and the error of a surface's slopes: azimuths are
-/// the less known the flatter it is.
+/// Smallest noise of s1 / s0 and s2 / s0 assumed for a cell, and the error of a surface's slopes: the flatter the
+/// surface, the less certain its azimuths.
 constexpr double noise_floor = 0.003, slope_error = 0.04;
 
 }  // namespace
@@ -37,7 +37,7 @@ StokesFrame FrameFit::solve(const StokesFrame& start, const Context& context) {
     const double length = step.head<2>().norm();
     const double share = length > 0.2 ? 0.2 / length : 1;
     frame = turned_scale(-step[2]) * boost(-share * step[0], -share * step[1]) * frame;
-    // The other terms stay; what the frame took over is zero in the next step.
+    // The other terms stay. The frame has taken over these three, so they are zero at the next step.
     solution_.head<3>().setZero();
     if (step.cwiseAbs().maxCoeff() < 1e-7) break;
   }
@@ -97,7 +97,7 @@ void FrameFit::update_scales(const StokesFrame& frame, bool first) {
     for (std::size_t e = 0; e < 2; ++e) squares[e].push_back(squared_residual(equations[e]));
   }
   for (std::size_t e = 0; e < 2; ++e) scales_[e] = std::max(median_in_place(squares[e]) / 0.455, 1e-12);
-  // Without a profile yet the radial residuals are the radial components themselves: as wide as they are.
+  // There is no profile yet: the radial residuals are the radial components themselves and spread widely.
   if (first) scales_[1] *= 100;
 }
 
@@ -120,7 +120,7 @@ void FrameFit::accumulate(const StokesFrame& frame) {
       by_zone_[static_cast<std::size_t>(std::min(zone, zones - 1.0))] += gradient;
     }
   }
-  // Nodes of the profile that no cell reaches, and terms that are not asked for.
+  // Keeps the matrix regular for unused terms and for profile nodes that no cell reaches.
   normal_.diagonal().array() += 1e-9 * normal_.diagonal().maxCoeff();
 }
 

@@ -11,10 +11,10 @@ namespace {
 constexpr double window_px = 3;
 /// Interpolated values of a pixel that come from one measurement.
 constexpr float smallest_factor = 4;
-/// Variance of s1 and s2 over that of the residual: texture has less at the one frequency that looks like a residual
-/// (alternating along both axes) than at those that look like polarization (along one axis).
+/// Variance of s1 and s2 over that of the residual: texture is weaker at the one frequency that looks like a residual
+/// (alternating along both axes) than at the frequencies that look like polarization (alternating along one axis).
 constexpr float aliasing = 5;
-/// Residuals beyond are moved things or highlights: they do not speak for their neighbors.
+/// Residuals are clipped here: larger ones are from moved things or highlights and are not typical of their neighbors.
 constexpr float largest = 30;
 
 }  // namespace

@@ -20,7 +20,7 @@ int side_of_cells(const PolarizationState& state) {
   return static_cast<int>(std::max(side, std::sqrt(count / most_cells)));
 }
 
-/// Mean of the valid pixels of the cell at (u0, v0); nothing if most are not or the surface is too flat.
+/// Mean of the valid pixels of the cell at (u0, v0); nothing if most pixels are not valid or the surface is too flat.
 std::optional<PhaseCell> cell_at(const PolarizationState& state, const StokesVariances& variances,
                                  const Pinhole* camera, const Image<float>& normals, int u0, int v0, int side) {
   PhaseCell cell;

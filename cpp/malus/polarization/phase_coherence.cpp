@@ -47,7 +47,7 @@ Correlations correlations(const Sums& sums) {
           std::sqrt(std::max(0.5 * (1 - cosine), 0.0))};
 }
 
-/// Standard deviation by the jackknife: `values` are what is found without each of the parts.
+/// Standard deviation by the jackknife: `values` are the results with one part left out each.
 double jackknife_sigma(const std::vector<double>& values) {
   const auto count = static_cast<double>(values.size());
   double mean = 0, squares = 0;

@@ -17,10 +17,10 @@ namespace {
 
 constexpr int parts_per_side = 8;
 constexpr int robust_passes = 2;
-/// Cells that an object is divided into, if that makes them no larger than the limit.
+/// Number of cells that an object is divided into, unless cells would exceed the largest size.
 constexpr double wanted_cells = 5000;
 constexpr int largest_cell_px = 16;
-/// Residual over the typical one at which a pixel has half its weight.
+/// Ratio to the typical residual at which a pixel has half its weight.
 constexpr double cauchy_scale = 3;
 /// Standard deviation that stands for "unknown" where a matrix must be invertible [rad].
 constexpr double unknown_sigma_rad = 30;
@@ -29,7 +29,7 @@ constexpr double unknown_sigma_rad = 30;
 struct Moments {
   std::vector<Eigen::MatrixXd> parts;
   double pixels = 0;
-  double weights = 0;  ///< sum of the robust weights, 1 for a pixel that follows
+  double weights = 0;  ///< sum of the robust weights, 1 for a pixel that follows the model
 
   Eigen::MatrixXd total() const {
     Eigen::MatrixXd sum = Eigen::MatrixXd::Zero(parts[0].rows(), parts[0].cols());
@@ -38,9 +38,10 @@ struct Moments {
   }
 };
 
-/// Squared residual of a pixel that its intensities' part outside of the rows' space makes, per degree of freedom.
+/// Weight of a pixel: inverse noise variance times a Cauchy factor. The factor depends on the squared residual per
+/// degree of freedom, the part of the pixel's intensities outside the space of the rows.
 struct PixelWeight {
-  Eigen::MatrixXd complement;  ///< (K − 3) × K orthonormal rows; empty = every pixel by its noise alone
+  Eigen::MatrixXd complement;  ///< (K − 3) × K orthonormal rows; empty = weights from noise alone
   double scale2 = 1;           ///< typical squared residual
 
   double operator()(const Eigen::VectorXd& values, double variance) const {
@@ -50,14 +51,14 @@ struct PixelWeight {
   }
 };
 
-/// Mean intensities of the images in square cells, which follow the same model with less noise. Noise that differs
-/// between images (the base image is not resampled) and what registration leaves of texture would otherwise pass for
-/// polarization on objects with little of it. Only cells are kept whose pixels can all be used.
+/// Mean intensities of the images in square cells, which follow the same model with less noise. On weakly polarizing
+/// objects, noise that differs between images (the base image is not resampled) and texture left by registration would
+/// otherwise pass for polarization. Only cells whose pixels are all usable are kept.
 class Cells {
  public:
   struct Cell {
     int column, row;
-    double variance;  ///< of the noise of the means
+    double variance;  ///< noise variance of the means
   };
   /// The cells of one part of the image, row by row.
   struct Part {
@@ -86,10 +87,10 @@ class Cells {
   Eigen::Map<const Eigen::VectorXd> means(const Part& part, std::size_t cell) const {
     return {part.means.data() + static_cast<Eigen::Index>(cell) * count_, count_};
   }
-  /// In cells.
+  /// Size of the image in cells.
   Size size() const { return size_; }
   double pixels_in_cell() const { return side_ * side_; }
-  /// Of images.
+  /// Number of images.
   Eigen::Index count() const { return count_; }
 
  private:
@@ -186,7 +187,7 @@ struct Polarizer {
   }
 };
 
-/// The projected problem at one point: what moments turn into a sum of squares, its gradient and its curvature.
+/// The projected problem at one point: computes the sum of squares, its gradient and its curvature from moments.
 class Projection {
  public:
   explicit Projection(const Polarizer& polarizer) : polarizer_(polarizer) {
@@ -220,7 +221,7 @@ class Projection {
     return result;
   }
 
-  /// Orthonormal rows that span what no Stokes vector can make, (K − 3) × K.
+  /// Orthonormal rows, (K − 3) × K, that span the intensities that no Stokes vector can produce.
   Eigen::MatrixXd complement() const {
     const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(outside_);
     return solver.eigenvectors().rightCols(outside_.rows() - 3).transpose();
@@ -232,7 +233,7 @@ class Projection {
   Eigen::MatrixXd outside_;             ///< K × K projection
 };
 
-/// Nominal values and how well they are known.
+/// Nominal values and their weights.
 struct Nominal {
   Eigen::VectorXd values, weight;  ///< weight = 1 / variance
 
@@ -282,8 +283,8 @@ double minimize(Polarizer& polarizer, const Eigen::MatrixXd& moments, double inf
   return cost;
 }
 
-/// Angles and gains whose rows span the same space as `space` (K × 3, orthonormal): M = T diag(1, −1, −1) Tᵀ with
-/// u_kᵀ M u_k = 0 for every row u_k, as all rows lie on the cone. Nothing if noise gave M another signature.
+/// Angles and gains whose rows span the same space as `space` (K × 3, orthonormal): M = T diag(1, −1, −1) Tᵀ with u_kᵀ
+/// M u_k = 0 for every row u_k, as all rows lie on the cone. Nothing if M has another signature, because of noise.
 std::vector<Polarizer> start_from_space(const Eigen::MatrixX3d& space) {
   Eigen::MatrixXd conditions(space.rows(), 6);
   for (Eigen::Index k = 0; k < space.rows(); ++k) {
@@ -313,8 +314,8 @@ std::vector<Polarizer> start_from_space(const Eigen::MatrixX3d& space) {
   return {start};
 }
 
-/// Where the search begins: at the nominal angles; without any, at those that the images' space allows, and at evenly
-/// spread ones in several orders.
+/// Starting points of the search: the nominal angles. Without these: the angles that the images' space allows, and
+/// evenly spread angles in several orders.
 std::vector<Polarizer> starts(const Nominal& nominal, bool free_angles, const Eigen::MatrixXd& moments) {
   if (!free_angles) return {{nominal.values}};
   const Eigen::Index count = moments.rows();
@@ -343,7 +344,8 @@ Polarizer search(const Nominal& nominal, bool free_angles, const Eigen::MatrixXd
   return best;
 }
 
-/// Pseudo-inverse of a symmetric matrix without the directions that its largest eigenvalue leaves to rounding.
+/// Pseudo-inverse of a symmetric matrix, without directions whose eigenvalues are at the rounding level of the largest
+/// one.
 Eigen::MatrixXd symmetric_pseudo_inverse(const Eigen::MatrixXd& matrix) {
   const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(matrix);
   const Eigen::VectorXd& values = solver.eigenvalues();

@@ -9,7 +9,7 @@ namespace malus {
 namespace {
 
 constexpr double steep_tan2 = 0.13;  // 20°
-/// Error of a prior's zenith that the limit allows for, times what the prior's azimuth may be wrong by.
+/// Error of a prior's zenith that the limit allows for, and a factor on the limit for errors of the prior's azimuth.
 constexpr double zenith_error_rad = 5 * std::numbers::pi / 180, allowance = 2.5;
 constexpr double noise_sigmas = 5, degree_floor = 0.003;
 constexpr int parts_per_side = 8;

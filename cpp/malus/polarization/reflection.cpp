@@ -15,7 +15,7 @@
 namespace malus {
 namespace {
 
-/// Slopes of the prior at a pixel, or nothing where it has none or faces away.
+/// Slopes of the prior at a pixel, or nothing where the prior has no normal or faces away.
 std::optional<Slopes> prior_slopes(const Image<float>& normals, const Pinhole* camera, int u, int v) {
   const Eigen::Vector3d normal(normals(u, v, 0), normals(u, v, 1), normals(u, v, 2));
   const RayFrame frame = ray_frame(camera, u, v);
@@ -88,7 +88,7 @@ class PooledEvidence {
   Image<float> share_;
 };
 
-/// Without a prior: whether enough pixels are polarized more than diffuse reflection can be.
+/// Without a prior: whether enough pixels are polarized more strongly than diffuse reflection can be.
 bool exceeds_diffuse(const PolarizationState& state, const ReflectionOptions& options) {
   const double largest = largest_diffuse_degree(options.refractive_index);
   std::size_t valid = 0, beyond = 0;

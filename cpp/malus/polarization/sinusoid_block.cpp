@@ -9,12 +9,12 @@
 namespace malus {
 namespace {
 
-/// Below every intensity that means anything; its square is still a normal number.
+/// Below every meaningful intensity; its square is still a normal floating-point number.
 constexpr float least = 1e-15F;
 
-// Loops become vector code because their length is constant, the rasters are said not to overlap, and what is passed
-// from one to the next lies in arrays of their own. A group of images is one pass over those arrays, and one division:
-// Σ nᵢ / dᵢ is kept as a fraction meanwhile.
+// The compiler vectorizes these loops because their length is constant, the rasters are declared not to overlap, and
+// values passed from loop to loop lie in local arrays. A group of images takes one pass over these arrays and one
+// division: Σ nᵢ / dᵢ is kept as a fraction until then.
 template <class Sample>
 [[gnu::always_inline]] inline bool fit_run(const SinusoidFit& fit, const SinusoidRun<Sample>& run) {
   constexpr std::size_t length = SinusoidRun<Sample>::length, group = SinusoidFit::group;
@@ -63,7 +63,7 @@ template <class Sample>
   const std::uint8_t* const mask = run.mask;
   int misfits = 0;
   for (std::size_t i = 0; i < length; ++i) {
-    // A comparison with what is not a number is false.
+    // Comparisons with NaN are false.
     const int far = normalized[i] > misfit_variance;
     const int bright = squares[i] > misfit_fraction2 * half_s0[i] * half_s0[i];
     const int negative = half_s0[i] < 0, finite = squares[i] - squares[i] == 0;
@@ -71,7 +71,7 @@ template <class Sample>
     misfit[i] = inside[i] & far & (bright | negative);
     misfits |= misfit[i];
   }
-  // Roots and quotients that nobody takes for some pixels would not be vector code.
+  // Computed for all pixels, used or not: branches would prevent vector code.
   alignas(64) float linear[length], deviation[length], degree[length];
   for (std::size_t i = 0; i < length; ++i) linear[i] = std::sqrt(half_s1[i] * half_s1[i] + half_s2[i] * half_s2[i]);
   for (std::size_t i = 0; i < length; ++i) deviation[i] = std::sqrt(normalized[i]);
