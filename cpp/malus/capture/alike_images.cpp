@@ -12,14 +12,14 @@
 namespace malus {
 namespace {
 
-/// Another exposure by this factor is no error of a shutter, and no reflection makes it.
+/// Neither a shutter's error nor a reflection changes the exposure by this factor.
 constexpr double other_exposure = 1.5;
-/// RMS of what the sinusoid leaves of the other images' brightness: they are alike among themselves.
+/// Largest RMS residual of the other images' mean brightness from the sinusoid, at which they count as consistent.
 constexpr double alike = 0.05;
-/// Images beside the one that is looked at: the sinusoid's three unknowns, and one that shows that they are alike.
+/// Smallest number of other images: three for the sinusoid's unknowns, and one to check that they are consistent.
 constexpr std::size_t least_others = 4;
-/// Squared residuals over squared values up to which images follow the sinusoid as computed ones do; noise of cameras
-/// is ten times this and more.
+/// Squared residuals over squared values up to which images count as computed ones without noise; camera noise is at
+/// least ten times this.
 constexpr double computed = 1e-6;
 constexpr std::size_t sampled_pixels = 10000;
 
@@ -35,7 +35,7 @@ Eigen::MatrixX3d rows_of(const std::vector<double>& angles_rad) {
   return polarizer_rows(angles_rad, std::vector<double>(angles_rad.size(), 1.0));
 }
 
-/// Brightness of image k over that of the sinusoid through the others; 1 where these are not alike.
+/// Brightness of image k over that of the sinusoid through the other images; 1 if the other images are not consistent.
 double brightness_beside_others(std::size_t k, const std::vector<double>& means,
                                 const std::vector<double>& angles_rad) {
   const auto others = static_cast<double>(means.size() - 1);
@@ -53,7 +53,7 @@ double brightness_beside_others(std::size_t k, const std::vector<double>& means,
   return left < alike * usual && expected > alike * usual ? means[k] / expected : 1;
 }
 
-/// Whether computed images, without noise, are what these are: two of them may well be the same then.
+/// Whether the images are computed ones without noise, of which two may well be equal.
 bool follow_sinusoid(const std::vector<Image<float>>& images, const std::vector<double>& angles_rad) {
   const Eigen::MatrixX3d rows = rows_of(angles_rad);
   const Eigen::ColPivHouseholderQR<Eigen::MatrixX3d> factors(rows);

@@ -17,7 +17,7 @@ namespace malus {
 namespace {
 
 constexpr double all_saturated = 0.99;
-/// Pixels of a mask that a thread takes at a time.
+/// Number of mask pixels that a thread takes at a time.
 constexpr std::size_t flags_at_once = 1 << 18;
 
 /// Linear images before registration.
@@ -71,7 +71,7 @@ void require_same_size(const Image<float>& image, const std::string& name, const
 /// Images of one polarizer position that only differ in exposure.
 using Group = std::vector<std::size_t>;
 
-/// The images to be merged, in order of first appearance; one group an image when exposures do not differ.
+/// The images to be merged, in order of first appearance; one group per image when exposures do not differ.
 std::vector<Group> exposure_groups(const PolarizedSpec& spec, std::size_t count) {
   std::vector<Group> groups;
   std::map<double, std::size_t> group_of_angle;
@@ -92,8 +92,8 @@ double exposure_ratio(const PolarizedSpec& spec, std::size_t k) {
   return spec.exposure_s ? (*spec.exposure_s)[k] / std::ranges::min(*spec.exposure_s) : 1.0;
 }
 
-/// Noise of a group's mean at the exposure of the shortest: electrons add up where nothing is saturated. `unsaturated`:
-/// share of each image's pixels that are not.
+/// Noise of a group's mean, at the level of the shortest exposure: electrons add up where nothing is saturated.
+/// `unsaturated`: share of unsaturated pixels of each image.
 NoiseModel merged_noise(const NoiseModel& noise, const std::vector<double>& ratios,
                         const std::vector<double>& unsaturated) {
   double sum = 0, squares = 0;
@@ -138,15 +138,15 @@ Exposures load_exposures(const CaptureInput& input, const ResponseCurve& curve, 
   return exposures;
 }
 
-/// One mosaic → the images of its four polarizers; of a color camera the weighted sum of the colors, and their mean
-/// over the polarizers as `color`.
+/// One mosaic → the images of its four polarizers; for a color camera, the weighted sum of the colors, and the colors'
+/// mean over the polarizers as `color`.
 /// `shared`: MosaicSplit::shared.
 void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>& color, Image<float>& shared,
                   const Context& context) {
   const Image<float> mosaic = std::move(exposures.images[0]);
   const std::string name = exposures.names[0];
-  // A pixel is made of samples up to 3 px away: of its neighbors, whose contrasts are smoothed over theirs. In color up
-  // to 4 px.
+  // A pixel depends on samples up to 3 px away: on its neighbors, whose contrasts are smoothed over their neighbors. In
+  // color it is up to 4 px.
   const Mask saturated = spread_flags(exposures.saturated[0], spec.mosaic_colors ? 4 : 3);
   exposures.images.assign(4, {});
   if (!spec.mosaic_colors) {
@@ -168,7 +168,7 @@ void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>&
     }
     std::ranges::move(split.grey.channels, exposures.images.begin());
     shared = std::move(split.grey.shared);
-    // One color is asked for because the colors are polarized differently.
+    // Users select a single color because the colors are polarized differently.
     const auto used = std::ranges::count_if(weights, [](double weight) { return weight != 0; });
     if (used == 1) {
       const auto c =
@@ -184,8 +184,8 @@ void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>&
   exposures.names.assign(4, name);
 }
 
-/// Which images cannot be registered, and why. One that lies elsewhere keeps all from it, as they are registered
-/// together: named are those that cannot be registered to the first by themselves, if there are any.
+/// Which images cannot be registered, and why. All images are registered together, so one bad image can make all fail.
+/// Therefore names the images that also fail alone against the first one, if there are any.
 std::string failed_registration(const Exposures& exposures, const std::vector<ImageRegistration>& results,
                                 const RegistrationOptions& options, const Context& context) {
   struct Failed {
@@ -206,8 +206,7 @@ std::string failed_registration(const Exposures& exposures, const std::vector<Im
          ". If the camera did not move, set capture.registration = \"off\"";
 }
 
-/// Registration of every image; identity for those that stay untouched. Names those of which nothing tells how they
-/// lie.
+/// Registration of every image; identity for those that stay unchanged. Adds images without texture to `unregistered`.
 std::vector<ImageRegistration> registrations(const Exposures& exposures, const CaptureOptions& options,
                                              std::vector<std::string>& unregistered, const Context& context) {
   auto results = register_images(exposures.images, exposures.noise, options.registration, context);
@@ -236,7 +235,7 @@ void clear_outside(Mask& mask, const Mask& keep, const Context& context) {
   });
 }
 
-/// Sets the flags that are set in the other mask too; no flags yet = those.
+/// Adds the flags of another mask; empty `flags` become a copy of it.
 void add_flags(Mask& flags, Mask more, const Context& context) {
   if (flags.empty()) {
     flags = std::move(more);
@@ -263,7 +262,7 @@ Mask resample_mask(const Mask& mask, const ResamplingMap& map, const Context& co
   return result;
 }
 
-/// One image through the one resampling, on the object where all its samples lie in the source.
+/// One image after resampling; valid on the object, where all 4 × 4 samples lie in the source.
 struct Layer {
   Image<float> intensity;
   Mask saturated;
@@ -278,10 +277,10 @@ Layer resample_layer(Exposures& exposures, std::size_t k, const ResamplingMap& m
   return {std::move(resampled.image), resample_flags(exposures.saturated[k], object.size(), map, context)};
 }
 
-/// Mean of a group by inverse variance over the images that are not saturated; the shortest where all are.
+/// Mean of a group by inverse variance over its unsaturated images; the shortest exposure where all are saturated.
 Layer merge(std::vector<Layer> layers, const std::vector<double>& ratios, const NoiseModel& noise,
             const Context& context) {
-  // The shortest exposure is the last to saturate: all get their weights from the signal that it expects.
+  // The shortest exposure saturates last, so the weights of all images follow from its signal.
   Layer& merged = layers[static_cast<std::size_t>(std::ranges::min_element(ratios) - ratios.begin())];
   parallel_for(context, merged.intensity.count(), 1 << 18, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
@@ -309,7 +308,7 @@ double unsaturated_share(const Layer& layer, const Mask& object) {
   return all > 0 ? good / all : 1;
 }
 
-/// Moves the images into the stack, one a polarizer position, through the one resampling.
+/// Resamples the images into the stack, one per polarizer position.
 void fill_stack(Exposures& exposures, const CaptureInput& input, const std::vector<Affine>& maps,
                 const std::vector<Group>& groups, Interpolation interpolation, PolarizedStack& stack,
                 const Context& context) {
@@ -331,8 +330,8 @@ void fill_stack(Exposures& exposures, const CaptureInput& input, const std::vect
   }
 }
 
-/// Mean over the images (of the shortest exposure) of their linear colors; a second pass over the files keeps one
-/// color image in memory.
+/// Mean over the images (of the shortest exposure) of their linear colors; a second pass over the files, so that memory
+/// holds one color image at a time.
 Image<float> mean_color(const CaptureInput& input, const ResponseCurve& curve, const CaptureOptions& options, Size size,
                         const std::vector<Affine>& maps, const Context& context) {
   Image<float> mean(size, 3);

@@ -11,23 +11,24 @@
 namespace malus {
 namespace {
 
-/// Rows that are worked on together, so that what lies between image and band stays in a processor's cache.
+/// Number of rows processed together, so that intermediate results stay in a processor's cache.
 constexpr int strip_rows = 64;
-/// Variance [px²] of two steps of the pyramid (1, and 1 of twice the size), and of a cubic B-spline over four pixels.
+/// Variance [px²] of the blur by two steps of the pyramid (1, and 1 at twice the pixel size), and by a cubic B-spline
+/// over four pixels.
 constexpr double pyramid_variance = 1 + 4, spline_variance = 16.0 / 3;
 
 void blur(const cv::Mat& image, double sigma_px, cv::Mat& blurred) {
   cv::GaussianBlur(image, blurred, {}, sigma_px, 0, cv::BORDER_REFLECT_101);
 }
 
-/// Blur that is left for the quarter image, in its pixels; negative if the image has to be blurred itself.
+/// Remaining blur of the quarter image, in its pixels; negative if the full image must be blurred instead.
 double sigma_of_quarter(double sigma_px) {
   const double variance = sigma_px * sigma_px - pyramid_variance - spline_variance;
   return variance > 4 ? std::sqrt(variance) / 4 : -1;
 }
 
-/// Rows of an image that is four times as large, by cubic B-splines: like a blur they have the same second moments at
-/// every position, so the result does not depend on where the quarter image's samples lie.
+/// Rows of the quarter image enlarged four times by cubic B-splines. B-splines have the same second moments at every
+/// position, as a blur does, so the result does not depend on the positions of the quarter image's samples.
 class QuarterRows {
  public:
   explicit QuarterRows(const Image<float>& quarter)
@@ -89,7 +90,7 @@ ContrastBands contrast_bands(const std::vector<Image<float>>& images, const std:
   parallel_for(context, images.size() * strips, 1, [&](std::size_t part, std::size_t) {
     const std::size_t k = part / strips;
     const int v0 = static_cast<int>(part % strips) * strip_rows, v1 = std::min(v0 + strip_rows, size.height);
-    // Blurring a range of rows takes what is above and below from the image.
+    // Blurring a range of rows uses the image's rows above and below it.
     cv::Mat fine = as_mat(result.bands[k]).rowRange(v0, v1), mean;
     const cv::Mat source = as_mat(images[k]).rowRange(v0, v1);
     blur(source, scales.fine_sigma_px, fine);

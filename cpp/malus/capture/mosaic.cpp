@@ -11,24 +11,24 @@
 namespace malus {
 namespace {
 
-/// How contrasts are smoothed, and how often they are taken anew from the mean that they lead to.
+/// Smoothing of contrasts, and how often contrasts and mean are recomputed from each other.
 struct Smoothing {
   int rounds;
   double sigma_px;
   /// Pixels that share a measurement: the area of the smoothed bilinear interpolation's correlation, 4π σ².
   double shared() const { return 4 * std::numbers::pi * (sigma_px * sigma_px + 2.0 / 3); }
 };
-/// Where polarization varies as brightness does, and where texture is far stronger.
+/// `fine` where polarization varies as fast as brightness, `coarse` where texture is far stronger than polarization.
 constexpr Smoothing fine{2, 0.7}, coarse{8, 2.0};
-/// Variance of texture over squared degree of polarization from which the coarse contrasts count more.
+/// Variance of texture over squared degree of polarization above which the coarse contrasts have the larger weight.
 constexpr float strong_texture = 30;
-/// Texture is what a Gaussian of this takes out; it is measured over a wider one.
+/// Texture is what a Gaussian of `texture_px` removes; its strength is averaged over a wider Gaussian.
 constexpr double texture_px = 1, around_px = 3;
-/// The same for colors, which vary less than polarization does.
+/// Rounds and smoothing for colors, which vary less than polarization does.
 constexpr int color_rounds = 3;
 constexpr double color_smoothing_px = 2;
 constexpr float smallest_ratio = 0.02f;
-/// Intensity below which ratios are differences: they would be of noise alone.
+/// Smallest divisor of ratios; below this intensity ratios would be noise only.
 constexpr float dark = 1e-3f;
 
 /// Weights of a Gaussian, cut at three standard deviations.
@@ -49,7 +49,7 @@ std::size_t cell_of(int u, int v) {
   return static_cast<std::size_t>(2 * (v % 2) + u % 2);
 }
 
-/// Bilinear interpolation of what `value(u, v)` is at the pixels of one place in the cell.
+/// Bilinear interpolation of `value(u, v)`, sampled at the pixels of one place in the cell.
 template <class Value>
 Image<float> interpolate(Size size, std::size_t place, const Value& value) {
   Image<float> samples(size);
@@ -74,8 +74,8 @@ void require_color_cells(const Image<float>& mosaic, const std::string& name) {
   }
 }
 
-/// Ratio of one color's samples to what is expected of them without color, between and around these samples; where the
-/// mean weighs a cell's four polarizers alike, their differences drop out.
+/// Ratio of one color's samples to their expected values without color, smoothed and interpolated to all pixels. The
+/// mean weights a cell's four polarizers equally, so that their differences cancel.
 Image<float> color_ratio(const Image<float>& mosaic, const Image<float>& expected, const std::string& colors,
                          char color, const cv::Mat& cells) {
   const Size size = mosaic.size();
@@ -94,7 +94,7 @@ Image<float> color_ratio(const Image<float>& mosaic, const Image<float>& expecte
   return ratios;
 }
 
-/// Every polarizer's contrast to the mean over the polarizers, and that mean.
+/// Each polarizer's contrast relative to the mean over the polarizers, and that mean.
 struct Contrasts {
   std::array<Image<float>, 4> of_polarizer;
   Image<float> mean;
@@ -131,8 +131,8 @@ Contrasts contrasts(const Image<float>& mosaic, const Smoothing& smoothing, cons
   return result;
 }
 
-/// How much the fine contrasts count at every pixel, 0 … 1: little where texture is so much stronger than polarization
-/// that what it leaves in them is, too.
+/// Weight of the fine contrasts at every pixel, 0 … 1. It is small where texture is so much stronger than polarization
+/// that the fine contrasts mainly show residual texture.
 Image<float> share_of_fine(const Contrasts& smooth) {
   const Size size = smooth.mean.size();
   const Image<float> around = convolve(smooth.mean, gaussian_kernel(texture_px));
@@ -216,7 +216,7 @@ ColorMosaic demosaic_color(const Image<float>& mosaic, const std::string& colors
                            const Context& context) {
   require_color_cells(mosaic, name);
   const Size size = mosaic.size();
-  // Weights with which any four pixels in a row or column count alike: a mean over whole cells of 4 x 4.
+  // Weights that sum the same over the four places of a cell: a mean over whole cells of 4 x 4.
   const cv::Mat cells(cv::Matx<float, 5, 1>(0.125f, 0.25f, 0.25f, 0.25f, 0.125f));
   ColorMosaic result;
   Image<float> expected = convolve(mosaic, cells);

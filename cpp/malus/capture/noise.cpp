@@ -59,7 +59,7 @@ std::optional<NoiseModel> estimate_noise(const Image<float>& intensity, const Ma
   }
   if (blocks.size() < least_blocks) return std::nullopt;
 
-  // Straight line with relative weights; texture only adds variance, so bins above the line are reweighted down.
+  // Straight line with relative weights; texture only adds variance, so bins above the line get less weight.
   const std::vector<Block> bins = quietest_blocks(std::move(blocks));
   double offset = 0, slope = 0;
   for (int iteration = 0; iteration < 10; ++iteration) {
@@ -95,7 +95,7 @@ NoiseModel noise_model(const PolarizedSpec& spec, const ResponseCurve& curve, co
   noise.frames_averaged = spec.frames_averaged;
   const double frames = spec.frames_averaged;
   if (!spec.full_well_e) {
-    // What the image shows holds quantization and the sum of channels already.
+    // The estimate already includes quantization and the sum of channels.
     if (const auto estimate = estimate_noise(base.intensity, base.saturated)) {
       noise.full_well_e = estimate->full_well_e / frames;
       noise.read_noise_e = estimate->read_noise_e / std::sqrt(frames);

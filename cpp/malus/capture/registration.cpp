@@ -24,9 +24,9 @@ constexpr int coarsest_side_px = 110;
 constexpr int tiles_across = 12, tiles_down = 8;
 constexpr double step_limit_px = 4;
 constexpr double coarse_tolerance_px = 0.01, fine_tolerance_px = 1e-3;
-/// Pixels of one level that are compared at most.
+/// Largest number of pixels compared on one level.
 constexpr std::size_t most_pixels = std::size_t{2} << 20;
-/// From the image's border, for interpolation and gradients.
+/// Distance from the image's border [px] for interpolation and gradients.
 constexpr int interpolation_margin = 4;
 /// Least share of the gradients' energy that must be texture and not noise.
 constexpr double least_texture = 0.1;
@@ -98,16 +98,16 @@ Region common_region(const std::vector<Affine>& maps, Size size, int margin) {
   return {reach(left), reach(top), size.width - reach(right), size.height - reach(bottom)};
 }
 
-/// A part of the image that is worked on at once, small enough for a processor's cache.
+/// A part of the image that is processed at once, small enough for a processor's cache.
 struct Block {
   Region pixels;
   double energy = 0;  ///< of the texture
 };
 constexpr int block_rows = 32;
 
-/// Blocks of each of the tiles that the uncertainty is judged by: all of a small image, of a large one those of most
-/// texture in each tile, up to `most_pixels`. What they leave out would only make a figure more precise that is already
-/// known far better than it is needed.
+/// Blocks of each tile; the uncertainty is estimated from the scatter between tiles. A small image uses all blocks. A
+/// large one uses those with most texture in each tile, up to `most_pixels`: more blocks would only improve an estimate
+/// that is already far more precise than needed.
 std::vector<std::vector<Block>> choose_blocks(const ContrastBands& contrast, const Context& context) {
   const Size size = contrast.information.size();
   const Image<float>& band = contrast.bands[0];
@@ -163,7 +163,8 @@ class Level {
     return step_px;
   }
 
-  /// Translation of image k by phase correlation, if it agrees better with the first image than none does.
+  /// Translation of image k by phase correlation, if it correlates better with the first image than no translation
+  /// does.
   Affine phase_correlation(std::size_t k) const {
     Affine shifted = identity_affine();
     cv::Mat window;
@@ -212,7 +213,7 @@ class Level {
         : sides(images, Vector6::Zero()), products(images, 0.0), others_energy(images, 0.0) {}
   };
 
-  /// Rows of a block in every image, aligned, and in their mean: rows × images × BlockRow::length.
+  /// Rows of a block in every aligned image and in the images' mean: rows × images × BlockRow::length.
   class AlignedRows {
    public:
     explicit AlignedRows(std::size_t images)
@@ -237,7 +238,7 @@ class Level {
     std::vector<const float*> bands_;
   };
 
-  /// Row v of a region, with a pixel more on either side, in every image and in their mean.
+  /// Aligns row v of a region, with one more pixel on either side, in every image and in the images' mean.
   void align_row(const std::vector<Affine>& maps, const Region& region, int v, int row, AlignedRows& rows) const {
     const auto count = static_cast<std::size_t>(region.u1 - region.u0 + 2);
     std::copy_n(contrast_.bands[0].row(v) + region.u0 - 1, count, rows.band(0, row).data());
@@ -248,7 +249,7 @@ class Level {
     mean_row(rows.bands(row), rows.mean(row));
   }
 
-  /// The row with its neighbors; pixels outside the region do not count.
+  /// The row with its neighbors; pixels outside the region get no weight.
   AlignedRow aligned_row(const Region& region, int v, int row, AlignedRows& rows) const {
     std::fill_n(rows.information(), BlockRow::length, 0.0F);
     std::copy(contrast_.information.row(v) + region.u0, contrast_.information.row(v) + region.u1,
@@ -286,8 +287,8 @@ class Level {
     });
   }
 
-  /// Lower quartile of the disagreement: that of pixels whose contrast the polarizer hardly changes. Every eighth row
-  /// of the blocks knows it well enough.
+  /// Lower quartile of the disagreement, which represents pixels whose contrast the polarizer hardly changes. Every
+  /// eighth row of the blocks is enough for it.
   double disagreement_scale(const std::vector<Affine>& maps, const Region& region) const {
     std::vector<std::vector<float>> parts(blocks_.size());
     for_blocks(region, [&](std::size_t tile, const Region& part, AlignedRows& rows) {
@@ -359,8 +360,8 @@ class Level {
     }
   }
 
-  /// Gradient energy of the mean image, the part of it that the images' disagreement accounts for, and each image's
-  /// regression on the others.
+  /// Adds the gradient energy of the mean image, the part of it that the images' disagreement explains, and each
+  /// image's regression on the others.
   static void add_assessment(const AlignedRow& row, int index, const float* weights, AlignedRows& rows, Normals& sum) {
     const auto count = static_cast<double>(row.bands.size());
     for (std::size_t i = 1; i + 1 < BlockRow::length; ++i) {
@@ -421,7 +422,7 @@ Pyramid coarser_levels(const std::vector<Image<float>>& images, const Context& c
   return pyramid;
 }
 
-/// Sets the status, and why a displacement cannot be believed.
+/// Sets the status, and the message on why a displacement is not reliable.
 void set_status(ImageRegistration& result, double similarity, double texture, double last_step_px, Size size,
                 const RegistrationOptions& options) {
   std::ostringstream message;
@@ -485,7 +486,8 @@ std::vector<ImageRegistration> register_images(const std::vector<Image<float>>& 
     context.progress("capture", 1 - static_cast<double>(coarser + 1) / static_cast<double>(pyramid.size() + 1),
                      "registration");
     const bool has_quarters = coarser + 2 <= pyramid.size();
-    // The finest level takes the most memory, and only quarters beside the images.
+    // The finest level needs the most memory. It uses only the images and their quarters, so half-size images are
+    // freed.
     if (finest && !coarsest) pyramid.front().clear();
     const Level level(finest ? images : pyramid[coarser - 1],
                       has_quarters ? pyramid[coarser + 1] : std::vector<Image<float>>{}, noise, options, context);

@@ -18,7 +18,7 @@ constexpr int length = BlockRow::length;
   weights[3] = a * (f2 - f3);
 }
 
-/// Positions within their samples, which are neighbors too: linear along a run of pixels.
+/// Positions within their samples along a run of pixels; they change linearly, and the samples are neighbors.
 struct Run {
   float fu, fu_step, fv, fv_step;
 };
@@ -37,7 +37,7 @@ MALUS_SIMD_CLONES void resample_run(const float* corner, std::size_t stride, con
   }
 }
 
-/// How many pixels a position that is `fraction` into its sample and changes by `step` a pixel stays in it.
+/// For how many pixels a position stays in its sample, if it starts at `fraction` and changes by `step` per pixel.
 int pixels_within(double fraction, double step, int most) {
   const double pixels = step > 0   ? std::ceil((1 - fraction) / step)
                         : step < 0 ? std::floor(fraction / -step) + 1

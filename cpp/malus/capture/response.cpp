@@ -67,7 +67,7 @@ class Linearizer {
   Linearizer(const RawImage& raw, const ResponseCurve& curve, const Levels& levels) : curve_(curve), levels_(levels) {
     table_in_dn_ = curve.kind == ResponseCurve::Kind::table && curve.encoded.back() > 1;
     if (raw.is_float || curve.is_identity()) return;
-    // Every number that the file can hold goes through the curve once.
+    // Table of the curve for every number that the file can hold.
     for (int dn = 0; dn < 1 << raw.bits; ++dn) of_number_.push_back(through_curve(dn));
   }
   double encoded(double dn) const { return (dn - levels_.black_dn) / (levels_.white_dn - levels_.black_dn); }
@@ -77,9 +77,9 @@ class Linearizer {
   }
   bool saturated(double dn) const { return encoded(dn) >= levels_.saturation; }
 
-  /// Puts linear intensities in the place of a row of gray values; whether all of them are finite.
+  /// Replaces a row of gray values by linear intensities; returns whether all are finite.
   bool linearize_row(float* values, int count, std::uint8_t* saturated) const {
-    // Copies, which the writing of bytes cannot change: these loops are vector code.
+    // Local copies cannot alias the bytes written, so the compiler can vectorize these loops.
     const double black = levels_.black_dn, range = levels_.white_dn - black, saturation = levels_.saturation;
     for (int i = 0; i < count; ++i) saturated[i] = (values[i] - black) / range >= saturation ? 255 : 0;
     if (curve_.is_identity()) {
@@ -98,7 +98,7 @@ class Linearizer {
   const ResponseCurve& curve_;
   const Levels& levels_;
   bool table_in_dn_ = false;
-  std::vector<double> of_number_;  ///< linear intensity of each digital number; empty = through the curve
+  std::vector<double> of_number_;  ///< linear intensity of each digital number; empty = evaluate the curve
 };
 
 /// Whether the image has three channels that differ somewhere.

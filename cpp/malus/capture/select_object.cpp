@@ -13,7 +13,7 @@ Mask select_similar(const Image<std::uint8_t>& picture, int u, int v, int tolera
                       to_string(picture.size()) + " pixels");
   }
   cv::Mat source = as_mat(picture);
-  // OpenCV wants a border of one pixel around the mask.
+  // OpenCV requires a border of one pixel around the mask.
   cv::Mat mask = cv::Mat::zeros(picture.height() + 2, picture.width() + 2, CV_8U);
   const cv::Scalar difference = cv::Scalar::all(tolerance);
   constexpr int flags = 4 | cv::FLOODFILL_FIXED_RANGE | cv::FLOODFILL_MASK_ONLY | (255 << 8);

@@ -22,7 +22,8 @@ std::filesystem::path temporary_name(const std::filesystem::path& path) {
   return path.parent_path() / name;
 }
 
-/// Writes all bytes by some(bytes, rest, done), which writes as many of the rest as the system takes.
+/// Writes all bytes by calls of some(bytes, rest, done), each of which writes as many of the remaining bytes as the
+/// system accepts.
 template <class Some>
 void write_whole(const void* data, std::size_t size, const std::filesystem::path& path, Some&& some) {
   const char* const bytes = static_cast<const char*>(data);
@@ -90,7 +91,7 @@ void AtomicFile::write_at(std::size_t offset, const void* data, std::size_t size
 }
 
 void AtomicFile::expect(std::size_t size) {
-  // File systems that cannot do this do without.
+  // Not every file system can reserve room; only a full disk is an error.
 #ifdef __linux__
   if (::fallocate(descriptor_, 0, 0, static_cast<off_t>(size)) != 0 && errno == ENOSPC)
     throw file_error("cannot write", path_, errno);

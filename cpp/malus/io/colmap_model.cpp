@@ -11,7 +11,7 @@
 namespace malus {
 namespace {
 
-/// COLMAP's numbers of its camera models; those without a counterpart here are known by name for the message.
+/// COLMAP's numbers of its camera models; models without a counterpart here have a name for the message only.
 struct ModelId {
   int id;
   std::string_view name;
@@ -129,7 +129,7 @@ class Words {
     skip_blanks();
     return rest_.empty();
   }
-  /// What is left of the line, without blanks around it.
+  /// The rest of the line, without surrounding blanks.
   std::string_view rest() {
     skip_blanks();
     return rest_.substr(0, rest_.find_last_not_of(" \t") + 1);

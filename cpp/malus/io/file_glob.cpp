@@ -8,7 +8,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// The pattern cannot be one of a family's photos, but goes through the whole disk.
+/// A pattern with more names is not for one station's images; it would search the whole disk.
 constexpr int most_names = 100'000;
 
 bool has_wildcards(const std::string& part) {

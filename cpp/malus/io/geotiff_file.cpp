@@ -63,7 +63,7 @@ class GeoKeys {
   std::string ascii_;
 };
 
-/// Text that may stand in XML and in a GeoTIFF citation.
+/// Text that is valid in XML and in a GeoTIFF citation.
 std::string escaped(std::string_view text) {
   std::string out;
   for (const char c : text) {
@@ -121,7 +121,7 @@ void write_reference(TIFF* tiff, const PlaneReference& reference) {
   GeoKeys keys;
   keys.add_short(model_type, user_defined);
   keys.add_short(raster_type, pixel_is_area);
-  // A bar ends a text in the tag that holds them.
+  // In the tag that holds the texts, a bar ends a text.
   std::string title = reference.title;
   std::ranges::replace(title, '|', ' ');
   keys.add_text(citation, title);

@@ -7,7 +7,7 @@
 namespace malus {
 namespace {
 
-/// Where the rays of the marks come nearest to each other.
+/// Point nearest to the rays of all marks.
 Eigen::Vector3d meeting_point(const std::vector<ImageMark>& marks, const ColmapModel& model, const std::string& where) {
   constexpr double least_parallax = 1e-5;  // smallest over largest eigenvalue: rays within about half a degree
   Eigen::Matrix3d matrix = Eigen::Matrix3d::Zero();

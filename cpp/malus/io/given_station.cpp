@@ -11,7 +11,7 @@ using Json = nlohmann::json;
 toml::table table_of(const Json& json, const std::string& where);
 toml::array array_of(const Json& json, const std::string& where);
 
-/// Calls `put` with the value as TOML has it. `where`: its place, for messages.
+/// Calls `put` with the value as a TOML type. `where`: the value's place, for messages.
 template <class Put>
 void with_toml(const Json& json, const std::string& where, const Put& put) {
   if (json.is_object()) {
@@ -31,7 +31,7 @@ void with_toml(const Json& json, const std::string& where, const Put& put) {
   }
 }
 
-/// What is null is left out.
+/// JSON object as a TOML table; null values are left out.
 toml::table table_of(const Json& json, const std::string& where) {
   toml::table table;
   for (const auto& [key, value] : json.items()) {

@@ -28,13 +28,14 @@ constexpr int type_float = 5126, type_uint = 5125, target_vertices = 34962, targ
 constexpr int wrap_clamp = 33071, filter_linear = 9729, filter_mipmap = 9987;
 constexpr std::uint32_t magic = 0x46546C67, format_version = 2, chunk_json = 0x4E4F534A, chunk_binary = 0x004E4942;
 
-/// The binary part of the file and the description of its pieces, which are made when they are written: together they
-/// are larger than the mesh.
+/// The binary part of the file and the description of its sections. Sections are made only when they are written,
+/// because together they are larger than the mesh.
 class Buffer {
  public:
   using Write = std::function<void(AtomicFile&, std::size_t offset, const Context&)>;
 
-  /// Appends a piece of `size` bytes that write(file, offset, context) writes, and returns the number of its view.
+  /// Appends a section of `size` bytes that write(file, offset, context) writes, and returns the index of its buffer
+  /// view.
   int add(std::size_t size, std::optional<int> target, Write write) {
     Json view = {{"buffer", 0}, {"byteOffset", size_}, {"byteLength", size}};
     if (target) view["target"] = *target;
@@ -115,7 +116,7 @@ Float2 texture_coordinate(const Eigen::Vector3d& x, const ProjectedTexture& text
   return {static_cast<float>((pixel.x() + 0.5) / size.width), static_cast<float>((pixel.y() + 0.5) / size.height)};
 }
 
-/// Unit length is required of normals; a mesh may have zero ones.
+/// glTF requires normals of unit length; a mesh may have zero normals.
 Float3 unit_normal(const Eigen::Vector3f& normal) {
   const float norm = normal.norm();
   const Eigen::Vector3f unit = norm > 0 ? Eigen::Vector3f(normal / norm) : Eigen::Vector3f::UnitZ();

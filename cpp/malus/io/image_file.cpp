@@ -23,7 +23,7 @@ std::string name_of(const std::string& what, const std::filesystem::path& path) 
   return what + " " + path.string();
 }
 
-/// What a header may claim, before memory is taken for it.
+/// Checks the size that a header claims, before memory is allocated for it.
 void check_header(const codecs::ImageHeader& header, const std::string& name) {
   const Size size = header.size;
   const auto pixels = static_cast<double>(size.area());
@@ -111,7 +111,7 @@ Size read_image_size(const std::filesystem::path& path, const std::string& what)
   const std::string name = name_of(what, path);
   refuse_raw(path, name);
   try {
-    // The header check runs before any pixel is decoded; leaving from there skips the decoding.
+    // The header check runs before any pixel is decoded; throwing from it skips the decoding.
     decode(path, what, name, [&](const codecs::ImageHeader& header) {
       check_header(header, name);
       throw Found{header.size};
@@ -125,8 +125,8 @@ Size read_image_size(const std::filesystem::path& path, const std::string& what)
 Mask read_mask(const std::filesystem::path& path, const std::string& what) {
   const RawImage image = read_image(path, what);
   const auto channels = static_cast<std::size_t>(image.pixels.channels());
-  // The soft edges of a drawn mask do not reach this share, and images of labels have few values; photographs have
-  // both. What JPEG leaves of black and white is within a tenth of either.
+  // Photographs have more gray than the soft edges of a drawn mask, and more values than label images. After JPEG
+  // compression, black and white stay within a tenth of their values.
   constexpr double largest_grey_share = 0.05, black_below = 0.1, white_above = 0.9;
   constexpr std::size_t few_values = 16;
   const float largest = *std::ranges::max_element(image.pixels);

@@ -38,7 +38,8 @@ void fail(j_common_ptr jpeg) {
   std::longjmp(reader.jump, 1);
 }
 
-// libjpeg only warns when data end early or make no sense, and fills the rest with gray: not for measurements.
+// libjpeg only warns when data end early or make no sense, and fills the rest of the image with gray: unusable for
+// measurements.
 void fail_on_warning(j_common_ptr jpeg, int level) {
   const int code = jpeg->err->msg_code;
   const bool harmless = code == JWRN_EXTRANEOUS_DATA || code == JWRN_JFIF_MAJOR || code == JWRN_ADOBE_XFORM;

@@ -33,7 +33,7 @@ std::string_view nearest_name(std::string_view name, const std::vector<std::stri
 std::string hint_at_known_names(std::string_view name, const std::vector<std::string_view>& known,
                                 const std::string& before) {
   const std::string_view nearest = nearest_name(name, known);
-  // Two letters that changed places, or about one letter in three.
+  // A slip: two swapped letters, or about one wrong letter in three.
   const std::size_t most = std::max<std::size_t>(2, name.size() / 3), distance = edit_distance(name, nearest);
   if (distance <= most && distance < name.size()) return "; did you mean " + before + std::string(nearest) + "?";
   std::string all;

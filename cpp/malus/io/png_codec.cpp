@@ -49,9 +49,10 @@ bool read_header(Reader& reader) {
   if (setjmp(png_jmpbuf(reader.png))) return false;
   png_set_user_limits(reader.png, 1 << 20, 1 << 20);
   png_set_read_fn(reader.png, &reader, read_bytes);
-  // Only what pixels need: a few KB of compressed text would be decompressed to megabytes, and kept.
+  // Keeps only the chunks needed for pixels: a few KB of compressed text would otherwise be decompressed to megabytes,
+  // and kept.
   png_set_keep_unknown_chunks(reader.png, PNG_HANDLE_CHUNK_NEVER, nullptr, -1);
-  // A wrong checksum is damage; the default for ancillary chunks would be a warning nobody sees.
+  // A wrong checksum means damage; for ancillary chunks the default is a warning that nobody sees.
   png_set_crc_action(reader.png, PNG_CRC_ERROR_QUIT, PNG_CRC_WARN_DISCARD);
   png_read_info(reader.png, reader.info);
   const int color = png_get_color_type(reader.png, reader.info);

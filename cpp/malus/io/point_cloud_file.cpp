@@ -20,7 +20,7 @@
 namespace malus {
 namespace {
 
-// ---- what a point's columns or properties mean ----
+// ---- meaning of a point's columns or properties ----
 
 enum Slot : std::size_t {
   slot_x,
@@ -171,12 +171,12 @@ double load(PlyType type, const unsigned char* bytes, bool swap) {
   return 0;
 }
 
-/// Reads the records of one element after another, whatever the format.
+/// Reads the records of one element after another, in any of the formats.
 class PlyReader {
  public:
   PlyReader(InputFile& file, PlyFormat format) : file_(file), format_(format) {}
 
-  /// Calls on_record(values, lists) for each record: one value a property (of a list its length) and the elements of
+  /// Calls on_record(values, lists) for each record: one value per property (for a list its length) and the elements of
   /// its lists by property.
   template <class OnRecord>
   void read(const PlyElement& element, const Context& context, OnRecord&& on_record) {
@@ -207,7 +207,7 @@ class PlyReader {
 
  private:
   void check_count(const PlyElement& element) const {
-    // A text record has a character and a separator for each property at least; the last separator may be missing.
+    // A text record has at least one character and one separator per property; the last separator may be missing.
     const bool text = format_ == PlyFormat::ascii;
     const std::uint64_t record =
         std::max<std::uint64_t>(1, text ? 2 * element.properties.size() : element.smallest_record());
@@ -313,7 +313,7 @@ PointCloud read_ply_vertices(PlyReader& reader, const InputFile& file, const Ply
   bool reserved = false;
   PointValues point{};
   reader.read(element, context, [&](const std::vector<double>& values, const auto&) {
-    // The reader has compared the count with the file's size by now.
+    // Only here, because the reader has now compared the count with the file's size.
     if (!std::exchange(reserved, true)) builder.reserve(element.count);
     for (std::size_t slot = 0; slot < slot_count; ++slot) {
       if (present[slot]) point[slot] = values[property_of_slot[slot]];
@@ -374,7 +374,7 @@ TriangleMesh read_ply(InputFile& file, PlyParts parts, const Context& context) {
 
 // ---- XYZ text ----
 
-/// Which column holds which slot; `columns` is how many a line must have.
+/// Which column holds which slot; `columns` is the number that a line must have.
 struct Columns {
   std::array<bool, slot_count> present{};
   std::array<std::size_t, slot_count> column{};
@@ -401,7 +401,7 @@ std::optional<Columns> columns_of_names(std::string_view line, std::vector<std::
   return columns;
 }
 
-/// Columns by their number and the first line's values.
+/// Meaning of columns without names, from their number and the first line's values.
 Columns columns_of_values(const std::vector<double>& values) {
   Columns columns;
   const auto set_three = [&](std::size_t slot, std::size_t first) {
@@ -470,7 +470,7 @@ void require_text(const std::filesystem::path& path, const InputFile& file) {
 
 static_assert(std::endian::native == std::endian::little, "PLY is written in the machine's byte order");
 
-/// How the vertices of a file are written, and its faces.
+/// Layout of a file's vertices and faces.
 struct PlyLayout {
   bool doubles = false, normals = false, colors = false;
   const std::vector<std::string>& comments;
@@ -489,7 +489,7 @@ struct PlyLayout {
     encoder.put(std::uint8_t{3});
     encoder.put(triangle);
   }
-  /// Without faces for a cloud.
+  /// `faces`: nothing for a cloud.
   std::string header(std::size_t vertices, std::optional<std::size_t> faces) const {
     const std::string coordinate = doubles ? "property double " : "property float ";
     std::string header = "ply\nformat binary_little_endian 1.0\n";

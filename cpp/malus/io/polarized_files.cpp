@@ -48,7 +48,7 @@ bool is_image_name(const std::filesystem::path& path) {
   return has_extension(path, extensions) || is_raw_name(path);
 }
 
-/// Names are bytes, whatever their coding. Time and memory of a search are bounded (std::regex has neither bound).
+/// Names are matched as bytes, in any encoding. RE2 bounds time and memory of a search; std::regex bounds neither.
 re2::RE2::Options by_bytes(bool any_case) {
   re2::RE2::Options options(re2::RE2::Latin1);
   options.set_case_sensitive(!any_case);
@@ -63,7 +63,8 @@ std::optional<double> number_of(const std::string& text) {
   return number;
 }
 
-/// Where a file's name may say an angle: behind a word, before one, or, if the folder's name has a word, last of all.
+/// Where a file's name may hold an angle: behind a word such as "pol", before one, or, if the folder's name has such a
+/// word, at the end of the name.
 enum class AnglePlace { behind_word, before_word, last_in_folder };
 
 std::optional<double> angle_at(AnglePlace place, const std::filesystem::path& file) {
@@ -92,8 +93,8 @@ std::optional<double> angle_at(AnglePlace place, const std::filesystem::path& fi
 }
 
 /// Whether these can be the positions of a polarizer: round angles from 0 to 360°, 0 or 180° among them, three or more
-/// modulo 180°, and either a wide step between neighbors or evenly spread over the half turn. Counted file numbers are
-/// not.
+/// modulo 180°, and either a wide step between neighbors or evenly spread over the half turn. Consecutive file numbers
+/// are no such series.
 bool is_polarizer_series(std::span<const double> angles) {
   const auto is_multiple = [](double angle, double step) {
     return std::abs(angle - step * std::round(angle / step)) < 1e-9;

@@ -13,10 +13,10 @@
 namespace malus {
 namespace {
 
-// Points whose spread in one direction is less than this share of their length lie on a line, or near a plane.
+// If the extent of points across is less than this share of their length, they lie on a line, or near a plane.
 constexpr double least_width = 1e-3, least_thickness = 0.02;
 
-/// Points and marks as OpenCV takes them. Coordinates are about their mean, so that those of a national grid lose no
+/// Points and marks in OpenCV's types. Coordinates are relative to their mean, so that those of a national grid lose no
 /// digits.
 struct Marked {
   Eigen::Vector3d origin = Eigen::Vector3d::Zero();
@@ -24,7 +24,7 @@ struct Marked {
   std::vector<cv::Point2d> ideal;  ///< direction (x/z, y/z) of each mark
 };
 
-/// A pose about the points' mean, as OpenCV has it.
+/// A pose relative to the points' mean, in OpenCV's types.
 struct Solution {
   cv::Mat turn, shift;  ///< rotation vector and translation
   double rms = 0;       ///< of the marks, in ideal coordinates
@@ -61,7 +61,7 @@ Solution refined(const Marked& marked, Solution solution) {
   return solution;
 }
 
-/// All poses that could be meant, the best first; none if OpenCV finds none.
+/// All candidate poses, the best first; empty if OpenCV finds none.
 std::vector<Solution> solutions(const Marked& marked, bool flat) {
   std::vector<Solution> found;
   for (const int method : {cv::SOLVEPNP_SQPNP, cv::SOLVEPNP_IPPE}) {
@@ -103,7 +103,8 @@ Pose pose_of(const Solution& solution, const Eigen::Vector3d& origin) {
   return pose;
 }
 
-/// Standard deviation of the center along its most uncertain direction, for marks with this one (ideal coordinates).
+/// Standard deviation of the center along its most uncertain direction, for marks with the standard deviation
+/// `mark_sigma` (ideal coordinates).
 double center_sigma(const Marked& marked, const Solution& solution, double mark_sigma) {
   std::vector<cv::Point2d> seen;
   cv::Mat jacobian;
@@ -131,13 +132,13 @@ double rms_px(const std::vector<MarkedPoint>& points, const LensCamera& lens, co
   return std::sqrt(squares / static_cast<double>(points.size()));
 }
 
-/// A point that is likely wrong, and how well the others fit without it.
+/// A point that is likely wrong, and how well the other points fit without it.
 struct Doubt {
   std::string name;
   double rms_px = 0;
 };
 
-/// The point without which the others fit far better than chance explains, if there is one.
+/// The point without which the other points fit far better than chance explains, if there is one.
 std::optional<Doubt> doubtful_point(const std::vector<MarkedPoint>& points, const LensCamera& lens, double rms) {
   constexpr double worth_a_search_px = 1;
   if (points.size() < BetterFit::least_points || !(rms > worth_a_search_px)) return std::nullopt;
@@ -165,7 +166,7 @@ double tolerated_px(const LensCamera& lens) {
   return tolerated_share * std::max(lens.size.width, lens.size.height);
 }
 
-/// Why marks and coordinates are refused.
+/// Message why marks and coordinates are refused.
 std::string misfit(const std::vector<MarkedPoint>& points, const LensCamera& lens, const Resection& found,
                    const std::optional<Doubt>& doubt) {
   std::ostringstream message;

@@ -31,10 +31,10 @@ constexpr double distinct_angle_deg = 1e-3;
 constexpr std::array<std::string_view, 4> bayer_patterns{"RGGB", "BGGR", "GRBG", "GBRG"};
 
 using Keys = std::vector<std::string_view>;
-/// Of a lens: model BROWN's parameters by name, and what every model has.
+/// Keys of a lens: model BROWN's parameters by name, and the keys that all models have.
 const Keys brown_keys{"focal_mm", "pixel_mm", "x0_mm", "y0_mm", "k1", "k2", "k3", "p1", "p2", "p3"};
 const Keys lens_keys{"model", "width", "height", "params"};
-/// Of a pose.
+/// Keys of a pose.
 const Keys pose_keys{"qvec", "tvec", "omega_phi_kappa_deg", "center"};
 
 Keys joined(std::initializer_list<Keys> lists) {
@@ -43,7 +43,7 @@ Keys joined(std::initializer_list<Keys> lists) {
   return all;
 }
 
-/// Keys of a spec's fields, and those that only the file has.
+/// Keys of a spec's fields, and `keys`, which only the file has.
 template <class Spec>
 std::vector<std::string_view> keys_of(const Spec& spec, std::vector<std::string_view> keys = {}) {
   Spec::fields(spec, [&keys](std::string_view key, const auto&...) { keys.push_back(key); });
@@ -65,14 +65,14 @@ const toml::table* section(const TomlTable& document, std::string_view key) {
   return node ? node->as_table() : nullptr;
 }
 
-/// The same with its keys checked.
+/// The same, but with its keys checked.
 std::optional<TomlTable> checked_section(const TomlTable& document, std::string_view key,
                                          const std::vector<std::string_view>& keys) {
   const toml::table* table = section(document, key);
   return table ? std::optional(TomlTable(*table, document.file(), "[" + std::string(key) + "]", keys)) : std::nullopt;
 }
 
-/// Tables of an array like [[scale]]; `element` is "a table".
+/// Tables of an array like [[scale]]; `expected` is for messages.
 std::vector<const toml::table*> tables(const TomlTable& table, std::string_view key, const std::string& expected) {
   std::vector<const toml::table*> result;
   const toml::node* node = table.find(key);
@@ -218,7 +218,8 @@ std::string read_response(const TomlTable& table) {
   return path.string();
 }
 
-/// Exposure times, one an image: every angle must have the same ones, so that all merged images are alike.
+/// Exposure times, one per image. Every angle must have the same set of times, so that all merged images have equal
+/// noise.
 std::optional<std::vector<double>> read_exposures(const TomlTable& table, const PolarizedSpec& spec) {
   const auto exposures = table.numbers("exposure_s", positive_range);
   if (!exposures) return std::nullopt;
@@ -335,7 +336,7 @@ OpticsSpec read_optics(const TomlTable& table) {
 
 // ---- [[control]] ----
 
-/// Name of a control point, patch or profile, its number by default; no two alike.
+/// Name of a control point, patch or profile, by default its number; names must differ.
 std::string read_name(const TomlTable& table, std::size_t index, std::set<std::string>& names) {
   const std::string name = table.text("name").value_or(std::to_string(index + 1));
   if (!names.insert(name).second) throw table.error("name", "\"" + name + "\" appears twice, expected different names");
@@ -361,7 +362,8 @@ std::vector<ImageMark> read_marks(const TomlTable& table, std::string_view key,
   return marks;
 }
 
-/// All control points. [photos] alone get their frame by them, else the polarized image's camera its pose.
+/// All control points. They define the frame of [photos] if the surface comes from these, else the pose of the
+/// polarized image's camera.
 std::vector<ControlPoint> read_control(const TomlTable& document, const StationFile& station) {
   std::vector<ControlPoint> points;
   std::set<std::string> names;
@@ -383,7 +385,7 @@ std::vector<ControlPoint> read_control(const TomlTable& document, const StationF
   return points;
 }
 
-/// Control points lie in the image.
+/// Throws unless the control points lie in the image.
 void require_control_in_image(const TomlTable& document, const StationFile& station, Size size) {
   for (const ControlPoint& point : station.control) {
     if (!point.pixel) continue;
@@ -396,7 +398,7 @@ void require_control_in_image(const TomlTable& document, const StationFile& stat
   }
 }
 
-/// The lens stands where the control points say.
+/// Sets the camera's pose from the control points.
 void resect_camera(const TomlTable& document, const LensCamera& lens, StationFile& station) {
   require_control_in_image(document, station, lens.size);
   std::vector<MarkedPoint> points;
@@ -483,13 +485,13 @@ void read_colmap_camera(const TomlTable& table, StationFile& station) {
   station.camera_files = colmap_model_files(folder);
 }
 
-/// Size of the polarized images; nothing for RAW files, which say it when they are developed.
+/// Size of the polarized images; nothing for RAW files, whose size is known only after development.
 std::optional<Size> size_of_images(const StationFile& station, const std::string& where) {
   const std::filesystem::path& first = station.polarized.images.front();
   return is_raw_name(first) ? std::nullopt : std::optional(read_image_size(first, where));
 }
 
-/// Of RAW files that are not developed yet: the camera's, if it is said.
+/// Size for RAW files that are not developed yet: that of the camera, if it is stated.
 Size size_before_development(const StationFile& station) {
   constexpr Size anything{65536, 65536};
   return station.known_lens() ? station.known_lens()->size : anything;
@@ -574,7 +576,7 @@ std::optional<Shape> read_shape(const TomlTable& table) {
   return std::nullopt;
 }
 
-/// Nothing where the surface itself is in memory, of which [prior] says the rest.
+/// File or shape of [prior]; nothing if the surface itself is in memory.
 std::optional<PriorFile> read_prior(const TomlTable& table, bool in_memory) {
   const std::array<std::string_view, 6> keys{"cloud", "mesh", "depth", "plane", "sphere", "cylinder"};
   const auto given = std::ranges::count_if(keys, [&](std::string_view key) { return table.has(key); });
@@ -655,7 +657,7 @@ ScaleBar read_scale_bar(const TomlTable& table, const std::optional<PhotosSpec>&
   return bar;
 }
 
-/// All bars; those of a given prior make it and the camera's position metric.
+/// Reads all bars; the bars of a given prior scale the prior and the camera's position.
 void read_scale_bars(const TomlTable& document, StationFile& station, bool has_prior) {
   const auto bars = tables(document, "scale", "tables [[scale]]");
   if (bars.empty()) return;
@@ -717,7 +719,7 @@ ProfileSpec read_profile(const TomlTable& table, std::string name, Size size) {
   return profile;
 }
 
-/// Keys of [polarized]; where the images are in memory, without those of files.
+/// Keys of [polarized]; without the keys of files if the images are in memory.
 std::vector<std::string_view> polarized_keys(const GivenInMemory* given) {
   if (given == nullptr) return keys_of(PolarizedSpec{}, {"angle_pattern"});
   std::vector<std::string_view> keys = keys_of(PolarizedSpec{});
@@ -735,7 +737,7 @@ void require_in_image(const std::vector<std::array<double, 2>>& curve_pixels, Si
   }
 }
 
-/// [[patch]], [[profile]], and whether [polarized].curve_pixels lie in the image.
+/// Reads [[patch]] and [[profile]], and checks that [polarized].curve_pixels lie in the image.
 void read_regions(const TomlTable& document, Size size, StationFile& station) {
   require_in_image(station.polarized.curve_pixels, size, document.where("[polarized].curve_pixels"));
   std::set<std::string> names;

@@ -19,7 +19,7 @@ struct Close {
 };
 using Handle = std::unique_ptr<TIFF, Close>;
 
-/// Keeps the first error of one file; libtiff's own handler prints.
+/// Keeps the first error of one file; libtiff's own handler would print it.
 struct Errors {
   std::string message;
 };
@@ -49,13 +49,13 @@ struct Options {
   TIFFOpenOptions* options;
 };
 
-/// A file in memory behind libtiff's client interface.
+/// A file in memory, read by libtiff through its client interface.
 struct Source {
   std::string_view bytes;
   toff_t position = 0;
 };
 
-/// The same for a file that is written. Its errors name the file and the system's reason.
+/// The same for a file that is written. Errors name the file and the system's reason.
 struct Target {
   AtomicFile& file;
   toff_t position = 0, size = 0;
@@ -63,7 +63,7 @@ struct Target {
 };
 
 tmsize_t target_read(thandle_t, void*, tmsize_t) {
-  return -1;  // only asked of files with several images
+  return -1;  // called only for files with several images
 }
 tmsize_t target_write(thandle_t handle, void* data, tmsize_t size) {
   auto& target = *static_cast<Target*>(handle);
@@ -183,7 +183,8 @@ Layout read_layout(TIFF* tiff) {
   return layout;
 }
 
-/// Memory for a block is taken before it is read: a small file may not claim one that is far larger than its image.
+/// Memory for a block is allocated before the block is read, so a small file must not claim a block far larger than its
+/// image.
 void check_block(const Layout& layout) {
   constexpr std::size_t always_taken = 32 << 20, most_images = 4;
   const std::size_t area = std::size_t{layout.block_width} * layout.block_height;
@@ -193,7 +194,7 @@ void check_block(const Layout& layout) {
 }
 
 double most_pixels(const Layout& layout, std::size_t file_bytes) {
-  // LZW strings reach 4096 bytes for 12 bits; nothing else that libtiff reads is denser by much.
+  // LZW strings reach 4096 bytes for 12 bits; no other compression that libtiff reads is much denser.
   const double ratio = layout.compression == COMPRESSION_NONE ? 1 : 4096;
   return ratio * static_cast<double>(file_bytes) / static_cast<double>(layout.samples * layout.sample_bytes());
 }
@@ -291,7 +292,7 @@ void encode(AtomicFile& file, const Image<Sample>& image, int format, int compre
   std::uint32_t strip = 0;
   for (int v = 0; v < image.height(); v += rows_per_strip, ++strip) {
     const std::size_t samples = static_cast<std::size_t>(std::min(rows_per_strip, image.height() - v)) * row_samples;
-    // libtiff's interface is not const-correct; it copies before it would swap bytes or predict.
+    // libtiff's interface is not const-correct; it copies the data before it swaps bytes or predicts.
     auto* data = const_cast<Sample*>(image.row(v));
     require(TIFFWriteEncodedStrip(tiff.get(), strip, data, static_cast<tmsize_t>(samples * sizeof(Sample))) >= 0);
   }

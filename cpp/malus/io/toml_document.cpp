@@ -33,7 +33,7 @@ void require_short_keys(const std::string& text, const std::filesystem::path& pa
   }
 }
 
-/// What editors and other systems often bring into a file that is then not TOML; "" = nothing of that.
+/// A frequent cause of invalid TOML that editors and other systems bring into a file; "" = none found.
 std::string likely_cause(const std::string& text, const toml::parse_error& error) {
   if (error.description().find("utf-8") != std::string_view::npos)
     return "; the file is not UTF-8 text, expected it saved as UTF-8";

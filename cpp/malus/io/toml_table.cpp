@@ -13,7 +13,7 @@
 namespace malus {
 namespace {
 
-/// The value as it stands in the file, cut when it is long.
+/// The value as written in the file, cut when it is long.
 std::string value_text(const toml::node& node) {
   if (const auto* number = node.as_floating_point()) {
     std::array<char, 32> shortest{};
@@ -29,7 +29,8 @@ std::string value_text(const toml::node& node) {
 
 constexpr std::string_view line_ends = "\n\r";
 
-/// What no file in XML can hold, and terminals take for commands; the characters of UTF-8 are none.
+/// Control characters, which XML cannot hold and terminals take for commands. Bytes of multibyte UTF-8 characters are
+/// not among them.
 bool is_control(char character) {
   const auto code = static_cast<unsigned char>(character);
   return (code < 0x20 && character != '\t' && line_ends.find(character) == std::string_view::npos) || code == 0x7f;

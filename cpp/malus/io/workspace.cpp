@@ -20,14 +20,14 @@ namespace {
 
 namespace fs = std::filesystem;
 using Json = Workspace::Json;
-/// Its keys are sorted.
+/// JSON with sorted keys.
 using SortedJson = nlohmann::json;
 
 constexpr int manifest_format = 2;
 constexpr int deepest_level = 100;
 constexpr std::array<std::string_view, 5> reserved_names{"format", "inputs", "station", "steps", "times"};
 
-/// Held as long as the object lives; the system drops it when the process dies.
+/// Lock on the folder while the object lives; the system releases it when the process dies.
 class FolderLock {
  public:
   explicit FolderLock(const std::filesystem::path& folder) {
@@ -59,12 +59,12 @@ std::string utc_now() {
   return text.data();
 }
 
-/// Whether a path of the manifest stays below the folder, so that a damaged one makes nothing else vanish.
+/// Whether a path of the manifest stays below the folder, so that a damaged manifest cannot delete other files.
 bool stays_below(const fs::path& path) {
   return path.is_relative() && !path.empty() && *path.lexically_normal().begin() != "..";
 }
 
-/// A step's record, and the checksum that stands with it.
+/// A step's record, and its checksum in the manifest.
 struct Entry {
   Workspace::Record record;
   std::string checksum;
@@ -101,7 +101,7 @@ struct Entry {
   }
 };
 
-/// Ends the parser at a depth that no manifest has: copying a document calls itself once a level.
+/// Stops the parser at a depth that no manifest has, because copying a document recurses once per level.
 bool require_shallow(int depth, SortedJson::parse_event_t, SortedJson&) {
   if (depth > deepest_level) throw std::invalid_argument("depth");
   return true;
@@ -155,15 +155,15 @@ struct Manifest {
   }
 };
 
-/// Whether there is anything in the folder but hidden files, such as those that file managers leave.
+/// Whether the folder holds anything besides hidden files, such as those that file managers leave.
 bool has_files(const fs::path& folder) {
   return std::ranges::any_of(fs::directory_iterator(folder), [](const fs::directory_entry& entry) {
     return !entry.path().filename().string().starts_with(".");
   });
 }
 
-/// Whether a manifest is that of something else: IIIF, web pages and archives have one, too. What says nothing, or
-/// cannot be read, may be a damaged one of a run.
+/// Whether a manifest.json belongs to something else: IIIF, web pages and archives have one, too. A manifest that is
+/// empty or unreadable may be a damaged one of a run.
 bool is_of_something_else(const fs::path& manifest) {
   try {
     const SortedJson json = SortedJson::parse(read_file(manifest, "manifest"), require_shallow);
@@ -173,7 +173,7 @@ bool is_of_something_else(const fs::path& manifest) {
   }
 }
 
-/// The folder's lock is held.
+/// The caller must hold the folder's lock.
 void remove_unfinished_files(const fs::path& folder) {
   std::error_code error;
   constexpr auto options = fs::directory_options::skip_permission_denied;
@@ -296,7 +296,7 @@ void Workspace::forget(const std::string& step, const std::vector<std::string>& 
     state_->manifest.steps.erase(name);
     state_->manifest.times.erase(name);
   }
-  // First the marks: nothing that is marked as done is ever without its files.
+  // First the records: a step recorded as done must never lack its files.
   state_->save();
   for (const std::string& file : files) {
     std::error_code error;
