@@ -216,7 +216,7 @@ ColorMosaic demosaic_color(const Image<float>& mosaic, const std::string& colors
                            const Context& context) {
   require_color_cells(mosaic, name);
   const Size size = mosaic.size();
-  // Weights that sum the same over the four places of a cell: a mean over whole cells of 4 x 4.
+  // Each of the four positions modulo 4 has the same total weight: a mean over whole cells of 4 x 4.
   const cv::Mat cells(cv::Matx<float, 5, 1>(0.125f, 0.25f, 0.25f, 0.25f, 0.125f));
   ColorMosaic result;
   Image<float> expected = convolve(mosaic, cells);

@@ -126,7 +126,7 @@ Mask read_mask(const std::filesystem::path& path, const std::string& what) {
   const RawImage image = read_image(path, what);
   const auto channels = static_cast<std::size_t>(image.pixels.channels());
   // Photographs have more gray than the soft edges of a drawn mask, and more values than label images. After JPEG
-  // compression, black and white stay within a tenth of their values.
+  // compression, black and white change by less than a tenth of the range.
   constexpr double largest_grey_share = 0.05, black_below = 0.1, white_above = 0.9;
   constexpr std::size_t few_values = 16;
   const float largest = *std::ranges::max_element(image.pixels);

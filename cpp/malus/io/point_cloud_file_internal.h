@@ -13,7 +13,7 @@ namespace malus {
 ///
 /// PLY, ASCII or binary of either byte order, properties in any order and of any type: x, y, z; optionally nx, ny, nz
 /// and red, green, blue (floating-point colors are taken as 0 to 1, 16-bit ones are scaled); other properties are
-/// ignored. XYZ text: one point a line, separated by blanks, commas or semicolons; lines starting with #, // or % are
+/// ignored. XYZ text: one point per line, separated by blanks, commas or semicolons; lines starting with #, // or % are
 /// comments, except that a first line with column names (x y z nx ny nz r g b, in any order) defines the columns.
 /// Without names: x y z; six columns are x y z r g b if the first line's last three are whole numbers from 0 to 255 and
 /// not a unit vector, else x y z nx ny nz; nine are x y z r g b nx ny nz; with any other number only the first three
@@ -38,7 +38,7 @@ TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context
 /// there are any. Coordinates are float unless rounding to float could move a point by more than a thousandth of the
 /// mean vertex spacing (diagonal of the bounding box / √count), as in a national grid; in that case they are double.
 void write_ply(const std::filesystem::path& path, const PointCloud& cloud, const Context& context = {});
-/// The same with faces (list uchar int vertex_indices), and with comments, a line each, in the header.
+/// The same with faces (list uchar int vertex_indices), and with comments in the header, one per line.
 void write_ply(const std::filesystem::path& path, const TriangleMesh& mesh, const Context& context = {},
                const std::vector<std::string>& comments = {});
 /// The same file from strips.

@@ -49,7 +49,7 @@ class GridSystem {
 
   void clear(const Context& context);
   /// Calls body(unknown) for every unknown, on the context's threads. Entries are added in the same order with any
-  /// number of threads. It may add entries between unknowns up to `reach` rows from its own.
+  /// number of threads. `body` may add entries between unknowns up to `reach` rows from its own.
   template <class Body>
   void for_each_unknown(const Context& context, Body&& body) const {
     // A strip of rows also adds to entries up to `reach` rows outside it, so only every second strip runs at a time.

@@ -31,8 +31,8 @@ PolarizationState decompose(std::span<const Image<float>> images, std::span<cons
                             const NoiseModel& noise, const Mask& mask, const Mask& saturated,
                             const DecomposeOptions& options, const Context& context);
 
-/// The same for images that somebody else owns (numpy): each `size` pixels, row major, without padding. 16-bit images
-/// are read without conversion, white at 65535.
+/// The same for images that the caller owns (numpy): each `size` pixels, row major, without padding. 16-bit images are
+/// read without conversion, white at 65535.
 PolarizationState decompose(Size size, std::span<const float* const> images, std::span<const double> angles_rad,
                             const NoiseModel& noise, const Mask& mask, const Mask& saturated,
                             const DecomposeOptions& options, const Context& context);

@@ -8,7 +8,8 @@ namespace malus {
 
 /// The uniformly weighted sinusoid fit in single precision, for runs of pixels.
 ///
-/// Residuals and variances are in units that keep a product of several variances in range.
+/// Variances and squared residuals are multiplied by `unit`, the inverse of the noise variance at half of white, so
+/// that a product of several variances stays in range.
 struct SinusoidFit {
   /// Number of images that are processed together.
   static constexpr std::size_t group = 6;
