@@ -20,7 +20,7 @@ struct CaptureInput {
   std::vector<std::string> names;  ///< of the images, for messages; one per image
   std::function<RawImage(std::size_t index)> load;  ///< called by several threads at once
   std::optional<LensCamera> lens;                   ///< camera of the first image; nothing = no undistortion
-  std::optional<Mask> mask;        ///< of the first image as captured, non-zero = object
+  std::optional<Mask> mask;                         ///< of the first image as captured, non-zero = object
 };
 
 /// Input that reads the files of a station.

@@ -54,7 +54,7 @@ constexpr auto names_of(FrameStatus) {
 /// Polarizer angles and exposures of a station as used, and their standard deviations. Angles in degrees,
 /// counter-clockwise from image +x; NaN = could not be measured.
 struct PolarizerCalibration {
-  bool from_images = false;   ///< angles and exposures were calibrated from the images
+  bool from_images = false;  ///< angles and exposures were calibrated from the images
   bool from_surface =
       false;  ///< the surface corrected the zero of the scale (and the boosts that images cannot determine)
   std::vector<double> angles_deg, angles_sigma_deg;
