@@ -14,7 +14,8 @@ namespace {
 
 /// Neither a shutter's error nor a reflection changes the exposure by this factor.
 constexpr double other_exposure = 1.5;
-/// Largest RMS residual of the other images' mean brightness from the sinusoid, at which they count as consistent.
+/// Largest RMS residual of the other images from the sinusoid, as a share of their brightness, at which they count as
+/// consistent.
 constexpr double alike = 0.05;
 /// Smallest number of other images: three for the sinusoid's unknowns, and one to check that they are consistent.
 constexpr std::size_t least_others = 4;
