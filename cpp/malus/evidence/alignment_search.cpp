@@ -71,7 +71,7 @@ std::vector<PlacedScore> search_grid(const AlignmentScore& score, double extent_
   for (const double turn : turns_rad) {
     for (const double scale : log_scales) {
       if (shifts_only && (turn != 0 || scale != 0)) continue;
-      // Every second shift: the cues' bands are wider than two pixels.
+      // Every second shift suffices: the cues' bands are wider than two pixels.
       for (int dv = -reach; dv <= reach; ++dv) {
         for (int du = -reach; du <= reach; ++du)
           if ((du + dv) % 2 == 0) places.push_back({static_cast<double>(du), static_cast<double>(dv), turn, scale});

@@ -11,7 +11,7 @@ namespace {
 
 constexpr std::size_t most_points = 100000;
 
-/// Points of the prior on the object, evenly taken.
+/// Evenly sampled points of the prior on the object.
 std::vector<Eigen::Vector3d> points_of(const Image<float>& depth, const Mask& object, const Pinhole& camera) {
   std::vector<Eigen::Vector3d> points;
   const int stride = static_cast<int>(std::sqrt(static_cast<double>(depth.count() / most_points))) + 1;
