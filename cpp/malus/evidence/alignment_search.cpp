@@ -10,7 +10,7 @@ namespace {
 
 constexpr double degree = std::numbers::pi / 180;
 constexpr std::size_t fewest_pixels = 150;
-constexpr double largest_shift = 0.08;  ///< of the object
+constexpr double largest_shift = 0.08;  ///< share of the object's size
 constexpr std::array turns_rad{-5 * degree, -2.5 * degree, 0.0, 2.5 * degree, 5 * degree};
 constexpr std::array log_scales{-0.08, -0.04, 0.0, 0.04, 0.08};
 constexpr std::size_t places_kept = 3;

@@ -37,7 +37,8 @@ std::vector<Finding> findings_before_fusion(const BeforeFusion& input, const Con
   const PriorAlignment place = input.cloud != nullptr ? check_alignment(*input.cloud, input.pose, images, context)
                                                       : check_alignment(input.prior_depth, images, context);
   const bool is_interpolated = place.object_covered < PriorAlignment::poorly_covered;
-  // An interpolated surface may be wrong itself, but then the polarization cannot be read by its slopes, either.
+  // The interpolated surface may be wrong instead of the polarization. But wrong slopes cannot interpret the
+  // polarization either, so a caution remains.
   if (is_interpolated && phase.is_unrelated) {
     phase.finding.severity = Severity::caution;
     phase.finding.message += "; the prior is interpolated on most of the object";

@@ -31,11 +31,11 @@ SceneView undone(const SceneView& scene, const ImageTurn& turn);
 /// How much a cloud and the object overlap in the image.
 struct CloudCoverage {
   double in_view = 0;    ///< share of the points that project into the image
-  double on_object = 0;  ///< and onto the object
+  double on_object = 0;  ///< share of the points that project onto the object
   double covered = 0;    ///< share of the object that has points, in cells of 1/32 of the image
 };
 
-/// Counts how much of the object clouds cover. camera and object, of one size, have to outlive it.
+/// Measures how much of the object a cloud covers. camera and object have the same size and must outlive this counter.
 class CoverageCounter {
  public:
   CoverageCounter(const Pinhole& camera, const Mask& object);

@@ -17,7 +17,7 @@ constexpr std::size_t min_cells = 2000, min_cells_of_part = 50;
 constexpr double known_enough = 0.3;
 /// Correlation below which well-known phases and azimuths count as unrelated; right stations reach 0.33 and more.
 constexpr double weak_coherence = 0.2;
-/// An error of the zero that a person should look at.
+/// Error of the polarizer's zero above which the finding is a warning.
 constexpr double large_turn_rad = 10 * std::numbers::pi / 180;
 constexpr double unrelated = 0.6;
 

@@ -102,7 +102,7 @@ std::string told_in_words(const PriorAlignment& found) {
   return joined(told, " and ") + " on would be told" + (untold.empty() ? "" : ", but not " + joined(untold, " or "));
 }
 
-/// "5.1 mm (17 px) to the left of", "turned by 1.2° clockwise against", "5 % too large for".
+/// "5.1 mm (17 px) too far left", "turned by 1.2° clockwise", "5 % too large".
 std::string offset_in_words(const PriorAlignment& found, const Tolerance& tolerance, const std::string& unit) {
   std::vector<std::string> parts;
   const double shift = std::hypot(found.right_px, found.down_px);

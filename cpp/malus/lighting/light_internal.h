@@ -32,7 +32,7 @@ struct LightEstimate {
   double robust_sigma = 0;  ///< 1.48 × median absolute residual: spread from albedo and all other causes
   double condition = 0;     ///< of the normal equations
   double tangential = 0;    ///< sine of the angle between light and view, RMS over the image
-  std::size_t pixels = 0;   ///< used
+  std::size_t pixels = 0;   ///< number of pixels used
   bool of_contour = false;  ///< the object's outline decided which side it comes from (LightWithoutPrior::contour)
   LightStatus status = LightStatus::not_run;
 };

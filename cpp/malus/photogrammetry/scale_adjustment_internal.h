@@ -66,7 +66,7 @@ struct ScaleAdjustment {
 
 /// Scale of a photogrammetric model from known distances between points marked in its photos.
 ///
-/// One least-squares adjustment of the points (3 coordinates each, model frame) and the logarithm of the scale λ, with
+/// One least-squares adjustment of the points (3 coordinates each, model frame) and the logarithm λ of the scale, with
 /// cameras and poses fixed. Observations: marks, whose residual is the distance of the undistorted mark from the
 /// point's projection times the focal length; distances, with residual e^λ |a − b| − d. Gauss–Newton from the points
 /// nearest to the marks' rays. `sigma` is from the inverse normal matrix, times max(1, unit_weight).

@@ -137,7 +137,7 @@ SmoothingStrength choose_smoothing(const Mask& mask, PixelRect box, std::span<co
                                    double spacing_px, bool keep_raised, const Context& context) {
   Windows windows(mask, box, points, spacing_px, keep_raised, context);
   const bool oriented = std::any_of(points.begin(), points.end(), [](const ViewPoint& p) { return p.has_slope(); });
-  // λ that smooths over `lengths` spacings.
+  // ln of the λ that smooths over `lengths` spacings.
   const auto log_lambda = [spacing_px](double lengths) { return 2 * std::log(lengths) + std::log(spacing_px); };
   // Usual noise: 0.1 rad of a normal, 1 GSD of a point.
   double log_l = log_lambda(1.5), log_k = std::log(10);

@@ -180,7 +180,7 @@ ProjectedCloud project(const PointCloud& cloud, const Pinhole& camera, const Pos
   return projected;
 }
 
-/// Gives a point the plane with this normal (camera frame, any length, 0 = none).
+/// Sets a point's plane from its normal (camera frame, any length, 0 = none).
 void set_plane(ViewPoint& point, const Eigen::Vector3d& normal, const Pinhole& camera) {
   const Eigen::Vector3d ray = camera.ray(point.u, point.v);
   const double along = normal.dot(ray);

@@ -50,8 +50,8 @@ class NeighborSearch {
   double cell_px_ = 1, cells_per_px_ = 1;
   int columns_ = 0, rows_ = 0;
   LargeVector<std::uint32_t> start_;
-  LargeVector<float> u_, v_;          // by cells
-  LargeVector<std::uint32_t> order_;  // numbers, by cells
+  LargeVector<float> u_, v_;          // sorted by cell
+  LargeVector<std::uint32_t> order_;  // point numbers, sorted by cell
 };
 
 }  // namespace malus

@@ -109,13 +109,13 @@ class SmoothingSpline {
   PixelRect box_;
   double cell_px_;
   int columns_, rows_;                 ///< of cells; there are two more control points in each direction
-  std::vector<std::uint8_t> active_;   ///< a cell
+  std::vector<std::uint8_t> active_;   ///< per cell
   std::vector<std::int32_t> unknown_;  ///< unknown of each control point; -1 = none
   std::size_t unknowns_ = 0;
   LargeVector<ViewPoint> points_;          ///< sorted by cell
   std::vector<std::uint32_t> cell_start_;  ///< index in points_ of each cell's first point
   std::vector<float> weights_, slope_weights_;
-  Eigen::Matrix<double, 9, 9> stiffness_;  ///< of any cell
+  Eigen::Matrix<double, 9, 9> stiffness_;  ///< the same for every cell
   std::vector<float> tilt_;                ///< factor from a cell's bending in the image to the bending of the surface
   std::vector<float> softening_;           ///< factor of λ², per cell
   std::vector<float> raised_;              ///< largest value of raised_parts so far, per cell

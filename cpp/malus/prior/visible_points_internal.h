@@ -20,12 +20,11 @@ namespace malus {
 ///
 /// Members have no default values, so that memory for millions of points is not written before the points are known.
 struct ViewPoint {
-  float u, v;              ///< pixel
-  float height;            ///< f · ln(z / reference depth), in GSD, growing away from the camera
-  float slope_u, slope_v;  ///< of the height, per px; 0 without a normal
-  float facing;            ///< cos² θ; 1 without a normal
-  float info_uu, info_uv,
-      info_vv;  ///< information of the slope, for a normal of unit (rad) noise; 0 without a normal
+  float u, v;                       ///< pixel
+  float height;                     ///< f · ln(z / reference depth), in GSD, growing away from the camera
+  float slope_u, slope_v;           ///< of the height, per px; 0 without a normal
+  float facing;                     ///< cos² θ; 1 without a normal
+  float info_uu, info_uv, info_vv;  ///< information of the slope, if the normal has unit (rad) noise; 0 without one
 
   /// A point whose normal is not known.
   static ViewPoint without_normal(float u, float v, float height) { return {u, v, height, 0, 0, 1, 0, 0, 0}; }

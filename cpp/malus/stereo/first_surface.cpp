@@ -134,7 +134,7 @@ FirstSurface first_surface(const std::vector<StationPoint>& points, const MatchL
     const double residual = std::abs(point.log_depth - first.log_depth(point.u, point.v));
     if (std::isfinite(residual)) residuals.push_back(residual);
   }
-  // A few per cent of triangulated points are wrong: they must not set the range.
+  // A few percent of triangulated points are wrong: these must not determine the range.
   first.range = std::max(5 * quantile(relative_sigma, 0.9), 2 * quantile(residuals, 0.95));
   return first;
 }

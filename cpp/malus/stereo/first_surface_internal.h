@@ -12,7 +12,7 @@
 
 namespace malus {
 
-/// Surface from which the first sweep starts.
+/// Surface at which the first sweep starts.
 struct FirstSurface {
   Image<float> log_depth;  ///< NaN outside the mask
   double range = 0;        ///< how far the true surface may be from it, in ln z

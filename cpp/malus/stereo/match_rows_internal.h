@@ -15,7 +15,7 @@ using PathRow = std::array<const float*, 6>;
 /// Bilinear interpolation along the paths; beyond the photo, its border values continue.
 void sample_row(const PhotoCells& photo, const PathRow& path, float t, std::size_t count, float* out);
 
-/// Sums of w a, (w a)² and a b over `window` (odd) neighbors along the row, where b is the weighted reference. Writes
+/// Sums of w a, w a² and a b over `window` (odd) neighbors along the row, where b is the weighted reference. Writes
 /// three consecutive lines of `width` values. The row and `scratch` have width + window − 1 pixels.
 void window_lines(const float* a, const float* w, const float* b, std::size_t width, std::size_t window, float* scratch,
                   float* lines);

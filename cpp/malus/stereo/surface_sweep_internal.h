@@ -52,7 +52,7 @@ struct SweepResult {
   int views_total = 0;
   int views_used = 0;
   double points_total = 0;
-  double points_used = 0;   ///< on the object
+  double points_used = 0;   ///< of a sample on the object, the points that match in the photos
   double completeness = 0;  ///< share of the mask that has a depth
   double highlights = 0;    ///< share of the mask left out as highlights or pixels next to them
   double median_score = 0;  ///< of the pixels kept

@@ -46,7 +46,7 @@ class ViewChoice {
     Size size;
     ViewProjection projection;
     std::optional<PhotoCells> cells;
-    int depth = 0;           ///< of the cells
+    int depth = 0;           ///< pyramid level of the cells
     double parallax = 0;     ///< px of the station's image per unit of ln z, median
     double resolution = 1;   ///< px of the photo per px of the station
     double quality = 0;      ///< 0 = not used
