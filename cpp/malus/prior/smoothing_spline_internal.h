@@ -49,9 +49,9 @@ class SmoothingSpline {
   /// way: a recess cannot be distinguished from a hidden surface seen through gaps in a sparse cloud. Slopes lose
   /// weight where f is softened at the edges of a raised part.
   bool reweight(const ResidualSpread& spread, double settled = 0, bool keep_raised = false);
-  /// Smooths less where f bends far more than is usual (steps, occluding edges): the λ² of each cell is multiplied by 1
-  /// / (1 + energy / (tolerance · typical)). `energy` is the bending energy of the current f in the cell, `typical` the
-  /// geometric mean of that energy's mean and median over the cells.
+  /// Smooths less where f bends far more than is usual (steps, occluding edges): multiplies each cell's λ² by
+  /// 1 / (1 + energy / (tolerance · typical)). `energy` is the bending energy of the current f in the cell, `typical`
+  /// the geometric mean of that energy's mean and median over the cells.
   void soften_edges(double tolerance);
   /// Appends the residuals of all points (see Residuals).
   void append_residuals(Residuals& residuals) const;
