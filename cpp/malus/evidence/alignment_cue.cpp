@@ -11,11 +11,11 @@
 namespace malus {
 namespace {
 
-/// Scales that are compared: below, pixels are noise; above, light changes from place to place.
+/// Band of scales that is compared: finer scales are noise, coarser ones are changes of the light from place to place.
 constexpr double fine_px = 0.8, coarse_px = 6;
 constexpr float gradient_floor = 0.005F, bend_floor = 0.01F;
-/// A prior has relief if the logarithms of its bends spread by this much. Clouds and scans have .15 to .6, a sphere .04
-/// by its rim alone, whose place is that of the mask's outline and not its own.
+/// A prior has relief if the logarithms of its bends spread by this much. Clouds and scans have .15 to .6. A sphere has
+/// .04, only from its rim, whose place is that of the mask's outline and not the sphere's.
 constexpr double least_relief = 0.08;
 
 template <class T>
@@ -48,7 +48,8 @@ double deviation(const std::vector<AlignmentCue::Value>& values) {
   return std::sqrt(std::max(squares / n - sum * sum / (n * n), 0.0));
 }
 
-/// ln (|gradient| + floor) of channels, summed over them; pixels beside others that are not in the mask leave it.
+/// ln (|gradient| + floor) of channels, with the gradients of all channels combined; pixels next to one outside the
+/// mask are removed from the mask.
 Image<float> log_gradient(const Image<float>& image, Mask& mask, float floor) {
   Image<float> result(image.size());
   Mask inner(mask.size());
@@ -110,10 +111,10 @@ TemplatePixels template_pixels(const Mask& pixels) {
 struct AlignmentCue::Samples {
   std::vector<Value> image;
   std::vector<float> weights;
-  Value turn;  ///< that the template's values are multiplied by
+  Value turn;  ///< factor of the template's values
 };
 
-/// Sums over the template's pixels, means taken out.
+/// Weighted sums over the template's pixels, of values minus their means.
 struct AlignmentCue::Moments {
   Value mean_template, mean_image;
   double var_template = 0, var_image = 0;
@@ -181,7 +182,7 @@ AlignmentCue::Moments AlignmentCue::moments(const Samples& samples) const {
   Moments moments{Value(mean_template), Value(mean_image), squares_template - weight * std::norm(mean_template),
                   squares_image - weight * std::norm(mean_image),
                   product - weight * mean_image * std::conj(mean_template)};
-  // Real values that agree with the wrong sign do not agree.
+  // Real values that correlate with the wrong sign count as uncorrelated.
   if (turns_ == 0 && moments.covariance.real() < 0) moments.covariance = 0;
   return moments;
 }
@@ -197,7 +198,7 @@ double AlignmentCue::contrast(const TemplatePixels& pixels, const Similarity& mo
   return m.var_template > 0 ? std::sqrt(m.var_image / m.var_template) : 0;
 }
 
-/// Σ w (|f|² − |f − a t|²) of each block over Σ w |f|² of all; their sum is the squared correlation.
+/// Σ w (|f|² − |f − a t|²) of each block over Σ w |f|² of all; the sum over the blocks is the squared correlation.
 std::vector<double> AlignmentCue::explained_by_block(const TemplatePixels& pixels, const Similarity& at) const {
   const Samples samples = sample(pixels, at);
   const Moments m = moments(samples);

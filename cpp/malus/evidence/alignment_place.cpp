@@ -10,21 +10,22 @@ namespace {
 
 using Kind = AlignmentProblem::Kind;
 
-/// Larger side of the image at which it is searched, and at which the place found is made exact.
+/// Larger side of the reduced image for the search, and for the refinement of the place found.
 constexpr double coarse_px = 100, fine_px = 220;
 constexpr int far_places = 24;
-/// A cue says something if it explains so many standard deviations, by its scatter over the image, and so many times
-/// what unrelated places do. Where few parts of the image have all of the signal, its scatter is as large as itself,
-/// but the ratio alone is beyond chance: of unrelated places 24 reach 3.8 times their mean, 5 times that comes once in
-/// e^15. Such colors may be highlights, which are elsewhere in every photo: they count beside phases only.
+/// A cue is informative if its signal exceeds `informative_sigmas` standard deviations, by its scatter over the image,
+/// and `informative_ratio` times the largest value at unrelated places. Where few parts of the image have all of the
+/// signal, its scatter is as large as the signal, but the ratio alone rules out chance: the largest of 24 unrelated
+/// places reaches 3.8 times their mean, 5 times that comes once in e^15. Such concentrated colors may be highlights,
+/// which move from photo to photo: they count only if the phases are informative.
 constexpr double informative_sigmas = 4, informative_ratio = 2;
 constexpr double concentrated_sigmas = 2.5, concentrated_ratio = 5;
-/// A cue loses by a place.
+/// Gain below which a cue contradicts a place.
 constexpr double loss_sigmas = -2;
 constexpr double degree = std::numbers::pi / 180;
 constexpr Tolerance by_texture{0.012, 0.6, 0.035}, by_edges_only{0.04, 3, 0.08};
-/// Where colors and phases both say something, colors gain this much and phases do not lose, it is no highlight that
-/// pulls: of 96 right stations that have both, none gains more than 2.7 by its colors.
+/// If colors and phases are both informative, colors gain more than `agreed_sigmas` and phases gain, the offset does
+/// not come from a highlight: of 96 right stations with both cues, none gains more than 2.7 by its colors.
 constexpr Tolerance by_both{0.012, 0.6, 0.015};
 constexpr double agreed_sigmas = 3.5;
 
@@ -32,7 +33,7 @@ int factor_for(Size image, double wanted_px) {
   return std::max(1, static_cast<int>(std::ceil(std::max(image.width, image.height) / wanted_px - 0.2)));
 }
 
-/// Displacements by 15 to 30 % of the object, in all directions: beyond what is searched.
+/// Displacements by 15 to 30 % of the object in all directions, beyond the search range.
 std::vector<Similarity> places_far_away(double extent_px) {
   std::vector<Similarity> places;
   for (int k = 0; k < far_places; ++k) {
@@ -65,8 +66,8 @@ AlignmentEvidence evidence_of(const AlignmentCue& cue, const TemplatePixels& pix
 
 using Evidence = std::array<AlignmentEvidence, AlignmentProblem::kinds>;
 
-/// How much better one place is than another: the largest gain of an informative cue, and that of all of them, whose
-/// shares of the likelihood add up in each part of the image.
+/// How much better one place is than another: the largest gain of an informative cue, and the joint gain of all
+/// informative cues, whose contributions to the likelihood are added block by block.
 struct Gain {
   double largest = 0, joint = 0;
 };
@@ -86,23 +87,24 @@ Gain gain_of(const AlignmentProblem& problem, const Evidence& evidence, const Si
   return gain;
 }
 
-/// A place is told from another by 3 standard deviations of the gain, or by 2 if it is also 3 of its own standard
-/// deviations beyond the tolerance: the former scatter over the image, the latter follow from how sharp the fit is. A
-/// place that is better than the given one, but may as well lie within the tolerance, is none to warn of.
+/// A place is clearly better than another if its gain is 3 standard deviations, or 2 if it is also 3 of its own
+/// standard deviations beyond the tolerance. The gain's standard deviations follow from the scatter over the image, the
+/// place's from the sharpness of the fit. Always required is 1 of the latter: a better place that may lie within the
+/// tolerance gives no warning.
 constexpr double clear = 3, fair = 2, surely = 1;
 bool is_clear(const Gain& gain, double beyond_sigmas) {
   return (std::max(gain.largest, gain.joint) > clear && beyond_sigmas > surely) ||
          (gain.joint > fair && beyond_sigmas > clear);
 }
 
-/// Offsets of a kind, to be tried for being told.
+/// Offsets of one kind, tried to find the smallest that is detected.
 struct TriedOffsets {
   std::vector<double Similarity::*> fields;
   std::vector<double> offsets;
   double tolerance;
 };
 
-/// The smallest of the offsets, in both directions of all its fields, from which the best place is told; 0 = none.
+/// The smallest offset at which the best place is clearly better, for both directions of all fields; 0 = none.
 double smallest_told(const AlignmentProblem& problem, const AlignmentPlace& found, const Similarity& best,
                      const TriedOffsets& tried) {
   const auto is_told_from = [&](double Similarity::*field, double offset) {
@@ -142,7 +144,7 @@ double sigmas_beyond(const Similarity& place, const Similarity& sigma, const Tol
   return std::max({shift, turn, scale});
 }
 
-/// Curvature of the score → standard deviation.
+/// Standard deviations from the curvature of the score.
 Similarity sigma_of(const AlignmentScore& score, const TemplatePixels& pixels, const Similarity& best) {
   Similarity sigma;
   const double at_best = score(best);
@@ -173,9 +175,9 @@ PlacedScore best_place(const AlignmentProblem& coarse, const AlignmentProblem& f
   return best;
 }
 
-/// The best place without those kinds of offsets that cannot be told from the others: what is round is not turned but
-/// shifted, a cylinder is not shifted along its axis. An offset is left out if the place that is best without it is not
-/// clearly worse.
+/// The best place, without kinds of offsets that cannot be distinguished from the other kinds: for a round object a
+/// turn is left out in favor of a shift, for a cylinder a shift along its axis. A kind is left out if the best place
+/// without it is not clearly worse.
 Similarity without_untold(const AlignmentProblem& problem, const std::vector<Kind>& kinds, const Evidence& evidence,
                           const Similarity& best, const Context& context) {
   const AlignmentScore score(problem, kinds, best);

@@ -10,7 +10,7 @@ namespace {
 
 constexpr double degree = std::numbers::pi / 180;
 constexpr std::size_t fewest_pixels = 150;
-constexpr double largest_shift = 0.08;  ///< of the object
+constexpr double largest_shift = 0.08;  ///< share of the object's size
 constexpr std::array turns_rad{-5 * degree, -2.5 * degree, 0.0, 2.5 * degree, 5 * degree};
 constexpr std::array log_scales{-0.08, -0.04, 0.0, 0.04, 0.08};
 constexpr std::size_t places_kept = 3;
@@ -71,7 +71,7 @@ std::vector<PlacedScore> search_grid(const AlignmentScore& score, double extent_
   for (const double turn : turns_rad) {
     for (const double scale : log_scales) {
       if (shifts_only && (turn != 0 || scale != 0)) continue;
-      // Every second shift: the cues' bands are wider than two pixels.
+      // Every second shift suffices: the cues' bands are wider than two pixels.
       for (int dv = -reach; dv <= reach; ++dv) {
         for (int du = -reach; du <= reach; ++du)
           if ((du + dv) % 2 == 0) places.push_back({static_cast<double>(du), static_cast<double>(dv), turn, scale});

@@ -9,7 +9,7 @@
 
 namespace malus {
 
-/// A prior's pixels that are compared with the image, and the cues that both have.
+/// The prior's pixels that are compared with the image, and the cues that both prior and image have.
 struct AlignmentProblem {
   enum Kind : std::size_t { color, phase, edges };
   static constexpr std::size_t kinds = 3;
@@ -17,16 +17,16 @@ struct AlignmentProblem {
   TemplatePixels pixels;
   std::array<std::optional<AlignmentCue>, kinds> cues;
 
-  /// pixels: those of the prior on the object, or all if these are few.
+  /// pixels: the prior's pixels on the object, or all of its pixels if those are too few.
   AlignmentProblem(const PriorView& prior, const SceneView& scene, const Pinhole& camera);
   bool is_usable() const;
 };
 
-/// ln of the likelihood ratio of a place against an unrelated one: −½ Σ N ln(1 − R²), N the independent pixels of a
+/// ln of the likelihood ratio of a place and an unrelated one: −½ Σ N ln(1 − R²), with N the independent pixels of a
 /// cue.
 class AlignmentScore {
  public:
-  /// Of these kinds of cues, those that the problem has; N of each as it is with the prior at `at`.
+  /// Uses those of these kinds of cues that the problem has, each with its N at the place `at`.
   AlignmentScore(const AlignmentProblem& problem, const std::vector<AlignmentProblem::Kind>& kinds,
                  const Similarity& at);
 
@@ -46,15 +46,14 @@ struct PlacedScore {
   double score = 0;
 };
 
-/// Best places of a coarse problem on a grid of shifts, turns and sizes (shifts only: turn and size as they are).
+/// Best places of a coarse problem on a grid of shifts, turns and sizes (shifts_only: turn and size stay unchanged).
 std::vector<PlacedScore> search_grid(const AlignmentScore& score, double extent_px, bool shifts_only,
                                      const Context& context);
 
 inline const std::vector<double Similarity::*> all_fields{&Similarity::du, &Similarity::dv, &Similarity::turn_rad,
                                                           &Similarity::log_scale};
 
-/// Walks uphill from a place along these fields, to steps of 1/16 px, no farther than the grid reaches and half as much
-/// again.
+/// Climbs from a place along these fields, down to steps of 1/16 px, within 1.5 times the reach of the grid.
 PlacedScore refine_place(const AlignmentScore& score, const TemplatePixels& pixels, const Similarity& start,
                          const Context& context, const std::vector<double Similarity::*>& fields = all_fields);
 

@@ -11,7 +11,7 @@ namespace {
 
 constexpr std::size_t most_points = 100000;
 
-/// Points of the prior on the object, evenly taken.
+/// Evenly sampled points of the prior on the object.
 std::vector<Eigen::Vector3d> points_of(const Image<float>& depth, const Mask& object, const Pinhole& camera) {
   std::vector<Eigen::Vector3d> points;
   const int stride = static_cast<int>(std::sqrt(static_cast<double>(depth.count() / most_points))) + 1;
@@ -37,7 +37,8 @@ std::vector<Finding> findings_before_fusion(const BeforeFusion& input, const Con
   const PriorAlignment place = input.cloud != nullptr ? check_alignment(*input.cloud, input.pose, images, context)
                                                       : check_alignment(input.prior_depth, images, context);
   const bool is_interpolated = place.object_covered < PriorAlignment::poorly_covered;
-  // An interpolated surface may be wrong itself, but then the polarization cannot be read by its slopes, either.
+  // The interpolated surface may be wrong instead of the polarization. But wrong slopes cannot interpret the
+  // polarization either, so a caution remains.
   if (is_interpolated && phase.is_unrelated) {
     phase.finding.severity = Severity::caution;
     phase.finding.message += "; the prior is interpolated on most of the object";

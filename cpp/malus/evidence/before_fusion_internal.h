@@ -15,19 +15,19 @@
 
 namespace malus {
 
-/// What a station consists of when polarization and prior are there and nothing is fused.
+/// A station's data once polarization and prior are known, before the fusion.
 struct BeforeFusion {
   AlignmentScene images;
   const Pose& pose;                   ///< cam_from_world
   const Image<float>& prior_depth;    ///< in the station view, NaN = none
-  const PointCloud* cloud = nullptr;  ///< that the prior was made of (world frame); null = another prior
-  bool known_linear = false;          ///< the images follow the light, as the sinusoid says (says_linear)
-  std::string response = "linear";    ///< curve that made the images linear, as the station file names it
-  bool is_perspective = true;         ///< false: rays are taken for parallel
+  const PointCloud* cloud = nullptr;  ///< cloud that the prior was made of (world frame); null = another kind of prior
+  bool known_linear = false;          ///< the response check found the images linear (says_linear)
+  std::string response = "linear";    ///< curve that made the images linear, by its name in the station file
+  bool is_perspective = true;         ///< false: rays are taken to be parallel
 };
 
-/// Everything that can be said of the input before any fusion: "size", "phase", "prior" (where the cloud or depth map
-/// lies) and "contrast", in this order. Errors are not thrown: the caller decides.
+/// All checks of the input that need no fusion: "size", "phase", "prior" (where the cloud or depth map lies) and
+/// "contrast", in this order. Findings of severity error are returned, not thrown: the caller decides.
 std::vector<Finding> findings_before_fusion(const BeforeFusion& input, const Context& context);
 
 }  // namespace malus

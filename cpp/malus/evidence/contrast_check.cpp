@@ -7,10 +7,10 @@ namespace malus {
 namespace {
 
 constexpr double least_explained = 0.4;
-/// Displays' encoding divides contrasts by this, in logarithms. Of rendered dielectrics with linear images the ratio to
-/// the colors' is 1.2 to 2.5.
+/// Encoding for a display divides logarithmic contrasts by this. For rendered dielectrics with linear images, the ratio
+/// of the images' contrast to the colors' is 1.2 to 2.5.
 constexpr double encoding = 2.2;
-/// Half way, as factors, between linear images and encoded ones, and those that were decoded twice.
+/// Geometric means: between the ratios of encoded and linear images, and of linear images and those decoded twice.
 const double halfway_to_encoded = std::sqrt(encoding), halfway_to_decoded_twice = std::pow(encoding, 1.5);
 
 }  // namespace
@@ -22,8 +22,8 @@ Finding check_contrast(const AlignmentEvidence& color, const std::string& respon
       "whether the images' contrast is that of linear images could not be checked: no colors of the prior go with it";
   if (!color.available || color.at_best < least_explained) return finding;
   finding.figures = {{"contrast", color.contrast}, {"explained", color.at_best}};
-  // Both have contrast that the other does not have: shadows, highlights, noise. What they share is between correlation
-  // times and 1 / correlation times the ratio of their contrasts.
+  // Images and colors each have contrast of their own: shadows, highlights, noise. The ratio of the contrasts that they
+  // share is between correlation times and 1 / correlation times the ratio of all contrast.
   const double most = color.contrast / std::sqrt(color.at_best);
   std::ostringstream text;
   text.precision(2);

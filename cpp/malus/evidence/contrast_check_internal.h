@@ -7,12 +7,13 @@
 
 namespace malus {
 
-/// Whether the images are linear in the light, by the colors of the cloud, which photos gave it as a display shows
-/// them: an exponent of about 2.2. Logarithms of linear images then spread 2.2 times as much as those of the colors,
-/// those of encoded images as much, and those of images that were decoded twice 4.8 times (color.contrast, in one band
-/// of scales). Checked where colors explain 40 % of the brightness or more; a warning below 1.35 and above 4.2, for
-/// photos have tone curves, too. known_linear: the sinusoid says that they are linear; then other colors of the cloud,
-/// such as those of a scanner, are no doubt about the images.
+/// Checks whether the images are linear in the light, by the colors of the cloud. These come from photos encoded for a
+/// display, with an exponent of about 2.2. Logarithms of linear images therefore spread 2.2 times as much as those of
+/// the colors, those of encoded images equally, and those of images that were decoded twice 4.8 times (color.contrast,
+/// in one band of scales). Checked only where colors explain 40 % of the brightness or more. A ratio above 3.3, or
+/// below 1.48 even when divided by the correlation, gives a warning; the margins allow for the photos' tone curves.
+/// known_linear: the response check found the images linear; then a different contrast of the cloud's colors, such as
+/// those of a scanner, raises no doubt about the images.
 Finding check_contrast(const AlignmentEvidence& color, const std::string& response, bool known_linear);
 
 }  // namespace malus

@@ -15,7 +15,8 @@ namespace {
 using Order = std::vector<std::size_t>;
 
 constexpr std::size_t min_samples = 200, most_permuted = 8;
-/// Of 82 rendered stations in the right order none is above 1.3, of 82 with two images exchanged 75 are above this.
+/// Of 82 rendered stations in the right order none exceeds 1.3; of 82 with two images exchanged 75 exceed
+/// `clear_ratio`.
 constexpr double clear_ratio = 4;
 
 std::vector<Order> orders_of(std::size_t count) {
@@ -49,7 +50,7 @@ Eigen::MatrixXd products_of(const PixelSamples& samples) {
   return products;
 }
 
-/// Σ squared residuals if image k has the angle number order[k].
+/// Σ squared residuals if image k has angle number order[k].
 double misfit_of(const Order& order, const Eigen::MatrixXd& projection, const Eigen::MatrixXd& products) {
   double misfit = 0;
   for (std::size_t j = 0; j < order.size(); ++j) {
@@ -80,8 +81,8 @@ ImageOrder check_image_order(const std::vector<Image<float>>& images, const std:
   result.angles_rad = angles_rad;
   Finding& finding = result.finding;
   finding.check = "order";
-  // Images that lie a fraction of a pixel beside each other differ where brightness changes from pixel to pixel, which
-  // looks like polarization in some order. Polarization is the same over several pixels.
+  // Images shifted by a fraction of a pixel differ where brightness changes from pixel to pixel, which in some order
+  // looks like polarization. Means over several pixels suppress this; polarization hardly changes over them.
   constexpr int reach_px = 2;
   const PixelSamples samples = pixel_samples(images, mask, reach_px);
   if (images.size() < 4 || samples.values.size() < min_samples) {
@@ -97,7 +98,7 @@ ImageOrder check_image_order(const std::vector<Image<float>>& images, const std:
     context.check_cancel();
     misfits.push_back(misfit_of(order, projection, products));
   }
-  // Of those that fit about as well, the one that moves the fewest images.
+  // Of orders that fit about as well, choose the one that moves the fewest images.
   const double least = std::max(*std::ranges::min_element(misfits), 1e-12 * products.trace());
   std::size_t best = 0;
   if (misfits.front() > clear_ratio * least) {

@@ -10,13 +10,15 @@
 namespace malus {
 namespace {
 
-/// Coverage of what is white below which, and of what is black above which, a mask is inverted.
+/// A mask is inverted if the prior covers less than `inverted_covers` of its white part and more than `well_covered` of
+/// its black part.
 constexpr double inverted_covers = 0.2, well_covered = 0.5;
-/// A hole of this share of the image is no scale bar or label that a mask leaves out.
+/// A hole of this share of the image is too large for a scale bar or label that the mask leaves out.
 constexpr double least_hole = 0.05;
-/// Half the distance across the outline at which depths are compared, for what masks and priors are uncertain by.
+/// Half the distance across the outline at which depths are compared; it allows for the uncertainty of masks and
+/// priors.
 constexpr int across_px = 2;
-/// Pixels of the outline that must be known on both sides, and how much nearer the black side must be, in pixels.
+/// Least number of outline pixels with depths on both sides, and how much nearer the black side must be, in pixels.
 constexpr std::size_t fewest_steps = 30;
 constexpr double least_step = 0.7;
 

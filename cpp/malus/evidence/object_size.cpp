@@ -17,7 +17,7 @@ namespace malus {
 namespace {
 
 constexpr double smallest_m = 1e-3, largest_m = 100, nearest_m = 5e-3, farthest_m = 200;
-/// Of objects and distances that are usual before a camera.
+/// Range of sizes and distances that are usual in front of a camera.
 constexpr double usual_smallest_m = 5e-3, usual_largest_m = 20;
 constexpr double narrowest_deg = 0.3, widest_deg = 140;
 
@@ -31,7 +31,7 @@ std::string in_words(double metres) {
   std::ostringstream text;
   text.precision(3);
   const double value = metres * scale;
-  // Without an exponent, which three digits of a thousand would have.
+  // Avoids the exponent that three digits of a thousand would have.
   text << (std::abs(value) >= 1000 ? std::round(value / 10) * 10 : value);
   std::string digits = text.str();
   if (digits.find('e') != std::string::npos) digits = std::to_string(std::lround(value));
@@ -44,11 +44,11 @@ double range_of(std::vector<double> values) {
   return values[last - last / 100] - values[last / 100];
 }
 
-/// Depth in the middle of the image, for which quality.json gives the ground sampling distance, too; NaN if nothing is
-/// known there.
+/// Depth in the middle of the image; quality.json states the ground sampling distance for the same place. NaN if no
+/// point is there.
 double middle_depth(const std::vector<Eigen::Vector3d>& points_in_cam, const Pinhole& camera) {
   constexpr std::size_t few = 9;
-  constexpr double near = 0.01;  // of the image's larger side
+  constexpr double near = 0.01;  // share of the image's larger side
   const Eigen::Vector2d middle(0.5 * camera.size.width, 0.5 * camera.size.height);
   const double reach = near * std::max(camera.size.width, camera.size.height);
   std::vector<std::pair<double, double>> found;  // distance from the middle in pixels, depth

@@ -25,7 +25,7 @@ Image<T> undone(const Image<T>& image, const ImageTurn& turn) {
 constexpr std::size_t sampled_points = 5000;
 constexpr int cells_per_side = 32;
 
-/// Those that leave most as it is come first.
+/// Exchanges and negations of axes; those that change least come first.
 std::vector<Eigen::Matrix3d> exchanged_axes() {
   std::vector<Eigen::Matrix3d> result;
   std::array<int, 3> order{0, 1, 2};

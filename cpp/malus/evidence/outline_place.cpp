@@ -14,14 +14,15 @@ constexpr std::size_t sectors = 24;
 using Sectors = std::array<double, sectors>;
 
 constexpr double largest_move = 0.1, size_step = 0.025;
-/// Depths are compared this far inside and outside of the outline; a step of so many pixels counts fully.
+/// Distances from the outline at which depths inside and outside are compared; a step of `full_step` pixels counts
+/// fully.
 constexpr int inside_px = 1, outside_px = 2;
 constexpr double full_step = 2;
-/// Of rendered coins and medals, which neither colors nor phases place, no right one gains more than 1.5 standard
+/// Of rendered coins and medals without informative colors and phases, no right one gains more than 1.5 standard
 /// deviations.
 constexpr double offset_sigmas = 2, offset_gain = 0.05, offset_shift = 0.03, offset_scale = 0.02;
 
-/// Where one of the object's pixels has one beside it that is not the object's.
+/// A pixel of the object with a neighbor outside the object.
 struct OutlinePixel {
   double u, v;
   int right, down;  ///< outwards
@@ -67,7 +68,7 @@ Outline outline_of(const Mask& object) {
   return outline;
 }
 
-/// Mean step outwards by sectors of the outline; their sum is that of all of it.
+/// Mean outward step by sectors of the outline, as contributions that add up to the mean over the whole outline.
 Sectors steps_at(const Outline& outline, const Image<float>& depth, double focal, const Similarity& moved) {
   const double shrink = std::exp(-moved.log_scale);
   const auto depth_at = [&](const OutlinePixel& pixel, int outwards) -> double {
@@ -99,8 +100,8 @@ double total(const Sectors& sums) {
 bool OutlinePlace::is_offset() const {
   const bool is_beyond =
       std::hypot(place.du, place.dv) > offset_shift * extent || std::abs(place.log_scale) > offset_scale;
-  // A place at the end of what is searched is none: where the surface goes on, as a ball's does behind a mask that is
-  // drawn on it, depths fall off more and more outwards, and the largest outline has the largest steps.
+  // A place at the end of the search range is no result: if the surface continues beyond the mask, as with a mask drawn
+  // inside a ball's outline, the slope grows outwards, and the largest outline has the largest steps.
   const double searched = std::ceil(largest_move * extent) - 0.5;
   const bool is_peak = std::abs(place.du) < searched && std::abs(place.dv) < searched &&
                        std::abs(place.log_scale) < largest_move - 0.5 * size_step;

@@ -10,13 +10,14 @@
 namespace malus {
 namespace {
 
-/// In small views a coarse prior has no azimuths of its own: none of 97 rendered stations is unrelated with this many.
+/// In small views a coarse prior has no azimuths of its own. With at least `min_cells`, none of 97 rendered stations is
+/// found unrelated.
 constexpr std::size_t min_cells = 2000, min_cells_of_part = 50;
 /// Mean weights below which phases or azimuths are not known well enough to expect an agreement.
 constexpr double known_enough = 0.3;
-/// Correlation below which phases and azimuths that are known are doubtful; right stations reach 0.33 and more.
+/// Correlation below which well-known phases and azimuths count as unrelated; right stations reach 0.33 and more.
 constexpr double weak_coherence = 0.2;
-/// An error of the zero that a person should look at.
+/// Error of the polarizer's zero above which the finding is a warning.
 constexpr double large_turn_rad = 10 * std::numbers::pi / 180;
 constexpr double unrelated = 0.6;
 

@@ -11,12 +11,12 @@
 
 namespace malus {
 
-/// Agreement of the measured phases with the azimuths of the prior, whatever each place reflects: overall, and in parts
-/// of the image.
+/// Agreement of the measured phases with the azimuths of the prior, for diffuse and specular reflection alike: overall,
+/// and in parts of the image.
 struct PhaseAgreement {
   PhaseCoherence overall;
 
-  /// Parts of the box about the cells, row by row. A part with fewer than 50 cells has none: disagreement NaN.
+  /// Parts of the cells' bounding box, row by row. Parts with fewer than 50 cells have a disagreement of NaN.
   static constexpr int parts_per_side = 6;
   struct Part {
     double u = 0, v = 0;  ///< mean position of its cells [px]
@@ -25,11 +25,11 @@ struct PhaseAgreement {
   };
   std::vector<Part> parts;
 
-  /// Of the parts that have a disagreement, the share that is no better than unrelated data (0.6 and more, with 2
-  /// standard deviations to where the rest lies).
+  /// Of the parts that have a disagreement, the share that is no better than unrelated data (disagreement above 0.6 by
+  /// more than 2 standard deviations).
   double unrelated_share = 0;
 
-  /// Phases and azimuths are both known well, and yet have nothing to do with each other.
+  /// Phases and azimuths are both known well, but unrelated.
   bool is_unrelated = false;
 
   Finding finding;
@@ -38,10 +38,11 @@ struct PhaseAgreement {
 /// Compares phases with the azimuths of the prior's normals. camera null = orthographic; normals: 3 channels, unit,
 /// camera frame, towards the camera, NaN = none.
 ///
-/// An error where the polarization certainly turns against the azimuths (knows_direction), a warning where it is turned
-/// by more than 10° (knows_zero). A warning, too, where phases and azimuths are both known well, and yet unrelated or
-/// related only weakly: metal, a prior in the wrong place, images of another object, angles in the wrong order. Where
-/// either is not known (flat object, too little polarization) the finding says that it could not be checked.
+/// The finding is an error if the polarization certainly turns against the azimuths (knows_direction), and a warning if
+/// it is turned by more than 10° (knows_zero). It is also a warning if phases and azimuths are both known well, but
+/// unrelated: metal, a prior in the wrong place, images of another object, angles in the wrong order. If they are
+/// related only weakly, or one of them is not known (flat object, too little polarization), the finding states that the
+/// agreement could not be checked.
 PhaseAgreement phase_agreement(const PolarizationState& state, const Pinhole* camera, const Image<float>& normals,
                                const Context& context);
 

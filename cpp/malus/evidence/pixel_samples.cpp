@@ -11,7 +11,7 @@ namespace {
 constexpr double most_samples = 200000;
 constexpr float darkest = 0.02F, brightest = 0.9F;
 
-/// Adds a pixel's values to the window's. Returns whether it may count.
+/// Adds a pixel's values to the window's. Returns false if the pixel is off the mask, dark or nearly saturated.
 bool add_pixel(const std::vector<Image<float>>& images, const Mask& mask, int u, int v, Eigen::VectorXd& sum) {
   if (!mask.empty() && mask(u, v) == 0) return false;
   for (std::size_t k = 0; k < images.size(); ++k) {

@@ -10,18 +10,18 @@ namespace malus {
 /// (s0, s1, s2) by least squares from intensities at these angles.
 Eigen::Matrix3Xd stokes_of_intensities(const std::vector<double>& angles_rad);
 
-/// What is left of values at these angles after the least-squares sinusoid: a projection.
+/// Projection of values at these angles to their residuals from the least-squares sinusoid.
 Eigen::MatrixXd residual_projection(const std::vector<double>& angles_rad);
 
-/// Values of some places in all images: means over windows whose pixels are all neither dark nor nearly saturated.
+/// Values of sampled pixels in all images: means over windows none of whose pixels is dark or nearly saturated.
 struct PixelSamples {
   std::vector<Eigen::VectorXd> values;
-  std::vector<int> parts;  ///< of 8 × 8 parts of the image
+  std::vector<int> parts;  ///< index among 8 × 8 parts of the image, for each sample
   static constexpr int part_count = 64;
 };
 
-/// At most some hundred thousand, evenly taken. mask: non-zero = object, empty = everything; a window reaches so far
-/// from its middle.
+/// Evenly spaced samples, at most a few hundred thousand. mask: non-zero = object, empty = everything. reach_px: how
+/// far a window extends from its middle.
 PixelSamples pixel_samples(const std::vector<Image<float>>& images, const Mask& mask, int reach_px);
 
 }  // namespace malus

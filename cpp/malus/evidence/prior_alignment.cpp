@@ -23,24 +23,24 @@ namespace {
 using Kind = AlignmentProblem::Kind;
 
 constexpr double degrees = 180 / std::numbers::pi;
-/// Offsets of right priors' outlines.
+/// Offsets that outlines of right priors may have.
 constexpr Tolerance by_outline{0.03, 0, 0.02};
 
-/// Shares of the object that a prior covers: below the first, nothing can be made of it; below the second, a person
-/// should look.
+/// A prior that covers a smaller share of the object does not lie on it.
 constexpr double hardly_covered = 0.02;
-/// Below this, what little of the object the prior has says nothing about the rest.
+/// A prior that covers a smaller share of the object is not compared with the images.
 constexpr double too_little_covered = 0.1;
-/// Coverage by a cloud that was moved from which that is taken for the cause.
+/// Coverage by a moved cloud from which that move is a likely explanation.
 constexpr double moved_covers = 0.3;
 constexpr std::size_t ideas_tried = 6;
-/// Squared correlations below which colors and phases of prior and images have nothing in common, and the step of
-/// depths across the mask's outline, in pixels of the reduced view, below which it is no outline of the prior.
+/// Squared correlations below which colors or phases of prior and images are unrelated, and the depth step across the
+/// mask's outline, in pixels of the reduced view, below which the prior has no outline there.
 constexpr double common_color = 0.05, common_phase = 0.12, common_step = 1.5;
-/// An object that is polarized so many times more than a matte one of the prior's slopes mirrors what is around it.
-/// Rendered coins of lacquer and black glass have 8 to 26 times, matte, glazed and painted things 0.5 to 8.
+/// An object mirrors its surroundings if its degree of polarization exceeds that of a matte one with the prior's slopes
+/// by `mirrors_times`. Rendered coins of lacquer and black glass have 8 to 26 times, matte, glazed and painted objects
+/// 0.5 to 8.
 constexpr double mirrors_times = 6, least_degree = 0.002;
-/// What an other idea of the input must explain, and how many times what the input as given does.
+/// Least that a variant of the input must explain, and how many times more than the input as given.
 constexpr double least_explained = 0.1, explains_times = 3;
 
 std::string with_digits(double value, int digits) {
@@ -85,7 +85,8 @@ std::string joined(const std::vector<std::string>& parts, const char* last) {
   return text;
 }
 
-/// What the check is worth here: "a shift from 5 px and a turn from 1.5° on would be told, but not another size".
+/// Which offsets the check would detect here: "a shift from 5 px and a turn from 1.5° on would be told, but not another
+/// size".
 std::string told_in_words(const PriorAlignment& found) {
   std::vector<std::string> told, untold;
   const auto add = [&](const char* what, double from, const std::string& from_in_words) {
@@ -101,7 +102,7 @@ std::string told_in_words(const PriorAlignment& found) {
   return joined(told, " and ") + " on would be told" + (untold.empty() ? "" : ", but not " + joined(untold, " or "));
 }
 
-/// "5.1 mm (17 px) to the left of", "turned by 1.2° clockwise against", "5 % too large for".
+/// "5.1 mm (17 px) too far left", "turned by 1.2° clockwise", "5 % too large".
 std::string offset_in_words(const PriorAlignment& found, const Tolerance& tolerance, const std::string& unit) {
   std::vector<std::string> parts;
   const double shift = std::hypot(found.right_px, found.down_px);
@@ -190,7 +191,7 @@ void judge_place(const AlignmentPlace& place, const std::string& unit, PriorAlig
   say(found, Severity::note, text.str(), "");
 }
 
-/// Of what the input might be instead, the idea that explains most, if it explains much more than what was given.
+/// The variant of the input that explains most, if it explains much more than the input as given.
 template <class Idea, class PlaceOf>
 const Idea* best_idea(const std::vector<Idea>& ideas, const AlignmentPlace& given, const PlaceOf& place_of) {
   const Idea* best = nullptr;
@@ -204,7 +205,7 @@ const Idea* best_idea(const std::vector<Idea>& ideas, const AlignmentPlace& give
   return best;
 }
 
-/// Views at the few sizes that are asked for, each made once.
+/// Views at the few sizes that are needed, each made once.
 template <class View>
 class Views {
  public:
@@ -224,7 +225,7 @@ Views<SceneView> views_of(const AlignmentScene& scene) {
   return Views<SceneView>([&scene](int factor) { return scene_view(scene.state, scene.scene, scene.object, factor); });
 }
 
-/// A prior against the images as they are and as they would be if they had been turned.
+/// Compares a prior with the images as given and with turned or mirrored images.
 AlignmentPlace compare(Views<PriorView>& priors, const AlignmentScene& scene, Views<SceneView>& scenes,
                        PriorAlignment& found, const Context& context) {
   const Size size = scene.state.size();
@@ -250,7 +251,7 @@ AlignmentPlace compare(Views<PriorView>& priors, const AlignmentScene& scene, Vi
   return place;
 }
 
-/// Tries other units, axes and poses of a cloud that does not fit as it is.
+/// Tries other units, axes and poses of a cloud that does not fit as given.
 void try_other_clouds(const PointCloud& cloud, const Pose& pose, const AlignmentScene& scene,
                       const CoverageCounter& coverage_of, Views<SceneView>& scenes, const AlignmentPlace& place,
                       PriorAlignment& found, const Context& context) {
@@ -263,7 +264,7 @@ void try_other_clouds(const PointCloud& cloud, const Pose& pose, const Alignment
     };
     return find_place(problem_at, scene.state.size(), true, context);
   });
-  // Without anything to compare, a cloud that misses the object where another one would cover it says enough.
+  // If nothing can be compared, it suffices that the given cloud misses the object and a moved one covers it.
   if (best == nullptr && found.object_covered < hardly_covered && !ideas.empty()) best = &ideas.front();
   if (best == nullptr) return;
   found.instead = best->what;
@@ -271,7 +272,7 @@ void try_other_clouds(const PointCloud& cloud, const Pose& pose, const Alignment
       best->what + ": only then does it fit the images", best->remedy);
 }
 
-/// Prior and mask against each other, where the prior knows what is around the object, too.
+/// Compares the prior's outline with the mask's, if the prior includes the object's surroundings.
 void judge_outline(const PriorView& prior, const SceneView& view, const AlignmentScene& scene,
                    const MaskCoverage& covered, PriorAlignment& found) {
   if (covered.object < PriorAlignment::poorly_covered || !covered.has_surroundings()) return;
@@ -279,7 +280,7 @@ void judge_outline(const PriorView& prior, const SceneView& view, const Alignmen
   found.outline_as_given = outline.as_given;
   found.outline_at_best = outline.at_best;
   found.outline_gain_sigmas = outline.gain_sigmas;
-  // Colors and phases know better: edges of a right prior may lie some percent beside the object's.
+  // Colors and phases are more reliable: the edges of a right prior may lie some percent beside the object's.
   if (found.color.informative || found.phase.informative || !outline.is_offset()) return;
   if (!found.instead.empty() || found.finding.severity != Severity::note) return;
   found.object_px = outline.extent * view.factor;
@@ -293,7 +294,7 @@ void judge_outline(const PriorView& prior, const SceneView& view, const Alignmen
       "are mask and [camera] those of these images, and is the prior in the same frame?");
 }
 
-/// Whether the object's brightness is that of what it mirrors, which the colors of a cloud know nothing of.
+/// Whether the object's brightness comes from mirrored surroundings, to which the colors of a cloud are unrelated.
 bool mirrors_surroundings(const PriorView& prior, const SceneView& scene, const Pinhole& camera) {
   constexpr double usual_index = 1.5;
   std::vector<double> ratios;
@@ -310,9 +311,9 @@ bool mirrors_surroundings(const PriorView& prior, const SceneView& scene, const 
   return median_in_place(ratios) > mirrors_times;
 }
 
-/// Colors of the same object go with its brightness even where reflections differ, but for those of black lacquer.
-/// Where an outline or slopes are alike, as those of two coins or tablets are, unlike colors are a question only: light
-/// may have differed, and what has no markings shows nothing but light.
+/// Colors of the same object correlate with its brightness even where reflections differ, except for black lacquer. If
+/// outline or slopes agree, as for two similar coins or tablets, unrelated colors only give a caution: the light may
+/// have differed, and an object without markings shows nothing but the light.
 void judge_relation(const PriorView& prior, const SceneView& view, const AlignmentScene& scene,
                     const MaskCoverage& covered, PriorAlignment& found) {
   if (!found.instead.empty() || found.finding.severity != Severity::note ||

@@ -14,13 +14,14 @@ namespace malus {
 namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
-constexpr double darkest = 0.01;  ///< of the white level; below it a logarithm shows noise
+constexpr double darkest = 0.01;  ///< share of the white level, added before logarithms: below it they show noise
 constexpr std::size_t most_points = 2000000;
-/// Points farther than this behind the nearest around them are hidden.
+/// Points farther than this behind the nearest point around them are hidden.
 constexpr double hidden_gsd = 6;
-/// Smoothing of what points leave in pixels, and how many (smoothed) points make a pixel.
+/// Smoothing of the sums that points leave in pixels, and the least (smoothed) number of points for a pixel to be
+/// known.
 constexpr double splat_sigma_px = 0.8, least_density = 0.15;
-constexpr double depth_sigma_px = 1.5;  ///< of depths whose derivatives are normals
+constexpr double depth_sigma_px = 1.5;  ///< smoothing of depths before normals are derived from them
 
 struct SplatPoint {
   int pixel;
@@ -28,7 +29,7 @@ struct SplatPoint {
   float depth, brightness;
 };
 
-/// Points of the cloud in the view, of those that face the camera.
+/// Points of the cloud in the view that face the camera.
 std::vector<SplatPoint> project(const PointCloud& cloud, const Pinhole& camera, const Eigen::Affine3d& cam_from_cloud) {
   std::vector<SplatPoint> points;
   const std::size_t stride = cloud.points.size() / most_points + 1;
@@ -54,7 +55,7 @@ std::vector<SplatPoint> project(const PointCloud& cloud, const Pinhole& camera, 
   return points;
 }
 
-/// Drops the points that lie behind the nearest ones around them.
+/// Drops the points that lie behind the nearest point around them.
 void drop_hidden(std::vector<SplatPoint>& points, const Pinhole& camera) {
   Image<float> nearest(camera.size, 1, std::numeric_limits<float>::max());
   for (const SplatPoint& point : points) {
@@ -130,7 +131,7 @@ PriorView prior_view(const PointCloud& cloud, const Pinhole& camera, const Eigen
   view.normals = Image<float>(camera.size, 3, none);
   std::vector<SplatPoint> points = project(cloud, camera, cam_from_cloud);
   drop_hidden(points, camera);
-  // Density, depth, brightness and normal, summed up in pixels and smoothed alike.
+  // Density, depth, brightness and normal, summed in pixels, then smoothed equally.
   Image<float> sums(camera.size, 6);
   std::vector<float> depths;
   for (const SplatPoint& point : points) {

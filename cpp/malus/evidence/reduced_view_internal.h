@@ -10,11 +10,11 @@
 
 namespace malus {
 
-/// What the station's images show, in pixels of factor × factor of theirs.
+/// The station's images at reduced size: each pixel covers factor × factor pixels of the images.
 struct SceneView {
   int factor = 1;
   Image<float> brightness;  ///< ln of the unpolarized intensity
-  Mask seen;                ///< 255 where there is a brightness
+  Mask seen;                ///< 255 where the brightness is known
   Image<float> s1, s2;      ///< mean (s1, s2) / s0 of the valid pixels; 0 = none
   Image<float> variance;    ///< of s1 and s2, by the noise model; 0 = none
   Mask object;              ///< 255 = most of the pixel is the object
@@ -26,21 +26,21 @@ struct SceneView {
 /// mask, of the state's size.
 SceneView scene_view(const PolarizationState& state, const Image<float>& scene, const Mask& object, int factor);
 
-/// A coarse surface as the station sees it, in the same pixels.
+/// The prior surface as the station sees it, in the same pixels as SceneView.
 struct PriorView {
   Image<float> normals;     ///< 3 channels, unit, camera frame, towards the camera; NaN = none
-  Image<float> brightness;  ///< ln of its color's mean, NaN = none; empty = the surface has no colors
-  Mask seen;                ///< 255 = there is a surface
+  Image<float> brightness;  ///< ln of the mean of the color's channels, NaN = none; empty = the surface has no colors
+  Mask seen;                ///< 255 where the surface is known
   Image<float> depth;       ///< z, NaN = none
   double median_depth = 0;
 };
 
-/// The camera whose pixels are factor × factor of this one's; what is left at the border is cut off.
+/// The camera whose pixels each cover factor × factor pixels of this one; incomplete pixels at the border are cut off.
 Pinhole reduced_camera(const Pinhole& camera, int factor);
 
-/// View of a cloud through a reduced camera. Points behind others or facing away are left out, where the cloud has
-/// normals; without them the normals are those of the points' depths, smoothed. At most two million points, evenly
-/// taken, are used. cam_from_cloud: any affine map.
+/// View of a cloud through a reduced camera. Points hidden behind others are left out and, if the cloud has normals,
+/// points facing away. A cloud without normals gets those of its smoothed depths. At most two million evenly sampled
+/// points are used. cam_from_cloud: any affine map.
 PriorView prior_view(const PointCloud& cloud, const Pinhole& camera, const Eigen::Affine3d& cam_from_cloud);
 
 /// View of a depth map of the full size (z, NaN = none), which has no colors.

@@ -11,17 +11,19 @@ namespace malus {
 namespace {
 
 constexpr double bend_of_encoded = -0.30, bend_of_decoded = 0.136;
-/// Above the first, noise of the phases bends, too: of 325 rendered stations, none that is linear is beyond with 0.02.
+/// With a larger `bend_sigma` than `largest_sigma`, noise of the phases bends the sinusoid, too: of 325 rendered
+/// stations, no linear one gives a warning with 0.02.
 constexpr double largest_sigma = 0.02, certain_sigmas = 4;
 constexpr double least_degree = 0.02;
-/// A residual beyond this share of the intensity is no response curve's.
+/// A residual above this share of the intensity does not come from a response curve.
 constexpr double largest_residual = 0.1;
 
 struct Sums {
   double product = 0, square = 0;
 };
 
-/// Σ r · h and Σ h · h by parts of the image, each pixel over its intensity.
+/// Σ r · h and Σ h · h by parts of the image, with residuals r and second harmonics h, each pixel divided by its
+/// intensity.
 std::array<Sums, PixelSamples::part_count> sums_of(const PixelSamples& samples, const std::vector<double>& angles_rad) {
   const Eigen::MatrixXd projection = residual_projection(angles_rad);
   const Eigen::Matrix3Xd inverse = stokes_of_intensities(angles_rad);
@@ -83,7 +85,7 @@ ResponseCheck check_response(const std::vector<Image<float>>& images, const std:
     finding.message = "the images look encoded for a display, and response = \"" + response + "\" leaves them so";
     finding.suggestion = "is response = \"srgb\" right, or can the camera's raw files be developed linearly?";
   } else if (certain && result.bend > bend_of_decoded / 2 && response == "linear") {
-    // No curve was applied that could have bent them: something else did, and no other response mends it.
+    // No curve was applied that could have bent the sinusoid: the cause is another, and no other response corrects it.
     finding.message =
         "whether the images are linear could not be checked: the sinusoid is bent, but not as by a response curve; "
         "images that moved, or light that changed, do that";

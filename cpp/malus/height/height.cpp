@@ -16,12 +16,12 @@ namespace malus {
 namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
-/// Gauss–Newton steps that raise the cost by more than this are halved, at most so often.
+/// Gauss–Newton steps that raise the cost by more than this factor are halved, at most `most_halvings` times.
 constexpr double allowed_rise = 1.05;
 constexpr int most_halvings = 5;
-/// The same as whole_height_pixels for the linear methods, which solve one system where the likelihood solves some ten.
+/// Like whole_height_pixels, for the linear methods: they solve one system, the likelihood about ten.
 constexpr std::size_t whole_linear_pixels = 500'000;
-/// Of rasters that are larger: tiles overlap by twice a margin.
+/// Tiles of larger rasters; neighboring tiles overlap by twice the margin.
 constexpr int tile_px = 256, margin_px = 24;
 
 void validate(const HeightInput& input, const HeightOptions& options) {
@@ -50,7 +50,7 @@ void remove_mean(Image<float>& height, const Context& context) {
   });
 }
 
-/// One Gauss–Newton step from a height at which the problem is linearized with this cost; both become those after it.
+/// One Gauss–Newton step. Before it the problem is linearized at `height`, where it has this `cost`; both are updated.
 bool step(HeightProblem& problem, Eigen::VectorXd& height, double& cost, HeightMap& map) {
   Eigen::VectorXd next = height;
   if (problem.solve_linearized(next) != SolveStatus::solved) return false;
@@ -66,8 +66,8 @@ bool step(HeightProblem& problem, Eigen::VectorXd& height, double& cost, HeightM
   return true;
 }
 
-/// Gauss–Newton from the likeliest start: the weighted linear solution (in `height`) withstands noise, the literal one
-/// is exact without, the prior knows hollows from bumps. `height` becomes the result.
+/// Gauss–Newton from the start of lowest cost: the weighted linear solution (in `height`) is robust against noise, the
+/// literal one is exact without noise, and the prior distinguishes hollows from bumps. Sets `height` to the result.
 HeightStatus maximize_likelihood(HeightProblem& problem, const HeightOptions& options, const Context& context,
                                  Eigen::VectorXd& height, HeightMap& map) {
   Eigen::VectorXd next;
@@ -87,7 +87,7 @@ HeightStatus maximize_likelihood(HeightProblem& problem, const HeightOptions& op
   return HeightStatus::iteration_limit;
 }
 
-/// The height of a whole raster by one system after the other.
+/// Height of a raster by systems that cover all its pixels.
 void solve_whole(const HeightData& data, const HeightOptions& options, const HeightLight& light, const Context& context,
                  HeightMap& map) {
   HeightProblem problem(data, options, light, context);
@@ -107,12 +107,13 @@ void solve_whole(const HeightData& data, const HeightOptions& options, const Hei
     map.height(problem.pixels().u(i), problem.pixels().v(i)) = static_cast<float>(height[i]);
 }
 
-/// One axis of an image in tiles. What is next to a tile's edge is held and has no weight.
+/// One axis of an image in tiles. Pixels next to a tile's edge are held to the start, so they get weight 0 in the
+/// blend.
 TiledAxis tiled(int extent) {
   return TiledAxis(0, extent, std::max(1, (extent + tile_px / 2) / tile_px), margin_px, margin_px / 2);
 }
 
-/// Holds what lies along the tile's edges, where the surface goes on beyond, to the start.
+/// Holds to the start those pixels along a tile's edges beyond which the image continues.
 void hold_ring(HeightData& tile, const Image<float>& start, PixelRect box, Size whole) {
   constexpr int ring_px = GridSystem::reach;
   tile.ring_height = Image<float>(tile.size(), 1, none);
@@ -126,7 +127,7 @@ void hold_ring(HeightData& tile, const Image<float>& start, PixelRect box, Size 
   }
 }
 
-/// What a step made of the start in a tile.
+/// Result of one step in a tile.
 struct TileResult {
   Image<float> height;
   HeightMap map;
@@ -139,16 +140,17 @@ TileResult solve_tile(const HeightData& tile, const Image<float>& start, PixelRe
   TileResult result;
   result.height = Image<float>(tile.size(), 1, none);
   const bool literal = options.method == HeightMethod::literal, likelihood = options.method == HeightMethod::likelihood;
-  // One step from a start that is good: a factorization would take four times as long.
+  // The likelihood takes one step from a good start, by conjugate gradients: a factorization would take four times as
+  // long.
   HeightProblem problem(tile, options, light, context, likelihood ? 0 : GridSolver::most_direct_unknowns);
   result.pixels = static_cast<std::size_t>(problem.unknowns());
   if (problem.unknowns() == 0) return result;
   Eigen::VectorXd height(problem.unknowns());
   for (int i = 0; i < problem.unknowns(); ++i)
     height[i] = start(box.u0 + problem.pixels().u(i), box.v0 + problem.pixels().v(i));
-  // Where a tile cannot be solved the start remains.
+  // If a tile cannot be solved, the start remains.
   if (likelihood) {
-    // One step is enough: the start has all but the finest detail.
+    // One step is enough: the start lacks only the finest detail.
     double cost = problem.linearize(height);
     step(problem, height, cost, result.map);
   } else if (Eigen::VectorXd solution = height; problem.solve_linear(literal, solution) == SolveStatus::solved) {
@@ -164,8 +166,8 @@ TileResult solve_tile(const HeightData& tile, const Image<float>& start, PixelRe
   return result;
 }
 
-/// A step in tiles from a start at the raster's resolution; tile(box) gives their data. map.height becomes
-/// the result.
+/// One step in tiles from a start at the raster's resolution. tile(box) returns a tile's data. Sets map.height to the
+/// result.
 void solve_in_tiles(const std::function<HeightData(PixelRect)>& tile, const Image<float>& start,
                     const HeightOptions& options, const HeightLight& light, const Context& context, HeightMap& map) {
   const Size size = start.size();
@@ -175,7 +177,7 @@ void solve_in_tiles(const std::function<HeightData(PixelRect)>& tile, const Imag
     return PixelRect{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
   };
   std::vector<TileResult> results(static_cast<std::size_t>(columns.tiles()) * static_cast<std::size_t>(rows.tiles()));
-  // One thread a tile: its vectors then stay in that core's cache.
+  // One thread per tile, so that the tile's vectors stay in that core's cache.
   Context inner = context;
   inner.threads = 1;
   inner.on_progress = {};
@@ -216,7 +218,7 @@ bool is_whole(Size size, const HeightOptions& options) {
   return size.area() <= (options.method == HeightMethod::likelihood ? whole_height_pixels : whole_linear_pixels);
 }
 
-/// The height of a raster of any size: of half the resolution first, then in tiles.
+/// Height of a raster of any size: large rasters are solved at half the resolution first, then in tiles.
 void solve_by_levels(const HeightData& data, const HeightOptions& options, const HeightLight& light,
                      const Context& context, HeightMap& map) {
   if (is_whole(data.size(), options)) {
@@ -233,7 +235,7 @@ void solve_by_levels(const HeightData& data, const HeightOptions& options, const
 
 namespace {
 
-/// The light, from the best there is: an estimate, the prior's normals, or the polarization of a convex object.
+/// The light from the first available source: an earlier estimate, the prior's normals, or polarization alone.
 LightEstimate light_of(const HeightInput& input, const Mask& valid, const Pinhole* camera, const LightOptions& options,
                        const Context& context) {
   if (input.estimated_light) return *input.estimated_light;
@@ -282,7 +284,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
   valid = {};
   const HeightLight model{map.light, shading_sigma};
 
-  // Every pixel of the object gets a height; those without usable polarization are bridged by the smoothness.
+  // Every pixel of the object gets a height; the smoothness term bridges pixels without usable polarization.
   const Mask object = pixels_in(state, PixelState::saturated);
   map.unknowns =
       static_cast<std::size_t>(std::count_if(object.begin(), object.end(), [](std::uint8_t m) { return m != 0; }));
@@ -312,7 +314,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
 Image<float> height_from_depth(const Image<float>& depth, const Pinhole& camera, bool perspective,
                                const Context& context) {
   const auto measure = [&](float z) { return perspective ? std::log(static_cast<double>(z)) : static_cast<double>(z); };
-  // Relative to one of the depths the values are small: single precision keeps them until the mean is known.
+  // Values relative to one of the depths are small, so that single precision suffices until the mean is known.
   const auto known = std::find_if(depth.begin(), depth.end(), [](float z) { return std::isfinite(z); });
   if (known == depth.end()) return Image<float>(depth.size(), 1, none);
   auto height = Image<float>::uninitialized(depth.size());

@@ -18,7 +18,7 @@ HeightData empty_data(Size size, double refractive_index) {
   return data;
 }
 
-/// Mean of the finite ones of four heights, in pixels twice as large.
+/// Mean of the finite heights among four, converted to pixels twice as large.
 class HeightMean {
  public:
   void add(float height) {
@@ -33,7 +33,7 @@ class HeightMean {
   int count_ = 0;
 };
 
-/// One coarse pixel from the up to four at (column, row) of the fine raster.
+/// Makes a coarse pixel from up to four fine pixels, the first at (column, row).
 void coarsen_pixel(const HeightData& fine, int column, int row, HeightData& coarse, int to_column, int to_row) {
   HeightPixel mean;
   int object = 0, count = 0, specular = 0, above = 0;
@@ -107,7 +107,7 @@ HeightData height_data(const HeightInput& input, const HeightOptions& options, P
     }
   });
   if (!with_border) return data;
-  // Only the object's own border is held, not where the part is cut off.
+  // Only the object's own border is held, not the edges where this part is cut out of the raster.
   const auto is_object = [&](int u, int v) {
     return state.valid.contains(u, v) && state.valid(u, v) != static_cast<std::uint8_t>(PixelState::outside);
   };
@@ -177,7 +177,7 @@ Image<float> refined_height(const Image<float>& coarse, const Mask& object, cons
         sum += weight * coarse(i, j);
         weights += weight;
       }
-      fine(u, v) = 2 * sum / weights;  // the pixel's own coarse one is always there
+      fine(u, v) = 2 * sum / weights;  // not 0: the coarse pixel that contains this one always has a height
     }
   });
   return fine;

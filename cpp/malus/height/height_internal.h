@@ -15,41 +15,42 @@
 
 namespace malus {
 
-/// What a height is made from. Rasters have the size of the polarization state.
+/// Input of solve_height. Rasters have the size of the polarization state.
 struct HeightInput {
   const PolarizationState& polarization;
   const ReflectionMap& reflection;
   const Pinhole* camera = nullptr;  ///< null = orthographic
-  /// i_un = light[0..2] · n + light[3], camera frame (x right, y down, z forward); nothing = estimated with the prior.
+  /// i_un = light[0..2] · n + light[3], camera frame (x right, y down, z forward); empty = estimated, with the prior's
+  /// normals if given, else from polarization alone.
   std::optional<Eigen::Vector4d> light;
-  const Image<float>* prior_normals = nullptr;  ///< 3 channels, camera frame; needed if there is no light yet
-  const Image<float>* prior_height = nullptr;   ///< as HeightMap::height; a possible start, and HeightBoundary::prior
-  /// The light as estimate_light finds it with the prior's normals, in place of these.
+  const Image<float>* prior_normals = nullptr;  ///< 3 channels, camera frame; to estimate the light if none is given
+  const Image<float>* prior_height = nullptr;   ///< form of HeightMap::height; start, and HeightBoundary::prior
+  /// Result of estimate_light with the prior's normals, if already known; replaces `prior_normals`.
   std::optional<LightEstimate> estimated_light = std::nullopt;
 };
 
-/// Rasters of at most so many pixels are solved as a whole by the likelihood; larger ones start from half the
-/// resolution and are finished in tiles.
+/// Up to this number of pixels the likelihood method solves a raster as a whole. Larger rasters are solved at half the
+/// resolution first and finished in tiles.
 inline constexpr std::size_t whole_height_pixels = 200'000;
 
 /// Height from polarization and shading alone (Eq 9 to 11).
 ///
-/// Every pixel of the object (polarization state not `outside`) is an unknown; valid ones give rows in its slopes P, Q
-/// along the ray's frame, which are affine in the derivatives of the height (central differences, quadratic one-sided
-/// ones at borders):
+/// Every pixel of the object (polarization state not `outside`) is an unknown; a valid pixel contributes rows in its
+/// slopes P, Q along the ray's frame, which are affine in the derivatives of the height (central differences, quadratic
+/// one-sided ones at borders):
 ///   Eq 9   collinearity, sin α · P − cos α · Q = 0 with the azimuth α = phase (diffuse) or phase + π/2 (specular),
 ///   Eq 11  shading, P l·right + Q l·up + l·view = (i_un − ambient) / cos θ, with θ by Eq 7 or Eq 8.
-/// `linear` weights Eq 9 by min(tan θ, 1) and reads θ off the degree without its noise bias. `likelihood` goes on from
-/// there with i_un = l · n and (s1, s2) = ± s0 ρ(θ) (cos 2α, sin 2α), which has no error in cos θ and no bias of the
-/// degree.
+/// `linear` weights Eq 9 by min(tan θ, 1) and computes θ from the degree corrected for its noise bias. `likelihood`
+/// then continues with i_un = l · n and (s1, s2) = ± s0 ρ(θ) (cos 2α, sin 2α): these equations have no measured cos θ
+/// and no bias of the degree.
 ///
-/// Outcomes are in HeightMap::status. Throws an input error for rasters that do not match or are missing,
+/// The outcome is in HeightMap::status. Throws an input error for rasters that do not match or are missing, and
 /// ErrorCode::resource when memory runs out.
 HeightMap solve_height(const HeightInput& input, const HeightOptions& options, const LightOptions& light_options,
                        const Context& context);
 
 /// Depth as a height: −f ln(z / z0), z0 the geometric mean (perspective), or −(z − z0) f / z0, z0 the mean
-/// (orthographic); pixels (GSD), positive towards the camera, mean 0, NaN where depth is.
+/// (orthographic); pixels (GSD), positive towards the camera, mean 0, NaN where the depth is NaN.
 Image<float> height_from_depth(const Image<float>& depth, const Pinhole& camera, bool perspective,
                                const Context& context = {});
 

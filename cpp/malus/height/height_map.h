@@ -9,7 +9,7 @@
 
 namespace malus {
 
-/// How the search for a height ended. Without a height it is NaN everywhere: the last five.
+/// How the search for a height ended. With the last five outcomes the height is NaN everywhere.
 enum class HeightStatus {
   not_run,
   converged,
@@ -37,11 +37,11 @@ struct HeightMap {
   double residual_rms = 0;  ///< of the weighted rows
   std::size_t unknowns = 0;
   int iterations = 0;         ///< linear systems solved
-  double last_update = 0;     ///< RMS change of the slope in the last of them
-  int solver_iterations = 0;  ///< of conjugate gradients, all systems together; 0 if they were factorized
+  double last_update = 0;     ///< RMS change of the slope in the last iteration
+  int solver_iterations = 0;  ///< conjugate gradient iterations of all systems; 0 if the systems were factorized
   double solver_bytes = 0;    ///< memory of the factor, complete or incomplete
 
-  // Without the map.
+  // The map is not listed.
   MALUS_FIELDS(perspective, light, status, residual_rms, unknowns, iterations, last_update, solver_iterations,
                solver_bytes)
 };

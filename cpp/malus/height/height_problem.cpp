@@ -8,12 +8,12 @@
 namespace malus {
 namespace {
 
-/// Eq 11 divides by cos θ; beyond this zenith (87°) the quotient is noise.
+/// Eq 11 divides by cos θ; at larger zeniths than this (87°) the quotient is noise.
 constexpr double smallest_cosine = 0.05;
-/// Part of the largest diagonal entry added to every one: holds the height's free constant. Where the surface goes on
-/// beyond the raster, parts that nothing connects with the others there are held to the start instead, a little more.
+/// Share of the largest diagonal entry that is added to every diagonal entry: fixes the height's free constant. In
+/// tiles with a `ring_height` the larger share holds all pixels to the start, for parts not connected with the ring.
 constexpr double relative_ridge = 1e-11, relative_hold = 1e-8;
-/// Weight of a pixel that is held because the surface goes on beyond.
+/// Weight of the heights in `ring_height`.
 constexpr double ring_weight = 1e4;
 /// |A x − b| / |A start − b| at which conjugate gradients end a Gauss–Newton step.
 constexpr double step_reduction = 0.1;
@@ -98,8 +98,8 @@ void HeightProblem::for_each_pixel(Body&& body) {
   });
 }
 
-/// Derivative along an axis at a pixel: central; at a border of the object one-sided and exact for parabolas; across
-/// two pixels if there are no more; count 0 if the pixel has no neighbor.
+/// Derivative along an axis at a pixel: central; at a border of the object one-sided over three pixels, exact for
+/// parabolas, or over two if there is no third; count 0 if the pixel has no neighbor.
 HeightProblem::Difference HeightProblem::difference(int u, int v, int du, int dv) const {
   const int here = pixels_.at(u, v), after = pixels_.at(u + du, v + dv), before = pixels_.at(u - du, v - dv);
   if (after >= 0 && before >= 0) return {{after, before, 0}, {0.5, -0.5, 0}, 2};
@@ -176,7 +176,7 @@ double HeightProblem::linear_square(int i, const Eigen::VectorXd& height, bool l
   return phase * phase + shading * shading;
 }
 
-/// s0 ρ(θ) / tan²θ, signed: negative where polarization is across the azimuth.
+/// s0 ρ(θ) / tan²θ, signed: negative for specular reflection, polarized across the azimuth.
 double HeightProblem::stokes_gain(const HeightPixel& data, double tan2) const {
   const double sin2 = tan2 / (1 + tan2), eta = data_.refractive_index;
   const double degree =
@@ -252,7 +252,7 @@ void HeightProblem::add_term(const Term& term, const Difference& by_u, const Dif
       system_.add(by_u.unknowns[i], by_u.unknowns[j], term.uu * by_u.coefficients[i] * by_u.coefficients[j]);
     }
     for (int j = 0; j < by_v.count; ++j) {
-      // An entry with itself stands for both orders of the product.
+      // A diagonal entry stands for both orders of the product.
       const double twice = by_u.unknowns[i] == by_v.unknowns[j] ? 2 : 1;
       system_.add(by_u.unknowns[i], by_v.unknowns[j], twice * term.uv * by_u.coefficients[i] * by_v.coefficients[j]);
     }

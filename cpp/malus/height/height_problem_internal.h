@@ -11,13 +11,13 @@
 
 namespace malus {
 
-/// i_un = light[0..2] · n + light[3], and the standard deviation of that model.
+/// i_un = light[0..2] · n + light[3], and the standard deviation of this shading model.
 struct HeightLight {
   Eigen::Vector4d coefficients = Eigen::Vector4d::Zero();
   double shading_sigma = 0;
 };
 
-/// The height's least-squares problem: one unknown a pixel of the object.
+/// The height's least-squares problem, with one unknown per pixel of the object.
 class HeightProblem {
  public:
   /// Data and options must outlive this. Systems with more than `direct_unknowns` are solved by conjugate gradients.
@@ -27,26 +27,26 @@ class HeightProblem {
   int unknowns() const { return pixels_.count(); }
   const PixelIndex& pixels() const { return pixels_; }
   double solver_bytes() const { return solver_.summary().bytes; }
-  /// Of the last solution, by conjugate gradients; 0 where systems are factorized.
+  /// Conjugate gradient iterations of the last solution; 0 if the system was factorized.
   int solver_iterations() const { return solver_.summary().iterations; }
 
-  /// The prior's heights at the unknowns, NaN where it has none.
+  /// The prior's heights at the unknowns, NaN where the prior has none.
   Eigen::VectorXd prior_heights() const;
 
-  /// Solves the linear system of Eq 9 and 11. Where the surface goes on beyond the raster, `height` must have a start.
+  /// Solves the linear system of Eq 9 and 11. If the data have a `ring_height`, `height` must contain a start.
   SolveStatus solve_linear(bool literal, Eigen::VectorXd& height);
   /// Linearizes the likelihood at a height; returns its robust cost per pixel.
   double linearize(const Eigen::VectorXd& height);
-  /// Minimizes the likelihood as linearized at `height`, which becomes where it is least; conjugate gradients end where
-  /// the residual is a tenth of what it was, as the next step corrects the rest with better weights.
+  /// Minimizes the likelihood linearized at `height` and sets `height` to the minimum. Conjugate gradients stop at a
+  /// tenth of the initial residual: the next Gauss–Newton step removes the remaining error with better weights.
   SolveStatus solve_linearized(Eigen::VectorXd& height);
 
   /// RMS of the derivatives of a height.
   double slope_rms(const Eigen::VectorXd& height) const;
-  /// Square of the residuals of a pixel at a height: of the likelihood or of the linear rows.
+  /// Sum of a pixel's squared residuals at a height: of the likelihood or of the linear rows.
   double likelihood_square(int i, const Eigen::VectorXd& height) const;
   double linear_square(int i, const Eigen::VectorXd& height, bool literal) const;
-  /// RMS of one of them over all pixels.
+  /// RMS of one of these two over all pixels.
   double residual_rms(const Eigen::VectorXd& height, bool literal, bool likelihood) const;
 
  private:
@@ -71,8 +71,8 @@ class HeightProblem {
     void add_row(const AffineSlopes& slopes, double p, double q, double target, double weight);
   };
 
-  /// What every pass over the pixels needs of a pixel's ray: its slopes by the derivatives of the height, and the light
-  /// along right, up and view.
+  /// Precomputed for a pixel's ray: the slopes as affine functions of the height's derivatives, and the light along
+  /// right, up and view.
   struct Frame {
     float constant_p, constant_q, p_per_u, q_per_u, p_per_v, q_per_v;
     float light_right, light_up, light_view;
@@ -85,7 +85,7 @@ class HeightProblem {
     double shading_p, shading_q, shading_target;
   };
 
-  /// Residuals of a pixel over their standard deviations and their derivatives by P and Q.
+  /// Residuals of a pixel divided by their standard deviations, and their derivatives by P and Q.
   struct Residuals {
     Eigen::Vector3d value, by_p, by_q;
 

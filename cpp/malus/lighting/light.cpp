@@ -19,7 +19,7 @@ struct Sample {
   double intensity;
 };
 
-/// Threads take so many samples at a time.
+/// Samples per task of a thread.
 constexpr std::size_t grain = 4096;
 
 /// Weighted least squares for the coefficients of the basis.
@@ -64,11 +64,11 @@ double find_residuals(const std::vector<Sample>& samples, const std::vector<doub
 
 std::vector<Sample> take_samples(const Image<float>& intensity, const Image<float>& normals, const Mask& mask,
                                  int max_samples, const Context& context) {
-  constexpr std::size_t pixels = 1 << 16;  // that a thread takes at a time
+  constexpr std::size_t pixels = 1 << 16;  // per task of a thread
   const auto usable = [&](std::size_t i) {
     return mask[i] != 0 && std::isfinite(intensity[i]) && std::isfinite(normals[3 * i]);
   };
-  std::vector<std::size_t> before((intensity.count() + pixels - 1) / pixels + 1, 0);  // usable ones, by part
+  std::vector<std::size_t> before((intensity.count() + pixels - 1) / pixels + 1, 0);  // usable ones before each part
   parallel_for(context, intensity.count(), pixels, [&](std::size_t begin, std::size_t end) {
     std::size_t count = 0;
     for (std::size_t i = begin; i < end; ++i) count += usable(i) ? 1 : 0;

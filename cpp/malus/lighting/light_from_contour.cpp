@@ -18,14 +18,14 @@ constexpr double degree = std::numbers::pi / 180;
 constexpr float first_px = 1.5F, least_band_px = 6;
 /// Width of the band as a share of the largest distance from the outline.
 constexpr double band_share = 0.3;
-/// Zeniths that say anything: flatter ones leave the phase to the noise, steeper ones are half hidden by the outline.
+/// Usable zeniths: where the surface is flatter the phase is noise, where it is steeper the outline half hides it.
 constexpr double flattest = 25 * degree, steepest = 80 * degree;
-/// Largest angle between a pixel's azimuth and the outward direction, and the share of the pixels that keep it.
-/// Azimuths that know nothing of the outline keep it in 28 %.
+/// Largest angle between a pixel's azimuth and the outward direction, and the smallest share of pixels within it. Of
+/// azimuths unrelated to the outline, 28 % are within it.
 constexpr double agreement = 25 * degree, least_share = 0.4;
 constexpr std::size_t fewest_pixels = 100;
 
-/// Distance of each pixel of the object from its outline [px], zero outside; smoothed, for its gradient.
+/// Distance of each pixel of the object from its outline [px], zero outside, and a smoothed copy for the gradient.
 struct Outline {
   cv::Mat1f distance, smoothed;
 };
@@ -46,11 +46,12 @@ Outline find_outline(const PolarizationState& state) {
   return outline;
 }
 
-/// The outward one of the two normals of a pixel, if its azimuth lies across the outline; else zero.
+/// The outward one of a pixel's two possible normals, if its azimuth is roughly perpendicular to the outline; else
+/// zero.
 Eigen::Vector3d outward_normal(const RayFrame& frame, double zenith, double azimuth, const Outline& outline, int u,
                                int v) {
   const cv::Mat1f& field = outline.smoothed;
-  // Outwards the distance falls; v points down.
+  // The distance decreases outwards; v points down.
   const double right = field(v, std::max(u - 1, 0)) - field(v, std::min(u + 1, field.cols - 1));
   const double up = field(std::min(v + 1, field.rows - 1), u) - field(std::max(v - 1, 0), u);
   const double along = right * std::cos(azimuth) + up * std::sin(azimuth);
@@ -89,7 +90,7 @@ std::optional<LightEstimate> light_from_contour(const PolarizationState& state, 
   }
   if (agreeing < fewest_pixels || static_cast<double>(agreeing) < least_share * static_cast<double>(inclined))
     return std::nullopt;
-  // Along the outline the light that comes from everywhere can hardly be told from a directional one.
+  // Along the outline ambient light can hardly be separated from directional light.
   LightOptions directional = options;
   directional.model = LightModel::directional;
   LightEstimate light = estimate_light(state.i_un, normals, Mask(state.size(), 1, 255), camera, directional, context);

@@ -12,13 +12,13 @@ namespace malus {
 
 /// Directional light of an object of one albedo from the polarization along its outline.
 ///
-/// Where the surface turns away from the view behind the outline, its normals point outwards. That says which of the
-/// two normals is right that zenith and phase leave in each pixel of a band along the outline; with these the light is
-/// that of estimate_light. Other parts of the object may be hollow. Pixels count whose phase agrees with the outline:
-/// where most do not, it is no such outline (a flat object that ends, a mask drawn by hand) and there is no result. The
-/// rim of a hollow that one looks into agrees as well, and gives the light from the opposite side.
+/// Zenith and phase leave two possible normals in each pixel. In a band along the outline the outward normal is the
+/// right one if the surface turns away from the view at the outline. The light is that of estimate_light from these
+/// normals. Other parts of the object may be hollow. Only pixels whose phase agrees with the outline are used. If too
+/// few agree, the surface does not turn away there (the edge of a flat object, a mask drawn by hand), and there is no
+/// result. The rim of a hollow seen from its open side agrees as well, but gives the light from the opposite side.
 ///
-/// Holes in the object and the image's border are no outline. camera null = orthographic.
+/// Holes in the object and the image's border do not count as outline. camera null = orthographic.
 std::optional<LightEstimate> light_from_contour(const PolarizationState& state, const ReflectionMap& reflection,
                                                 const Pinhole* camera, const LightOptions& options,
                                                 const Context& context);

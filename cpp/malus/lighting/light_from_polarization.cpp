@@ -22,7 +22,7 @@ struct Sample {
 
 constexpr std::size_t most_samples = 20'000, fewest_samples = 100;
 constexpr int rounds = 30;
-/// Up to this angle the light of all pixels is that of the outline, measured better.
+/// Up to this angle between them, the light from all pixels is the outline's light, only more precise.
 constexpr double same_light = 10 * std::numbers::pi / 180;
 
 std::vector<Sample> take_samples(const PolarizationState& state, const ReflectionMap& reflection,
@@ -68,15 +68,15 @@ struct Fit {
   double robust_sigma = 0;
 };
 
-/// Expectation of the side, −1 … 1, for normally distributed residuals. Where the two normals' intensities differ by
-/// less than these the likelier one is a guess, and guesses that always fit bend the light.
+/// Expectation of the side, −1 … 1, for normally distributed residuals. Where the intensities of the two normals differ
+/// by less than the residuals, the likelier side is a guess. Taking always the better fit would bias the light.
 double expected_side(const Sample& sample, const Fit& fit) {
   if (fit.robust_sigma == 0) return likelier_side(sample, fit.light);
   const double product = (sample.intensity - fit.light.dot(sample.along)) * fit.light.dot(sample.aside);
   return std::tanh(product / (fit.robust_sigma * fit.robust_sigma));
 }
 
-/// Light and sides in turns from a direction; the direction is kept if it is known.
+/// Estimates light and sides alternately, starting from a direction; a known direction stays fixed.
 Fit fit_from(const std::vector<Sample>& samples, const Eigen::Vector3d& direction, bool is_known,
              double outlier_scale) {
   double mean = 0;
@@ -114,7 +114,7 @@ Fit fit_from(const std::vector<Sample>& samples, const Eigen::Vector3d& directio
   return fit;
 }
 
-/// How much the normals point away from the middle of the object.
+/// Positive if the normals point away from the middle of the object on average.
 double convexity(const std::vector<Sample>& samples, const Eigen::Vector3d& light) {
   double sum = 0;
   for (const Sample& s : samples) {
@@ -124,7 +124,8 @@ double convexity(const std::vector<Sample>& samples, const Eigen::Vector3d& ligh
   return sum;
 }
 
-/// The best light of many starts, on either side: it explains the images as well turned by 180° about the view.
+/// The best light of several starts. Its side is arbitrary: turned by 180° about the view, it fits the images equally
+/// well.
 Fit fit_of_unknown_direction(const std::vector<Sample>& samples, double outlier_scale, const Context& context) {
   Fit best;
   for (const double tilt_deg : {20.0, 50.0}) {

@@ -15,24 +15,25 @@ enum class LightStatus {
   not_run,
   estimated,
   too_few_pixels,
-  normals_alike,  ///< a flat surface: direction and strength of the light cannot be told apart
-  along_view,     ///< estimated, but light along the view direction says nothing about the direction of a slope
+  normals_alike,  ///< a flat surface: direction and strength of the light cannot be separated
+  along_view,     ///< estimated, but light along the view direction does not determine the direction of slopes
 };
 constexpr auto names_of(LightStatus) {
   return std::to_array<std::string_view>(
       {"not run", "estimated", "too few pixels", "normals alike", "light along the view direction"});
 }
 
-/// Light and its quality. Albedo cannot be told from strength: |light| is their product, the mean over the object.
+/// Light and its quality. Albedo and light strength cannot be separated: |light| is their product, averaged over the
+/// object.
 struct LightEstimate {
   /// i_un ≈ coefficients[0..2] · n + coefficients[3], camera frame (x right, y down, z forward); towards the source.
   Eigen::Vector4d coefficients = Eigen::Vector4d::Zero();
   double rms = 0;           ///< weighted RMS residual, in units of i_un
-  double robust_sigma = 0;  ///< 1.48 × median absolute residual: spread of the albedo and of everything else
+  double robust_sigma = 0;  ///< 1.48 × median absolute residual: spread from albedo and all other causes
   double condition = 0;     ///< of the normal equations
   double tangential = 0;    ///< sine of the angle between light and view, RMS over the image
-  std::size_t pixels = 0;   ///< used
-  bool of_contour = false;  ///< its side is that of the object's outline (LightWithoutPrior::contour)
+  std::size_t pixels = 0;   ///< number of pixels used
+  bool of_contour = false;  ///< the object's outline decided which side it comes from (LightWithoutPrior::contour)
   LightStatus status = LightStatus::not_run;
 };
 

@@ -40,7 +40,7 @@ std::pair<Eigen::Matrix3d, Eigen::Matrix3d> exponential(const Eigen::Vector3d& w
   return {rotation, jacobian};
 }
 
-/// A pose as it is adjusted: a small rotation after the one at the start, and the projection center.
+/// Unknowns of a pose: a small rotation applied after the initial one, and the projection center.
 struct PoseUnknowns {
   Eigen::Matrix3d start;
   std::array<double, 6> values{};
@@ -161,7 +161,8 @@ double rms_px(const Bundle& bundle) {
   return std::sqrt(squares / static_cast<double>(bundle.observations.size()));
 }
 
-/// Robust standard deviation of the residuals' coordinates over that stated, allowing for the unknowns.
+/// Robust standard deviation of the residuals' coordinates divided by the stated one, corrected for the number of
+/// unknowns.
 double unit_weight(const Bundle& bundle) {
   std::vector<double> ratios;
   for (const BundleObservation& observation : bundle.observations) {
@@ -174,7 +175,7 @@ double unit_weight(const Bundle& bundle) {
   return robust_spread(ratios) * std::sqrt(observed / std::max(observed - unknown, 1.0));
 }
 
-/// The view that lies farthest from the first, and the axis along which it does most.
+/// The view farthest from the first, and the axis along which the distance is largest.
 std::pair<std::size_t, int> datum_of_scale(const Bundle& bundle) {
   std::size_t farthest = 0;
   Eigen::Vector3d base = Eigen::Vector3d::Zero();
@@ -213,7 +214,7 @@ void find_lens_sigmas(ceres::Problem& problem, Bundle& bundle, double factor, in
   options.sparse_linear_algebra_library_type = ceres::SUITE_SPARSE;
   const SequentialBlas sequential;
   ceres::Covariance covariance(options);
-  // Without a result the lens is not determined by the photos; no standard deviation says so.
+  // No result: the photos do not determine the lens. An empty `sigma` shows that.
   if (!covariance.Compute(blocks, &problem)) return;
   for (BundleLens& lens : bundle.lenses) {
     if (lens.freedom == LensFreedom::fixed) continue;
@@ -235,7 +236,7 @@ BundleReport adjust_bundle(Bundle& bundle, const Context& context) {
   report.rms_before_px = rms_px(bundle);
   std::vector<PoseUnknowns> poses;
   for (const BundleView& view : bundle.views) poses.emplace_back(view.pose);
-  // The cost functions' own copies: the problem changes the parameters in place.
+  // Copies for the cost functions, as the problem changes the parameters in place.
   const std::vector<BundleLens> lenses = bundle.lenses;
 
   ceres::Problem::Options ownership;
@@ -271,7 +272,7 @@ BundleReport adjust_bundle(Bundle& bundle, const Context& context) {
   options.linear_solver_ordering = order;
   options.max_num_iterations = most_iterations;
   options.function_tolerance = 1e-6;
-  // The start is near the solution: steps of nearly full length from the first on.
+  // The start is near the solution, so nearly full steps are allowed from the first on.
   options.initial_trust_region_radius = 1e8;
   options.num_threads = std::max(1, context.threads);
   options.logging_type = ceres::SILENT;

@@ -12,7 +12,7 @@
 
 namespace malus {
 
-/// What of a lens is adjusted.
+/// Which parameters of a lens are adjusted.
 enum class LensFreedom { fixed, without_principal_point, all };
 
 /// A lens that one or more views share.
@@ -34,7 +34,7 @@ struct BundleObservation {
   double sigma_px = 1;
 };
 
-/// Lenses, poses and points, before and after the adjustment, and what was measured.
+/// Lenses, poses and points, which the adjustment changes, and the observations.
 struct Bundle {
   std::vector<BundleLens> lenses;
   std::vector<BundleView> views;
@@ -46,15 +46,15 @@ struct BundleReport {
   AdjustmentStatus status = AdjustmentStatus::not_run;
   int iterations = 0;
   double rms_before_px = 0, rms_after_px = 0;  ///< of the residuals' lengths
-  /// Robust standard deviation of the residuals over that stated; 1 = observations as good as stated.
+  /// Robust standard deviation of the residuals divided by the stated one; 1 = observations as good as stated.
   double unit_weight = 1;
 };
 
 /// Adjusts lenses, poses and points together to all observations by robust least squares (Cauchy's loss from two
-/// standard deviations on), with Ceres and the points eliminated (Schur complement).
+/// standard deviations on). Uses Ceres, which eliminates the points (Schur complement).
 ///
-/// The datum is the first view's pose and the largest coordinate of the base to the view farthest from it, which keep
-/// their values. Standard deviations of the lenses are those of the inverse normal matrix times max(1, unit_weight).
+/// Datum: the first view's pose stays fixed, and of the base to the view farthest from the first one the largest
+/// coordinate. Standard deviations of the lenses are those of the inverse normal matrix times max(1, unit_weight).
 ///
 /// Throws an input error for indices out of range, standard deviations that are not positive, or a view or point with
 /// fewer observations than unknowns.

@@ -35,7 +35,8 @@ bool on_one_line(const Points& points) {
   return !(extents[1] > least_width * extents[0]);
 }
 
-/// The similarity, about the points' means: coordinates of a national grid lose no digits.
+/// The least-squares similarity, computed about the points' means so that large coordinates, such as a national grid's,
+/// lose no digits.
 Eigen::Matrix4d similarity(const Pairs& pairs) {
   const Eigen::Vector3d model_mean = pairs.model.rowwise().mean(), known_mean = pairs.known.rowwise().mean();
   const Points model = pairs.model.colwise() - model_mean, known = pairs.known.colwise() - known_mean;
@@ -68,13 +69,14 @@ double pixel_size(std::span<const MarkedView> views, std::span<const KnownPoint>
   return sum / count;
 }
 
-/// A point that is likely wrong, and how well the others fit without it.
+/// A point that is likely wrong, and the standard deviation of the other points' fit without it.
 struct Doubt {
   Eigen::Index index = 0;
   double sigma = 0;
 };
 
-/// The point without which the others fit far better than chance explains; not asked where all fit to a pixel.
+/// The point without which the other points fit far better than chance explains. Not searched if all points fit to a
+/// pixel.
 std::optional<Doubt> doubtful_point(const Pairs& pairs, double squares, double pixel) {
   const Eigen::Index count = pairs.model.cols();
   if (static_cast<std::size_t>(count) < BetterFit::least_points || !(sigma_of(squares, count) > pixel))
@@ -100,7 +102,7 @@ double mark_rms_px(std::span<const MarkedView> views, const KnownPoint& known, c
   return std::sqrt(squares / static_cast<double>(known.marks.size()));
 }
 
-/// Of a coordinate of the points that are held out.
+/// RMS offset of a coordinate of the held-out points.
 std::optional<double> rms_of_checks(const std::vector<PointFit>& points) {
   double squares = 0, coordinates = 0;
   for (const PointFit& fit : points) {

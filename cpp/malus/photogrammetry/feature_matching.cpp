@@ -20,7 +20,7 @@ std::int32_t product(const std::int16_t* a, const std::int16_t* b) {
   return sum;
 }
 
-/// The two largest products of a feature so far, and whose the larger is.
+/// The two largest products of a feature so far, and the index of the feature with the larger one.
 struct Nearest {
   std::int32_t best = 0, second = 0;
   std::uint32_t index = 0;

@@ -15,22 +15,23 @@
 namespace malus {
 namespace {
 
-/// Neighbors through which a point's plane goes, and passes that weigh those off the plane down.
+/// Number of neighbors that a point's plane is fitted to, and passes of the fit, which downweight neighbors off the
+/// plane.
 constexpr int neighbors = 24, plane_passes = 4;
-/// Fewest matches of an image for the adjustment to gain from them.
+/// Fewest matches that each image needs for the adjustment.
 constexpr std::size_t least_matches = 30;
 constexpr double least_keypoint_px = 0.1;
 
-/// The model by position in arrays instead of by ids.
+/// The model as arrays, by index instead of by id.
 struct Arrays {
   std::vector<std::uint32_t> image_ids, camera_ids;
   std::vector<std::uint64_t> point_ids;
   std::map<std::uint32_t, std::size_t> view_of, lens_of;
   std::vector<SweepView> views;
-  std::vector<std::vector<TieObservation>> keypoints;  ///< of each point; one a view
+  std::vector<std::vector<TieObservation>> keypoints;  ///< of each point; one per view
 };
 
-/// Takes the pictures over.
+/// Moves the pictures into the arrays' views.
 Arrays arrays_of(const ColmapModel& model, std::map<std::string, Image<float>> pictures) {
   Arrays arrays;
   for (const auto& [id, image] : model.images) {
@@ -77,7 +78,7 @@ double keypoint_sigma(const Arrays& arrays, const std::vector<Eigen::Vector3d>& 
   return std::max(robust_spread(sizes), least_keypoint_px);
 }
 
-/// Normal of the plane through a point's neighbors, those off it weighed down.
+/// Normal of the plane through a point's neighbors; neighbors off the plane are downweighted.
 Eigen::Vector3d plane_normal(const std::vector<Eigen::Vector3d>& positions, const int* nearest, int count) {
   std::vector<double> weights(static_cast<std::size_t>(count), 1.0);
   Eigen::Vector3d normal = Eigen::Vector3d::UnitZ();
@@ -116,7 +117,7 @@ std::vector<Eigen::Vector3d> plane_normals(const std::vector<Eigen::Vector3d>& p
       points.at<float>(k, axis) = static_cast<float>(positions[static_cast<std::size_t>(k)][axis]);
     }
   }
-  // One exact tree; several randomized ones would make the result depend on chance.
+  // A single exact tree: several randomized trees would make the result depend on chance.
   cv::flann::GenericIndex<cvflann::L2<float>> tree(points, cvflann::KDTreeSingleIndexParams());
   cv::Mat nearest(points.rows, count, CV_32S), squares(points.rows, count, CV_32F);
   tree.knnSearch(points, nearest, squares, count, cvflann::SearchParams(-1));
@@ -125,7 +126,7 @@ std::vector<Eigen::Vector3d> plane_normals(const std::vector<Eigen::Vector3d>& p
   return normals;
 }
 
-/// Points to be matched: those in many images first, until each image has as many as are asked for.
+/// Points to be matched: points in many images first, until each image has `most` points.
 std::vector<std::size_t> points_to_match(const Arrays& arrays, int most) {
   std::vector<std::size_t> order(arrays.keypoints.size()), chosen;
   std::iota(order.begin(), order.end(), std::size_t{0});
@@ -157,7 +158,8 @@ std::size_t reference_of(const Arrays& arrays, std::size_t point, const Eigen::V
   return best;
 }
 
-/// Matches the windows and puts them, and the keypoints of points without, into the bundle. False if there are too few.
+/// Matches the windows and puts these matches, and the keypoints of unmatched points, into the bundle. Returns false if
+/// there are too few matches.
 bool measure(const Arrays& arrays, std::size_t preferred, const PhotosOptions& options, Bundle& bundle,
              ModelRefinement& result, const Context& context) {
   const std::vector<Eigen::Vector3d> normals = plane_normals(bundle.points);
@@ -168,7 +170,7 @@ bool measure(const Arrays& arrays, std::size_t preferred, const PhotosOptions& o
     ties.push_back({position, normals[k], reference_of(arrays, k, position, normals[k], preferred)});
   }
   const std::vector<TieObservation> found = match_tie_points(arrays.views, ties, options, context);
-  // A pose that only keypoints hold would be left behind by the others.
+  // A pose determined by keypoints only would not follow the more precise poses of the other images.
   std::vector<std::size_t> of_view(arrays.views.size());
   for (const TieObservation& seen : found) ++of_view[seen.view];
   if (std::any_of(of_view.begin(), of_view.end(), [](std::size_t count) { return count < least_matches; })) {

@@ -14,29 +14,30 @@
 
 namespace malus {
 
-/// What a refinement did to a model.
+/// Result of a refinement.
 struct ModelRefinement {
   AdjustmentStatus status = AdjustmentStatus::not_run;
-  std::size_t points = 0;   ///< matched in two or more images
-  std::size_t matches = 0;  ///< of their windows
+  std::size_t points = 0;   ///< points matched in two or more images
+  std::size_t matches = 0;  ///< matched windows of these points
   double matches_a_point = 0;
   double sigma_px = 0;     ///< median standard deviation of a match
-  double keypoint_px = 0;  ///< robust standard deviation of the keypoints that were there before
+  double keypoint_px = 0;  ///< robust standard deviation of the model's original keypoints
   BundleReport adjustment;
   /// Standard deviations of the parameters of each lens that was adjusted, by camera id.
   std::map<std::uint32_t, std::vector<double>> lens_sigma;
 };
 
-/// Measures the points of a COLMAP model anew by least-squares matching and adjusts lenses, poses and points to that.
+/// Measures the points of a COLMAP model again by least-squares matching and adjusts lenses, poses and points to the
+/// new measurements.
 ///
-/// Keypoints are located to a few tenths of a pixel. What turns a camera about a flat object shows in its image by
-/// hundredths only, so the poses gain as the measurement does. Points are matched from the image `preferred` where it
-/// sees them, else from the one of their images that faces them most; planes through their neighbors give the windows'
-/// shape. Keypoints of points or images where that does not succeed remain with their own standard deviation.
+/// Keypoints are located to a few tenths of a pixel. Small turns of a camera about a flat object move its image by
+/// hundredths of a pixel only, so better measurements give better poses. The reference window of a point is in the
+/// image `preferred` if it sees the point, else in the image that faces the point most. Planes through neighboring
+/// points give the windows' shape. Points without a match keep their keypoints, with the keypoints' standard deviation.
 ///
-/// pictures: intensity in [0, 1] of every image of the model, by name; moved here, they are in memory once, their
-/// pyramids take a third more. freedom: what of each camera's lens is adjusted, by camera id; those absent are fixed.
-/// Points keep their ids and tracks; their error is anew.
+/// pictures: intensity in [0, 1] of every image of the model, by name. If moved here, they are in memory once; their
+/// pyramids take a third more. freedom: which parameters of each camera's lens are adjusted, by camera id; absent
+/// lenses are fixed. Points keep their ids and tracks; their errors are updated.
 ///
 /// Throws an input error for a picture that is missing or has another size than its camera.
 ModelRefinement refine_model(ColmapModel& model, std::map<std::string, Image<float>> pictures,

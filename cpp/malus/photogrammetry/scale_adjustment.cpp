@@ -11,13 +11,13 @@ namespace {
 
 constexpr double min_ray_angle_deg = 1;
 
-/// Where a mark lies and how it changes with the point: residual in units of its standard deviation.
+/// Residual of a mark in units of its standard deviation, and its derivatives by the point.
 struct MarkResidual {
   Eigen::Vector2d value;
   Eigen::Matrix<double, 2, 3> jacobian;
 };
 
-/// A mark without its photo's distortion, ready for many evaluations.
+/// A mark corrected for its photo's distortion, once for many evaluations.
 struct IdealMark {
   Pose pose;
   Eigen::Vector2d ideal;
@@ -59,7 +59,7 @@ void check_marks(std::span<const MarkedView> views, std::span<const PointMark> m
   }
 }
 
-/// Both ends of one distance in the adjustment; the unknowns of end k start at 1 + 6 index + 3 k.
+/// The two ends of one distance; the unknowns of end k start at 1 + 6 index + 3 k.
 struct Ends {
   std::vector<IdealMark> marks[2];
   Eigen::Vector3d point[2];
@@ -100,7 +100,7 @@ Normal normal_equations(const std::vector<Ends>& ends, std::span<const KnownDist
   return normal;
 }
 
-/// Standard deviation that the adjusted length has by itself, from the unknowns' covariance.
+/// Standard deviation of the adjusted length, from the unknowns' covariance.
 double length_sigma(const Eigen::MatrixXd& covariance, const Ends& ends, std::size_t index, double scale) {
   const auto first = static_cast<Eigen::Index>(1 + 6 * index);
   const Eigen::Vector3d span = ends.point[0] - ends.point[1];

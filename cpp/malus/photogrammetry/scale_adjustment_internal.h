@@ -37,16 +37,16 @@ struct KnownDistance {
   bool check = false;  ///< held out: does not determine the scale
 };
 
-/// What the adjustment says of one distance, in the station's unit.
+/// Result for one distance, in the station's unit.
 struct DistanceFit {
   std::string name;
   bool check = false;
   double distance = 0;  ///< as given
   double adjusted = 0;  ///< as measured in the scaled model
   double residual = 0;  ///< adjusted − given
-  double sigma = 0;     ///< standard deviation that marks, distances and scale give the residual of a held-out distance
-  double rms_px = 0;    ///< of its marks' residuals
-  double worst_px = 0;  ///< largest distance of a mark from its point's image
+  double sigma = 0;  ///< expected standard deviation of a held-out distance's residual, from marks, distances and scale
+  double rms_px = 0;        ///< of its marks' residuals
+  double worst_px = 0;      ///< largest distance of a mark from its point's image
   std::string worst_image;  ///< photo of that mark
 
   MALUS_FIELDS(name, check, distance, adjusted, residual, sigma, rms_px, worst_px, worst_image)
@@ -55,10 +55,10 @@ struct DistanceFit {
 /// Outcome of the adjustment.
 struct ScaleAdjustment {
   AdjustmentStatus status = AdjustmentStatus::not_run;
-  double scale = 1;        ///< station units a model unit
+  double scale = 1;        ///< station units per model unit
   double sigma = 0;        ///< standard deviation of the scale
   double unit_weight = 1;  ///< a posteriori standard deviation of unit weight; 1 = marks as good as stated
-  int redundancy = 0;      ///< observations less unknowns
+  int redundancy = 0;      ///< observations minus unknowns
   std::vector<DistanceFit> distances;
 
   MALUS_FIELDS(status, scale, sigma, unit_weight, redundancy, distances)
@@ -66,18 +66,18 @@ struct ScaleAdjustment {
 
 /// Scale of a photogrammetric model from known distances between points marked in its photos.
 ///
-/// One least-squares adjustment of the points (3 coordinates each, model frame) and the logarithm of the scale λ, with
+/// One least-squares adjustment of the points (3 coordinates each, model frame) and the logarithm λ of the scale, with
 /// cameras and poses fixed. Observations: marks, whose residual is the distance of the undistorted mark from the
-/// point's projection times the focal length; distances, with residual eᵏ |a − b| − d. Gauss–Newton from the points
-/// nearest to the marks' rays. `sigma` is that of the inverse normal matrix times max(1, unit_weight).
+/// point's projection times the focal length; distances, with residual e^λ |a − b| − d. Gauss–Newton from the points
+/// nearest to the marks' rays. `sigma` is from the inverse normal matrix, times max(1, unit_weight).
 ///
-/// Throws an input error for a distance that has fewer than two marks at an end, or marks in a view that there is not;
-/// a data error when no distance determines the scale, or an end's rays are so close to parallel (under 1°) that it has
-/// no position, or meet behind a camera.
+/// Throws an input error for a distance with fewer than two marks at an end, or marks in a view that does not exist,
+/// and a data error if no distance determines the scale, or if the rays of an end meet behind a camera or are too close
+/// to parallel (under 1°) to determine its position.
 ScaleAdjustment adjust_scale(std::span<const MarkedView> views, std::span<const KnownDistance> distances,
                              const Context& context);
 
-/// Point nearest to the rays of its marks; errors as above. `name` is for messages.
+/// Point nearest to the rays of its marks; throws the errors above. `name` is for messages.
 Eigen::Vector3d intersect_rays(std::span<const MarkedView> views, std::span<const PointMark> marks,
                                const std::string& name);
 

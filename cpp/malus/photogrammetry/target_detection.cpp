@@ -26,7 +26,7 @@ const std::map<std::string, cv::aruco::PREDEFINED_DICTIONARY_NAME>& dictionaries
   return names;
 }
 
-/// Crossing of the lines through opposite corners; projections keep it on the square's center.
+/// Crossing of the diagonals: under any projection it is the image of the square's center.
 Eigen::Vector2d diagonal_crossing(const std::array<Eigen::Vector2d, 4>& corners) {
   const Eigen::Vector3d one = corners[0].homogeneous().cross(corners[2].homogeneous());
   const Eigen::Vector3d other = corners[1].homogeneous().cross(corners[3].homogeneous());
@@ -45,7 +45,7 @@ std::vector<CodedTarget> detect_targets(const Image<std::uint8_t>& image, const 
   }
   if (image.channels() != 1) throw input_error("targets are searched in images of one channel");
   const cv::Mat pixels = as_mat(image);
-  const OpenCvThreads one_thread(1);  // as other functions that are given no Context
+  const OpenCvThreads one_thread(1);  // like other functions without a Context
   const auto parameters = cv::aruco::DetectorParameters::create();
   parameters->cornerRefinementMethod = cv::aruco::CORNER_REFINE_SUBPIX;
   std::vector<int> ids;

@@ -18,15 +18,15 @@ using Vector8d = Eigen::Matrix<double, 8, 1>;
 using Matrix8d = Eigen::Matrix<double, 8, 8>;
 
 constexpr int largest_level = 6;
-/// Levels by which the images are coarsened where a window does not correlate for noise.
+/// Largest number of levels by which the images are coarsened if noise prevents a window from matching.
 constexpr int most_coarser = 2;
 constexpr int most_iterations = 20;
 constexpr double converged_px = 2e-3;
-/// Standard deviation of the affine shape about that of the plane: its slope is known to a few degrees.
+/// Standard deviation of the affine shape about the one predicted by the plane, whose slope is known to a few degrees.
 constexpr double shape_sigma = 0.05;
 constexpr double largest_sigma_px = 0.3;
 constexpr double least_sine = 0.34;
-/// Windows flatter than this, in intensities of [0, 1], hold nothing but noise.
+/// Windows with a lower contrast, in intensities of [0, 1], contain nothing but noise.
 constexpr double least_contrast = 0.01;
 
 /// Position of a window in an image: pixel = shape · offset + center.
@@ -67,7 +67,7 @@ bool sample(const Image<float>& image, const Eigen::Vector2d& x, Sample& result)
   return std::isfinite(result.value);
 }
 
-/// The offsets of a square window, weighted by a bell so that what enters at its border does so gently.
+/// The offsets of a square window, with Gaussian weights so that content entering at its border has little effect.
 struct Window {
   explicit Window(int radius) {
     for (int v = -radius; v <= radius; ++v) {
@@ -81,7 +81,7 @@ struct Window {
   std::vector<double> weights;
 };
 
-/// Intensities of the window in the reference; empty if it leaves the image or is flat.
+/// Intensities of the window in the reference; empty if the window leaves the image or has no contrast.
 std::vector<double> reference_values(const Image<float>& image, const Eigen::Vector2d& centre, const Window& window) {
   std::vector<double> values;
   values.reserve(window.offsets.size());
@@ -104,7 +104,7 @@ struct Match {
   double sigma_px = 0;
 };
 
-/// Least-squares matching of the window from where it is expected.
+/// Least-squares matching of the window, starting from its predicted placement.
 std::optional<Match> match(const Image<float>& image, const Placement& start, const std::vector<double>& reference,
                            const Window& window, const PhotosOptions& options, double range) {
   Placement placed = start;
@@ -130,7 +130,7 @@ std::optional<Match> match(const Image<float>& image, const Placement& start, co
     normal = Matrix8d(normal.selfadjointView<Eigen::Lower>());
     const double contrast = squares / weight - sum * sum / (weight * weight);
     if (contrast < least_contrast * least_contrast) return std::nullopt;
-    // Before the first solution nothing is known of the residuals; a tenth of the contrast is a poor match.
+    // Before the first solution the residuals are unknown: assume those of a poor match, a tenth of the contrast.
     const double noise = iteration == 0 ? 0.1 * contrast : variance;
     const double tie = noise / (shape_sigma * shape_sigma);
     const Eigen::Matrix2d bent = placed.shape - start.shape;
@@ -141,7 +141,7 @@ std::optional<Match> match(const Image<float>& image, const Placement& start, co
     const Eigen::LDLT<Matrix8d> factor(tied);
     if (factor.info() != Eigen::Success || !factor.isPositive()) return std::nullopt;
     const Vector8d step = factor.solve(tied_right);
-    // Σ w (value + row · step)², the residuals as the solution predicts them.
+    // Σ w (value + row · step)², with the residuals that the solution predicts.
     variance = std::max(squares + step.dot(normal * step) - 2 * right.dot(step), 0.0) / weight;
     const Eigen::Vector2d shift = step.segment<2>(4);
     placed.shape(0, 0) += step(0);
@@ -184,7 +184,7 @@ class Matcher {
     const Eigen::Vector2d pixel(std::round(seen->x()), std::round(seen->y()));
     const auto centre = meet(reference, pixel, point);
     if (!centre) return {};
-    // By pyramid level and width of the window, as far as needed.
+    // Reference windows by pyramid level and window width, sampled when needed.
     std::array<std::vector<double>, 2 * (largest_level + 1)> patches;
     std::array<bool, 2 * (largest_level + 1)> sampled{};
     std::vector<TieObservation> found{{index, point.reference, pixel, 0}};
@@ -224,7 +224,8 @@ class Matcher {
     return level == 0 ? views_[view].intensity : reduced_[view][static_cast<std::size_t>(level - 1)];
   }
 
-  /// Pyramid level at which an image that is `scale` times as fine as the other has about its resolution, and below.
+  /// Pyramid level at which an image `scale` times as fine as the other has about the other's resolution, plus
+  /// `coarser` levels.
   static int level_of(double scale, int coarser) {
     return std::clamp(static_cast<int>(std::floor(std::log2(std::max(scale, 1.0)) + 0.5)) + coarser, 0, largest_level);
   }
@@ -269,7 +270,7 @@ class Matcher {
     const SweepView& other = views_[view];
     const Eigen::Vector3d away = other.pose.centre() - centre, back = reference.pose.centre() - centre;
     const double sine = away.normalized().dot(point.normal);
-    // Both see the same side of the plane, and neither too flat.
+    // Both views must see the same side of the plane, at an angle that is not too flat.
     if (std::abs(sine) < least_sine || sine * back.dot(point.normal) < 0) return std::nullopt;
     const auto image = project(other, centre);
     if (!image) return std::nullopt;
@@ -290,7 +291,7 @@ class Matcher {
   std::span<const SweepView> views_;
   const PhotosOptions& options_;
   Window window_, wide_;
-  std::vector<std::vector<Image<float>>> reduced_;  ///< of each view the levels of its pyramid but the first
+  std::vector<std::vector<Image<float>>> reduced_;  ///< pyramid levels of each view, without the first
 };
 
 }  // namespace

@@ -10,11 +10,11 @@
 namespace malus {
 namespace {
 
-/// Windows are squares of this many cells a side, and at most this many.
+/// Windows are squares with `window_cells` cells a side; at most `max_windows` are used.
 constexpr int window_cells = 100;
 constexpr std::size_t max_windows = 6;
 
-/// The windows with points spread over the box: every k-th of those that hold at least half as many as is usual.
+/// Windows spread evenly over the box, chosen from those that hold at least half the average number of points.
 std::vector<PixelRect> pick_windows(PixelRect box, std::span<const ViewPoint> points, double side_px) {
   const int columns = std::max(1, static_cast<int>(std::round(box.width() / side_px)));
   const int rows = std::max(1, static_cast<int>(std::round(box.height() / side_px)));
@@ -57,7 +57,7 @@ class Windows {
     });
   }
 
-  /// Robust weights at this smoothing.
+  /// Updates the robust weights at this smoothing.
   void reweight(const SmoothingStrength& strength, int rounds, const Context& context) {
     for (int round = 0; round < rounds; ++round) {
       solve(strength, context);
@@ -91,7 +91,7 @@ class Windows {
   }
 
  private:
-  /// Beside each other; threads that are left over share the solution of one.
+  /// Solves the windows in parallel; threads beyond their number work within a window's solution.
   void solve(const SmoothingStrength& strength, const Context& context) {
     parallel_for(context, splines_.size(), 1,
                  [&](std::size_t i, std::size_t) { splines_[i]->solve(strength.lambda, strength.kappa); });
@@ -101,7 +101,7 @@ class Windows {
   std::vector<std::optional<SmoothingSpline>> splines_;
 };
 
-/// Minimum by steps of `step` downhill from a start, then a parabola through the last three.
+/// Minimum: walks downhill from `start` in steps of `step`, then fits a parabola through the last three values.
 template <class Function>
 double minimize(Function&& function, double start, double step, double low, double high) {
   double x = start;
@@ -137,9 +137,9 @@ SmoothingStrength choose_smoothing(const Mask& mask, PixelRect box, std::span<co
                                    double spacing_px, bool keep_raised, const Context& context) {
   Windows windows(mask, box, points, spacing_px, keep_raised, context);
   const bool oriented = std::any_of(points.begin(), points.end(), [](const ViewPoint& p) { return p.has_slope(); });
-  // λ that smooths over `lengths` spacings.
+  // ln of the λ that smooths over `lengths` spacings.
   const auto log_lambda = [spacing_px](double lengths) { return 2 * std::log(lengths) + std::log(spacing_px); };
-  // A normal of 0.1 rad beside a point of 1 GSD is usual.
+  // Usual noise: 0.1 rad of a normal, 1 GSD of a point.
   double log_l = log_lambda(1.5), log_k = std::log(10);
   const auto strength = [&](double l, double k) { return SmoothingStrength{std::exp(l), oriented ? std::exp(k) : 0}; };
   for (int round = 0; round < 2; ++round) {

@@ -19,9 +19,9 @@ namespace malus {
 namespace {
 
 constexpr std::size_t block_size = 1 << 18;
-/// Points whose place in the mask is asked for together: in random order each would be waited for.
+/// Number of points whose mask pixels are prefetched together: points in random order would each wait for memory.
 constexpr std::size_t batch_size = 64;
-/// Points of one pixel whose depths differ by less are one surface.
+/// Points of one pixel belong to one surface if the depths of successive points differ by no more than this.
 constexpr float same_surface_gsd = 3;
 
 struct ProjectedPoint {
@@ -33,7 +33,7 @@ struct PointInView {
   std::size_t index;
   Eigen::Vector3d x;  ///< in the camera frame
   Eigen::Vector2d pixel;
-  const std::uint8_t* on_object;  ///< its place in the mask
+  const std::uint8_t* on_object;  ///< its pixel in the mask
 };
 
 PointCensus& operator+=(PointCensus& a, const PointCensus& b) {
@@ -59,7 +59,8 @@ class Bands {
   std::vector<std::uint16_t> band_of_row_;
 };
 
-/// What is left of the cloud, block by block of it; within a block band by band, and there in the cloud's order.
+/// The kept points of the cloud, by blocks of the cloud; within a block sorted by bands, within a band in the cloud's
+/// order.
 class ProjectedCloud {
  public:
   ProjectedCloud(const PointCloud& cloud, const Bands& bands)
@@ -92,7 +93,7 @@ class ProjectedCloud {
     return ranked.at(std::array{ranked.size() / 2}).front();
   }
 
-  /// Sorts a block's points; normals beside them, if there are any.
+  /// Stores a block's points sorted by bands, with their normals if there are any.
   void put(std::size_t block, const std::vector<ProjectedPoint>& points, const std::vector<Eigen::Vector3f>& normals) {
     std::vector<std::uint32_t>& start = starts_[block];
     start.assign(bands_.count() + 1, 0);
@@ -116,7 +117,7 @@ class ProjectedCloud {
   const Bands& bands_;
   LargeVector<ProjectedPoint> points_;
   LargeVector<Eigen::Vector3f> normals_;            ///< in the camera frame; 0 = none
-  std::vector<std::vector<std::uint32_t>> starts_;  ///< of each block's bands, and the end
+  std::vector<std::vector<std::uint32_t>> starts_;  ///< start of each block's bands, and the end of the last
 };
 
 /// Points in front of the camera, on the object and facing the camera.
@@ -179,15 +180,15 @@ ProjectedCloud project(const PointCloud& cloud, const Pinhole& camera, const Pos
   return projected;
 }
 
-/// Gives a point the plane with this normal (camera frame, any length, 0 = none).
+/// Sets a point's plane from its normal (camera frame, any length, 0 = none).
 void set_plane(ViewPoint& point, const Eigen::Vector3d& normal, const Pinhole& camera) {
   const Eigen::Vector3d ray = camera.ray(point.u, point.v);
   const double along = normal.dot(ray);
   if (!(along < 0)) return;
   const double facing = along * along / (normal.squaredNorm() * ray.squaredNorm());
-  // A normal seen this obliquely says nothing of the slope that a float could hold.
+  // For a normal this oblique the slope's information is too small for a float.
   if (facing < 1e-4) return;
-  // In the plane z (n · ray) is constant.
+  // In the plane, z (n · ray) is constant.
   const double focal = camera.focal();
   const Eigen::Vector2d slope = -focal / along * Eigen::Vector2d(normal.x() / camera.fx, normal.y() / camera.fy);
   point.slope_u = static_cast<float>(slope.x());
@@ -201,7 +202,7 @@ void set_plane(ViewPoint& point, const Eigen::Vector3d& normal, const Pinhole& c
   point.info_vv = static_cast<float>(info(1, 1));
 }
 
-/// A point by its place in the cloud's order.
+/// A point with its number in the band; points are sorted by depth first.
 struct NumberedPoint {
   float depth, u, v;
   std::uint32_t number;
@@ -227,7 +228,7 @@ class BandMerger {
     }
   }
 
-  /// The band begins at this row.
+  /// Merges the points of the band, which begins at `first_row`.
   MergedPart merge(int first_row, int rows) const {
     MergedPart part;
     if (points_.empty()) return part;
@@ -259,7 +260,7 @@ class BandMerger {
   }
 
  private:
-  /// Appends what the points of one pixel, sorted by depth, become.
+  /// Merges the points of one pixel, sorted by depth, and appends the results.
   void merge_pixel(std::span<const NumberedPoint> points, MergedPart& part) const {
     const double focal = camera_.focal();
     for (std::size_t i = 0; i < points.size();) {
@@ -287,8 +288,8 @@ class BandMerger {
   std::vector<Eigen::Vector3f> normals_;
 };
 
-/// Puts parts that are made side by side one behind the other, in their order, whichever is ready first: what waits is
-/// little, and memory is not asked for twice.
+/// Concatenates parts that threads finish in any order, in the order of their numbers. Few parts wait for an earlier
+/// one, and the points need memory only once.
 class PartsInOrder {
  public:
   PartsInOrder(std::size_t parts, MergedPoints& whole) : waiting_(parts), whole_(whole) {}
@@ -325,7 +326,7 @@ MergedPoints project_and_merge(const PointCloud& cloud, const Pinhole& camera, c
   MergedPoints merged;
   if (projected.count() == 0) return merged;
   merged.reference_depth = projected.median_depth(context);
-  // Room for all; what is not needed is never touched.
+  // Room for all points; memory that is not needed is never written.
   merged.points.resize(projected.count());
   merged.merged.resize(projected.count());
   PartsInOrder parts(bands.count(), merged);

@@ -15,14 +15,14 @@ namespace malus {
 /// Points of a view, in row order.
 struct MergedPoints {
   LargeVector<ViewPoint> points;
-  LargeVector<std::uint32_t> merged;  ///< points of the cloud that each stands for
-  double reference_depth = 0;         ///< median of the cloud's points
+  LargeVector<std::uint32_t> merged;  ///< number of cloud points averaged into each point
+  double reference_depth = 0;         ///< median depth of the cloud points that were kept
 };
 
-/// Projects the cloud (world frame). Those of its points that are in front of the camera, on the object and face the
-/// camera are merged where they are of one pixel and one surface: neighboring points of a dense cloud are hardly
-/// independent, and what follows stays within a few points a pixel. The others are added to the census. No points if
-/// there are none. Throws an input error for points that are not finite.
+/// Projects the cloud (world frame). Keeps the points that are in front of the camera, on the object and facing the
+/// camera, and counts the dropped ones in the census. Kept points of one pixel and one surface are averaged:
+/// neighboring points of a dense cloud are hardly independent, and later steps then handle only a few points per pixel.
+/// The result is empty if no point is kept. Throws an input error for points that are not finite.
 MergedPoints project_and_merge(const PointCloud& cloud, const Pinhole& camera, const Pose& pose, const Mask& mask,
                                PointCensus& census, const Context& context);
 

@@ -13,7 +13,7 @@
 namespace malus {
 namespace {
 
-/// Floats that are not negative are ordered as their bits.
+/// Non-negative floats sort like their bits, so keys sort by distance² first, then by number.
 std::uint64_t key_of(float distance2, std::uint32_t number) {
   return static_cast<std::uint64_t>(std::bit_cast<std::uint32_t>(distance2)) << 32 | number;
 }
@@ -21,7 +21,7 @@ float distance2_of(std::uint64_t key) {
   return std::bit_cast<float>(static_cast<std::uint32_t>(key >> 32));
 }
 
-/// Where points are, and how many.
+/// Bounding box and number of the points.
 struct Extent {
   Eigen::AlignedBox2f box;
   std::size_t count = 0;
@@ -33,7 +33,7 @@ struct Extent {
   }
 };
 
-/// Numbers of the points from one coordinate v to another, and of some around them.
+/// Range of numbers that includes all points with v from v0 to v1, and some more.
 std::pair<std::size_t, std::size_t> numbers_between(std::span<const ViewPoint> points, double v0, double v1) {
   const auto pixel_row = [](const ViewPoint& p) { return static_cast<int>(p.v + 0.5F); };
   const int top = static_cast<int>(v0 + 0.5) - 1, bottom = static_cast<int>(v1 + 0.5) + 1;
@@ -59,7 +59,8 @@ NeighborSearch::NeighborSearch(std::span<const ViewPoint> points, std::span<cons
     return part;
   });
   u0_ = extent.box.min().x(), v0_ = extent.box.min().y();
-  // Evenly spread, the k nearest are within √(k / π) spacings, just inside two cells around a point's own.
+  // Of evenly spread points the k nearest are within √(k / π) spacings, just inside two cells around a point's own
+  // cell.
   const double area = (extent.box.max().x() - u0_ + 1.0) * (extent.box.max().y() - v0_ + 1.0);
   cell_px_ = std::max(1.0, 0.325 * std::sqrt(static_cast<double>(k) * area / static_cast<double>(extent.count)));
   cells_per_px_ = 1 / cell_px_;
@@ -70,7 +71,7 @@ NeighborSearch::NeighborSearch(std::span<const ViewPoint> points, std::span<cons
   u_.resize(extent.count);
   v_.resize(extent.count);
 
-  // Each thread has cells of its own: stripes of their rows.
+  // Each thread works on its own cells: stripes of cell rows.
   const std::size_t stripe = static_cast<std::size_t>(rows_ / 64 + 1);
   const auto for_stripes = [&](auto&& body) {
     parallel_for(context, static_cast<std::size_t>(rows_), stripe, [&](std::size_t begin, std::size_t end) {
@@ -113,7 +114,7 @@ void NeighborSearch::find(const ViewPoint& p, std::size_t self, Neighbors& found
     if (right < columns_ - 1) reach = std::min(reach, (right + 1) * cell_px_ - (p.u - u0_));
     if (top > 0) reach = std::min(reach, p.v - v0_ - top * cell_px_);
     if (bottom < rows_ - 1) reach = std::min(reach, (bottom + 1) * cell_px_ - (p.v - v0_));
-    // A little less, for the rounding of distances.
+    // Slightly smaller, to allow for the rounding of distances.
     const float limit2 = static_cast<float>(reach * reach * (1 - 1e-5));
     const std::size_t count = gather(p, self, {left, top, right, bottom}, limit2, found.keys);
     if (count < k_ && !std::isinf(reach)) continue;
@@ -122,7 +123,7 @@ void NeighborSearch::find(const ViewPoint& p, std::size_t self, Neighbors& found
   }
 }
 
-/// Keys of the points in some cells that are no farther than a limit; returns how many.
+/// Collects the keys of the points in `cells` within the limit, without point `self`; returns their number.
 std::size_t NeighborSearch::gather(const ViewPoint& p, std::size_t self, Cells cells, float limit2,
                                    std::vector<std::uint64_t>& keys) const {
   std::size_t most = 0, count = 0;
@@ -140,8 +141,8 @@ std::size_t NeighborSearch::gather(const ViewPoint& p, std::size_t self, Cells c
   return count;
 }
 
-/// The k least of the first `count` keys. They are counted by distance² first, so that few are compared with each
-/// other, whose order no processor could foresee.
+/// Takes the k smallest of the first `count` keys. A histogram of distance² comes first, so that only the keys of one
+/// bin are compared: comparisons of unordered keys are unpredictable branches.
 void NeighborSearch::take_nearest(std::size_t count, float limit2, Neighbors& found) const {
   constexpr int bins = 64;
   const std::span<std::uint64_t> keys(found.keys.data(), count);
@@ -155,7 +156,7 @@ void NeighborSearch::take_nearest(std::size_t count, float limit2, Neighbors& fo
   };
   std::array<std::uint32_t, bins> counts{};
   for (const std::uint64_t key : keys) ++counts[static_cast<std::size_t>(bin_of(key))];
-  int last = 0;  // the bin that has the farthest of the wanted
+  int last = 0;  // the bin that holds the farthest of the wanted neighbors
   std::size_t nearer = 0;
   for (; nearer + counts[static_cast<std::size_t>(last)] < wanted; ++last)
     nearer += counts[static_cast<std::size_t>(last)];

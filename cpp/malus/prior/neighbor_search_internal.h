@@ -11,22 +11,23 @@
 
 namespace malus {
 
-/// The points nearest to another.
+/// The nearest neighbors of one point.
 struct Neighbors {
-  std::vector<std::uint32_t> indices;  ///< in no order
-  float distance2 = 0;                 ///< of the farthest, 0 of none
+  std::vector<std::uint32_t> indices;  ///< unordered
+  float distance2 = 0;                 ///< squared distance of the farthest neighbor; 0 without neighbors
   std::vector<std::uint64_t> keys;     ///< scratch
 };
 
 /// Nearest neighbors in the view by a grid of cells.
 class NeighborSearch {
  public:
-  /// Among points in row order, without those that are left out: one flag a point, or no flags. One is left at least.
+  /// Searches among `points` (in row order) whose flag in `left_out` is 0; no flags = all points. At least one point
+  /// must remain.
   NeighborSearch(std::span<const ViewPoint> points, std::span<const std::uint8_t> left_out, std::size_t k,
                  const Context& context);
 
-  /// The k points nearest to point number `self`, itself left out, those with lower numbers first where distances are
-  /// equal.
+  /// Finds the k points nearest to point number `self`, without that point. Of equal distances the lower number is
+  /// preferred.
   void find(const ViewPoint& p, std::size_t self, Neighbors& found) const;
 
  private:
@@ -49,8 +50,8 @@ class NeighborSearch {
   double cell_px_ = 1, cells_per_px_ = 1;
   int columns_ = 0, rows_ = 0;
   LargeVector<std::uint32_t> start_;
-  LargeVector<float> u_, v_;          // by cells
-  LargeVector<std::uint32_t> order_;  // numbers, by cells
+  LargeVector<float> u_, v_;          // sorted by cell
+  LargeVector<std::uint32_t> order_;  // point numbers, sorted by cell
 };
 
 }  // namespace malus

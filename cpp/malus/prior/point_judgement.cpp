@@ -11,15 +11,15 @@
 namespace malus {
 namespace {
 
-/// What is asked of a point's neighbors.
+/// Tests of a point against its neighbors.
 class Judge {
  public:
   Judge(std::span<const ViewPoint> points, const VisibilityOptions& options)
       : points_(points), options_(options), max_slope_(std::tan(options.max_slope_deg * std::numbers::pi / 180)) {}
 
-  /// Where few neighbors are farther in height than is always allowed the questions need not be asked.
+  /// Counts of neighbors by height, relative to `outlier_floor_gsd`. They often decide the tests without further work.
   struct Heights {
-    std::size_t nearer = 0, beside = 0;  ///< neighbors nearer than that, and within it
+    std::size_t nearer = 0, beside = 0;  ///< neighbors nearer by more than the floor, and within it
   };
   Heights heights(const ViewPoint& p, const std::vector<std::uint32_t>& neighbors) const {
     Heights counts;
@@ -53,7 +53,7 @@ class Judge {
   /// Whether the height is far from the median of the neighborhood, measured by the neighborhood's own spread.
   bool is_outlier(const ViewPoint& p, const std::vector<std::uint32_t>& neighbors, const Heights& heights,
                   std::vector<double>& scratch) const {
-    // With the point itself most of them are beside it: so is their median.
+    // If the point and the neighbors within the floor are the majority, the median is within the floor, too.
     if (2 * (heights.beside + 1) > neighbors.size() + 1) return false;
     scratch.assign(1, p.height);
     for (const std::uint32_t neighbor : neighbors) scratch.push_back(points_[neighbor].height);
@@ -69,7 +69,7 @@ class Judge {
   double max_slope_;
 };
 
-/// Judges the points that are `due`; hidden ones are looked for, or known and left out.
+/// Judges the points for which `due` is true. Hidden points are searched for, or, with `hidden_known`, left out.
 template <class Due>
 void judge_points(PointJudgement& judgement, std::span<const ViewPoint> points, const VisibilityOptions& options,
                   bool hidden_known, const Context& context, Due&& due) {
@@ -92,7 +92,7 @@ void judge_points(PointJudgement& judgement, std::span<const ViewPoint> points, 
   });
 }
 
-/// Pixels that have a hidden point.
+/// Pixels that contain a hidden point.
 Mask hidden_pixels(std::span<const ViewPoint> points, const std::vector<std::uint8_t>& hidden, Size size) {
   Mask pixels(size, 1, 0);
   for (std::size_t i = 0; i < points.size(); ++i) {
@@ -101,7 +101,7 @@ Mask hidden_pixels(std::span<const ViewPoint> points, const std::vector<std::uin
   return pixels;
 }
 
-/// Whether a pixel that is set could be within a distance of a point.
+/// Whether any pixel set in the mask may be within a distance of a point.
 bool any_within(const Mask& mask, const ViewPoint& p, double distance) {
   const int u0 = std::max(static_cast<int>(std::floor(p.u - distance - 0.5)), 0);
   const int u1 = std::min(static_cast<int>(std::ceil(p.u + distance + 0.5)), mask.width() - 1);
@@ -124,7 +124,7 @@ PointJudgement judge_points(std::span<const ViewPoint> points, Size size, const 
   judge_points(judgement, points, options, false, context, [](std::size_t) { return true; });
   if (std::ranges::find_if(judgement.hidden, [](auto hidden) { return hidden != 0; }) == judgement.hidden.end())
     return judgement;
-  // A hidden point is no neighbor. Points that had none among their neighbors keep their judgment.
+  // Hidden points are no valid neighbors: judge again, without hidden points, those that had one among their neighbors.
   const Mask hidden = hidden_pixels(points, judgement.hidden, size);
   judge_points(judgement, points, options, true, context, [&](std::size_t i) {
     return !judgement.hidden[i] &&

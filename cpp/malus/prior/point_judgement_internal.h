@@ -10,13 +10,14 @@
 
 namespace malus {
 
-/// What the neighbors of each point say of it.
+/// Which points are hidden or outliers, judged by their neighbors.
 struct PointJudgement {
-  std::vector<std::uint8_t> hidden, outlier;  ///< flags; none is both
-  LargeVector<float> distance2;               ///< of the farthest neighbor, unless the point is hidden
+  std::vector<std::uint8_t> hidden, outlier;  ///< flags; no point has both
+  LargeVector<float> distance2;  ///< squared distance of the farthest neighbor; not meaningful for hidden points
 };
 
-/// Judges every point by its neighbors, outliers among the points that are not hidden. The points are in row order.
+/// Compares every point with its neighbors. Outliers are judged among the points that are not hidden. `points` are in
+/// row order.
 PointJudgement judge_points(std::span<const ViewPoint> points, Size size, const VisibilityOptions& options,
                             const Context& context);
 

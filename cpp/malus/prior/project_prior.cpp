@@ -31,7 +31,7 @@ namespace malus {
 namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
-/// Share of a cloud's points from which they have one fault.
+/// If more than this share of a cloud's points faces away, the error message names the normals as the cause.
 constexpr double mostly = 0.7;
 
 void validate(const Pinhole& camera, const Pose& pose, const Mask& mask, const PriorOptions& options) {
@@ -64,15 +64,15 @@ void require_points(const VisiblePoints& visible, const PriorOptions& options) {
   throw data_error(message.str());
 }
 
-/// Takes a surface off a point.
+/// Subtracts a surface's height and slope from a point.
 void lower(ViewPoint& point, double height, const Eigen::Vector2d& slope) {
   point.height -= static_cast<float>(height);
   point.slope_u -= static_cast<float>(slope.x());
   point.slope_v -= static_cast<float>(slope.y());
 }
 
-/// Plane in (u, v) that most points follow, by reweighted least squares: the spline models what is left. Of a dense
-/// cloud an even selection says as much: its points are in the order of their places in the view.
+/// Plane in (u, v) that most points follow, by reweighted least squares; the spline models the points' heights above
+/// it. For a dense cloud every k-th point suffices: the points are in row order, so these are evenly spread.
 class ReferencePlane {
  public:
   explicit ReferencePlane(std::span<const ViewPoint> points) {
@@ -145,7 +145,7 @@ double far_fraction(const Mask& mask, std::span<const ViewPoint> points, double 
 }
 
 struct Surface {
-  Image<float> height;    ///< above the reference plane, in GSD; only inside the mask
+  Image<float> height;    ///< relative to the reference plane, in GSD; only inside the mask
   Image<float> variance;  ///< of the height, for unit noise
   double noise = 0;       ///< standard deviation of a point
 };
@@ -162,14 +162,14 @@ constexpr double weighted_gaussian_variance = 0.5808;
 
 struct SplineFit {
   SmoothingSpline spline;
-  Image<float> variance;  ///< for unit noise, a cell
+  Image<float> variance;  ///< for unit noise, per cell
   double noise2;          ///< variance of a point
 };
 
 /// Robust smoothing of the points in a box.
 SplineFit fit_robust(const Mask& mask, PixelRect box, const Smoothing& how, std::span<const ViewPoint> points,
                      int samples, const Context& context) {
-  // Clusters of outliers lose their hold slowly: go on until the weights stand still.
+  // The weights of clustered outliers fall slowly: repeat until the weights no longer change.
   constexpr int max_rounds = 8;
   constexpr double settled = 0.004;
   SmoothingSpline spline(mask, box, how.cell_px, how.tension_px, points, context);
@@ -207,8 +207,8 @@ void add_to(Surface& surface, const SplineFit& fit, const Mask& mask, const Cont
   });
 }
 
-/// Surface through all points: one system, or above max_unknowns a coarse one for the whole and overlapping tiles for
-/// what it leaves.
+/// Surface through all points: one system, or, above max_unknowns, a coarse spline of the whole surface and overlapping
+/// tiles for the difference from it.
 Surface smooth_cloud(LargeVector<ViewPoint> points, const Mask& mask, const Smoothing& how, const PriorOptions& options,
                      const Context& context) {
   const PixelRect box = bounding_box(mask);
@@ -221,7 +221,7 @@ Surface smooth_cloud(LargeVector<ViewPoint> points, const Mask& mask, const Smoo
     return surface;
   }
 
-  // Much smoother than the tiles, so that their bending is nearly that of the whole surface.
+  // The coarse spline is much smoother than the tiles, so that nearly all bending of the surface is in the tiles.
   Smoothing coarse = how;
   const double widening = std::max(4.0, std::sqrt(unknowns / options.max_unknowns));
   coarse.strength.lambda *= widening * widening;
@@ -236,7 +236,7 @@ Surface smooth_cloud(LargeVector<ViewPoint> points, const Mask& mask, const Smoo
     parallel_rows(context, box.height(),
                   [&](int row) { whole.spline.evaluate_row(box.v0 + row, surface.height.row(box.v0 + row) + box.u0); });
   }
-  // Far from points the tiles level out to the coarse surface, which all of them share: no seams there.
+  // Far from points the tiles level out to the coarse surface, which all tiles share, so there are no seams.
   const int margin = static_cast<int>(std::ceil(4 * coarse.length_px));
   Smoothing fine = how;
   fine.tension_px = margin;
@@ -283,18 +283,18 @@ double stated_or_measured(double measured, const PriorOptions& options, const Co
   return *options.sigma;
 }
 
-/// Smoothing of the cloud: the option, or what its noise and density ask for.
+/// Smoothing of the cloud: `smoothing_px`, or estimated from the cloud's noise and density.
 Smoothing smoothing_for(const VisiblePoints& visible, const Mask& mask, const PriorOptions& options,
                         const Context& context) {
-  // λ smooths over (λ² / points a square pixel)^¼ pixels.
+  // λ smooths over (λ² / points per square pixel)^¼ pixels.
   const double spacing_px = visible.spacing_px;
   Smoothing how;
   how.strength = choose_smoothing(mask, bounding_box(mask), visible.points, spacing_px, options.keep_raised, context);
   how.length_px = options.smoothing_px ? *options.smoothing_px
                                        : options.smoothing_scale * std::sqrt(spacing_px * how.strength.lambda);
   how.strength.lambda = how.length_px * how.length_px / spacing_px;
-  // Points that hardly scatter ask for little smoothing. Between them nothing is known all the same: finer cells than
-  // those the smoothing was chosen with cost time only.
+  // Points with little scatter get little smoothing. The cells still need not be finer than those used to choose the
+  // smoothing: points say nothing about the surface between them, so finer cells only take time.
   how.cell_px = std::max(cell_for_spacing(spacing_px), 0.7 * how.length_px);
   how.tension_px = options.tension_spacings * spacing_px;
   how.edge_tolerance = options.edge_tolerance;
@@ -311,7 +311,7 @@ DepthPrior empty_prior(const Pinhole& camera, const Pose& pose) {
   return prior;
 }
 
-/// Standard deviation of a raster's depth: what is stated, or so many GSD.
+/// Standard deviation of a raster's depth: `sigma`, or else `raster_sigma_gsd`.
 double raster_sigma(double depth, double focal, const PriorOptions& options) {
   return options.sigma ? *options.sigma : options.raster_sigma_gsd * depth / focal;
 }
@@ -395,9 +395,10 @@ DepthPrior prior_of_raster(const Image<float>& depth, const std::string& source,
   return prior;
 }
 
-/// The depth's standard deviation as noise, as a cloud's points have it: a fusion averages it over distances.
+/// Declares the depth's standard deviation to be noise, like that of a cloud's points, so that the fusion averages it
+/// over an area.
 DepthPrior with_noise(DepthPrior prior) {
-  // Neighboring pixels of a surface that was measured share their errors.
+  // Neighboring pixels of a measured surface share their errors.
   constexpr double independent_px = 4;
   std::vector<float> sigmas;
   std::copy_if(prior.sigma.begin(), prior.sigma.end(), std::back_inserter(sigmas), [](float s) { return s > 0; });
@@ -406,7 +407,7 @@ DepthPrior with_noise(DepthPrior prior) {
   return prior;
 }
 
-/// A shape over its mean depth, 1 without one: a surface divided by it is flat where it follows the shape.
+/// A shape divided by its mean depth (1 without a shape). A surface divided by this is flat where it follows the shape.
 Image<float> relative_shape(const Image<float>& shape, const Mask& mask) {
   Image<float> relative(mask.size(), 1, 1.0F);
   if (shape.count() == 0) return relative;
@@ -511,7 +512,8 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
         "the photos give no depth on the object: they agree nowhere; give a prior of another source, or photograph it "
         "sharper, with more texture on or around it, and from more sides 25 to 40 degrees off the station");
   }
-  // Neighbors that share their windows agree, right or wrong: that they do is no evidence.
+  // Neighbors that share their windows agree even if they are wrong, so their agreement is no reason to keep a raised
+  // part.
   PriorOptions of_windows = options;
   of_windows.keep_raised = false;
   DepthPrior prior = project_prior(cloud, camera, pose, mask, of_windows, context);
@@ -519,7 +521,7 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
   parallel_rows(context, depth.height(), [&](int v) {
     for (int u = 0; u < depth.width(); ++u) missing.at<std::uint8_t>(v, u) = known(u, v) ? 0 : 255;
   });
-  // The cloud's points are few: what lies between them is seen, or is not.
+  // The cloud has only every fourth pixel, so the pixels without a depth are counted in the swept depth itself.
   double object = 0, unseen = 0;
   for (int v = 0; v < depth.height(); ++v) {
     for (int u = 0; u < depth.width(); ++u) {

@@ -36,7 +36,7 @@ std::vector<Corner> project_vertices(const PointCloud& vertices, const Pinhole& 
   return corners;
 }
 
-/// First and last of the integers in [low, high] within [0, count).
+/// First and last integer of [low, high] within [0, count).
 struct PixelRange {
   int first, last;
 
@@ -47,7 +47,7 @@ struct PixelRange {
 
 PixelRange rows_of(const Corner& a, const Corner& b, const Corner& c, int height) {
   if (!(std::min({a.inverse_depth, b.inverse_depth, c.inverse_depth}) > 0)) return {1, 0, height};
-  // Far outside, the ends may not fit an integer.
+  // Clamped, as ends far outside may not fit an integer.
   return {std::min(std::min({a.v, b.v, c.v}), static_cast<double>(height)), std::max(std::max({a.v, b.v, c.v}), -1.0),
           height};
 }

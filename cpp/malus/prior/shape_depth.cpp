@@ -16,7 +16,7 @@ double nearest_root(double a, double b, double c) {
   return near > 0 ? near : far > 0 ? far : none;
 }
 
-/// How far along a ray, in its own lengths, it meets a shape.
+/// Distance along a ray to a shape, in units of the ray's length.
 struct RayHit {
   Eigen::Vector3d origin, ray;
 
@@ -45,7 +45,7 @@ Image<float> depth_of_shape(const Shape& shape, const Pinhole& camera, const Pos
   Image<float> depth(camera.size);
   for (int v = 0; v < camera.size.height; ++v) {
     for (int u = 0; u < camera.size.width; ++u) {
-      // The camera's ray has z = 1, so that its multiple is the depth.
+      // The camera's ray has z = 1, so the multiple is the depth.
       depth(u, v) = static_cast<float>(std::visit(RayHit{origin, to_world * camera.ray(u, v)}, shape));
     }
   }

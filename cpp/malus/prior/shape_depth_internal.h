@@ -7,8 +7,8 @@
 
 namespace malus {
 
-/// z-depth of a shape in a view, its side nearest to the camera; NaN where a ray misses it. From inside a sphere or a
-/// cylinder the far side is seen.
+/// z-depth of a shape in a view: of its side nearest to the camera, NaN where a ray misses the shape. A camera inside a
+/// sphere or cylinder sees the far side.
 Image<float> depth_of_shape(const Shape& shape, const Pinhole& camera, const Pose& pose);
 
 }  // namespace malus

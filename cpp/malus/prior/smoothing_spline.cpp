@@ -16,9 +16,9 @@
 namespace malus {
 namespace {
 
-/// Keeps parts of the mask without any point solvable, at the height 0 of the reference surface.
+/// Makes the system solvable in parts of the mask without points; there the height becomes 0, the reference surface.
 constexpr double ridge = 1e-9;
-/// That a thread takes at a time.
+/// Points per task of a thread.
 constexpr std::size_t points_at_once = 2048;
 
 /// The three quadratic B-splines of a cell, or their derivatives, at t in [0, 1].
@@ -56,7 +56,7 @@ Eigen::Matrix2d slope_information(const ViewPoint& p) {
   return (Eigen::Matrix2d() << p.info_uu, p.info_uv, p.info_uv, p.info_vv).finished();
 }
 
-/// ±1 with equal probability. A draw is a sum over hundreds of them, so it is as good as one of normal variables.
+/// ±1 with equal probability. A draw sums hundreds of these, so it is as good as one made of normal variables.
 class RandomSigns {
  public:
   explicit RandomSigns(std::uint64_t seed) : generator_(seed) {}
@@ -81,7 +81,7 @@ bool contains(const PixelRect& box, const ViewPoint& p) {
   return p.u >= box.u0 - 0.5F && p.v >= box.v0 - 0.5F && p.u < box.u1 - 0.5F && p.v < box.v1 - 0.5F;
 }
 
-/// Where column (a, b) of the lower triangle keeps the entry of control point (a + da, b + db).
+/// Slot, in column (a, b) of the lower triangle, of the entry of control point (a + da, b + db).
 int slot_of(int da, int db) {
   return db == 0 ? da : 5 * db + da;
 }
@@ -144,7 +144,7 @@ void SmoothingSpline::set_tilt() {
     const int row = static_cast<int>(cell) / columns_, column = static_cast<int>(cell) % columns_;
     if (count.at<float>(row, column) < 1e-4F) continue;
     const float facing = sum.at<float>(row, column) / count.at<float>(row, column);
-    // Curvature of the surface is f'' cos³ θ, an area of it that of its image over cos θ.
+    // The surface's curvature is f'' cos³ θ; its area is the area of its image over cos θ.
     tilt_[cell] = std::pow(facing, 2.5F);
   }
 }
@@ -256,7 +256,7 @@ std::vector<int> SmoothingSpline::elimination_order() const {
 
 template <class Body>
 void SmoothingSpline::for_each_cell(Body&& body) const {
-  // A row of cells touches three rows of control points.
+  // A row of cells touches three rows of control points, so every third row of cells can be processed at once.
   for (int phase = 0; phase < 3; ++phase) {
     parallel_for(
         context_, static_cast<std::size_t>((rows_ - phase + 2) / 3), 4, [&](std::size_t begin, std::size_t end) {
@@ -319,7 +319,7 @@ Eigen::VectorXd SmoothingSpline::right_side() const {
 
 void SmoothingSpline::solve(double lambda, double kappa) {
   if (!analyzed_) {
-    // One thread's work, on the pattern only; meanwhile the others assemble.
+    // The analysis uses one thread and the pattern only; the other threads assemble meanwhile.
     parallel_for(context_, 2, 1, [&](std::size_t task, std::size_t) {
       task == 0 ? static_cast<void>(solver_.analyze(matrix_, elimination_order())) : assemble(lambda, kappa);
     });
@@ -376,8 +376,8 @@ void SmoothingSpline::soften_edges(double tolerance) {
 }
 
 Image<float> SmoothingSpline::raised_parts(std::span<const float> residuals) const {
-  // A point is off the surface by so many spreads; it is compared with so many points around it; of these at least so
-  // many must be off, and such a share.
+  // A point is nearer than the surface if its residual exceeds `off` spreads. Of `around` points around a cell, the
+  // number of nearer ones counts from `fewest` (0) to `enough` (1), their share from `seldom` (0) to `often` (1).
   constexpr double off = 1.5, around = 50, fewest = 4, enough = 8, seldom = 0.2, often = 0.4;
   const Size size{columns_, rows_};
   Image<float> parts(size, 1, 0.0F), all(size, 1, 0.0F);
@@ -410,8 +410,8 @@ void SmoothingSpline::keep_raised_parts(std::span<const float> residuals, std::s
   const Image<float> parts = raised_parts(residuals);
   for (std::size_t cell = 0; cell < active_.size(); ++cell) {
     raised_[cell] = std::max(raised_[cell], parts[cell]);
-    // Normals on either side of a step say that there is none, and reach farther than heights: where f gives way to the
-    // step they would bend it far around.
+    // Normals on either side of a step contradict the step and act over a longer range than heights. Where f is
+    // softened at the step, they would bend f far around it.
     const float slope_share = 1 - raised_[cell] * (1 - softening_[cell] / tilt_[cell]);
     for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
       if (residuals[i] < 0) weights[i] = std::max(weights[i], parts[cell]);
@@ -521,7 +521,7 @@ void SmoothingSpline::draw(const Eigen::Matrix<double, 9, 9>& stiffness_root, st
 }
 
 Image<float> SmoothingSpline::variance(int samples, std::uint64_t seed) {
-  // The form is semidefinite: the little added keeps its Cholesky factor finite.
+  // The quadratic form is semidefinite: the small addition keeps its Cholesky factor finite.
   const Eigen::Matrix<double, 9, 9> definite =
       stiffness_ + 1e-9 * stiffness_.trace() * Eigen::Matrix<double, 9, 9>::Identity();
   const Eigen::Matrix<double, 9, 9> root = definite.llt().matrixL().toDenseMatrix();
@@ -531,7 +531,7 @@ Image<float> SmoothingSpline::variance(int samples, std::uint64_t seed) {
     for (int k = 0; k < 9; ++k) b[static_cast<std::size_t>(k)] = half[k % 3] * half[k / 3];
     return b;
   }();
-  // So many vectors of unknowns are kept at a time.
+  // Number of draws kept in memory at a time.
   constexpr int batch = 8;
   Image<float> sum({columns_, rows_}, 1, 0.0F);
   for (int first = 0; first < samples; first += batch) {

@@ -15,7 +15,8 @@
 namespace malus {
 namespace {
 
-/// Spacing of evenly spread points whose farthest neighbors are as far as those of the middle point that is seen.
+/// Spacing of the visible points: that of evenly spread points with the same distance of the farthest neighbor
+/// (median).
 double spacing_of(const PointJudgement& judgement, int neighbors, const Context& context) {
   const auto distances = [&](std::size_t begin, std::size_t end, float* values) {
     for (std::size_t i = begin; i < end; ++i)

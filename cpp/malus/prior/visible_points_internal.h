@@ -12,44 +12,45 @@
 
 namespace malus {
 
-/// A point of the surface in the station view, and the plane it lies in where its normal is known.
+/// A point of the surface in the station view, and its tangent plane where the normal is known.
 ///
 /// The noise of a point has no preferred direction, so on a surface that is inclined by θ to the ray its height is
-/// uncertain by 1 / cos θ. The noise of a normal has none either, so its slope is uncertain by 1 / cos² θ down the
-/// slope and by 1 / cos θ across.
+/// uncertain by 1 / cos θ. The noise of a normal has no preferred direction either, so the uncertainty of its slope is
+/// 1 / cos² θ down the slope and 1 / cos θ across it.
 ///
-/// No value is set of itself: fresh memory for millions of them is not touched before they are known.
+/// Members have no default values, so that memory for millions of points is not written before the points are known.
 struct ViewPoint {
   float u, v;                       ///< pixel
   float height;                     ///< f · ln(z / reference depth), in GSD, growing away from the camera
-  float slope_u, slope_v;           ///< of the height, a px; 0 without a normal
+  float slope_u, slope_v;           ///< of the height, per px; 0 without a normal
   float facing;                     ///< cos² θ; 1 without a normal
-  float info_uu, info_uv, info_vv;  ///< of the slope, for a normal of unit (rad) noise; 0 without a normal
+  float info_uu, info_uv, info_vv;  ///< information of the slope, if the normal has unit (rad) noise; 0 without one
 
   /// A point whose normal is not known.
   static ViewPoint without_normal(float u, float v, float height) { return {u, v, height, 0, 0, 1, 0, 0, 0}; }
   bool has_slope() const { return info_uu > 0; }
 };
 
-/// Pixel of a coordinate inside a view of `count` pixels; rounding to float may have put it on the far border.
+/// Pixel of a coordinate inside a view of `count` pixels. Rounding to float may have put the coordinate on the far
+/// border.
 inline int pixel_of(float coordinate, int count) {
   return std::min(static_cast<int>(coordinate + 0.5F), count - 1);
 }
 
-/// Where the points of a cloud went.
+/// How many points of a cloud were used, and how many were dropped for which reason.
 struct PointCensus {
   std::size_t total = 0, behind = 0, outside = 0, off_object = 0, facing_away = 0, hidden = 0, outliers = 0;
-  std::size_t used = 0;  ///< points behind the view points that were kept
+  std::size_t used = 0;  ///< cloud points that were averaged into the kept view points
 };
 
 struct VisiblePoints {
-  LargeVector<ViewPoint> points;  ///< at most a few a pixel, in row order
+  LargeVector<ViewPoint> points;  ///< at most a few per pixel, in row order
   double reference_depth = 0;     ///< median depth
   double spacing_px = 0;          ///< of neighboring points, median over the points
   PointCensus census;
 };
 
-/// How points are chosen.
+/// Limits of the choice of points (see PriorOptions).
 struct VisibilityOptions {
   int neighbors = 16;
   double outlier_tolerance = 4;
@@ -57,11 +58,11 @@ struct VisibilityOptions {
   double max_slope_deg = 75;
 };
 
-/// Points of a cloud (world frame) that the station sees on the object: projected by the collinearity equations
-/// (Eq 12, into the undistorted view), in front of the camera, inside the mask, facing the camera where the cloud has
-/// normals, not hidden behind nearer points around them, and not outliers among their nearest neighbors in the view.
-/// Points of one pixel at the same depth are averaged, with their normals. Throws an input error for values that are
-/// not finite or normals that do not match the points.
+/// Points of a cloud (world frame) that the station sees on the object: points in front of the camera and inside the
+/// mask, projected by the collinearity equations (Eq 12, into the undistorted view), that face the camera (where the
+/// cloud has normals), are not hidden behind nearer points around them, and are not outliers among their nearest
+/// neighbors in the view. Points of one pixel at the same depth are averaged, and so are their normals. Throws an input
+/// error for values that are not finite or normals that do not match the points.
 VisiblePoints visible_points(const PointCloud& cloud, const Pinhole& camera, const Pose& pose, const Mask& mask,
                              const VisibilityOptions& options, const Context& context);
 

@@ -15,9 +15,9 @@ namespace {
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
 /// Radius of the surroundings over which differences of the halves are averaged.
 constexpr int radius = 4;
-/// Difference up to which halves agree, px of parallax.
+/// Largest difference at which halves agree, px of parallax.
 constexpr float agreeing_px = 1;
-/// A region ends where the surface jumps by more, px of parallax.
+/// Largest step of the surface within a region, px of parallax.
 constexpr double region_step_px = 2;
 /// Without halves: standard deviation at full correlation, px of parallax.
 constexpr double lone_sigma_px = 0.5;
@@ -33,7 +33,7 @@ struct Surroundings {
   }
 };
 
-/// Sums over the rows around row v, a column each.
+/// Sums over the rows around row v, one per column.
 std::vector<Surroundings> column_sums(const HalvesDifference& halves, int v) {
   const Image<float>& fine = *halves.fine;
   std::vector<Surroundings> columns(static_cast<std::size_t>(fine.width()));

@@ -7,29 +7,31 @@
 
 namespace malus {
 
-/// Below this share of the object with a depth the photos see too little of its surface to be trusted.
+/// If a smaller share of the object has a depth, the photos see too little of its surface to be trusted.
 constexpr double least_completeness = 0.3;
 
-/// By how much the two disjoint halves of the photos differ, in px of parallax; NaN where one of them is blind.
+/// Difference of the depths from the two disjoint halves of the photos, in px of parallax; NaN where one half does not
+/// see the surface.
 struct HalvesDifference {
   const Image<float>* fine = nullptr;  ///< in the last sweep
-  const Image<float>* wide = nullptr;  ///< in the one before, which reaches farther
+  const Image<float>* wide = nullptr;  ///< in the sweep before, whose reach is wider
 };
 
-/// Depth, sigma, confidence and their figures from the last sweep.
+/// Sets depth, sigma, confidence and their figures in `result`, from the last sweep.
 ///
-/// Errors of halves are alike in size and partly the same error (the station's noise, the window's smoothing), so
+/// The errors of both halves have the same size, and part of them is common to both (the station's noise, the window's
+/// smoothing). Therefore
 ///   sigma = sigma_scale / 2 · root mean square of the halves' difference around the pixel / share that agrees,
-/// where each pixel's difference is the larger of both sweeps', and at least `sigma_floor_gsd`. Pixels fail where less
-/// than `min_agreement` of the pixels around agree to a px of parallax or the correlation is below `min_score`, and in
-/// connected regions of fewer than `min_region_px`. Without halves sigma is the depth of half a px of parallax over the
-/// correlation.
+/// and at least `sigma_floor_gsd`; a pixel's difference is the larger one of the two sweeps. Pixels are dropped if less
+/// than `min_agreement` of the pixels around them agree to a px of parallax, if the correlation is below `min_score`,
+/// or if their connected region has fewer than `min_region_px`. Without halves sigma is the depth difference of half a
+/// px of parallax, divided by the correlation.
 ///
-/// Below `least_completeness` the object is taken to be a mirror, or without texture. There windows at its contour
-/// match what lies behind it, and the pixels beside them go on with its depth: of regions that reach the contour only
-/// the pixels on it are kept, where object and ground meet if it stands on the ground.
+/// Below `least_completeness` the object is taken to be a mirror or without texture. Then windows at its contour match
+/// the background, and neighboring pixels continue with the background's depth. Therefore, of regions that reach the
+/// contour, only the pixels on the contour are kept: there object and ground meet if the object stands on the ground.
 ///
-/// `rate`: px of parallax a unit of ln z. `focal`: of the station, px.
+/// `rate`: px of parallax per unit of ln z. `focal`: of the station, px.
 void fill_result(const PassResult& pass, const HalvesDifference& halves, double rate, double focal, const Mask& mask,
                  const SweepOptions& options, const Context& context, SweepResult& result);
 

@@ -13,11 +13,11 @@
 namespace malus {
 namespace {
 
-/// A starting surface needs no more points to be compared with the photos, nor the spline more of those that look
-/// alike; both are taken evenly. All that look alike set the range.
+/// For a starting surface it suffices to compare `most_compared` points with the photos and to fit the spline to
+/// `most_in_spline` of those that match; both are sampled evenly. All matching points determine the range.
 constexpr std::size_t most_compared = 1500, most_in_spline = 700;
 
-/// At most `most` of the points.
+/// At most `most` points, evenly sampled.
 std::vector<StationPoint> evenly(const std::vector<StationPoint>& points, std::size_t most) {
   const std::size_t count = std::min(points.size(), most);
   std::vector<StationPoint> taken;
@@ -25,7 +25,7 @@ std::vector<StationPoint> evenly(const std::vector<StationPoint>& points, std::s
   return taken;
 }
 
-/// Value below which this share of the values is; reorders them.
+/// Quantile of the values, which are reordered.
 double quantile(std::vector<double>& values, double share) {
   const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
   std::nth_element(values.begin(), at, values.end());
@@ -36,7 +36,7 @@ double object_pixels(const Mask& mask) {
   return static_cast<double>(std::count_if(mask.begin(), mask.end(), [](std::uint8_t m) { return m != 0; }));
 }
 
-/// Lowest correlation of a point's window, parallel to the image, that is taken to be on the surface. The best
+/// Points count as on the surface if their window, parallel to the image, has at least this correlation. The best
 /// `min_points` are always kept.
 constexpr float visible_score = 0.6F;
 
@@ -112,12 +112,12 @@ FirstSurface first_surface(const std::vector<StationPoint>& points, const MatchL
   PointCloud cloud;
   for (const StationPoint& point : evenly(visible, most_in_spline)) cloud.points.push_back(point.world);
 
-  // A surface to start from: the smoothing need not be the best, nor the variance exact.
+  // For a starting surface the smoothing need not be optimal, nor the variance exact.
   PriorOptions options;
   options.min_points = 3;
   options.smoothing_px = std::max(1.0, std::sqrt(object_pixels(level.mask) / static_cast<double>(cloud.points.size())));
   options.sigma_samples = 4;
-  options.keep_raised = false;  // neighbors are matched over the same windows
+  options.keep_raised = false;  // neighbors share matching windows, so they agree even if they are wrong
   Context silent = context;
   silent.on_progress = nullptr;
   const DepthPrior prior = project_prior(cloud, level.camera, pose, level.mask, options, silent);
@@ -134,7 +134,7 @@ FirstSurface first_surface(const std::vector<StationPoint>& points, const MatchL
     const double residual = std::abs(point.log_depth - first.log_depth(point.u, point.v));
     if (std::isfinite(residual)) residuals.push_back(residual);
   }
-  // A few per cent of triangulated points are wrong: they must not set the range.
+  // A few percent of triangulated points are wrong: these must not determine the range.
   first.range = std::max(5 * quantile(relative_sigma, 0.9), 2 * quantile(residuals, 0.95));
   return first;
 }

@@ -12,10 +12,10 @@
 
 namespace malus {
 
-/// Surface from which the first sweep starts.
+/// Surface at which the first sweep starts.
 struct FirstSurface {
   Image<float> log_depth;  ///< NaN outside the mask
-  double range = 0;        ///< how far from it, in ln z, the surface may be
+  double range = 0;        ///< how far the true surface may be from it, in ln z
   std::size_t points_used = 0;
 };
 
@@ -26,14 +26,14 @@ struct StationPoint {
   double log_depth = 0;
 };
 
-/// The points that fall on the object in the coarsest view. Throws a data error that says where the points fell if they
-/// are fewer than `min_points`, an input error for coordinates that are not finite.
+/// The points that fall on the object in the coarsest view. Throws a data error that lists where the points fell if
+/// fewer than `min_points` are on the object, and an input error for coordinates that are not finite.
 std::vector<StationPoint> points_on_object(const std::vector<Eigen::Vector3d>& points, const MatchLevel& level,
                                            const Pose& pose, int min_points);
 
-/// Spline (see `project_prior`) through those of the points that look the same in the station's view and in the photos:
-/// points of what lies behind the object, seen by photos only, do not. Its range covers the points' scatter about it
-/// and its own standard deviation.
+/// Spline (see `project_prior`) through the points whose windows correlate between the station's view and the photos.
+/// This drops background points, which only the photos see. The range covers the points' scatter about the spline and
+/// the spline's own standard deviation.
 FirstSurface first_surface(const std::vector<StationPoint>& points, const MatchLevel& level, const Pose& pose,
                            const MatchSettings& settings, int min_points, const Context& context);
 

@@ -19,9 +19,10 @@ namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
 constexpr std::size_t least_views = 3;
-/// Ratios of intensities count from here: below, a camera's coding of black shows.
+/// Added to intensities before ratios are formed: darker values depend on how the camera encodes black.
 constexpr float black = 0.02F;
-/// What shines is brighter by this share of the object's median, and by so many of the differences' own deviations.
+/// A highlight is brighter by this share of the object's median, and by `least_deviations` standard deviations of the
+/// differences.
 constexpr float least_excess = 0.12F, least_deviations = 6;
 
 float bilinear(const Image<float>& image, float x, float y) {
@@ -40,8 +41,8 @@ float median_on(const Image<float>& values, const Mask& mask) {
   return median_in_place(known);
 }
 
-/// ln of a photo's intensity over the station's at every second pixel, its median 0; NaN where the photo does not look.
-/// `photo` is at half its size.
+/// ln of a photo's intensity over the station's at every second pixel, its median 0; NaN where the photo does not see
+/// the surface. `photo` is at half its size.
 Image<float> log_ratio(const SweepInput& input, const Image<float>& station, const Mask& mask, const SweepView& view,
                        const Image<float>& photo, const Image<float>& log_depth, const Context& context) {
   const ViewProjection projection(input.camera, input.pose, view.camera, view.pose);
@@ -69,7 +70,7 @@ Mask find_highlights(const SweepInput& input, const Image<float>& reference, std
                      int reach_px, const Context& context) {
   if (views.size() < least_views) return Mask(input.mask.size(), 1, 0);
   const OpenCvThreads opencv_threads(context.threads);
-  // Half the resolution: less noise, and a pixel's error of the surface does not matter.
+  // Half the resolution has less noise, and there a surface error of one pixel does not matter.
   const Image<float> station = halved(reference, context);
   const Mask mask = halved(input.mask, context);
   const Image<float> surface = halved_surface(log_depth, mask, context);

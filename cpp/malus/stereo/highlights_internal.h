@@ -10,14 +10,14 @@
 
 namespace malus {
 
-/// Pixels of the station (non-zero) that shine: brighter there than most photos see the same points of the surface,
-/// once each photo's gain is taken out. Under light that stands still only a mirror image of it does that, and it lies
-/// beside the surface: photos agree on a depth that is wrong. What is within `reach_px` of one counts too, its windows
-/// look at it.
+/// Mask of the station's highlights (non-zero): pixels brighter than the same points of the surface in most photos,
+/// once each photo's gain is removed. Under fixed light only a mirror image of the light is so. Its apparent depth is
+/// not that of the surface, so photos agree on a wrong depth. Pixels within `reach_px` of a highlight are included, as
+/// their windows contain it.
 ///
-/// reference: the station's intensity, coded like the photos. log_depth: ln z of the surface without gaps on the mask.
-/// Of `views` the cameras and poses count; photos at half their size are what `halved_photo` returns, to several
-/// threads at once. With fewer than three photos nothing shines.
+/// reference: the station's intensity, coded like the photos. log_depth: ln z of the surface, without gaps on the mask.
+/// Only cameras and poses of `views` are used; `halved_photo` returns the photos at half their size and is called from
+/// several threads at once. With fewer than three photos the mask is empty.
 Mask find_highlights(const SweepInput& input, const Image<float>& reference, std::span<const SweepView> views,
                      const std::function<Image<float>(std::size_t view)>& halved_photo, const Image<float>& log_depth,
                      int reach_px, const Context& context);

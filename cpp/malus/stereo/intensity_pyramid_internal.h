@@ -11,13 +11,13 @@ namespace malus {
 /// Image at half the size: binomial 5 × 5 low-pass, then every second pixel, so that pixel u of the result lies at
 /// 2 u of the image.
 Image<float> halved(const Image<float>& image, const Context& context);
-/// Camera of that image.
+/// Camera of the halved image.
 Pinhole halved(const Pinhole& camera);
-/// Set where any pixel of the mask within 2 px of the result's pixel is: each pixel of the mask lies between pixels of
-/// the result that are set.
+/// A pixel of the result is set if any pixel of the mask within 2 px of it is set: then each pixel of the mask lies
+/// between set pixels of the result.
 Mask halved(const Mask& mask, const Context& context);
 
-/// The image, then each half as large as the one before, `levels` in all.
+/// The image and its reductions, each half as large as the one before; `levels` images in all.
 std::vector<Image<float>> intensity_pyramid(Image<float> image, int levels, const Context& context);
 
 }  // namespace malus

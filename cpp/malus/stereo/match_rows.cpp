@@ -30,7 +30,7 @@ void sample_row(const PhotoCells& photo, const PathRow& path, float t, std::size
       fy[i] = y - static_cast<float>(row);
       cell[i] = row * stride + column;
     }
-    // Pixels are fetched one by one, 8 bytes each; all else is done in vectors.
+    // Pixels are fetched one by one, 8 bytes each; everything else is vectorized.
     for (std::size_t i = 0; i < n; ++i) std::memcpy(&corners[2 * i], pairs + cell[i], 2 * sizeof(std::uint32_t));
     for (std::size_t i = 0; i < n; ++i) {
       const std::uint32_t left = corners[2 * i], right = corners[2 * i + 1];
@@ -47,7 +47,7 @@ void sample_row(const PhotoCells& photo, const PathRow& path, float t, std::size
 
 namespace {
 
-/// out[i] = sum of values[i … i + window − 1], from sums over 1, 2, 4 … neighbors; `values` is lost.
+/// out[i] = sum of values[i … i + window − 1], from sums over 1, 2, 4 … neighbors; overwrites `values`.
 inline void sum_neighbors(float* values, std::size_t width, std::size_t window, float* out) {
   if (window == 7) {
     // The usual window, in one pass.
@@ -86,7 +86,7 @@ MALUS_SIMD_CLONES
 void correlate_row(const float* lines, std::size_t window, std::size_t width, const ReferenceRow& reference,
                    const float* seen, float noise_variance, float* totals, float* out) {
   std::copy_n(lines, 3 * width, totals);
-  // Two lines at once, as the totals go through memory each time.
+  // Two lines per pass, as each pass reads and writes the totals in memory.
   for (std::size_t k = 1; k < window; k += 2) {
     const float *const one = lines + 3 * width * k, *const other = one + 3 * width;
     for (std::size_t i = 0; i < 3 * width; ++i) totals[i] += one[i] + other[i];

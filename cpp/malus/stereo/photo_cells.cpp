@@ -22,7 +22,7 @@ PhotoCells::PhotoCells(const Image<float>& photo, const Context& context)
     const auto width = static_cast<std::size_t>(size_.width);
     const float *const upper = photo.row(v), *const lower = photo.row(std::min(v + 1, size_.height - 1));
     const auto code = [&](float value) {
-      // By way of int, which vector units convert to.
+      // Via int, the conversion that vector units have.
       return static_cast<std::uint32_t>(static_cast<int>(std::min((value - least_) * scale + 0.5F, largest_code)));
     };
     std::uint32_t* const out = &pairs_[static_cast<std::size_t>(v) * width];

@@ -10,18 +10,20 @@
 
 namespace malus {
 
-/// A photo for bilinear interpolation: intensities in 16 bits, to 1/65535 of the photo's range, each with the one below
-/// it, so that the four pixels around a point are 8 bytes that follow each other. Takes as much memory as floats do.
+/// A photo for bilinear interpolation: intensities in 16 bits, in steps of 1/65535 of the photo's range. Each is stored
+/// with the pixel below, so that the four pixels around a point are 8 consecutive bytes. Takes as much memory as
+/// floats.
 class PhotoCells {
  public:
   PhotoCells(const Image<float>& photo, const Context& context);
 
   Size size() const { return size_; }
-  /// The photo again, to half a step.
+  /// The photo's intensities, exact to half a step.
   Image<float> intensity() const;
-  /// Pixel (u, v) in the low 16 bits, (u, v + 1) in the high ones, at v · width + u. One more value follows the last.
+  /// Pixel (u, v) in the low 16 bits, (u, v + 1) in the high ones, at v · width + u. One extra value follows the last
+  /// pixel.
   const std::uint32_t* pairs() const { return pairs_.data(); }
-  /// An intensity is least + step · its 16 bits.
+  /// Intensity = least + step · 16-bit value.
   float least() const { return least_; }
   float step() const { return step_; }
 

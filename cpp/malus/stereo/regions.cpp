@@ -58,7 +58,7 @@ void remove_small_regions(Image<float>& values, double largest_step, int least_p
 void keep_contours(Image<float>& values, double largest_step, const Mask& mask, const Context& context) {
   const auto [region, count] = regions_of(values, largest_step, context);
   const OpenCvThreads opencv_threads(context.threads);
-  cv::Mat inside;  // 0 off the mask and beside it
+  cv::Mat inside;  // 0 outside the mask and on the contour
   cv::erode(as_mat(mask), inside, cv::Mat());
   const auto on_contour = [&](std::size_t i) { return inside.data[i] == 0; };
   std::vector<std::uint8_t> reaches(static_cast<std::size_t>(count), 0);

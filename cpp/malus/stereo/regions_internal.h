@@ -10,8 +10,8 @@ namespace malus {
 /// Sets pixels to NaN that belong to regions of fewer than `least_pixels`.
 void remove_small_regions(Image<float>& values, double largest_step, int least_pixels, const Context& context);
 
-/// Sets pixels to NaN that belong to regions which reach the object's contour, except those on the contour: object
-/// pixels beside (8) a pixel of the image off the mask.
+/// Sets the pixels of regions that reach the object's contour to NaN, except pixels on the contour: object pixels with
+/// a neighbor (8) in the image outside the mask.
 void keep_contours(Image<float>& values, double largest_step, const Mask& mask, const Context& context);
 
 }  // namespace malus

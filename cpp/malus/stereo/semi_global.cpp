@@ -8,8 +8,8 @@
 namespace malus {
 namespace {
 
-/// One step of a path: costs of a pixel and path costs before it → path costs of the pixel, which begin and end with an
-/// infinite label.
+/// One step of a path: from the costs of a pixel and the path costs of the pixel before, the path costs of this pixel.
+/// Path costs have an infinite label at either end.
 void advance(const float* cost, const float* before, std::size_t labels, float small_step, float large_step,
              float* path, float* sum) {
   float least = before[1];
@@ -31,8 +31,8 @@ void aggregate_semi_globally(std::vector<float>& costs, std::size_t width, std::
   constexpr float infinite = std::numeric_limits<float>::max() / 4;
   std::vector<float> sum(costs.size(), 0.0F);
   const std::size_t slot = labels + 2;
-  // Path costs of two rows for the four directions that come from the row before (or, along a row, from the pixel
-  // before); the second sweep runs the same backwards. A column is left free on either side.
+  // Path costs of two rows, for the three directions that come from the row before and the one from the pixel before;
+  // the backward run covers the four opposite directions. One column is left empty on either side.
   const std::vector<float> blank = [&] {
     std::vector<float> values(slot, 0.0F);
     values.front() = values.back() = infinite;

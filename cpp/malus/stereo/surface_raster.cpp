@@ -12,11 +12,11 @@ namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
 
-/// The pixels at (i, j) and (−i, −j) from another.
+/// The two pixels at offsets (i, j) and (−i, −j) from a center pixel.
 struct OppositePixels {
   int i, j;
   float weight;
-  float limit;  ///< difference from the pixel between up to which they count
+  float limit;  ///< largest difference of either pixel from the center pixel at which the pair counts
 };
 
 /// Adds a row's weighted differences to opposite pixels, and their weights.
@@ -26,7 +26,7 @@ void add_opposite(const float* here, const float* one, const float* other, const
   const float limit = pair.limit, share = pair.weight;
   for (std::size_t k = 0; k < count; ++k) {
     const float a = one[k] - here[k], b = other[k] - here[k], difference = share * (a + b);
-    // No difference to a pixel without depth is within a limit.
+    // A difference to a pixel without depth is NaN and fails both tests.
     const bool counts = (std::abs(a) <= limit) & (std::abs(b) <= limit);
     sum[k] += counts ? difference : 0.0F;
     weight[k] += counts ? 2 * share : 0.0F;
@@ -106,7 +106,7 @@ Image<float> median_filtered(const Image<float>& log_depth, int radius, const Co
 Image<float> smoothed(const Image<float>& log_depth, double sigma_px, double largest_step, const Context& context) {
   Image<float> result(log_depth.size(), 1, none);
   const int radius = std::max(1, static_cast<int>(std::ceil(2 * sigma_px)));
-  // Opposite pixels count together or not at all: one side alone would shift a slope.
+  // Opposite pixels count together or not at all: one side alone would shift an inclined surface.
   std::vector<OppositePixels> pairs;
   for (int j = 0; j <= radius; ++j) {
     for (int i = j == 0 ? 1 : -radius; i <= radius; ++i) {
@@ -116,7 +116,7 @@ Image<float> smoothed(const Image<float>& log_depth, double sigma_px, double lar
   }
   parallel_rows(context, log_depth.height(), [&](int v) {
     const int width = log_depth.width();
-    // The pixel itself differs by 0 and weighs 1.
+    // The pixel itself has difference 0 and weight 1.
     std::vector<float> sum(static_cast<std::size_t>(width), 0.0F), weight(sum.size(), 1.0F);
     const float* here = log_depth.row(v);
     for (const OppositePixels& pair : pairs) {

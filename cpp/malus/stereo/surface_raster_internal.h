@@ -7,16 +7,16 @@ namespace malus {
 
 /// Surfaces between sweeps: rasters of ln z, NaN = none.
 
-/// Fills pixels of the mask that have no value from the nearest ones that have, ring by ring.
+/// Fills pixels of the mask without a value from the nearest pixels with one, ring by ring.
 void fill_gaps(Image<float>& log_depth, const Mask& mask, const Context& context);
 /// Each pixel becomes the median of its (2 radius + 1)² surroundings.
 Image<float> median_filtered(const Image<float>& log_depth, int radius, const Context& context);
-/// Gaussian mean of sigma `sigma_px` over pixels whose value differs by at most `largest_step` a pixel of distance.
+/// Gaussian mean of sigma `sigma_px` over pixels whose value differs by at most `largest_step` per pixel of distance.
 Image<float> smoothed(const Image<float>& log_depth, double sigma_px, double largest_step, const Context& context);
-/// Value at half the resolution (see `halved`), a binomial mean of what is known; NaN outside the mask and where
-/// nothing around is.
+/// Values at half the resolution (see `halved`), a binomial mean of the known values; NaN outside the mask and where no
+/// pixel around has one.
 Image<float> halved_surface(const Image<float>& log_depth, const Mask& mask, const Context& context);
-/// Value at twice the resolution (see `halved`), bilinear; NaN outside the mask and where no pixel around has one.
+/// Values at twice the resolution (see `halved`), bilinear; NaN outside the mask and where no pixel around has one.
 Image<float> doubled(const Image<float>& log_depth, const Mask& mask, const Context& context);
 
 }  // namespace malus

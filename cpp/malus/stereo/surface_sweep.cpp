@@ -77,7 +77,7 @@ void for_each_pixel(const Image<float>& image, const Context& context, Body&& bo
   });
 }
 
-/// Median of value(i) where it is finite, of an even choice of the pixels if there are many: it is for the report.
+/// Median of the finite value(i), from an even sample of the pixels if there are many; used for the report only.
 template <class Value>
 float typical(std::size_t pixels, Value&& value) {
   constexpr double most = 1e6;
@@ -90,7 +90,7 @@ float typical(std::size_t pixels, Value&& value) {
   return median_in_place(finite);
 }
 
-/// The station's linear intensity coded like the photos.
+/// The station's linear intensity, encoded like the photos.
 Image<float> coded(const Image<float>& intensity, double gamma, const Context& context) {
   Image<float> result(intensity.size());
   const auto exponent = static_cast<float>(1 / gamma);
@@ -100,7 +100,7 @@ Image<float> coded(const Image<float>& intensity, double gamma, const Context& c
   return result;
 }
 
-/// NaN where it has no depth.
+/// ln of a depth map; NaN where it has no depth.
 Image<float> log_of(const Image<float>& depth, const Context& context) {
   Image<float> result = Image<float>::uninitialized(depth.size(), 1);
   for_each_pixel(depth, context, [&](std::size_t i) {
@@ -115,7 +115,7 @@ Image<float> sum(const Image<float>& a, const Image<float>& b, const Context& co
   return result;
 }
 
-/// Levels such that the coarsest image's shorter side keeps `min_level_px`.
+/// Largest number of levels at which the coarsest image's shorter side has at least `min_level_px`.
 int level_count(Size size, int min_level_px) {
   int levels = 1;
   for (int side = std::min(size.width, size.height); side >= 2 * min_level_px; side = (side + 1) / 2) ++levels;
@@ -127,13 +127,14 @@ struct Sweep {
   double step_px;
   int half_count;
   bool regularize;
-  double smooth_px;  ///< the surface is smoothed by this before the sweep
+  double smooth_px;  ///< sigma of the surface's smoothing before the sweep
 };
 
 constexpr std::array coarse_sweeps{Sweep{0.5, 6, true, 1.0}};
-/// The first reaches as far as halves of the photos must differ to disagree; a shorter reach lets chance agree.
+/// The first sweep reaches far enough for the two halves of the photos to disagree; with a shorter reach they would
+/// agree by chance.
 constexpr std::array finest_sweeps{Sweep{0.75, 2, true, 1.0}, Sweep{0.25, 2, true, 1.75}};
-/// Farthest offset of sweeps that follow each other, px of their level.
+/// Farthest total offset of consecutive sweeps, px of their level.
 double reach_px(std::span<const Sweep> sweeps) {
   double reach = 0;
   for (const Sweep& sweep : sweeps) reach += sweep.step_px * sweep.half_count;
@@ -141,15 +142,16 @@ double reach_px(std::span<const Sweep> sweeps) {
 }
 
 constexpr double first_step_px = 0.7;
-/// Offset that the penalties of the options are for, px of parallax.
+/// Step between offsets that the options' penalties refer to, px of parallax.
 constexpr double penalty_step_px = 0.5;
 
-/// Of a known surface only the difference is smoothed, which is smoother than the surface: by this more.
+/// About a known surface only the difference from it is smoothed. It is smoother than a surface, so the smoothing is
+/// larger by this factor.
 constexpr double known_smoothing = 2.6;
-/// Share of a known surface's pixels whose standard deviation the search reaches.
+/// Share of a known surface's pixels whose standard deviation is within the search's reach.
 constexpr double known_reach = 0.9;
 
-/// Largest change of a surface's ln z between neighbors that is smoothed over, in steps of one px of parallax.
+/// Largest change of ln z between neighbors across which a surface is smoothed, in px of parallax.
 constexpr double smoothing_limit_px = 1.5;
 
 class SurfaceSweep {
@@ -216,8 +218,8 @@ class SurfaceSweep {
 
   bool is_known() const { return input_.surface.count() > 0; }
 
-  /// Levels about the known surface whose offsets reach its standard deviation nearly everywhere: more would only find
-  /// more that looks alike by chance.
+  /// Number of levels whose offsets reach the known surface's standard deviation nearly everywhere. More levels would
+  /// only add chance matches.
   int levels_of_known() {
     level_.mask = input_.mask;
     level_.camera = input_.camera;
@@ -272,7 +274,7 @@ class SurfaceSweep {
     return settings;
   }
 
-  /// The coarsest level: surface of the triangulated points, then a sweep over its range.
+  /// Coarsest level: a surface through the triangulated points, then a sweep over that surface's range.
   void start() {
     context_.progress("sweep", 0, "surface of the triangulated points");
     const std::vector<StationPoint> points = points_on_object(input_.points, level_, input_.pose, options_.min_points);
@@ -299,7 +301,7 @@ class SurfaceSweep {
     settings.half_count = step.half_count;
     settings.step = static_cast<float>(step.step_px / rate_);
     settings.regularize = step.regularize;
-    // Penalties are of a change of the surface, so those of finer offsets are smaller.
+    // Penalties refer to a change of the surface, so they are smaller for finer offsets.
     const double fineness = step.step_px / penalty_step_px;
     settings.small_step = static_cast<float>(options_.small_step * fineness);
     settings.large_step = static_cast<float>(options_.large_step * fineness);
@@ -348,7 +350,7 @@ class SurfaceSweep {
                                           "correlation; at least 3 photos are needed, 8 or more are good");
     }
     judge_pass();
-    // On a surface that is mirror images mostly, none of them stands out.
+    // If most of the surface shows mirror images, highlights do not stand out, so they are not searched.
     if (result_.completeness >= least_completeness && leave_out_highlights()) judge_pass();
     if (result_.completeness < least_completeness) {
       std::ostringstream message;
@@ -364,7 +366,7 @@ class SurfaceSweep {
     fill_result(pass_, halves, rate_, input_.camera.focal(), level_.mask, options_, context_, result_);
   }
 
-  /// Whether there are any.
+  /// Removes highlights from the last pass; returns whether there are any.
   bool leave_out_highlights() {
     Image<float> surface = pass_.log_depth;
     fill_gaps(surface, level_.mask, context_);
@@ -389,10 +391,10 @@ class SurfaceSweep {
   const Context& context_;
   ViewChoice photos_;
   MatchLevel level_;
-  Image<float> shape_, deviation_;  ///< ln z at the present level is their sum; only the deviation is smoothed
-  double rate_ = 1;                 ///< px of parallax at the present level a unit of ln z
+  Image<float> shape_, deviation_;  ///< their sum is ln z at the current level; only the deviation is smoothed
+  double rate_ = 1;                 ///< px of parallax at the current level per unit of ln z
   PassResult pass_;
-  Image<float> difference_px_, wide_difference_px_;  ///< of the halves, in the last full sweep and the one before
+  Image<float> difference_px_, wide_difference_px_;  ///< between the halves, in the last two sweeps at full resolution
   SweepResult result_;
 };
 
@@ -401,7 +403,6 @@ class SurfaceSweep {
 SweepResult sweep_surface(const SweepInput& input, std::vector<SweepView> views, const SweepOptions& options,
                           const Context& context) {
   validate(input, views, options, context);
-  // Every pass allocates what the one before it has freed.
   return SurfaceSweep(input, std::move(views), options, context).run();
 }
 

@@ -13,15 +13,15 @@ namespace malus {
 namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
-/// Tiles are larger where there are few offsets, which keeps their memory alike and their margins a smaller share.
+/// With few offsets the tiles are larger: their memory stays about the same, and their margins are a smaller share.
 constexpr int few_offsets = 16, tile_side = 128, tile_side_of_few = 256;
-/// Pixels around a tile over which its semi-global paths run in.
+/// Margin around a tile, px, over which the path costs of semi-global matching settle.
 constexpr int run_in = 6;
-/// Offsets over which a pixel's path through a photo is taken as one parabola.
+/// Number of offsets over which a pixel's path through a photo is approximated by one parabola.
 constexpr int parabola_offsets = 16;
 
 struct Peak {
-  float label = 0;  ///< with its sub-step
+  float label = 0;  ///< interpolated
   int index = 0;
 };
 
@@ -36,7 +36,7 @@ Peak lowest(const float* costs, std::size_t labels) {
   return peak;
 }
 
-/// Bounding box of the object within a box; without pixels if there is none.
+/// Bounding box of the object's pixels within a box; empty if there are none.
 PixelRect object_within(const Mask& mask, PixelRect box) {
   PixelRect object{box.u1, box.v1, box.u0, box.v0};
   for (int v = box.v0; v < box.v1; ++v) {
@@ -68,7 +68,7 @@ TileCosts tile_costs(TileMatcher& matcher, const PassSettings& settings, std::si
     const float first = settings.step * static_cast<float>(begin - settings.half_count);
     const float last = settings.step * static_cast<float>(end - 1 - settings.half_count);
     matcher.prepare(0.5F * (first + last), std::max(0.5F * (last - first), 0.5F * settings.step));
-    // Threads that have no tile left share the offsets of the others'.
+    // Threads without a tile of their own work on offsets of the other threads' tiles.
     std::atomic<int> next{begin};
     parallel_for(context, static_cast<std::size_t>(end - begin), 1, [&](std::size_t, std::size_t) {
       TileMatcher::Scores scores;
@@ -127,7 +127,7 @@ PassResult run_pass(const MatchLevel& level, const Image<float>& log_depth, cons
       if (tile.v0 < tile.v1) tiles.push_back(tile);
     }
   }
-  // Large ones first, so that threads end together.
+  // Large tiles first, so that all threads finish at about the same time.
   std::ranges::stable_sort(tiles, std::ranges::greater{},
                            [](const PixelRect& tile) { return tile.width() * tile.height(); });
   parallel_for(context, tiles.size(), 1,

@@ -162,8 +162,8 @@ void TileMatcher::score(float offset, Scores& scores) const {
   if (settings_.compare_halves) {
     for (auto& half : scores.half) half.resize(tile_pixels());
   }
-  // All views go through a row before the next row, so that what a pixel's best views are chosen from stays in the
-  // cache: the window's lines of every view, and the row's best values.
+  // All views are processed for a row before the next row. This keeps in the cache what is needed to choose each
+  // pixel's best views: the window lines of every view, and the row's best values.
   const std::size_t ring = 3 * width * window;
   scores.lines.resize(ring * views_.size());
   std::vector<float> warped(stride_), scratch(stride_), totals(3 * width), found(width), copy(width);

@@ -12,13 +12,13 @@
 namespace malus {
 namespace {
 
-/// Pixels at which photos are judged, along either side of the image.
+/// Number of sample pixels per side of the image at which photos are judged.
 constexpr int samples_a_side = 24;
-/// Angle up to which a photo is preferred the more the larger it is; from twice this on it is the less.
+/// A photo's quality grows with its angle to the station's view up to this angle, and falls beyond twice this angle.
 constexpr double best_angle_rad = 20 * std::numbers::pi / 180;
-/// A lens that the sweep's polynomial misses by more is reported.
+/// If the sweep's polynomial fits a lens with a larger error, this is logged.
 constexpr double largest_fit_error_px = 0.05;
-/// Photos whose shorter side is less are not halved.
+/// Photos with a shorter side below this are not halved.
 constexpr int least_halved_px = 16;
 
 }  // namespace
@@ -131,7 +131,7 @@ void ViewChoice::prepare(MatchLevel& level, const Context& context) {
   level.views.assign(used.size(), {});
   parallel_for(context, used.size(), 1, [&](std::size_t k, std::size_t) {
     Photo& photo = *used[k];
-    // Level whose pixels are between 0.7 and 1.4 of the station level's.
+    // The level whose pixels are 0.7 to 1.4 times as large as those of the station's level.
     const double ratio = photo.resolution * level.reduction;
     photo.take_level(std::max(0, static_cast<int>(std::lround(std::log2(std::max(ratio, 1e-3))))), context);
     if (level.reduction == 1 && photo.depth == 0) *photo.intensity = {};

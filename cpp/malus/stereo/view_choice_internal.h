@@ -12,22 +12,24 @@
 
 namespace malus {
 
-/// Which photos a level is compared with, and these at its resolution. Of each photo there is one level of its pyramid
-/// at a time: photos take most of the memory, and halving them again takes no time beside comparing them.
+/// Chooses the photos that a level is compared with, and provides them at the level's resolution. Only one pyramid
+/// level of each photo is kept at a time: photos take most of the memory, and halving them again takes little time
+/// compared with the matching.
 class ViewChoice {
  public:
-  /// Their intensities are taken from `views`, which must outlive this.
+  /// Refers to the intensities in `views`, which must outlive this object.
   ViewChoice(const SweepInput& input, std::span<SweepView> views, const SweepOptions& options, const Context& context);
 
   int total() const { return static_cast<int>(photos_.size()); }
   /// Chooses the photos that see the surface well, under an angle that is neither too flat nor nearly the station's
-  /// own, and splits them into two halves that see it from the same sides. Throws a data error if none does.
+  /// own, and splits them into two halves of similar viewing directions. Throws a data error if no photo sees the
+  /// surface well.
   void choose(const MatchLevel& level, const Image<float>& log_depth);
-  /// Parallax of the median of the photos chosen, px of the level a unit of ln z.
+  /// Median parallax of the chosen photos, px of the level per unit of ln z.
   double parallax(const MatchLevel& level) const;
   /// Sets level.views to the photos chosen, each at the level of its pyramid that matches the station's resolution;
-  /// those of a level before must not be used any more. The level of reduction 1 is the last: a photo that it needs in
-  /// full is kept as cells only, and the intensity of its view is let go.
+  /// views of an earlier level become invalid. The level of reduction 1 must be the last: photos that it needs at full
+  /// size are kept as cells only, and the intensities of their views are freed.
   void prepare(MatchLevel& level, const Context& context);
   /// A photo at half its size.
   Image<float> halved_photo(std::size_t photo, const Context& context) const;
@@ -37,18 +39,18 @@ class ViewChoice {
     Photo(SweepView& view, ViewProjection p)
         : intensity(&view.intensity), size(view.camera.size), projection(std::move(p)) {}
 
-    /// Makes the cells of the pyramid's level of this depth, or of the last that is worth halving.
+    /// Makes the cells of the pyramid level `depth`, or of the last level that the photo's size allows.
     void take_level(int depth, const Context& context);
 
-    Image<float>* intensity;  ///< of the view; empty once the cells are of the full photo and it is not needed
+    Image<float>* intensity;  ///< of the view; empty once the cells hold the full photo and replace it
     Size size;
     ViewProjection projection;
     std::optional<PhotoCells> cells;
-    int depth = 0;           ///< of the cells
-    double parallax = 0;     ///< px of the station's image a unit of ln z, median
-    double resolution = 1;   ///< px of the photo a px of the station
+    int depth = 0;           ///< pyramid level of the cells
+    double parallax = 0;     ///< px of the station's image per unit of ln z, median
+    double resolution = 1;   ///< px of the photo per px of the station
     double quality = 0;      ///< 0 = not used
-    double azimuth_rad = 0;  ///< of the camera's center about the station's axis
+    double azimuth_rad = 0;  ///< direction of the camera's center around the station's axis
     int subset = 0;
   };
 

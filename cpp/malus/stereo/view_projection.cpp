@@ -45,7 +45,7 @@ void ViewProjection::fit_lens(const LensCamera& camera) {
     }
   }
   if (!camera.has_distortion()) return;
-  // Columns differ by powers of the field's radius; scaled, the system is well conditioned.
+  // Columns differ in size by powers of the field's radius; scaling makes the system well conditioned.
   const Eigen::VectorXd scale = rows.colwise().norm().cwiseMax(1e-30).cwiseInverse();
   const Eigen::VectorXd lens = scale.asDiagonal() * (rows * scale.asDiagonal()).colPivHouseholderQr().solve(right);
   k1_ = lens[0];

@@ -9,8 +9,8 @@
 namespace malus {
 
 /// Projection of points of the station view into a photo, in single precision and without branches, for loops over
-/// many pixels. The lens is k1 k2 k3 p1 p2 of OpenCV's model, fitted to the camera's own on a grid over its image:
-/// exact for the models without a denominator, to `fit_error_px` for FULL_OPENCV and BROWN.
+/// many pixels. The lens model is OpenCV's with k1 k2 k3 p1 p2, fitted to the camera's model on a grid over its image:
+/// exact for models without a denominator, accurate to `fit_error_px` for FULL_OPENCV and BROWN.
 class ViewProjection {
  public:
   ViewProjection(const Pinhole& station, const Pose& station_pose, const LensCamera& camera, const Pose& pose);
@@ -36,7 +36,7 @@ class ViewProjection {
   Eigen::Vector3d translation_, centre_in_station_;
   double fx_ = 1, fy_ = 1, cx_ = 0, cy_ = 0;
   double k1_ = 0, k2_ = 0, k3_ = 0, p1_ = 0, p2_ = 0;
-  double max_r2_ = 0;  ///< squared ideal radius of the field of view; beyond it the polynomials may turn back
+  double max_r2_ = 0;  ///< squared ideal radius of the field of view; beyond it the polynomials may fold back
   double fit_error_px_ = 0;
 };
 
