@@ -32,16 +32,16 @@ InputEvidence check_inputs(const Job& job, const ImageFindings& of_images, const
 /// The coarse surface in the station's view.
 std::tuple<DepthPrior, PriorPoints> make_prior(const Job& job, const MeasuredPolarization& measured,
                                                const StationView& view);
-/// The paper's height from polarization alone (Eq 9 to 11). Without a prior the light is the station's, or estimated by
-/// light_from_polarization.
+/// The paper's height from polarization alone (Eq 9 to 11). The light is the station's if given. Otherwise it is
+/// estimated on the prior's surface, or without a prior by light_from_polarization.
 HeightMap make_height(const Job& job, const CalibratedPolarization& polarization, const StationView& view,
                       const DepthPrior* prior, const ReflectionMap& reflection);
-/// Fuses both by the paper's grid transfer (Eq 14 to 16), followed by the solution of all equations together if
-/// `optimize.enabled`. Reads `evidence`, so that inputs are always checked before they are fused.
+/// Fuses prior and height by the paper's grid transfer (Eq 14 to 16), followed by the solution of all equations
+/// together if `optimize.enabled`. Reads `evidence`, so that inputs are always checked before they are fused.
 FusedSurface fuse_by_grid(const Job& job, const HeightMap& height, const DepthPrior& prior,
                           const CalibratedPolarization& polarization, const ReflectionMap& reflection,
                           const InputEvidence& evidence);
-/// Fuses both by nonlinear refinement.
+/// Fuses prior and polarization by nonlinear refinement.
 std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,
                                                                 const CalibratedPolarization& polarization,
                                                                 const DepthPrior& prior, const InputEvidence& evidence);

@@ -25,7 +25,7 @@ struct Moments {
   }
 };
 
-/// Weighted plane; coordinates are taken from `origin`, near the points, so that sums keep their digits.
+/// Weighted plane; coordinates are relative to `origin`, near the points, so that sums keep their digits.
 template <class Weight>
 Plane weighted_plane(std::span<const Eigen::Vector3d> points, const Eigen::Vector3d& origin, const Context& context,
                      Weight&& weight_of) {
