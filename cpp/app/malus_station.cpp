@@ -195,9 +195,9 @@ void end_at_signals() {
   std::signal(SIGXFSZ, SIG_IGN);
 }
 
-/// OpenBLAS starts threads when it is loaded, before main, and each takes 128 MB; with a memory limit they wait for
-/// memory forever, also at exit. OpenBLAS reads the variable only when it is loaded, so that the program starts itself
-/// once more with the variable set.
+/// Sets OPENBLAS_NUM_THREADS and starts the program once more. OpenBLAS starts its threads when it is loaded, before
+/// main, and reads the variable only then. Each thread takes 128 MB; with a memory limit the threads wait for memory
+/// forever, also at exit.
 void start_without_blas_threads(char** arguments) {
   if (std::getenv("OPENBLAS_NUM_THREADS") != nullptr) return;
   ::setenv("OPENBLAS_NUM_THREADS", "1", 0);

@@ -9,7 +9,7 @@
 
 namespace malus {
 
-/// Foot of the perpendicular from a point to a reference surface.
+/// Nearest place on a reference surface to a point.
 struct Foot {
   Eigen::Vector3d point;       ///< nearest point of the surface
   Eigen::Vector3d normal;      ///< unit, outward

@@ -21,7 +21,7 @@ constexpr auto names_of(FusionStatus) {
   return std::to_array<std::string_view>({"not run", "done", "converged", "not converged", "iteration limit"});
 }
 
-/// The result: one depth a pixel of the undistorted polarized image.
+/// The result: one depth per pixel of the undistorted polarized image.
 struct FusedSurface {
   Image<float> depth;    ///< z in the station camera, station unit; NaN = none
   Image<float> normals;  ///< 3 channels, unit, camera frame, towards the camera; NaN = none

@@ -469,7 +469,8 @@ class Refiner {
   }
 
   /// Share of the refined surface in the result, by the shares that are explained at the prior's slopes and at the
-  /// result. Polarization that is turned by 0.4 rad in one part of the object leaves a share of 0.2 there.
+  /// result. Where the polarization is turned by 0.4 rad in a part of the object, the share explained at the prior's
+  /// slopes is still 0.2.
   double trust_of(double at_prior, double after) const {
     constexpr double least = 0.15, enough = 0.3;
     const auto trust = [&](double share) { return ramp(share, options_.explained_least, options_.explained_enough); };
@@ -666,7 +667,7 @@ class Refiner {
     ResidualSummary summary(image_.size());
     StripField strip;
     for (const TileStrip& tiles : strips_) {
-      strip = {};  // makes room
+      strip = {};  // frees the memory first
       strip = weighted_strip(tiles.rows, margin, weights, &summary);
     }
     const FitQuality quality = summary.quality();

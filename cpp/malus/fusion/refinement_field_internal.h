@@ -27,7 +27,7 @@ struct RefinementField : SurfaceEstimate {
   Image<float> regional_weight;   ///< of the Stokes residuals, 0 … 1
   Image<float> log_body;          ///< ln of the light from inside the body; NaN where the albedo is not compared
   double albedo_weight = 0;       ///< of changes of ln albedo …
-  double albedo_contrast = 0.04;  ///< … and the change that counts half
+  double albedo_contrast = 0.04;  ///< … and the change whose weight is halved
   Image<float> block_weight, block_mean;  ///< prior blocks: weight (1 / GSD²), mean of x_prior
 
   Size block_count() const {

@@ -25,8 +25,7 @@ Image<double> pixel_depths(const RefinementImage& image, const Context& context)
 /// Whether the light that pixel (u, v) mirrors towards the camera comes from the surface with these depths. `side` is
 /// the object's [px].
 bool mirrors_itself(const RefinementImage& image, const Image<double>& depths, double side, int u, int v) {
-  // The first four are lengths in GSD; `growth` is relative to the way, `farthest` and `thickness` to the object's
-  // side.
+  // The first four are lengths in GSD; `growth` is relative to `way`, `farthest` and `thickness` to the object's side.
   constexpr double start = 1.5, step = 0.8, lift = 0.5, clear = 0.3;
   constexpr double growth = 0.03, farthest = 2, thickness = 0.35;
   const Pinhole& camera = image.camera;

@@ -33,7 +33,8 @@ void solve_nonnegative(const Eigen::MatrixXf& normal, const Eigen::VectorXf& rig
   }
 }
 
-/// Residuals of all samples in their standard deviations: values − rows · radiances; s1 above s2 above a metal's s0.
+/// Residuals of all samples in their standard deviations: values − rows · radiances; all s1, then all s2, then s0 of a
+/// metal.
 struct LinearSystem {
   Eigen::MatrixXf rows;
   Eigen::VectorXf values;

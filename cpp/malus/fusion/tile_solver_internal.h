@@ -39,7 +39,8 @@ struct TileOptions {
 struct SolveStatistics {
   double cost_before = 0, cost_after = 0;  ///< over the tiles' outer rectangles
   int iterations = 0, rejected_steps = 0, failed_tiles = 0;
-  double solver_seconds = 0, linear_solver_seconds = 0;  ///< CPU seconds in Ceres and in its linear solver
+  double solver_seconds = 0,
+         linear_solver_seconds = 0;  ///< seconds in Ceres and in its linear solver, one thread a tile
 
   SolveStatistics& operator+=(const SolveStatistics& other);
 };

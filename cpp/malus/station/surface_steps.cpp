@@ -139,7 +139,7 @@ HeightMap make_height(const Job& job, const CalibratedPolarization& polarization
   const Options& options = job.options;
   const PolarizationState& state = *polarization.state;
   const StationFile& station = job.station.file;
-  // Without a camera the rays are taken for parallel.
+  // Without a camera the rays are assumed parallel.
   const Pinhole* camera = options.height.perspective && station.known_lens() ? &view.camera : nullptr;
   LightEstimate light;
   if (prior == nullptr || station.optics.light) {

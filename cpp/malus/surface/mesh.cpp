@@ -194,7 +194,7 @@ class Grid {
   Pinhole camera_;
   int step_;
   double min_cosine_;
-  double max_sigma_;  ///< over the depth
+  double max_sigma_;  ///< divided by the depth
   Size size_;
   int strip_rows_;
   Mask cells_;

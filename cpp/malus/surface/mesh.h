@@ -10,13 +10,13 @@ namespace malus {
 
 /// Triangle mesh of the fused depth in the world frame, station unit, counter-clockwise seen from the camera.
 ///
-/// Every cell of the pixel grid becomes two triangles (split along its shorter diagonal in space), one, or none: a
-/// triangle needs three finite depths whose standard deviations do not exceed max_sigma_gsd GSD (depth / focal), must
-/// not be flatter to the ray than max_incidence_deg, and must not cross a depth discontinuity. Two neighboring pixels
-/// are separated by one if their depth step exceeds min_step_gsd GSD (depth / focal) and step_ratio times the larger of
-/// the two steps that continue it on either side. Steep relief, whose neighbors are steep too, therefore stays
-/// connected, and an occlusion edge is cut. With subsample > 1 these tests still use every pixel. Vertices without a
-/// triangle are dropped.
+/// Every cell of the pixel grid becomes two triangles, one, or none. It is split along the diagonal that allows more
+/// triangles, or else along the shorter one in space. A triangle needs three finite depths whose standard deviations do
+/// not exceed max_sigma_gsd GSD (depth / focal). The angle between its normal and the ray must not exceed
+/// max_incidence_deg, and it must not cross a depth discontinuity. Two neighboring pixels are separated by one if their
+/// depth step exceeds min_step_gsd GSD (depth / focal) and step_ratio times the larger of the two steps that continue
+/// it on either side. Steep relief, whose neighbors are steep too, therefore stays connected, and an occlusion edge is
+/// cut. With subsample > 1 these tests still use every pixel. Vertices without a triangle are dropped.
 ///
 /// Vertex normals are the fused normals (or differences of the depth if the surface has none). `color` is linear, 1 or
 /// 3 channels of the surface's size, or empty for a mesh without colors; one factor for all channels scales its
