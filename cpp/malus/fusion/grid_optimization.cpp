@@ -159,7 +159,7 @@ class Tile {
                                light.dot(frame.view),
                                shading,
                                std::cos(input_.reflection.zenith(u, v))};
-    // Slopes from one side alone belong to a point half a pixel aside.
+    // Slopes from one side alone belong to a point half a pixel away.
     const bool after = has_sides(u, v, 1), before = has_sides(u, v, -1);
     const double share = after && before ? std::numbers::sqrt2 / 2 : 1;
     if (after) add_side(pixel, u, v, 1, share);

@@ -76,7 +76,7 @@ double error_of_slopes(const ReflectionSample& sample, Reflection kind);
 struct RefractiveIndexFit {
   double eta = 1.5;
   double sigma = 0;          ///< from the scatter between parts of the image, whose slope errors differ
-  bool determined = false;   ///< within the range, and known to better than a fifth of it
+  bool determined = false;   ///< inside the range of indices, and known to about a fifth of that range
   bool contradicts = false;  ///< determined, and clearly different from the supposed index
 };
 

@@ -14,9 +14,9 @@ namespace malus {
 /// Light that the surface mirrors: radiance of the surroundings by direction, reflected by microfacets.
 ///
 /// The directions are those of the half vectors of light and optical axis, on square cells of the unit disc: equal
-/// areas of it are equal solid angles of light, dω = 4 dh_x dh_y, and all light that a surface facing the camera can
-/// mirror is on it. Facets follow the Beckmann distribution (Cook and Torrance 1982); their light is polarized by
-/// Fresnel's equations about the half vector.
+/// areas of the disc are equal solid angles of light, dω = 4 dh_x dh_y, and the disc covers all light that a surface
+/// facing the camera can mirror. Facets follow the Beckmann distribution (Cook and Torrance 1982); their light is
+/// polarized by Fresnel's equations about the half vector.
 struct Surroundings {
   static constexpr int cells = 20;  ///< along the disc's diameter
   double roughness = 0.1;           ///< alpha of the facets' slopes

@@ -14,7 +14,7 @@ struct Tile {
   PixelRect core, outer;
 };
 
-/// Even division of an image into cores of at most about core_px a side with margin_px around each.
+/// Even division of an image into cores of at most about core_px per side, with margin_px around each.
 std::vector<Tile> divide_into_tiles(Size size, int core_px, int margin_px);
 
 /// Some whole rows of tiles, which are processed together.
@@ -40,7 +40,7 @@ struct SolveStatistics {
   double cost_before = 0, cost_after = 0;  ///< over the tiles' outer rectangles
   int iterations = 0, rejected_steps = 0, failed_tiles = 0;
   double solver_seconds = 0,
-         linear_solver_seconds = 0;  ///< seconds in Ceres and in its linear solver, one thread a tile
+         linear_solver_seconds = 0;  ///< seconds in Ceres and in its linear solver, each tile on one thread
 
   SolveStatistics& operator+=(const SolveStatistics& other);
 };

@@ -17,7 +17,7 @@ struct Plan {
   std::string name;
   Size size;  ///< of the polarized images
   double object_pixels = 0;
-  std::vector<std::string> does;      ///< one line a step
+  std::vector<std::string> does;      ///< one line per step
   std::vector<std::string> warnings;  ///< what a person should know before starting
   Confidence confidence;              ///< limited by what the inputs alone show; "high" = nothing limits it yet
   double seconds = 0;                 ///< expected, with context.threads threads

@@ -33,7 +33,7 @@ struct Station {
   StationFile file;
 
   // Data given in memory replaces the files that `file` would name.
-  std::vector<Image<float>> images;  ///< linear, [0, 1] of the white level, one a polarizer position
+  std::vector<Image<float>> images;  ///< linear, [0, 1] of the white level, one per polarizer position
   std::optional<Mask> mask;
   PriorSource prior;
   std::optional<Photogrammetry> photogrammetry;
