@@ -1,4 +1,4 @@
-// malus-station: the whole job for a station whose camera and prior are given, without Python.
+// malus-station: the whole reconstruction for a station whose camera and prior are given, without Python.
 
 #include <sys/resource.h>
 #include <unistd.h>
@@ -43,7 +43,7 @@ struct Arguments {
   bool json = false, quiet = false, replace = false;
 };
 
-/// Shows progress: JSON lines on standard output, or one line a finished step on standard error.
+/// Shows progress: JSON lines on standard output, or one line per finished step on standard error.
 class Reporter {
  public:
   explicit Reporter(const Arguments& arguments) : json_(arguments.json), quiet_(arguments.quiet) {}
@@ -56,7 +56,7 @@ class Reporter {
     }
   }
 
-  /// How far the surface may be trusted, if there is one; with --quiet only if that is not everywhere.
+  /// Reports the confidence of the surface, if there is one; with --quiet only if it is not high.
   void close(const std::optional<malus::SurfaceConfidence>& surface) {
     if (json_) return write_result(surface);
     if (!surface) return;
@@ -140,7 +140,7 @@ int fail(ErrorCode code, const std::string& message) {
   return static_cast<int>(code);
 }
 
-/// Runs and says what went wrong; every error ends in an exit code of the table.
+/// Runs and reports errors; every error ends in an ErrorCode as exit code.
 int run_or_fail(const Arguments& arguments) {
   try {
     run(arguments);
@@ -158,7 +158,7 @@ int run_or_fail(const Arguments& arguments) {
   }
 }
 
-/// What leaves a thread of a library, or comes while another error is on its way: the last net.
+/// Last resort for exceptions that leave a library's thread, or that are thrown while another one is handled.
 [[noreturn]] void end_unexpectedly() {
   std::string what = "stopped by an error of its own, please report it";
   try {
@@ -173,8 +173,8 @@ int run_or_fail(const Arguments& arguments) {
   std::_Exit(fail(ErrorCode::resource, what));
 }
 
-/// Seconds that a run gets to end after it was told to. Long work looks every half second; a step that writes a large
-/// file on a slow disk takes longer.
+/// Seconds that a run has to end after a signal. Long computations check for a signal every half second; a step that
+/// writes a large file to a slow disk takes longer.
 constexpr unsigned seconds_to_end = 30;
 
 void end_at_signals() {
@@ -184,27 +184,28 @@ void end_at_signals() {
   };
   std::signal(SIGINT, interrupt);
   std::signal(SIGTERM, interrupt);
-  // A shell that closes; whoever ignores it (nohup) wants the run to go on.
+  // Sent when the shell closes. If it is ignored already (nohup), the run continues.
   if (std::signal(SIGHUP, interrupt) == SIG_IGN) std::signal(SIGHUP, SIG_IGN);
   std::signal(SIGALRM, [](int) {
     constexpr std::string_view message = "malus-station: did not end by itself; finished steps are kept\n";
     static_cast<void>(!::write(STDERR_FILENO, message.data(), message.size()));
     std::_Exit(static_cast<int>(ErrorCode::interrupted));
   });
-  // A file that grows over the limit is an error like a full disk.
+  // A file that exceeds the size limit is then an error like a full disk.
   std::signal(SIGXFSZ, SIG_IGN);
 }
 
-/// OpenBLAS starts threads as it is loaded, before main, and each takes 128 MB; where there is a limit they wait for it
-/// forever, also at the end. It reads this variable only then, so the program starts once more with it.
+/// Sets OPENBLAS_NUM_THREADS and starts the program once more. OpenBLAS starts its threads when it is loaded, before
+/// main, and reads the variable only then. Each thread takes 128 MB; with a memory limit the threads wait for memory
+/// forever, also at exit.
 void start_without_blas_threads(char** arguments) {
   if (std::getenv("OPENBLAS_NUM_THREADS") != nullptr) return;
   ::setenv("OPENBLAS_NUM_THREADS", "1", 0);
   ::execv("/proc/self/exe", arguments);
-  // Without /proc it goes on as it is.
+  // Without /proc the program continues with those threads.
 }
 
-/// Runs before the constructors of the libraries, which do not say what they lack.
+/// Runs before the constructors of the libraries, which report no reason when memory is missing.
 void require_memory_to_start(int, char**, char**) {
   constexpr rlim_t least_bytes = rlim_t{256} << 20;
   rlimit limit{};

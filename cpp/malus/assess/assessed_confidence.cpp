@@ -21,9 +21,9 @@ double median_sigma(const Image<float>& sigma, const Context& context) {
   return percentiles({sigma.count(), values, context}, 1, {0.5})[0];
 }
 
-// In what follows a figure that is missing or NaN proves nothing: comparisons are written so that it fails them.
+// A figure that is missing or NaN proves nothing: the comparisons below are written so that NaN fails them.
 
-/// A surface that is unsure by much has no detail that could be trusted.
+/// A surface with a large standard deviation has no reliable detail.
 void limit_by_sigma(const FusedSurface& surface, Confidence& confidence, const Context& context) {
   constexpr double unknown_gsd = 10;
   const double median_gsd =
@@ -36,10 +36,10 @@ void limit_by_sigma(const FusedSurface& surface, Confidence& confidence, const C
   }
 }
 
-/// Fused and prior surface contradict each other where they are farther apart than the prior is unsure.
+/// Fused and prior surface contradict each other where their distance exceeds the prior's uncertainty.
 void limit_by_distance(const FusedSurface& surface, const DepthPrior* prior, Confidence& confidence,
                        const Context& context) {
-  // 0.95 are expected. Stations whose surface is right have 0.8 at least, those that went astray less than 0.45.
+  // 0.95 is expected. Stations with a correct surface have at least 0.8, those with a wrong surface less than 0.45.
   constexpr double least_within = 0.6;
   const double within = prior ? share_within_prior(surface, *prior, context) : std::numeric_limits<double>::quiet_NaN();
   if (std::isnan(within)) {
@@ -51,7 +51,7 @@ void limit_by_distance(const FusedSurface& surface, const DepthPrior* prior, Con
   }
 }
 
-/// Between the prior's data the surface's low frequencies are an interpolation, however sure its detail is.
+/// In the prior's holes the surface's low frequencies are an interpolation, however reliable its detail is.
 void limit_by_holes(const DepthPrior& prior, Confidence& confidence) {
   constexpr double many = 0.25, most = 0.7;
   if (prior.filled_fraction <= many) return;
@@ -61,7 +61,7 @@ void limit_by_holes(const DepthPrior& prior, Confidence& confidence) {
       "On " + share + " of the object the prior has no data of its own: the surface is an interpolation there.");
 }
 
-/// Where polarization is not usable nothing is measured, and what is near goes on.
+/// Where polarization is not usable nothing is measured, and the surface continues that of the neighborhood.
 void limit_by_gaps(const AssessInput& input, Confidence& confidence, const Context& context) {
   constexpr double nearly_all = 0.9;
   const Mask& state = input.polarization->valid;

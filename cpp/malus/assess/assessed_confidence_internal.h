@@ -6,15 +6,16 @@
 
 namespace malus {
 
-/// Whether a pixel is the object's, by the first of what the input has: mask, polarization, any depth.
+/// Whether a pixel is on the object, according to the first of these that the input has: mask, polarization, any depth.
 bool is_object(const AssessInput& input, std::size_t pixel);
 
-/// Share of the surface whose depth is within two standard deviations of the prior's; NaN without the latter.
+/// Share of the surface whose depth is within two standard deviations of the prior's; NaN if the prior has no standard
+/// deviations.
 double share_within_prior(const FusedSurface& surface, const DepthPrior& prior, const Context& context);
 
-/// How far the surface may be trusted: what the fusion says of its own result, limited by what surface, prior and
-/// polarization show beside each other. Neither options nor patches, profiles and reference have a part in it, so that
-/// the files of the surface can say it before those are known.
+/// How far the surface may be trusted: the fusion's own confidence, limited by a comparison of surface, prior and
+/// polarization. It does not depend on options, patches, profiles or the reference, so that the surface's files can
+/// state it before those are evaluated.
 Confidence assessed_confidence(const AssessInput& input, const Context& context);
 
 }  // namespace malus

@@ -1,6 +1,6 @@
 #pragma once
 
-// Private to the assess room: nearest things among many.
+// Private to the assess room: search for the nearest primitives.
 
 #include <Eigen/Geometry>
 #include <algorithm>
@@ -18,7 +18,7 @@ namespace malus {
 /// [count · i / 2^l, count · (i + 1) / 2^l) of `order_`, so no links are stored.
 class BoxTree {
  public:
-  /// box_of(i) is the Eigen::AlignedBox3d of primitive i. The same tree with any number of threads.
+  /// box_of(i) is the Eigen::AlignedBox3d of primitive i. The tree does not depend on the number of threads.
   template <class BoxOf>
   BoxTree(std::size_t count, const BoxOf& box_of, const Context& context) : order_(count) {
     std::iota(order_.begin(), order_.end(), 0u);
@@ -35,7 +35,7 @@ class BoxTree {
   }
 
   /// Calls visit(primitive) for the primitives of every leaf whose box is within sqrt(limit()) of the query, nearer
-  /// boxes first; limit() may shrink on the way.
+  /// boxes first; limit() may shrink between calls.
   template <class Limit, class Visit>
   void visit_near(const Eigen::Vector3d& query, const Limit& limit, const Visit& visit) const {
     visit_node(0, 0, query, limit, visit);

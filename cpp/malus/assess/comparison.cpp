@@ -31,7 +31,7 @@ std::vector<Eigen::Vector3d> spread_points(const FusedSurface& surface) {
   return points;
 }
 
-/// Farther off is mostly a matter of place: a right surface is wrong by a few at most.
+/// A larger distance is mostly due to different frames: a correct surface is off by a few GSD at most.
 constexpr int beside_gsd = 5;
 const std::string own_frame = "; if the reference has a frame of its own, `malus assess --register` finds its place";
 
@@ -44,7 +44,7 @@ bool is_mostly_beyond(const Image<float>& distance, double limit) {
   return 2 * beyond > known;
 }
 
-/// next ∘ first.
+/// Composition next ∘ first.
 SimilarityTransform compose(const SimilarityTransform& next, const SimilarityTransform& first) {
   SimilarityTransform result;
   result.scale = next.scale * first.scale;
@@ -67,7 +67,7 @@ SimilarityTransform small_motion(const Vector7& step, const Eigen::Vector3d& cen
   return motion;
 }
 
-/// Least-squares step of the weighted normal equations without the directions the data leave free.
+/// Least-squares step of the weighted normal equations, without the directions that the data do not determine.
 Vector7 solve_observable(const Matrix7& normal_matrix, const Vector7& right_side, int unknowns) {
   const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(normal_matrix.topLeftCorner(unknowns, unknowns));
   const Eigen::VectorXd& values = eigen.eigenvalues();
@@ -190,7 +190,7 @@ std::vector<float> distances_from_reference(std::span<const Eigen::Vector3d> poi
     for (std::size_t i = begin; i < end; ++i) {
       const auto foot = target.foot(points[i], max_distance);
       if (!foot) continue;
-      // Which side of a cloud is outside is not known from one viewpoint.
+      // One viewpoint does not determine the outer side of a cloud.
       const bool turned = reference.triangles.empty() && foot->normal.dot(normals[i]) < 0;
       distances[i] = static_cast<float>(turned ? -foot->signed_distance : foot->signed_distance);
     }

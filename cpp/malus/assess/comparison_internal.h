@@ -35,7 +35,7 @@ constexpr auto names_of(ComparisonStatus) {
       {"not run", "done", "no pixel near the reference", "the alignment did not come to rest"});
 }
 
-/// Where point-to-plane ICP has moved points to.
+/// Result of point-to-plane ICP.
 struct PointAlignment {
   SimilarityTransform reference_from_surface;
   int iterations = 0;
@@ -47,10 +47,10 @@ struct PointAlignment {
 /// Signed distances of a surface's pixels to a reference, positive = the surface is in front of it (outside).
 struct ReferenceComparison {
   ComparisonStatus status = ComparisonStatus::not_run;
-  Alignment alignment = Alignment::none;  ///< that was asked for
+  Alignment alignment = Alignment::none;  ///< as requested in the options
   int alignment_iterations = 0;
   SimilarityTransform reference_from_surface;
-  double compared_fraction = 0;  ///< pixels within max_distance_gsd of the reference, of those with a depth
+  double compared_fraction = 0;  ///< share of the pixels with a depth that are within max_distance_gsd of the reference
   Summary distance_gsd;
   Histogram histogram_gsd;
   Image<float> distance;  ///< station view and unit, NaN = not compared; a map, not a field
@@ -62,20 +62,20 @@ struct ReferenceComparison {
 /// Compares every pixel's point with a reference in the world frame: a mesh (outward = counter-clockwise), or a cloud
 /// if it has no triangles (see ReferenceSurface). With an alignment, point-to-plane ICP (Chen and Medioni 1992; Tukey
 /// weights, up to 20 000 evenly spread pixels, at most 60 steps) moves the surface first; motions that the shapes leave
-/// free, such as sliding along a plane, are not made. Nothing is rescaled or moved without being asked for.
-/// Throws a data error for a reference that cannot be used.
+/// undetermined, such as sliding along a plane, are not made. Without an alignment nothing is moved, and only a
+/// similarity changes the scale. Throws a data error for a reference that cannot be used.
 ReferenceComparison compare_with_reference(const FusedSurface& surface, const TriangleMesh& reference, double gsd,
                                            const AssessOptions& options, const Context& context);
 
-/// The alignment of compare_with_reference for points of any surface, all of which count; points farther from the
-/// reference than options.max_distance_gsd · gsd do not.
+/// The alignment of compare_with_reference for the points of any surface. All points are used except those farther from
+/// the reference than options.max_distance_gsd · gsd.
 /// Throws a data error for a reference that cannot be used.
 PointAlignment align_with_reference(std::span<const Eigen::Vector3d> points, const TriangleMesh& reference, double gsd,
                                     const AssessOptions& options, const Context& context);
 
 /// Signed distances of points of any surface from a reference, positive outside of it; NaN beyond
-/// options.max_distance_gsd · gsd. The outside of a cloud is where the points' own `normals` (as many) point to, so
-/// that the surface may go all around. Nothing is moved. Throws a data error for a reference that cannot be used.
+/// options.max_distance_gsd · gsd. The outside of a reference cloud is the side that `normals` (one per point) point
+/// to, so that the surface may be closed. Nothing is moved. Throws a data error for a reference that cannot be used.
 std::vector<float> distances_from_reference(std::span<const Eigen::Vector3d> points,
                                             std::span<const Eigen::Vector3d> normals, const TriangleMesh& reference,
                                             double gsd, const AssessOptions& options, const Context& context);

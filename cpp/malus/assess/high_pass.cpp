@@ -11,9 +11,9 @@ namespace malus {
 
 Image<float> high_pass(Image<float> values, double sigma_px, const Context& context) {
   if (values.empty()) return values;
-  // Any constant would do, but taking the mean away keeps the digits of float sums.
+  // Any constant may be subtracted; with the mean, float sums keep their digits.
   const auto mean = static_cast<float>(finite_mean(values, context));
-  // Two channels: the value about the mean, 0 for a missing one, and whether it is known.
+  // Two channels: value minus mean (0 if missing), and whether the value is known.
   auto known = Image<float>::uninitialized(values.size(), 2);
   parallel_rows(context, values.height(), [&](int v) {
     for (int u = 0; u < values.width(); ++u) {
@@ -28,7 +28,7 @@ Image<float> high_pass(Image<float> values, double sigma_px, const Context& cont
   parallel_for(context, static_cast<std::size_t>(values.height()), strip_rows, [&](std::size_t begin, std::size_t end) {
     const int first = static_cast<int>(begin), last = static_cast<int>(end);
     cv::Mat sums;
-    // Around the strip OpenCV takes the rows that are there, and mirrors the raster only at its border.
+    // Around the strip OpenCV uses the raster's existing rows, and mirrors only at the raster's border.
     cv::GaussianBlur(as_mat(known).rowRange(first, last), sums, {side, side}, sigma_px, sigma_px, cv::BORDER_REFLECT);
     for (int v = first; v < last; ++v) {
       const auto* sum = sums.ptr<cv::Vec2f>(v - first);

@@ -27,7 +27,7 @@ struct PatchFit {
   MALUS_FIELDS(count, rmse, rmse_gsd, mad_gsd, max_abs_gsd, roughness_gsd, histogram_gsd)
 };
 
-/// One flat patch in each surface; nothing where a surface does not exist or has too few pixels there.
+/// Fits of one flat patch in each surface; empty where the surface does not exist or has too few pixels on the patch.
 struct PatchFigures {
   std::string name;
   std::array<int, 4> box{};  ///< x0, y0, x1, y1, pixels, inclusive
@@ -36,8 +36,9 @@ struct PatchFigures {
   MALUS_FIELDS(name, box, prior, polarization, fused)
 };
 
-/// Total least squares plane through the 3-D points (depth × ray) of the patch's pixels; nothing if 10 or fewer have a
-/// depth. `gsd` in the depth's unit. Throws an input error unless the box lies in the image, corners in order.
+/// Total least squares plane through the 3-D points (depth × ray) of the patch's pixels; returns nothing if 10 or fewer
+/// pixels have a depth. `gsd` in the depth's unit. Throws an input error unless the box lies in the image with its
+/// corners in order.
 std::optional<PatchFit> fit_patch(const Image<float>& depth, const Pinhole& camera, const PatchSpec& patch, double gsd,
                                   const AssessOptions& options, const Context& context);
 

@@ -10,7 +10,7 @@
 
 namespace malus {
 
-/// Figures of some pixels that are added up.
+/// Figures summed over pixels.
 template <std::size_t n>
 struct Sums : std::array<double, n> {
   Sums& operator+=(const Sums& other) {
@@ -19,7 +19,7 @@ struct Sums : std::array<double, n> {
   }
 };
 
-/// Sums over all pixels of what add(pixel, sums) adds for each.
+/// Sums over all pixels; add(pixel, sums) adds the figures of one pixel.
 template <std::size_t n, class Add>
 std::array<double, n> sum_pixels(std::size_t count, const Context& context, Add&& add) {
   constexpr std::size_t grain = 1 << 16;
@@ -30,7 +30,7 @@ std::array<double, n> sum_pixels(std::size_t count, const Context& context, Add&
   });
 }
 
-/// NaN of nothing.
+/// part / whole; NaN if whole is 0.
 inline double fraction_of(double part, double whole) {
   return whole > 0 ? part / whole : std::numeric_limits<double>::quiet_NaN();
 }

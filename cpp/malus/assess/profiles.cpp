@@ -35,7 +35,7 @@ Pixels samples_on(const ProfileSpec& profile, double step_px) {
   return pixels;
 }
 
-/// Points of a depth map at the samples, camera frame, NaN where it has none.
+/// Points of a depth map at the samples, camera frame; NaN where it has no depth.
 std::vector<Eigen::Vector3d> points_at(const Image<float>& depth, const Pixels& pixels, const Pinhole& camera) {
   std::vector<Eigen::Vector3d> points;
   for (const Eigen::Vector2d& p : pixels)
@@ -43,7 +43,8 @@ std::vector<Eigen::Vector3d> points_at(const Image<float>& depth, const Pixels& 
   return points;
 }
 
-/// The chord plane through the first and last finite point: its centroid is the first, and `along` its chord.
+/// The chord plane through the first and last finite point: its centroid is the first point, and `along` the chord's
+/// direction.
 struct Chord {
   Plane plane;
   Eigen::Vector3d along;

@@ -16,10 +16,10 @@ namespace malus {
 
 /// Difference of two surfaces along a profile, in GSD.
 struct ProfileDifference {
-  std::size_t count = 0;  ///< samples where both exist
+  std::size_t count = 0;  ///< samples where both surfaces exist
   double mean_gsd = 0;
   double rms_gsd = 0;           ///< about zero
-  double rms_centered_gsd = 0;  ///< about the mean: the free constant of a polarization height does not count
+  double rms_centered_gsd = 0;  ///< about the mean, so that the free constant of a polarization height has no effect
 
   MALUS_FIELDS(count, mean_gsd, rms_gsd, rms_centered_gsd)
 };
@@ -29,13 +29,13 @@ constexpr auto names_of(ProfileStatus) {
   return std::to_array<std::string_view>({"not run", "done", "fewer than two samples on the surface"});
 }
 
-/// A section through the surfaces along a line of the image (Fig. 12, 13), and what Table 1 can mean.
+/// A section through the surfaces along a line of the image (Fig. 12, 13), with the meaningful part of Table 1.
 ///
-/// Heights are perpendicular to the chord plane, positive towards the camera: the plane through the first and last
-/// point of the reference surface on the line that is turned about their chord to face the camera. Positions along the
-/// section are where the samples' rays meet that plane. Table 1's "photogrammetry RMSE" is another row's quadratic
-/// complement without a truth behind it; what is meaningful, and given here, is how much the surfaces differ and how
-/// rough each is.
+/// Heights are perpendicular to the chord plane, positive towards the camera. The chord plane passes through the first
+/// and last point of the fused surface on the line, and is turned about their chord to face the camera. Positions along
+/// the section are where the samples' rays meet that plane. Table 1's "photogrammetry RMSE" is the quadratic complement
+/// of another row, without a reference behind it. The meaningful figures, given here, are the differences between the
+/// surfaces and the roughness of each.
 struct ProfileFigures {
   std::string name;
   std::array<double, 2> from_px{}, to_px{};
@@ -52,11 +52,12 @@ struct ProfileFigures {
                roughness_fused_gsd)
 };
 
-/// Bilinear value of a one-channel raster at (u, v); NaN outside or if a pixel that has weight is NaN.
+/// Bilinear value of a one-channel raster at (u, v); NaN outside or if a pixel with non-zero weight is NaN.
 double sample_bilinear(const Image<float>& image, double u, double v);
 
-/// Section along [[profile]]. Any depth map but `fused`, the reference of the chord, may be empty. Samples are at most
-/// profile_step_px apart, ends included. Throws an input error if the line leaves the image or has no length.
+/// Section along [[profile]]. `fused`, which defines the chord, must not be empty; the other depth maps may. Samples
+/// are at most profile_step_px apart, ends included. Throws an input error if the line leaves the image or has no
+/// length.
 ProfileFigures section(const ProfileSpec& profile, const Image<float>& prior, const Image<float>& polarization,
                        const Image<float>& fused, const Pinhole& camera, double gsd, const AssessOptions& options,
                        const Context& context);

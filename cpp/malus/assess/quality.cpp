@@ -107,7 +107,7 @@ DetailFigures compare_with_prior(const FusedSurface& surface, const DepthPrior& 
   };
   Image<float> change = Image<float>::uninitialized(fused.size());
   differences(0, fused.count(), change.data());
-  // One raster of detail at a time.
+  // Only one raster of detail is in memory at a time.
   const double sigma_px = options.detail_sigma_px;
   const Spread of_change = detail_of(high_pass(std::move(change), sigma_px, context), gsd, context);
   const Spread of_prior = detail_of(high_pass(before, sigma_px, context), gsd, context);
@@ -134,7 +134,7 @@ PriorFigures provenance_of(const DepthPrior& prior, double gsd) {
 PolarizationFigures measure_polarization(const AssessInput& input, const Context& context) {
   const PolarizationState& state = *input.polarization;
   constexpr std::array kinds{PixelState::valid, PixelState::saturated, PixelState::dark, PixelState::misfit};
-  // Pixels of each kind, and of the object.
+  // Number of pixels of each kind, and of the object.
   const auto counts = sum_pixels<kinds.size() + 1>(state.valid.count(), context, [&](std::size_t i, auto& sums) {
     if (!is_object(input, i)) return;
     for (std::size_t k = 0; k < kinds.size(); ++k) sums[k] += state.valid[i] == static_cast<std::uint8_t>(kinds[k]);

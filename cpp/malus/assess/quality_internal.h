@@ -23,13 +23,14 @@ struct CoverageFigures {
   double object_pixels = 0;
   double depth_pixels = 0;  ///< object pixels with a fused depth
   double fraction = 0;
-  double prior_fraction = 0;  ///< the same of the prior; 0 without one
+  double prior_fraction = 0;  ///< the same for the prior; 0 without a prior
 
   MALUS_FIELDS(object_pixels, depth_pixels, fraction, prior_fraction)
 };
 
-/// What fusion changed, measured without a truth. "Detail" is depth minus its Gaussian mean (detail_sigma_px); RMS and
-/// MAD (1.4826 × median of the absolute value), in GSD. A larger detail is more relief or more noise: the patches tell.
+/// What fusion changed, measured without a reference. "Detail" is depth minus its Gaussian mean (detail_sigma_px); RMS
+/// and MAD (1.4826 × median of the absolute value), in GSD. More detail is more relief or more noise: the patches show
+/// which.
 struct DetailFigures {
   double difference_rms_gsd = 0;   ///< fused − prior, mean removed
   double difference_bias_gsd = 0;  ///< median of fused − prior
@@ -78,7 +79,7 @@ struct HeightFigures {
   MALUS_FIELDS(status, perspective, residual_rms, unknowns, light, light_to_view_deg)
 };
 
-/// Where the prior comes from (DepthPrior), lengths in station unit.
+/// Origin of the prior (DepthPrior), lengths in station unit.
 struct PriorFigures {
   double points_total = 0, points_used = 0;
   double noise = 0, noise_gsd = 0;
@@ -87,11 +88,11 @@ struct PriorFigures {
   MALUS_FIELDS(points_total, points_used, noise, noise_gsd, spacing_px, smoothing_px, filled_fraction)
 };
 
-/// Every figure of the report. Lengths without a suffix are in `unit`; NaN = could not be measured; an optional that is
-/// empty = that step was not run or its input is missing.
+/// Every figure of the report. Lengths without a suffix are in `unit`; NaN = could not be measured; an empty optional =
+/// the step was not run or its input is missing.
 struct Quality {
   FusionStatus status = FusionStatus::not_run;  ///< of the fused surface
-  Confidence confidence;                        ///< from evidence, whatever the solver says
+  Confidence confidence;                        ///< from evidence, independent of the solver's status
   std::optional<Fusion> method;
   std::vector<std::string> warnings;
   std::string unit;
@@ -112,7 +113,7 @@ struct Quality {
                polarization, polarization_height, registration_rms_px, patches, profiles, reference)
 };
 
-/// What is assessed. Only `surface` must be there; null = not available. All rasters have the surface's size.
+/// Input of the assessment. Only `surface` is required; null = not available. All rasters have the surface's size.
 struct AssessInput {
   const FusedSurface* surface = nullptr;
   const DepthPrior* prior = nullptr;
@@ -126,11 +127,11 @@ struct AssessInput {
   std::string unit = "mm";
 };
 
-/// Depth / focal length at the image center (median of the 5 × 5 pixels about it), or of the map's median depth where
-/// the center is empty. Throws a data error if there is no depth at all.
+/// Depth / focal length, with the depth at the image center (median of the 5 × 5 pixels around it), or with the map's
+/// median depth if the center is empty. Throws a data error if there is no depth at all.
 double ground_sampling_distance(const Image<float>& depth, const Pinhole& camera, const Context& context = {});
 
-/// Measures everything that the input allows. Throws an input error for a patch or profile outside of the image or
+/// Computes every figure that the input allows. Throws an input error for a patch or profile outside of the image or
 /// rasters of another size, a data error for a surface without depth or a reference that cannot be used.
 Quality assess(const AssessInput& input, const AssessOptions& options, const Context& context);
 

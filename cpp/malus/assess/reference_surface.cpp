@@ -34,8 +34,8 @@ void require_usable(const TriangleMesh& geometry) {
   }
 }
 
-/// Nearest point of a triangle, and the share of its face's normal in the pseudonormal there: the angle of the triangle
-/// about that point (2π inside, π on an edge, the corner's angle at a corner).
+/// Nearest point of a triangle, and the weight of the triangle's normal in the pseudonormal there: the angle of the
+/// triangle at that point (2π inside, π on an edge, the corner's angle at a corner).
 struct NearestOnTriangle {
   Eigen::Vector3d point;
   double angle;
@@ -49,7 +49,7 @@ NearestOnTriangle nearest_on_edges(const Corners& x, const Eigen::Vector3d& quer
     const Eigen::Vector3d side = b - a;
     const double length = side.squaredNorm();
     const double t = length > 0 ? side.dot(query - a) / length : 0;
-    const bool at_corner = t <= 0;  // the other end is the next edge's first
+    const bool at_corner = t <= 0;  // the other end belongs to the next edge
     const Eigen::Vector3d point = at_corner ? a : Eigen::Vector3d(a + std::min(t, 1.0) * side);
     const double distance = (query - point).squaredNorm();
     if (t < 1 && distance < best_distance) {
@@ -106,7 +106,7 @@ std::optional<Foot> ReferenceSurface::foot_on_mesh(const Eigen::Vector3d& point,
         }
       });
   if (!nearest) return std::nullopt;
-  // The triangles that share this nearest point make the pseudonormal.
+  // The pseudonormal is the sum over the triangles that share the nearest point.
   const double tolerance = 1e-9 * (nearest->cwiseAbs().maxCoeff() + std::sqrt(limit));
   const double reach = std::pow(std::sqrt(limit) + tolerance, 2);
   Eigen::Vector3d normal = Eigen::Vector3d::Zero();

@@ -9,19 +9,19 @@
 
 namespace malus {
 
-/// Where a point meets a reference surface.
+/// Nearest place on a reference surface to a point.
 struct Foot {
   Eigen::Vector3d point;       ///< nearest point of the surface
   Eigen::Vector3d normal;      ///< unit, outward
   double signed_distance = 0;  ///< positive outside
 };
 
-/// A reference to measure distances to: a mesh, or a cloud if it has no triangles.
+/// A reference surface to measure distances from: a mesh, or a cloud if it has no triangles.
 class ReferenceSurface {
  public:
-  /// `viewpoint`: the outward side of a cloud without normals is the one that faces it. `neighbors` as in
-  /// AssessOptions. Throws a data error if there are no points, points are not finite, or triangles name vertices that
-  /// do not exist. Keeps a reference to the geometry, which must live as long.
+  /// `viewpoint`: the outward side of a cloud without normals faces it. `neighbors` as in AssessOptions. Throws a data
+  /// error if there are no points, points are not finite, or triangles name vertices that do not exist. Keeps a
+  /// reference to the geometry, which must outlive this object.
   ReferenceSurface(const TriangleMesh& geometry, const Eigen::Vector3d& viewpoint, int neighbors,
                    const Context& context);
   ~ReferenceSurface();

@@ -12,7 +12,7 @@ namespace {
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 
-/// Percentile that may reorder the values.
+/// Percentile; may reorder the values.
 double percentile_in_place(std::vector<double>& values, double fraction) {
   if (values.empty()) return nan;
   const double rank = fraction * static_cast<double>(values.size() - 1);
@@ -23,7 +23,7 @@ double percentile_in_place(std::vector<double>& values, double fraction) {
   return *lower + part * (*std::min_element(lower + 1, values.end()) - *lower);
 }
 
-/// The number of 1, 2 and 5 · 10ⁿ that is nearest by its ratio; x > 0.
+/// The nearest, by ratio, of the numbers 1, 2 and 5 · 10ⁿ; x > 0.
 double nearest_round_number(double x) {
   const double unit = std::pow(10, std::floor(std::log10(x))), digits = x / unit;
   return unit * (digits < std::sqrt(2) ? 1 : digits < std::sqrt(10) ? 2 : digits < std::sqrt(50) ? 5 : 10);
@@ -56,7 +56,7 @@ Histogram distance_histogram(std::span<const double> values, std::optional<doubl
   if (bins > 0 && high > low) return histogram(values, low, high, bins);
 
   const double wanted = 2 * middle / std::cbrt(static_cast<double>(sorted.size()));
-  // Distances that are all alike have no spread: any width holds them.
+  // Equal distances have no spread: any width holds them.
   const double width = nearest_round_number(std::max({wanted, (high - low) / 200, 1e-6}));
   const double first = std::floor(low / width), last = std::max(std::ceil(high / width), first + 1);
   return histogram(values, first * width, last * width, static_cast<int>(last - first));
@@ -68,7 +68,7 @@ double percentile(std::vector<double> values, double fraction) {
 
 std::vector<double> percentiles(RankedValues values, double divisor, std::initializer_list<double> fractions) {
   if (values.size() == 0) return std::vector<double>(fractions.size(), nan);
-  std::vector<std::size_t> ranks;  // the last one not above, and the next
+  std::vector<std::size_t> ranks;  // for each fraction the rank at or below it, and the next
   std::vector<double> parts;
   for (const double fraction : fractions) {
     const double rank = fraction * static_cast<double>(values.size() - 1);
@@ -79,7 +79,7 @@ std::vector<double> percentiles(RankedValues values, double divisor, std::initia
   const std::vector<float> ranked = values.at(ranks);
   std::vector<double> result;
   for (std::size_t k = 0; k < parts.size(); ++k) {
-    // A quotient rounds as its dividend is ordered: the percentile of the quotients is that of the values.
+    // Division keeps the order of the values: percentiles of the quotients are quotients of the values' percentiles.
     const double lower = ranked[2 * k] / divisor, upper = ranked[2 * k + 1] / divisor;
     result.push_back(lower + parts[k] * (upper - lower));
   }

@@ -12,8 +12,8 @@ namespace malus {
 
 class RankedValues;
 
-/// Counts over bins of equal width. The struct, like every figure of an assessment, lists its fields once for writers:
-/// visit(name, value) with numbers, texts, vectors, optionals and other such structs.
+/// Counts over bins of equal width. Like all structs of an assessment, it lists its fields once for writers:
+/// visit(name, value) with numbers, strings, vectors, optionals and other such structs.
 struct Histogram {
   double low = 0;  ///< left end of the first bin
   double bin_width = 0;
@@ -27,19 +27,19 @@ struct Histogram {
 /// is not counted.
 Histogram histogram(std::span<const double> values, double low, double high, int bins);
 
-/// Histogram of distances with `bins` classes over ± `range`. What is not given (0, none) the distances choose. Range:
-/// all of them, but nothing farther from their middle half than four times the width of that half (six standard
-/// deviations of normal values). Classes: as wide as Freedman and Diaconis (1981) have it, 2 · interquartile range /
-/// ∛count, to the nearest of 1, 2 or 5 · 10ⁿ, with borders at its multiples; some 200 at most.
+/// Histogram of distances with `bins` classes over ± `range`. If one is not given (0, none), it follows from the
+/// distances. Range: all distances, but at most four interquartile ranges beyond either quartile (six standard
+/// deviations of normal values). Class width: that of Freedman and Diaconis (1981), 2 · interquartile range / ∛count,
+/// rounded to 1, 2 or 5 · 10ⁿ, with class borders at its multiples; about 200 classes at most.
 Histogram distance_histogram(std::span<const double> values, std::optional<double> range, int bins);
 
 /// Value below which this fraction of the values lies, linear between order statistics; NaN if there are none.
 double percentile(std::vector<double> values, double fraction);
 
-/// The same for several fractions, of the values over a positive divisor.
+/// The same for several fractions, of the values divided by a positive divisor.
 std::vector<double> percentiles(RankedValues values, double divisor, std::initializer_list<double> fractions);
 
-/// 1.4826 × median of |x|: the standard deviation of normal values about zero that outliers do not touch.
+/// 1.4826 × median of |x|: for normal values about zero their standard deviation, hardly changed by outliers.
 double robust_sigma(std::vector<double> values);
 
 /// Root mean square; NaN if there are no values.

@@ -8,7 +8,7 @@
 namespace malus {
 namespace {
 
-/// Pixels that are means of others.
+/// Pixel data stored as means of finer pixels.
 class CoarsePixels final : public PixelSource {
  public:
   explicit CoarsePixels(Size size) : pixels_(Image<PixelData>::uninitialized(size)) {}
@@ -19,7 +19,7 @@ class CoarsePixels final : public PixelSource {
   Image<PixelData> pixels_;
 };
 
-/// Calls visit(u, v) for the pixels under a coarse one for which `counts` is set.
+/// Calls visit(u, v) for those fine pixels of a coarse pixel for which `counts` is set.
 template <class Visit>
 void for_each_child(const Mask& counts, int column, int row, Visit&& visit) {
   for (int v = 2 * row; v < std::min(2 * row + 2, counts.height()); ++v) {
@@ -29,7 +29,8 @@ void for_each_child(const Mask& counts, int column, int row, Visit&& visit) {
   }
 }
 
-/// Value at a coarse node: that of the fine node at the same place, else the mean of those around it.
+/// Value at a coarse node: that of the fine node at the same place, or the mean of the fine nodes around it if that one
+/// is not on the object.
 template <class Value>
 double at_coarse_node(const RefinementImage& fine, int column, int row, Value&& value) {
   if (fine.is_object(2 * column, 2 * row)) return value(2 * column, 2 * row);
@@ -50,7 +51,7 @@ double coarse_x(const RefinementImage& fine, int column, int row) {
   return at_coarse_node(fine, column, row, [&](int u, int v) { return fine.x(u, v); }) / 2;
 }
 
-/// What the children of a coarse pixel say of the light; the pixel is usable where one of theirs is.
+/// Mean Stokes data of the fine pixels of a coarse pixel; it is usable if one of them is.
 PixelData coarse_light(const RefinementImage& fine, RefinementImage& coarse, int column, int row) {
   PixelData pixel;
   int usable = 0;
@@ -72,7 +73,7 @@ PixelData coarse_light(const RefinementImage& fine, RefinementImage& coarse, int
   return pixel;
 }
 
-/// Makes a coarse pixel of the object where one of its children is one.
+/// Marks a coarse pixel as on the object if one of its fine pixels is.
 void add_coarse_pixel(const RefinementImage& fine, RefinementImage& coarse, int column, int row) {
   int count = 0, specular = 0;
   for_each_child(fine.pixels, column, row, [&](int u, int v) {
@@ -138,7 +139,7 @@ void take_over(RefinementImage& fine, const RefinementImage& coarse, const Conte
         sum += weight * change(i, j);
         weights += weight;
       }
-      fine.x(u, v) += 2 * sum / weights;  // one of them is always there
+      fine.x(u, v) += 2 * sum / weights;  // at least one coarse node is always on the object
     }
   });
   fine.reflection = coarse.reflection;

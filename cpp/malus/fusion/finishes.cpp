@@ -10,7 +10,7 @@
 namespace malus {
 namespace {
 
-/// How much less the polarization of a pixel costs with the other finish.
+/// Robust cost of a pixel's polarization with the usual finish minus that with the other one.
 double gain_of_other_finish(const RefinementImage& image, int u, int v) {
   const Eigen::Vector2d slopes = central_slopes(image, u, v);
   const RayFrame frame = image.frame_at(u, v);
@@ -27,7 +27,7 @@ double gain_of_other_finish(const RefinementImage& image, int u, int v) {
 }  // namespace
 
 Mask pixels_of_other_finish(const RefinementImage& image, const Context& context) {
-  // Noise and wrong slopes of single pixels are no finish.
+  // The mean over neighbors keeps noise and wrong slopes of single pixels from looking like a finish.
   constexpr double neighbors_px = 4, clearly = 0.1;
   Image<float> gain(image.size(), 1, std::numeric_limits<float>::quiet_NaN());
   parallel_rows(context, gain.height(), [&](int v) {

@@ -5,8 +5,8 @@
 
 namespace malus {
 
-/// Pixels whose polarization the model with the other finish (`reflection.mirrored_by_other`) explains better than the
-/// one with the usual finish, at the present slopes; neighbors decide together.
+/// Pixels whose polarization is explained better by the other finish (`reflection.mirrored_by_other`) than by the usual
+/// one, at the present slopes. The difference in cost is averaged over neighboring pixels.
 Mask pixels_of_other_finish(const RefinementImage& image, const Context& context);
 
 }  // namespace malus

@@ -15,10 +15,10 @@ struct FresnelFactors {
   double specular_slope = 0;
 };
 
-/// Values at g = tan²(zenith) ≥ 0 for a refractive index eta > 1. Beyond 88.5° they keep the values there.
+/// Values at g = tan²(zenith) ≥ 0 for a refractive index eta > 1. Beyond 88.5° the values at 88.5° are returned.
 FresnelFactors fresnel_factors(double tan2, double eta);
 
-/// What a smooth surface mirrors, of a dielectric or (imaginary part > 0) of a metal.
+/// Mirror reflection of a smooth dielectric or (imaginary part > 0) metal.
 struct MirrorFactors {
   double reflectance = 0;  ///< F = (Rs + Rp) / 2
   double specular = 0;     ///< (Rs − Rp) / 2 / g

@@ -15,25 +15,25 @@
 
 namespace malus {
 
-/// What the fusion's solver says of its end; the grid transfer, which solves nothing, is done.
+/// How the fusion's solver ended. The grid transfer has no solver and ends as `done`.
 enum class FusionStatus { not_run, done, converged, not_converged, iteration_limit };
 constexpr auto names_of(FusionStatus) {
   return std::to_array<std::string_view>({"not run", "done", "converged", "not converged", "iteration limit"});
 }
 
-/// The result: one depth a pixel of the undistorted polarized image.
+/// The result: one depth per pixel of the undistorted polarized image.
 struct FusedSurface {
   Image<float> depth;    ///< z in the station camera, station unit; NaN = none
   Image<float> normals;  ///< 3 channels, unit, camera frame, towards the camera; NaN = none
   Image<float> sigma;    ///< one standard deviation of depth, station unit
   Pinhole camera;
   Pose pose;                     ///< cam_from_world
-  std::optional<Fusion> method;  ///< none of a surface that was given
+  std::optional<Fusion> method;  ///< empty for a surface that was given instead of fused
   FusionStatus status = FusionStatus::not_run;
   std::vector<std::string> warnings;  ///< one sentence each, for people
-  Confidence confidence;              ///< from what the surface was held against
+  Confidence confidence;              ///< how far the surface may be trusted, from evidence
 
-  // Without the maps.
+  // Everything but the maps.
   MALUS_FIELDS(camera, pose, method, status, warnings, confidence)
 };
 

@@ -10,7 +10,7 @@
 namespace malus {
 namespace {
 
-/// Standard deviation of a uniform distribution over a cell, which a mean over cells smooths by.
+/// Smoothing length of a mean over a cell: the standard deviation of a uniform distribution over it.
 double smoothing_of_cells(int cell_px) {
   return cell_px / std::sqrt(12.0);
 }
@@ -19,7 +19,7 @@ Size cells_over(Size image, int cell_px) {
   return {(image.width + cell_px - 1) / cell_px, (image.height + cell_px - 1) / cell_px};
 }
 
-/// Brings s0 of a metal, which its surface must explain, too, to the unit of (s1, s2); 0 for a dielectric.
+/// Factor that scales s0 of a metal, which its surface must explain, too, to the unit of (s1, s2); 0 for a dielectric.
 double weight_of_s0(const RefinementField& part, int u, int v) {
   const double error = part.reflection.metal_error * part.s0(u, v), precision = part.stokes_precision(u, v);
   return error > 0 && precision > 0 ? 1 / (error * std::sqrt(precision)) : 0;
@@ -94,7 +94,7 @@ GainByScale::Gains::Scale GainByScale::gain_of(const Products& products, int cel
   for (std::size_t i = 0; i < dds.count(); ++i) {
     const double dd = dds[i], dr = drs[i], rr = rrs[i];
     if (dd <= 0) {
-      scale.gain[i] = 1;  // nothing has moved
+      scale.gain[i] = 1;  // no movement
     } else if (dd + dr > 0) {
       const double h = dd / (dd + dr);
       const double across = std::max(rr - square(dr) / dd, 0.0) / (dd / square(h));
@@ -149,7 +149,7 @@ GainByScale::Gains GainByScale::gains(const Context& context) const {
         const Cell& parent = parents(column, row);
         const auto index = static_cast<std::size_t>(row) * static_cast<std::size_t>(parents.width()) +
                            static_cast<std::size_t>(column);
-        // The means of the largest cells are beside nothing.
+        // The means of the largest cells have no coarser mean to subtract.
         const Stokes change = parent.change / parent.weight, rest = parent.rest / parent.weight;
         products.add(index, cell.weight, is_last ? change : cell.change / cell.weight - change,
                      is_last ? rest : cell.rest / cell.weight - rest);

@@ -9,30 +9,31 @@
 
 namespace malus {
 
-/// What of the movement from the prior to the refined surface is gain: scale by scale and region by region.
+/// Which share of the movement from the prior to the refined surface is gain, for each scale and region.
 ///
-/// Noise, and images that lie askew on each other, look like detail. A surface takes up half of them: two Stokes
-/// components of each pixel are explained by one depth. What it cannot take up is left over, and tells how much it took
-/// up. With d the change of the predicted (s1, s2) from the prior to the result and r what is left over there, summed
-/// over the cells of a region,
-///   h = d·d / (d·d + d·r): the share of what the data ask for along d that the surface has moved;
-///   e² = (r·r − (d·r)² / d·d) / (d·d / h²): what is left over across d, beside all that they ask for;
-///   gain = (1 − c e²) / h, from 0 to 1, as Wiener's filter has it.
-/// Scales are dyadic: what a pixel has beyond the mean of 4 × 4 px, these beyond 8 × 8 px, … and the means of the
-/// largest cells. c is half: the derivatives by both slopes are in what is left over, and half of the square of such
-/// errors has a curl, which no surface can take up. It is a quarter at the finest scale, where a surface at the pixels'
-/// corners cannot follow all that pixels have.
-/// A metal's s0 is a third value, in units of its errors. Its texture looks like slopes, which the surface takes up
-/// pixel by pixel: so c is half at the finest scale, too.
+/// Noise and misaligned images look like detail. A surface takes up half of these errors, because one depth explains
+/// two Stokes components of each pixel. The other half stays in the residual, which therefore shows how much the
+/// surface took up. With d the change of the predicted (s1, s2) from the prior to the result and r the residual at the
+/// result, summed over the cells of a region,
+///   h = d·d / (d·d + d·r): the share of the movement along d supported by the data that the surface has made;
+///   e² = (r·r − (d·r)² / d·d) / (d·d / h²): squared residual across d, relative to the square of the whole movement
+///   supported by the data;
+///   gain = (1 − c e²) / h, from 0 to 1, as in Wiener's filter.
+/// Scales are dyadic: pixels minus their mean over 4 × 4 px, these means minus those over 8 × 8 px, … and the means
+/// over the largest cells. c is half: errors act on both slopes, and half of their squared sum has a curl, which no
+/// surface can take up, so that it stays in the residual. c is a quarter at the finest scale, where a surface given at
+/// the pixels' corners cannot follow every pattern of the pixels.
+/// A metal's s0 is a third value, scaled by its error to the unit of (s1, s2). Texture in s0 looks like slopes, and the
+/// surface takes it up pixel by pixel: so c is half at the finest scale, too.
 class GainByScale {
  public:
   GainByScale(Size image, bool of_metal);
 
-  /// Adds some of a part's rows. The part is at the refined surface, and its weights are of it.
+  /// Adds some rows of a part. The part has the refined surface and the weights at it.
   void add(const RefinementField& part, RowRange rows, int first_row, const Context& context);
 
-  /// Gains of each scale, from the finest to the means of the largest cells, and of all scales together (each counts by
-  /// what it changes of the polarization).
+  /// Gains of each scale, from the finest to the means of the largest cells, and of all scales together (each scale
+  /// weighted by how much it changes the polarization).
   struct Gains {
     struct Scale {
       int cell_px = 1;  ///< of the raster of gains
@@ -46,7 +47,7 @@ class GainByScale {
  private:
   struct Stokes {
     double s1 = 0, s2 = 0;
-    double s0 = 0;  ///< of a metal, in units of the errors of the others
+    double s0 = 0;  ///< of a metal, scaled to the error of s1 and s2
     double dot(const Stokes& other) const { return s1 * other.s1 + s2 * other.s2 + s0 * other.s0; }
     Stokes& operator+=(const Stokes& other) {
       s1 += other.s1;
@@ -58,7 +59,7 @@ class GainByScale {
     Stokes operator*(double factor) const { return {factor * s1, factor * s2, factor * s0}; }
     Stokes operator/(double value) const { return {s1 / value, s2 / value, s0 / value}; }
   };
-  /// Pixels of a cell, by their weights.
+  /// Weighted sums over the pixels of a cell.
   struct Cell {
     double weight = 0;
     Stokes change, rest;  ///< sums of d and r
@@ -85,7 +86,7 @@ class GainByScale {
   Products within_;  ///< of pixels against the means of their cells
 };
 
-/// The movement from the prior with each scale times its gain, at the nodes of the object.
+/// The movement from the prior with each scale multiplied by its gain, at the nodes of the object.
 Image<float> movement_that_is_gain(const RefinementImage& image, const Image<double>& x_prior,
                                    const GainByScale::Gains& gains, const Context& context);
 

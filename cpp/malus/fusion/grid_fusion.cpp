@@ -91,7 +91,7 @@ void blur_axis(const Context& context, const Image<double>& sum, const Image<dou
   });
 }
 
-/// Gaussian mean over the finite nodes (Eq 15). Needed nodes that no finite one reaches take the mean of wider and
+/// Gaussian mean over the finite nodes (Eq 15). Needed nodes without a finite node in reach take the mean of wider and
 /// wider Gaussians, so that the transfer is defined wherever it is used.
 void smooth_nodes(Image<float>& nodes, const Mask& needed, double sigma, const Context& context) {
   Image<double> sum(nodes.size()), weight(nodes.size());
@@ -117,7 +117,7 @@ void smooth_nodes(Image<float>& nodes, const Mask& needed, double sigma, const C
   }
 }
 
-/// A surface as printed in the paper: mapped to 0 … 1 by its own range.
+/// Maps a surface to 0 … 1 by its own range, as printed in the paper.
 struct UnitRange {
   double low = 0, span = 1;
 
@@ -136,7 +136,7 @@ struct UnitRange {
   }
 };
 
-/// The transfer on heights: the smoothed difference, and the square of what the smoothing took out of it, smoothed.
+/// The transfer on heights: the smoothed difference, and the smoothed square of what the smoothing removed from it.
 struct Transfer {
   NodeGrid difference, disagreement;
 
@@ -164,7 +164,7 @@ struct Transfer {
     smooth_nodes(disagreement.values(), needed, options.sigma_nodes, context);
   }
 
-  /// The fused height at a pixel with these two.
+  /// The fused height at a pixel from its polarization height and its prior height.
   float fused(int u, int v, float polarization, float prior) const {
     return std::isfinite(polarization) ? static_cast<float>(polarization + difference.at(u, v)) : prior;
   }
@@ -181,7 +181,7 @@ double mean_of(const Image<float>& values) {
   return sum / count;
 }
 
-/// What it means that the height was not at rest. Without any height no surface was made.
+/// Warning for a height whose computation ended before it converged.
 std::string caution_of_moving_height(const HeightMap& height) {
   std::ostringstream text;
   text.precision(2);
@@ -231,7 +231,7 @@ FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const G
       if (!std::isfinite(before)) continue;
       const float after = transfer.fused(u, v, polarization(u, v), before);
       if (!std::isfinite(after)) continue;
-      // What the fusion adds to the prior, in GSD, applied to the prior's own depth.
+      // The change by the fusion, in GSD, is applied to the prior's own depth.
       const double change = (after - before) * scale;
       const double z = prior.depth(u, v);
       const double moved = height.perspective ? z * std::exp(-change / focal) : z - change * mean_depth / focal;

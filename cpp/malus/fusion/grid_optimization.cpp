@@ -22,13 +22,13 @@ namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
 constexpr int tile_px = 256, margin_px = 24;
-/// Pixels along a tile's cut that are held.
+/// Width of the strip of pixels along a tile's cut that are held.
 constexpr int held_px = 2;
-/// Of the difference of both slopes to the prior's. The equations are bounded, so that where they contradict each other
-/// (a zenith of 90°, a wrong branch) a pixel could leave the surface at no cost.
+/// Weight of the difference of both slopes to the prior's. Without it a pixel could leave the surface at no cost where
+/// the equations contradict each other (a zenith of 90°, a wrong branch), because their residuals are bounded.
 constexpr double slope_weight = 0.1;
 
-/// What the equations say at one pixel.
+/// Coefficients of the equations at one pixel.
 struct PixelEquations {
   AffineSlopes slopes;
   double sine, cosine;                                ///< of the azimuth
@@ -40,8 +40,8 @@ struct PixelEquations {
 /// along u and along v.
 struct SideEquations {
   PixelEquations pixel;
-  double side;   ///< 1: the next pixels, −1: the ones before
-  double share;  ///< of the residuals, 1 / √2 where the pixel has both sides
+  double side;   ///< 1: the next pixels, −1: the previous ones
+  double share;  ///< factor on the residuals, 1 / √2 where the pixel has both sides
   Slopes prior;
   const OptimizeOptions& options;
 
@@ -62,7 +62,7 @@ struct SideEquations {
   }
 };
 
-/// Mean difference of some pixels' heights to the prior's.
+/// Mean height of some pixels minus the prior's mean.
 class CellMean final : public ceres::CostFunction {
  public:
   CellMean(std::size_t pixels, double prior_mean, double weight)
@@ -86,7 +86,7 @@ class CellMean final : public ceres::CostFunction {
 };
 
 struct Box {
-  int u0, v0, u1, v1;  // ends not included
+  int u0, v0, u1, v1;  // ends are excluded
 };
 
 /// One tile of the problem.
@@ -107,7 +107,7 @@ class Tile {
       for (int u = box.u0; u < box.u1; ++u) *at(u, v) = heights(u, v);
   }
 
-  /// Whether it ended before its last step.
+  /// Solves the tile; returns whether it converged.
   bool solve() {
     for (int v = box_.v0; v < box_.v1; ++v)
       for (int u = box_.u0; u < box_.u1; ++u) add_equations(u, v);
@@ -159,7 +159,7 @@ class Tile {
                                light.dot(frame.view),
                                shading,
                                std::cos(input_.reflection.zenith(u, v))};
-    // The slopes of one side alone are those half a pixel aside.
+    // Slopes from one side alone belong to a point half a pixel away.
     const bool after = has_sides(u, v, 1), before = has_sides(u, v, -1);
     const double share = after && before ? std::numbers::sqrt2 / 2 : 1;
     if (after) add_side(pixel, u, v, 1, share);
@@ -183,7 +183,7 @@ class Tile {
 
   void add_cells() {
     const int cell = input_.cell_px;
-    // Cells are those of the whole image; a tile's first and last may be cut.
+    // Cells follow the grid of the whole image; a tile's first and last cells may be cut.
     for (int v0 = box_.v0 / cell * cell; v0 < box_.v1; v0 += cell) {
       for (int u0 = box_.u0 / cell * cell; u0 < box_.u1; u0 += cell) {
         std::vector<double*> pixels;
@@ -203,8 +203,8 @@ class Tile {
     }
   }
 
-  /// Pixels that no equation reaches (a corner of the image, what lies behind pixels without polarization) keep their
-  /// heights: the mean of a cell alone would let them run away.
+  /// Pixels that no equation reaches (in a corner of the image, or enclosed by pixels without polarization) keep their
+  /// heights: the mean of a cell alone would let them drift.
   void keep_unreached() {
     for (int v = box_.v0; v < box_.v1; ++v) {
       for (int u = box_.u0; u < box_.u1; ++u) {
@@ -247,7 +247,7 @@ void validate(const FusedSurface& surface, const OptimizeInput& input, const Opt
     throw input_error("optimize.enabled = true needs the light that the polarization height was found with");
 }
 
-/// Heights of all tiles, blended across their cuts. Adds up the tiles that did not converge.
+/// Heights of all tiles, blended across their cuts. `unfinished` counts the tiles that did not converge.
 Image<float> solve_tiles(const Image<float>& heights, const Image<float>& prior_heights, const Pinhole* camera,
                          const OptimizeInput& input, const OptimizeOptions& options, int& unfinished,
                          const Context& context) {
@@ -297,7 +297,7 @@ void optimize_grid_surface(FusedSurface& surface, const OptimizeInput& input, co
   const Pinhole& camera = surface.camera;
   const double focal = camera.focal();
   const Pinhole* rays = input.perspective ? &camera : nullptr;
-  // Both about one origin, as the free constant of a height is not that of another.
+  // Both heights refer to one origin, because each height has its own free constant.
   double origin = 0, count = 0;
   for (const float z : input.prior.depth) {
     if (!std::isfinite(z)) continue;
@@ -324,7 +324,7 @@ void optimize_grid_surface(FusedSurface& surface, const OptimizeInput& input, co
   }
   surface.normals = normals_from_depth(surface.depth, camera, context);
   surface.status = unfinished == 0 ? FusionStatus::converged : FusionStatus::iteration_limit;
-  // What Eq 16 lacked is there now; what the equations suppose is not tested any more than before.
+  // The caution of the grid transfer (Eq 16) no longer applies; the equations' assumptions are as untested as before.
   surface.confidence = {};
   surface.confidence.limit(ConfidenceLevel::partial,
                            "All equations of the paper count alike: light, albedo and reflection that are not what "

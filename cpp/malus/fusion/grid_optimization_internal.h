@@ -11,7 +11,7 @@
 
 namespace malus {
 
-/// What the equations say at each pixel. Rasters have the surface's size.
+/// Input of the equations at each pixel. Rasters have the surface's size.
 struct OptimizeInput {
   const PolarizationState& polarization;
   const ReflectionMap& reflection;
@@ -21,19 +21,19 @@ struct OptimizeInput {
   int cell_px = 4;          ///< GridFusionOptions::grid_px
 };
 
-/// The "simultaneous optimization" that the paper names after Eq 16 without saying more; this is a reading of it.
+/// An interpretation of the "simultaneous optimization" that the paper names after Eq 16 without details.
 ///
-/// Nonlinear least squares (Ceres) on one height a pixel, from the surface of the transfer on. Residuals of a pixel
-/// with usable polarization, n the unit normal by differences to the next pixels along u and v, and again by those to
-/// the pixels before it, so that it prefers no side:
+/// Nonlinear least squares (Ceres) on one height per pixel, starting from the surface of the grid transfer. Residuals
+/// of a pixel with usable polarization, with the unit normal n once from differences to the next pixels along u and v
+/// and once from differences to the previous ones, so that no side is preferred:
 ///   Eq 9          n · (sin α · right − cos α · up), α the azimuth of the phase,
 ///   Eq 11         (l · n + ambient − i_un) / |l|,
 ///   Eq 7 or Eq 8  n · view − cos θ,
 ///   prior         a tenth of the difference of both slopes to the prior's, as the three above are bounded (decision
 ///   45);
-/// and for each cell of the grid the mean difference to the prior. Tiles of 256 px with held surroundings bound the
-/// memory. Depth and normals of the surface are replaced; its status says how the tiles ended. Throws an input error
-/// for rasters of another size, or if there is no light.
+/// and for each cell of the grid the mean difference to the prior. Tiles of 256 px, whose neighborhood is held fixed,
+/// bound the memory. Depth and normals of the surface are replaced. Its status is "converged" if all tiles converged,
+/// else "iteration limit". Throws an input error for rasters of another size, or if there is no light.
 void optimize_grid_surface(FusedSurface& surface, const OptimizeInput& input, const OptimizeOptions& options,
                            const Context& context);
 

@@ -9,8 +9,8 @@
 namespace malus {
 namespace {
 
-/// Standard deviations: of the strength about 1, and of the degree of polarization about what the model explains.
-/// Neighbors err together, so that all of them count as one pixel.
+/// Standard deviations of the strength about 1, and of the degree of polarization about the model's. Errors of
+/// neighbors are correlated, so that the whole neighborhood counts as one pixel.
 constexpr double strength_sigma = 0.5, misfit = 0.01, sigma_px = mirrored_light_reach_px / 3.0;
 
 }  // namespace
@@ -29,7 +29,7 @@ Image<float> mirrored_light(const RefinementField& field, const Context& context
       const PredictedStokes model = field.reflection_at(u, v).predict(p, q);
       mirrored(u, v) = static_cast<float>(model.mirrored / 2);
       if (!diffuse || !field.usable(u, v)) continue;
-      // With c times the mirrored light the Stokes components are body + c · change: linear in c.
+      // With the mirrored light multiplied by c the Stokes components are body + c · change: linear in c.
       const double degree = fresnel_factors(p * p + q * q, field.reflection.eta).diffuse;
       const Eigen::Vector2d body = degree * Eigen::Vector2d(p * p - q * q, 2 * p * q);
       const Eigen::Vector2d change = Eigen::Vector2d(model.s1, model.s2) / s0 - body;

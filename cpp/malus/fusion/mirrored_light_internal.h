@@ -5,14 +5,15 @@
 
 namespace malus {
 
-/// Pixels around a pixel that its mirrored light is known from.
+/// Radius of the neighborhood from which the mirrored light of a pixel is fitted.
 inline constexpr int mirrored_light_reach_px = 6;
 
 /// Unpolarized intensity of the light that each pixel's surface mirrors, in the unit of the images; NaN = not known.
 ///
-/// The reflection model says what a surface of the field's slopes mirrors and how that is polarized. Where parts of the
-/// object shade each other less is mirrored than it says. So its strength is fitted anew to the measured polarization
-/// about every diffuse pixel. Of a metal nothing is known: all its light is mirrored, in its own color.
+/// The reflection model predicts the mirrored light and its polarization from the field's slopes. Where parts of the
+/// object shade each other, less light is mirrored than predicted. The strength of the mirrored light is therefore
+/// fitted again to the measured polarization around every diffuse pixel. For a metal the result is NaN: all its light
+/// is mirrored, in its own color.
 Image<float> mirrored_light(const RefinementField& field, const Context& context);
 
 }  // namespace malus

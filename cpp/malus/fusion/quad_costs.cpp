@@ -17,7 +17,7 @@ std::vector<QuadIndex> existing(const RefinementField& field, std::vector<QuadIn
   return unique;
 }
 
-/// The pixels around a quad by their position relative to its first pixel, −2 … 3, with the parameters they live in.
+/// The nodes around a quad by their position relative to its first node, −2 … 3, with their parameter blocks.
 class Neighbourhood {
  public:
   static constexpr int first = -quad_px, side = 3 * quad_px;
@@ -39,7 +39,7 @@ class Neighbourhood {
   int u(int du) const { return u0_ + du; }
   int v(int dv) const { return v0_ + dv; }
 
-  /// Adds to the derivative of a residual by one pixel.
+  /// Adds to the derivative of a residual by one node.
   void add(double** jacobians, int residual, int du, int dv, double derivative) const {
     const Entry& entry = entries_[index(du, dv)];
     if (jacobians[entry.block] != nullptr) jacobians[entry.block][residual * quad_values + entry.column] += derivative;
@@ -56,7 +56,7 @@ class Neighbourhood {
   std::array<Entry, side * side> entries_;
 };
 
-/// Slopes of a pixel from its four nodes, and their derivatives by these.
+/// Slopes of a pixel from its four nodes, and their derivatives by the nodes.
 class NodeSlopes {
  public:
   /// The pixel is at (du, dv) relative to the quad's first node.
@@ -79,7 +79,7 @@ class NodeSlopes {
   double p() const { return p_; }
   double q() const { return q_; }
 
-  /// Adds the derivatives of a residual whose derivatives by the slopes are known.
+  /// Adds the derivatives of a residual by the nodes, from its derivatives by the slopes.
   void add(double** jacobians, int residual, double by_p, double by_q, const Neighbourhood& around) const {
     const double by_u = 0.5 * (by_p * slopes_.pu + by_q * slopes_.qu),
                  by_v = 0.5 * (by_p * slopes_.pv + by_q * slopes_.qv);
@@ -97,7 +97,7 @@ class NodeSlopes {
   double p_ = 0, q_ = 0;
 };
 
-/// Quads that hold the nodes from a pixel's own to `reach` further on along both axes.
+/// Quads that hold the nodes from (u, v) to (u + reach, v + reach).
 std::vector<QuadIndex> quads_after(int u, int v, int reach) {
   const int column = u / quad_px, row = v / quad_px;
   const int last_column = (u + reach) / quad_px, last_row = (v + reach) / quad_px;

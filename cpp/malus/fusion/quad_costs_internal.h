@@ -11,11 +11,10 @@
 
 namespace malus {
 
-// Ceres sees the unknowns in quads, parameter blocks of 2 × 2 pixels (order: (0,0), (1,0), (0,1), (1,1)). One cost
-// function a quad instead of one a difference pair keeps Ceres' bookkeeping (cells, products, ordering) small beside
-// the arithmetic. Every cost joins neighboring quads only, diagonal ones included (the prior's those of its block):
-// the elimination order counts on it. Weights and log_body are read from the field, which must not change during a
-// solve.
+// Ceres gets the unknowns in quads: parameter blocks of 2 × 2 nodes (order: (0,0), (1,0), (0,1), (1,1)). Blocks of four
+// keep Ceres' bookkeeping (cells, products, ordering) small beside the arithmetic. A cost joins only neighboring quads,
+// diagonal neighbors included, and the prior's cost the quads of its block: the elimination order relies on this.
+// Weights and log_body are read from the field, which must not change during a solve.
 
 inline constexpr int quad_px = 2;
 
@@ -28,12 +27,13 @@ struct QuadIndex {
 /// Whether any pixel of the quad is on the object.
 bool quad_has_object(const RefinementField& field, QuadIndex quad);
 
-/// Cost function over the existing ones among some quads; `quads()` are its parameter blocks, in order.
+/// Cost function over those of the given quads that hold a node of the object; `quads()` are its parameter blocks, in
+/// order.
 class QuadCost : public ceres::CostFunction {
  public:
   const std::vector<QuadIndex>& quads() const { return quads_; }
 
-  /// From now on evaluates to zeros while `*finished`.
+  /// From this call on, evaluates to zeros while `*finished` is true.
   void watch(const bool* finished) { finished_ = finished; }
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const final;
@@ -51,8 +51,8 @@ class QuadCost : public ceres::CostFunction {
   const bool* finished_ = nullptr;
 };
 
-/// Stokes residuals of one pixel in standard deviations. 2 residuals, of a metal 3, with that of s0; quads: those that
-/// hold its four nodes.
+/// Stokes residuals of one pixel in standard deviations. 2 residuals, for a metal 3 (with s0); quads: those that hold
+/// the pixel's four nodes.
 class StokesCost final : public QuadCost {
  public:
   StokesCost(const RefinementField& field, int u, int v);
@@ -74,7 +74,8 @@ class StokesLoss final : public ceres::LossFunction {
   int u_, v_;
 };
 
-/// Holds the pixels of a quad that are not on the object at 0: they share its parameters and touch nothing else.
+/// Holds the nodes of a quad that are not on the object at 0: they are part of the quad's parameter block, but in no
+/// other cost.
 /// 4 residuals; quads: its own.
 class OutsideCost final : public QuadCost {
  public:
@@ -89,7 +90,8 @@ enum class Axis { u, v };
 /// The quad after this one along an axis.
 QuadIndex next_quad(QuadIndex quad, Axis axis);
 
-/// Second differences along an axis that look into this quad and the next one. 4 residuals; quads: these two.
+/// Second differences, along an axis, of the change from the prior within this quad and the next one. 4 residuals;
+/// quads: these two.
 class SmoothnessCost final : public QuadCost {
  public:
   SmoothnessCost(const RefinementField& field, QuadIndex quad, Axis axis, double weight);
@@ -101,8 +103,8 @@ class SmoothnessCost final : public QuadCost {
   double weight_;
 };
 
-/// Slopes change little from the prior's: the differences of a node to its right and lower neighbors against the
-/// prior's. 2 residuals; quads: those that hold the three.
+/// Keeps slopes near the prior's: the differences of a node to its right and lower neighbors minus the same differences
+/// of the prior. 2 residuals; quads: those that hold the three nodes.
 class SlopeChangeCost final : public QuadCost {
  public:
   SlopeChangeCost(const RefinementField& field, int u, int v, double weight);
@@ -114,8 +116,8 @@ class SlopeChangeCost final : public QuadCost {
   double weight_;
 };
 
-/// Albedo changes little along u and v: ln body − ln shading of a pixel against those of its right and lower
-/// neighbors. 2 residuals; quads: those that hold the three pixels' nodes.
+/// Keeps the albedo of neighboring pixels alike: ln body − ln shading of a pixel minus that of its right and of its
+/// lower neighbor. 2 residuals; quads: those that hold the three pixels' nodes.
 class AlbedoCost final : public QuadCost {
  public:
   AlbedoCost(const RefinementField& field, int u, int v);
@@ -126,7 +128,7 @@ class AlbedoCost final : public QuadCost {
   int u_, v_;
 };
 
-/// Mean of a prior block against the prior's mean, in GSD. 1 residual; quads: those of the block.
+/// Mean of x over a prior block minus the prior's mean, in GSD. 1 residual; quads: those of the block.
 class PriorBlockCost final : public QuadCost {
  public:
   PriorBlockCost(const RefinementField& field, int block_column, int block_row);

@@ -18,7 +18,7 @@
 
 namespace malus {
 
-/// What the station file says about the object's surface.
+/// What the station file states about the object's surface.
 struct RefineInput {
   std::optional<double> refractive_index = 1.5;  ///< none = estimated from the data
   ReflectionChoice reflection = ReflectionChoice::automatic;
@@ -27,8 +27,8 @@ struct RefineInput {
 
 /// One round of the refinement.
 struct RefineIteration {
-  int binning = 1;                         ///< 2 = at half the resolution, and so on
-  bool search = false;                     ///< on the way to a second solution, not to the result
+  int binning = 1;      ///< 2 = at half the resolution, and so on
+  bool search = false;  ///< part of the search for a second solution, not of the course to the result
   double cost_before = 0, cost_after = 0;  ///< of the solve, summed over tiles
   double stokes_cost = 0;                  ///< mean of ln(1 + r² / 4) over usable pixels, before the solve
   double median_residual = 0;              ///< of the Stokes vectors, in standard deviations, before the solve
@@ -37,38 +37,38 @@ struct RefineIteration {
   double seconds = 0;
 };
 
-/// What the refinement found out beside the surface.
+/// What the refinement found beside the surface.
 struct RefineReport {
   std::vector<RefineIteration> iterations;
   ReflectionModel reflection;  ///< with eta
-  Surroundings surroundings;   ///< without radiance if they are not the model
-  /// Share of the usable pixels that mirror the object itself and are left out with such a model, 0 … 1.
+  Surroundings surroundings;   ///< without radiance if the model has no map of the surroundings
+  /// Share of the usable pixels that a map of the surroundings excludes because they mirror the object itself, 0 … 1.
   double self_mirroring_share = 0;
   double other_finish_share = 0;  ///< of the usable pixels; 0 = all have one finish
-  /// n + i k of the metal that the model with surroundings takes the object for; 0 = not for a metal.
+  /// n + i k of the metal assumed by the model with surroundings; 0 = no metal.
   std::complex<double> metal_index = 0;
-  double eta_sigma = 0;              ///< 0 = the index is given, NaN = neither given nor told by the data
+  double eta_sigma = 0;              ///< 0 = the index is given, NaN = neither given nor determined by the data
   std::optional<double> stated_eta;  ///< only where another index explains the polarization clearly better
   std::array<double, EnvironmentProfile::node_count> environment_sigma{};
   double lobe_strength_sigma = 0, lobe_roughness_sigma = 0, light_sigma_rad = 0;
   double mirror_body_sigma = 0, mirror_environment_sigma = 0;
-  bool metal = false;              ///< mirrors like a metal, for which the formulas do not hold
+  bool metal = false;              ///< reflects like a metal, for which the dielectric formulas do not hold
   double specular_share = 0;       ///< of the object's pixels
   Image<std::uint8_t> label;       ///< 0 = outside, 1 = diffuse, 2 = specular
   Image<std::uint8_t> confidence;  ///< weight of the polarization of each pixel, 0 … 255
   Image<float> mirrored;           ///< unpolarized intensity of the mirrored light, unit of the images; NaN = not known
   /// Share of the refined surface in the result, 0 (prior) … 255. Empty, and the shares NaN, without `evidence`.
   Image<std::uint8_t> trust;
-  double trusted_share = std::numeric_limits<double>::quiet_NaN();  ///< its mean over usable pixels, 0 … 1
-  /// Of the polarization at the prior's slopes, mean over the object, −1 … 1: all of it (with surroundings that beyond
-  /// a plane's), and that beyond a plane's.
+  double trusted_share = std::numeric_limits<double>::quiet_NaN();  ///< mean of `trust` over usable pixels, 0 … 1
+  /// Explained shares of the polarization at the prior's slopes, means over the object, −1 … 1: of all polarization
+  /// (with a map of the surroundings, of what a plane does not explain), and always of what a plane does not explain.
   double explained_share = std::numeric_limits<double>::quiet_NaN();
   double explained_beyond_plane = std::numeric_limits<double>::quiet_NaN();
-  /// Of what the surface changed of the polarization, the share that is gain and no noise, mean over the object, 0 … 1.
+  /// Share of the surface's movement from the prior that is gain (GainByScale), mean over the object, 0 … 1.
   double gain_share = std::numeric_limits<double>::quiet_NaN();
   double stokes_cost = 0;                       ///< mean of ln(1 + r² / 4) over usable pixels, of the result
   double median_residual = 0;                   ///< of the result's Stokes vectors, in standard deviations
-  int regions_compared = 0, regions_taken = 0;  ///< of the search for a better minimum
+  int regions_compared = 0, regions_taken = 0;  ///< by the search for a better minimum
   int tiles = 0;
   double seconds = 0;
   double linear_solver_share = 0;  ///< of the time spent in Ceres
@@ -83,14 +83,13 @@ struct RefineResult {
 ///
 /// Unknown: x = f (ln z − mean) at the corners of every pixel with a finite prior and a known Stokes vector. Residuals:
 /// (s1, s2) against the forward model, neighboring albedos in diffuse regions, block means of the prior, small second
-/// differences. Reflection parameters, light and robust weights are fitted between
-/// solves. Throws an input error for sizes and options that do not fit, a data error when nothing is left to refine.
-/// The reflection model is either of two, whichever explains more at the prior's slopes: regions that are diffuse or
-/// specular, with an environment by zenith, or an object that is matte all over and mirrors its surroundings
-/// (surroundings_internal.h). Where the model does not explain the polarization at the prior's slopes, the prior's
-/// surface stays (see surface_evidence_internal.h), which surface.confidence and report.trust tell. What the data
-/// cannot support otherwise is in surface.confidence and warnings; surface.status is the solver's ("converged", "not
-/// converged").
+/// differences. Reflection parameters, light and robust weights are fitted between solves. Throws an input error for
+/// inconsistent sizes or options out of range, a data error if no pixel is left to refine. There are two reflection
+/// models, and the one that explains more at the prior's slopes is taken: regions that are diffuse or specular, with an
+/// environment by zenith; or an object that is matte all over and mirrors its surroundings (surroundings_internal.h).
+/// Where the model does not explain the polarization at the prior's slopes, the prior's surface stays (see
+/// surface_evidence_internal.h); surface.confidence and report.trust show where. Other limits of the data are in
+/// surface.confidence and surface.warnings; surface.status is the solver's ("converged", "not converged").
 RefineResult refine(const PolarizationState& state, const DepthPrior& prior, const RefineInput& input,
                     const RefineOptions& options, const Context& context);
 

@@ -7,27 +7,27 @@ namespace malus {
 /// Side of the square blocks over which the prior is averaged [px].
 inline constexpr int prior_block_px = 8;
 
-/// Least length of whole prior blocks that is not less than this [px].
+/// `length` rounded up to whole prior blocks [px].
 constexpr int whole_blocks(int length) {
   return (length + prior_block_px - 1) / prior_block_px * prior_block_px;
 }
 
-/// Everything the refinement knows about each pixel of an image, or of the part of one that is worked on. Rasters of
-/// the second group are recomputed before each solve and constant during it.
+/// All per-pixel data of the refinement, for an image or for a part of one. Rasters of the second group are recomputed
+/// before each solve and constant during it.
 struct RefinementField : SurfaceEstimate {
   Image<double> x_prior;
   Image<float> prior_sigma;  ///< one standard deviation of x_prior [GSD]
   Image<float> s0, s1, s2;
   Image<float> variance;  ///< of s1 and s2, mean of both
 
-  Image<float> mirror_body;               ///< s0 of the light from inside, specular regions
-  double robust_scale = 2.5;              ///< of the Cauchy loss of the Stokes residuals [σ] …
-  double specular_widening = 1;           ///< … times this in specular regions
-  Image<float> stokes_precision;          ///< 1 / σ² of the Stokes residuals; 0 = not used
-  Image<float> regional_weight;           ///< of the Stokes residuals, 0 … 1
-  Image<float> log_body;                  ///< ln of the light from inside the body; NaN where there is none to compare
-  double albedo_weight = 0;               ///< of changes of ln albedo …
-  double albedo_contrast = 0.04;          ///< … and the change that counts half
+  Image<float> mirror_body;       ///< s0 of the light from inside, specular regions
+  double robust_scale = 2.5;      ///< of the Cauchy loss of the Stokes residuals [σ] …
+  double specular_widening = 1;   ///< … times this in specular regions
+  Image<float> stokes_precision;  ///< 1 / σ² of the Stokes residuals; 0 = not used
+  Image<float> regional_weight;   ///< of the Stokes residuals, 0 … 1
+  Image<float> log_body;          ///< ln of the light from inside the body; NaN where the albedo is not compared
+  double albedo_weight = 0;       ///< of changes of ln albedo …
+  double albedo_contrast = 0.04;  ///< … and the change whose weight is halved
   Image<float> block_weight, block_mean;  ///< prior blocks: weight (1 / GSD²), mean of x_prior
 
   Size block_count() const {

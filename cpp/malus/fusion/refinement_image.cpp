@@ -9,7 +9,7 @@ namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
 
-/// Pixels of a station.
+/// Pixel data of a station.
 class StationPixels final : public PixelSource {
  public:
   StationPixels(const PolarizationState& state, const DepthPrior& prior, Mask pixels, double log_depth_origin)
@@ -37,7 +37,7 @@ class StationPixels final : public PixelSource {
     return focal_ * (std::log(static_cast<double>(prior_.depth(u, v))) - log_depth_origin_);
   }
 
-  /// The prior at a node: mean of what the object's pixels around it say of it, by their slopes at the border.
+  /// The prior at a node: mean over the object's pixels around it, extrapolated by their slopes at the object's border.
   PixelData node(int u, int v) const {
     double x = 0, sigma = 0;
     int count = 0, known = 0;

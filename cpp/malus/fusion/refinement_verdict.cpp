@@ -31,9 +31,9 @@ const RefineIteration& last_round(const RefineReport& report) {
   return *std::ranges::find(report.iterations.rbegin(), report.iterations.rend(), false, &RefineIteration::search);
 }
 
-/// What the solver says of a surface is of no interest where the prior's stayed.
+/// The solver's problems do not limit the confidence if the surface is the prior's.
 void judge_solver(const RefineReport& report, FusedSurface& surface) {
-  constexpr int many_rejections = 4;  // of a tile: no step was accepted
+  constexpr int many_rejections = 4;  // per tile: no step was accepted
   const RefineIteration& last = last_round(report);
   std::string problem;
   if (last.rejected_steps >= many_rejections * report.tiles) {
@@ -50,7 +50,7 @@ void judge_solver(const RefineReport& report, FusedSurface& surface) {
 
 void judge_model(const RefineReport& report, FusedSurface& surface) {
   constexpr double largest_residual = 3;
-  // A wrong model does no harm where the prior's surface stayed.
+  // A wrong model does no harm if the surface is the prior's.
   const ConfidenceLevel most = is_the_prior(report) ? ConfidenceLevel::partial : ConfidenceLevel::low;
   if (report.metal) {
     warn(most,
@@ -78,7 +78,7 @@ void judge_model(const RefineReport& report, FusedSurface& surface) {
   }
 }
 
-/// Why the surface is the prior's where it is.
+/// Why the surface is the prior's in parts.
 std::string why_the_priors(const RefineReport& report) {
   constexpr double much_noise = 0.7;
   const std::string model =
@@ -90,9 +90,9 @@ std::string why_the_priors(const RefineReport& report) {
          model;
 }
 
-/// What the prior's slopes say. That nothing was gained is a warning, too.
+/// Judges by the evidence at the prior's slopes. A result without any gain is a warning, too.
 void judge_evidence(const RefineReport& report, double explained_least, FusedSurface& surface) {
-  // Of stations between 0.5 and 0.75 some were made worse, under light and of materials that were drawn at random.
+  // Some stations between 0.5 and 0.75 became worse in tests with random light and materials.
   constexpr double well_explained = 0.75;
   Confidence& confidence = surface.confidence;
   if (std::isnan(report.trusted_share)) {

@@ -4,10 +4,10 @@
 
 namespace malus {
 
-/// Whether the last round left the surface about where it was. One that still moves is no result.
+/// Whether the last round hardly moved the surface. A surface that still moves is not used as a result.
 bool has_settled(const RefineReport& report);
 
-/// Says of a refined surface what the report gives reason for: status, warnings and confidence. `explained_least` is
+/// Sets the status, warnings and confidence of a refined surface according to the report. `explained_least` is
 /// RefineOptions::explained_least.
 void judge(const RefineReport& report, double explained_least, FusedSurface& surface);
 

@@ -16,8 +16,8 @@
 namespace malus {
 namespace {
 
-/// Body light of specular pixels: s0 less the mirror image of the usual surroundings, where that is a likely value; the
-/// neighbors' elsewhere, because steep slopes see other, darker surroundings.
+/// Body light of specular pixels: s0 minus the mirror image of the usual surroundings, where that is a likely value.
+/// Elsewhere the neighbors' value is used, because steep slopes mirror other, darker surroundings.
 void estimate_mirror_body(RefinementField& field, const Context& context) {
   const double likely = std::clamp(3.3 * field.reflection.mirror.body_spread, 0.25, 0.5);
   constexpr double blur_px = 4, few = 0.02;
@@ -65,7 +65,7 @@ PixelResiduals pixel_residuals(RefinementField& field, const WeightOptions& opti
       const double s0 = field.s0(u, v);
       const PredictedStokes m = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
       const double steepness = square(m.s1_by_p) + square(m.s1_by_q) + square(m.s2_by_p) + square(m.s2_by_q);
-      // Where a metal is darker or brighter than its map says, its polarization is so, too.
+      // Where a metal's s0 differs from the map's, its polarization differs by the same factor.
       const double dimmed = square(field.reflection.metal_error) * (square(m.s1) + square(m.s2));
       const double variance = field.variance(u, v) + square(options.relative_error * s0) +
                               0.5 * (square(options.slope_error) * steepness + dimmed);
@@ -91,11 +91,12 @@ void weigh_regions(RefinementField& field, Image<float> squared, double sigma_px
   }
 }
 
-/// Weight of a full block, 1 / GSD. Errors of the reflection model bend the surface over long distances; a prior that
-/// is known well holds it. A poor prior must still hold what would drift without.
+/// Weight of a full block, 1 / GSD. Errors of the reflection model bend the surface over long distances; an accurate
+/// prior prevents that. Even a poor prior must keep the surface from drifting.
 double block_weight(double prior_sigma_gsd, const WeightOptions& options) {
   constexpr double gain_of_mean = 2.4;
-  // From here on the prior is an extrapolation, as in the holes of a swept surface, and holds as little as it knows.
+  // Above this sigma the prior is an extrapolation, as in the holes of a swept surface, and its weight falls with
+  // sigma.
   constexpr double unknown_gsd = 2;
   const double most = std::max(options.prior_weight, options.good_prior_weight);
   const double least = options.prior_weight * std::min(1.0, unknown_gsd / std::max(prior_sigma_gsd, 1e-6));
@@ -120,7 +121,7 @@ void weigh_prior_blocks(RefinementField& field, const WeightOptions& options, co
       if (count == 0) continue;
       const double fill = static_cast<double>(count) / (prior_block_px * prior_block_px);
       field.block_mean(column, row) = static_cast<float>(sum / count);
-      // A point of a cloud is uncertain across the surface; its depth is so by 1 / cos(zenith) more.
+      // A cloud's points are uncertain across the surface; their depth is more uncertain by 1 / cos(zenith).
       field.block_weight(column, row) =
           static_cast<float>(fill * square(block_weight(sigma / count, options)) * std::max(cos2 / count, 0.02));
     }
@@ -169,7 +170,7 @@ FitQuality ResidualSummary::quality() {
 }
 
 double ResidualSummary::albedo_weight(const WeightOptions& options) {
-  // A body of one albedo says more about its shape by its shading than a textured one.
+  // Shading is stronger evidence of shape on a body of uniform albedo than on a textured one.
   constexpr double textured = 0.06, most = 2.5;
   const double spread = deviation_per_median * median_in_place(albedo_steps_);
   return square(options.albedo_weight * std::clamp(textured / std::max(spread, 1e-6), 1.0, most));

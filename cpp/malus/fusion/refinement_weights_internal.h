@@ -5,7 +5,7 @@
 
 namespace malus {
 
-/// How much each residual counts; see RefineOptions for the meaning of the numbers.
+/// Options for the residuals' weights; see RefineOptions for their meaning.
 struct WeightOptions {
   double robust_scale = 2.5;
   double specular_widening = 1;  ///< factor on robust_scale in specular regions
@@ -19,7 +19,7 @@ struct WeightOptions {
   double regional_sigma_px = 0;  ///< 0 = no regional down-weighting
 };
 
-/// What the Stokes residuals look like at the current surface.
+/// Summary of the Stokes residuals at the current surface.
 struct FitQuality {
   double median_residual = 0;  ///< of |(s1, s2) − model| / σ / √2 over usable pixels; about 0.8 when only noise is left
   double robust_cost = 0;  ///< mean of ln(1 + r² / 4)
@@ -31,18 +31,18 @@ struct PixelResiduals {
   Image<float> log_albedo;  ///< ln(body / shading), diffuse regions
 };
 
-/// How far around a pixel the field decides on its weights [px], in whole prior blocks.
+/// Radius of the neighborhood that determines a pixel's weights [px], in whole prior blocks.
 inline constexpr int weights_reach_px = 24;
 
-/// Recomputes the robust weights of all residuals, and ln of the body light, at the current surface; all but the weight
-/// of albedo changes, for which the whole image must be known.
+/// Recomputes the robust weights of all residuals, and ln of the body light, at the current surface, except the weight
+/// of albedo changes, which needs the whole image.
 PixelResiduals update_weights(RefinementField& field, const WeightOptions& options, const Context& context);
 
-/// What an image's residuals look like, collected part by part.
+/// Summary of an image's residuals, collected part by part.
 class ResidualSummary {
  public:
   explicit ResidualSummary(Size image);
-  /// Adds some of a part's rows; `first_row` is the part's in the image.
+  /// Adds some rows of a part; `first_row` is the part's first row in the image.
   void add(const PixelResiduals& part, RowRange rows, int first_row);
   FitQuality quality();
   /// Weight of changes of ln albedo.
@@ -50,7 +50,7 @@ class ResidualSummary {
 
  private:
   Size image_;
-  double share_;  ///< of pixels that medians are taken of
+  double share_;  ///< of pixels that are sampled for medians
   double cost_ = 0, count_ = 0;
   std::vector<float> squared_, albedo_steps_;
 };

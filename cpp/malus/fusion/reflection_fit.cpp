@@ -17,7 +17,7 @@
 namespace malus {
 namespace {
 
-constexpr double model_error = 0.003;  // of s0: what no forward model explains
+constexpr double model_error = 0.003;  // of s0: error of any forward model
 constexpr int irls_rounds = 15;
 constexpr int node_count = EnvironmentProfile::node_count;
 
@@ -63,13 +63,13 @@ Eigen::Vector2d lobe_column(const ReflectionSample& s, const HighlightLobe& lobe
 }
 
 struct LinearFit {
-  Eigen::VectorXd values;  // environment nodes, then the lobe's strength if it takes part
+  Eigen::VectorXd values;  // environment nodes, then the lobe's strength if it is fitted
   Eigen::VectorXd sigma;
   double cost = 0;
   double scale = 1;  // of the squared residuals
 };
 
-/// Non-negative solution: negative ones are set to 0 and the rest is solved again.
+/// Non-negative solution: negative unknowns are set to 0 and the others are solved again.
 Eigen::VectorXd solve_nonnegative(const Eigen::MatrixXd& normal, const Eigen::VectorXd& rhs) {
   Eigen::VectorXd solution = normal.ldlt().solve(rhs);
   std::vector<Eigen::Index> positive;
@@ -112,7 +112,7 @@ LinearFit fit_linear(const std::vector<LinearizedSample>& samples, const std::ve
       rhs[node_count] += w * column.dot(s.base);
     }
     const double smoothness = 1e-4 * normal.topLeftCorner(node_count, node_count).trace();
-    for (int j = 0; j + 1 < node_count; ++j) {  // empty zeniths follow their neighbors
+    for (int j = 0; j + 1 < node_count; ++j) {  // zeniths without samples follow their neighbors
       normal(j, j) += smoothness;
       normal(j + 1, j + 1) += smoothness;
       normal(j, j + 1) -= smoothness;
@@ -138,7 +138,7 @@ LinearFit fit_linear(const std::vector<LinearizedSample>& samples, const std::ve
   return fit;
 }
 
-/// A direction that is turned by two small numbers; its length is not kept.
+/// A direction turned by two small parameters; its length is not kept.
 struct TurnedDirection {
   explicit TurnedDirection(const Eigen::Vector3d& from)
       : start(from), across1(from.unitOrthogonal()), across2(from.cross(across1)) {}
@@ -151,8 +151,8 @@ struct TurnedDirection {
   Eigen::Vector3d start, across1, across2;
 };
 
-/// Residual of one sample in all parameters of environment and lobe. Only the lobe is differentiated automatically, by
-/// its four parameters: the sample is linear in the environment, and of its nodes it has two.
+/// Residual of one sample as a function of all parameters of environment and lobe. Only the lobe's four parameters are
+/// differentiated automatically: the residual is linear in the environment and depends on two of its nodes.
 class LobeResidual : public ceres::SizedCostFunction<2, node_count, 1, 1, 2> {
  public:
   LobeResidual(const ReflectionSample& sample, const LinearizedSample& linear, const TurnedDirection& light, double eta)
@@ -192,7 +192,7 @@ class LobeResidual : public ceres::SizedCostFunction<2, node_count, 1, 1, 2> {
   }
 
  private:
-  /// What the highlight takes from the residual.
+  /// Contribution of the highlight to the residual.
   template <class T>
   Eigen::Matrix<T, 2, 1> lobe(const T& strength, const T& log_roughness, const T* turn) const {
     using std::exp;
@@ -310,8 +310,8 @@ void refine_lobe(const SampleSet& set, double scale, DiffuseFit& fit, const Cont
   fit = refined;
 }
 
-/// Robust relative spread of s0 less the mirror image of the usual surroundings, where the surface faces
-/// the camera enough to mirror them.
+/// Robust relative spread of s0 minus the mirror image of the usual surroundings, where the surface faces the camera
+/// enough to mirror them.
 double body_spread(const std::vector<ReflectionSample>& samples, const MirrorReflection& mirror, double eta) {
   constexpr double frontal_tan2 = 1.0 / 3;  // zenith below 30°
   std::vector<double> rest, deviation;
@@ -345,7 +345,7 @@ std::vector<ReflectionSample> collect_samples(const RefinementImage& image, Refl
   std::size_t count = 0;
   for (std::size_t i = 0; i < image.usable.count(); ++i) count += takes_part(i);
   const double share = static_cast<double>(largest_count) / static_cast<double>(std::max<std::size_t>(count, 1));
-  constexpr double largest_tan2 = 6;  // the rim is too uncertain to learn from
+  constexpr double largest_tan2 = 6;  // steeper slopes, at the rim, are too uncertain
   std::vector<ReflectionSample> samples;
   for (int v = 0; v < image.size().height; ++v) {
     for (int u = 0; u < image.size().width; ++u) {
@@ -391,7 +391,7 @@ ShadingHarmonics fit_body_shading(const std::vector<ReflectionSample>& samples, 
     const MirroredLightTable& mirrored = *model.table_of(s.other_finish);
     values[i] = std::max(s.s0 - mirrored.at(s.p, s.q, s.frame).stokes[0], 0.0);
   }
-  // Errors are relative down to a tenth of the usual light. A metal has none from a body.
+  // Errors are relative down to a tenth of the usual light. A metal has no body light.
   const double darkest = 0.1 * median(std::vector<double>(values.begin(), values.end()));
   if (darkest <= 0) return harmonics;
   Eigen::VectorXd errors = values.cwiseMax(darkest);
@@ -529,7 +529,7 @@ struct SamplesByKind {
 
   std::size_t count() const { return diffuse.size() + specular.size(); }
 
-  /// The k-th of n runs, which lie beside each other in the image.
+  /// The k-th of n parts; the samples of a part lie together in the image.
   SamplesByKind run(std::size_t k, std::size_t n) const {
     const auto part = [&](const std::vector<ReflectionSample>& samples) {
       const auto at = [&](std::size_t i) {
@@ -544,7 +544,7 @@ struct SamplesByKind {
 IndexSearch search_index(const SamplesByKind& samples, double supposed, MirroredTerms terms, const Context& context) {
   HighlightLobe start;
   if (!samples.diffuse.empty()) start.light = fit_shading(samples.diffuse).light;
-  Context alone = context;  // the tries run side by side
+  Context alone = context;  // the tries already run in parallel
   alone.threads = 1;
   const auto cost = [&](double eta) {
     double sum = 0;
@@ -563,7 +563,7 @@ IndexSearch search_index(const SamplesByKind& samples, double supposed, Mirrored
 RefractiveIndexFit fit_refractive_index(const RefinementImage& image, double supposed, MirroredTerms terms,
                                         const Context& context) {
   constexpr std::size_t largest_count = 8000, parts = 8;
-  // Of twelve random objects the index was off by 0.06 RMS, twice what its parts' scatter says.
+  // On twelve random objects the error of the index was 0.06 RMS, twice the estimate from the scatter of its parts.
   constexpr double largest_sigma = 0.15, error_of_model = 0.06, clear_scatters = 3;
   SamplesByKind samples{collect_samples(image, Reflection::diffuse, largest_count),
                         collect_samples(image, Reflection::specular, largest_count)};

@@ -30,7 +30,7 @@ Evidence collect_evidence(const RefinementField& field, const Context& context) 
   return evidence;
 }
 
-/// Kind that nearly all the evidence around a pixel speaks for, as its share of specular evidence says; 0 = neither.
+/// Kind supported by nearly all evidence around a pixel, given the share of specular evidence; 0 = neither.
 std::uint8_t clear_kind(float specular_share) {
   constexpr double clear = 0.9;
   if (specular_share > clear) return static_cast<std::uint8_t>(Reflection::specular);
@@ -40,9 +40,9 @@ std::uint8_t clear_kind(float specular_share) {
 }  // namespace
 
 double label_reflection(RefinementImage& image, const std::vector<RowRange>& strips, const Context& context) {
-  // Highlights, shadows and noise look like the other kind in places; a different material does so all over a region.
+  // Highlights, shadows and noise look like the other kind in places; a different material does so over a whole region.
   constexpr double pooling_px = 20;
-  constexpr int reach_px = 64;  // of the pooling, in whole prior blocks
+  constexpr int reach_px = 64;  // reach of the pooling, in whole prior blocks
   constexpr std::size_t smallest_region_px = 4000;
   double specular = 0, all = 0;
   Image<std::uint8_t> clear(image.size());

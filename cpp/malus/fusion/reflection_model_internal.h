@@ -12,7 +12,7 @@
 
 namespace malus {
 
-/// Radiance of the surroundings seen in the surface by zenith: piecewise linear, not negative, in units of s0.
+/// Radiance of the mirrored surroundings as a function of the zenith: piecewise linear, not negative, in units of s0.
 struct EnvironmentProfile {
   static constexpr int node_count = 9;
   static constexpr std::array<double, node_count> nodes_rad = [] {
@@ -22,7 +22,7 @@ struct EnvironmentProfile {
   }();
   std::array<double, node_count> radiance{};
 
-  /// Lower node of a zenith's interval and the share of the upper one.
+  /// Lower node of a zenith's interval and the weight of the upper node.
   struct Position {
     int node = 0;
     double share = 0;
@@ -33,8 +33,8 @@ struct EnvironmentProfile {
   double slope(double zenith_rad) const;
 };
 
-/// Rough reflection of a small source: a microfacet lobe about the half vector of light and view, polarized like its
-/// facets, which is about the half vector and not about the normal.
+/// Rough reflection of a small source: a microfacet lobe about the half vector of light and view. Its light is
+/// polarized about the half vector, like that of its facets, and not about the normal.
 struct HighlightLobe {
   double strength = 0;                                ///< 0 = none
   double roughness = 0.25;                            ///< alpha of the Beckmann distribution
@@ -50,14 +50,14 @@ struct MirrorReflection {
 
 class MirroredLightTable;
 
-/// Everything about reflection that all pixels share.
+/// All reflection parameters that the pixels share.
 struct ReflectionModel {
   double eta = 1.5;
-  /// What pixels that are not specular mirror; null = by environment and lobe.
+  /// Light mirrored by pixels that are not specular; null = environment and lobe are used instead.
   std::shared_ptr<const MirroredLightTable> mirrored;
-  /// The same of pixels with the other of two finishes; null = all have one.
+  /// The same for pixels with the other of two finishes; null = all pixels have the same finish.
   std::shared_ptr<const MirroredLightTable> mirrored_by_other;
-  /// Of a metal, all of whose light is mirrored: standard deviation of the predicted s0 as a share of it. 0 = no metal.
+  /// For a metal, which mirrors all its light: standard deviation of the predicted s0 relative to s0. 0 = no metal.
   double metal_error = 0;
   EnvironmentProfile environment;
   HighlightLobe lobe;
@@ -68,7 +68,7 @@ struct ReflectionModel {
   }
 };
 
-/// The lobe as one pixel sees it. Slopes are against the pixel's viewing ray.
+/// The lobe at one pixel. Slopes are in the frame of the pixel's viewing ray.
 struct LobeAtPixel {
   double hp = 0, hq = 0;            ///< slopes of the half vector
   double reflectance = 0;           ///< Fresnel F about the half vector
@@ -94,13 +94,13 @@ struct PredictedStokes {
 
 /// Forward model of one pixel:
 ///   (s1, s2) = (d ρ_d/g − E (Rs−Rp)/2/g) (p² − q², 2 p q) − T (cos 2φ_H, sin 2φ_H),  g = p² + q² = tan²θ.
-/// Diffuse: d = max(s0 − E(θ) F − T_unpolarized, 0). Specular: d is given, E = (s0 − d) / F, T = 0. The measured s0
-/// removes albedo as an unknown. With a table of mirrored light m: d = max(s0 − m0, 0), (s1, s2) = d ρ_d/g (p² − q²,
-/// 2 p q) + (m1, m2); of a metal d = 0, and s0 = m0 is predicted, too.
+/// Diffuse: d = max(s0 − E(θ) F − T_unpolarized, 0). Specular: d is given, E = (s0 − d) / F, T = 0. With the measured
+/// s0 the albedo is no unknown. With a table of mirrored light m: d = max(s0 − m0, 0), (s1, s2) = d ρ_d/g (p² − q²,
+/// 2 p q) + (m1, m2); for a metal d = 0, and s0 = m0 is predicted, too.
 class PixelReflection {
  public:
   /// mirror_body: s0 of the light from inside a specular body, from 0 to s0; not used for a diffuse one. other_finish:
-  /// of two that a map of the surroundings is seen through.
+  /// whether the pixel has the other of the two finishes of a map of the surroundings.
   PixelReflection(const ReflectionModel& model, Reflection kind, double s0, double mirror_body, const RayFrame& frame,
                   bool other_finish = false);
 

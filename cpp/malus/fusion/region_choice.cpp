@@ -58,7 +58,7 @@ void add_prior_costs(const RefinementField& field, const WeightOptions& options,
   }
 }
 
-/// Pixels within `radius` (4-neighborhood steps) of the set ones, on the object.
+/// Object pixels within `radius` (4-neighborhood steps) of the set pixels.
 Mask grown(const Mask& mask, const Mask& object, int radius) {
   Mask result = mask;
   for (int step = 0; step < radius; ++step) {
@@ -75,7 +75,8 @@ Mask grown(const Mask& mask, const Mask& object, int radius) {
   return result;
 }
 
-/// Moves a region by the candidate's difference less its offset on the region's border, which fades in over 3 pixels.
+/// Moves a region by the candidate's difference minus the median difference just outside the region; the movement fades
+/// in over 3 pixels.
 void move_region(const PixelSet& region, const Image<double>& difference, const Mask& object,
                  Image<int>& depth_in_region, Image<double>& x) {
   const int width = object.width(), height = object.height();

@@ -11,7 +11,7 @@
 namespace malus {
 namespace {
 
-/// Robust standard deviation of places along one axis of the image.
+/// Robust standard deviation of positions along one axis of the image.
 double spread(std::vector<double> places) {
   const double middle = median(places);
   for (double& place : places) place = std::abs(place - middle);
@@ -49,7 +49,7 @@ double distance_of_same_normals(const RefinementImage& image) {
     sum += pixels * std::hypot(spread(places.u), spread(places.v));
     count += pixels;
   }
-  constexpr double least_px = 1;  // where each pixel has a normal of its own nothing is told, and 0 would mean no limit
+  constexpr double least_px = 1;  // if no two pixels share a normal, the spread is 0, which would mean no limit
   return std::max(sum / std::max(count, 1.0), least_px);
 }
 

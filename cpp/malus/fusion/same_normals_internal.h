@@ -4,11 +4,11 @@
 
 namespace malus {
 
-/// How far apart the pixels are that mirror the same cell of the surroundings [px]: robust standard deviation of their
-/// places, mean over the object; at least 1.
+/// Typical distance between pixels of the same normal, which mirror the same cell of the surroundings [px]: robust
+/// standard deviation of their positions, mean over the object; at least 1.
 ///
-/// A map of the surroundings is told from the surface by pixels in several places that have one normal. Longer waves of
-/// the surface than those places are apart change these normals together, as another map would.
+/// Map and surface can be separated because pixels in several places have the same normal. Waves of the surface that
+/// are longer than the distance between these places change such normals together, which looks like another map.
 double distance_of_same_normals(const RefinementImage& image);
 
 }  // namespace malus

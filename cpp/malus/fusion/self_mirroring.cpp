@@ -22,10 +22,10 @@ Image<double> pixel_depths(const RefinementImage& image, const Context& context)
   return depths;
 }
 
-/// Whether the light that pixel (u, v) mirrors towards the camera comes from the surface with these depths. `side` of
-/// the object [px].
+/// Whether the light that pixel (u, v) mirrors towards the camera comes from the surface with these depths. `side` is
+/// the object's [px].
 bool mirrors_itself(const RefinementImage& image, const Image<double>& depths, double side, int u, int v) {
-  // Lengths in GSD, and as shares of the object's side.
+  // The first four are lengths in GSD; `growth` is relative to `way`, `farthest` and `thickness` to the object's side.
   constexpr double start = 1.5, step = 0.8, lift = 0.5, clear = 0.3;
   constexpr double growth = 0.03, farthest = 2, thickness = 0.35;
   const Pinhole& camera = image.camera;
@@ -41,7 +41,7 @@ bool mirrors_itself(const RefinementImage& image, const Image<double>& depths, d
     const Eigen::Vector2d pixel = camera.project(at);
     const int column = static_cast<int>(std::lround(pixel[0])), row = static_cast<int>(std::lround(pixel[1]));
     if (!depths.contains(column, row)) return false;
-    const double behind = (at.z() - depths(column, row)) / gsd;  // NaN where nothing is in the way
+    const double behind = (at.z() - depths(column, row)) / gsd;  // NaN where no surface is in the way
     if (behind > clear && behind < thickness * side) return true;
   }
   return false;

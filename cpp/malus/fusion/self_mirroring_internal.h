@@ -5,8 +5,8 @@
 
 namespace malus {
 
-/// Pixels in which the surface, as it is, mirrors another part of itself (nodes' raster): what they show is in no map
-/// of distant surroundings. Only what the camera sees of the object can be found in its way.
+/// Pixels in which the current surface mirrors another part of itself (nodes' raster). No map of distant surroundings
+/// can explain their light. Only parts of the object that the camera sees are found.
 Mask self_mirroring_pixels(const RefinementImage& image, const Context& context);
 
 }  // namespace malus

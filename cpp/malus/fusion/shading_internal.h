@@ -6,11 +6,11 @@
 
 namespace malus {
 
-/// Light that a body of albedo 1 sends out by its normal: spherical harmonics to the second order, which hold 99 % of
-/// what a Lambertian body makes of any distant light (Ramamoorthi and Hanrahan 2001).
+/// Light from a body of albedo 1 as a function of its normal: spherical harmonics to the second order, which hold 99 %
+/// of a Lambertian body's shading under any distant light (Ramamoorthi and Hanrahan 2001).
 using ShadingHarmonics = Eigen::Matrix<double, 9, 1>;
 
-/// Of a unit normal, camera frame; not normalized.
+/// Basis functions of a unit normal, camera frame; the functions are not normalized.
 ShadingHarmonics shading_basis(const Eigen::Vector3d& n);
 
 /// ln of the shading of a pixel's normal, with derivatives by its slopes.

@@ -12,20 +12,20 @@
 
 namespace malus {
 
-/// The surface as the refinement has it at a time, and how it reflects; of an image or of a part of one. The unknown is
-/// x = f (ln z − origin), depth in GSD. It lives at the nodes, the pixels' corners: node (u, v) is the upper left
-/// corner of pixel (u, v), at (u − 1/2, v − 1/2) of the camera. A pixel's slopes follow from its own four nodes: they
-/// are not smoothed along themselves, and no side of the pixel is preferred. All rasters have the nodes' size, one more
-/// than the pixels along each axis; the last column and row have nodes only.
+/// Current surface and reflection of the refinement, for an image or a part of one. The unknown is x = f (ln z −
+/// origin), depth in GSD. It lives at the nodes, the pixels' corners: node (u, v) is the upper left corner of pixel (u,
+/// v), at (u − 1/2, v − 1/2) of the camera. A pixel's slopes follow from its own four nodes: they are not smoothed
+/// along their own direction, and no side of the pixel is preferred. All rasters have the nodes' size, one more than
+/// the pixels along each axis; the last column and row have nodes only.
 struct SurfaceEstimate {
   Pinhole camera;
   double focal = 1;
   double log_depth_origin = 0;
-  Mask object;  ///< nodes of the object's pixels
+  Mask object;  ///< corner nodes of the object's pixels
   Mask usable;  ///< pixels whose polarization may be used; all their nodes exist
   Image<double> x;
   Image<std::uint8_t> kind;  ///< Reflection
-  Mask other_finish;         ///< pixels that mirror as `reflection.mirrored_by_other` says; empty = none
+  Mask other_finish;         ///< pixels with the finish of `reflection.mirrored_by_other`; empty = none
   ReflectionModel reflection;
   ShadingHarmonics shading = ShadingHarmonics::Unit(0);  ///< body light / albedo = shading · basis(n)
 
@@ -39,17 +39,17 @@ struct SurfaceEstimate {
   double depth_of(double value) const { return std::exp(value / focal + log_depth_origin); }
 };
 
-/// Nodes of pixels, both in the nodes' raster.
+/// Corner nodes of pixels; both masks have the nodes' raster.
 Mask nodes_of(const Mask& pixels);
 
 /// Gradient of x in a pixel from its four nodes, as far as they exist.
 Eigen::Vector2d central_gradient(const SurfaceEstimate& surface, int u, int v);
 
-/// Slopes (p, q) of the current surface in the center of a pixel; or of another one with depths `x`.
+/// Slopes (p, q) at the center of a pixel, of the current surface or of another one with depths `x`.
 Eigen::Vector2d central_slopes(const SurfaceEstimate& surface, int u, int v);
 Eigen::Vector2d central_slopes(const SurfaceEstimate& surface, const Image<double>& x, int u, int v);
 
-/// Unit normal of slopes (p, q) against a ray, camera frame.
+/// Unit normal of slopes (p, q) in a ray's frame, in the camera frame.
 inline Eigen::Vector3d normal_of(const RayFrame& frame, double p, double q) {
   return (p * frame.right + q * frame.up + frame.view) / std::sqrt(1 + p * p + q * q);
 }

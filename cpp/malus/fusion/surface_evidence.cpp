@@ -15,7 +15,7 @@ Size cells_over(Size image, int cell_px) {
   return {(image.width + cell_px - 1) / cell_px, (image.height + cell_px - 1) / cell_px};
 }
 
-/// Gaussian mean of cells that count by their weights; 0 where none is near.
+/// Weighted Gaussian mean of cells; 0 where no cell with weight is near.
 Image<float> pooled(const Image<float>& values, const Image<float>& weights, double sigma_cells,
                     const Context& context) {
   Mask all(values.size());
@@ -116,10 +116,10 @@ Image<float> ExplainedByResult::shares(const Context& context) const {
 
 void anchor_to_prior(RefinementImage& image, const Image<double>& x_prior, double length_px, const Context& context) {
   if (length_px <= 0) return;
-  // Cells save time, and may be as large as the length.
+  // Cells save time, and need not be smaller than the length.
   int cell_px = prior_block_px;
   while (cell_px > length_px && cell_px > 1) cell_px /= 2;
-  // The means over cells and the interpolation between them smooth by a quarter of a squared cell themselves.
+  // Averaging over cells and interpolating between them already smooths by a variance of a quarter of a squared cell.
   const double rest2 = square(std::max(length_px, static_cast<double>(cell_px))) - 0.25 * square(cell_px);
   const Size size = image.size(), count = cells_over(size, cell_px);
   Image<float> lack(count), weights(count);

@@ -16,20 +16,20 @@ namespace {
 
 /// Variance of depth [GSD²] over one pixel step from the uncertainty of the slopes there.
 double slope_variance(const RefinementField& field, int u, int v) {
-  constexpr double unknown_slope = 0.5;  // where polarization says nothing
+  constexpr double unknown_slope = 0.5;  // where polarization is not used
   const double precision = field.stokes_precision(u, v);
   if (precision <= 0) return square(unknown_slope);
   const Eigen::Vector2d slopes = central_slopes(field, u, v);
   const PredictedStokes m = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
   const double weight = precision * stokes_weight(field, u, v);
   const double steepness = 0.5 * (square(m.s1_by_p) + square(m.s1_by_q) + square(m.s2_by_p) + square(m.s2_by_q));
-  const double stretch = 1 + slopes.squaredNorm();  // depth over image distance, for the same angle
+  const double stretch = 1 + slopes.squaredNorm();  // of depth over image distance, for the same angle
   return std::min(1 / (weight * steepness + 1e-12), square(unknown_slope)) * stretch;
 }
 
 using Curvature = std::array<Image<float>, 3>;  // ∂²/∂u², ∂²/∂v², √2 ∂²/∂u∂v of the prior [GSD / px²]
 
-/// Curvature of the prior at the nodes whose neighbors are there; NaN at others.
+/// Curvature of the prior at nodes whose neighbors exist; NaN at other nodes.
 Curvature curvature_of_prior(const RefinementField& field, const Context& context) {
   Curvature curvature;
   for (Image<float>& part : curvature) part = Image<float>(field.size(), 1, std::numeric_limits<float>::quiet_NaN());
@@ -48,8 +48,8 @@ Curvature curvature_of_prior(const RefinementField& field, const Context& contex
   return curvature;
 }
 
-/// Squared change of the prior's curvature around a node [GSD² / px⁴]: mean square of its difference from its mean. A
-/// smoothing leaves a ball as it is, whose curvature is the same all over.
+/// Squared change of the prior's curvature around a node [GSD² / px⁴]: mean square of its deviation from its local
+/// mean. Constant curvature, as on a ball, does not count: smoothing leaves it unchanged.
 Image<float> change_of_curvature(const RefinementField& field, double reach_px, const Context& context) {
   Curvature curvature = curvature_of_prior(field, context);
   Image<float> change(field.size());
@@ -61,7 +61,7 @@ Image<float> change_of_curvature(const RefinementField& field, double reach_px, 
   return masked_blur(change, field.object, reach_px, context);
 }
 
-/// Variance of the prior [GSD²], with what its smoothing cuts off.
+/// Variance of the prior [GSD²], including the detail that its smoothing removes.
 Image<float> prior_variance(const RefinementField& field, const PriorErrors& prior, const Context& context) {
   constexpr double of_smoothing = 0.65;
   const double of_noise = prior.shares_windows ? 1.0 : 0.3;
@@ -87,7 +87,7 @@ Image<float> prior_variance(const RefinementField& field, const PriorErrors& pri
   return variance;
 }
 
-/// Standard deviation by the nearness of the contour [GSD]. The image's border is none.
+/// Standard deviation due to the nearness of the contour [GSD]. The image's border is no contour.
 Image<float> contour_sigma(const RefinementField& field, const Context& context) {
   constexpr double near_px = 2, whole_gsd = 10;
   Mask all(field.size());
@@ -113,8 +113,8 @@ Image<float> surface_sigma(const RefinementField& field, const Image<std::uint8_
       slope(u, v) = static_cast<float>(slope_variance(field, u, v));
     }
   });
-  // A metal's brightness, which its slopes follow from, is less sure than polarization under a plain light; of what a
-  // map of the surroundings explains the surface keeps most of the prior's errors.
+  // A metal's slopes follow from its brightness, which is less reliable than polarization under a simple light. With a
+  // map of the surroundings, the surface keeps most of the prior's errors.
   const double of_prior = field.reflection.metal_error > 0 ? 0.3 : field.reflection.mirrored ? 0.7 : 0.16;
   const Image<float> changes = masked_blur(change, field.object, low_frequency_px, context);
   const Image<float> slopes = masked_blur(slope, field.object, high_frequency_px, context);

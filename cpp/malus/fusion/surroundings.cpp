@@ -9,7 +9,7 @@
 namespace malus {
 namespace {
 
-constexpr double disc_radius = 0.985;  // farther out the light comes from behind the surface's horizon
+constexpr double disc_radius = 0.985;  // beyond it the light comes from behind the surface's horizon
 constexpr double cell_side = 2.0 / Surroundings::cells;
 constexpr double solid_angle = 4 * cell_side * cell_side;
 
@@ -57,7 +57,7 @@ void mirrored_by_cell(double p, double q, const RayFrame& frame, const std::vect
     const auto column = static_cast<Eigen::Index>(i);
     out.col(column).setZero();
     const double hz = std::sqrt(std::max(1 - cell.hx * cell.hx - cell.hy * cell.hy, 1e-6));
-    // A cell is not a point: its extent widens the lobe. A Gaussian of slopes has variance alpha² / 2.
+    // The extent of a cell widens the lobe. A Gaussian of slopes has variance alpha² / 2.
     constexpr double spread = 0.45;
     const double alpha2 = roughness * roughness + 2 * std::pow(spread * cell_side, 2) / std::sqrt(std::max(hz, 0.2));
     const Eigen::Vector3d axis(0, 0, -1), about(cell.hx, -cell.hy, -hz);

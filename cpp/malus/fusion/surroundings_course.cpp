@@ -13,7 +13,7 @@ namespace malus {
 namespace {
 
 constexpr std::array any_roughness{0.04, 0.08, 0.12, 0.2, 0.3, 0.42};
-constexpr double near = 1.25;  // factor between neighboring values of a roughness that is about known
+constexpr double near = 1.25;  // factor between tried values of a roughness that is approximately known
 constexpr std::size_t enough_samples = 12000;
 
 std::shared_ptr<const MirroredLightTable> tabulated(const Surroundings& surroundings, double roughness,
@@ -24,7 +24,7 @@ std::shared_ptr<const MirroredLightTable> tabulated(const Surroundings& surround
   return std::make_shared<MirroredLightTable>(seen, course.material.index, image.camera, context);
 }
 
-/// These finishes, and those with one of the two a little smoother or rougher.
+/// The known finishes, and variants with one of the two a little smoother or rougher.
 std::vector<Finishes> finishes_near(const Finishes& known) {
   std::vector<Finishes> tried{known};
   for (const double factor : {1 / near, near}) {
@@ -34,7 +34,7 @@ std::vector<Finishes> finishes_near(const Finishes& known) {
   return tried;
 }
 
-/// Share of the usable pixels.
+/// Share of `pixels` in the usable pixels.
 double share_of(const Mask& pixels, const RefinementImage& image) {
   double inside = 0, all = 0;
   for (std::size_t i = 0; i < pixels.count(); ++i) {
@@ -44,7 +44,7 @@ double share_of(const Mask& pixels, const RefinementImage& image) {
   return inside / std::max(all, 1.0);
 }
 
-/// What the map is fitted to; tells before which pixels have the other finish, if there is one.
+/// Samples that the map is fitted to. With two finishes, first decides which pixels have the other one.
 std::vector<ReflectionSample> samples_of_map(RefinementImage& image, bool two_finishes, const MapCourse& course,
                                              const Context& context) {
   Image<double> refined;
@@ -58,8 +58,8 @@ std::vector<ReflectionSample> samples_of_map(RefinementImage& image, bool two_fi
   return samples;
 }
 
-/// Tells the pixels of the other finish by these surroundings, and fits them again with any of the finishes. Nothing
-/// where next to no pixel has the other one.
+/// Finds the pixels of the other finish with these surroundings, and fits the surroundings again with each of the tried
+/// finishes. Returns nothing if hardly any pixel has the other finish.
 std::optional<SurroundingsFit> fit_both(const Surroundings& surroundings, const std::vector<Finishes>& tried,
                                         RefinementImage& image, const MapCourse& course, const Context& context) {
   constexpr double least_share = 0.01;
@@ -116,8 +116,8 @@ std::optional<std::pair<MirrorMaterial, SurroundingsFit>> find_metal(const std::
   // Silver and gold, alloys of copper, iron and lead; at 550 nm.
   static constexpr std::array<std::complex<double>, 3> metals{{{0.1, 3.6}, {0.63, 3.19}, {2.5, 3.0}}};
   static constexpr std::array<Finishes, 3> roughnesses{{{0.08}, {0.15}, {0.3}}};
-  // Of metals s0 was found to within 0.03 to 0.11 at the prior's slopes, of clay, glaze, paint and stone to 0.27 to
-  // 0.9.
+  // At the prior's slopes the error of s0 was 0.03 to 0.11 for metals, and 0.27 to 0.9 for clay, glaze, paint and
+  // stone.
   constexpr double largest_error = 0.15, cost_margin = 0.1;
   std::optional<std::pair<MirrorMaterial, SurroundingsFit>> best;
   for (const std::complex<double> index : metals) {

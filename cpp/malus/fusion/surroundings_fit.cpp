@@ -14,7 +14,7 @@ namespace {
 
 using Cells = std::vector<Surroundings::Cell>;
 
-/// min ½ xᵀ G x − bᵀ x for x ≥ 0 by coordinate descent, from x.
+/// min ½ xᵀ G x − bᵀ x for x ≥ 0 by coordinate descent, starting from x.
 void solve_nonnegative(const Eigen::MatrixXf& normal, const Eigen::VectorXf& right, Eigen::VectorXf& x) {
   constexpr int most_sweeps = 500;
   constexpr float settled = 1e-4F;
@@ -33,7 +33,8 @@ void solve_nonnegative(const Eigen::MatrixXf& normal, const Eigen::VectorXf& rig
   }
 }
 
-/// Residuals of all samples in their standard deviations: values − rows · radiances; s1 above s2 above a metal's s0.
+/// Residuals of all samples in their standard deviations: values − rows · radiances; all s1, then all s2, then s0 of a
+/// metal.
 struct LinearSystem {
   Eigen::MatrixXf rows;
   Eigen::VectorXf values;
@@ -64,8 +65,7 @@ LinearSystem linearize(const std::vector<ReflectionSample>& samples, const Cells
   return system;
 }
 
-/// Neighboring cells look alike: what noise and wrong slopes of the samples put into one cell and take from the next
-/// costs something.
+/// Penalizes differences between neighboring cells, which noise and wrong slopes of the samples cause.
 void add_smoothness(const Cells& cells, float weight, Eigen::MatrixXf& normal) {
   Image<int> index({Surroundings::cells, Surroundings::cells}, 1, -1);
   for (std::size_t i = 0; i < cells.size(); ++i) index(cells[i].column, cells[i].row) = static_cast<int>(i);
@@ -82,7 +82,7 @@ void add_smoothness(const Cells& cells, float weight, Eigen::MatrixXf& normal) {
   }
 }
 
-/// Weights of the samples by what the radiances leave of them, and how well they explain them.
+/// Robust weights of the samples from their residuals, and how well the radiances explain them.
 struct Residuals {
   Eigen::VectorXf weights;
   double cost = 0, intensity_error = 0;
@@ -109,7 +109,7 @@ Residuals weigh(const LinearSystem& system, const Eigen::VectorXf& radiances, co
   return result;
 }
 
-/// `start`: radiances that are about right, if there are any.
+/// `start`: approximate radiances, or empty.
 SurroundingsFit fit(const std::vector<ReflectionSample>& samples, const Cells& cells, const Finishes& finishes,
                     const MirrorMaterial& material, const Image<float>& start = {}) {
   constexpr float ridge = 1e-4F, smoothness = 1e-3F;
@@ -118,7 +118,7 @@ SurroundingsFit fit(const std::vector<ReflectionSample>& samples, const Cells& c
   result.surroundings.roughness = finishes.usual;
   result.surroundings.other_roughness = finishes.other;
   result.surroundings.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
-  if (samples.empty()) return result;  // all that is seen is too steep
+  if (samples.empty()) return result;  // all slopes are too steep
   const LinearSystem system = linearize(samples, cells, finishes, material);
   Eigen::VectorXf radiances = Eigen::VectorXf::Zero(system.rows.cols());
   Residuals residuals{Eigen::VectorXf::Ones(static_cast<Eigen::Index>(samples.size()))};

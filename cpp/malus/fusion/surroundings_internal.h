@@ -11,19 +11,19 @@
 
 namespace malus {
 
-/// What the surface mirrors: radiance of the surroundings by direction, seen through microfacets.
+/// Light that the surface mirrors: radiance of the surroundings by direction, reflected by microfacets.
 ///
 /// The directions are those of the half vectors of light and optical axis, on square cells of the unit disc: equal
-/// areas of it are equal solid angles of light, dω = 4 dh_x dh_y, and all light that a surface facing the camera can
-/// mirror is on it. Facets follow the Beckmann distribution (Cook and Torrance 1982); their light is polarized like
-/// Fresnel's about the half vector.
+/// areas of the disc are equal solid angles of light, dω = 4 dh_x dh_y, and the disc covers all light that a surface
+/// facing the camera can mirror. Facets follow the Beckmann distribution (Cook and Torrance 1982); their light is
+/// polarized by Fresnel's equations about the half vector.
 struct Surroundings {
   static constexpr int cells = 20;  ///< along the disc's diameter
   double roughness = 0.1;           ///< alpha of the facets' slopes
-  double other_roughness = 0;       ///< of pixels with another finish; 0 = all have one
+  double other_roughness = 0;       ///< of pixels with another finish; 0 = no other finish
   Image<float> radiance;            ///< cells × cells, not negative, in units of s0; 0 outside the disc
 
-  /// Half vectors of the cells inside the disc, (x to the right, y upwards), and where they are in `radiance`.
+  /// Half vectors of the cells inside the disc (x to the right, y upwards), and their position in `radiance`.
   struct Cell {
     double hx = 0, hy = 0;
     int column = 0, row = 0;
@@ -31,19 +31,19 @@ struct Surroundings {
   static std::vector<Cell> all_cells();
 };
 
-/// Mirrored Stokes components of a pixel of unknown slopes.
+/// Mirrored Stokes components of a pixel, with derivatives by its slopes.
 struct MirroredLight {
   Eigen::Vector3d stokes = Eigen::Vector3d::Zero();  ///< s0, s1, s2 in the frame of the pixel's ray
   Eigen::Vector3d by_p = Eigen::Vector3d::Zero(), by_q = Eigen::Vector3d::Zero();
 };
 
-/// (s0, s1, s2) that a surface with slopes (p, q) mirrors of each cell at radiance 1. A metal's refractive index has an
-/// imaginary part > 0.
+/// (s0, s1, s2) that a surface with slopes (p, q) mirrors from each cell of radiance 1. A metal's refractive index has
+/// an imaginary part > 0.
 void mirrored_by_cell(double p, double q, const RayFrame& frame, const std::vector<Surroundings::Cell>& cells,
                       double roughness, std::complex<double> index, Eigen::Ref<Eigen::Matrix3Xf> out);
 
-/// The mirrored light over the slopes, tabulated for some rays of a camera and interpolated between: bicubic over the
-/// slopes (stereographic, so that all zeniths are on a disc), bilinear over the rays.
+/// The mirrored light as a function of the slopes, tabulated for some rays of a camera and interpolated: bicubic over
+/// the slopes (stereographic, so that all zeniths are on a disc), bilinear over the rays.
 class MirroredLightTable {
  public:
   MirroredLightTable(const Surroundings& surroundings, std::complex<double> index, const Pinhole& camera,

@@ -60,7 +60,7 @@ class TileProblem {
     ceres::Solver::Options solver;
     solver.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
     solver.sparse_linear_algebra_library_type = ceres::SUITE_SPARSE;
-    solver.max_num_iterations = options.iterations + 3;  // some may be rejected
+    solver.max_num_iterations = options.iterations + 3;  // some steps may be rejected
     solver.max_num_consecutive_invalid_steps = 3;
     solver.initial_trust_region_radius = 1e6;  // almost Gauss–Newton: the start is close
     solver.jacobi_scaling = false;
@@ -95,7 +95,7 @@ class TileProblem {
   }
 
  private:
-  /// Ends after so many accepted steps, or when the user wants to.
+  /// Ends after `steps` accepted steps, or when the run is cancelled.
   class StopAfter final : public ceres::IterationCallback {
    public:
     StopAfter(int steps, const Context& context) : steps_(steps), context_(context) {}
@@ -115,7 +115,7 @@ class TileProblem {
     const Context& context_;
   };
 
-  /// Ceres evaluates the Jacobian once more after the last step, for a step that is never made.
+  /// Skips the Jacobian that Ceres evaluates after the last step, for a step that is never made.
   class SkipLastJacobian final : public ceres::EvaluationCallback {
    public:
     void expect(int steps) { left_ = steps; }
@@ -129,9 +129,9 @@ class TileProblem {
     bool finished_ = false;
   };
 
-  /// Elimination order of the quads: the tile is cut in two again and again, each cut after its two parts. Fewer
-  /// entries in the factor than by minimum degree, which orders the small parts. Cuts run along borders of prior
-  /// blocks, whose cost joins all of a block's quads.
+  /// Elimination order of the quads: the tile is cut in two recursively, with each cut ordered after its two parts. The
+  /// factor has fewer entries than with minimum degree, which is used only inside the smallest parts. Cuts run along
+  /// borders of prior blocks, because a block's cost joins all its quads.
   std::shared_ptr<ceres::ParameterBlockOrdering> nested_dissection() {
     auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
     int groups = 0;
@@ -139,8 +139,8 @@ class TileProblem {
     return ordering;
   }
 
-  /// Appends a rectangle of quads to the order. A group for each part and cut: Ceres does not sort the columns of
-  /// separate parts in one group, and CHOLMOD needs those of a supernode together.
+  /// Appends a rectangle of quads to the order, with one group for each part and cut. Ceres would not sort the columns
+  /// of separate parts in one group, and CHOLMOD needs the columns of a supernode together.
   void dissect(const PixelRect& quads, int& groups, ceres::ParameterBlockOrdering& ordering) {
     constexpr int block = prior_block_px / quad_px, smallest = 2 * block;
     PixelRect last = quads;
@@ -208,7 +208,7 @@ class TileProblem {
     });
   }
 
-  /// Adds a cost if it depends on an unknown and all it looks at is in this tile's copy.
+  /// Adds a cost if it depends on an unknown and all its quads are in this tile's copy.
   void add(std::unique_ptr<QuadCost> cost, ceres::LossFunction* loss = nullptr) {
     const auto& quads = cost->quads();
     if (!std::all_of(quads.begin(), quads.end(), [&](QuadIndex q) { return is_local(q); })) return;
@@ -235,9 +235,9 @@ class TileProblem {
     return true;
   }
 
-  /// Share of noise in what the polarization of a quad's diffuse pixels may be off, at least a little. The rest is the
-  /// model's error, which smoothing does not average out. A mirror's polarization is far above its noise, and with a
-  /// map of the surroundings the slopes are held otherwise.
+  /// Share of noise in the variance of the polarization of a quad's diffuse pixels, at least `least`. The other part is
+  /// the model's error, which smoothing does not average out. A mirror's polarization is far above its noise, and with
+  /// a map of the surroundings other costs hold the slopes.
   double noise_share(QuadIndex quad) const {
     constexpr double least = 0.02;
     double sum = 0;
@@ -297,7 +297,7 @@ class TileProblem {
   std::unique_ptr<ceres::Problem> problem_;
 };
 
-/// Weight of a tile at a coordinate: 1 inside, falling linearly to 0 half a margin outside the core.
+/// Weight of a tile at a coordinate: 1 inside, falling linearly across the core's border to 0 half a margin outside it.
 double blend_weight(int at, int core0, int core1, int outer0, int outer1) {
   const auto ramp = [](double inside, double margin) {
     if (margin <= 0) return 1.0;  // border of the image
@@ -306,7 +306,7 @@ double blend_weight(int at, int core0, int core1, int outer0, int outer1) {
   return ramp(at + 0.5 - core0, core0 - outer0) * ramp(core1 - at - 0.5, outer1 - core1);
 }
 
-/// Tiles by falling number of unknowns, so that no large one is left for a single thread at the end.
+/// Tiles by falling number of unknowns, so that no large tile is left for a single thread at the end.
 std::vector<std::size_t> largest_first(const std::vector<Tile>& tiles, const Mask& object) {
   std::vector<int> unknowns(tiles.size(), 0);
   for (std::size_t i = 0; i < tiles.size(); ++i) {

@@ -8,63 +8,65 @@
 
 namespace malus {
 
-/// A tile solves for `outer` and answers for `core`; cores cover the image without overlap. Borders are multiples of
-/// the prior blocks.
+/// A tile solves for `outer`; `core` is its own part of the image. Cores cover the image without overlap. Borders are
+/// multiples of the prior blocks.
 struct Tile {
   PixelRect core, outer;
 };
 
-/// Even division of an image into cores of at most about core_px a side with margin_px around each.
+/// Even division of an image into cores of at most about core_px per side, with margin_px around each.
 std::vector<Tile> divide_into_tiles(Size size, int core_px, int margin_px);
 
-/// Some whole rows of tiles, which are worked on together.
+/// Some whole rows of tiles, which are processed together.
 struct TileStrip {
   RowRange rows;  ///< of the image
   std::vector<Tile> tiles;
 };
 
-/// Even division of an image's tiles into strips of about so many pixels: only one strip's field is made at a time.
+/// Even division of an image's tiles into strips of about `strip_px` pixels. Only one strip's field is in memory at a
+/// time.
 std::vector<TileStrip> divide_into_strips(const std::vector<Tile>& tiles, Size image, double strip_px);
 
 struct TileOptions {
   int iterations = 1;           ///< accepted Gauss–Newton steps of one solve
   double smoothness = 0.05;     ///< weight of the second differences
-  double slope_weight = 0;      ///< weight of changes of the prior's slopes …
-  double slope_change = 0.1;    ///< … and the change that counts half
+  double slope_weight = 0;      ///< weight of slope changes from the prior …
+  double slope_change = 0.1;    ///< … and the change whose weight is halved
   double prior_robust_gsd = 2;  ///< scale of the Cauchy loss of the prior blocks
 };
 
-/// What Ceres said, summed over tiles.
+/// Statistics of Ceres, summed over tiles.
 struct SolveStatistics {
   double cost_before = 0, cost_after = 0;  ///< over the tiles' outer rectangles
   int iterations = 0, rejected_steps = 0, failed_tiles = 0;
-  double solver_seconds = 0, linear_solver_seconds = 0;  ///< CPU seconds in Ceres and in its linear solver
+  double solver_seconds = 0,
+         linear_solver_seconds = 0;  ///< seconds in Ceres and in its linear solver, each tile on one thread
 
   SolveStatistics& operator+=(const SolveStatistics& other);
 };
 
-/// Frozen pixels around a tile's outer rectangle that its residuals look at.
+/// Width of the ring of frozen pixels around a tile's outer rectangle that its residuals use.
 inline constexpr int tile_ring_px = 4;
 
-/// What a tile has found.
+/// Solution of one tile.
 struct TileSolution {
   SolveStatistics statistics;
   std::vector<double> x;  ///< of the outer rectangle, row major
 };
 
-/// Minimizes the frozen-weight cost on every tile with the surface outside it held. Tiles run in parallel; the results
-/// do not depend on the number of threads. `solved` is called after each, one call at a time.
+/// Minimizes the cost with frozen weights on every tile; the surface outside the tile is held. Tiles run in parallel;
+/// the results do not depend on the number of threads. `solved` is called after each tile, one call at a time.
 std::vector<TileSolution> solve_tiles(const RefinementField& field, const std::vector<Tile>& tiles,
                                       const TileOptions& options, const std::function<void()>& solved,
                                       const Context& context);
 
-/// The surface that overlapping tiles make: each counts by a weight that falls to zero inside its margin.
+/// Blends overlapping tiles to one surface. A tile's weight falls to zero inside its margin.
 class BlendedTiles {
  public:
-  /// Of tiles as divide_into_tiles makes them.
+  /// `tiles` are those of divide_into_tiles.
   BlendedTiles(Size image, const std::vector<Tile>& tiles);
   void add(const Tile& tile, const std::vector<double>& x);
-  /// Puts the surface in place of x where the mask is set, and returns by how much it changes x (RMS).
+  /// Replaces x by the blended surface where the mask is set, and returns the RMS change of x.
   double replace(Image<double>& x, const Mask& object, const Context& context) const;
 
  private:

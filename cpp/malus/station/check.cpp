@@ -22,7 +22,7 @@
 namespace malus {
 namespace {
 
-/// What a run would say of the finding, too.
+/// Adds a finding's warning and limits the confidence, as a run would.
 void warn(Plan& plan, const Finding& finding) {
   plan.warnings.push_back(finding.text());
   if (finding.severity >= Severity::warning) plan.confidence.limit(ConfidenceLevel::low, finding.text());
@@ -34,7 +34,7 @@ std::string with_count(double count, const std::string& noun) {
   return text.str();
 }
 
-/// Reads every image; warns of those that are clipped or dark on the object.
+/// Reads every image; warns of images that are clipped or dark on the object.
 void read_images(const Station& station, const Mask& object, Plan& plan, const Context& context) {
   if (station.in_memory()) return;
   const StationFile& file = station.file;
@@ -66,7 +66,7 @@ void read_images(const Station& station, const Mask& object, Plan& plan, const C
   }
 }
 
-/// Those of the cloud's points that fall on the object, in the camera frame.
+/// The cloud's points that fall on the object, in the camera frame.
 std::vector<Eigen::Vector3d> points_on_object(const PointCloud& cloud, const CameraSpec& camera, const Mask& object) {
   std::vector<Eigen::Vector3d> found;
   for (const SeenPoint& point : seen_points(cloud.points, camera, object.size())) {
@@ -76,10 +76,10 @@ std::vector<Eigen::Vector3d> points_on_object(const PointCloud& cloud, const Cam
   return found;
 }
 
-/// What only this station's files say of a step, by its name.
+/// Descriptions of steps from this station's own files, by the step's name.
 using Details = std::map<std::string, std::string>;
 
-/// Reads the prior and says what it is. Throws what the run would throw for one that cannot be used.
+/// Reads the prior and describes it. Throws what the run would throw for an unusable prior.
 struct PriorCheck {
   const Station& station;
   const Mask& object;
@@ -119,7 +119,7 @@ struct PriorCheck {
   std::string operator()(const SweptDepth&) const { return "depth map"; }
 };
 
-/// What the images are, for people.
+/// Describes the images, for people.
 std::string describe_images(const Station& station) {
   const StationFile& file = station.file;
   const std::size_t images = station.in_memory() ? station.images.size() : file.polarized.images.size();

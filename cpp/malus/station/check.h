@@ -12,14 +12,14 @@
 
 namespace malus {
 
-/// What a run would do and take.
+/// What a run would do, and the time and memory it would take.
 struct Plan {
   std::string name;
   Size size;  ///< of the polarized images
   double object_pixels = 0;
-  std::vector<std::string> does;      ///< one line a step
+  std::vector<std::string> does;      ///< one line per step
   std::vector<std::string> warnings;  ///< what a person should know before starting
-  Confidence confidence;              ///< what is known against the result before there is one; "high" = nothing
+  Confidence confidence;              ///< limited by what the inputs alone show; "high" = nothing limits it yet
   double seconds = 0;                 ///< expected, with context.threads threads
   double memory_mb = 0;               ///< expected peak
 };
@@ -30,16 +30,16 @@ struct ExpectedTime {
   double seconds = 0;
 };
 
-/// What each step of a run is expected to take with context.threads threads, from the images' size and the mask alone.
-/// A station with [photos] is taken to have its prior already. `size` is that of the images if their files cannot say
-/// it (RAW).
+/// Expected time of each step of a run with context.threads threads, from the images' size and the mask alone. A
+/// station with [photos] is assumed to have its prior already. `size` gives the images' size if their files do not
+/// (RAW).
 std::vector<ExpectedTime> expected_times(const Station& station, const Options& options,
                                          const std::optional<std::string>& until, const std::optional<Size>& size,
                                          const Context& context);
 
-/// Reads everything a station names, as a run would, without computing anything: images (size, levels, saturation),
-/// mask, labels, and where the prior's points fall. Throws what the run would throw for unusable input.
-/// Time and memory come from measured costs a pixel (docs/decisions/0003-cost-model.md).
+/// Reads the inputs of a station as a run would, without computing anything: images (size, levels, saturation), mask,
+/// and the prior's points or mesh. A label image or depth map is not read. Throws what the run would throw for those
+/// inputs. Time and memory come from measured costs per pixel (docs/decisions/0003-cost-model.md).
 Plan check_station(const Station& station, const Options& options, const Context& context);
 
 /// The plan as JSON.

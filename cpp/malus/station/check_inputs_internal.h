@@ -1,6 +1,6 @@
 #pragma once
 
-// Private to the station room: what a check reads of a station before anything is computed.
+// Private to the station room: data of a station that a check reads before anything is computed.
 
 #include <Eigen/Core>
 #include <vector>
@@ -12,19 +12,19 @@
 
 namespace malus {
 
-/// Of the polarized images as they were captured.
+/// Size of the polarized images as captured.
 Size captured_size(const Station& station);
 
-/// The object in the images as they were captured; without a mask, everything.
+/// Mask of the object in the images as captured; without a mask file, all pixels.
 Mask captured_object(const Station& station, Size size);
 
-/// A point of the prior as the station's camera sees it.
+/// A point of the prior projected into the station's camera.
 struct SeenPoint {
   Eigen::Vector3d in_cam;
-  double u = 0, v = 0;  ///< in the image as it was captured, inside it
+  double u = 0, v = 0;  ///< in the image as captured, inside it
 };
 
-/// Of these points (world frame) those that lie before the camera and in its image.
+/// Those of the points (world frame) that lie in front of the camera and in its image.
 std::vector<SeenPoint> seen_points(const std::vector<Eigen::Vector3d>& points, const CameraSpec& camera, Size image);
 
 }  // namespace malus

@@ -13,7 +13,7 @@ namespace {
 
 constexpr std::size_t most_points = 100000;
 
-/// The prior's points in the world frame and the station's unit; a depth map's lie in the undistorted view.
+/// The prior's points in the world frame and the station's unit. A depth map is in the undistorted view.
 struct PriorPoints {
   const CameraSpec& camera;
   double scale = 1;  ///< of the prior

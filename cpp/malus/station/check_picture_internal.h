@@ -9,16 +9,16 @@
 
 namespace malus {
 
-/// What a person looks at to see whether prior and mask lie where the image shows the object.
+/// Data of a picture that shows whether prior and mask lie where the image shows the object.
 struct CheckPicture {
-  Image<float> image;  ///< the first polarized image as it was captured, its channels' mean [DN]
-  Mask object;         ///< the mask; without one, everything
-  /// The prior's points in the image: u, v [px] and z in the camera [unit of the station]; at most some 100,000, evenly
-  /// taken. Empty for a prior that is still to be made from photos.
+  Image<float> image;  ///< the first polarized image as captured, mean of its channels [DN]
+  Mask object;         ///< the mask; without one, all pixels
+  /// The prior's points in the image: u, v [px] and z in the camera [unit of the station]; at most about 100,000,
+  /// evenly sampled. Empty for a prior that is still to be made from photos.
   std::vector<Eigen::Vector3f> points;
 };
 
-/// Reads it. Throws what the run would throw for files that cannot be read.
+/// Reads that data. Throws what the run would throw for files that cannot be read.
 CheckPicture check_picture(const Station& station, const Context& context);
 
 }  // namespace malus

@@ -8,8 +8,8 @@
 namespace malus {
 namespace {
 
-/// Of the marks that gave the pose, or of those that check it. Points behind the camera have no distance and are left
-/// out; NaN if no mark is left.
+/// RMS distance of the marks that determined the pose, or of those that check it. Points behind the camera have no
+/// distance and are left out; NaN if no mark is left.
 double rms_px(const std::vector<ControlResidual>& residuals, bool check) {
   double squares = 0, count = 0;
   for (const ControlResidual& residual : residuals) {
@@ -20,12 +20,12 @@ double rms_px(const std::vector<ControlResidual>& residuals, bool check) {
   return std::sqrt(squares / count);
 }
 
-/// Of the marks that gave the pose; a known pose is checked by all of them.
+/// RMS distance of the marks that determined the pose; if the pose was given, of all marks.
 double fit_px(const StationFile& station, const std::vector<ControlResidual>& residuals) {
   return rms_px(residuals, !station.resection);
 }
 
-/// Of the marks that were held out of the pose; NaN without them.
+/// RMS distance of the marks that were not used to determine the pose; NaN without such marks.
 double held_out_px(const StationFile& station, const std::vector<ControlResidual>& residuals) {
   return station.resection ? rms_px(residuals, true) : NAN;
 }

@@ -1,6 +1,6 @@
 #pragma once
 
-// Private to the station room: what control points say of the camera's place.
+// Private to the station room: how well control points fit the camera's pose.
 
 #include <string>
 #include <vector>
@@ -11,10 +11,10 @@
 
 namespace malus {
 
-/// How far a mark lies from where the camera sees its point, in pixels of the polarized image as taken.
+/// Offset of a mark from the projection of its control point, in pixels of the polarized image as captured.
 struct ControlResidual {
   std::string name;
-  bool check = false;  ///< did not determine the pose
+  bool check = false;  ///< the point was not used to determine the pose
   double du_px = 0, dv_px = 0;
 
   double length_px() const;
@@ -22,16 +22,16 @@ struct ControlResidual {
   MALUS_FIELDS(name, check, du_px, dv_px)
 };
 
-/// Of every point that is marked in the polarized image; none without a camera.
+/// Residuals of all points that are marked in the polarized image; none without a camera.
 std::vector<ControlResidual> control_residuals(const StationFile& station);
 
-/// What a person should know before relying on the pose: marks that do not fit, and what is likely wrong.
+/// Warnings for a person who relies on the pose: marks that do not fit, and the likely cause.
 std::vector<std::string> control_warnings(const StationFile& station);
 
-/// What the control points give, in one line; empty if there are none in the polarized image.
+/// Summary of the control points in one line; empty if none is marked in the polarized image.
 std::string describe_control(const StationFile& station);
 
-/// Of `control` in quality.json, what the polarized image says; null without a camera or marks in it.
+/// The part of `control` in quality.json about the polarized image; null without a camera or marks in the image.
 Json control_json(const StationFile& station);
 
 }  // namespace malus

@@ -7,8 +7,8 @@
 namespace malus {
 namespace {
 
-/// Measured with default options: processor seconds a megapixel, the share of them that threads divide, and memory a
-/// megapixel and for each thread.
+/// Measured with default options: processor seconds per megapixel, the share of them that runs in parallel, and memory
+/// per megapixel and per thread.
 struct Rates {
   double seconds_per_mpx;
   double parallel_share;
@@ -16,7 +16,7 @@ struct Rates {
   double megabytes_per_thread;
 };
 
-/// Of the process before anything is read.
+/// Memory of the process before anything is read.
 constexpr double megabytes_fixed = 30;
 
 Expected expected(const Rates& rates, double megapixels, int threads) {
@@ -36,7 +36,8 @@ Expected polarization_cost(const Workload& work) {
 
 Expected prior_cost(const Workload& work) {
   constexpr Rates cloud{5.3, 0.88, 100, 250}, raster{0.04, 0.5, 35, 0};
-  // Points that hardly scatter are smoothed in finer cells: each thread has a system of the largest size.
+  // A swept surface scatters little and is smoothed in finer cells, so that each thread has a system of the largest
+  // size.
   constexpr Rates swept{10.4, 0.88, 100, 900};
   const PriorSource& prior = work.station.prior;
   const bool is_cloud = std::holds_alternative<CloudFile>(prior) || std::holds_alternative<PointCloud>(prior);
@@ -49,7 +50,7 @@ Expected polarizer_cost(const Workload& work) {
 }
 
 Expected evidence_cost(const Workload& work) {
-  // The search for a better place of the prior is in views of one size, however large the images are.
+  // The search for a better alignment of the prior uses views of one size, however large the images are.
   constexpr double search_seconds = 1.3;
   Expected cost = expected({0.5, 0.3, 70, 20}, image_mpx(work), work.threads);
   cost.seconds += search_seconds;
@@ -62,8 +63,7 @@ Expected zenith_cost(const Workload& work) {
 
 Expected height_cost(const Workload& work) {
   Expected cost = expected({2.3, 0.93, 49, 75}, work.object_mpx, work.threads);
-  // The height of a raster is solved as a whole, many times, at the first of its halved resolutions that is small
-  // enough.
+  // The height is solved for the whole raster, many times, at the first halved resolution that is small enough.
   constexpr double seconds_per_mpx = 35;
   double share = 1;
   while (share * static_cast<double>(work.size.area()) > static_cast<double>(whole_height_pixels)) share /= 4;
@@ -74,7 +74,7 @@ Expected height_cost(const Workload& work) {
 Expected grid_cost(const Workload& work) {
   Expected cost = expected({0.12, 0.8, 56, 0}, work.object_mpx, work.threads);
   if (work.options.optimize.enabled) {
-    // A thread has one tile, whose size is fixed.
+    // Each thread has one tile of fixed size.
     const Expected together = expected({85, 0.95, 100, 160}, work.object_mpx, work.threads);
     cost.seconds += together.seconds;
     cost.megabytes = std::max(cost.megabytes, together.megabytes);
@@ -84,7 +84,7 @@ Expected grid_cost(const Workload& work) {
 
 Expected refined_cost(const Workload& work) {
   Expected cost = expected({45, 0.96, 50, 0}, work.object_mpx, work.threads);
-  // The field of a strip, and a tile's problem for each thread.
+  // Memory of the field of a strip, and of a tile's problem for each thread.
   constexpr double strip_mb_per_mpx = 110, tile_mb_per_mpx = 5000;
   const RefineOptions& options = work.options.refine;
   double tile_mpx = 0;

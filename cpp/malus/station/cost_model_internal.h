@@ -1,13 +1,13 @@
 #pragma once
 
-// Private to the station room: what each step is expected to take (docs/decisions/0003-cost-model.md).
+// Private to the station room: expected time and memory of each step (docs/decisions/0003-cost-model.md).
 
 #include "malus/station/options.h"
 #include "malus/station/station.h"
 
 namespace malus {
 
-/// What a step's cost depends on.
+/// Quantities that a step's cost depends on.
 struct Workload {
   const Station& station;
   const Options& options;
@@ -18,7 +18,7 @@ struct Workload {
 
 struct Expected {
   double seconds = 0;
-  double megabytes = 0;  ///< most memory of the process in the step, what is kept from earlier ones included
+  double megabytes = 0;  ///< peak memory of the process in the step, including results kept from earlier steps
 };
 
 Expected polarization_cost(const Workload& work);

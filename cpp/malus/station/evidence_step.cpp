@@ -55,7 +55,7 @@ InputEvidence check_inputs(const Job& job, const ImageFindings& of_images, const
   }
   std::ranges::stable_sort(evidence.findings, std::ranges::greater(), &Finding::severity);
   for (const Finding& finding : evidence.findings) {
-    // Those of the images were logged by the steps that found them, which are run without this one, too.
+    // Cautions about the images were logged by the steps that found them, because those can run without this step.
     if (finding.severity <= Severity::caution) continue;
     if (finding.severity == Severity::error && job.options.evidence.refuse)
       throw input_error(finding.text() + " (evidence.refuse = false goes on all the same)");

@@ -1,7 +1,7 @@
 #pragma once
 
-// Private to the station room: values and structs with a list of fields to JSON and back. Numbers that are not finite
-// become null.
+// Private to the station room: converts values and structs with a list of fields to JSON and back. Numbers that are not
+// finite become null.
 
 #include <cmath>
 #include <filesystem>
@@ -28,7 +28,7 @@ struct IsOptional : std::false_type {};
 template <class T>
 struct IsOptional<std::optional<T>> : std::true_type {};
 
-/// Lists the fields of a struct that does so itself. Types of other rooms that do not are listed below.
+/// Visits the fields of a struct that lists them itself. Overloads for types of other rooms that do not are below.
 template <class Self, class Visitor>
 auto visit_fields(Self& value, Visitor&& visit) -> decltype(std::remove_const_t<Self>::fields(value, visit)) {
   return std::remove_const_t<Self>::fields(value, visit);
@@ -84,7 +84,7 @@ concept Sequence =
   value.end();
 };
 
-/// Values by their names, in their order: an object.
+/// Values with names, in order; becomes a JSON object.
 using NamedValues = std::vector<std::pair<std::string, double>>;
 
 template <class T>
@@ -128,8 +128,8 @@ Json fields_to_json(const T& value) {
   }
 }
 
-/// Reads what fields_to_json wrote; throws exceptions of nlohmann's or std::invalid_argument if the JSON is something
-/// else.
+/// Reads what fields_to_json wrote; throws an exception of nlohmann's or std::invalid_argument if the JSON does not fit
+/// the type.
 template <class T>
 void fields_from_json(T& value, const Json& json) {
   if constexpr (std::same_as<T, NamedValues>) {

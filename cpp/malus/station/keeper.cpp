@@ -40,7 +40,7 @@ void Keeper::raster_file(const std::string& name, Image<T>& image, Read&& read, 
     if (size_ == Size{}) size_ = image.size();
     require_size(image, size_, (*folder_ / name).string());
   } else if (!image.empty()) {
-    // Bytes are compressed, which takes as long as writing many more.
+    // Byte rasters are compressed, which takes as long as writing many more bytes.
     const std::size_t effort = image.count() * (sizeof(T) == 1 ? 8 : sizeof(T));
     files_->add(name, effort, [&image, write](const fs::path& file) {
       write(file, image);

@@ -1,6 +1,6 @@
 #pragma once
 
-// Private to the station room: how a step's results become files and notes in a workspace, and results again.
+// Private to the station room: writes a step's results to files and notes in a workspace, and reads them back.
 
 #include <filesystem>
 #include <functional>
@@ -16,16 +16,16 @@
 
 namespace malus {
 
-/// The files of a step: what writes them is collected first, so that they can be written beside each other.
+/// The files of a step. Write functions are collected first, so that the files can be written in parallel.
 class StepFiles {
  public:
   using Write = std::function<bool(const std::filesystem::path& file)>;
 
-  /// `write` writes the file of this name below the workspace, of about so many bytes; or returns false and leaves
-  /// none. What it refers to must live until then.
+  /// `write` writes the file `name` below the workspace, of about `bytes` bytes, or returns false and leaves no file.
+  /// Data that it refers to must live until StepFiles::write returns.
   void add(const std::string& name, std::size_t bytes, Write write);
-  /// Writes them all, on the context's threads, the largest first, and makes their folders. Returns the names of those
-  /// that are there.
+  /// Writes all files on the context's threads, the largest first, and makes their folders. Returns the names of the
+  /// files that exist then.
   std::vector<std::string> write(const std::filesystem::path& folder, const Context& context) const;
 
  private:
@@ -37,28 +37,28 @@ class StepFiles {
   std::vector<Task> tasks_;
 };
 
-/// Takes the parts of one result to the files and notes of its step, or back: each result has one function `keep` that
-/// names them, and what comes back equals what went in to the bit.
+/// Writes the parts of one result to the files and notes of its step, or reads them back. Each result has one function
+/// `keep` that names its parts. A part that is read back equals the written one to the bit.
 class Keeper {
  public:
-  /// To files that are written later, and to notes.
+  /// For writing: to files that are written later, and to notes.
   Keeper(StepFiles& files, Json& notes) : files_(&files), notes_(&notes) {}
-  /// Back from the folder, from those files only that the step has left. `result` gives results of other steps.
+  /// For reading from the folder, only from files that the step has left. `result` returns results of other steps.
   Keeper(const std::filesystem::path& folder, const Workspace::Record& record,
          std::function<std::shared_ptr<const void>(std::type_index)> result)
       : folder_(&folder), record_(&record), result_(std::move(result)) {}
 
   bool is_reading() const { return record_ != nullptr; }
 
-  /// Rasters, in the file of this name; there is none of an empty one. All of a result have one size.
+  /// A raster in the file `name`; an empty raster has no file. All rasters of a result have the same size.
   void raster(const std::string& name, Image<float>& image);
   void raster(const std::string& name, Image<std::uint8_t>& image);
   /// A whole text file.
   void text(const std::string& name, std::string& content);
-  /// A text file for other programs, which is not read back.
+  /// A text file for other programs; not read back.
   void extra(const std::string& name, const std::string& content);
 
-  /// A value in the notes: what fields_to_json takes.
+  /// A value in the notes, of any type that fields_to_json takes.
   template <class T>
   void value(const std::string& name, T& value) {
     if (is_reading()) {
@@ -68,13 +68,13 @@ class Keeper {
     }
   }
 
-  /// All fields that a result lists, each as a value.
+  /// All listed fields of a result, each as a value.
   template <class T>
   void fields(T& result) {
     T::fields(result, [this](const char* name, auto& member) { value(name, member); });
   }
 
-  /// A part that is shared: a new one to read into, or the one that is there, which is not changed.
+  /// A shared part. Reading: a new object to read into. Writing: the existing object, which is not changed.
   template <class T>
   T& shared(std::shared_ptr<const T>& part) {
     if (!is_reading()) return const_cast<T&>(*part);

@@ -4,7 +4,7 @@
 namespace malus {
 namespace {
 
-/// What differs when the surface corrects the scale; the rest of the state is as measured.
+/// The parts of the state that change when the surface corrects the polarizer's scale; the others stay as measured.
 void keep_maps(PolarizationState& state, const std::string& folder, Keeper& keeper) {
   keeper.raster(folder + "unpolarized.tif", state.i_un);
   keeper.raster(folder + "degree.tif", state.rho);

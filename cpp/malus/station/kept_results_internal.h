@@ -1,13 +1,13 @@
 #pragma once
 
-// Private to the station room: the files and notes in which each step's results rest in a workspace.
+// Private to the station room: the files and notes in which a workspace stores each step's results.
 
 #include "malus/station/keeper_internal.h"
 #include "malus/station/results.h"
 
 namespace malus {
 
-// Names every part of a result, to write it or to read it back (see Keeper).
+// Each function names all parts of a result, to write them or to read them back (see Keeper).
 
 void keep(MeasuredPolarization& result, Keeper& keeper);
 void keep(StationView& result, Keeper& keeper);

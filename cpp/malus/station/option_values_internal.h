@@ -21,7 +21,7 @@ Json option_to_json(const T& value) {
   }
 }
 
-/// What an option of this type accepts, for messages and help.
+/// Values that an option of this type accepts, as text for messages and help.
 template <class T>
 std::string option_type(T example = {}) {
   if constexpr (IsOptional<T>::value) {

@@ -57,12 +57,12 @@ struct Options {
 
 /// All values as JSON, {"fusion": …, "section": {"key": value}}.
 std::string options_to_json(const Options& options);
-/// The options with the values of a JSON object of that form replaced; missing ones keep their value. Unknown sections
-/// and keys, wrong types and values out of range are input errors that name them.
+/// The options with the values of such a JSON object replaced; options that it does not name keep their value. Unknown
+/// sections and keys, wrong types and values out of range are input errors that name them.
 Options options_from_json(const Options& options, std::string_view json);
-/// One assignment as on the command line, "section.key=value" or "fusion=grid".
+/// Applies one assignment as on the command line, "section.key=value" or "fusion=grid".
 void set_option(Options& options, std::string_view assignment);
-/// Options of a TOML file with one table a section.
+/// The options with the values of a TOML file replaced; the file has one table per section.
 Options options_from_file(const Options& options, const std::filesystem::path& path);
 /// Every option with type, default, range and meaning, as JSON {"section": {"key": {"type", "default", "min", "max",
 /// "doc"}}}.

@@ -16,7 +16,7 @@ std::vector<std::string> overtaken_exports(const std::filesystem::path& folder) 
   for (const auto& step : manifest.at("steps")) {
     for (const auto& [file, output] : step.at("outputs").items()) now[file] = output.at("sha256");
   }
-  // Whoever edits the record has no warnings of it.
+  // A record that is no longer valid JSON gives no warnings.
   const Json noted = Json::parse(read_file(record, "record"), nullptr, false);
   std::vector<std::string> told;
   for (const auto& [name, made_from] : noted.items()) {

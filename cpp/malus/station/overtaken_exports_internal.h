@@ -8,8 +8,8 @@
 
 namespace malus {
 
-/// A sentence for each of the exports that a workspace holds and that were made from other files than its steps have
-/// now. They are the user's and stay.
+/// A sentence for each export in a workspace that was made from other versions of the steps' files than the present
+/// ones. Exports belong to the user and are not removed.
 std::vector<std::string> overtaken_exports(const std::filesystem::path& workspace);
 
 }  // namespace malus

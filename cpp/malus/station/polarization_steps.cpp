@@ -29,13 +29,14 @@ namespace {
 
 /// Share of the object's pixels from which misfits are worth a warning.
 constexpr double many_misfits = 0.05;
-/// From which they are the rule: nothing that is measured of the polarization is then sure. Right stations that were
-/// rendered have 0.13 at most.
+/// Share from which misfits are the rule, and no measured polarization is reliable. Correct rendered stations have 0.13
+/// at most.
 constexpr double most_misfits = 0.5;
-/// Squared mean of (s1, s2) in a cell over what noise makes of it, the median: without polarization it is 0.7.
+/// Least median over cells of the squared mean (s1, s2) divided by its variance from noise; without polarization it is
+/// 0.7.
 constexpr double least_polarization = 1.5;
 constexpr int polarization_cell_px = 8;
-/// Median error of (s1, s2) over their length from which a mosaic is worth a warning.
+/// Median error of (s1, s2), relative to their length, from which a mosaic is worth a warning.
 constexpr double texture_over_polarization = 1;
 
 CaptureInput make_capture_input(const Station& station) {
@@ -50,7 +51,7 @@ CaptureInput make_capture_input(const Station& station) {
   return input;
 }
 
-/// Of images that fit other angles or exposures, by far more than a scale is misread.
+/// Finding for images that fit other angles or exposures, where the difference is too large for an error of reading.
 Finding caution_of_angles(const PolarizerFit& fit) {
   std::ostringstream values;
   values << std::fixed << std::setprecision(0);
@@ -72,8 +73,8 @@ Finding caution_of_angles(const PolarizerFit& fit) {
            {"largest_gain_change", fit.largest_gain_change}}};
 }
 
-/// Angles and exposures that the images themselves ask for, where that is wanted and better than what is given; the
-/// stack's angles and intensities are then those. A finding where they ask for what cannot be.
+/// Fits angles and exposures to the images where the options ask for it. If the fit is used, the stack gets its angles
+/// and is corrected for its exposures. Returns a finding if the images fit implausible values better.
 std::optional<Finding> fit_polarizer_of(PolarizedStack& stack, const PolarizedSpec& spec,
                                         const PolarizerOptions& options, MeasuredPolarization& measured,
                                         const Context& context) {
@@ -109,7 +110,7 @@ std::optional<Finding> fit_polarizer_of(PolarizedStack& stack, const PolarizedSp
   return caution;
 }
 
-/// Images that lie as they are may be aside of each other, which passes for polarization at every edge.
+/// Finding for images that could not be registered: a shift between them looks like polarization at every edge.
 std::optional<Finding> caution_of_registration(const PolarizedStack& stack) {
   const std::size_t count = stack.unregistered.size();
   if (count == 0) return std::nullopt;
@@ -122,7 +123,7 @@ std::optional<Finding> caution_of_registration(const PolarizedStack& stack) {
                  {}};
 }
 
-/// Pixels that do not follow the sinusoid are left out one by one; many of them have one cause.
+/// Finding for many pixels that do not follow the sinusoid. Single ones are only left out; many have a common cause.
 std::optional<Finding> finding_of_misfits(const PolarizationState& state) {
   std::size_t object_pixels = 0, misfit_pixels = 0;
   for (const std::uint8_t pixel : state.valid) {
@@ -138,7 +139,8 @@ std::optional<Finding> finding_of_misfits(const PolarizationState& state) {
                  {{"misfit_fraction", misfits / object}}};
 }
 
-/// Squared mean of (s1, s2) over its variance, in a cell from (u0, v0) on; the noise is what the residuals say it is.
+/// Squared mean of (s1, s2) divided by its variance, in a cell from (u0, v0) on; the variance is scaled by the
+/// residuals.
 std::optional<double> polarization_of_cell(const PolarizationState& state, int u0, int v0) {
   Eigen::Vector2d sum = Eigen::Vector2d::Zero();
   double variance = 0, residuals = 0;
@@ -157,7 +159,7 @@ std::optional<double> polarization_of_cell(const PolarizationState& state, int u
   return sum.squaredNorm() / (variance * residuals / pixels);
 }
 
-/// Images that are alike at all angles have no polarizer before them, or one that turns nothing.
+/// Finding for images that are the same at all angles: no polarizer was in front of the lens, or it had no effect.
 std::optional<Finding> caution_of_no_polarization(const PolarizationState& state) {
   std::vector<double> cells;
   for (int v = 0; v < state.size().height; v += polarization_cell_px)
@@ -174,7 +176,7 @@ std::optional<Finding> caution_of_no_polarization(const PolarizationState& state
                  {{"polarization_over_noise", typical}}};
 }
 
-/// Of images interpolated from a mosaic: texture finer than its cells passes for polarization.
+/// Finding for images interpolated from a mosaic: texture finer than its cells looks like polarization.
 std::optional<Finding> caution_of_texture(const PolarizationState& state) {
   std::vector<double> errors;
   for (int v = 0; v < state.size().height; v += 4) {
@@ -196,7 +198,7 @@ std::optional<Finding> caution_of_texture(const PolarizationState& state) {
                  {{"texture_over_polarization", error}}};
 }
 
-/// What is known of the reflection, the light and the scale, to compare the polarization with the prior.
+/// Known reflection, light and scale, for the comparison of the polarization with the prior.
 FrameHints frame_hints(const Job& job, const PolarizationState& state, const StationView& view,
                        const Image<float>& normals) {
   const OpticsSpec& optics = job.station.file.optics;
@@ -210,7 +212,7 @@ FrameHints frame_hints(const Job& job, const PolarizationState& state, const Sta
   return hints;
 }
 
-/// What the surface says of the scale, as far as there is one.
+/// Calibrates the polarizer's scale by the surface, if there is a surface.
 CalibratedFrame compare_with_surface(const Job& job, const MeasuredPolarization& measured, const StationView& view,
                                      const DepthPrior* prior) {
   const PolarizedSpec& polarized = job.station.file.polarized;
@@ -218,7 +220,7 @@ CalibratedFrame compare_with_surface(const Job& job, const MeasuredPolarization&
   if (prior == nullptr)
     return {calibration_without_surface(measured.polarizer, measured.polarizer_fitted, known_scale)};
   PolarizerOptions known = job.options.polarizer;
-  // The angles of a polarization camera are made with its sensor.
+  // The angles of a polarization camera are fixed in its sensor.
   if (polarized.mosaic) known.calibrate_angles = AngleCalibration::off;
   const Image<float> normals = normals_from_depth(prior->depth, view.camera, job.context);
   const FrameHints hints = frame_hints(job, *measured.state, view, normals);
@@ -234,7 +236,7 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
   PolarizedStack stack = capture_stack(make_capture_input(job.station), options.capture, context);
   const PolarizedSpec& polarized = job.station.file.polarized;
   ImageFindings of_images;
-  // Angles that are found from the images have the images' order.
+  // Angles that are estimated from the images follow the images' order, which therefore need not be checked.
   if (polarized.angles_deg)
     of_images.findings.push_back(check_image_order(stack.images, stack.angles_rad, stack.mask, context).finding);
   const auto check_linear = [&] {
@@ -248,7 +250,7 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
   if (as_read) response = response_finding(*as_read, response);
   of_images.findings.push_back(response);
   for (Finding finding : job.station.file_findings) {
-    // What the light says counts for more than what a program wrote into a file.
+    // The measured response is stronger evidence than metadata that a program wrote into a file.
     if (says_linear(response)) {
       finding.severity = Severity::note;
       finding.message += "; the light says that this is right";
@@ -258,7 +260,7 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
   }
   auto state = std::make_shared<PolarizationState>(decompose(stack.images, stack.angles_rad, stack.noise, stack.mask,
                                                              stack.saturated, options.polarization, context));
-  // Each image that is not registered was warned of.
+  // No warning here: each unregistered image was already reported.
   if (auto found = caution_of_registration(stack)) of_images.findings.push_back(*std::move(found));
   const auto warn = [&](std::optional<Finding> found) {
     if (!found) return;
@@ -302,7 +304,7 @@ std::tuple<ReflectionMap, ClampedZeniths> find_zenith(const Job& job, const Cali
   if (file.optics.label_image) labels = read_labels(*file.optics.label_image);
   Image<float> normals;
   if (prior != nullptr) normals = normals_from_depth(prior->depth, view.camera, job.context);
-  // Without a camera the rays are taken for parallel.
+  // Without a camera the rays are assumed parallel.
   const Pinhole* camera = file.known_lens() ? &view.camera : nullptr;
   const PolarizationState& state = *polarization.state;
   ReflectionMap map = map_reflection(state, camera, prior != nullptr ? &normals : nullptr,

@@ -44,7 +44,7 @@ std::string describe_scale(const StationFile& station) {
   if (station.scale_errors.empty()) return {};
   std::ostringstream text;
   text << "known distances make the prior " << station.prior_scale << " times as large; they are then off by";
-  constexpr double rounding = 1e-9;  // of the distance; one distance alone is met to the last digit
+  constexpr double rounding = 1e-9;  // relative to the distance; a single distance is met up to rounding
   for (std::size_t i = 0; i < station.scale_errors.size(); ++i) {
     const ScaleBar& bar = station.scale_bars[i];
     const double error = station.scale_errors[i];

@@ -1,6 +1,6 @@
 #pragma once
 
-// Private to the station room: a given prior made metric by known distances.
+// Private to the station room: scales a given prior to metric size by known distances.
 
 #include <string>
 #include <vector>
@@ -12,16 +12,16 @@
 
 namespace malus {
 
-/// A prior's source with its lengths times `scale` (StationFile::prior_scale).
+/// A prior's source with its lengths multiplied by `scale` (StationFile::prior_scale).
 PointCloud scaled(PointCloud cloud, double scale);
 TriangleMesh scaled(TriangleMesh mesh, double scale);
 Shape scaled(Shape shape, double scale);
 Image<float> scaled(Image<float> depth, double scale);
 
-/// The scale, and how far each bar is off with it, in one line; empty without bars that scale a given prior.
+/// The scale and the remaining error of each scale bar, in one line; empty without bars that scale a given prior.
 std::string describe_scale(const StationFile& station);
 
-/// Bars that the scale leaves wrong.
+/// Warnings of scale bars whose error remains too large after scaling.
 std::vector<std::string> scale_warnings(const StationFile& station);
 
 }  // namespace malus

@@ -16,7 +16,7 @@ Json refine_report_json(const RefineReport& report) {
                           {"change_gsd", i.change_gsd},
                           {"rejected_steps", i.rejected_steps}});
   }
-  // Either of two models: what the other one fitted is not of this result.
+  // Only one of the two reflection models was used; fits of the other one do not belong to the result.
   Json light, lobe, environment, mirror, surroundings, metal;
   const Image<float>& radiance = report.surroundings.radiance;
   if (radiance.empty()) {

@@ -1,6 +1,6 @@
 #pragma once
 
-// Private to the station room: what stands in quality.json.
+// Private to the station room: content of quality.json.
 
 #include "malus/assess/quality_internal.h"
 #include "malus/fusion/refine_internal.h"
@@ -14,9 +14,8 @@ namespace malus {
 Json refine_report_json(const RefineReport& report);
 
 /// The figures under the names of the Quality structs, with the station's name and [object], the polarizer's angles and
-/// exposures,
-/// the share of clamped zeniths, after a refinement its findings, and what the photogrammetry says of itself; null =
-/// there is none.
+/// exposures, the share of clamped zeniths, the refinement's findings and the photogrammetry's figures. A null pointer
+/// = that input does not exist.
 Json quality_json(const StationFile& station, const Quality& quality, const PolarizerCalibration& polarizer,
                   const ClampedZeniths* clamped, const RefinementFindings* refinement,
                   const Photogrammetry* photogrammetry);

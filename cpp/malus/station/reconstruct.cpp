@@ -23,7 +23,7 @@ Error no_prior(const Station& station) {
                      "`height` can be run");
 }
 
-/// Throws an input error that lists the steps unless this is one that a run can end with.
+/// Throws an input error that lists the steps unless a run can end with this step.
 void require_step(const std::string& name) {
   std::string known;
   for (const Step& step : step_table()) {

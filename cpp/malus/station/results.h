@@ -21,15 +21,15 @@
 
 namespace malus {
 
-// What the steps make, beside the results of other rooms (DepthPrior, ReflectionMap, HeightMap, FusedSurface). Nothing
-// of it is changed once it is made.
+// Results of the steps, beside those of other rooms (DepthPrior, ReflectionMap, HeightMap, FusedSurface). A result does
+// not change once it is made.
 
-/// What the images say, before any surface is known.
+/// What follows from the images alone, before any surface is known.
 struct MeasuredPolarization {
   std::shared_ptr<const PolarizationState> state;
   PolarizerFit polarizer;            ///< angles and exposures that the Stokes vectors were computed with
-  bool polarizer_fitted = false;     ///< they come from the images, not from the station
-  std::vector<PixelCurve> curves{};  ///< of a few pixels, for people (Fig. 1c)
+  bool polarizer_fitted = false;     ///< fitted to the images, not taken from the station
+  std::vector<PixelCurve> curves{};  ///< of a few pixels, for the report (Fig. 1c)
 };
 
 /// The camera of all rasters.
@@ -40,8 +40,8 @@ struct StationView {
   MALUS_FIELDS(camera, registration_rms_px)
 };
 
-/// What the images say of themselves: "order" and "response", and if it gives cause for caution, "registration",
-/// "misfits" and "texture".
+/// Findings from the images alone: always "response"; "order" where the station gives the angles; others, such as
+/// "registration", "misfits" and "texture", only if they give cause for caution.
 struct ImageFindings {
   std::vector<Finding> findings;
 };
@@ -51,14 +51,14 @@ struct ObjectColor {
   Image<float> image;
 };
 
-/// Unpolarized intensity of all that is in view, object or not; empty if there is nothing but the object.
+/// Unpolarized intensity of everything in view, object or not; empty if there is nothing but the object.
 struct Scene {
   Image<float> image;
 };
 
-/// The polarization with the polarizer's scale corrected by the surface.
+/// The polarization with the polarizer's scale corrected by means of the surface.
 struct CalibratedPolarization {
-  std::shared_ptr<const PolarizationState> state;  ///< that of the images if the surface corrects nothing
+  std::shared_ptr<const PolarizationState> state;  ///< MeasuredPolarization's own if the surface corrects nothing
   PolarizerCalibration polarizer;
 };
 
@@ -68,21 +68,23 @@ struct PriorPoints {
   Mask map;
 };
 
-/// Where the degree of polarization is beyond what its kind of reflection can give, so that the zenith is the largest.
+/// Where the degree of polarization exceeds what the pixel's kind of reflection can give, so that its zenith is set to
+/// the largest possible one.
 struct ClampedZeniths {
   Mask map;             ///< 255 = clamped
   double fraction = 0;  ///< of the labeled pixels
 };
 
-/// What all inputs together say of themselves before they are fused, most severe first.
+/// Findings from all inputs together before they are fused, most severe first.
 struct InputEvidence {
   std::vector<Finding> findings;
 
-  /// Lowers the confidence by all that are more than notes: to partial for cautions, to low for the rest.
+  /// Limits the confidence for each finding that is more than a note: to partial for cautions, to low for warnings and
+  /// errors.
   void limit(Confidence& confidence) const;
 };
 
-/// What the nonlinear refinement found out beside the surface.
+/// What the nonlinear refinement found beside the surface.
 struct RefinementFindings {
   std::string report_json;         ///< reflectance, light, convergence and cost, with standard deviations
   Image<std::uint8_t> label;       ///< as ReflectionMap::label
@@ -91,26 +93,26 @@ struct RefinementFindings {
   Image<float> mirrored;           ///< unpolarized intensity of the mirrored light, unit of the images; NaN = not known
 };
 
-/// Every figure, and what refinement and photogrammetry say of themselves.
+/// Every figure of the assessment, and the reports of refinement and photogrammetry.
 struct QualityReport {
   std::string json;                             ///< quality.json
-  FusionStatus status = FusionStatus::not_run;  ///< of the fused surface, as there
-  Confidence confidence;                        ///< likewise
-  Image<float> distance;  ///< from the reference, station view and unit, NaN = not compared; empty without one
+  FusionStatus status = FusionStatus::not_run;  ///< of the fused surface, as in quality.json
+  Confidence confidence;                        ///< as in quality.json
+  Image<float> distance;  ///< from the reference, station view and unit, NaN = not compared; empty without a reference
 };
 
-/// Results by their type, shared with whoever asks for them.
+/// Results by their type, in shared ownership.
 class Results {
  public:
   std::vector<std::string> warnings;  ///< of all steps, "<step>: <sentence>"
 
-  /// Null if it was not made, or let go again.
+  /// Null if the result was not made or is already freed.
   template <class T>
   std::shared_ptr<const T> get() const {
     return std::static_pointer_cast<const T>(get(typeid(T), nullptr));
   }
 
-  /// The same of any type; with a key only if it was made under this one.
+  /// The same for a type known at run time. With a key: null if the result was made under another key.
   std::shared_ptr<const void> get(std::type_index type, const std::string* key) const {
     const auto found = entries_.find(type);
     const bool wanted = found != entries_.end() && (key == nullptr || found->second.key == *key);

@@ -1,6 +1,6 @@
 #pragma once
 
-// Private to the station room: what several steps take from the polarization.
+// Private to the station room: quantities that several steps derive from the polarization.
 
 #include "malus/core/camera.h"
 #include "malus/lighting/light_internal.h"
@@ -8,7 +8,7 @@
 
 namespace malus {
 
-/// The light as the valid pixels of a surface with these normals have it.
+/// The light estimated from the valid pixels of a surface with these normals.
 inline LightEstimate light_on_surface(const PolarizationState& state, const Image<float>& normals,
                                       const Pinhole* camera, const LightOptions& options, const Context& context) {
   Mask valid = state.valid;

@@ -25,7 +25,7 @@ Json describe_prior(const Station& station) {
   return std::visit(Source{station}, station.prior);
 }
 
-/// Every file that results may depend on, the photos' folder left out.
+/// Every file that results may depend on, except the photos' folder.
 std::vector<std::filesystem::path> files_of(const StationFile& file) {
   std::vector<std::filesystem::path> files = file.polarized.images;
   const auto add = [&files](const auto&... path) { (files.push_back(path), ...); };

@@ -15,29 +15,30 @@
 
 namespace malus {
 
-/// Where the coarse surface comes from: nothing (yet); a file; a shape or a cloud in the world frame; z in the
-/// undistorted view, NaN = none; the same measured over windows.
+/// Source of the coarse surface: none (yet); a file; a shape or a cloud in the world frame; a depth map (z in the
+/// undistorted view, NaN = none); a depth map measured over windows.
 using PriorSource =
     std::variant<std::monostate, CloudFile, MeshFile, DepthFile, Shape, PointCloud, Image<float>, SweptDepth>;
 
-/// What found a station's camera and prior says of itself.
+/// What the photogrammetry that found a station's camera and prior reports.
 struct Photogrammetry {
-  std::string figures_json;           ///< an object, whose members are repeated in quality.json
-  std::string times_json = "{}";      ///< seconds of its parts, for the manifest
+  std::string figures_json;           ///< a JSON object; quality.json repeats its members
+  std::string times_json = "{}";      ///< seconds of the photogrammetry's parts, for the manifest
   std::vector<std::string> warnings;  ///< "<step>: <sentence>"
 };
 
-/// One camera position with images taken through a linear polarizer, and what is known about the object around it:
-/// what a station file says, or the same given in memory.
+/// One camera position with images taken through a linear polarizer, and what is known about the object: the content of
+/// a station file, or the same data given in memory.
 struct Station {
   StationFile file;
 
   // Data given in memory replaces the files that `file` would name.
-  std::vector<Image<float>> images;  ///< linear, [0, 1] of the white level, one a polarizer position
+  std::vector<Image<float>> images;  ///< linear, [0, 1] of the white level, one per polarizer position
   std::optional<Mask> mask;
   PriorSource prior;
   std::optional<Photogrammetry> photogrammetry;
-  std::vector<Finding> file_findings;  ///< what the images' files say of themselves that the station file contradicts
+  std::vector<Finding>
+      file_findings;  ///< where the image files' own metadata and the station file contradict each other
 
   bool in_memory() const { return !images.empty(); }
   bool has_prior() const { return !std::holds_alternative<std::monostate>(prior); }
@@ -46,7 +47,7 @@ struct Station {
   static Station load(const std::filesystem::path& path);
 };
 
-/// What a station says, as JSON for people and programs: name, unit, images, angles, camera, prior, patches, profiles.
+/// Content of a station as JSON, for people and programs: name, unit, images, angles, camera, prior, patches, profiles.
 std::string describe_station_json(const Station& station);
 
 }  // namespace malus

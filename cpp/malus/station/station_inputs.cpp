@@ -58,7 +58,7 @@ Json StationInputs::array(const std::string& name, const void* data, std::size_t
   return taken_->hashes[name] = sha256_of_bytes({static_cast<const char*>(data), bytes});
 }
 
-/// Of an image or a vector of numbers, points or the like.
+/// Hash and shape of an image, or hash of a vector.
 template <class T>
 Json StationInputs::array(const std::string& name, const T& values) {
   const auto bytes = static_cast<std::size_t>(values.end() - values.begin()) * sizeof(*values.begin());
@@ -96,7 +96,7 @@ Json StationInputs::optics() {
 }
 
 Json StationInputs::lens() {
-  // The model's other cameras do not matter, so its files are recorded, but not in the key.
+  // The files hold other cameras that do not matter: the files are recorded, but not part of the key.
   files(station_.file.camera_files);
   return fields_to_json(station_.file.known_lens());
 }

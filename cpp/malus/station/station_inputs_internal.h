@@ -1,6 +1,6 @@
 #pragma once
 
-// Private to the station room: what of a station goes into the steps' keys, with a hash of every file or array.
+// Private to the station room: the parts of a station that enter the steps' keys, with a hash of every file or array.
 
 #include <cstddef>
 #include <filesystem>
@@ -25,14 +25,14 @@ class StationInputs {
   /// A part of the station; see below.
   using Part = Json (StationInputs::*)();
 
-  /// Parts of the station, and what they were read from.
+  /// Parts of the station, and the files and arrays they were read from.
   struct Values {
     Json parts = Json::array();
-    std::map<std::string, std::string> hashes;  ///< path as the station gives it, or name of an array → SHA-256
-    std::vector<std::filesystem::path> files;   ///< of those
+    std::map<std::string, std::string> hashes;  ///< path relative to the station file, or name of an array → SHA-256
+    std::vector<std::filesystem::path> files;   ///< the files among those
   };
   Values of(const std::vector<Part>& parts);
-  /// Throws an input error if one of the files is not what it was when it was hashed.
+  /// Throws an input error if one of the files has changed since it was hashed.
   void require_unchanged(const Values& values) const;
 
   Json title();
@@ -40,14 +40,15 @@ class StationInputs {
   Json object();
   Json polarized();
   Json optics();
-  /// The lens alone, which is all that undistortion depends on.
+  /// The lens alone: undistortion depends on nothing else of the camera.
   Json lens();
   /// Lens and pose.
   Json camera();
   Json prior();
-  /// [[patch]], [[profile]] and [[control]], whose figures are told; that they fit is said afresh by every run.
+  /// [[patch]], [[profile]] and [[control]], whose figures are in quality.json. Warnings about them are not part of a
+  /// step: every run gives them again.
   Json regions();
-  /// What the reference scan is, and what the photogrammetry says of itself.
+  /// The reference scan, and the photogrammetry's figures.
   Json comparison();
 
  private:

@@ -6,7 +6,7 @@ namespace malus {
 
 std::vector<std::string> station_warnings(const Station& station) {
   std::vector<std::string> warnings = scale_warnings(station.file);
-  // The camera of a model of photos is in the points' frame once the model is.
+  // The camera from a model of photos is in the control points' frame only after the photogrammetry.
   if (station.file.frame_is_of_photos() && !station.photogrammetry) return warnings;
   for (std::string& warning : control_warnings(station.file)) warnings.push_back(std::move(warning));
   return warnings;

@@ -7,9 +7,9 @@
 
 namespace malus {
 
-/// What is wrong with a station's own control points and known distances. It is said afresh by every run and is no
-/// step's: a step that knew the points' names and each distance would run again, with all that follows, when one of
-/// them is changed that changes nothing in the surface.
+/// Warnings about a station's own control points and known distances. Every run gives them again, outside of any step.
+/// If they belonged to a step, the step would depend on the points' names and on each distance, and a change of these
+/// that does not affect the surface would repeat the step and all that follow it.
 std::vector<std::string> station_warnings(const Station& station);
 
 }  // namespace malus

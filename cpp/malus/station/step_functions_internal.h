@@ -1,7 +1,7 @@
 #pragma once
 
-// Private to the station room: what the steps do. A function takes the results that the step reads, and returns those
-// that it makes.
+// Private to the station room: the steps' functions. A function takes the results that the step reads, and returns
+// those that it makes.
 
 #include <tuple>
 
@@ -9,51 +9,51 @@
 
 namespace malus {
 
-// polarization_steps.cpp: what the images say.
+// polarization_steps.cpp: from the images.
 
-/// Angles and exposures that the images themselves ask for are fitted where that is wanted and better than what is
-/// given.
+/// Fits polarizer angles and exposures to the images where the options ask for it. Unless the options force them, they
+/// are used only if they are clearly better than the given ones.
 std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings> measure_polarization(const Job& job);
-/// Corrects the polarizer's scale by the surface: images alone cannot tell its zero.
+/// Corrects the polarizer's scale by the surface: images alone do not determine its zero.
 CalibratedPolarization calibrate_polarization(const Job& job, const MeasuredPolarization& measured,
                                               const StationView& view, const DepthPrior* prior);
-/// Diffuse or specular, and the zenith that the degree then means.
+/// Classifies pixels as diffuse or specular, and computes the zenith from the degree of polarization.
 std::tuple<ReflectionMap, ClampedZeniths> find_zenith(const Job& job, const CalibratedPolarization& polarization,
                                                       const StationView& view, const DepthPrior* prior);
 
 // evidence_step.cpp
 
-/// What is wrong with the inputs, as far as they tell. Throws what is certain, unless `evidence.refuse` is off.
+/// Findings about wrong inputs. Throws for errors that are certain, unless `evidence.refuse` is off.
 InputEvidence check_inputs(const Job& job, const ImageFindings& of_images, const CalibratedPolarization& polarization,
                            const StationView& view, const Scene& scene, const DepthPrior* prior);
 
-// surface_steps.cpp: what stereo and both together say.
+// surface_steps.cpp: from stereo, and from stereo and polarization together.
 
-/// What stereo says, seen from the station.
+/// The coarse surface in the station's view.
 std::tuple<DepthPrior, PriorPoints> make_prior(const Job& job, const MeasuredPolarization& measured,
                                                const StationView& view);
-/// The paper's height from polarization alone (Eq 9 to 11). Without a prior its light is the station's, or found by
-/// light_from_polarization.
+/// The paper's height from polarization alone (Eq 9 to 11). The light is the station's if given. Otherwise it is
+/// estimated on the prior's surface, or without a prior by light_from_polarization.
 HeightMap make_height(const Job& job, const CalibratedPolarization& polarization, const StationView& view,
                       const DepthPrior* prior, const ReflectionMap& reflection);
-/// One surface of both: the paper's grid transfer (Eq 14 to 16), and all equations together from there on if asked for.
-/// Nothing is fused before its inputs are checked.
+/// Fuses prior and height by the paper's grid transfer (Eq 14 to 16), followed by the solution of all equations
+/// together if `optimize.enabled`. Reads `evidence`, so that inputs are always checked before they are fused.
 FusedSurface fuse_by_grid(const Job& job, const HeightMap& height, const DepthPrior& prior,
                           const CalibratedPolarization& polarization, const ReflectionMap& reflection,
                           const InputEvidence& evidence);
-/// The same by nonlinear refinement.
+/// Fuses prior and polarization by nonlinear refinement.
 std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,
                                                                 const CalibratedPolarization& polarization,
                                                                 const DepthPrior& prior, const InputEvidence& evidence);
-/// The files in which people take the surface to other programs; the meshes say unit, confidence and the words of
-/// [object]. A surface that has no elevation model (its plane is seen edge-on) goes without dem.tif, with a warning.
+/// Files for use in other programs. The meshes state unit, confidence and the fields of [object]. If the surface has no
+/// elevation model (its plane is seen edge-on), dem.tif is left out with a warning.
 void write_mesh(const Job& job, const FusedSurface& surface, const ObjectColor& color,
                 const CalibratedPolarization& polarization, const DepthPrior& prior,
                 const RefinementFindings* refinement);
 
 // assess_step.cpp
 
-/// Every figure of quality.json.
+/// Computes every figure of quality.json.
 QualityReport make_quality(const Job& job, const FusedSurface& surface, const CalibratedPolarization& polarization,
                            const StationView& view, const DepthPrior& prior, const ClampedZeniths* clamped,
                            const HeightMap* height, const RefinementFindings* refinement, const Warnings& warnings);

@@ -1,7 +1,7 @@
 #pragma once
 
-// Private to the station room: what a step says of itself. steps.cpp has the table of all of them; whatever runs,
-// resumes, describes or costs a reconstruction follows from that table.
+// Private to the station room: the description of a step. steps.cpp has the table of all steps. Running, resuming,
+// describing and estimating the cost of a reconstruction all follow from that table.
 
 #include <concepts>
 #include <functional>
@@ -20,34 +20,34 @@
 
 namespace malus {
 
-/// What the function of a step is given, besides the results it reads.
+/// Arguments of a step's function, besides the results it reads.
 struct Job {
   const Station& station;
   const Options& options;
   const RunOptions& run;
-  const Context& context;  ///< progress and warnings become the step's
-  StepFiles& files;        ///< for files that are no result's; what they refer to must be one of the results read
-  Json& times;             ///< figures that differ between two equal runs, for the manifest
+  const Context& context;  ///< its progress and warnings are reported as the step's
+  StepFiles& files;  ///< for files that belong to no result; their write functions may refer only to the results read
+  Json& times;       ///< figures that differ between identical runs, for the manifest
 };
 
-/// Warnings of the steps so far, the reader's own included, "<step>: <sentence>". A step that reads them comes after
-/// all steps before it.
+/// Warnings of the steps so far, including the reading step's own, "<step>: <sentence>". A step that reads them depends
+/// on all steps before it.
 struct Warnings {
   std::vector<std::string> all;
 };
 
-/// What a row of the table states beside the function.
+/// A row of the table, without the function.
 struct StepRow {
   std::string name = {};
   std::string does = {};                          ///< for people
   std::vector<std::string> options = {};          ///< sections, or "fusion"
-  std::vector<StationInputs::Part> station = {};  ///< what it takes from the station itself
+  std::vector<StationInputs::Part> station = {};  ///< parts of the station that the step uses
   std::vector<std::string> leaves = {};           ///< files
-  std::vector<std::string> may_leave = {};        ///< further ones, with some stations and options
+  std::vector<std::string> may_leave = {};        ///< further files, for some stations and options
   Expected (*cost)(const Workload&) = nullptr;
-  /// Whether this way of doing the step is the one.
+  /// Whether this row is the variant of the step to use.
   bool (*applies)(const Station&, const Options&) = [](const Station&, const Options&) { return true; };
-  /// Whether it is run although no other step of the run needs its result.
+  /// Whether the step is run even if no other step of the run needs its result.
   bool (*on_its_own)(const Options&) = [](const Options&) { return true; };
 };
 
@@ -55,7 +55,7 @@ struct StepRow {
 struct Part {
   std::type_index type;
   std::shared_ptr<void> (*make)();
-  void (*keep)(void* result, Keeper& keeper);  ///< changes the result only while reading
+  void (*keep)(void* result, Keeper& keeper);  ///< changes the result only when reading
 };
 
 /// A result type that a step reads.
@@ -69,15 +69,15 @@ using StepInputs = std::map<std::type_index, std::shared_ptr<const void>>;
 struct Step : StepRow {
   std::vector<Part> makes = {};
   std::vector<Read> reads = {};
-  /// Results in the order of `makes`; empty for what the Python package makes of a finished workspace.
+  /// Returns results in the order of `makes`; empty for steps that the Python package runs on a finished workspace.
   std::function<std::vector<std::shared_ptr<void>>(const Job&, const StepInputs&)> run = {};
 
   bool reads_type(std::type_index type) const;
   bool makes_type(std::type_index type) const;
 };
 
-/// An argument of a step's function: `const T&` is a result that it needs, `const T*` one that it uses if the run has
-/// it.
+/// An argument of a step's function: `const T&` is a result that the step needs, `const T*` one that it uses if the run
+/// has it.
 template <class Argument>
 struct StepArgument;
 template <class T>
@@ -131,7 +131,7 @@ struct StepResult<void> {
   }
 };
 
-/// A row of the table. What the step reads and makes is what its function takes and returns.
+/// Makes a row of the table. The step reads the arguments of its function and makes the results that it returns.
 template <class Returned, class... Arguments>
 Step step(StepRow row, Returned (*function)(const Job&, Arguments...)) {
   Step result{std::move(row)};
@@ -143,7 +143,7 @@ Step step(StepRow row, Returned (*function)(const Job&, Arguments...)) {
   return result;
 }
 
-/// A row for what the Python package makes of the workspace with these results, and records by record_step.
+/// A row for a step that the Python package runs on a workspace with these results, and records by record_step.
 template <class... Results>
 Step step_by_python(StepRow row) {
   Step result{std::move(row)};
@@ -154,14 +154,15 @@ Step step_by_python(StepRow row) {
 /// All steps, in an order in which each comes after those whose results it reads.
 const std::vector<Step>& step_table();
 
-/// The steps of a run, in their order: `until` (nothing = all) and what it needs, as far as the station has it.
+/// The steps of a run, in their order: `until` (nothing = all) and the steps it needs, as far as the station has their
+/// inputs.
 std::vector<const Step*> steps_of_run(const std::vector<Step>& table, const Station& station, const Options& options,
                                       const std::optional<std::string>& until);
 
-/// Whether the reader uses what a step before it makes.
+/// Whether `reader` uses results of `maker`, a step before it.
 bool uses(const Step& reader, const Step& maker);
 
-/// Files that the step of this name may leave, in whichever way it is done.
+/// Files that any variant of the step of this name may leave.
 std::vector<std::string> files_of(const std::vector<Step>& table, const std::string& step);
 
 }  // namespace malus

@@ -14,8 +14,8 @@
 namespace malus {
 namespace {
 
-/// Gives the memory back that a step's many small allocations leave scattered (0.4 GB after the height of 18
-/// megapixels).
+/// Returns unused memory to the system that a step's many small allocations leave fragmented (0.4 GB after the height
+/// of 18 megapixels).
 void release_unused_memory() {
 #ifdef __GLIBC__
   malloc_trim(0);
@@ -52,7 +52,7 @@ StepRunner::StepRunner(const std::vector<Step>& table, std::vector<const Step*> 
 }
 
 Results StepRunner::run() {
-  // All inputs first: what is missing or cannot be read is said before hours of work.
+  // All inputs first, so that missing or unreadable files are reported before hours of work.
   std::vector<StationInputs::Values> values;
   for (const Step* step : steps_) values.push_back(inputs_.of(step->station));
   if (station_.photogrammetry) warnings_->all = station_.photogrammetry->warnings;
@@ -183,7 +183,7 @@ void StepRunner::release(std::size_t next) {
 
 Context StepRunner::context_of(const std::string& step, std::vector<std::string>& warnings) {
   Context inner = context_;
-  // The step ends when it is recorded, not when its function does.
+  // The step ends when it is recorded, not when its function returns.
   inner.on_progress = [this, step](const Progress& part) {
     if (part.fraction < 1) context_.progress(step, part.fraction, part.message);
   };
@@ -203,7 +203,7 @@ void StepRunner::compute(std::size_t index, const std::string& key, const Statio
   if (workspace_) workspace_->forget(step.name, files_of(table_, step.name));
   context_.progress(step.name, 0.0);
   StepInputs inputs = inputs_of(step);
-  release(index);  // what came along with them
+  release(index);  // results that were read only to read the inputs back
   StepWatch watch;
   Workspace::Record record{key, after(step), values.hashes, options_of(step), {}, {}, Json::object()};
   StepFiles files;
@@ -222,7 +222,7 @@ void StepRunner::compute(std::size_t index, const std::string& key, const Statio
   if (workspace_) {
     for (std::size_t k = 0; k < made.size(); ++k) {
       Keeper keeper(files, record.notes);
-      step.makes[k].keep(const_cast<void*>(made[k].get()), keeper);  // which only reads it to write it
+      step.makes[k].keep(const_cast<void*>(made[k].get()), keeper);  // writing does not change the result
     }
     record.outputs = workspace_->examine(written(step, files, inner), inner);
     context_.check_cancel();

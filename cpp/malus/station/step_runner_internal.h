@@ -1,6 +1,6 @@
 #pragma once
 
-// Private to the station room: runs the steps of a table, or reads their results back when the workspace has them.
+// Private to the station room: runs the steps of a table, or reads their results back if the workspace has them.
 
 #include <memory>
 #include <optional>
@@ -13,43 +13,44 @@
 
 namespace malus {
 
-/// What identifies a station as the owner of a workspace.
+/// Identifies a station as the owner of a workspace.
 Workspace::Owner owner_of(const Station& station);
 
-/// One reconstruction. Knows no step by name.
+/// One reconstruction. The code depends on no particular step.
 class StepRunner {
  public:
-  /// `table` has all steps, `steps` those of this run, which must outlive this.
+  /// `table` has all steps, `steps` those of this run; both must outlive this object.
   StepRunner(const std::vector<Step>& table, std::vector<const Step*> steps, const Station& station,
              const Options& options, const RunOptions& run, const Context& context);
 
-  /// Runs the steps that are not done. What results are left is as RunOptions::keep_maps says.
+  /// Runs the steps that are not done. RunOptions::keep_maps decides which results remain.
   Results run();
 
  private:
-  /// Takes a step's results from the workspace, or without one from an earlier run, if they are there with this key.
+  /// Whether the step's results exist with this key, in the workspace or, without a workspace, from an earlier run. If
+  /// so, takes them over.
   bool is_done(const Step& step, const std::string& key);
-  /// The step's results of an earlier run in memory; nothing unless all of them are there with this key.
+  /// The step's results of an earlier run in memory; nothing unless all of them exist with this key.
   std::optional<std::vector<std::shared_ptr<const void>>> known(const Step& step, const std::string& key) const;
-  /// Says warnings that no step of this run logs: of a step that is not run, or of the station itself.
+  /// Logs warnings that no running step logs: those of a step that is not repeated, or of the station itself.
   void repeat(const std::string& step, const std::vector<std::string>& warnings);
-  /// Its warnings of the earlier run in memory.
+  /// The step's warnings of the earlier run in memory.
   std::vector<std::string> known_warnings(const std::string& step) const;
   void compute(std::size_t index, const std::string& key, const StationInputs::Values& values);
-  /// Writes the files of a step, which must be among those that its row names.
+  /// Writes the files of a step, which must be among those in its row.
   std::vector<std::string> written(const Step& step, const StepFiles& files, const Context& context) const;
   std::string key_of(const Step& step, const StationInputs::Values& values);
-  /// The steps of this run whose results it uses, and their keys.
+  /// The steps of this run whose results `step` uses, and their keys.
   std::map<std::string, std::string> after(const Step& step) const;
-  /// The sections that the step depends on.
+  /// Values of the option sections that the step depends on.
   Json options_of(const Step& step) const;
-  /// A result that an earlier step has made, read back if it is not in memory.
+  /// A result of an earlier step, read back if it is not in memory.
   std::shared_ptr<const void> result(std::type_index type);
-  /// Those that the step reads, as far as the run has them.
+  /// The results that the step reads, as far as the run has them.
   StepInputs inputs_of(const Step& step);
-  /// Lets go of results that no step of the run from this one on reads.
+  /// Frees results that no step from index `next` on reads.
   void release(std::size_t next);
-  /// A context whose progress and warnings are the step's, the latter added to `warnings`.
+  /// A context that reports progress and warnings as the step's, and adds the warnings to `warnings`.
   Context context_of(const std::string& step, std::vector<std::string>& warnings);
 
   const std::vector<Step>& table_;
@@ -62,7 +63,7 @@ class StepRunner {
   std::unique_ptr<Workspace> workspace_;
   StationInputs inputs_;
   Results results_;
-  std::map<std::type_index, const Step*> kept_;  ///< results that the workspace has, and the steps that left them
+  std::map<std::type_index, const Step*> kept_;  ///< results in the workspace, and the steps that wrote them
   std::map<std::string, std::string> keys_;
   std::shared_ptr<Warnings> warnings_ = std::make_shared<Warnings>();
 };

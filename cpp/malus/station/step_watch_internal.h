@@ -1,6 +1,6 @@
 #pragma once
 
-// Private to the station room: what a step takes.
+// Private to the station room: time and memory of a step.
 
 #include <atomic>
 #include <chrono>
@@ -13,14 +13,14 @@
 
 namespace malus {
 
-/// Measures time and memory from its construction on.
+/// Measures time and memory from construction on.
 class StepWatch {
  public:
   StepWatch();
 
-  /// Once: `seconds`, `cpu_seconds` of all threads, and `peak_mb`, the most memory that the process had meanwhile. That
-  /// is exact where it is the most so far; below that it is sampled every few milliseconds, so that shorter peaks can
-  /// be missed. Null where the system does not say.
+  /// To be called once. Returns `seconds`, `cpu_seconds` of all threads, and `peak_mb`, the peak memory of the process
+  /// since construction. The peak is exact if the process never had more memory before. Otherwise it is sampled every
+  /// few milliseconds, so that shorter peaks can be missed. It is null if the system does not report it.
   Json stop();
 
  private:

@@ -156,7 +156,7 @@ const std::vector<Step>& step_table() {
 
 std::vector<const Step*> steps_of_run(const std::vector<Step>& table, const Station& station, const Options& options,
                                       const std::optional<std::string>& until) {
-  // Those that the station has all inputs for.
+  // The steps for which the station has all inputs.
   std::vector<const Step*> possible;
   const auto can_be_read = [&](const Read& read) {
     return !read.is_required || read.type == typeid(Warnings) ||
@@ -166,7 +166,7 @@ std::vector<const Step*> steps_of_run(const std::vector<Step>& table, const Stat
     if (step.run && step.applies(station, options) && std::ranges::all_of(step.reads, can_be_read))
       possible.push_back(&step);
   }
-  // From the last one back, those that are wanted for themselves or by one behind them.
+  // From the last step back: those that are wanted for themselves or by a later step.
   std::vector<const Step*> wanted;
   for (const Step* step : std::views::reverse(possible)) {
     const bool for_itself = until ? step->name == *until : step->on_its_own(options);

@@ -28,7 +28,7 @@
 namespace malus {
 namespace {
 
-/// The camera of the station, or an error that says what is missing.
+/// The camera of the station. Throws an error that names what is missing.
 const CameraSpec& require_camera(const StationFile& file) {
   if (file.camera) return *file.camera;
   throw input_error(
@@ -36,7 +36,7 @@ const CameraSpec& require_camera(const StationFile& file) {
       ": [camera] has no pose, expected a camera whose position is known (a COLMAP model, or qvec and tvec)");
 }
 
-/// Where the points of a cloud are seen, and whether they lie on the prior's surface.
+/// Map of the pixels where points of a cloud are seen, and whether the points lie on the prior's surface.
 Mask seen_points(const PointCloud& cloud, const DepthPrior& prior) {
   constexpr double tolerance_gsd = 3, tolerance_sigma = 3;
   constexpr std::uint8_t on_surface = 255, off_surface = 128;
@@ -55,7 +55,7 @@ Mask seen_points(const PointCloud& cloud, const DepthPrior& prior) {
   return map;
 }
 
-/// The surface of each kind of source.
+/// Makes the prior from each kind of source.
 struct PriorMaker {
   const Job& job;
   const Pinhole& camera;
@@ -92,14 +92,15 @@ struct PriorMaker {
   }
 };
 
-/// What the fusion says of its result goes the way of all warnings, and what the inputs say lowers the confidence.
+/// Logs the fusion's warnings like all warnings, and limits the confidence by the findings about the inputs.
 FusedSurface judged(FusedSurface surface, const InputEvidence& evidence, const Context& context) {
   for (const std::string& warning : surface.warnings) context.log(LogLevel::warning, warning);
   evidence.limit(surface.confidence);
   return surface;
 }
 
-/// What quality.json will say of the surface as a whole; it is written after the mesh, whose warnings it has.
+/// The part of quality.json about the surface as a whole, for the mesh files. quality.json itself is written after
+/// them, because it contains their warnings.
 Json facts_of(const Job& job, const FusedSurface& surface, const DepthPrior& prior, const PolarizationState& state,
               const RefinementFindings* refinement) {
   const StationFile& station = job.station.file;
@@ -138,7 +139,7 @@ HeightMap make_height(const Job& job, const CalibratedPolarization& polarization
   const Options& options = job.options;
   const PolarizationState& state = *polarization.state;
   const StationFile& station = job.station.file;
-  // Without a camera the rays are taken for parallel.
+  // Without a camera the rays are assumed parallel.
   const Pinhole* camera = options.height.perspective && station.known_lens() ? &view.camera : nullptr;
   LightEstimate light;
   if (prior == nullptr || station.optics.light) {
@@ -154,7 +155,7 @@ HeightMap make_height(const Job& job, const CalibratedPolarization& polarization
                           "= [x, y, z]");
     }
   } else {
-    // The normals are the largest of the maps, and only the light is asked of them.
+    // The normals are a temporary: they are the largest map, and only the light is estimated from them.
     light = light_on_surface(state, normals_from_depth(prior->depth, view.camera, job.context), camera, options.light,
                              job.context);
   }
@@ -222,7 +223,7 @@ void write_mesh(const Job& job, const FusedSurface& surface, const ObjectColor& 
   const Image<float>& picture = color.image.empty() ? polarization.state->i_un : color.image;
   // The full mesh is many times larger than the maps it comes from.
   const MeshInStrips mesh = mesh_in_strips(surface, picture, options, job.context);
-  // The files are written beside each other, whose progress would go back and forth.
+  // The files are written in parallel, so that their progress would go back and forth.
   Context quiet = job.context;
   quiet.on_progress = nullptr;
   const Json facts = facts_of(job, surface, prior, *polarization.state, refinement);

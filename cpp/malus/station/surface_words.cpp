@@ -9,7 +9,7 @@
 namespace malus {
 namespace {
 
-/// As one line: blanks and line ends in a row become one blank.
+/// The text in one line: each run of blanks and line ends becomes one blank.
 std::string in_one_line(const std::string& text) {
   std::istringstream words(text);
   std::string line;
@@ -17,7 +17,7 @@ std::string in_one_line(const std::string& text) {
   return line;
 }
 
-/// How much of the surface is finer than the coarse one that it was made from.
+/// How much of the surface is finer than the prior.
 std::string origin_of_detail(const Json& quality) {
   const auto refinement = quality.find("refinement");
   const bool has_share = refinement != quality.end() && refinement->contains("trusted_share");
@@ -29,7 +29,7 @@ std::string origin_of_detail(const Json& quality) {
   return "detail from polarization on " + percent(share) + " of the object, elsewhere the prior's surface, no finer";
 }
 
-/// What [object] says, without what it leaves out.
+/// The fields of [object] that are not empty.
 Json catalogue_of(const Json& quality) {
   Json words = Json::object();
   if (!quality.contains("object")) return words;

@@ -32,7 +32,7 @@ double median_gsd(const FusedSurface& surface, const Context& context) {
   return depths.at(std::array{depths.size() / 2}).front() / surface.camera.focal();
 }
 
-/// Robust plane through up to a million evenly spread vertices, which fix it far better than a pixel.
+/// Robust plane through up to a million evenly spread vertices, which determine it to far better than a pixel.
 Plane object_plane(const MeshInStrips& mesh, const Eigen::Vector3d& viewpoint, const Context& context) {
   const std::size_t stride = mesh.vertices / 1000003 + 1;
   std::vector<Eigen::Vector3d> spread((mesh.vertices + stride - 1) / stride);
@@ -51,7 +51,7 @@ void for_values(Image<float>& image, const Context& context, Change&& change) {
   });
 }
 
-/// Axes of the raster; its origin is still the plane's centroid.
+/// Elevation model with its axes; its origin is the plane's centroid until allocate() moves it.
 Dem plane_frame(const Plane& plane, const Pose& pose) {
   Dem dem;
   dem.normal = plane.normal;
@@ -71,7 +71,7 @@ Eigen::Vector3d raster_coordinates(const Dem& dem, const Eigen::Vector3d& x) {
   return {offset.dot(dem.right) / dem.pixel, -offset.dot(dem.up) / dem.pixel, offset.dot(dem.normal)};
 }
 
-/// Moves the origin to the top-left of the vertices and allocates the raster.
+/// Moves the origin to the top-left corner of the vertices and allocates the raster.
 void allocate(Dem& dem, const MeshInStrips& mesh, const Context& context) {
   std::vector<Eigen::AlignedBox2d> boxes(mesh.strips);
   for_strips(mesh, context, [&](std::size_t k, const MeshStrip& strip) {
@@ -87,7 +87,8 @@ void allocate(Dem& dem, const MeshInStrips& mesh, const Context& context) {
   for_values(dem.elevation, context, [](float& value) { value = below_everything; });
 }
 
-/// Raises a pixel to this elevation. The maximum does not depend on the order, so neither does the raster on threads.
+/// Raises a pixel to this elevation. The maximum does not depend on the order, so that the raster does not depend on
+/// the threads.
 void raise(float& pixel, float elevation) {
   std::atomic_ref<float> shared(pixel);
   float present = shared.load(std::memory_order_relaxed);

@@ -9,7 +9,7 @@
 
 namespace malus {
 
-/// Elevation of a surface above the plane fitted to it: a regular raster that looks like the station image.
+/// Elevation of a surface above the plane fitted to it: a regular raster, oriented like the station image.
 struct Dem {
   Image<float> elevation;  ///< station unit, positive towards the camera; NaN = none
   double pixel = 0;        ///< size of a pixel in both directions, station unit
@@ -27,13 +27,13 @@ struct Dem {
 };
 
 /// Elevation model of a mesh made from this surface: the plane is fitted robustly to the vertices, its x axis is the
-/// camera's x axis laid into it, and the triangles are rasterized (linear inside each; the highest wins where the
-/// surface hangs over). The pixel is options.dem_pixel, or depth / focal at the median depth times options.subsample.
-/// Throws a data error for a mesh without triangles or a plane seen edge-on, a resource error if the raster
-/// would exceed 400 million pixels.
+/// camera's x axis projected into it, and the triangles are rasterized (linear inside each; the highest is kept where
+/// the surface overhangs). The pixel is options.dem_pixel, or depth / focal at the median depth times
+/// options.subsample. Throws a data error for a mesh without triangles or a plane seen edge-on, a resource error if the
+/// raster would exceed 400 million pixels.
 Dem dem_from_mesh(const TriangleMesh& mesh, const FusedSurface& surface, const SurfaceOptions& options,
                   const Context& context);
-/// The same of a mesh that is not in memory.
+/// The same for a mesh that is not in memory.
 Dem dem_from_mesh(const MeshInStrips& mesh, const FusedSurface& surface, const SurfaceOptions& options,
                   const Context& context);
 

@@ -19,7 +19,7 @@ std::uint8_t srgb(double linear) {
   return static_cast<std::uint8_t>(std::lround(255 * encoded));
 }
 
-/// Factor that takes the percentile of the color on the surface to 1; from at most about a million evenly spread
+/// Factor that scales the percentile of the color on the surface to 1; from at most about a million evenly spread
 /// pixels.
 double white_factor(const Image<float>& color, const Image<float>& depth, double percentile) {
   const std::size_t stride = std::max<std::size_t>(1, depth.count() / 1000003);

@@ -9,9 +9,9 @@
 
 namespace malus {
 
-/// The linear color image of a surface as people look at it: sRGB (IEC 61966-2-1), 8 bit. One factor for all channels
-/// takes the `white_percentile` of the values where `depth` is finite and positive to white; NaN becomes black. `color`
-/// has 1 or 3 channels and the size of `depth`, and must outlive this; throws an input error otherwise.
+/// The linear color image of a surface converted for display: sRGB (IEC 61966-2-1), 8 bit. One factor for all channels
+/// scales the `white_percentile` of the values where `depth` is finite and positive to white; NaN becomes black.
+/// `color` has 1 or 3 channels and the size of `depth`, and must outlive this; throws an input error otherwise.
 class DisplayColors {
  public:
   DisplayColors(const Image<float>& color, const Image<float>& depth, double white_percentile);
@@ -24,9 +24,9 @@ class DisplayColors {
   std::vector<std::uint8_t> table_;
 };
 
-/// DisplayColors of every pixel: 3 channels. Blocks of n × n pixels are averaged, n the smallest that leaves no side
-/// longer than `longest_side`; pixels of the last column and row that fill no block among themselves, so the result
-/// covers the whole image.
+/// DisplayColors of every pixel: 3 channels. Blocks of n × n pixels are averaged, with the smallest n for which no side
+/// is longer than `longest_side`. Blocks of the last column and row may be smaller, so that the result covers the whole
+/// image.
 Image<std::uint8_t> display_image(const Image<float>& color, const Image<float>& depth, double white_percentile,
                                   int longest_side, const Context& context);
 /// The same in full size.

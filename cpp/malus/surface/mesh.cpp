@@ -23,7 +23,8 @@ bool usable(float depth) {
   return std::isfinite(depth) && depth > 0;
 }
 
-/// Whether a depth discontinuity separates `here` from `there`, neighbors between `before` and `after` on one line.
+/// Whether a depth discontinuity separates the neighbors `here` and `there`, which lie between `before` and `after` on
+/// one line.
 bool is_step(float before, float here, float there, float after, double focal, const SurfaceOptions& options) {
   const double step = std::abs(static_cast<double>(there) - here);
   if (!(step * focal > options.min_step_gsd * std::min(here, there))) return false;
@@ -33,8 +34,8 @@ bool is_step(float before, float here, float there, float after, double focal, c
   return step > options.step_ratio * around;
 }
 
-/// For the pixels of some rows, whether the way to their right and lower neighbor is cut (discontinuity or missing
-/// depth).
+/// For the pixels of some rows, whether the connection to the right and to the lower neighbor is cut (discontinuity or
+/// missing depth).
 class Cuts {
  public:
   Cuts(const FusedSurface& surface, const SurfaceOptions& options, int first_row, int last_row)
@@ -66,16 +67,15 @@ class Cuts {
 /// Corners of a grid cell, and the triangle at each corner (the corner and its two neighbors), counter-clockwise as
 /// displayed: 0 top left, 1 top right, 2 bottom left, 3 bottom right.
 constexpr std::array<std::array<std::size_t, 3>, 4> corner_triangles{{{0, 2, 1}, {1, 0, 3}, {2, 3, 0}, {3, 1, 2}}};
-/// The triangles (bits) that have each corner.
+/// The triangles (bits) that contain each corner.
 constexpr std::array<std::uint8_t, 4> triangles_at{0b0111, 0b1011, 0b1101, 0b1110};
 /// How many bits of a cell are set; portable processors have no instruction for it.
 constexpr std::array<std::uint8_t, 16> triangle_count{0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4};
 
-/// Strips have about so many pixels: their meshes stay in a core's cache while they are written.
+/// Approximate number of pixels of a strip: its mesh stays in a core's cache while it is written.
 constexpr int pixels_of_strip = 1 << 17;
 
-/// The grid of vertices (every subsample-th pixel), its cells, and which of their triangles exist; cut into strips of
-/// rows.
+/// The grid of vertices (every subsample-th pixel), its cells and their existing triangles; cut into strips of rows.
 class Grid {
  public:
   Grid(const FusedSurface& surface, const SurfaceOptions& options, const Context& context)
@@ -120,7 +120,7 @@ class Grid {
     return camera_.ray(u, v) * static_cast<double>(depth_(u, v));
   }
 
-  /// Sum of the normals (twice the area long) of the triangles around a vertex; zero if there are none.
+  /// Sum of the normals (of length twice the area) of the triangles around a vertex; zero if there are none.
   Eigen::Vector3d normal_of_faces(int i, int j) const {
     Eigen::Vector3d sum = Eigen::Vector3d::Zero();
     for (int corner = 0; corner < 4; ++corner) {  // the vertex is this corner of the cell
@@ -155,7 +155,8 @@ class Grid {
     return false;
   }
 
-  /// Whether the standard deviation of this vertex is small enough; a surface without any has none that is too large.
+  /// Whether the standard deviation of this vertex is small enough; always true for a surface without standard
+  /// deviations.
   bool is_known(int i, int j) const {
     const int u = pixel(i), v = pixel(j);
     return sigma_.empty() || !(sigma_(u, v) > max_sigma_ * depth_(u, v));
@@ -193,13 +194,13 @@ class Grid {
   Pinhole camera_;
   int step_;
   double min_cosine_;
-  double max_sigma_;  ///< over the depth
+  double max_sigma_;  ///< divided by the depth
   Size size_;
   int strip_rows_;
   Mask cells_;
 };
 
-/// Where each strip starts, and the total behind the last one.
+/// Start of each strip, followed by the total.
 std::vector<std::size_t> starts_of(const std::vector<std::size_t>& counts) {
   std::vector<std::size_t> starts(counts.size() + 1, 0);
   std::inclusive_scan(counts.begin(), counts.end(), starts.begin() + 1);
@@ -223,7 +224,7 @@ void require_consistent(const FusedSurface& surface, const Image<float>& color) 
 
 constexpr std::uint32_t unused = 0xffffffff;
 
-/// What strips are made from.
+/// Makes the strips of a mesh.
 class StripMaker {
  public:
   StripMaker(const FusedSurface& surface, const Image<float>& color, const SurfaceOptions& options,
@@ -237,7 +238,7 @@ class StripMaker {
     std::vector<std::size_t> vertices(strips), triangles(strips);
     std::vector<Eigen::AlignedBox3d> boxes(strips);
     parallel_for(context, strips, 1, [&](std::size_t k, std::size_t) {
-      // Their own, since threads that write to neighboring places wait for each other.
+      // Local variables, because threads that write to neighboring addresses wait for each other.
       std::size_t used = 0, faces = 0;
       Eigen::AlignedBox3d box;
       for (int j = grid_.first_row(k); j < grid_.last_row(k); ++j) {
@@ -318,7 +319,7 @@ class StripMaker {
   Grid grid_;
   Image<float> differences_;  ///< normals, if the surface has none
   std::optional<DisplayColors> display_;
-  std::vector<std::size_t> first_vertex_, first_triangle_;  ///< of each strip, and of all behind the last
+  std::vector<std::size_t> first_vertex_, first_triangle_;  ///< of each strip, followed by the total
   Eigen::AlignedBox3d box_;
 };
 

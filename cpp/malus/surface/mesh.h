@@ -10,16 +10,16 @@ namespace malus {
 
 /// Triangle mesh of the fused depth in the world frame, station unit, counter-clockwise seen from the camera.
 ///
-/// Every cell of the pixel grid becomes two triangles (split along its shorter diagonal in space), one, or none: a
-/// triangle needs three finite depths whose standard deviations do not exceed max_sigma_gsd GSD (depth / focal), must
-/// not be flatter to the ray than max_incidence_deg, and must not cross a depth discontinuity. Two neighboring pixels
-/// are separated by one if their depth step exceeds min_step_gsd GSD (depth / focal) and step_ratio times the larger of
-/// the two steps that continue it on either side, so that steep relief, whose neighbors are steep too, stays whole, and
-/// an occlusion edge does not. With subsample > 1 these tests still see every pixel. Vertices without a triangle are
-/// dropped.
+/// Every cell of the pixel grid becomes two triangles, one, or none. It is split along the diagonal that allows more
+/// triangles, or else along the shorter one in space. A triangle needs three finite depths whose standard deviations do
+/// not exceed max_sigma_gsd GSD (depth / focal). The angle between its normal and the ray must not exceed
+/// max_incidence_deg, and it must not cross a depth discontinuity. Two neighboring pixels are separated by one if their
+/// depth step exceeds min_step_gsd GSD (depth / focal) and step_ratio times the larger of the two steps that continue
+/// it on either side. Steep relief, whose neighbors are steep too, therefore stays connected, and an occlusion edge is
+/// cut. With subsample > 1 these tests still use every pixel. Vertices without a triangle are dropped.
 ///
 /// Vertex normals are the fused normals (or differences of the depth if the surface has none). `color` is linear, 1 or
-/// 3 channels of the surface's size, or empty for a mesh without colors; one factor for all channels takes its
+/// 3 channels of the surface's size, or empty for a mesh without colors; one factor for all channels scales its
 /// white_percentile (of the values on the surface) to white, and values are sRGB-encoded to 8 bit.
 ///
 /// Throws an input error if rasters disagree in size or options are out of range, a data error if no triangle is left.
@@ -30,7 +30,7 @@ TriangleMesh mesh_from_depth(const FusedSurface& surface, const Image<float>& co
 MeshInStrips mesh_in_strips(const FusedSurface& surface, const Image<float>& color, const SurfaceOptions& options,
                             const Context& context);
 
-/// The subsample with which a surface whose mesh has `triangles` at options.subsample has `limit` or about as many; at
+/// The subsample that reduces a mesh with `triangles` triangles at options.subsample to about `limit` triangles; at
 /// least options.subsample, at most the option's bound.
 int subsample_for(std::size_t triangles, int limit, const SurfaceOptions& options);
 

@@ -25,7 +25,7 @@ struct Moments {
   }
 };
 
-/// Weighted plane; coordinates are taken from `origin`, near the points, so that sums keep their digits.
+/// Weighted plane; coordinates are relative to `origin`, near the points, so that sums keep their digits.
 template <class Weight>
 Plane weighted_plane(std::span<const Eigen::Vector3d> points, const Eigen::Vector3d& origin, const Context& context,
                      Weight&& weight_of) {
@@ -45,7 +45,7 @@ Plane weighted_plane(std::span<const Eigen::Vector3d> points, const Eigen::Vecto
   return {origin + mean, Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvectors().col(0)};
 }
 
-/// The same of |distance|, with the mean of the two middle ones of an even number.
+/// 1.4826 × median of |distance|; the median of an even number of values is the mean of the two middle ones.
 double robust_spread(std::span<const Eigen::Vector3d> points, const Plane& plane) {
   std::vector<double> distances(points.size());
   std::transform(points.begin(), points.end(), distances.begin(),
@@ -78,7 +78,7 @@ PlaneFit fit_plane(std::span<const Eigen::Vector3d> points, const Eigen::Vector3
   if (points.size() < 3) {
     throw data_error("a plane needs at least 3 points, there are " + std::to_string(points.size()));
   }
-  // Twice: the first pass finds the centroid that the second one counts from.
+  // Two passes: the first one finds the centroid, to which the second one's coordinates are relative.
   const auto equal = [](const Eigen::Vector3d&) { return 1.0; };
   PlaneFit fit;
   fit.plane = weighted_plane(points, points.front(), context, equal);

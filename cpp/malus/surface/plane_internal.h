@@ -20,7 +20,7 @@ struct PlaneFit {
   Plane plane;
   std::size_t count = 0;
   double rmse = 0;     ///< root mean square distance of all points
-  double mad = 0;      ///< 1.4826 × median absolute distance: a standard deviation that outliers do not touch
+  double mad = 0;      ///< 1.4826 × median absolute distance: a standard deviation that outliers hardly change
   double max_abs = 0;  ///< largest distance
 };
 
@@ -28,8 +28,9 @@ enum class PlaneWeights { equal, robust };
 
 /// Total least squares plane through points (distances along the normal): centroid and the eigenvector of the smallest
 /// eigenvalue of their covariance. `robust`: reweighted with Tukey's biweight at 4.685 robust standard deviations,
-/// 20 times or until the normal rests; figures are of all points either way. The normal points to the side of
-/// `viewpoint`. Throws a data error for fewer than three points or points that are not finite.
+/// 20 times or until the normal no longer changes. With either weighting the figures are those of all points. The
+/// normal points to the side of `viewpoint`. Throws a data error for fewer than three points or points that are not
+/// finite.
 PlaneFit fit_plane(std::span<const Eigen::Vector3d> points, const Eigen::Vector3d& viewpoint, PlaneWeights weights,
                    const Context& context);
 
