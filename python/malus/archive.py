@@ -76,7 +76,7 @@ def _inputs(workspace: Workspace) -> dict[str, _Input | None]:
     files: dict[str, _Input | None] = {}
     for name, sha256 in {**workspace.manifest["inputs"], file.name: station["says"]["sha256"]}.items():
         path = file.parent / name
-        if not path.suffix and not path.is_file():  # an array, such as "prior points": given in memory or read from a file by Python
+        if not path.suffix and not path.is_file():  # an array ("prior points"): given, or read by Python
             files[name] = None
             continue
         files[name] = _as_read(path, sha256)
@@ -331,7 +331,8 @@ def write_archive(work: str | Path, path: str | Path) -> Path:
                 continue
             target.parent.mkdir(parents=True, exist_ok=True)
             try:
-                os.link(os.path.realpath(source), target)  # the target of a symbolic link: the link itself may lead nowhere from the bag
+                # Link the target of a symbolic link: the link itself may lead nowhere from the bag.
+                os.link(os.path.realpath(source), target)
             except OSError:
                 shutil.copyfile(source, target)
         known = crate.object

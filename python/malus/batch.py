@@ -68,7 +68,8 @@ def run_station(task: Task) -> Outcome:
         if task.report:
             write_report(task.workspace)
         outcome["figures"] = _figures(result.quality) if result.quality else {}
-        outcome["manifest"] = _manifest(task)  # so that a result that is later removed or replaced does not count as done
+        # So that a result that is later removed or replaced does not count as done.
+        outcome["manifest"] = _manifest(task)
     except Exception as error:  # no error of one station may end the others
         code, reason = ending_of(error)
         outcome |= {"status": "failed", "reason": reason, "exit_code": code}

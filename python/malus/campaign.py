@@ -77,7 +77,7 @@ class Task:
             return [Path(self.station)]
         files = [Path(path) for path in station["files"]]
         if "photos" in station:
-            below = islice(Path(station["photos"]["folder"]).rglob("*"), MOST_NAMES)  # for more files the run raises the error
+            below = islice(Path(station["photos"]["folder"]).rglob("*"), MOST_NAMES)  # of more, the run complains
             files += sorted(path for path in below if path.is_file())
         return files
 
