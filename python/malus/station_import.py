@@ -67,6 +67,7 @@ def import_station(
       of the files.
 
     Only one of `angles`, `pattern` and `table` may be given.
+
     `mosaic` and `colors` describe a polarization camera whose only image is in the folder. A file mask.png becomes the mask.
     `metashape` is the cameras.xml of an Agisoft Metashape project in which the polarized view was aligned, too; `label` is the
     label of that view's camera, whose lens and pose become [camera]. `cloud` is the project's cloud in the same frame and
