@@ -13,7 +13,7 @@ _TOO_BRIGHT = 10
 
 
 def as_image(values: ArrayLike, name: str, channels: int = 1, dtype: type = np.float32) -> NDArray[Any]:
-    """H×W (or H×W×channels) dtype, C-contiguous; ValueError names the argument, its shape and the expected one."""
+    """The values as an H×W (or H×W×channels) array of `dtype`, C-contiguous; ValueError names the argument, its shape and the expected shape."""
     array = np.asarray(values)
     if array.dtype.kind not in "fiu":
         raise ValueError(f"{name} has type {array.dtype}, expected numbers")

@@ -21,7 +21,7 @@ class Camera:
     value minus 0.5). `rotation` (3×3) and `translation` (3) take world points into the camera frame (x right, y down, z
     forward): x_in_cam = rotation @ x_in_world + translation. By default the camera frame is the world frame.
 
-    Steps on arrays take the camera of the undistorted images: a PINHOLE one, as `undistorted()` gives it.
+    Functions on arrays take the camera of the undistorted images: a PINHOLE camera, such as `undistorted()` returns.
     """
 
     model: str

@@ -1,4 +1,4 @@
-"""Color by a chart of known colors: a ColorChecker photographed under the light of the station, with a stated color difference.
+"""Color correction with a ColorChecker photographed under the light of the station, with a stated color difference.
 
 The chart is found by OpenCV's detector, or lies between four given corners. A matrix takes the camera's linear RGB to linear sRGB. The
 remaining color differences are stated as CIEDE2000: for all patches, and for each patch with a matrix that was fitted without it.
@@ -30,7 +30,7 @@ _MOST_DELTA_E = 12.0
 
 
 def srgb_bytes(linear: Floats) -> NDArray[np.uint8]:
-    """8-bit sRGB of linear sRGB, any shape; black where there is none."""
+    """8-bit sRGB of linear sRGB, any shape; black where the color is NaN."""
     value = np.clip(np.nan_to_num(linear), 0, 1)
     curved = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
     return np.asarray(np.rint(255 * curved), dtype=np.uint8)
@@ -55,7 +55,7 @@ class ColorCorrection:
         return np.asarray(color.astype(float) @ self.matrix.T, dtype=np.float64)
 
     def encoded(self, color: NDArray[np.floating]) -> NDArray[np.uint8]:
-        """8-bit sRGB of the camera's linear color, H×W×3; black where there is none."""
+        """8-bit sRGB of the camera's linear color, H×W×3; black where the color is NaN."""
         return srgb_bytes(self.apply(color))
 
     def summary(self) -> str:

@@ -722,7 +722,7 @@ def _end_at_signals() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code (docs: INTERFACES; 0, 2, 3, 4, 5 or 130)."""
+    """Run the command line and return its exit code (0, 2, 3, 4, 5 or 130; see malus.errors)."""
     if arguments is None:
         _start_with_utf8()
     for stream in (sys.stdout, sys.stderr):

@@ -315,7 +315,7 @@ def _write_obj(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     save_png(texture, exporter.picture(), exporter.xmp())
     with replacing(material) as temporary:
         temporary.write_text(f"newmtl photograph\nKd 1 1 1\nKs 0 0 0\nmap_Kd {texture.name}\n", encoding="utf-8")
-    # OBJ counts from 1.
+    # Indices in OBJ files start at 1.
     corners = np.repeat(mesh.triangles.astype(np.int64) + 1, 3, axis=1)
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         file.writelines(f"# {line}\n" for line in exporter.words())
@@ -489,7 +489,8 @@ def export(
     formats state the entries of [object], the unit, and how far the surface may be trusted. rti states them in a text file beside
     the image; STL has room for unit and trust only.
 
-    Raises malus.InputError, DataError for the albedo of a surface without a reflection model, or ExternalError if the format needs a package that is not installed.
+    Raises malus.InputError, DataError for the albedo of a surface without a reflection model, or ExternalError if the format needs
+    a package that is not installed.
     """
     if format not in FORMATS:
         raise InputError(f"format {format!r}, expected one of {', '.join(FORMATS)}")

@@ -43,7 +43,7 @@ _BAR_IN = 0.66
 _WIDEST = 5.0
 #: Sine of the angle beyond grazing light at which relief shading becomes black.
 _BEYOND_GRAZING = 0.342
-#: How dark relief shading makes the colors of a map that it lies over, at most.
+#: Largest opacity of relief shading over the colors of a map.
 _SHADE_OPACITY = 0.8
 
 

@@ -287,7 +287,7 @@ def expected_times(
     cameras_known: bool = False,
     threads: int = ALL_CORES,
 ) -> list[tuple[str, float]]:
-    """Steps of a run in their order and the seconds that each is expected to take, the report at the end among them.
+    """The steps of a run in order, including the report at the end, and the seconds that each is expected to take.
 
     cameras_known: as in `check`. Only the images' size and the mask are read; raises the errors that a run raises for these.
     """

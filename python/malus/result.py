@@ -92,7 +92,7 @@ class Result:
         return open_page(write_report(self, Path(tempfile.mkdtemp(prefix="malus-")) / f"{self.name}.html"))
 
     def pictures(self) -> dict[str, NDArray[np.uint8]]:
-        """Relief shadings of those of prior and fused surface that exist: title → gray and alpha, at most 480 px wide or high."""
+        """Relief shadings of prior and fused surface, of each only if it exists: title → gray and alpha, at most 480 px wide or high."""
         from malus.figures import flattened, gray, hillshade, reduced, step_for
 
         pictures = {}

@@ -70,7 +70,7 @@ def write_ptm(path: Path, coefficients: NDArray[np.float64], colors: NDArray[np.
     )
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(header.encode())
-        # Rows from the bottom up.
+        # The format stores rows from the bottom up.
         file.write(stored[::-1].tobytes())
         file.write(colors[::-1].tobytes())
 

@@ -19,7 +19,7 @@ from malus.errors import InputError
 
 
 class PolarizedValues(TypedDict, total=False):
-    """[polarized] of a station file, without files: how the images are to be read (docs/station-file.md)."""
+    """[polarized] of a station file without the names of the images: how the images are to be read (docs/station-file.md)."""
 
     angle_direction: Literal["ccw", "cw"]
     angle_zero_deg: float

@@ -18,7 +18,7 @@ from malus.threads import ALL_CORES
 
 @dataclass(frozen=True)
 class Mesh:
-    """vertices N×3 (world frame), normals N×3, colors N×3 uint8 (N = 0 without), triangles M×3 (counter-clockwise)."""
+    """vertices N×3 (world frame), normals N×3, colors N×3 uint8 (0×3 if there are none), triangles M×3 (counter-clockwise)."""
 
     vertices: NDArray[np.float64]
     normals: NDArray[np.float32]

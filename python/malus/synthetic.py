@@ -53,7 +53,7 @@ class Reflectance:
     """Material and light.
 
     light: direction to the lamp, camera frame (any length); lamp, sky: radiance that a white matte surface facing the lamp
-    reflects of each; roughness: Beckmann's alpha of the lamp's highlight.
+    reflects from lamp and sky, respectively; roughness: Beckmann's alpha of the lamp's highlight.
     """
 
     refractive_index: float = 1.5
@@ -109,7 +109,7 @@ def relief(width: int, height: int, *, seed: int = 0) -> Scene:
         bumps += steepness * wavelength / (2 * np.pi) * _smooth_noise(random, height, width, wavelength)
         texture += 0.3 * _smooth_noise(random, height, width, 0.7 * wavelength).astype(np.float32)
         wavelength *= 2
-    # Grooves follow the zeros of a coarse field: its value over its slope is the distance from them.
+    # Grooves follow the zero lines of a coarse field: value over slope of the field is the distance from these lines.
     scale = 160.0
     field_of_grooves = _smooth_noise(random, height, width, scale)
     distance = np.abs(field_of_grooves) * scale / (2 * np.pi)

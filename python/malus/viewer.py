@@ -100,7 +100,7 @@ def unshaded_color(
 
 
 def relighting(workspace: Workspace) -> dict[str, Any]:
-    """Data of the relighting viewer: size, packed normals of both surfaces, color with the object as alpha, mean slopes."""
+    """Data of the relighting viewer: size, packed normals of both surfaces, color with the object's mask as alpha, median slopes."""
     depth = workspace.raster("fused/depth.tif")
     window = object_window(depth, NORMALS_SIDE_PX)
     fused = viewer_normals(workspace.raster("fused/normals.tif"), window)
@@ -146,7 +146,7 @@ def mesh_view(workspace: Workspace) -> dict[str, Any]:
     u = camera.fx * in_camera[:, 0] / in_camera[:, 2] + camera.cx
     v = camera.fy * in_camera[:, 1] / in_camera[:, 2] + camera.cy
     window = object_window(workspace.raster("fused/depth.tif"), NORMALS_SIDE_PX)
-    # The texture is the relighting viewer's color image: its window of the pixel grid.
+    # The texture is the color image of the relighting viewer, which covers the object's window of the pixel grid.
     width = -(-(window.columns.stop - window.columns.start) // window.step) * window.step
     height = -(-(window.rows.stop - window.rows.start) // window.step) * window.step
     uv = np.stack([(u - window.columns.start + 0.5) / width, (v - window.rows.start + 0.5) / height])
@@ -163,7 +163,7 @@ def mesh_view(workspace: Workspace) -> dict[str, Any]:
         "size": size,
         "unit": str(workspace.quality["unit"]),
         "meters": METERS[workspace.quality["unit"]],
-        # Where the station stands, in the mesh's own frame.
+        # Position of the station's camera in the frame of the mesh, whose origin is the middle of the mesh.
         "eye": [float(x) for x in -(low + high) / 2],
         "extent": [float(x) for x in high - low],
     }

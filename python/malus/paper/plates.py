@@ -29,7 +29,7 @@ _TILT_DEG, _STEP_PX = 50.0, 60
 _RELIEF_PERCENTILES = (0.2, 99.8)
 #: Largest number of points drawn; larger clouds are thinned evenly.
 _MOST_POINTS = 40_000
-#: Area of all points of the surface together, in square points of print.
+#: Total printed area of the points on the surface, in square points; it sets the size of each point.
 _POINTS_PT2 = 20_000
 #: As many colors as pixels that a station may name.
 _CURVE_COLORS = ("#2f7fb3", "#35a7a0", "#b0702a", "#d1495b", "#6b4c9a", "#5a8f29", "#8c8c8c", "#c2579f")
