@@ -58,7 +58,7 @@ class PhaseFinding(Finding):
 
 @dataclass(frozen=True)
 class PriorFinding(Finding):
-    """instead: a mistake in the input that would explain a better fit ("the images are turned by 180°"); "" = none found."""
+    """instead: an assumption that fits better than the input as given ("the images are turned by 180°"); "" = none found."""
 
     instead: str
 
@@ -76,7 +76,7 @@ def check_phase(
     """Check whether the phases of polarization agree with the azimuths of a surface, for diffuse and specular reflection alike.
 
     normals: H×W×3, unit, camera frame, towards the camera, NaN = none. camera None = orthographic. exp(4i phase) is compared
-    with exp(4i azimuth), because these are equal for diffuse and for specular reflection. Each place is weighted by the
+    with exp(4i azimuth), because the two are equal for diffuse and for specular reflection. Each place is weighted by the
     uncertainty of its phase (noise over degree) and of its azimuth (0.15 over slope).
     """
     return PhaseFinding(**_core.check_phase(state, camera, as_image(normals, "normals", 3), threads))

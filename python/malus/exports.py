@@ -487,7 +487,7 @@ def export(
     `malus chart`, which converts the camera's colors to sRGB. trim: drops parts of meshes whose standard deviation exceeds this many GSD.
     fill: closes holes that the surface surrounds, in magenta because nothing was measured there. PNG images state their color space. All
     formats state the entries of [object], the unit, and how far the surface may be trusted. rti states them in a text file beside
-    the image; STL has room for unit and trust only.
+    the map; STL has room for unit and trust only.
 
     Raises malus.InputError, DataError for the albedo of a surface without a reflection model, or ExternalError if the format needs
     a package that is not installed.

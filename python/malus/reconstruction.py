@@ -190,8 +190,8 @@ def _with_photos(
     known: photogrammetry.StationCameras | None,
 ) -> _core.Station:
     """The station with camera and prior from its photos. The polarization step runs first; its unpolarized image is oriented
-    among the photos. A sweep then finds depth in the station's view, and a second sweep starts from the surface fused with
-    the first one.
+    among the photos. A sweep then finds depth in the station's view. With the option sweep.again a second sweep starts from the
+    surface fused with the first one.
     """
     warnings: list[str] = []
 
