@@ -5,7 +5,7 @@
     result = malus.reconstruct(station, malus.Options(fusion="refined"))
     result.depth, result.normals, result.sigma
 
-Frames, angles and units: docs/conventions.md. Each step alone, on arrays: `malus.polarization`, `malus.capture`,
+Frames, angles and units: docs/conventions.md. Modules that run single steps on arrays: `malus.polarization`, `malus.capture`,
 `malus.stereo`, `malus.prior`, `malus.evidence`, `malus.height`, `malus.fusion`, `malus.surface`, `malus.assess`.
 """
 

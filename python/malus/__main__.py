@@ -1,4 +1,4 @@
-"""`python -m malus` is `malus`."""
+"""`python -m malus` runs the command line `malus`."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Checks at the door: arrays in, arrays out."""
+"""Checks of arrays that callers pass to the package."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-#: Intensities beyond this are no share of the white level, however far an exposure was scaled.
+#: Intensities above this cannot be shares of the white level, however far an exposure was scaled.
 _TOO_BRIGHT = 10
 
 
 def as_image(values: ArrayLike, name: str, channels: int = 1, dtype: type = np.float32) -> NDArray[Any]:
-    """H×W (or H×W×channels) dtype, C-contiguous; ValueError names the argument, its shape and the expected one."""
+    """The values as an H×W (or H×W×channels) array of `dtype`, C-contiguous; ValueError names the argument, its shape and the expected shape."""
     array = np.asarray(values)
     if array.dtype.kind not in "fiu":
         raise ValueError(f"{name} has type {array.dtype}, expected numbers")
@@ -27,7 +27,7 @@ def as_image(values: ArrayLike, name: str, channels: int = 1, dtype: type = np.f
 def as_images(
     values: Sequence[ArrayLike] | NDArray[Any], name: str, *, keep_16_bit: bool = False, color: bool = False
 ) -> list[NDArray[Any]]:
-    """K images of one size, float32; keep_16_bit: uint16 ones stay so if all of them are; color: H×W×3 are taken too."""
+    """K images of one size, float32. keep_16_bit: if all are uint16, they stay uint16. color: H×W×3 is allowed, too."""
     sixteen = keep_16_bit and all(np.asarray(value).dtype == np.uint16 for value in values)
     dtype = np.uint16 if sixteen else np.float32
     images = [
@@ -43,7 +43,7 @@ def as_images(
 
 
 def as_intensities(values: Sequence[ArrayLike] | NDArray[Any], name: str) -> list[NDArray[Any]]:
-    """K images of one size: uint16 with white at 65535, or float32 in [0, 1] of the white level, which is checked roughly."""
+    """K images of one size: uint16 with white at 65535, or float32 in [0, 1] of the white level (only far larger values are refused)."""
     images = as_images(values, name, keep_16_bit=True)
     for k, image in enumerate(images):
         brightest = image.max()
@@ -55,7 +55,7 @@ def as_intensities(values: Sequence[ArrayLike] | NDArray[Any], name: str) -> lis
 
 
 def as_angles(values: Sequence[float], name: str) -> list[float]:
-    """Angles in radians; ValueError for degrees."""
+    """Angles in radians; ValueError for values that look like degrees."""
     angles = [float(value) for value in values]
     for k, angle in enumerate(angles):
         if abs(angle) > 2 * np.pi:

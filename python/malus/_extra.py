@@ -1,4 +1,4 @@
-"""Packages that only some work needs."""
+"""Import of optional packages."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from malus.errors import ExternalError
 
 
 def extra(module: str, package: str, purpose: str, group: str = "export") -> ModuleType:
-    """Import a module; ExternalError that names package, purpose and the extra to install if it is not there."""
+    """Import a module; if it is missing, ExternalError that names package, purpose and the extra to install."""
     try:
         return importlib.import_module(module)
     except ImportError:

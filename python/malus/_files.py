@@ -20,20 +20,20 @@ from typing import Any
 
 from malus.errors import InputError, ResourceError
 
-#: Seconds after which a folder that nobody holds is one of a writer that was killed.
+#: Age in seconds from which an unlocked scratch folder is taken to be left by a writer that was killed.
 _UNTIL_HELD_S = 60
 _OUT_OF_SOMETHING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ENOMEM, errno.EFBIG)
 
 
 def require_utf8(path: str | Path) -> None:
-    """InputError for a path that is no text: station files, reports and the C++ library take names in UTF-8 only."""
+    """InputError for a path that is not UTF-8: station files, reports and the C++ library take names in UTF-8 only."""
     absolute = os.path.abspath(path)
     if not is_utf8(absolute):
         raise InputError(f"{as_text(absolute)}: this name is not in UTF-8, expected a file and folders whose names are")
 
 
 def is_utf8(name: str) -> bool:
-    """Whether the name of a file is text in UTF-8."""
+    """Whether the name of a file is valid UTF-8."""
     try:
         name.encode()
     except UnicodeEncodeError:
@@ -42,12 +42,12 @@ def is_utf8(name: str) -> bool:
 
 
 def as_text(name: str) -> str:
-    """The name of a file as a person can read it, with the bytes that are no text by their numbers."""
+    """The name of a file as readable ASCII text, with all other bytes as escape sequences."""
     return os.fsencode(name).decode("ascii", "backslashreplace")
 
 
 def resolved(path: str | Path) -> Path:
-    """Where a path leads, links followed; InputError for what Path.resolve has errors of its own for."""
+    """The path with all links followed; InputError in place of the other errors that Path.resolve raises."""
     try:
         return Path(path).resolve()
     except RuntimeError:
@@ -57,7 +57,7 @@ def resolved(path: str | Path) -> Path:
 
 
 def open_regular(path: Path) -> BufferedReader:
-    """A file of a user's for reading; OSError unless it is a regular one. A pipe would be waited for, a device never ends."""
+    """Open a user's file for reading; OSError unless it is a regular file. A pipe could block forever, and a device may have no end."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     if stat.S_ISREG(os.fstat(descriptor).st_mode):
         return open(descriptor, "rb")
@@ -69,13 +69,13 @@ def open_regular(path: Path) -> BufferedReader:
 
 
 def read_regular(path: Path) -> bytes:
-    """All of such a file."""
+    """The whole content of a regular file; OSError for any other."""
     with open_regular(path) as file:
         return file.read()
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a file's bytes. InputError for one that cannot be read."""
+    """SHA-256 of a file's bytes; InputError for a file that cannot be read."""
     try:
         with open_regular(path) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -85,7 +85,7 @@ def sha256_of(path: Path) -> str:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn failures of writing this file into errors that name it; makes its folder."""
+    """Create the folder of `path`, and turn errors while this file is written into errors that name it."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield
@@ -98,9 +98,9 @@ def writing(path: Path) -> Iterator[None]:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary name in the same folder, with the same ending, to write to; at the end it becomes `path`.
+    """Give a temporary path to write to, in the same folder and with the same suffix; at the end the file is renamed to `path`.
 
-    No two writers share one, on this machine or another that sees the same folder.
+    The name is random, so that no two writers share it, also on other machines that see the same folder.
     """
     temporary = path.with_name(f".{path.stem}.partial-{secrets.token_hex(8)}{path.suffix}")
     with writing(path):
@@ -115,9 +115,9 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def new_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
-    """Give an empty folder to fill, beside the place of `folder`; at the end it becomes `folder`.
+    """Give an empty folder to fill, beside `folder`; at the end it is renamed to `folder`.
 
-    InputError if that is there already, unless it may be replaced: then it is removed at the end.
+    InputError if `folder` exists already. With `replace` the existing folder is removed at the end instead.
     """
     if folder.exists() and not replace:
         raise InputError(f"{folder}: is there already, expected a new folder")
@@ -132,9 +132,10 @@ def new_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def scratch_folder(path: Path) -> Iterator[Path]:
-    """Give an empty folder beside `path`, for what becomes it; at the end it is removed, and those of writers that were killed.
+    """Give an empty folder beside `path`, in which its content is prepared. The folder is removed at the end.
 
-    Who writes there holds a lock, which the system drops with the process, on this machine or another that sees the same folder.
+    Folders left by writers that were killed are removed at the start. They have no lock any more: each writer locks its folder,
+    and the system drops the lock with the process, also for other machines that see the same folder.
     """
     for left in path.parent.glob(f".{glob.escape(path.name)}.partial-*/"):
         _remove_unless_held(left)
@@ -151,7 +152,7 @@ def scratch_folder(path: Path) -> Iterator[Path]:
 
 def _remove_unless_held(folder: Path) -> None:
     with suppress(OSError):
-        # A writer that has just made its folder has the lock a moment later.
+        # A writer locks its folder only a moment after it has made it.
         if time.time() - folder.stat().st_mtime < _UNTIL_HELD_S:
             return
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
@@ -168,13 +169,13 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_record(path: Path, record: Mapping[str, Any]) -> None:
-    """Write a JSON object with a checksum, by which `read_record` knows that nobody changed it."""
+    """Write a JSON object with a checksum, by which `read_record` detects later changes."""
     as_read = json.loads(json.dumps(record))  # keys that are numbers become text
     write_text(path, json.dumps({**as_read, "checksum": _checksum(as_read)}, indent=1) + "\n")
 
 
 def read_record(path: Path) -> dict[str, Any] | None:
-    """What `write_record` wrote; None if there is none, or not as it was written."""
+    """Read what `write_record` wrote; None if the file is missing, damaged or was changed."""
     try:
         record = json.loads(read_regular(path))
     except (OSError, ValueError, RecursionError):
@@ -189,8 +190,8 @@ def _checksum(record: Mapping[str, Any]) -> str:
 
 
 def remove_unfinished(folder: Path, *, older_than_s: float) -> None:
-    """Remove files in a folder that a run which was killed had begun to write. Others may write there: what is younger
-    than that stays.
+    """Remove the unfinished files of killed runs from a folder. Files younger than `older_than_s` stay, because other runs may
+    be writing them now.
     """
     for path in folder.glob(".*.partial-*"):
         with suppress(OSError):

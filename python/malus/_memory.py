@@ -1,4 +1,4 @@
-"""What must be known before NumPy is loaded: whether there is memory to start at all."""
+"""Check before NumPy is loaded that there is enough memory to start."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ import resource
 import sys
 from pathlib import Path
 
-#: Address space that the package takes once it is loaded, and room for one small station.
+#: Address space for the loaded package and one small station.
 LEAST_MB = 1024
 
 
 def prepare() -> None:
-    """Under a limit of address space (`ulimit -v`, batch queues): MemoryError if it is too low to start, exit code 5 in the
-    programs; and one thread for BLAS, each of which takes 128 MB when it is loaded and waits forever if it gets none.
+    """Prepare for a limit of address space (`ulimit -v`, batch queues), if there is one.
+
+    If the limit is too low to start, raise MemoryError; programs end with exit code 5. BLAS gets one thread only: each thread takes
+    128 MB when BLAS is loaded, and BLAS waits forever if it does not get them.
     """
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit == resource.RLIM_INFINITY:

@@ -1,4 +1,4 @@
-"""Patterns of file names, tried on a bounded number of names."""
+"""Patterns of file names, matched against a bounded number of names."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from pathlib import Path
 
 from malus.errors import InputError
 
-#: A pattern that looks at more goes through the whole disk. The C++ library has the same bound.
+#: A pattern that looks at more names than this probably searches the whole disk. The C++ library has the same bound.
 MOST_NAMES = 100_000
 
 
 def matching(folder: Path, pattern: str, where: str) -> list[Path]:
-    """The paths that match a pattern relative to a folder; ** is any number of folders, also none. Hidden names are left out
-    unless the pattern begins with their dot.
+    """The paths that match a pattern relative to a folder. ** stands for any number of folders, including none. Hidden names match
+    only a pattern that begins with a dot.
 
-    InputError, which begins with `where` the pattern stands, if too many names have to be looked at.
+    InputError if too many names have to be looked at; its message begins with `where`, the place of the pattern in its file.
     """
     found = [folder]
     names = _counted(where)
@@ -28,13 +28,13 @@ def matching(folder: Path, pattern: str, where: str) -> list[Path]:
 
 
 def _counted(where: str) -> Iterator[None]:
-    """Gives so many times what is asked for before each name."""
+    """An iterator to advance once for each name looked at; InputError after MOST_NAMES."""
     yield from [None] * MOST_NAMES
     raise InputError(f"{where}: more than {MOST_NAMES} names to look at, expected a pattern for a few folders")
 
 
 def _step(place: Path, part: str, names: Iterator[None]) -> Iterator[Path]:
-    """Where one part of a pattern leads from a place."""
+    """The paths that one part of a pattern matches below a place."""
     if part == "**":
         yield place
         left = [place]
@@ -57,4 +57,4 @@ def _entries(folder: Path, part: str, names: Iterator[None]) -> Iterator[Path]:
                 if part.startswith(".") or not entry.name.startswith("."):
                     yield Path(entry.path)
     except OSError:
-        return  # no folder, or one that may not be looked into
+        return  # not a folder, or no permission to read it

@@ -1,4 +1,4 @@
-"""The spread of values of which a few may be wrong."""
+"""The spread of values that may contain a few outliers."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from numpy.typing import ArrayLike
 
 
 def robust_spread(deviations: ArrayLike) -> float:
-    """Standard deviation of normal values, in their unit, from their deviations from the middle; NaNs are left out.
+    """Robust σ of values, in their unit, from their deviations from the middle; NaNs are left out.
 
-    1.4826 times the median of the absolute deviations (MAD): a few large errors do not change it. NaN if there is none.
+    1.4826 times the median of the absolute deviations (MAD), which estimates the standard deviation of normally distributed
+    values; a few large errors do not change it. NaN if all deviations are NaN.
     """
     return 1.4826 * float(np.nanmedian(np.abs(deviations)))

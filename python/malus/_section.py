@@ -12,7 +12,7 @@ class OptionValues(Protocol):
     _values: dict[str, Any]
 
     def update(self, changes: Mapping[str, Any]) -> None:
-        """Change some, checked."""
+        """Change some options, after checking them."""
 
 
 class Section:

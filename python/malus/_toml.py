@@ -1,4 +1,4 @@
-"""TOML files of users, read with bounded work."""
+"""TOML files of users, read in bounded time and memory."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _KEY = re.compile(r"^[ \t\[]*([\w.\-\"' \t]*)", re.ASCII | re.MULTILINE)
 def read_toml(path: Path) -> dict[str, Any]:
     """Content of a TOML file. Raises OSError, UnicodeDecodeError, RecursionError or tomllib.TOMLDecodeError.
 
-    What the C++ library refuses is refused here, too: a key of very many parts (tomllib takes gigabytes for one of
-    50 000) and numbers that no double or 64 bits hold. The mark that Windows' editors begin UTF-8 with is skipped.
+    As in the C++ library, keys with very many parts (tomllib takes gigabytes for one of 50 000) and numbers beyond the range of
+    a double or of a 64-bit integer are errors. The byte order mark with which Windows' editors begin UTF-8 files is skipped.
     """
     with io.TextIOWrapper(open_regular(path), encoding="utf-8-sig") as file:
         text = file.read()
@@ -32,7 +32,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         content = tomllib.loads(text, parse_float=_finite)
     except tomllib.TOMLDecodeError:
         raise
-    except ValueError as error:  # an integer of more digits than Python reads, or _finite's
+    except ValueError as error:  # an integer of more digits than Python reads, or the error of _finite
         raise tomllib.TOMLDecodeError(str(error)) from None
     _require_64_bits(content)
     return content

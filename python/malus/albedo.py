@@ -1,8 +1,9 @@
 """The object's own color: what it would look like under even light, without highlights and without shading.
 
-Three parts. What was mirrored at the surface is taken out by its polarization (fused/mirrored.tif). A light is fitted to what is left, a
-lamp and a sky that may be brighter on one side, so that pixels near each other get albedos that do not follow the slopes. Then the image is
-divided by that shading. Its scale is free: nobody knows the strength of the light. Cast shadows and light between parts of the object stay.
+There are three steps. First, the mirrored light, known from its polarization (fused/mirrored.tif), is subtracted. Second, a light is
+fitted to the remaining image: a lamp, and a sky that may be brighter on one side. The fit makes the albedo of neighboring pixels
+independent of their slopes. Third, the image is divided by the shading under that light. The scale of the albedo is free, because the
+strength of the light is unknown. Cast shadows and light reflected between parts of the object are not removed.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from malus.errors import DataError
 from malus.workspace import Workspace
 
 Floats = NDArray[np.float64]
-#: Pairs of pixels that the light is fitted to, how far apart they may be, and steps of the fit.
+#: Number of pixel pairs to which the light is fitted, their largest distance along rows and columns, and steps of the fit.
 _PAIRS, _FARTHEST_PX, _STEPS = 20000, 24, 25
-#: With fewer pixels no light is fitted.
+#: With fewer pixels no light is fitted: the shading is then taken as even.
 _LEAST_PIXELS = 400
-#: Shading is kept above this share of its median, so that the noise of shadows is not blown up.
+#: Lower limit of the shading, as a share of its median, so that noise in shadows is not amplified.
 _LEAST_SHADING = 0.2
 #: Standard deviation of the sky's unevenness, in strengths of the lamp.
 _SKY_SIGMA = 0.3
@@ -32,7 +33,7 @@ _SKY_SIGMA = 0.3
 class Shading:
     """Light on the object. lamp: direction times strength (camera frame: x right, y down, z forward); sky: even part, and its gradient (3).
 
-    Of the strength of the lamp and the sky together nothing is known: their ratio counts.
+    Only the ratio of lamp and sky is determined, not their common strength.
     """
 
     lamp: Floats
@@ -47,9 +48,9 @@ class Shading:
 def fit_shading(body: Floats, normals: Floats) -> Shading:
     """The light under which neighbors of different slopes have the most similar albedo.
 
-    body: H×W, light that came out of the body, NaN = none. normals: H×W×3.
-    Differences of logarithms over pairs of pixels a few pixels apart, Gauss–Newton with Cauchy's weights: borders of the object's own colors
-    are outliers.
+    body: H×W, diffusely reflected light, NaN = none. normals: H×W×3.
+    The residuals are differences of logarithms between pixels a few pixels apart. Gauss–Newton with Cauchy weights: pairs across a
+    border between two colors of the object are outliers.
     """
     usable = np.isfinite(body) & np.isfinite(normals).all(-1) & (body > 0)
     if usable.sum() < _LEAST_PIXELS:
@@ -68,7 +69,7 @@ def fit_shading(body: Floats, normals: Floats) -> Shading:
 
 
 def _pairs(known: NDArray[np.bool_]) -> tuple[tuple[NDArray[np.int64], ...], tuple[NDArray[np.int64], ...]]:
-    """Indices of pixels and of others some pixels away, both known; the same ones for the same mask."""
+    """Indices of pairs of known pixels a few pixels apart; a fixed random seed makes them the same for the same mask."""
     random = np.random.default_rng(7)
     rows, columns = np.nonzero(known)
     chosen = random.integers(0, len(rows), 3 * _PAIRS)
@@ -81,7 +82,7 @@ def _pairs(known: NDArray[np.bool_]) -> tuple[tuple[NDArray[np.int64], ...], tup
 
 
 def _robust_fit(predicted: Callable[[Floats], Floats], target: Floats, x: Floats) -> Floats:
-    """Gauss–Newton with damping and Cauchy's weights; the parameters' scale is held near 1 and the sky near even."""
+    """Damped Gauss–Newton with Cauchy weights; the length of the lamp's vector is held near 1, and the sky near even."""
     prior = np.array([0, 0, 0, 1 / 2.0, *[1 / _SKY_SIGMA] * 3])
     middle = np.array([0, 0, 0, 0.3, 0, 0, 0])
     damping = 1e-3
@@ -94,7 +95,7 @@ def _robust_fit(predicted: Callable[[Floats], Floats], target: Floats, x: Floats
         jacobian = np.stack([(predicted(x + step * axis) - now) / step for axis in np.eye(len(x))], -1)
         normal = (jacobian * weight[:, None]).T @ jacobian / spread**2
         right = (jacobian * weight[:, None]).T @ residual / spread**2
-        # The scale of everything is free: the lamp's length stays.
+        # The common scale of lamp and sky is free: hold the lamp's length.
         scale = np.concatenate([x[:3], np.zeros(4)])
         normal += np.diag(prior**2 + 1e-6 * (1 + np.trace(normal))) + 1e6 * np.outer(scale, scale) / max(
             float(scale @ scale), 1e-9
@@ -115,8 +116,8 @@ def _robust_fit(predicted: Callable[[Floats], Floats], target: Floats, x: Floats
 def albedo_of(workspace: Workspace) -> NDArray[np.float32]:
     """Albedo of a finished workspace, up to one factor; H×W, or H×W×3 if it was taken in color, NaN where there is no surface.
 
-    DataError for a surface without a reflection model (`--fusion grid`), and for bare metal: nothing tells their highlights from
-    their color.
+    DataError for a surface without a reflection model (`--fusion grid`), and for bare metal: their highlights cannot be separated
+    from their color.
     """
     mirrored = workspace.mirrored_share()
     if mirrored is None:
@@ -141,9 +142,9 @@ def diffuse_albedo(
 ) -> NDArray[np.float32]:
     """Albedo up to one factor, H×W×C float32, as bright in the median as the picture; NaN where there is no surface.
 
-    picture: H×W×C, linear. normals: H×W×3, unit, camera frame, NaN = none. mirrored: H×W, share of the light that was mirrored, taken from
-    all channels alike (a mirror image has the color of the light).
-    Cast shadows stay.
+    picture: H×W×C, linear. normals: H×W×3, unit, camera frame, NaN = none. mirrored: H×W, mirrored share of the light; the same
+    amount is subtracted from all channels, because a mirror image has the color of the light.
+    Cast shadows are not removed.
     """
     color = np.asarray(picture, dtype=np.float64)
     normal = np.asarray(normals, dtype=np.float64)
@@ -161,7 +162,7 @@ def diffuse_albedo(
 
 
 def _first_lamp(body: Floats, normals: Floats) -> Floats:
-    """A direction to begin with: that in which brightness grows with the slope, towards the viewer at least."""
+    """Initial direction of the lamp: the one in which brightness grows with the slope, kept on the viewer's side of the object."""
     known = np.isfinite(body) & np.isfinite(normals).all(-1)
     rows = normals[known][:: max(1, int(known.sum()) // 50000)]
     values = body[known][:: max(1, int(known.sum()) // 50000)]

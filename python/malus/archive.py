@@ -1,8 +1,8 @@
 """A finished workspace as a package for archives: RO-Crate 1.1 (Process Run Crate) in a BagIt 1.0 bag, one ZIP file.
 
-It has everything that the result was made from and all that was made: station file, images, prior, every result, the report; and the
-paradata that the London Charter asks for: which step made which file from which, when, in how long, with which settings and
-versions. The catalog's words come from [object] in the station file, those of the capture from the images' EXIF.
+It contains all inputs and all outputs: station file, images, prior, every result and the report. It also contains the paradata that
+the London Charter asks for: which step made which file from which inputs, when, in how long, with which settings and versions.
+The catalog entries come from [object] in the station file, the data of the capture from the images' EXIF.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from malus.scans import is_scan, read_scan
 from malus.station import Station
 from malus.workspace import Workspace
 
-#: [object] key → term of schema.org, as RO-Crate has it, and element of Dublin Core.
+#: [object] key → term of schema.org that RO-Crate uses, and element of Dublin Core.
 TERMS: dict[str, tuple[str, str]] = {
     "identifier": ("identifier", "identifier"),
     "title": ("name", "title"),
@@ -43,7 +43,7 @@ TERMS: dict[str, tuple[str, str]] = {
     "license": ("license", "rights"),
 }
 _PROFILE = "https://w3id.org/ro/wfrun/process/0.5"
-#: EXIF tag → name, of what matters for a record of the capture.
+#: EXIF tag → name, of the tags that matter for a record of the capture.
 _CAPTURE = {
     271: "camera maker",
     272: "camera",
@@ -64,9 +64,9 @@ class _Input:
 
 
 def _inputs(workspace: Workspace) -> dict[str, _Input | None]:
-    """Everything that the surface was made from, by its name relative to the station file → file; None for an array.
+    """All inputs of the surface: name relative to the station file → file; None for an array.
 
-    InputError if one is gone or is not what the run read.
+    InputError if an input is missing or differs from what the run read.
     """
     station = workspace.manifest["station"]
     if not station.get("file"):
@@ -76,7 +76,7 @@ def _inputs(workspace: Workspace) -> dict[str, _Input | None]:
     files: dict[str, _Input | None] = {}
     for name, sha256 in {**workspace.manifest["inputs"], file.name: station["says"]["sha256"]}.items():
         path = file.parent / name
-        if not path.suffix and not path.is_file():  # an array, such as "prior points": it is given or made of a file
+        if not path.suffix and not path.is_file():  # an array ("prior points"): given, or read by Python
             files[name] = None
             continue
         files[name] = _as_read(path, sha256)
@@ -84,8 +84,8 @@ def _inputs(workspace: Workspace) -> dict[str, _Input | None]:
 
 
 def _files_behind_arrays(workspace: Workspace, file: Path) -> dict[str, _Input]:
-    """What Python reads for the steps: RAW files, clouds of scanners, photographs. All are known to be those of the run."""
-    says = Station.load(file).describe()  # the steps were told of the developed images, not of the RAW files
+    """The files that Python reads for the steps: RAW files, scanner clouds, photographs; InputError if one was changed since the run."""
+    says = Station.load(file).describe()  # the manifest lists the developed images instead of the RAW files
     inputs = workspace.manifest["inputs"]
     developed = [PurePosixPath(name).name for name in inputs]
     files: dict[str, _Input] = {}
@@ -97,7 +97,7 @@ def _files_behind_arrays(workspace: Workspace, file: Path) -> dict[str, _Input]:
         elif is_raw(path):
             is_as_read = any(name.startswith(name_of(path, path.read_bytes())) for name in developed)
         else:
-            is_as_read = True  # what the C++ library read has its checksum among the inputs
+            is_as_read = True  # read by the C++ library: `_inputs` compares the checksum in the manifest
         if not is_as_read:
             raise _changed(path)
         files[os.path.relpath(path, file.parent)] = _Input(path, _core.sha256_of_file(str(path)))
@@ -134,7 +134,7 @@ def _place(name: str, sha256: str) -> str:
 
 
 def _capture_of(path: Path) -> list[dict[str, str]]:
-    """What a photograph says of its capture, as schema.org's exifData."""
+    """The EXIF data of a photograph about its capture, as schema.org's exifData."""
     tags = exif.tags_of(path)
     return [
         {"@type": "PropertyValue", "name": name, "value": str(tags[tag]).strip("\0 ")}
@@ -144,7 +144,7 @@ def _capture_of(path: Path) -> list[dict[str, str]]:
 
 
 class _Crate:
-    """The RO-Crate's description, and what lies in it."""
+    """The RO-Crate: its description and its files."""
 
     def __init__(self, workspace: Workspace) -> None:
         rocrate, entities = (
@@ -174,7 +174,7 @@ class _Crate:
         return entity
 
     def require_packed(self, packed: dict[str, dict[str, str]]) -> None:
-        """InputError if a file is not the one any more whose checksum the description states; `packed`: the bag's checksums."""
+        """InputError if a packed file does not have the checksum that the description states; `packed`: the bag's checksums."""
         for place, entity in self.placed.items():
             if (stated := entity.get("sha256")) and packed[f"data/{place}"]["sha256"] != stated:
                 raise InputError(f"{self.sources[place]}: was changed while it was packed; run `malus export` again")
@@ -187,7 +187,7 @@ class _Crate:
 
 
 def _flat(entities: list[Any]) -> Any:
-    """RO-Crate's JSON-LD has no list of one."""
+    """A single entity instead of a list of one, as RO-Crate's JSON-LD requires."""
     return entities[0] if len(entities) == 1 else entities
 
 
@@ -203,7 +203,7 @@ def _describe_root(crate: _Crate, made: datetime) -> None:
     )
     root = crate.crate.root_dataset
     root["datePublished"] = made.date().isoformat()
-    # RO-Crate wants a license; that nothing was said is said.
+    # RO-Crate requires a license; without one, state that none was given.
     root["license"] = known.get("license", "No license was stated in [object] of the station file.")
     profile = crate.entity(_PROFILE, "CreativeWork", {"name": "Process Run Crate", "version": "0.5"})
     root["conformsTo"] = profile
@@ -216,7 +216,7 @@ def _describe_root(crate: _Crate, made: datetime) -> None:
 
 
 def _add_files(crate: _Crate, inputs: dict[str, _Input | None]) -> dict[str, Any]:
-    """All inputs and results; returns the entities of inputs by their names in the manifest."""
+    """Add all inputs and results; returns the entities of the inputs by their names in the manifest."""
     workspace = crate.workspace
     entities: dict[str, Any] = {}
     for name, file in inputs.items():
@@ -235,7 +235,7 @@ def _add_files(crate: _Crate, inputs: dict[str, _Input | None]) -> dict[str, Any
 
 
 def _add_steps(crate: _Crate, inputs: dict[str, Any]) -> None:
-    """One CreateAction a step: what it took, what it made, when, with what."""
+    """Add one CreateAction per step: its inputs, outputs, time, settings and program."""
     manifest = crate.workspace.manifest
     tools = [
         crate.entity(f"#{name.replace(' ', '-')}", "SoftwareApplication", {"name": name, "softwareVersion": version})
@@ -254,7 +254,7 @@ def _add_steps(crate: _Crate, inputs: dict[str, Any]) -> None:
             for key, value in (values.items() if isinstance(values, dict) else [("", values)])
         ]
         made = [crate.placed[f"results/{output}"] for output in step["outputs"]]
-        # What a step leaves is told by the step that follows in no file: the results that it read are those of the steps before it.
+        # The manifest does not list which results of earlier steps a step read: take all outputs of the steps on which it depends.
         taken = [inputs[file] for file in step["inputs"] if file in inputs]
         for before in step.get("after", {}):
             taken += [crate.placed[f"results/{file}"] for file in manifest["steps"][before]["outputs"]]
@@ -282,7 +282,7 @@ def _add_steps(crate: _Crate, inputs: dict[str, Any]) -> None:
 
 
 def dublin_core(title: str, known: dict[str, str]) -> str:
-    """[object] as simple Dublin Core, an oai_dc record."""
+    """The entries of [object] as simple Dublin Core, an oai_dc record."""
     elements = [("title", known.get("title", title)), ("type", "Dataset")]
     elements += [(TERMS[key][1], value) for key, value in known.items() if key in TERMS and key != "title"]
     body = "\n".join(f"  <dc:{name}>{escape(value)}</dc:{name}>" for name, value in elements)
@@ -295,8 +295,8 @@ def dublin_core(title: str, known: dict[str, str]) -> str:
 
 
 def _zip(folder: Path, path: Path) -> None:
-    """The folder as a ZIP file with it at the top."""
-    # A camera whose clock was never set writes dates that ZIP does not have.
+    """Write a ZIP file with the folder as its only top-level entry."""
+    # Not strict: a camera whose clock was never set writes dates that ZIP cannot store.
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=3, strict_timestamps=False) as file:
         for source in sorted(folder.rglob("*")):
             if source.is_file():
@@ -304,9 +304,9 @@ def _zip(folder: Path, path: Path) -> None:
 
 
 def write_archive(work: str | Path, path: str | Path) -> Path:
-    """Write a workspace and all that it was made from as a BagIt bag with an RO-Crate in it, one ZIP file; returns its path.
+    """Write a workspace and all its inputs as a BagIt bag that is also an RO-Crate, one ZIP file; returns its path.
 
-    Every file's SHA-256 is checked against the run's record first. InputError if an input was changed or is gone.
+    Every file's SHA-256 is checked against the run's record first. InputError if an input was changed or is missing.
     """
     bagit = extra("bagit", "bagit", "an archive (--format archive)", "archive")
     workspace, path = Workspace(work), Path(path)
@@ -316,7 +316,7 @@ def write_archive(work: str | Path, path: str | Path) -> Path:
     _add_steps(crate, _add_files(crate, _inputs(workspace)))
     name = str(workspace.quality["name"])
     path.parent.mkdir(parents=True, exist_ok=True)
-    # Beside the archive: there is room for it there, if anywhere.
+    # The bag is made beside the archive, because that disk must have room for the archive anyway.
     with scratch_folder(path) as scratch:
         bag = scratch / "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
         bag.mkdir()
@@ -331,7 +331,8 @@ def write_archive(work: str | Path, path: str | Path) -> Path:
                 continue
             target.parent.mkdir(parents=True, exist_ok=True)
             try:
-                os.link(os.path.realpath(source), target)  # what a link leads to: the link leads nowhere from there
+                # Link the target of a symbolic link: the link itself may lead nowhere from the bag.
+                os.link(os.path.realpath(source), target)
             except OSError:
                 shutil.copyfile(source, target)
         known = crate.object

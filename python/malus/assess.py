@@ -1,4 +1,4 @@
-"""Figures that can be defended: plane fits on flat patches, sections, distances to a reference."""
+"""Quality figures of a surface: plane fits on flat patches, sections, distances to a reference."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def profile(
 ) -> dict[str, Any]:
     """Section through a depth map along a line of the image, pixels (u, v) to (u, v) (Fig. 12 and 13).
 
-    Returns `position` along the chord and heights of the `surface` and the `prior` above it (unit of depth, NaN = none; empty
-    without a prior), `roughness_gsd`, `difference_rms_gsd` to the prior, and `status`.
+    Returns `position` along the chord, the heights of the `surface` and the `prior` above the chord (unit of depth, NaN = none;
+    `prior` is empty without one), `roughness_gsd`, `difference_rms_gsd` to the prior, and `status`.
     """
     if len(start) != 2 or len(end) != 2:
         raise ValueError(f"start and end have {len(start)} and {len(end)} numbers, expected 2: u, v")
@@ -67,7 +67,8 @@ def compare(
     """Signed distances of a surface to a reference in the world frame: a cloud (N×3), or a mesh with its triangles (M×3).
 
     Returns `distance` (H×W, unit of the surface, positive = in front of the reference, NaN = not compared), `rmse_gsd`, `mad_gsd`,
-    `median_gsd`, `compared_fraction`, `status`, and `reference_from_surface` (scale, rotation by rows, translation). `assess.alignment` moves the surface onto the reference first.
+    `median_gsd`, `compared_fraction`, `status`, and `reference_from_surface` (scale, rotation by rows, translation). The option
+    `assess.alignment` says how the surface is moved onto the reference first.
     """
     points = np.ascontiguousarray(vertices, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:

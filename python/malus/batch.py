@@ -1,4 +1,4 @@
-"""Many stations: independent tasks with done-markers, on this machine, on a Dask cluster, or as an array job."""
+"""Many stations: independent tasks, each with a marker file for its outcome, on this machine, on a Dask cluster, or as an array job."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ COLUMNS = (
 
 
 def run_station(task: Task) -> Outcome:
-    """Run one station to its end and leave a marker; a failure is an outcome, not an exception."""
+    """Run one station to its end and write its marker; a failure is returned as an outcome, not raised."""
     started = time.monotonic()
     outcome: Outcome = {
         "station": task.identifier,
@@ -60,7 +60,7 @@ def run_station(task: Task) -> Outcome:
             Station.load(task.station),
             Options(**json.loads(task.options)),
             workspace=task.workspace,
-            replace=True,  # names of stations can move on to others as the campaign changes
+            replace=True,  # after a change of the campaign, another station may have this name and workspace
             keep_maps=False,
             threads=task.threads,
             cameras=load_cameras(Path(task.cameras)) if task.cameras else None,
@@ -68,8 +68,9 @@ def run_station(task: Task) -> Outcome:
         if task.report:
             write_report(task.workspace)
         outcome["figures"] = _figures(result.quality) if result.quality else {}
-        outcome["manifest"] = _manifest(task)  # a result that is not there any more, or another one, is not done
-    except Exception as error:  # one station, whatever it is, does not end the others
+        # So that a result that is later removed or replaced does not count as done.
+        outcome["manifest"] = _manifest(task)
+    except Exception as error:  # no error of one station may end the others
         code, reason = ending_of(error)
         outcome |= {"status": "failed", "reason": reason, "exit_code": code}
     outcome["seconds"] = round(time.monotonic() - started, 3)
@@ -88,13 +89,15 @@ def run_campaign(
     cameras: Path | None = None,
     progress: Callable[[int, int, Outcome], None] | None = None,
 ) -> list[Outcome]:
-    """Run the stations of a campaign that are not done yet, and merge what is there.
+    """Run the stations of a campaign that are not done yet, and merge the results of all that are.
 
     OUTPUT gets stations/NAME/ (a workspace each), done/NAME.json (how each ended), and campaign.csv, campaign.json and
-    index.html over all stations. jobs: stations at a time in processes of this machine; threads: of each (default: the
-    cores shared out). scheduler: address of a Dask scheduler whose workers see the same files; needs the extra "dask".
-    shard (i, n): only every n-th station, from the i-th on (1 ≤ i ≤ n), for array jobs. cameras: folder with a file of
-    cameras for each station (malus.photogrammetry.shared_frame) that has none of its own. Stations that failed before are tried again. Returns the outcomes of all stations of the campaign; `status` is done, failed or pending.
+    index.html over all stations. jobs: number of stations that run at the same time, each in a process of this machine; threads:
+    of each station (default: all cores, divided among the jobs). scheduler: address of a Dask scheduler whose workers see the same
+    files; needs the extra "dask". shard (i, n): only every n-th station, from the i-th on (1 ≤ i ≤ n), for array jobs.
+    cameras: folder with a file of cameras for each station (malus.photogrammetry.shared_frame) that has none of its own.
+    Stations that failed before are tried again. Returns the outcomes of all stations of the campaign; `status` is done, failed
+    or pending.
     """
     if jobs < 1:
         raise InputError(f"--jobs {jobs}, expected at least 1")
@@ -116,7 +119,7 @@ def run_campaign(
 
 
 def outcomes_of(campaign: Campaign, output: str | Path, cameras: Path | None = None) -> list[Outcome]:
-    """How all stations of a campaign have ended, as far as that still holds; nothing is run."""
+    """The outcomes of all stations of a campaign, pending where an outcome is not valid any more; nothing is run."""
     return [_marker(task) for task in campaign.tasks(output, 1, cameras)]
 
 
@@ -133,7 +136,7 @@ def shard_of_environment() -> tuple[int, int] | None:
 
 
 def parse_shard(text: str) -> tuple[int, int]:
-    """`i/n` of --shard."""
+    """Parse the value `i/n` of --shard."""
     parts = text.split("/")
     if len(parts) != 2 or not all(part.isdigit() for part in parts):
         raise InputError(f"--shard {text}, expected i/n such as 3/8")
@@ -141,14 +144,16 @@ def parse_shard(text: str) -> tuple[int, int]:
 
 
 def checked_shard(index: int, count: int, where: str) -> tuple[int, int]:
-    """The shard, if it is one; `where` it came from stands in the message."""
+    """The shard, if 1 ≤ index ≤ count; otherwise InputError, whose message begins with `where`, the source of the numbers."""
     if not 1 <= index <= count:
         raise InputError(f"{where}: shard {index} of {count}, expected 1 ≤ i ≤ n")
     return index, count
 
 
 def failure(outcomes: Sequence[Outcome]) -> MalusError | None:
-    """What the command line ends with if stations failed: all of them with their reasons, the first one's exit code."""
+    """The error with which the command line ends if stations failed: it lists all of them with their reasons and has the first
+    one's exit code; None if none failed.
+    """
     failed = [outcome for outcome in outcomes if outcome["status"] == "failed"]
     if not failed:
         return None
@@ -158,7 +163,7 @@ def failure(outcomes: Sequence[Outcome]) -> MalusError | None:
 
 
 def _killed(task: Task, reason: str) -> Outcome:
-    """Leaves the marker of a station whose process could not."""
+    """Write the marker of a station whose process was killed before it could."""
     outcome: Outcome = {"station": task.identifier, "file": task.station, "status": "failed", "reason": reason}
     outcome |= {"exit_code": ResourceError.exit_code, "key": task.key(), "seconds": 0.0}
     write_record(task.marker, outcome)
@@ -166,8 +171,8 @@ def _killed(task: Task, reason: str) -> Outcome:
 
 
 def _end_with_parent() -> None:
-    """Ends this process when the one that started it ends, however it does: nobody would take its results, and it would
-    hold its station's workspace.
+    """End this process when its parent process ends, for whatever reason: nobody would collect the results, and this process
+    would keep its station's workspace locked.
     """
     parent = multiprocessing.parent_process()
     assert parent is not None
@@ -181,9 +186,9 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes for stations. They end with this one, and at once if it is told to end, without the stations that wait."""
+    """Worker processes for stations. They end with this process. If it is interrupted, they end at once, and waiting stations are not run."""
     others = set(multiprocessing.active_children())
-    # Fresh processes, not forks: this one may hold threads and locks.
+    # Fresh processes, not forks: this process may have threads and hold locks.
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_end_with_parent)
     try:
         yield pool
@@ -196,7 +201,7 @@ def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _submitted(pool: ProcessPoolExecutor, tasks: Sequence[Task]) -> list[Future[Outcome]]:
-    """The tasks as the pool's, in processes that are deaf to Ctrl-C, which a terminal sends to all: this one ends them."""
+    """Submit the tasks to the pool. Its processes ignore Ctrl-C, which a terminal sends to all processes: this process ends them."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         return [pool.submit(run_station, task) for task in tasks]
@@ -213,7 +218,7 @@ def _on_this_machine(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
                 del left[outcome["station"]]
                 yield outcome
     except BrokenProcessPool:
-        # Somebody killed a process (memory, most often), and the pool does not say on which station. One at a time does.
+        # A process was killed (most often for its memory), and the pool does not say at which station. Running one at a time does.
         for task in left.values():
             try:
                 with _processes(1) as pool:
@@ -229,12 +234,12 @@ def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[Outcome]:
     except (OSError, ValueError) as error:
         raise ExternalError(f"--scheduler {address}: no Dask scheduler answers ({error})") from None
     with client:
-        # A station whose worker dies goes to another one, which resumes its workspace.
+        # If a worker dies, its station goes to another worker, which resumes the workspace.
         futures = {
             client.submit(run_station, task, key=f"malus-{task.identifier}-{task.key()}", pure=False): task
             for task in tasks
         }
-        # What Dask has to say of a scheduler that is lost, with a traceback, is said below.
+        # Silence Dask's traceback for a lost scheduler: the error below reports it.
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         for future in distributed.as_completed(futures):
             try:
@@ -254,8 +259,8 @@ def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[Outcome]:
 
 
 def _marker(task: Task) -> Outcome:
-    """How a station ended, if that still holds; otherwise pending. Of results the record is compared, and that its files
-    are there in their sizes: reading all of a campaign again would take longer than some stations.
+    """The outcome of a station, if it is still valid; otherwise pending. Results are valid if their manifest is unchanged and
+    its files exist with their sizes. Their content is not checked: reading a whole campaign would take longer than some stations.
     """
     pending = {"station": task.identifier, "file": task.station, "status": "pending", "reason": "", "exit_code": 0}
     outcome = read_record(task.marker)
@@ -275,7 +280,7 @@ def _has_results(task: Task) -> bool:
 
 
 def _manifest(task: Task) -> str | None:
-    """SHA-256 of the record of a station's results; None without one."""
+    """SHA-256 of the manifest of a station's results; None without one."""
     path = task.workspace / "manifest.json"
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None
 
@@ -305,7 +310,7 @@ def _figures(quality: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _as_text(value: object) -> object:
-    """A cell that spreadsheet programs do not take for a formula, whatever a station's name or a message begins with."""
+    """A cell that spreadsheet programs do not take for a formula, whatever character its text begins with."""
     return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
 
 
@@ -331,7 +336,7 @@ def _merge(campaign: Campaign, tasks: Sequence[Task], output: Path) -> list[Outc
             output / "index.html",
             page.render(campaign=campaign, rows=rows, counts=counts, version=_core.version),
         )
-        # Another shard may have ended a station meanwhile, and its tables may have come before ours.
+        # Another shard may have finished a station meanwhile, and its tables may have been overwritten by ours: write them again.
         now = [_marker(task) for task in tasks]
         if now == outcomes:
             return outcomes

@@ -14,14 +14,14 @@ from malus import _core
 
 @dataclass
 class Camera:
-    """Lens camera and its pose.
+    """Camera with its lens model and pose.
 
     `model` is one of SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV, BROWN; `params` in COLMAP's
-    order, but with the principal point in the memory pixel convention (center of the top-left pixel at (0, 0); COLMAP's
-    minus 0.5). `rotation` (3×3) and `translation` (3) take world points into the camera frame (x right, y down, z
-    forward): x_in_cam = rotation @ x_in_world + translation. Left out, the camera frame is the world.
+    order, but with the principal point in the memory pixel convention (center of the top-left pixel at (0, 0): COLMAP's
+    value minus 0.5). `rotation` (3×3) and `translation` (3) take world points into the camera frame (x right, y down, z
+    forward): x_in_cam = rotation @ x_in_world + translation. By default the camera frame is the world frame.
 
-    Steps on arrays take the camera of the undistorted images: a PINHOLE one, as `undistorted()` gives it.
+    Functions on arrays take the camera of the undistorted images: a PINHOLE camera, such as `undistorted()` returns.
     """
 
     model: str
@@ -68,12 +68,12 @@ class Camera:
         return self.undistorted().params[3]
 
     def resected(self, points: ArrayLike, pixels: ArrayLike) -> tuple[Camera, dict[str, Any]]:
-        """The same lens where it sees points of known coordinates at their marks.
+        """The same lens, with the pose resected from points of known coordinates and their pixels.
 
-        points: N×3, N ≥ 4, not on one line; pixels: N×2 (column, row) as taken, memory pixel convention. The pose of this
-        camera is not used. Returns the camera in the points' frame, and figures: `rms_px`, `center_sigma` (standard
-        deviation of the projection center along its most uncertain direction, unit of the points), `residuals_px` (N×2, mark
-        less image of the point) and `doubtful`, the index of a point without which the others fit far better, or None.
+        points: N×3, N ≥ 4, not on one line; pixels: N×2 (column, row) in the image as taken (distorted), memory pixel convention.
+        The pose of this camera is not used. Returns the camera in the points' frame, and figures: `rms_px`, `center_sigma`
+        (standard deviation of the projection center along its most uncertain direction, unit of the points), `residuals_px` (N×2,
+        given pixel minus projected point) and `doubtful`, the index of a point without which the others fit far better, or None.
 
         Raises ValueError for wrong shapes, malus.InputError for numbers that are not finite and for points that do not
         determine a pose, or do not fit. Method: SQPnP (Terzakis and Lourakis 2020) and, near a plane, IPPE (Collins and
@@ -91,6 +91,6 @@ class Camera:
         return camera, {**found, "doubtful": None if doubtful is None else int(doubtful)}
 
     def values(self) -> tuple[str, int, int, list[float], NDArray[np.float64], NDArray[np.float64]]:
-        """Everything as plain values, checked, as the C++ library takes it."""
+        """All fields as plain values, checked, in the form that the C++ library takes."""
         rotation, translation = self.pose()
         return self.model, self.width, self.height, [float(p) for p in self.params], rotation, translation

@@ -1,4 +1,4 @@
-"""Campaign files: many stations with shared options, and where the results of each are kept."""
+"""Campaign files: many stations with shared options, and the places of their results."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _Value = TypeVar("_Value", str, bool, float)
 
 @dataclass(frozen=True)
 class Task:
-    """One station of a campaign; everything that a worker needs, on this machine or another that sees the same files."""
+    """One station of a campaign, with everything that a worker needs, on this machine or another that sees the same files."""
 
     identifier: str
     station: str
@@ -49,13 +49,13 @@ class Task:
 
     @property
     def marker(self) -> Path:
-        """File that says how the station ended; written at once, and last."""
+        """File that says how the station ended; it is written last, and atomically."""
         return Path(self.output) / "done" / f"{self.identifier}.json"
 
     def key(self) -> str:
-        """SHA-256 over version, options, and name, size and time of every file that the station names, wherever it lies.
+        """SHA-256 over version, options, and name, size and time of every file that the station names, also outside its folder.
 
-        A marker with another key does not count. (The workspace checks the content of inputs by itself, step by step.)
+        A marker with another key is not valid. (The workspace checks the content of inputs by itself, step by step.)
         """
         states = []
         for path in self._files():
@@ -77,7 +77,7 @@ class Task:
             return [Path(self.station)]
         files = [Path(path) for path in station["files"]]
         if "photos" in station:
-            below = islice(Path(station["photos"]["folder"]).rglob("*"), MOST_NAMES)  # of more, the run says so
+            below = islice(Path(station["photos"]["folder"]).rglob("*"), MOST_NAMES)  # of more, the run complains
             files += sorted(path for path in below if path.is_file())
         return files
 
@@ -96,7 +96,8 @@ class Campaign:
         """Read a campaign file; InputError names file, field, value and what was expected.
 
         [campaign] has `stations`, a list of station files or globs relative to the file, and optionally `name` and
-        `report` (false = no HTML report for each station). [options] is what `--options` takes: fusion, and a table a step.
+        `report` (false = no HTML report for each station). [options] has the content of a file for `--options`: fusion, and one
+        table per step.
         """
         file = Path(path)
         content = read_tables(file, _KEYS)
@@ -111,9 +112,10 @@ class Campaign:
         )
 
     def tasks(self, output: str | Path, threads: int, cameras: Path | None = None) -> list[Task]:
-        """One task a station, with distinct names: the station file's folder, and its own name unless that is station.
+        """One task per station, with distinct names: the name of the station file's folder, and the file's own name unless it is
+        station.toml.
 
-        cameras: folder with NAME.json for each station, if they share a model.
+        cameras: folder with the cameras of each station in NAME.json, if the stations share one model.
         """
         names = [
             path.parent.name if path.stem == "station" else f"{path.parent.name}-{path.stem}" for path in self.stations
@@ -143,14 +145,14 @@ class Campaign:
         ]
 
 
-#: Kinds of files: how they are called, and what runs them.
+#: Kinds of TOML files: what messages call them, and the command that runs them.
 _KINDS = {"station": ("a station file", "run"), "object": ("an object file", "object"), "campaign": ("a campaign file", "batch")}  # fmt: skip
 
 
 def require_kind(file: Path, expected: str, content: Mapping[str, Any] | None = None) -> None:
-    """Raise InputError, with the command for it, if a TOML file is plainly of another kind: station, object or campaign.
+    """Raise InputError, which names the right command, if a TOML file is plainly of another kind: station, object or campaign.
 
-    content: of the file, if it has been read. What cannot be read, who reads it says.
+    content: of the file, if it has been read. A file that cannot be read passes: its reader raises the error.
     """
     if content is None:
         try:
@@ -160,7 +162,7 @@ def require_kind(file: Path, expected: str, content: Mapping[str, Any] | None = 
     thing = content.get("object")
     kinds = {
         "campaign": "campaign" in content,
-        # A station file has a table [object], too: what the catalog says.
+        # A station file may have a table [object], too: the catalog entries.
         "object": isinstance(thing, dict) and "stations" in thing,
         "station": "polarized" in content,
     }
@@ -171,7 +173,9 @@ def require_kind(file: Path, expected: str, content: Mapping[str, Any] | None = 
 
 
 def read_tables(file: Path, keys: Mapping[str, Sequence[str]]) -> dict[str, Any]:
-    """Content of a TOML file whose tables and keys are known: `keys` of each table, those of "" being the tables."""
+    """Content of a TOML file; InputError for unknown tables and keys. `keys`: the known keys of each table; "" stands for the top
+    level, whose keys are the tables.
+    """
     try:
         content = read_toml(file)
     except OSError as error:
@@ -187,7 +191,7 @@ def read_tables(file: Path, keys: Mapping[str, Sequence[str]]) -> dict[str, Any]
 
 
 def value_of(file: Path, name: str, table: Mapping[str, Any], key: str, default: _Value) -> _Value:
-    """A key's value if it is of the default's type, or the default."""
+    """The value of a key, or the default if it is missing; InputError unless it has the default's type."""
     value = table.get(key, default)
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
@@ -213,7 +217,7 @@ def options_of(file: Path, content: Mapping[str, Any]) -> Options:
 
 
 def stations_of(file: Path, name: str, table: Mapping[str, Any]) -> tuple[Path, ...]:
-    """The station files that `stations` of a table names, by their paths or by globs relative to the file."""
+    """The station files in the key `stations` of a table: paths or globs relative to the file."""
     patterns = table.get("stations")
     if not isinstance(patterns, list) or not patterns or not all(isinstance(entry, str) for entry in patterns):
         said = f"= {patterns!r}" if "stations" in table else "is missing"

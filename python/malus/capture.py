@@ -1,4 +1,4 @@
-"""From what a camera delivers to images that lie on each other."""
+"""From a camera's files to linear, undistorted images that are registered to each other."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from malus.threads import ALL_CORES
 
 @dataclass(frozen=True)
 class Registration:
-    """How one image lies to the first: pixel of the first → pixel of this one is the 2×3 map `image_from_base`."""
+    """Where one image lies relative to the first: the 2×3 map `image_from_base` takes a pixel of the first image to its pixel here."""
 
     status: str
     message: str
@@ -30,9 +30,9 @@ class Registration:
 def demosaic(mosaic: ArrayLike, *, colors: str | None = None, threads: int = ALL_CORES) -> list[NDArray[np.float32]]:
     """Split a 2×2 polarizer mosaic (H×W, linear) into four images: cell top left, top right, bottom left, bottom right.
 
-    Every image has the mosaic's pixels, so that all four show the same point at the same pixel: H×W, or H×W×3 for a
-    color camera, whose `colors` is the Bayer pattern of the cells by rows, "RGGB"; all colors are taken to be polarized alike.
-    Sides are multiples of 2, in color of 4.
+    Every image has the mosaic's size, so that all four show the same point at the same pixel: H×W, or H×W×3 for a
+    color camera, whose `colors` is the Bayer pattern of the cells by rows, "RGGB"; all color channels are assumed to have the same
+    polarization. Height and width must be multiples of 2, in color of 4.
     """
     image = as_image(mosaic, "mosaic")
     if colors is None:
@@ -47,7 +47,7 @@ def demosaic(mosaic: ArrayLike, *, colors: str | None = None, threads: int = ALL
 def linearize(
     image: ArrayLike, *, response: str = "linear", black_level: float = 0.0, white_level: float = 1.0
 ) -> NDArray[np.float32]:
-    """Linear intensities, [0, 1] of the white level, of digital numbers (H×W, or H×W×3, whose colors stay apart).
+    """Linear intensities, in [0, 1] of the white level, from digital numbers (H×W, or H×W×3, channel by channel).
 
     response: "linear", "srgb", "gamma:X", or the path of a lookup table (docs/station-file.md).
     """
@@ -58,7 +58,7 @@ def linearize(
 
 
 def undistort(image: ArrayLike, camera: Camera, *, threads: int = 1) -> NDArray[np.float32]:
-    """The image (H×W) as a camera of the same focal length without distortion sees it; NaN where it has nothing."""
+    """The image (H×W) as a camera of the same focal length without distortion sees it; NaN where the image has no data."""
     return _core.undistort(as_image(image, "image"), camera.values(), threads)
 
 
@@ -71,7 +71,7 @@ def register(
     options: Options | None = None,
     threads: int = ALL_CORES,
 ) -> list[Registration]:
-    """Register linear images (K arrays H×W) to the first by affine maps, all together; one `Registration` an image."""
+    """Register linear images (K arrays H×W) to the first by affine maps, jointly; one `Registration` per image."""
     found = _core.register_images(
         as_images(images, "images"),
         (options or Options()).to_json(),

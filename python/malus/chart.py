@@ -1,7 +1,7 @@
-"""Color by a chart of known colors: a ColorChecker photographed under the light of the station, with a stated color difference.
+"""Color correction with a ColorChecker photographed under the light of the station, with a stated color difference.
 
-The chart is found by OpenCV's detector, or lies between four given corners. A matrix takes the camera's linear RGB to linear sRGB; what is
-left is stated as CIEDE2000, of all patches and of each by a matrix that was fitted without it.
+The chart is found by OpenCV's detector, or lies between four given corners. A matrix takes the camera's linear RGB to linear sRGB. The
+remaining color differences are stated as CIEDE2000: for all patches, and for each patch with a matrix that was fitted without it.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ Floats = NDArray[np.float64]
 ROWS, COLUMNS = 4, 6
 #: A patch brighter than this share of white is overexposed.
 _CLIPPED = 0.98
-#: A mean color difference beyond this is no correction of the camera but a wrong place, order or encoding.
+#: A mean color difference above this points to a wrong place of the chart, a wrong order of patches or a wrong encoding.
 _MOST_DELTA_E = 12.0
 
 
 def srgb_bytes(linear: Floats) -> NDArray[np.uint8]:
-    """8-bit sRGB of linear sRGB, any shape; black where there is none."""
+    """8-bit sRGB of linear sRGB, any shape; black where the color is NaN."""
     value = np.clip(np.nan_to_num(linear), 0, 1)
     curved = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
     return np.asarray(np.rint(255 * curved), dtype=np.uint8)
@@ -40,8 +40,8 @@ def srgb_bytes(linear: Floats) -> NDArray[np.uint8]:
 class ColorCorrection:
     """linear sRGB (D65) = matrix (3×3) · linear RGB of the camera, 1 = the chart's white under that light.
 
-    delta_e: CIEDE2000 of the 24 patches; delta_e_left_out: of each patch by a matrix fitted to the others: what to expect of other colors.
-    corners: of the chart in its image, pixels. source: where it was measured.
+    delta_e: CIEDE2000 of the 24 patches. delta_e_left_out: the same for each patch with a matrix fitted to the other patches, which is
+    the difference to expect for other colors. corners: of the chart in its image, pixels. source: the image or workspace measured.
     """
 
     matrix: Floats
@@ -55,7 +55,7 @@ class ColorCorrection:
         return np.asarray(color.astype(float) @ self.matrix.T, dtype=np.float64)
 
     def encoded(self, color: NDArray[np.floating]) -> NDArray[np.uint8]:
-        """8-bit sRGB of the camera's linear color, H×W×3; black where there is none."""
+        """8-bit sRGB of the camera's linear color, H×W×3; black where the color is NaN."""
         return srgb_bytes(self.apply(color))
 
     def summary(self) -> str:
@@ -66,7 +66,7 @@ class ColorCorrection:
         )
 
     def save(self, path: str | Path) -> Path:
-        """Write it as JSON."""
+        """Write the correction as JSON."""
         write_record(
             Path(path),
             {
@@ -96,13 +96,13 @@ class ColorCorrection:
 def measure_chart(
     source: str | Path, *, corners: Sequence[float] | None = None, response: str = "linear"
 ) -> ColorCorrection:
-    """Measure a ColorChecker in a color image (PNG, TIFF, JPEG), or in the picture of a workspace in which it lies.
+    """Measure a ColorChecker in a color image (PNG, TIFF, JPEG), or in a workspace whose view shows it.
 
-    The light and the camera's settings must be the station's. corners: x, y of the centers of the four corner patches: dark skin, bluish
-    green, black, white (clockwise from the first row's begin); without them the chart is looked for. response: of the image,
-    "linear", "srgb", "gamma:X".
+    The light and the camera's settings must be those of the station. corners: x, y of the centers of the four corner patches: dark
+    skin, bluish green, black, white (clockwise from the start of the first row); without them the chart is detected. response: of
+    the image, "linear", "srgb", "gamma:X".
 
-    Raises InputError for an image in gray, DataError if no chart is found or its colors cannot be right, ExternalError without the extra
+    Raises InputError for a gray image, DataError if no chart is found or its colors cannot be right, ExternalError without the extra
     `color`.
     """
     image = _linear_image(Path(source), response)
@@ -114,8 +114,8 @@ def measure_chart(
 
 
 def fit_colors(colors: Floats, source: str, corners: Floats) -> ColorCorrection:
-    """The correction for measured colors (24×3, linear) of the chart's patches, in its order; DataError if they cannot be right."""
-    with np.printoptions():  # its import changes how numpy prints numbers for everybody
+    """The correction for measured colors (24×3, linear) of the chart's patches, in the chart's order; DataError if they cannot be right."""
+    with np.printoptions():  # importing colour changes NumPy's print options for the whole program
         colour = extra("colour", "colour-science", "malus chart", "color")
     reference = _reference(colour)
     matrix = _fitted(colors, reference)
@@ -170,7 +170,7 @@ def _between(corners: Sequence[float]) -> Floats:
 
 
 def _homography(source: Floats, target: Floats) -> Floats:
-    """The projective map (3×3) of four points to four others."""
+    """The projective map (3×3) from four points to four other points."""
     rows = []
     for (x, y), (u, v) in zip(source, target, strict=True):
         rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
@@ -210,12 +210,12 @@ def _reference(colour: Any) -> Floats:
 
 
 def _fitted(colors: Floats, reference: Floats) -> Floats:
-    """The 3×3 matrix of least relative squares: differences of dark patches are as visible as those of bright ones."""
+    """The 3×3 matrix of least squares of relative differences, because a difference on a dark patch is as visible as on a bright one."""
     weight = 1 / (reference.mean(-1, keepdims=True) + 0.05)
     return np.asarray(np.linalg.lstsq(colors * weight, reference * weight, rcond=None)[0].T)
 
 
 def _differences(colour: Any, found: Floats, reference: Floats) -> Floats:
-    """CIEDE2000 of linear sRGB colors."""
+    """CIEDE2000 between measured and reference colors, both linear sRGB."""
     one, other = (colour.XYZ_to_Lab(colour.RGB_to_XYZ(rgb, "sRGB")) for rgb in (found, reference))
     return np.asarray(colour.delta_E(one, other, method="CIE 2000"), dtype=np.float64)

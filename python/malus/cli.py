@@ -38,10 +38,10 @@ from malus.threads import ALL_CORES
 
 INTERRUPTED = 130
 
-#: Seconds that a station is taken to last before any of a campaign is done, and the surface of an object for each of its stations.
+#: Assumed seconds per station of a campaign before any is done, and per station of an object for the object's surface.
 _A_STATION_S = 60.0
-#: What each single-step command runs, and with which fusion (None = as the options say); the steps that it needs are done first if they
-#: are not yet.
+#: For each single-step command: the last step that it runs, its fusion (None = as the options say) and its help text. The steps that
+#: the command needs run first, unless they are done already.
 STEP_COMMANDS = {
     "decompose": ("zenith", None, "intensity, degree, phase and zenith maps"),
     "prior": ("prior", None, "the photogrammetric surface in the polarized view"),
@@ -54,7 +54,7 @@ STEP_COMMANDS = {
 
 
 class _Parser(argparse.ArgumentParser):
-    """Ends with the exit code of a wrong command line."""
+    """A parser that raises InputError, which ends the program with its exit code."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
         self.print_usage(sys.stderr)
@@ -63,7 +63,7 @@ class _Parser(argparse.ArgumentParser):
         raise InputError(_with_the_nearest(message))
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """A word that is no option is named by the command that it was given to, before what is then missing."""
+        """Report an unknown option first, before argparse complains of arguments that are missing because of it."""
         if self._subparsers is None:
             for word in args:
                 name = word.partition("=")[0]
@@ -76,7 +76,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _with_the_nearest(message: str) -> str:
-    """A message of argparse on a word that is none of the choices: with the one that was meant, where a slip explains it."""
+    """A message of argparse; for an invalid choice it suggests a similar valid one, if there is one."""
     wrong = re.search(r"invalid choice: '([^']*)' \(choose from (.*)\)$", message)
     near = difflib.get_close_matches(wrong[1], re.findall(r"[\w-]+", wrong[2]), n=1) if wrong else []
     return f"{message[: wrong.start()]}{wrong[1]!r} is unknown; did you mean {near[0]}?" if wrong and near else message
@@ -354,7 +354,7 @@ def _reconstruct(
         if getattr(args, flag, False) and reference is None:
             raise InputError(f"--{flag} needs a reference, expected --reference SCAN.ply")
     if register and options.assess.alignment == "none":
-        options.assess.alignment = "rigid"  # what is found is right to a few pixels
+        options.assess.alignment = "rigid"  # the registration is accurate to a few pixels only
     if reference is not None and not reference.is_file():
         raise InputError(f"--reference {reference}: no such file, expected a cloud or a mesh")
     _require_own_folder(args.output, station_path)
@@ -410,7 +410,7 @@ def _reconstruct(
 
 
 def _pixel(text: str) -> tuple[int, int]:
-    """X,Y of --pixels."""
+    """Parse X,Y of --pixels."""
     match text.split(","):
         case [x, y] if x.strip().isdecimal() and y.strip().isdecimal():
             return int(x), int(y)
@@ -418,10 +418,10 @@ def _pixel(text: str) -> tuple[int, int]:
 
 
 def _require_own_folder(work: Path, station: Path) -> None:
-    """Results do not lie among the inputs, which a later clearing would take along."""
+    """InputError if the results would be written among the inputs: deleting the results would then delete the inputs, too."""
     try:
         is_input = work.resolve() == station.resolve().parent
-    except (OSError, RuntimeError):  # a loop of links: who opens it says so
+    except (OSError, RuntimeError):  # a loop of links: opening the path reports it
         return
     if is_input:
         raise InputError(
@@ -431,7 +431,7 @@ def _require_own_folder(work: Path, station: Path) -> None:
 
 
 def _print_lines(*lines: str, hang: int = 2, to: TextIO | None = None) -> None:
-    """Lines for a person: on a terminal no wider than that, without breaking words; to a file as they are."""
+    """Print lines for a person: wrapped to the width of a terminal, without breaking words; unchanged to a file."""
     stream = to or sys.stdout
     for line in "\n".join(lines).split("\n"):
         if stream.isatty():
@@ -444,7 +444,7 @@ def _print_lines(*lines: str, hang: int = 2, to: TextIO | None = None) -> None:
 
 
 def _print_files(work: Path, step: str) -> None:
-    """What lies in the folder that the last step has written to."""
+    """Print the files in the folders to which the last step has written."""
     workspace = malus.Workspace(work)
     folders = {Path(name).parts[0] for name in workspace.manifest["steps"].get(step, {}).get("outputs", {})}
     files = [name for name in workspace.outputs if Path(name).parts[0] in folders]
@@ -452,7 +452,7 @@ def _print_files(work: Path, step: str) -> None:
 
 
 def _print_summary(work: Path, level: str, reasons: Sequence[str], assessed: bool, *, quiet: bool) -> None:
-    """The figures that matter if the surface is assessed, and how far it may be trusted; quietly, only if that is not everywhere."""
+    """Print the main figures, if the surface is assessed, and the confidence; with `quiet` only a confidence that is not high."""
     if quiet:
         if level != "high":
             print(*malus.report.confidence_lines(level, reasons, assessed), sep="\n", file=sys.stderr)
@@ -537,7 +537,7 @@ def _print_object(folder: Path, outcomes: Sequence[batch.Outcome], quiet: bool) 
         print(f"{pending} of {len(outcomes)} stations are not run yet; the surface is made when all are")
         return
     quality = json.loads((folder / "quality.json").read_text(encoding="utf-8"))
-    if quiet:  # nobody shall miss them
+    if quiet:  # warnings are printed even so
         for line in (*doubted_stations(quality), *(f"warning: {warning}" for warning in quality["warnings"])):
             print(line, file=sys.stderr)
         return
@@ -555,7 +555,7 @@ def _compare(args: argparse.Namespace) -> None:
             threads=args.threads,
             progress=lambda fraction, message: view.progress("compare", fraction, message),
         )
-        if args.json or args.quiet:  # the summary has them, too
+        if args.json or args.quiet:  # otherwise the summary prints the warnings
             for warning in change.figures["warnings"]:
                 view.log("warning", warning)
     if not (args.json or args.quiet):
@@ -666,7 +666,7 @@ def _run(arguments: Sequence[str] | None) -> None:
     if args.command == "studio":
         studio.serve(args.folder, port=args.port, browser=not args.no_browser)
         return
-    if args.threads is None and args.command not in ("batch", "object"):  # which share the cores out by its jobs
+    if args.threads is None and args.command not in ("batch", "object"):  # these divide the cores among their jobs
         args.threads = ALL_CORES
     if args.threads is not None and args.threads < 1:
         raise InputError(f"--threads {args.threads}, expected at least 1")
@@ -708,25 +708,25 @@ def _run(arguments: Sequence[str] | None) -> None:
 
 
 def _start_with_utf8() -> None:
-    """Start once more if the locale has another coding: names of files are UTF-8 for the C++ library."""
+    """Restart the program in UTF-8 mode if the locale has another encoding: the C++ library takes file names in UTF-8."""
     if sys.getfilesystemencoding() != "utf-8":
         os.execv(sys.executable, [sys.executable, "-X", "utf8", *sys.orig_argv[1:]])
 
 
 def _end_at_signals() -> None:
-    """What a batch system, or a shell that closes, sends ends a run like Ctrl-C: programs that it has started end too."""
+    """Treat the signals of a batch system or a closing shell like Ctrl-C, so that programs that the run started end, too."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    # Whoever ignores it (nohup) wants the run to go on without its shell.
+    # If SIGHUP is ignored (nohup), the user wants the run to continue without its shell.
     if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
         signal.signal(signal.SIGHUP, signal.default_int_handler)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code (docs: INTERFACES; 0, 2, 3, 4, 5 or 130)."""
+    """Run the command line and return its exit code (0, 2, 3, 4, 5 or 130; see malus.errors)."""
     if arguments is None:
         _start_with_utf8()
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):  # a terminal that has not every sign shall not end a run
+        if isinstance(stream, TextIOWrapper):  # a character that a terminal cannot show must not end a run
             stream.reconfigure(errors="backslashreplace")
     _end_at_signals()
     try:
@@ -735,7 +735,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("malus: interrupted; finished steps are kept and will not be repeated", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        # The reader of our output is gone (`malus … | head`); nothing is left to say.
+        # The reader of our output has ended (`malus … | head`): end silently.
         sys.stderr.close()
         return 0
     except Exception as error:

@@ -1,7 +1,7 @@
-"""The surface as one image of a COLMAP dense workspace, so that photogrammetry programs go on with it.
+"""The surface as one image of a COLMAP dense workspace, so that photogrammetry programs can continue from it.
 
-`colmap stereo_fusion` and `colmap poisson_mesher`, OpenMVS's and Meshroom's importers read it: an undistorted image, its camera and pose, and
-depth and normal maps as COLMAP's patch match would have left them.
+`colmap stereo_fusion`, `colmap poisson_mesher` and the importers of OpenMVS and Meshroom read it. It contains an undistorted image, its
+camera and pose, and depth and normal maps in the form in which COLMAP's patch match writes them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def write_map(path: Path, values: NDArray[np.float32]) -> None:
 
 
 def write_colmap_workspace(workspace: Workspace, picture: NDArray[np.uint8], xmp: str, folder: Path) -> Path:
-    """Write a COLMAP dense workspace with the station as its only image; returns the folder, which must not be there yet."""
+    """Write a COLMAP dense workspace with the station as its only image; returns the folder, which must not exist yet."""
     surface, camera = workspace.surface(), workspace.camera
     name = "station.png"
     with new_folder(folder) as new:
@@ -36,7 +36,7 @@ def write_colmap_workspace(workspace: Workspace, picture: NDArray[np.uint8], xmp
         for model in ("camera", "image"):
             text = workspace.path(f"fused/{model}.txt").read_text(encoding="utf-8")
             if model == "image":
-                # One line for the image, one for its points, of which there are none.
+                # COLMAP has two lines per image: the image, and its points, of which there are none here.
                 words = next(line for line in text.splitlines() if line and not line.startswith("#")).split()
                 text = " ".join([*words[:9], name]) + "\n\n"
             (new / f"sparse/{model}s.txt").write_text(text, encoding="utf-8")

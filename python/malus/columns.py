@@ -1,18 +1,18 @@
-"""Numbers below each other: as many decimals in all, so that the points stand in one line."""
+"""Columns of numbers: all have the same number of decimals, so that the decimal points are aligned."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
 
-#: Digits of a column's smallest number, as far as that asks for few more decimals than the largest one needs.
+#: Digits that a column's smallest number shall show, and how many more decimals than the largest number needs it may add for that.
 _SMALLEST, _FURTHER = 2, 2
-#: As the minus sign is printed: as wide as a plus, and not broken from its number.
+#: The minus sign in print: as wide as a plus, and never separated from its number by a line break.
 MINUS = "−"
 
 
 def decimals(values: Iterable[float | None], digits: int = 3) -> int:
-    """Decimals that suit all numbers of a column, whose largest one has so many digits; 0 for counts."""
+    """Number of decimals for a column whose largest number has `digits` digits; 0 for counts."""
     known = [value for value in values if value is not None and math.isfinite(value)]
     sizes = [abs(value) for value in known if value]
     if not sizes or all(isinstance(value, int) for value in known):
@@ -24,12 +24,12 @@ def decimals(values: Iterable[float | None], digits: int = 3) -> int:
 
 
 def aligned(value: float | None, places: int) -> str:
-    """A number with so many decimals."""
+    """A number with `places` decimals."""
     return "–" if value is None else printed(f"{value:.{places}f}")
 
 
 def printed(number: str) -> str:
-    """A number as it is printed, with the proper minus sign, and none before zero."""
+    """A number for print: with the typographic minus sign, and without a minus before zero."""
     if not number.startswith("-"):
         return number
     return MINUS + number[1:] if number.strip("-0.") else number[1:]

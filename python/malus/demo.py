@@ -1,10 +1,10 @@
-"""Where the example stations are that ship with the project."""
+"""The example stations that ship with the project."""
 
 from pathlib import Path
 
 from malus.errors import InputError
 
-#: Examples by name, with what they are.
+#: Examples by name, with descriptions.
 EXAMPLES = {
     "relief": "carved, textured stone in the sun",
     "bust": "head of one color in the sun",

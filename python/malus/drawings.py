@@ -1,7 +1,7 @@
 """Line drawings of a surface: contour lines and sections, as DXF for CAD and drawing offices and as SVG for print.
 
-Contours lie in the plane of the elevation model; sections in their own: distance along the profile and height above its chord.
-Both are in the station's unit, one to one; an SVG states its size in millimeters.
+Contours lie in the plane of the elevation model. Sections lie in a plane of their own: distance along the profile and height above
+its chord. Both are at scale 1:1 in the station's unit; an SVG states its size in millimeters.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ def round_interval(span: float) -> float:
 
 
 def contours(dem: Dem, interval: float | None = None) -> list[Layer]:
-    """Contour lines of an elevation model, a layer a height; lines are N×3: x right, y up, elevation.
+    """Contour lines of an elevation model, one layer per height; lines are N×3: x right, y up, elevation.
 
-    interval: station unit; by default a round one that gives 10 to 25 lines. InputError if it gives more than 1000.
+    interval: station unit; by default a round number that gives 10 to 25 lines. InputError if it gives more than 1000 lines.
     """
     import contourpy
 
@@ -75,7 +75,7 @@ def contours(dem: Dem, interval: float | None = None) -> list[Layer]:
 
 
 def section(position: Sequence[float | None], height: Sequence[float | None]) -> list[Line]:
-    """The lines (N×2: along, height) of a profile as quality.json has it; a gap (None) ends a line."""
+    """The lines (N×2: position along the profile, height) of a profile from quality.json; a gap (None) ends a line."""
     points = np.array([position, height], dtype=float).T
     known = np.isfinite(points).all(1)
     breaks = np.flatnonzero(np.diff(known.astype(int))) + 1
@@ -98,7 +98,7 @@ def set_apart(layers: list[Layer], by: int) -> None:
 
 
 def write_dxf(path: Path, layers: list[Layer], unit: str, words: Mapping[str, str]) -> None:
-    """Layers as polylines of a DXF drawing (R2010), station unit; `words` are among the drawing's own properties."""
+    """Write layers as polylines of a DXF drawing (R2010), station unit; `words` become custom properties of the drawing."""
     ezdxf = extra("ezdxf", "ezdxf", f"{path}: DXF")
     document = ezdxf.new("R2010", setup=False)
     document.header["$INSUNITS"] = _DXF_UNITS[unit]
@@ -119,7 +119,7 @@ def write_dxf(path: Path, layers: list[Layer], unit: str, words: Mapping[str, st
 
 
 def write_svg(path: Path, layers: list[Layer], unit: str, title: str, description: str) -> None:
-    """Layers as paths of an SVG drawing, one to one; y up as in the plane. `description` is what programs show of it."""
+    """Write layers as paths of an SVG drawing at scale 1:1, y up as in the plane. `description`: text that programs show for it."""
     points = [line[:, :2] for layer in layers for line in layer.lines]
     if not points:
         raise DataError(f"{path}: there is nothing to draw")

@@ -1,4 +1,4 @@
-"""What image files say of their response curve: color profiles, PNG and EXIF entries, against the station file's `response`."""
+"""The response curve that image files state (color profiles, PNG and EXIF entries), compared with the station file's `response`."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from malus.exif import tags_of
 
 _ICC_PROFILE, _MAKE, _COLOR_SPACE, _GAMMA = 34675, 271, 40961, 42240
 _MIDDLE_GRAY = 128
-#: Exponent of encoded values → light from which a file is encoded for a display, and below which it is linear.
+#: Exponent of light as a function of encoded values: above the first a file is encoded for a display, below the second it is linear.
 _ENCODED, _LINEAR = 1.5, 1.15
 
 
 @dataclass(frozen=True)
 class Encoding:
-    """Whether the file's numbers follow the light, and what says so."""
+    """Whether the file's numbers are proportional to the light, and which entry of the file states it."""
 
     is_linear: bool
     source: str
 
 
 def encoding_of(path: Path) -> Encoding | None:
-    """What a file says of its response curve; None: nothing, or something between linear and a display's."""
+    """The response curve that a file states; None if it states none, or one between linear and a display's."""
     if raw.is_raw(path):
         return Encoding(True, "RAW files are linear")
     tags = tags_of(path)
@@ -37,7 +37,7 @@ def encoding_of(path: Path) -> Encoding | None:
         with Image.open(path) as image:
             info, kind = dict(image.info), image.format
     except (OSError, UnidentifiedImageError, ValueError, SyntaxError):
-        info, kind = {}, "TIFF"  # of a kind that Pillow does not read; its tags were read all the same
+        info, kind = {}, "TIFF"  # Pillow cannot read this kind of file, but `tags_of` could
     profile = info.get("icc_profile") or tags.get(_ICC_PROFILE)
     if isinstance(profile, bytes):
         return _of_profile(profile)
@@ -47,14 +47,14 @@ def encoding_of(path: Path) -> Encoding | None:
         return _of_exponent(1 / info["gamma"], f"the PNG file says gamma {1 / info['gamma']:.2g}")
     if (gamma := _positive(tags.get(_GAMMA))) is not None:
         return _of_exponent(gamma, f"the EXIF data say gamma {gamma:.2g}")
-    # A camera's JPEG files are encoded, whatever else it writes; of other files a color space alone says little.
+    # A camera's JPEG files are always encoded. For other formats the color space alone is not conclusive.
     if kind == "JPEG" and (tags.get(_COLOR_SPACE) == 1 or _MAKE in tags):
         return Encoding(False, "it is a JPEG file of a camera")
     return None
 
 
 def _of_profile(profile: bytes) -> Encoding | None:
-    """By the light that the profile gives a middle gray."""
+    """The encoding of a color profile, from the light that it assigns to a middle gray."""
     try:
         read = ImageCms.ImageCmsProfile(io.BytesIO(profile))
         mode = {"RGB": "RGB", "GRAY": "L"}.get(read.profile.xcolor_space.strip())
@@ -87,12 +87,12 @@ def _positive(value: Any) -> float | None:
 
 
 def doubts(images: Sequence[Path], response: str) -> list[tuple[str, str]]:
-    """Message and suggestion where files say of their response the opposite of what the station file says; else none."""
+    """Message and suggestion if image files state the opposite of the station file's response; else an empty list."""
     exponent = {"linear": 1.0, "srgb": 2.2}.get(response)
     if exponent is None and response.startswith("gamma:"):
         exponent = _positive(response.removeprefix("gamma:"))
     taken = None if exponent is None else _of_exponent(exponent, "")
-    if taken is None:  # a table, or a curve that no file would name
+    if taken is None:  # a lookup table, or a curve that is neither linear nor a display's
         return []
     against = [
         (path, said) for path in images if (said := encoding_of(path)) is not None and said.is_linear != taken.is_linear

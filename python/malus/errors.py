@@ -1,4 +1,4 @@
-"""Exceptions that a user can cause, and the exit code of each."""
+"""Exceptions for failures that a user can meet, and the exit code of each."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ class ResourceError(MalusError, OSError):
 
 
 def error_of(exit_code: int) -> type[MalusError]:
-    """The kind of error that ends with an exit code; DataError for those of none."""
+    """The class of error with this exit code; DataError for a code that no class has."""
     kinds = (InputError, DataError, ExternalError, ResourceError)
     return next((kind for kind in kinds if kind.exit_code == exit_code), DataError)
 
 
 def ending_of(error: Exception) -> tuple[int, str]:
-    """Exit code and message for whatever ends a run: the last net, so that nobody is shown a traceback."""
+    """Exit code and message for any exception that ends a run, so that no user sees a traceback."""
     if isinstance(error, MalusError):
         return error.exit_code, str(error)
-    # A library that finds no room when it is loaded.
+    # The ImportError: a library for which there was no memory when it was loaded.
     if isinstance(error, MemoryError) or (isinstance(error, ImportError) and "failed to map segment" in str(error)):
         return ResourceError.exit_code, "out of memory; see `malus check` for what the station needs"
     if isinstance(error, OSError):

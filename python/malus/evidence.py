@@ -1,7 +1,7 @@
-"""What the data say about themselves, before anything is fused: is the input what a person meant it to be?
+"""Checks of images, prior and polarizer against each other, which find wrong inputs before anything is fused.
 
-Every check returns a Finding. Its severity is "error" (certain: the input is wrong), "warning" (a person should look) or
-"note" (all is well, or the data cannot tell; the message says which).
+Every check returns a Finding. Its severity is "error" (the input is certainly wrong), "warning" (a person should look at it) or
+"note" (either no fault was found, or the data cannot decide; the message says which).
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ __all__ = [
 class Finding:
     """What a check concluded.
 
-    check: what was looked at ("phase", "prior", "size", "order", "response"); severity: "note", "warning" or "error"; message and
-    suggestion: for people; figures: what the message rests on, by name.
+    check: which check ("phase", "prior", "size", "order", "response"); severity: "note", "warning" or "error"; message and
+    suggestion: for people; figures: the numbers on which the message is based, by name.
     """
 
     check: str
@@ -50,22 +50,22 @@ class Finding:
 
 @dataclass(frozen=True)
 class PhaseFinding(Finding):
-    """parts: 6×6×4, parts of the image row by row: mean u, v [px] of the pixels compared, disagreement (root mean square of
-    sin 2(phase − azimuth): 0 = as the prior has it, 0.71 = unrelated; NaN = too few), and its standard deviation."""
+    """parts: 6×6×4, for each part of the image, row by row: mean u, v [px] of the pixels compared, disagreement (root mean square of
+    sin 2(phase − azimuth): 0 = agrees with the prior, 0.71 = unrelated; NaN = too few pixels), and its standard deviation."""
 
     parts: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class PriorFinding(Finding):
-    """instead: what would fit better than the input as it is ("the images are turned by 180°"); "" = nothing."""
+    """instead: an assumption that fits better than the input as given ("the images are turned by 180°"); "" = none found."""
 
     instead: str
 
 
 @dataclass(frozen=True)
 class OrderFinding(Finding):
-    """angles_rad: one an image, of the order that fits best; those given, if none is clearly better."""
+    """angles_rad: one per image, in the order that fits best; the given angles if no other order is clearly better."""
 
     angles_rad: list[float]
 
@@ -73,11 +73,11 @@ class OrderFinding(Finding):
 def check_phase(
     state: PolarizationState, normals: ArrayLike, *, camera: Camera | None = None, threads: int = ALL_CORES
 ) -> PhaseFinding:
-    """Whether the phases of polarization go with the azimuths of a surface, whatever each place reflects.
+    """Check whether the phases of polarization agree with the azimuths of a surface, for diffuse and specular reflection alike.
 
-    normals: H×W×3, unit, camera frame, towards the camera, NaN = none. camera None = orthographic. Compared is
-    exp(4i phase) with exp(4i azimuth), which diffuse and specular reflection have alike; each place counts by how well its
-    phase (noise over degree) and its azimuth (0.15 over slope) are known.
+    normals: H×W×3, unit, camera frame, towards the camera, NaN = none. camera None = orthographic. exp(4i phase) is compared
+    with exp(4i azimuth), because the two are equal for diffuse and for specular reflection. Each place is weighted by the
+    uncertainty of its phase (noise over degree) and of its azimuth (0.15 over slope).
     """
     return PhaseFinding(**_core.check_phase(state, camera, as_image(normals, "normals", 3), threads))
 
@@ -113,15 +113,16 @@ def check_cloud(
     unit: str = "mm",
     threads: int = ALL_CORES,
 ) -> PriorFinding:
-    """Whether a cloud lies where the images show the object.
+    """Check whether a cloud lies where the images show the object.
 
-    points, normals: N×3, world frame; colors: N×3, 0 to 255. camera: with its pose. scene: H×W
-    unpolarized intensity of everything in view (left out: the state's valid pixels). mask: H×W, non-zero = object.
+    points, normals: N×3, world frame; colors: N×3, 0 to 255. camera: with its pose. scene: H×W unpolarized intensity of
+    everything in view (without it only the state's valid pixels are used). mask: H×W, non-zero = object.
 
-    Compared are colors with brightness, and azimuths of the normals with phases; if neither says anything, where the cloud
-    bends with where the image changes. Searched are shifts up to 8 % of the object, turns in the image up to 5° and changes
-    of size up to 8 %, images that were turned or mirrored, inverted masks, and where the cloud misses the object or shows
-    nothing in common with the images other units, exchanged or negated axes, and inverted poses.
+    The check compares colors with brightness, and azimuths of the normals with phases. If neither correlates, it compares edges
+    of the cloud (where its surface bends) with edges of the image. It searches shifts up to 8 % of the object, turns in the
+    image up to 5° and changes of size up to 8 %, images that were turned or mirrored, and inverted masks. If the cloud misses
+    the object or has nothing in common with the images, it also tries other units, exchanged or negated axes, and inverted
+    poses.
     """
     cloud = np.ascontiguousarray(points, dtype=np.float64)
     if cloud.ndim != 2 or cloud.shape[1] != 3:
@@ -152,13 +153,13 @@ def check_depth(
     unit: str = "mm",
     threads: int = ALL_CORES,
 ) -> PriorFinding:
-    """As check_cloud, for a depth map in the station's view (H×W, z, NaN = none), which has no colors."""
+    """As `check_cloud`, for a depth map in the station's view (H×W, z, NaN = none), which has no colors."""
     image, object_mask = _scene_and_mask(state, scene, mask)
     return PriorFinding(**_core.check_depth(as_image(depth, "depth"), state, image, object_mask, camera, unit, threads))
 
 
 def check_size(points_in_cam: ArrayLike, camera: Camera, *, unit: str = "mm") -> Finding:
-    """Size and distance of the object in words; a warning with the likelier unit if they are implausible.
+    """State size and distance of the object in words; if they are implausible, warn and name the likelier unit.
 
     points_in_cam: N×3, of the object, camera frame, N > 0.
     """
@@ -171,10 +172,11 @@ def check_size(points_in_cam: ArrayLike, camera: Camera, *, unit: str = "mm") ->
 def check_order(
     images: Sequence[ArrayLike], angles_rad: Sequence[float], *, mask: ArrayLike | None = None
 ) -> OrderFinding:
-    """Whether the images are in the order of their angles, by how well each pixel follows the sinusoid.
+    """Check whether the images are in the order of their angles, by how well each pixel follows the sinusoid.
 
-    images: K arrays H×W, linear, in [0, 1]. A warning if another order leaves a quarter of the squared residuals or less. What
-    no order changes cannot be told: three angles, and equally spaced ones that are all shifted or counted the other way.
+    images: K arrays H×W, linear, in [0, 1]. A warning if another order leaves a quarter of the squared residuals or less. Orders
+    that fit equally well cannot be distinguished: those of three angles, and those of equally spaced angles that are all
+    shifted or counted in the opposite direction.
     """
     stack = as_images(images, "images")
     object_mask = None if mask is None else as_mask(mask, stack[0].shape)
@@ -188,10 +190,10 @@ def check_response(
     mask: ArrayLike | None = None,
     response: str = "linear",
 ) -> Finding:
-    """Whether images that `response` made linear (K arrays H×W, in [0, 1], K > 3) are linear in the light.
+    """Check whether images linearized by `response` (K arrays H×W, in [0, 1], K > 3) are linear in the light.
 
-    A curve bends the sinusoid: figures["bend"] is the factor of I ρ² cos 4(a − φ), 0 for linear images, −0.30 for encoded
-    ones taken as linear, 0.14 for linear ones decoded as sRGB.
+    A response curve distorts the sinusoid: figures["bend"] is the factor of I ρ² cos 4(a − φ), 0 for linear images, −0.30 for
+    encoded images taken as linear, 0.14 for linear images decoded as sRGB.
     """
     stack = as_images(images, "images")
     object_mask = None if mask is None else as_mask(mask, stack[0].shape)

@@ -1,4 +1,4 @@
-"""What image files say of their exposure, and whether a station's images were taken alike."""
+"""The camera settings that image files state, and whether they are equal for all images of a station."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ _ALIKE: dict[int, tuple[str, str]] = {
     37382: ("focus distance", " m"),
     _WHITE_BALANCE: ("white balance", ""),
 }
-#: Relative difference that rounding of the camera's numbers explains.
+#: Relative difference up to which two values count as equal, because cameras round them.
 _SAME = 1e-3
 
 
 def tags_of(path: Path) -> dict[int, Any]:
-    """TIFF and EXIF tags of a JPEG, PNG, TIFF or TIFF-like RAW file (CR2, NEF, ARW, DNG, PEF); empty where it has none, and
-    where they are damaged.
+    """TIFF and EXIF tags of a JPEG, PNG, TIFF or TIFF-like RAW file (CR2, NEF, ARW, DNG, PEF); empty if it has none, or if they
+    are damaged.
     """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return _read_tags(path)
-    except Exception:  # Pillow raises nearly every type there is on damaged tags, which are no reason to stop.
+    except Exception:  # Pillow raises nearly any exception type for damaged tags; damaged tags must not end a run.
         return {}
 
 
@@ -60,7 +60,7 @@ def _read_tags(path: Path) -> dict[int, Any]:
                 tags |= dict(detail)
             return tags
         file.seek(0)
-        # Not by Image.open: it tries every format that it knows, and refuses images that are large.
+        # Not with Image.open, which tries every format that it knows and refuses large images.
         kind = JpegImageFile if header.startswith(b"\xff\xd8") else PngImageFile
         with kind(file) as image:
             exif = image.getexif()
@@ -68,7 +68,7 @@ def _read_tags(path: Path) -> dict[int, Any]:
 
 
 def taken(path: Path) -> str | None:
-    """When an image was taken, as the camera writes it ("2026:05:04 10:11:12.57"), which sorts by time; None if it does not say."""
+    """When an image was taken, in the camera's form ("2026:05:04 10:11:12.57"), which sorts by time; None if the file does not say."""
     tags = tags_of(path)
     moment = tags.get(_DATE_TAKEN)
     if not isinstance(moment, str) or not moment.strip():
@@ -78,9 +78,9 @@ def taken(path: Path) -> str | None:
 
 
 def require_alike(images: Sequence[Path], *, exposures_differ: bool) -> None:
-    """InputError naming files and values when a setting of the camera changed between the images.
+    """InputError that names files and values if a camera setting changed between the images.
 
-    Files that do not say a value are taken to agree. `exposures_differ`: exposure times are stated in the station file
+    Files that do not state a setting are taken to agree. `exposures_differ`: exposure times are stated in the station file
     and may differ.
     """
     tags = [tags_of(path) for path in images]
@@ -103,7 +103,7 @@ def require_alike(images: Sequence[Path], *, exposures_differ: bool) -> None:
 
 
 def number_of(value: object) -> float | None:
-    """A tag's value, or the first of its values, as a finite number; None if it is none."""
+    """A tag's value, or the first of its values, as a finite number; None if it is not a finite number."""
     if isinstance(value, tuple) and value:
         value = value[0]
     try:

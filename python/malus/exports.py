@@ -1,7 +1,7 @@
 """The surface of a workspace for other programs: meshes, point clouds, elevation, maps for renderers.
 
-Meshes and clouds are in the world frame and the station's unit, but for GLB and E57, which are meters by their standards.
-Maps (displacement, normal map) lie on the grid of the elevation model: the plane fitted to the object, seen straight on.
+Meshes and clouds are in the world frame and the station's unit, except GLB and E57, whose standards prescribe meters.
+Maps (displacement, normal map) have the grid of the elevation model: the plane fitted to the object, seen along its normal.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from malus.xmp import NAMESPACE, packet, save_png, tag_png, tag_tiff
 
 
 class Exporter:
-    """Makes what the formats need from a workspace, each thing once."""
+    """Computes what the export formats need from a workspace: mesh, point cloud, elevation model, colors and texts."""
 
     def __init__(
         self,
@@ -52,8 +52,8 @@ class Exporter:
     ) -> None:
         """albedo: colors are the object's own, without highlights and shading, instead of those of the photograph.
 
-        chart: what takes the camera's colors to sRGB; without it they are shown as they are, brightened by `surface.white_percentile`.
-        trim: pixels with a larger standard deviation (GSD) are left out. fill: holes are closed, in the color FILLED_COLOR.
+        chart: converts the camera's colors to sRGB; without it the camera's colors are only brightened by `surface.white_percentile`.
+        trim: pixels whose standard deviation exceeds this many GSD are left out. fill: holes are closed, in the color FILLED_COLOR.
         """
         self.workspace = workspace
         self.albedo = albedo
@@ -101,25 +101,25 @@ class Exporter:
 
     @property
     def catalog(self) -> dict[str, str]:
-        """The words of [object]."""
+        """The catalog entries of [object] in the station file."""
         return self.workspace.quality.get("object") or {}
 
     @cached_property
     def trust(self) -> dict[str, str]:
-        """What every file says of the surface: unit, pixel, confidence and why, origin of the detail."""
+        """What every exported file states about the surface: unit, pixel size, confidence with its reasons, origin of the detail."""
         return words_of(self.workspace.quality)
 
     @cached_property
     def said(self) -> dict[str, str]:
-        """That and the catalog's words, of one line each, for formats whose files have properties or a header of text."""
+        """`trust` and the catalog entries, one line each, for formats whose files have properties or a text header."""
         return said_of(self.workspace.quality)
 
     def words(self) -> list[str]:
-        """The same as lines: "title: Carved stone"."""
+        """`said` as lines: "title: Carved stone"."""
         return [f"{key}: {value}" for key, value in self.said.items()]
 
     def xmp(self) -> str:
-        """The same for image files."""
+        """`trust` and the catalog entries as an XMP packet, for image files."""
         return packet(self.name, self.catalog, self.trust)
 
     def pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -133,7 +133,7 @@ class Exporter:
         normals = np.nan_to_num(self.surface.normals.astype(float))
         normal = sample(normals, self.pixels(points)) @ self.rotation
         length = np.linalg.norm(normal, axis=-1, keepdims=True)
-        # Where there is no normal the surface faces the camera.
+        # Where no normal is known, use the direction towards the camera.
         unit: NDArray[np.float32] = np.where(length > 0.1, normal / np.maximum(length, 0.1), -self.rotation[2]).astype(
             np.float32
         )
@@ -145,7 +145,7 @@ class Exporter:
         if faces is None or len(mesh.triangles) <= faces:
             return mesh
         library = extra("fast_simplification", "fast-simplification", "a mesh with fewer triangles (--faces)")
-        # Single precision suffices about the middle: the library works in it.
+        # The library works in single precision, which suffices for coordinates relative to the middle.
         middle = mesh.vertices.mean(0)
         vertices, triangles = library.simplify(
             (mesh.vertices - middle).astype(np.float32), mesh.triangles.astype(np.int32), target_count=faces
@@ -173,7 +173,7 @@ class Exporter:
 
 @dataclass(frozen=True)
 class Wishes:
-    """What may be asked of a format."""
+    """Options of single formats, as `export` takes them."""
 
     faces: int | None = None
     interval: float | None = None
@@ -200,7 +200,7 @@ def _write_glb(exporter: Exporter, path: Path, wishes: Wishes) -> None:
 
 
 def _turn_y_up(path: Path) -> None:
-    """glTF's "y up" for a world whose z is up: a quarter turn about x over everything in a GLB file."""
+    """Convert a GLB file of a world whose z is up to glTF's "y up": a new root node turns each scene by a quarter turn about x."""
     content = path.read_bytes()
     length = int.from_bytes(content[12:16], "little")
     document = json.loads(content[20 : 20 + length])
@@ -224,7 +224,8 @@ def _write_stl(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     facets["normal"] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     facets["corners"] = corners
     with replacing(path) as temporary, temporary.open("wb") as file:
-        # What must not be lost first: there are 80 bytes. A name alone could be "solid", which begins STL as text.
+        # The header has only 80 bytes: the statements about trust come before the name. It must not begin with the name, which could
+        # be "solid": that word marks a text STL.
         said = f"Malus, {exporter.unit}, confidence {exporter.trust['confidence']}, {exporter.trust['detail']}: {exporter.name}"
         file.write(said.encode("ascii", "replace")[:80].ljust(80))
         file.write(np.uint32(len(facets)).tobytes())
@@ -240,7 +241,7 @@ def _write_orthophoto(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     picture[known, 3] = 255
     per_meter = 1 / (dem.pixel * METERS[exporter.unit])
     save_png(path, picture, exporter.xmp(), dpi=per_meter * 0.0254)
-    # World file: size of a pixel and the center of the first, in the elevation model's own coordinates.
+    # World file: pixel size and the center of the first pixel, in the elevation model's own coordinates.
     write_text(path.with_suffix(".pgw"), f"{dem.pixel:.12g}\n0\n0\n{-dem.pixel:.12g}\n0\n0\n")
 
 
@@ -275,7 +276,7 @@ def _write_colmap(exporter: Exporter, path: Path, wishes: Wishes) -> None:
 
 def _write_rti(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     write_rti(exporter.workspace, path)
-    # Their format has no place for words.
+    # The PTM format has no field for text.
     write_text(path.with_suffix(".ptm.txt"), "".join(f"{line}\n" for line in exporter.words()))
 
 
@@ -314,7 +315,7 @@ def _write_obj(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     save_png(texture, exporter.picture(), exporter.xmp())
     with replacing(material) as temporary:
         temporary.write_text(f"newmtl photograph\nKd 1 1 1\nKs 0 0 0\nmap_Kd {texture.name}\n", encoding="utf-8")
-    # OBJ counts from 1.
+    # Indices in OBJ files start at 1.
     corners = np.repeat(mesh.triangles.astype(np.int64) + 1, 3, axis=1)
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         file.writelines(f"# {line}\n" for line in exporter.words())
@@ -360,7 +361,7 @@ def _write_normal_map(exporter: Exporter, path: Path, wishes: Wishes) -> None:
 
 
 def _write_displacement(exporter: Exporter, path: Path, wishes: Wishes) -> None:
-    # Renderers know no missing values: there the surface stays on its plane.
+    # Renderers know no missing values: pixels without elevation get 0, the fitted plane.
     elevation = np.nan_to_num(exporter.dem().elevation)
     if path.suffix.lower() == ".exr":
         _write_exr(exporter, path, {"Y": elevation})
@@ -406,7 +407,8 @@ def _write_e57(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         "colorGreen": green,
         "colorBlue": blue,
     }
-    # What E57 has no element for is said in elements of our own, as the standard foresees; the name is what programs show.
+    # E57 has no elements for unit, confidence and catalog entries: they go into an extension of our own, which the standard allows.
+    # Programs show only the scan's name, so the name also states the confidence.
     said = {**exporter.said, "unit": "m"}
     with replacing(path) as temporary:
         file = library.E57(str(temporary), mode="w")
@@ -422,7 +424,7 @@ def _write_e57(exporter: Exporter, path: Path, wishes: Wishes) -> None:
 
 Writer = Callable[[Exporter, Path, Wishes], None]
 
-#: Of each format: its writer, its file in WORK/export/ and the endings that a path may have.
+#: For each format: its writer, its file name in WORK/export/ and the suffixes that an output path may have.
 FORMATS: dict[str, tuple[Writer, str, tuple[str, ...]]] = {
     "obj": (_write_obj, "surface.obj", (".obj",)),
     "ply": (_write_ply, "surface.ply", (".ply",)),
@@ -444,7 +446,7 @@ FORMATS: dict[str, tuple[Writer, str, tuple[str, ...]]] = {
 }
 #: The formats that have triangles.
 MESHES = ("obj", "ply", "glb", "stl")
-#: The formats whose color is the photograph's or the object's own; IIIF has both.
+#: The formats that show either the photograph's color or the albedo; IIIF shows both.
 COLORED = ("obj", "ply", "glb", "orthophoto", "las", "e57", "colmap")
 
 
@@ -465,28 +467,30 @@ def export(
 ) -> Path:
     """Write the surface of a workspace or a result in one of FORMATS; returns the file's path.
 
-    Without `output` it is WORK/export/…; a result in memory has no such folder and needs an output.
+    Without `output` the file is written to WORK/export/; a result in memory has no such folder and needs an `output`.
 
     - obj, ply, glb, stl: mesh with texture (obj, glb), vertex colors (ply) or neither (stl); at most `faces` triangles if given.
-      glb: the catalog's words and the origin in asset.extras; `y_up` turns a world whose z is up to glTF's convention.
+      glb: the catalog entries and the origin are in asset.extras; `y_up` turns a world whose z is up to glTF's convention.
     - normal-map: PNG or TIFF of 3 × 16 bits, OpenGL and Blender convention (red = right, green = up, blue = towards the
       viewer; 0 … 65535 for −1 … 1), or EXR of 3 floats in −1 … 1. displacement: float TIFF or EXR, elevation above the plane in the
-      station's unit, 0 where there is none. Both on the grid of the elevation model, that is of `dem`, GeoTIFF. orthophoto: the object's
-      picture on that grid, PNG with a world file, transparent where there is no surface.
+      station's unit, 0 where there is none. dem: the elevation model as GeoTIFF; normal-map and displacement have its grid. orthophoto:
+      the object's picture on that grid, PNG with a world file, transparent where there is no surface.
     - las: points with color, normal and standard deviation, station unit. e57: points with color, meters.
-    - contours (every `interval`, station unit; default: a round one) and sections (along every [[profile]]): SVG or DXF.
+    - contours (every `interval`, station unit; default: a round number) and sections (along every [[profile]]): SVG or DXF.
     - colmap: a dense workspace (folder) with depth and normal map of the station, for stereo_fusion and poisson_mesher.
-    - rti: the object under any light, a polynomial texture map for RTI viewers.
-    - relight: the same as a folder for OpenLIME and RelightLab, with normals and color as layers.
+    - rti: the object under any light direction, as a polynomial texture map for RTI viewers.
+    - relight: the object under any light direction, as a folder for OpenLIME and RelightLab, with normals and color as layers.
     - iiif: photograph, relief and albedo as a folder for IIIF viewers; `url`: where it will be on the web.
-    - archive: everything with its inputs and paradata, RO-Crate in a BagIt bag, ZIP (see malus.archive).
+    - archive: all results with their inputs and paradata, as an RO-Crate in a BagIt bag, one ZIP file (see malus.archive).
 
     albedo: colors are the object's own, without highlights and shading (malus.albedo), instead of those of the photograph. chart: file of
-    `malus chart`, which takes the camera's colors to sRGB. trim: leaves out of meshes what has a larger standard deviation (GSD); fill: closes
-    holes that the surface surrounds, in magenta, for nothing was measured there. Images say their color space (PNG). They all say the
-    words of [object], the unit, and how far the surface may be trusted: beside the file for rti, and STL has room for the latter two only.
+    `malus chart`, which converts the camera's colors to sRGB. trim: drops parts of meshes whose standard deviation exceeds this many GSD.
+    fill: closes holes that the surface surrounds, in magenta because nothing was measured there. PNG images state their color space. All
+    formats state the entries of [object], the unit, and how far the surface may be trusted. rti states them in a text file beside
+    the map; STL has room for unit and trust only.
 
-    Raises malus.InputError, DataError for the albedo of a surface without a reflection model, or ExternalError if the format needs a package that is not installed.
+    Raises malus.InputError, DataError for the albedo of a surface without a reflection model, or ExternalError if the format needs
+    a package that is not installed.
     """
     if format not in FORMATS:
         raise InputError(f"format {format!r}, expected one of {', '.join(FORMATS)}")
@@ -529,7 +533,7 @@ def export(
 
 
 def _keep_if_unchanged(path: Path, workspace: Workspace) -> None:
-    """Removes what was written of a workspace that a run has changed meanwhile: it may be of two surfaces."""
+    """Remove the exported file if a run changed the workspace meanwhile: the file could mix two surfaces."""
     try:
         workspace.require_unchanged()
     except InputError:

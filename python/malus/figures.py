@@ -19,30 +19,31 @@ from malus.lengths import scale_bar, shown
 from malus.units import METERS
 from malus.workspace import Raster, Workspace
 
-# matplotlib is imported when something is drawn: it would take as long as the rest of a program's start.
+# matplotlib is imported only when something is drawn: importing it takes as long as the rest of a program's start.
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap
     from matplotlib.figure import Figure as Drawing
 
-#: Long side of the pictures' data in pixels: larger rasters are averaged down, a report is for looking.
+#: Long side of the pictures' data in pixels: larger rasters are averaged down, because a report needs no more.
 MAX_SIDE_PX = 1600
 #: Colors of the three surfaces in every plot.
 COLORS = {"prior": "#b0702a", "polarization": "#2f7fb3", "fused": "#1d2733"}
-#: What they are called in figures, unless those of the paper are asked for.
+#: Names of the surfaces in figures, unless the paper's names are requested.
 OWN_WORDS = {name: name for name in COLORS}
-#: Figures of a map's values in its CSV file.
+#: Percentiles of a map's values in its CSV file.
 _PERCENTILES = (0, 1, 5, 25, 50, 75, 95, 99, 100)
 _DPI = 150
-#: Inches that a figure is wide, and points of its letters: 11 pixels still where a telephone shows it 356 pixels wide.
+#: Width of a figure in inches, and size of its letters in points: on a telephone that shows the figure 356 pixels wide, letters
+#: still have 11 pixels.
 WIDTH_IN = 6.4
 LETTERS_PT = 14.5
 #: Inches below a picture for its color bar.
 _BAR_IN = 0.66
-#: How many times the range of the narrowest histogram an axis is long at most.
+#: Largest length of a histogram's axis, as a multiple of the range of the narrowest histogram.
 _WIDEST = 5.0
 #: Sine of the angle beyond grazing light at which relief shading becomes black.
 _BEYOND_GRAZING = 0.342
-#: How dark relief shading makes the colors of a map that it lies over, at most.
+#: Largest opacity of relief shading over the colors of a map.
 _SHADE_OPACITY = 0.8
 
 
@@ -56,9 +57,9 @@ class Figure:
     picture: NDArray[np.uint8]
     header: Sequence[str]
     rows: Sequence[Sequence[Any]]
-    #: What the picture was drawn from, if it is wanted for print.
+    #: The drawing from which the picture was made, kept for print only.
     drawing: Drawing | None = None
-    #: What is seen, for those who do not see it; "" = title and caption say it.
+    #: Description of the picture for screen readers; "" = title and caption describe it.
     seen: str = ""
 
     @property
@@ -87,7 +88,7 @@ class Figure:
         return buffer.getvalue()
 
     def csv(self) -> str:
-        """Numbers as CSV; missing ones are empty."""
+        """Numbers as CSV; missing numbers are empty."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(self.header)
@@ -99,8 +100,8 @@ class Figure:
 def encode(picture: NDArray[np.uint8], kind: str, **options: Any) -> bytes:
     """Image file of a picture H×W, H×W×2 (gray, alpha), H×W×3 or H×W×4.
 
-    ResourceError if Pillow has lost the kind: where there is too little memory to load a kind's library, Pillow leaves it
-    out without a word.
+    ResourceError if Pillow cannot write this kind: with too little memory to load a format's library, Pillow silently leaves the
+    format out.
     """
     if kind not in Image.SAVE:
         Image.init()
@@ -150,7 +151,7 @@ def flattened(depth: Raster) -> Raster:
 
 
 def _slope(relief: Raster, axis: int) -> Raster:
-    """Mean of the differences to both neighbors along an axis, of the one that exists at borders, 0 without any."""
+    """Mean of the differences to both neighbors along an axis; at borders the difference to the only neighbor, without neighbors 0."""
     steps = np.diff(relief, axis=axis)
     empty = np.full_like(np.take(relief, [0], axis=axis), np.nan)
     before, after = np.concatenate([empty, steps], axis), np.concatenate([steps, empty], axis)
@@ -161,9 +162,9 @@ def _slope(relief: Raster, axis: int) -> Raster:
 def hillshade(relief: Raster, pixel: float, azimuth_deg: float = 315, altitude_deg: float = 45) -> Raster:
     """Relief shading, 0 … 1, NaN where there is no relief; not stretched, so that two pictures can be compared.
 
-    It is linear in the cosine of the angle between normal and light and reaches black 20° beyond the grazing angle: round objects
-    keep form on their far side. The light comes from `azimuth_deg` (clockwise from up) and `altitude_deg`; `pixel`: its size in the
-    relief's unit.
+    It is linear in the cosine of the angle between normal and light, and reaches black 20° beyond the grazing angle, so that round
+    objects show form on their side away from the light. The light comes from `azimuth_deg` (clockwise from up) and `altitude_deg`;
+    `pixel`: size of a pixel in the relief's unit.
     """
     azimuth, altitude = np.radians(azimuth_deg), np.radians(altitude_deg)
     right, up = _slope(relief, 1) / pixel, -_slope(relief, 0) / pixel
@@ -215,14 +216,14 @@ def _draw(drawing: Drawing) -> NDArray[np.uint8]:
 
 
 def _over_bar(shape: Sequence[int], bar_in: float) -> tuple[Drawing, Any]:
-    """A drawing with axes for a picture of this shape over the whole width, and so many inches below it."""
+    """A drawing with axes for a picture of this shape over the whole width, and `bar_in` inches of space below it."""
     drawing = new_drawing(WIDTH_IN, WIDTH_IN * shape[0] / shape[1] + bar_in)
     below = bar_in / drawing.get_figheight()
     return drawing, drawing.add_axes((0, below, 1, 1 - below))
 
 
 def color_bar(drawing: Drawing, colored: Any, label: str, ticks: Mapping[float, str] | None = None) -> None:
-    """The colors of a picture or of points, below it, with their unit."""
+    """Add the color bar of a picture or of points below it, with the unit."""
     height = _BAR_IN / drawing.get_figheight()
     axes = drawing.add_axes((0.15, height * 0.62, 0.65, height * 0.2))
     bar = drawing.colorbar(colored, cax=axes, orientation="horizontal")
@@ -240,7 +241,7 @@ def color_bar(drawing: Drawing, colored: Any, label: str, ticks: Mapping[float, 
 def _with_shares(
     ticks: Mapping[float, str], values: NDArray[np.float64], borders: NDArray[np.float64]
 ) -> dict[float, str]:
-    """Names of a map's classes with the share of its pixels in each: a class of few pixels is not seen in the picture."""
+    """Names of a map's classes with the share of pixels in each, because a class of few pixels cannot be seen in the picture."""
     shares = np.histogram(values, borders)[0] / max(1, values.size)
     named = {}
     for (at, name), share in zip(ticks.items(), shares, strict=True):
@@ -250,7 +251,7 @@ def _with_shares(
 
 
 def _spread(values: NDArray[Any], label: str) -> str:
-    """What most values of a map are, in words; nothing for pictures without a unit."""
+    """A sentence on the range of most values of a map; "" for pictures without a unit."""
     if not label or not values.size:
         return ""
     low, middle, high = (f"{p:.3g}" for p in np.percentile(values, (5, 50, 95)))
@@ -283,8 +284,8 @@ class Plates:
     """Draws the figures of one workspace."""
 
     def __init__(self, workspace: Workspace, *, for_print: bool = False, words: Mapping[str, str] = OWN_WORDS) -> None:
-        """for_print: figures keep what they were drawn from, so that they can be had as SVG and PDF, too. words: what the
-        surfaces are called, by their names in quality.json.
+        """for_print: figures keep their drawings, so that they can be written as SVG and PDF, too. words: names of the surfaces in
+        figures, by their names in quality.json.
         """
         self.workspace = workspace
         self.words = words
@@ -304,7 +305,7 @@ class Plates:
         return reduced(raster, self.step)
 
     def thinned(self, name: str) -> Raster:
-        """The same without averaging, for angles and labels."""
+        """A raster of the workspace at the size of the pictures, subsampled instead of averaged: for angles and labels."""
         return self.workspace.raster(name)[:: self.step, :: self.step]
 
     @cached_property
@@ -317,7 +318,7 @@ class Plates:
         return hillshade(self.relief[surface], self.gsd * self.step, azimuth_deg)
 
     def object_box(self) -> tuple[slice, slice]:
-        """Rows and columns of the pictures that hold the object, with a small margin."""
+        """Rows and columns of the pictures that contain the object, with a small margin."""
         known = np.isfinite(self.relief["fused"])
         rows, columns = np.nonzero(known.any(1))[0], np.nonzero(known.any(0))[0]
         margin = max(4, max(known.shape) // 60)
@@ -336,7 +337,7 @@ class Plates:
         rows: Sequence[Sequence[Any]],
         seen: str = "",
     ) -> Figure:
-        """A figure of a drawing; `seen`: what it shows, for those who do not see it."""
+        """A figure of a drawing; `seen`: description for screen readers."""
         return Figure(name, title, caption, _draw(drawing), header, rows, drawing if self.for_print else None, seen)
 
     # ---- maps ----
@@ -379,7 +380,7 @@ class Plates:
         drawing, axes = _over_bar(shape, _BAR_IN if how.label or how.ticks else 0.0)
         picture = axes.imshow(raster, cmap=how.cmap, vmin=limits[0], vmax=limits[1], interpolation="antialiased")
         if shade is not None:
-            # Black of varying opacity over the colors: detail is far below what colors can tell apart.
+            # Black of varying opacity over the colors shows detail that is far too small for differences in color.
             axes.imshow(
                 np.dstack([np.zeros((*shade.shape, 3)), _SHADE_OPACITY * (1 - np.nan_to_num(shade, nan=1))]),
                 interpolation="antialiased",
@@ -545,7 +546,7 @@ class Plates:
         )
 
     def trust_picture(self) -> NDArray[np.uint8]:
-        """The relief shading tinted by where the surface is refined and where it is the prior's, H × W × 3."""
+        """The relief shading, tinted by whether the surface is refined or the prior's, H × W × 3."""
         refined, prior = np.array([53, 167, 160]), np.array([230, 159, 60])
         share = (self.raster("fused/trust.png") / np.float32(255))[..., None]
         tint = share * refined + (1 - share) * prior
@@ -554,7 +555,7 @@ class Plates:
         return np.where(known, np.clip((0.25 + shade) * tint, 0, 255), 255).astype(np.uint8)
 
     def uncertainty(self) -> Iterator[Figure]:
-        """One standard deviation of the fused depth, and what fusion changed."""
+        """Maps of the standard deviation of the fused depth, of the change by fusion, of trust and of the weight of polarization."""
         yield self._map(
             self.raster("fused/sigma.tif"),
             _Map(
@@ -596,7 +597,7 @@ class Plates:
             yield from self._distances("reference", "Distance to the reference", self.quality["reference"])
 
     def m3c2(self) -> Iterator[Figure]:
-        """The same by M3C2."""
+        """Signed M3C2 distances to the reference, and their histogram."""
         if self.workspace.m3c2 and self.workspace.has("fused/m3c2_distance.tif"):
             yield from self._distances("m3c2", "M3C2 distance to the reference", self.workspace.m3c2)
 
@@ -611,8 +612,8 @@ class Plates:
     # ---- plots ----
 
     def on_image(self, *, with_bar: bool = False) -> tuple[Drawing, Any]:
-        """A drawing that is the unpolarized image, and its axes in pixels of `raster`, to draw over it; with_bar: over room
-        for a `color_bar`."""
+        """A drawing of the unpolarized image, and its axes in pixels of `raster`, to draw on it; with_bar: with space for a
+        `color_bar` below."""
         intensity = self.raster("polarization/unpolarized.tif")
         drawing, axes = _over_bar(intensity.shape, _BAR_IN if with_bar else 0.0)
         low, high = np.nanpercentile(intensity, [1, 99])
@@ -624,7 +625,7 @@ class Plates:
 
     @staticmethod
     def tag(axes: Any, at: Any, word: str) -> None:
-        """A name above the upper left corner or start of something in a picture, left of it where there is no room above."""
+        """Write a name above a point, such as a box's upper left corner or a line's start; left of it if there is no space above."""
         bottom, top = axes.get_ylim()
         above = at[1] - top > 0.1 * (bottom - top)
         axes.annotate(
@@ -634,7 +635,7 @@ class Plates:
         )  # fmt: skip
 
     def profile_lines(self) -> Figure:
-        """Where the sections run, on the picture they were taken from (Fig. 11)."""
+        """The lines of the sections on the unpolarized image (Fig. 11)."""
         drawing, axes = self.on_image()
         rows = []
         for profile in self.quality["profiles"]:
@@ -650,7 +651,7 @@ class Plates:
         )  # fmt: skip
 
     def profiles(self) -> Iterator[Figure]:
-        """Sections through prior, polarization height and fused surface (Fig. 12 and 13), and their detail."""
+        """Sections through prior, polarization height and fused surface (Fig. 12 and 13), and the detail of prior and fused surface."""
         sigma_px = float(self.workspace.manifest["options"]["assess"]["detail_sigma_px"])
         to_micrometers = 1e6 * METERS[self.unit]
         for number, profile in enumerate(self.quality["profiles"], 1):
@@ -692,8 +693,8 @@ class Plates:
             )  # fmt: skip
 
     def _cut_spikes(self, axes: Any, along: NDArray[np.float64], lines: Mapping[str, NDArray[np.float64]]) -> list[str]:
-        """Scale the axes so that all but a few far values can be read, a triangle where a line is cut off; in words how far
-        each line reaches.
+        """Limit the axes so that all but a few extreme values can be read, with a triangle where a line is cut off. Returns, in
+        words, the full range of each line that was cut off.
         """
         limits = _without_spikes(list(lines.values()))
         if limits is None:
@@ -717,7 +718,7 @@ class Plates:
     ) -> Figure:
         drawing = new_drawing(WIDTH_IN, 4.4, "constrained")
         axes = drawing.subplots()
-        # Shares of one width, so that surfaces with classes of their own can be compared.
+        # Shares are scaled to one class width, so that histograms with different classes can be compared.
         width = min(float(histogram["bin_width"]) for histogram in bins.values())
         low, high = _common_range(bins)
         beyond, classes = [], []
@@ -772,8 +773,8 @@ class Plates:
 
 
 def _common_range(bins: Mapping[str, Mapping[str, Any]]) -> tuple[float, float]:
-    """Ends of an axis for histograms of several surfaces: of all that is counted, but not so far out that the narrowest
-    cannot be read."""
+    """Ends of an axis for histograms of several surfaces: the range of all counted values, limited so that the narrowest histogram
+    can be read."""
     ends = []
     for histogram in bins.values():
         used = np.nonzero(histogram["counts"])[0]
@@ -789,10 +790,10 @@ def _common_range(bins: Mapping[str, Mapping[str, Any]]) -> tuple[float, float]:
 
 
 def without_form(section: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
-    """A section without its form: the parabola that fits around each sample, weighted by a Gaussian of `sigma` samples.
+    """A section without its form, which is the parabola fitted around each sample, weighted by a Gaussian of `sigma` samples.
 
-    Parabolas, not means, since slope and bend of the object are form, too: a nose would drown the detail upon it. Missing
-    samples (NaN) do not count.
+    A parabola is fitted, not a mean, because slope and curvature of the object are form, too: those of a nose would be larger than
+    the detail on it. Missing samples (NaN) get no weight.
     """
     reach = max(1, int(np.ceil(3 * sigma)))
     offset = np.arange(-reach, reach + 1) / sigma
@@ -801,12 +802,12 @@ def without_form(section: NDArray[np.float64], sigma: float) -> NDArray[np.float
     values = np.where(known, section, 0)
 
     def sums(terms: NDArray[Any], power: int) -> NDArray[np.float64]:
-        # Turned round, since a convolution counts offsets backwards.
+        # Reversed, because a convolution counts offsets backwards.
         return np.convolve(terms, (weight * offset**power)[::-1])[reach : reach + len(section)]
 
     moments = [sums(known.astype(float), power) for power in range(5)]
     normal = np.stack([np.stack(moments[row : row + 3], -1) for row in range(3)], -2)
-    # Where fewer than three samples are known this leaves a line or a mean; 1 where none is.
+    # With fewer than three known samples this yields a line or a mean; with none, the 1 keeps the matrix regular.
     normal += np.where(moments[0] > 0, 1e-12 * moments[0], 1)[:, None, None] * np.eye(3)
     right = np.stack([sums(values, power) for power in range(3)], -1)
     form = np.linalg.solve(normal, right[..., None])[:, 0, 0]
@@ -814,7 +815,7 @@ def without_form(section: NDArray[np.float64], sigma: float) -> NDArray[np.float
 
 
 def _without_spikes(lines: Sequence[NDArray[np.float64]]) -> tuple[float, float] | None:
-    """Limits of an axis that leave a few far values out, so that the others can be read; None where there are none."""
+    """Limits of an axis that leave out a few extreme values, so that all other values can be read; None if there are no extreme values."""
     values = np.concatenate([line[np.isfinite(line)] for line in lines]) if lines else np.empty(0)
     if values.size == 0:
         return None
@@ -826,5 +827,5 @@ def _without_spikes(lines: Sequence[NDArray[np.float64]]) -> tuple[float, float]
 
 
 def numbers(values: Sequence[float | None]) -> NDArray[np.float64]:
-    """Numbers of quality.json, NaN where there is none."""
+    """Numbers of quality.json as an array, NaN for None."""
     return np.array([np.nan if value is None else value for value in values], dtype=float)

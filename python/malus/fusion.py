@@ -1,4 +1,4 @@
-"""One surface of prior and polarization."""
+"""Fusion of prior and polarization into one surface."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def optimize_grid(
     options: Options | None = None,
     threads: int = ALL_CORES,
 ) -> FusedSurface:
-    """All equations of the paper together, from the surface of `fuse_grid` on (decision 45): a reading of the "simultaneous
-    optimization" after Eq 16. The light is that of `height`; weights and steps are `options.optimize`, whose `enabled` does not
-    matter here.
+    """Minimize the residuals of all equations of the paper together, starting from the surface of `fuse_grid` (decision 45): one
+    interpretation of the "simultaneous optimization" after Eq 16. The light is that of `height`; weights and number of steps come
+    from `options.optimize`, whose `enabled` is ignored here.
 
     Returns a new surface, in the camera frame and unit of the given one; its `status` says how the minimization ended. Raises
     malus.InputError for rasters of another size, and if the height has no light.
@@ -47,7 +47,7 @@ def refine(
 ) -> FusedSurface:
     """Refine the prior by nonlinear least squares on log depth (docs/method.md); refractive_index None = from the data.
 
-    The surface's `confidence` ({"level": "high" | "partial" | "low", "reasons": [...]}) says how far it may be trusted,
-    `status` and `warnings` what the solver met.
+    The surface's `confidence` ({"level": "high" | "partial" | "low", "reasons": [...]}) says how far it may be trusted;
+    `status` says how the solver ended, and `warnings` lists its warnings.
     """
     return _core.refine(state, prior, refractive_index, (options or Options()).to_json(), threads)

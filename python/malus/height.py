@@ -26,7 +26,7 @@ def light(
     options: Options | None = None,
     threads: int = ALL_CORES,
 ) -> dict[str, Any]:
-    """Light from shading (H×W) and known normals (H×W×3, camera frame): robust least squares, intensity = light[:3] · n + light[3].
+    """Light from intensity (H×W) and known normals (H×W×3, camera frame): robust least squares, intensity = light[:3] · n + light[3].
 
     Returns `light` (4), `status`, `rms`, `robust_sigma` (unit of the intensity) and `pixels`. camera None = orthographic.
     """
@@ -50,13 +50,13 @@ def light_from_polarization(
     options: Options | None = None,
     threads: int = ALL_CORES,
 ) -> dict[str, Any]:
-    """Light of an object of one albedo from its polarization alone; figures as of `light`, and `of_contour`.
+    """Light of an object of one albedo from its polarization alone; returns the keys of `light`, and `of_contour`.
 
-    A hollow lit from one side looks like a bump lit from the other. Option light.without_prior says what tells them apart:
-    "contour", the outline of the state's mask, where the surface turns away from the view (`of_contour` is False if it
-    does not, and convexity decides; the light of all pixels on that side is taken where it is within 10° of that of the
-    outline), or "convex", that the object is convex in the whole (after Smith et al. 2016). With
-    `direction` (3, camera frame, towards the source) only the strength is found.
+    A hollow lit from one side looks like a bump lit from the other side. Option light.without_prior selects the assumption that
+    decides between the two. "contour": at the outline of the state's mask the surface turns away from the view. If it does
+    not, `of_contour` is False and convexity decides. The light fitted to all pixels, on the side that the outline decides,
+    is used if it is within 10° of the light fitted to the outline; otherwise the outline's light is used. "convex": the object is
+    convex as a whole (after Smith et al. 2016). With `direction` (3, camera frame, towards the source) only the strength is found.
     """
     vector = None
     if direction is not None:
@@ -79,8 +79,8 @@ def solve(
     """Solve the height system; `height` is H×W, in pixels (GSD), positive towards the camera, mean 0, NaN outside.
 
     camera None = orthographic. light: 4 numbers, i_un = light[:3] · n + light[3], n in the camera frame (x right, y down,
-    z forward, towards the camera); left out = estimated with prior_normals (H×W×3), or without them as by
-    `light_from_polarization` (of a hollow object the height comes upside down). `status` says how it ended.
+    z forward, towards the camera). Without `light` it is estimated with prior_normals (H×W×3), and without both as by
+    `light_from_polarization`, which turns a hollow object upside down. `status` says how the solver ended.
     """
     vector = None
     if light is not None:

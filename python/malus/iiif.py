@@ -1,6 +1,6 @@
 """Pictures of a surface for IIIF viewers (Mirador, Universal Viewer, OpenSeadragon): a folder of files that any web server can serve.
 
-Presentation API 3.0 manifest; Image API 3.0, level 0: all tiles and sizes that are offered lie there, nothing is computed by the server.
+Presentation API 3.0 manifest; Image API 3.0, level 0: all tiles and sizes are files in the folder, so the server computes nothing.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ _LABELS = {
     "recorded_on": "Recorded on",
     "license": "License",
 }
-#: What the specification takes as `rights`.
+#: The addresses that the specification allows as `rights`.
 _RIGHTS = re.compile(r"https?://(creativecommons\.org|rightsstatements\.org)/\S+$")
 
 
 def scale_factors(width: int, height: int) -> list[int]:
-    """Powers of two up to that at which the whole picture is one tile."""
+    """Reductions as powers of two, up to the one at which the whole picture fits into one tile."""
     factors = [1]
     while max(width, height) > TILE_PX * factors[-1]:
         factors.append(2 * factors[-1])
@@ -46,7 +46,7 @@ def scale_factors(width: int, height: int) -> list[int]:
 
 
 def write_tiles(folder: Path, picture: NDArray[np.uint8], address: str) -> dict[str, Any]:
-    """Write info.json and all tiles and sizes of an sRGB picture (H×W×3) in `folder`, whose address is given; returns info.json."""
+    """Write info.json and all tiles and sizes of an sRGB picture (H×W×3) to `folder`, whose web address is `address`; returns info.json."""
     image = Image.fromarray(picture)
     width, height = image.size
     sizes = []
@@ -62,7 +62,7 @@ def write_tiles(folder: Path, picture: NDArray[np.uint8], address: str) -> dict[
             for x in range(0, width, span):
                 w, h = min(span, width - x), min(span, height - y)
                 if (w, h) == (width, height):
-                    continue  # it is the whole picture
+                    continue  # this tile is the whole picture, written above
                 box = (x // factor, y // factor, -(-(x + w) // factor), -(-(y + h) // factor))
                 _save(reduced.crop(box), folder / f"{x},{y},{w},{h}/{box[2] - box[0]},{box[3] - box[1]}")
     info = {
@@ -115,7 +115,7 @@ def _canvas(address: str, name: str, label: str, info: Mapping[str, Any]) -> dic
 def manifest(
     address: str, name: str, words: Mapping[str, str], canvases: list[dict[str, Any]], summary: str
 ) -> dict[str, Any]:
-    """Presentation 3.0 manifest of canvases, with the catalog's words."""
+    """Presentation 3.0 manifest of canvases, with the catalog entries."""
     told = [
         {"label": _text(label), "value": _text(str(words[key]))} for key, label in _LABELS.items() if words.get(key)
     ]
@@ -146,8 +146,8 @@ def write_iiif(
 ) -> Path:
     """Write manifest.json and a folder of tiles for each picture (name → label, H×W×3 sRGB) as a new `folder`.
 
-    address: where the folder will be on the web, without a slash at its end. InputError if the folder is there already, or for an
-    address that is none.
+    address: where the folder will be on the web, without a slash at its end. InputError if the folder exists already, or if the
+    address is invalid.
     """
     if not re.match(r"https?://[^\s/]+[^\s]*$", address):
         raise InputError(

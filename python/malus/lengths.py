@@ -1,4 +1,4 @@
-"""Lengths as people say them, whatever the station's unit, and lengths of scale bars."""
+"""Lengths as text in a readable unit, whatever the station's unit, and lengths of scale bars."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from malus.units import METERS
 
 
 def shown(length: float, unit: str, digits: int = 2) -> str:
-    """A length of the station's unit in µm, mm or m, whichever is handy: 60 µm, 1.2 mm."""
+    """A length given in the station's unit, as text in µm, mm or m, whichever suits its size: 60 µm, 1.2 mm."""
     meters = length * METERS[unit]
     factor, name = next(((f, n) for f, n in ((1e6, "µm"), (1e3, "mm")) if abs(meters) * f < 1000), (1.0, "m"))
     value = meters * factor
@@ -18,7 +18,7 @@ def shown(length: float, unit: str, digits: int = 2) -> str:
 
 
 def sides(lengths: Sequence[float], unit: str) -> str:
-    """Sides of something, of the station's unit, in one unit that suits the longest: 31 × 12.5 mm."""
+    """Side lengths given in the station's unit, as text in the one unit that suits the longest: 31 × 12.5 mm."""
     meters = [length * METERS[unit] for length in lengths]
     factor, name = next(((f, n) for f, n in ((1e6, "µm"), (1e3, "mm")) if max(meters) * f < 1000), (1.0, "m"))
     values = [length * factor for length in meters]
@@ -27,7 +27,7 @@ def sides(lengths: Sequence[float], unit: str) -> str:
 
 
 def scale_bar(extent: float, unit: str) -> tuple[float, str]:
-    """Length of a scale bar for a picture of this width, 1, 2 or 5 times a power of ten, about a fifth of it; and its label."""
+    """Length of a scale bar for a picture that is `extent` wide (1, 2 or 5 times a power of ten, about a fifth of the width), and its label."""
     meters = extent * METERS[unit]
     power = 10.0 ** math.floor(math.log10(meters / 4))
     length = next(factor * power for factor in (5, 2, 1) if factor * power <= meters / 4)

@@ -1,7 +1,7 @@
 """Distances between the surface and a reference scan by M3C2 (Lague, Brodu and Leroux 2013), through py4dgeo.
 
-M3C2 averages both clouds in a cylinder along the local normal, so that noise and density of the clouds hardly matter, and says
-for every point how small a distance it could have detected. It complements the comparison of quality.json, which is point to surface.
+M3C2 averages both clouds in a cylinder along the local normal, so that noise and density of the clouds hardly matter. For every
+point it also gives the smallest distance that could be detected. It complements the point-to-surface comparison in quality.json.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from malus._robust import robust_spread
 from malus.errors import DataError, InputError
 from malus.workspace import Workspace
 
-#: Core points at most, about: larger stations have one for every n × n pixels.
+#: Approximate largest number of core points: larger stations get one core point for every n × n pixels.
 CORE_POINTS = 200000
-#: Points of the surface that a cylinder should hold, and normals' radius over the cylinder's.
+#: Number of points that a cylinder should hold, and the ratio of the radius for normals to the cylinder's radius.
 _POINTS_IN_CYLINDER = 25
 NORMAL_FACTOR = 3.0
 _BINS = 50
@@ -32,7 +32,7 @@ _BINS = 50
 
 def _py4dgeo() -> ModuleType:
     library = extra("py4dgeo", "py4dgeo", "M3C2", "m3c2")
-    # On import it begins to print to standard output and to write py4dgeo.log where it is run.
+    # On import py4dgeo sets up logging to standard output and to py4dgeo.log in the current folder: remove both.
     logger = logging.getLogger("py4dgeo")
     for handler in list(logger.handlers):
         logger.removeHandler(handler)
@@ -46,7 +46,7 @@ def _spacing(points: NDArray[np.float64], area: float) -> float:
 
 
 def _aligned(points: NDArray[np.float64], comparison: dict[str, Any] | None) -> NDArray[np.float64]:
-    """Points where the alignment of `malus assess` put them in the reference's frame; as they are without one."""
+    """Points moved into the reference's frame by the alignment of `malus assess`; unchanged if there is no comparison."""
     if not comparison:
         return points
     motion = comparison["reference_from_surface"]
@@ -66,14 +66,15 @@ def distances(
     towards: NDArray[np.float64],
     registration: float = 0.0,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Signed distances from one cloud to another at core points (all N×3, one frame), and the smallest that could be detected (95 %).
+    """Signed distances from one cloud to another at core points (all N×3, one frame), and the smallest detectable distances (95 %).
 
-    radius: of the cylinders, which reach `largest` both ways along the normals of the cloud `normals_of`; these point `towards` a
-    direction, in which distances are positive. registration: one standard deviation of the clouds' place. NaN = not compared.
+    radius: of the cylinders, which extend by `largest` in both directions along the normals of the cloud `normals_of`. The normals
+    are oriented `towards` a direction; distances in it are positive. registration: one standard deviation of the registration of
+    the clouds to each other. NaN = not compared.
     """
     library = _py4dgeo()
     library.set_memory_policy(library.MemoryPolicy.COREPOINTS)
-    # The library computes in single precision in parts: about the middle.
+    # Parts of the library compute in single precision: pass coordinates relative to the middle.
     middle = core.mean(0)
     algorithm = library.M3C2(
         epochs=(library.Epoch(before - middle), library.Epoch(after - middle)),
@@ -95,12 +96,12 @@ def cylinder_radius(spacing: float) -> float:
 
 
 def thinning(pixels: int) -> int:
-    """One core point for every n × n of so many pixels."""
+    """The n for which one core point per n × n pixels gives at most about CORE_POINTS core points."""
     return int(max(1, np.ceil(np.sqrt(pixels / CORE_POINTS))))
 
 
 def spread_out(core: NDArray[np.float64], step: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """A map of core points, one for step × step pixels, as a map of all pixels."""
+    """A map of all pixels from a map of core points: each value is repeated over step × step pixels."""
     full = np.kron(core.astype(np.float32), np.ones((step, step), np.float32))
     return np.asarray(full[: shape[0], : shape[1]], dtype=np.float32)
 
@@ -139,13 +140,13 @@ def _summary(found: NDArray[np.float64], detectable: NDArray[np.float64], gsd: f
 def compare(work: str | Path, reference: str | Path, *, radius: float | None = None) -> dict[str, Any]:
     """Compare the fused surface of a workspace with a scan; writes WORK/m3c2.json and WORK/fused/m3c2_distance.tif.
 
-    `reference`: PLY or XYZ, world frame, of a mesh its vertices; the alignment that `malus assess` found is applied. `radius` of the
-    cylinders in the station's unit; by default they hold about 25 points of the sparser cloud. The map (H×W, station unit, NaN = not
-    compared) is positive where the surface lies in front of the reference. Returns the content of m3c2.json.
+    `reference`: PLY or XYZ, world frame; only the vertices of a mesh are used. The alignment found by `malus assess` is applied.
+    `radius`: of the cylinders, in the station's unit; by default a cylinder holds about 25 points of the sparser cloud. The map (H×W,
+    station unit, NaN = not compared) is positive where the surface lies in front of the reference. Returns the content of m3c2.json.
 
-    Raises malus.InputError, DataError if nothing of the reference is near, ExternalError without py4dgeo.
+    Raises malus.InputError, DataError if no part of the reference is near the surface, ExternalError without py4dgeo.
     """
-    _py4dgeo()  # before anything is read: it may be missing
+    _py4dgeo()  # fail before anything is read if the package is missing
     if radius is not None and not radius > 0:
         raise InputError(f"radius {radius}, expected a positive length")
     workspace = Workspace(work)
@@ -162,7 +163,7 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
         raise DataError(
             f"{reference}: {len(near)} points lie near the surface, expected more; is it in the same frame and unit?"
         )
-    # The area that both clouds share is about that of the surface's pixels.
+    # The area common to both clouds is about the area of the surface's pixels.
     sparser = max(gsd, _spacing(near, len(surface) * gsd**2))
     chosen = radius or cylinder_radius(sparser)
     found, detectable = distances(

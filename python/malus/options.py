@@ -1,4 +1,4 @@
-"""Options of every step, checked against the one list that the C++ library keeps."""
+"""Options of every step, checked against the list of options in the C++ library."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from malus._section import Section
 _SCHEMA: dict[str, dict[str, dict[str, Any]]] = json.loads(_core.option_schema())
 
 
-#: The options that a user is likely to need, for a list that can be read, each with its title.
+#: The options that a user is likely to need, each with its title, for a list short enough to read.
 MAIN = {
     "capture.registration": "Align the images to each other",
     "polarizer.calibrate_angles": "Correct the angles of the polarizer",
@@ -46,7 +46,7 @@ class Options(Sections):
 
     @staticmethod
     def preset(name: str) -> Options:
-        """The defaults with a named set of options; InputError lists the names. "paper": the method as printed."""
+        """The options of a named preset; InputError lists the names. "paper": the method as printed."""
         options = Options()
         options._values = json.loads(_core.preset_options(name))
         return options
@@ -71,7 +71,7 @@ class Options(Sections):
         self._values = json.loads(_core.set_option(self.to_json(), assignment))
 
     def update_from_file(self, path: str | Path) -> None:
-        """Read options from a TOML file with one table a section."""
+        """Read options from a TOML file with one table per section."""
         self._values = json.loads(_core.options_from_file(self.to_json(), str(path)))
 
     @property

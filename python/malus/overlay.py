@@ -1,4 +1,4 @@
-"""The picture that `malus check` leaves: the coarse surface and the mask upon the polarized image, before anything is computed."""
+"""The picture that `malus check` writes: the coarse surface and the mask on the polarized image, before anything is computed."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def draw_overlay(
     unit: str,
     words: Sequence[str],
 ) -> bytes:
-    """PNG of the image with the mask's outline, and of the same with the points upon it.
+    """PNG with two panels: the image with the mask's outline, and the same with the points drawn on it.
 
-    image: H×W, any linear scale; mask: H×W, non-zero = object; points: N×3, u, v [px] and distance z [unit]; words: what
-    is said below.
+    image: H×W, any linear scale; mask: H×W, non-zero = object; points: N×3, u, v [px] and distance z [unit]; words: sentences
+    below the panels.
     """
     height, width = image.shape
-    beside = height > 0.6 * width  # one above the other where they are wide
+    beside = height > 0.6 * width  # wide panels are stacked instead
     panel_width = _PANEL_INCHES if beside else 1.8 * _PANEL_INCHES
     panel_height = panel_width * height / width
     rows, columns = (1, 2) if beside else (2, 1)
@@ -84,8 +84,8 @@ def _show_image(axes: Any, image: NDArray[np.float32], mask: NDArray[np.uint8]) 
 
 
 def nearest_points(points: NDArray[np.float32], shape: tuple[int, ...]) -> tuple[NDArray[np.float32], float]:
-    """The distance of the nearest point in each cell of the image (NaN = none), and the side of a cell in pixels: so large
-    that most cells of a dense cloud have a point.
+    """The distance of the nearest point in each cell of the image (NaN = none), and the side of a cell in pixels. Cells are so
+    large that most cells of a dense cloud have a point.
 
     points: N×3, u, v [px] and distance; shape: of the image.
     """
@@ -100,7 +100,7 @@ def nearest_points(points: NDArray[np.float32], shape: tuple[int, ...]) -> tuple
 
 
 def _show_points(axes: Any, points: NDArray[np.float32], shape: tuple[int, ...]) -> Any:
-    """The nearest point in each cell of the image."""
+    """Draw the nearest point in each cell of the image."""
     height, width = shape
     nearest, cell = nearest_points(points, shape)
     near, far = np.nanpercentile(nearest, (1, 99))
@@ -120,6 +120,6 @@ def write_overlay(
     station: Station,
     words: Sequence[str],
 ) -> None:
-    """The picture of a station (image, mask, points) as a PNG file, with what was said of them."""
+    """Write the picture of a station (image, mask, points) as a PNG file, with `words` below it."""
     sentences = [f"{text[0].upper()}{text[1:]}" for text in words]
     write_bytes(path, draw_overlay(*picture, station.name, station.unit, sentences))

@@ -1,4 +1,4 @@
-"""The templates of Malus's HTML pages. Each page is one file: styles, scripts and pictures are inside it."""
+"""The templates of Malus's HTML pages. Each page is one file that contains its styles, scripts and pictures."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from markupsafe import Markup
 
 
 def asset(name: str) -> Markup:
-    """A file of malus/assets, as it is."""
+    """The text of a file of malus/assets, not escaped."""
     return Markup(_text("assets", name))
 
 
 def template(name: str, filters: Mapping[str, Callable[..., Any]] | None = None) -> jinja2.Template:
-    """A template of malus/templates, with `asset`, the filter `base64` (of bytes) and more filters if given.
+    """A template of malus/templates, with the function `asset`, the filter `base64` (of bytes) and the given filters.
 
-    Values are escaped; one that was not given is an error.
+    Values are escaped; a value that was not given is an error.
     """
     environment = jinja2.Environment(
         autoescape=True,

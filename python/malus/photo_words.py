@@ -1,6 +1,7 @@
-"""What the figures of photographs and sweep in quality.json are called in the report."""
+"""The words with which the report names the figures of photographs and sweep in quality.json."""
 
-#: Section of quality.json → path below it → words, which say so where it is shown as per cent. What is for programmers only is not here; quality.json has it.
+#: Section of quality.json → path below it → words. Words that end in [%] are for shares, which the report shows as per cent.
+#: Figures for programmers only are not listed here; they are in quality.json.
 WORDS = {
     "photogrammetry": {
         "program": "program",

@@ -45,9 +45,10 @@ def calibrate(
 ) -> dict[str, Any]:
     """Polarizer angles and relative exposures for which K registered linear images fit sinusoids best.
 
-    angles_rad: as read off the scale; empty = unknown, then five images or more. Returns `angles_rad`, `gains` (geometric mean 1),
-    `residual_before` and `residual_after` (RMS, in standard deviations of the noise) and `improvement` (share of what the squared
-    residuals have beyond noise). Images cannot tell the zero of the scale (docs/method.md, section 1).
+    angles_rad: as read off the scale; empty = unknown, which needs five images or more. Returns `angles_rad`, `gains` (geometric
+    mean 1), `residual_before` and `residual_after` (RMS, in standard deviations of the noise) and `improvement`: of the squared
+    residuals beyond noise, the share that the calibration removes. Images do not determine the polarizer zero (docs/method.md,
+    section 1).
     """
     stack = as_intensities(images, "images")
     return _core.fit_polarizer(
@@ -76,11 +77,12 @@ def decompose(
     """Fit I(a) = (s0 + s1 cos 2a + s2 sin 2a) / 2 at every pixel.
 
     images: K arrays H×W, linear, in [0, 1] of the white level, or all uint16 with white at 65535. angles_rad: K polarizer
-    angles; the same angle several times (modulo π) counts as several exposures. mask: H×W, non-zero = object. The noise
-    model (electrons at white, read noise, averaged frames) sets the expected residual. Returns a state with `unpolarized` = s0 / 2, `degree`, `phase_rad` in
-    [0, π), `residual` (in expected standard deviations) and `valid` (255 = usable), all H×W, read-only. float32 and
-    uint16 images in C order are used where they are, without a copy.
-    Raises ValueError for shapes, degrees and intensities of another scale, malus.DataError for fewer than three distinct angles.
+    angles; images with the same angle (modulo π) count as repeated exposures. mask: H×W, non-zero = object. The noise
+    model (electrons at white, read noise, averaged frames) sets the expected residual. Returns a state with `unpolarized` = s0 / 2,
+    `degree`, `phase_rad` in [0, π), `residual` (in expected standard deviations) and `valid` (255 = usable), all H×W, read-only.
+    float32 and uint16 images in C order are used without a copy.
+    Raises ValueError for wrong shapes, angles in degrees and intensities of another scale, malus.DataError for fewer than three
+    distinct angles.
     """
     stack = as_intensities(images, "images")
     fit = _core.decompose_16_bit if stack[0].dtype == np.uint16 else _core.decompose
@@ -107,7 +109,7 @@ def specular_degree(zenith_rad: ArrayLike, refractive_index: float = 1.5) -> NDA
 
 
 def diffuse_zenith(degree: ArrayLike, refractive_index: float = 1.5) -> NDArray[np.float64]:
-    """Zenith [rad] of a diffuse degree (Eq 7); degrees above the largest possible one give 90°."""
+    """Zenith [rad] of a diffuse degree (Eq 7); degrees above the largest possible degree give 90°."""
     return _core.diffuse_zenith(np.asarray(degree, dtype=np.float64), refractive_index)
 
 
@@ -133,10 +135,10 @@ def map_reflection(
     options: Options | None = None,
     threads: int = ALL_CORES,
 ) -> ReflectionMap:
-    """Label pixels diffuse (1) or specular (2) and read their zenith off the degree.
+    """Label pixels diffuse (1) or specular (2) and compute their zenith from the degree.
 
     camera None = orthographic. prior_normals: H×W×3, unit, camera frame, towards the camera; they decide between diffuse
-    and specular and pick the side of Brewster's angle. Returns `label` (H×W uint8, 0 = outside) and `zenith_rad` (H×W, NaN).
+    and specular and pick the side of Brewster's angle. Returns `label` (H×W uint8, 0 = outside) and `zenith_rad` (H×W, NaN = none).
     """
     normals = None if prior_normals is None else as_image(prior_normals, "prior_normals", 3)
     return _core.map_reflection(

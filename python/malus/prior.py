@@ -26,7 +26,7 @@ def project_points(
 ) -> DepthPrior:
     """Depth and its standard deviation in a camera's view from a cloud.
 
-    points: N×3, world frame. normals: N×3, away from the object, or none. camera: with its pose, without distortion.
+    points: N×3, world frame. normals: N×3, pointing away from the object, or None. camera: with its pose, without distortion.
     mask: H×W, non-zero = object. Hidden points and outliers are removed; gaps are filled; the smoothing is chosen from the
     points' scatter. Returns `depth` and `sigma` (H×W float32, NaN outside the mask).
     """
@@ -57,7 +57,7 @@ def project_mesh(
     options: Options | None = None,
     threads: int = ALL_CORES,
 ) -> DepthPrior:
-    """The same of a mesh: vertices N×3 (world frame), triangles M×3 (indices). Holes are filled from their surroundings."""
+    """As `project_points`, for a mesh: vertices N×3 (world frame), triangles M×3 (indices). Holes are filled from their surroundings."""
     corners = np.ascontiguousarray(vertices, dtype=np.float64)
     faces = np.ascontiguousarray(triangles, dtype=np.int64)
     for name, array in (("vertices", corners), ("triangles", faces)):
@@ -83,7 +83,7 @@ def project_depth(
     options: Options | None = None,
     threads: int = ALL_CORES,
 ) -> DepthPrior:
-    """The same of a depth map (H×W, z in the camera, NaN = none), whose holes on the object are filled."""
+    """As `project_points`, for a depth map (H×W, z in the camera, NaN = none), whose holes on the object are filled."""
     raster = as_image(depth, "depth")
     if raster.shape != (camera.height, camera.width):
         raise ValueError(f"depth has shape {raster.shape}, expected {(camera.height, camera.width)} as the camera")

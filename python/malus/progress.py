@@ -1,4 +1,4 @@
-"""How the command line shows progress: a rich bar for people, JSON lines for programs, warnings only when quiet."""
+"""Progress on the command line: progress bars for people, JSON lines for programs, only warnings with --quiet."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-#: Seconds of work after which the speed that was met counts as much as the one that was expected.
+#: Seconds of work after which the measured speed has the same weight as the expected speed.
 _TRUST_SECONDS = 5.0
 
 
 class Overall:
-    """How much of the whole run is done, and how long the rest takes at the speed met so far.
+    """How much of the whole run is done, and how long the remaining part will take at the speed measured so far.
 
-    `expected`: steps in their order and the seconds that each is expected to take. A step whose first event says that it is done was kept
-    from an earlier run and says nothing of the speed. guessed: only the ratios of these seconds mean something.
+    `expected`: steps in their order and the seconds that each is expected to take. If the first event of a step says that the step is
+    done, it was kept from an earlier run and is not used to measure the speed. guessed: only the ratios of these seconds are meaningful.
     """
 
     def __init__(self, expected: Sequence[tuple[str, float]], *, guessed: bool = False) -> None:
@@ -32,7 +32,7 @@ class Overall:
         self._start = time.monotonic()
 
     def update(self, step: str, fraction: float) -> None:
-        """Take an event over; steps that nobody expected do not count."""
+        """Process an event; unexpected steps do not count."""
         if step not in self._expected:
             return
         if step not in self._done and fraction >= 1:
@@ -41,7 +41,7 @@ class Overall:
 
     @property
     def fraction(self) -> float:
-        """Of everything, 0 … 1."""
+        """Share of the whole run that is done, 0 … 1."""
         total = sum(self._expected.values())
         return (
             sum(seconds * self._done.get(step, 0.0) for step, seconds in self._expected.items()) / total
@@ -51,7 +51,7 @@ class Overall:
 
     @property
     def seconds_left(self) -> float | None:
-        """Expected rest, at the speed met so far; None before anything says it."""
+        """Expected remaining seconds, at the speed measured so far; None while only guesses are known."""
         if self._guessed and not any(self._done.values()):
             return None
         rest = sum(seconds * (1 - self._done.get(step, 0.0)) for step, seconds in self._expected.items())
@@ -60,7 +60,7 @@ class Overall:
 
 
 def duration(seconds: float) -> str:
-    """A duration as people say it, no finer than it can be known."""
+    """A duration as readable text, rounded to the accuracy of an estimate."""
     if seconds < 90:
         return f"{max(5, 5 * round(seconds / 5))} s"
     if seconds < 5400:
@@ -75,7 +75,7 @@ class ProgressView:
         self._overall = Overall([])
 
     def expect(self, expected: Sequence[tuple[str, float]], *, guessed: bool = False) -> None:
-        """Steps to come and the seconds that each is expected to take, or only a guess of them."""
+        """Set the steps to come and the seconds that each is expected to take; guessed: only their ratios are meaningful."""
         self._overall = Overall(expected, guessed=guessed)
 
     def progress(self, step: str, fraction: float, message: str) -> None:
@@ -85,7 +85,7 @@ class ProgressView:
         """One log line of level debug, info or warning."""
 
     def result(self, level: str | None, reasons: Sequence[str], assessed: bool) -> None:
-        """How far the surface may be trusted, once the run is done; level None = there is no surface."""
+        """The confidence in the surface, once the run is done; level None = there is no surface."""
 
     def __enter__(self) -> ProgressView:
         return self
@@ -97,7 +97,7 @@ class ProgressView:
 
 
 class WarningsOnly(ProgressView):
-    """Each warning at once, a line on standard error, and nothing else."""
+    """Prints each warning immediately, as a line on standard error, and nothing else."""
 
     def log(self, level: str, message: str) -> None:
         """Print warnings."""
@@ -106,7 +106,7 @@ class WarningsOnly(ProgressView):
 
 
 class JsonProgress(ProgressView):
-    """One JSON object an event on standard output."""
+    """Writes one JSON object per event to standard output."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -130,7 +130,7 @@ class JsonProgress(ProgressView):
 
     def log(self, level: str, message: str) -> None:
         """Write a log object."""
-        # A run that makes its surface twice says the warnings of the steps before it twice.
+        # A run that fuses twice repeats the warnings of the steps before fusion.
         if level == "warning" and message not in self._warnings:
             self._warnings.append(message)
         self._write(event="log", level=level, message=message)
@@ -142,7 +142,7 @@ class JsonProgress(ProgressView):
 
 
 class BarProgress(ProgressView):
-    """One line a step with a bar on standard error; plain lines when that is not a terminal."""
+    """Shows one line with a bar per step on standard error; plain lines if standard error is not a terminal."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -169,7 +169,7 @@ class BarProgress(ProgressView):
             self._bar.stop()
 
     def progress(self, step: str, fraction: float, message: str) -> None:
-        """Advance the step's bar and that of the whole run."""
+        """Advance the bar of the step and the bar of the whole run."""
         self._overall.update(step, fraction)
         if not self._console.is_terminal:
             if fraction >= 1:
@@ -192,9 +192,9 @@ class BarProgress(ProgressView):
     def log(self, level: str, message: str) -> None:
         """Print warnings above the bars."""
         if level == "warning":
-            # As Text, since words in brackets such as [optics] would be taken for markup, and lost.
+            # As Text: in a plain string, rich would take words in brackets such as [optics] for markup and drop them.
             self._print(Text.assemble(("warning:", "yellow"), " ", message))
 
     def _print(self, line: Text) -> None:
-        """A line that only a terminal breaks: in a file what is searched for stays on one line."""
+        """Print a line, wrapped on a terminal only: in a file each message stays on one line, so that it can be searched."""
         self._console.print(line, soft_wrap=not self._console.is_terminal)

@@ -1,4 +1,4 @@
-"""Values of rasters between their pixels."""
+"""Interpolation of rasters between pixels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 def sample(raster: NDArray[Any], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bilinear values of a raster (H×W×C) at pixels (…×2: u, v); beyond the border the nearest pixel counts."""
+    """Bilinear values of a raster (H×W×C) at pixels (…×2: u, v); beyond the border the nearest border value is used."""
     height, width = raster.shape[:2]
     u = np.clip(pixels[..., 0], 0, width - 1)
     v = np.clip(pixels[..., 1], 0, height - 1)

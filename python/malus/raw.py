@@ -19,13 +19,13 @@ from malus._files import replacing, sha256_of
 from malus.errors import InputError
 from malus.exif import tags_of
 
-#: What C++ takes for RAW by its name (io/image_file_internal.h, is_raw_name).
+#: Suffixes that the C++ library takes for RAW files, too (io/image_file_internal.h, is_raw_name).
 SUFFIXES = frozenset(
     (".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dng", ".iiq", ".nef", ".nrw", ".orf", ".pef", ".raf", ".rw2", ".sr2")
     + (".srw",)
 )
 _PLANES = {"red": 0, "green": 1, "blue": 2}
-#: Changes when development does, so that nothing old is taken from a workspace.
+#: To be changed whenever development changes, so that images developed in the old way are not reused from a workspace.
 _RECIPE = "linear 1"
 _DNG_NOISE_PROFILE = 51041
 
@@ -54,19 +54,18 @@ def _not_raw(path: Path, error: Exception) -> InputError:
 
 
 def is_raw(path: Path) -> bool:
-    """Whether the name is that of a camera's RAW file."""
+    """Whether the file's suffix is that of a camera's RAW file."""
     return path.suffix.lower() in SUFFIXES
 
 
 def develop(
     images: Sequence[Path], channel: str, folder: Path, progress: Callable[[float, str], None] = lambda _, __: None
 ) -> Developed:
-    """Develop RAW files into `folder`, one floating-point TIFF each; what is there already is kept, if it is as
-    it was left.
+    """Develop RAW files into `folder`, one floating-point TIFF each; images developed earlier are reused if they are unchanged.
 
-    Black and white level come from the files; no brightening, no white balance, no rotation, the camera's own colors;
-    the Bayer pattern is interpolated linearly, so that all images of a station are treated alike. `channel` "red",
-    "green" or "blue" keeps one plane, anything else all. LibRaw cuts off what noise puts below the black level.
+    Black and white level come from the files. There is no brightening, no white balance and no rotation; colors are the camera's
+    own. The Bayer pattern is interpolated linearly, so that all images of a station are treated alike. `channel` "red",
+    "green" or "blue" keeps one plane, anything else keeps all. LibRaw clips values that noise puts below the black level.
     """
     library = extra("rawpy", "rawpy", "developing RAW files", "raw")
     developed = []
@@ -96,18 +95,18 @@ def develop(
 
 
 def name_of(path: Path, content: bytes) -> str:
-    """What the name of a developed image begins with: it says which RAW file it is of, and which state of it."""
+    """Start of a developed image's name: it identifies the RAW file and the content that the file had."""
     return f"{path.stem}_{hashlib.sha256(content).hexdigest()[:16]}_"
 
 
 def _named_by_content(file: Path, name: str) -> Path:
-    """What a developed image is called, so that one which was changed later is not taken for it."""
+    """Path of a developed image whose name contains the hash of its content, so that a later change of the file is detected."""
     return file.with_name(f"{name}_{sha256_of(file)[:16]}.tif")
 
 
 def linear_image(path: Path, content: bytes | None = None, *, half_size: bool = False) -> NDArray[np.float32]:
-    """A RAW file's pixels, H×W or H×W×3, 1 = white level; content: its bytes if they are read already; half_size: one pixel
-    for a cell of four, and fast.
+    """A RAW file's pixels, H×W or H×W×3, 1 = white level. content: the bytes of the file, if they are read already. half_size: one
+    pixel per cell of four, which is faster.
     """
     library = extra("rawpy", "rawpy", "reading RAW files", "raw")
     try:
@@ -133,11 +132,11 @@ def linear_image(path: Path, content: bytes | None = None, *, half_size: bool = 
 
 
 def _noise(path: Path) -> tuple[float | None, float | None]:
-    """Electrons at white and of read noise by a DNG's NoiseProfile: variance = S · signal + O, signal in [0, 1]."""
+    """Electrons at white and electrons of read noise from a DNG's NoiseProfile: variance = S · signal + O, signal in [0, 1]."""
     profile = tags_of(path).get(_DNG_NOISE_PROFILE)
     if not isinstance(profile, tuple) or len(profile) < 2:
         return None, None
-    # Pairs (S, O), one a color plane; green is the middle one of three.
+    # Pairs (S, O), one per color plane; green is the middle one of three.
     pair = 2 * (len(profile) // 4)
     slope, offset = float(profile[pair]), float(profile[pair + 1])
     if not (math.isfinite(slope) and slope > 0 and math.isfinite(offset) and offset >= 0):

@@ -52,16 +52,17 @@ def reconstruct(
     """Run the pipeline on a station.
 
     With a workspace folder every step is written there, and steps already done with the same inputs and options are not
-    repeated; without one everything stays in memory. A workspace belongs to one station: one of another is refused unless
-    `replace` is true. `until` names the step to run, after those it needs (see malus.workspace.STEPS). `reference` is a PLY cloud or mesh
-    in the world frame to compare the surface with. keep_maps=False lets go of maps that no later step needs: less memory,
-    and the result has what the last step made only; the maps are in the workspace. `progress` and `log` are called from
-    this thread. Ctrl-C stops within a second; what a finished step wrote stays.
+    repeated; without one everything stays in memory. A workspace belongs to one station: the workspace of another station is
+    refused unless `replace` is true. `until` names the last step to run; the steps that it needs run first (see
+    malus.workspace.STEPS). `reference` is a PLY cloud or mesh in the world frame to compare the surface with. keep_maps=False
+    frees maps that no later step needs. This saves memory; the result then has only the maps of the last step, and the other maps
+    are in the workspace. `progress` and `log` are called from this thread. Ctrl-C stops within a second; files of finished
+    steps stay.
 
     A station with [photos] and no [prior] gets its pose and its prior from the photos (malus.photogrammetry, needs the
-    program COLMAP or the package pycolmap); progress then has the steps "photos" and "sweep" too. `cameras` are those of
-    the photos and of the station where they are known (malus.photogrammetry.find_object_cameras); the station then needs
-    neither [photos] nor a pose, but its lens.
+    program COLMAP or the package pycolmap); progress then has the steps "photos" and "sweep" too. `cameras`: cameras of
+    the photos and of the station, if they are known already (malus.photogrammetry.find_object_cameras). With them the
+    station needs neither [photos] nor a pose; it still needs its lens.
 
     Raises malus.InputError, DataError, ExternalError or ResourceError.
     """
@@ -87,7 +88,7 @@ def reconstruct(
         )
 
     def save(folder: Path) -> None:
-        """Steps whose results are in memory are written, not repeated."""
+        """Write steps whose results are in memory, without repeating them."""
         with _folder(None, "raw") as again:
             _core.reconstruct(
                 _readable(station, core, again, lambda _, __: None), settings.to_json(), str(folder), True, None,
@@ -130,10 +131,10 @@ def _result(outcome: dict[str, Any], name: str, workspace: str | Path | None, sa
 
 
 def unpolarized_scene(station: Station, options: Options, workspace: Path, threads: int) -> NDArray[np.float32]:
-    """Unpolarized intensity of all that a station shows (H×W, linear, undistorted); its polarization step stays in `workspace`,
-    which must be no run's.
+    """Unpolarized intensity of a station's whole image, object and background (H×W, linear, undistorted).
 
-    The station's lens must be known. Raises what `reconstruct` raises.
+    The polarization step is written to `workspace`, which must not be the workspace of a run. The station's lens must be known.
+    Raises the errors of `reconstruct`.
     """
     _core.claim_workspace(str(workspace), station._core, True)
     core = _readable(station, station._core, workspace / "raw", lambda _, __: None)
@@ -144,15 +145,15 @@ def unpolarized_scene(station: Station, options: Options, workspace: Path, threa
 
 
 def _needs_photos(station: Station, until: str | None) -> bool:
-    """Whether camera pose and prior are to be made from photos for what is asked."""
+    """Whether a run up to the step `until` must first find camera pose and prior from photos."""
     return station.describe()["prior"] == "photos" and until not in ("polarization", "polarizer", "zenith")
 
 
 def _readable(
     station: Station, core: _core.Station, folder: Path, progress: Callable[[float, str], None]
 ) -> _core.Station:
-    """The station with its RAW files developed into `folder`, once its images are known to be taken alike, and with
-    the cloud of a format that the C++ library does not read.
+    """The station with the inputs that the C++ library cannot read itself: RAW files are developed into `folder`, and clouds in
+    scanner formats are read here. InputError if the images were taken with different camera settings.
     """
     description = station.describe()
     if "prior_cloud" in description and scans.is_scan(Path(description["prior_cloud"])):
@@ -169,7 +170,7 @@ def _readable(
 
 @contextmanager
 def _folder(workspace: str | Path | None, name: str) -> Iterator[Path]:
-    """Where files of Python's part are kept: in the workspace, or for the time of the run."""
+    """Folder for the files that Python writes: `name` in the workspace, or a temporary folder until the context ends."""
     if workspace is not None:
         yield Path(workspace) / name
         return
@@ -188,8 +189,9 @@ def _with_photos(
     log: Callable[[str, str], None],
     known: photogrammetry.StationCameras | None,
 ) -> _core.Station:
-    """The station with the camera and the prior that its photos give: polarization first, whose unpolarized image is
-    placed among the photos, then the sweep in its view, and again about the surface that is fused with it.
+    """The station with camera and prior from its photos. The polarization step runs first; its unpolarized image is oriented
+    among the photos. A sweep then finds depth in the station's view. With the option sweep.again a second sweep starts from the
+    surface fused with the first one.
     """
     warnings: list[str] = []
 
@@ -202,7 +204,7 @@ def _with_photos(
         return note
 
     def fuse(first: photogrammetry.Swept) -> photogrammetry.FusedOnce:
-        """Not in the workspace, whose steps are those of the fusion with the last sweep; what it warns of, they do."""
+        """Fuse in memory: the workspace holds the steps of the fusion with the last sweep, which repeat the warnings of this one."""
         core = station.with_photogrammetry(lens.values(), first.depth, first.sigma, None, "{}", "{}", [])
         outcome = _core.reconstruct(
             core, options.to_json(), None, False, "fuse", None, True, images["results"], threads,
@@ -212,7 +214,7 @@ def _with_photos(
 
     if "camera" in description:
         images = run(station, "polarization")
-    else:  # Not in the workspace either: what counts there is the images once they are undistorted.
+    else:  # Also in memory: the workspace gets the polarization step of the undistorted images, once the lens is known.
         images = _core.reconstruct(
             station, options.to_json(), None, False, "polarization", None, True, None, threads, report, None
         )
@@ -258,7 +260,7 @@ def _with_photos(
 
 
 def _fused_of(description: dict[str, Any], images: dict[str, Any], options: Options) -> dict[str, Any]:
-    """What a surface fused with a sweep depends on, besides that sweep."""
+    """The inputs that determine the surface fused with a sweep, besides the sweep itself."""
     label = description.get("label_image")
     settings = json.loads(options.to_json())
     return {
@@ -271,9 +273,9 @@ def _fused_of(description: dict[str, Any], images: dict[str, Any], options: Opti
     }
 
 
-#: Seconds of the report: of any, and for a megapixel.
+#: Expected seconds for the report: fixed part, and per megapixel.
 _REPORT_SECONDS = (4.0, 3.0)
-#: Seconds of the paper's plates and tables: 25 of them took 11 on an example. They are as large in print for any image.
+#: Expected seconds for the paper's plates and tables: 25 plates took 11 on an example. Plates have the same print size for any image.
 PLATES_SECONDS = 11.0
 
 
@@ -285,9 +287,9 @@ def expected_times(
     cameras_known: bool = False,
     threads: int = ALL_CORES,
 ) -> list[tuple[str, float]]:
-    """Steps of a run in their order and the seconds that each is expected to take, the report at the end among them.
+    """The steps of a run in order, including the report at the end, and the seconds that each is expected to take.
 
-    cameras_known: as `check` has it. Only the images' size and the mask are read. Raises what a run would raise for those.
+    cameras_known: as in `check`. Only the images' size and the mask are read; raises the errors that a run raises for these.
     """
     settings = options or Options()
     description = station.describe()
@@ -297,7 +299,7 @@ def expected_times(
     width, height = size or _core.image_size(str(first)) if first is not None else (0, 0)
     if _needs_photos(station, until):
         planned = photogrammetry.plan(description, settings, threads, 1e-6 * width * height)
-        # The second sweep lies on the surface fused with the first, for which the images are ready.
+        # The second sweep needs a surface fused with the first one: all steps after polarization run once in between.
         between = sum(seconds for step, seconds in times[1:] if step not in ("mesh", "assess"))
         swept = planned.sweeping.seconds + (between if settings.sweep.again else 0.0)
         found = [] if cameras_known else [("photos", planned.finding.seconds)]
@@ -311,15 +313,15 @@ def expected_times(
 def prior_upon_image(
     station: Station, *, threads: int = ALL_CORES
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.float32]]:
-    """The first polarized image as taken (H×W, linear), its mask (H×W, non-zero = object), and the prior's points where the
-    camera sees them: N×3, u, v [px] and distance [station's unit]; none without a camera or a prior.
+    """The first polarized image as taken (H×W, linear), its mask (H×W, non-zero = object), and the prior's points projected into
+    it: N×3, u, v [px] and distance [station's unit]; N = 0 without a camera or a prior.
     """
     with _folder(None, "raw") as folder:
         return _core.check_picture(_readable(station, station._core, folder, lambda _, __: None), threads)
 
 
 def _add_memory(plan: dict[str, Any], photos_mb: float) -> None:
-    """What the photos' stages take, and a warning if only they take more than there is."""
+    """Add the memory of the photos' stages to the plan, and a warning if these stages, and no other steps, exceed the machine's memory."""
     machine_mb = 1e-6 * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     if photos_mb >= machine_mb > plan["memory_mb"]:
         plan["warnings"].append(
@@ -339,9 +341,9 @@ def check(
 ) -> dict[str, Any]:
     """Read everything a station names and say what a run would do, its expected time and memory, and what is wrong.
 
-    cameras_known: it will run with cameras that are found elsewhere, as the stations of an object do.
-    overlay: a PNG file to write, the prior's points and the mask's outline upon the first polarized image; also where a
-    DataError says that they do not meet.
+    cameras_known: the run will be given `cameras` (see `reconstruct`), as for the stations of an object.
+    overlay: a PNG file to write, with the prior's points and the mask's outline on the first polarized image. It is also
+    written when a DataError is raised because prior and images do not fit.
     """
     settings = options or Options()
     with _folder(None, "raw") as folder:
@@ -349,13 +351,13 @@ def check(
         picture = None if overlay is None else _core.check_picture(core, threads)
         try:
             plan: dict[str, Any] = json.loads(_core.check(core, settings.to_json(), threads))
-        except DataError as error:  # such as a cloud beside the object: then a picture says most
+        except DataError as error:  # for example, the cloud lies beside the object: the picture shows that best
             if overlay is not None and picture is not None:
                 write_overlay(Path(overlay), picture, station, [str(error)])
             raise
     if _needs_photos(station, None):
         planned = photogrammetry.plan(station.describe(), settings, threads, 1e-6 * plan["width"] * plan["height"])
-        # After the polarization step, whose image is placed among the photos.
+        # Listed after the polarization step, whose image is oriented among the photos.
         plan["does"][1:1] = [planned.sweep] if cameras_known else [*planned.photos, planned.sweep]
         plan["warnings"] += [] if cameras_known else planned.warnings
         stages = [planned.sweeping] if cameras_known else [planned.finding, planned.sweeping]

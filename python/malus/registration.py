@@ -1,9 +1,10 @@
-"""A reference scan that lies anywhere, brought onto a surface without a rough placement by hand.
+"""Registration of a reference scan in any pose to a surface, without a rough placement by hand.
 
-Both are looked at as elevation maps. The reference is seen from many directions and turned in steps; where its elevations
-correlate best with the surface's (masked normalized correlation by FFT, Padfield 2012) is a candidate. The best ones are
-refined by point-to-plane steps on the maps. One that fits clearly better than every other is the place; else the reference
-is another object, or has no shape that tells turns apart, and nothing is returned. `malus assess` then aligns to the last.
+Both are compared as elevation maps. The reference is viewed from many directions and turned in steps. Each placement where its
+elevations correlate best with those of the surface (masked normalized correlation by FFT, Padfield 2012) is a candidate. The best
+candidates are refined by point-to-plane steps on the maps. If one fits clearly better than every other, it is the result. Otherwise
+the reference is another object, or its shape does not determine its turn, and a DataError is raised. `malus assess` then
+aligns the surfaces precisely.
 """
 
 from __future__ import annotations
@@ -22,25 +23,26 @@ from malus.errors import DataError
 from malus.object.ply import write_ply
 from malus.workspace import Workspace
 
-#: Cells across the surface in the search, and points of the reference then.
+#: Cells across the surface, and points of the reference, in the search.
 _CELLS, _SEARCH_POINTS = 40, 20_000
-#: Directions that a solid reference is seen from, besides those across its flattest side; steps between turns of either.
+#: Number of directions from which a solid reference is viewed, in addition to the two normals of its flattest side; and the steps
+#: between turns for these directions and for the two normals.
 _DIRECTIONS, _TURN_STEP_DEG, _FLAT_TURN_STEP_DEG = 60, 10.0, 5.0
-#: A reference thinner than this share of its length is flat: it is seen from its two sides only.
+#: A reference thinner than this share of its length is flat: it is viewed from its two sides only.
 _FLAT = 0.1
-#: Candidates that are refined, their steps, and cells across the surface then.
+#: Number of candidates that are refined, their steps, and cells across the surface in the refinement.
 _CANDIDATES, _STEPS, _FINE_CELLS = 12, 25, 128
-#: Two placements are one if they differ by less: degrees, and share of the surface's length.
+#: Two placements are the same if they differ by less than this: degrees, and share of the surface's length.
 _SAME_TURN_DEG, _SAME_SHIFT = 8.0, 0.05
-#: What a place must reach: correlation of the elevations, and what is left of 1, with what grids leave of it even at the
-#: right place, beside the next best place's.
+#: Conditions for a placement: the least correlation r of the elevations, and the largest ratio of its 1 − r to the 1 − r of the
+#: next best placement. The third number is added to its 1 − r: the loss that the grids cause even at the right placement.
 _LEAST_CORRELATION, _MOST_OF_NEXT, _OF_GRIDS = 0.7, 0.6, 5e-4
-#: Elevations beyond these percentiles are cut to them: a few pixels on the wall of a rim would outweigh all relief.
+#: Elevations are clipped to these percentiles, because otherwise a few pixels on the wall of a rim would outweigh all relief.
 _PERCENTILES = (2, 98)
-#: Cells of the surface that the reference must cover, as a share.
+#: Share of the surface's cells that the reference must cover.
 _LEAST_COVER = 0.5
 
-#: Points of the surface and of the reference that are looked at, about.
+#: Approximate number of points of the surface and of the reference that are used.
 _SURFACE_POINTS, _REFERENCE_POINTS = 20_000, 100_000
 
 Points = NDArray[np.float64]
@@ -66,10 +68,11 @@ class _Candidate:
 
 
 def place_reference(surface: ArrayLike, towards_camera: ArrayLike, reference: ArrayLike) -> Placement:
-    """Where a reference belongs on a surface; both metric, in one unit.
+    """The motion that takes a reference onto a surface; both metric, in one unit.
 
-    surface: N×3 points, evenly spread, of one side of an object; towards_camera: 3, from where that side is seen; reference: M×3
-    points of the same side or of the whole object, at least as dense. Raises DataError if no placement stands out.
+    surface: N×3 points, evenly spread, of one side of an object; towards_camera: 3, direction from that side to the camera;
+    reference: M×3 points of the same side or of the whole object, at least as dense. Raises DataError if no placement fits clearly
+    better than all others.
     """
     points, scan = _checked(surface, "surface"), _checked(reference, "reference")
     frame, middle = _plane_frame(points, np.asarray(towards_camera, dtype=float))
@@ -91,18 +94,18 @@ def place_reference(surface: ArrayLike, towards_camera: ArrayLike, reference: Ar
             f"{_LEAST_CORRELATION}) and by {next_best:.2f} at another place. It is another object or in another unit, or its shape "
             "does not tell turns apart"
         )
-    # Back from the plane's frame into the world.
+    # From the frame of the plane back to the world frame.
     rotation = frame.T @ best.rotation
     translation = frame.T @ best.translation + middle - rotation @ center
     return Placement(rotation, translation, best.correlation, next_best)
 
 
 def register_reference(work: str | Path, reference: str | Path) -> Path:
-    """Bring a reference (PLY or XYZ, of a mesh its vertices; station unit) from anywhere onto the surface of a workspace.
+    """Register a reference (PLY or XYZ; only the vertices of a mesh; station unit) in any pose to the surface of a workspace.
 
-    Leaves WORK/reference/registered.ply, a cloud in the world frame of the station, and registration.json: the motion and how well
-    the elevations agree. Returns the former's path. Raises InputError for a file that cannot be read, DataError if no place
-    stands out.
+    Writes WORK/reference/registered.ply, a cloud in the world frame of the station, and registration.json, with the motion and the
+    correlation of the elevations. Returns the path of registered.ply. Raises InputError for a file that cannot be read, DataError
+    if no placement fits clearly better than all others.
     """
     workspace = Workspace(work)
     scan = _core.read_points(str(reference))
@@ -142,7 +145,7 @@ def _checked(values: ArrayLike, name: str) -> Points:
 
 
 def _plane_frame(points: Points, towards_camera: Points) -> tuple[Points, Points]:
-    """Axes as rows (two in the plane that fits, its normal on the camera's side), and the mean of the points."""
+    """Axes as rows (two in the fitted plane, and its normal on the camera's side), and the mean of the points."""
     middle = points.mean(0)
     axes = np.linalg.svd((points - middle)[:: max(1, len(points) // 20000)], full_matrices=False)[2]
     normal = axes[2] * np.sign(axes[2] @ towards_camera or 1.0)
@@ -150,8 +153,8 @@ def _plane_frame(points: Points, towards_camera: Points) -> tuple[Points, Points
 
 
 def _directions(scan: Points) -> list[tuple[Points, float]]:
-    """Frames (axes as rows) from which a reference about its mean is looked at, the last axis to the viewer; and the step between
-    its turns in degrees.
+    """Frames (axes as rows, the last one towards the viewer) in which a reference, centered on its mean, is viewed, each with the
+    step between its turns in degrees.
     """
     _, extents, axes = np.linalg.svd(scan[:: max(1, len(scan) // 20000)], full_matrices=False)
     normals = [axes[2], -axes[2]]
@@ -183,7 +186,7 @@ def _elevations(points: Points, cell: float) -> tuple[Grid, Points]:
 
 
 def _relief(grid: Grid) -> Grid:
-    """Elevations above the plane that fits them, without outliers."""
+    """Elevations above the fitted plane, with outliers clipped."""
     row, column = np.nonzero(np.isfinite(grid))
     design = np.stack([row, column, np.ones(len(row))], -1)
     values = grid[row, column] - design @ np.linalg.lstsq(design, grid[row, column], rcond=None)[0]
@@ -193,7 +196,7 @@ def _relief(grid: Grid) -> Grid:
 
 
 class _Correlator:
-    """Masked normalized correlation of one grid with others at every shift."""
+    """Masked normalized correlation of one grid with other grids at every shift."""
 
     def __init__(self, grid: Grid, largest: tuple[int, int]) -> None:
         self._shape = (grid.shape[0] + largest[0], grid.shape[1] + largest[1])
@@ -203,7 +206,7 @@ class _Correlator:
         self._of = [np.fft.rfft2(part, self._shape).conj() for part in (known, values, values**2)]
 
     def best(self, other: Grid) -> tuple[float, int, int]:
-        """Largest correlation, and the shift (rows, columns) of the grid in the other one that has it."""
+        """Largest correlation, and the shift (rows, columns) of this grid in the other grid at which it occurs."""
         known = np.isfinite(other)
         values = np.where(known, other, 0)
         of = [np.fft.rfft2(part, self._shape) for part in (known, values, values**2)]
@@ -222,7 +225,7 @@ class _Correlator:
         correlation[(count < _LEAST_COVER * self._count) | (np.minimum(own_variance, other_variance) <= 0)] = -1
         row, column = np.unravel_index(np.argmax(correlation), self._shape)
         value = float(correlation[row, column])
-        # Shifts past the middle are negative ones.
+        # The FFT is periodic: shifts beyond the other grid are negative shifts.
         rows, columns = other.shape
         return (
             value,
@@ -232,7 +235,7 @@ class _Correlator:
 
 
 def _search(local: Points, scan: Points, cell: float) -> list[_Candidate]:
-    """The best place for each direction, kept if it is among the best of all."""
+    """The best placements among all directions and turns, without duplicates."""
     scan = scan[:: max(1, len(scan) // _SEARCH_POINTS)]
     grid, origin = _elevations(local, cell)
     diagonal = int(np.ceil(2 * np.linalg.norm(scan, axis=1).max() / cell)) + 2
@@ -261,7 +264,7 @@ def _search(local: Points, scan: Points, cell: float) -> list[_Candidate]:
 
 
 def _spacing(scan: Points, candidates: list[_Candidate], cell: float) -> float:
-    """Mean distance of the reference's points as the best candidate shows them: finer cells would have holes."""
+    """Mean distance of the reference's points in the view of the best candidate; finer cells would have holes."""
     if not candidates:
         return 0.0
     grid, _ = _elevations(scan @ candidates[0].rotation.T, cell)
@@ -269,7 +272,7 @@ def _spacing(scan: Points, candidates: list[_Candidate], cell: float) -> float:
 
 
 def _refined(local: Points, scan: Points, start: _Candidate, cell: float) -> _Candidate:
-    """Point-to-plane steps of the surface onto the reference's elevations, and their correlation in the end."""
+    """The candidate after point-to-plane steps between the surface and the reference's elevations, with its final correlation."""
     rotation, translation = start.rotation, start.translation
     points = local[:: max(1, len(local) // _SURFACE_POINTS)]
     correlation = -1.0
@@ -281,7 +284,7 @@ def _refined(local: Points, scan: Points, start: _Candidate, cell: float) -> _Ca
         inside = (row >= 0) & (row < grid.shape[0]) & (column >= 0) & (column < grid.shape[1])
         row, column, at = row[inside], column[inside], points[inside]
         slope = np.stack([gradient[1][row, column], gradient[0][row, column]], -1)
-        # The reference's elevation at the point itself, not at its cell's center.
+        # Interpolate the reference's elevation at the point itself, not at its cell's center.
         beside = at[:, :2] - (origin + cell * np.stack([column, row], -1))
         elevation = grid[row, column] + (slope * beside).sum(1)
         known = np.isfinite(elevation)
@@ -300,7 +303,7 @@ def _refined(local: Points, scan: Points, start: _Candidate, cell: float) -> _Ca
 
 
 def _step(at: Points, slope: Points, off: NDArray[np.float64]) -> tuple[Points, Points]:
-    """Small motion of the reference that takes its elevations towards the points; off: what they lie above it."""
+    """Small motion of the reference that takes its elevations towards the points; off: height of the points above the reference."""
     normal = np.column_stack([-slope, np.ones(len(slope))])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     distance = off * normal[:, 2]
@@ -308,7 +311,7 @@ def _step(at: Points, slope: Points, off: NDArray[np.float64]) -> tuple[Points, 
     weight = np.maximum(0, 1 - (distance / limit) ** 2) ** 2
     rows = np.column_stack([np.cross(at, normal), normal])
     matrix = rows.T @ (weight[:, None] * rows)
-    # A little damping: what the shapes leave free, such as the turn of a disk, is not moved.
+    # A little damping: motions that the shape does not determine, such as the turn of a disk, stay zero.
     matrix[np.diag_indices(6)] *= 1 + 1e-6
     motion = np.linalg.lstsq(matrix, rows.T @ (weight * distance), rcond=1e-9)[0]
     angle = float(np.linalg.norm(motion[:3]))
@@ -321,7 +324,9 @@ def _step(at: Points, slope: Points, off: NDArray[np.float64]) -> tuple[Points, 
 
 
 def _correlation(at: Points, elevation: NDArray[np.float64]) -> float:
-    """Of two elevations over the same places, the plane of the first one taken out of both, without outliers."""
+    """Correlation of two elevations at the same points, after the plane fitted to the first is subtracted from both and outliers
+    are clipped.
+    """
     design = np.column_stack([at[:, :2], np.ones(len(at))])
     plane = design @ np.linalg.lstsq(design, at[:, 2], rcond=None)[0]
     a, b = at[:, 2] - plane, elevation - plane

@@ -1,4 +1,4 @@
-"""Parts of a surface that are left out of an export, or closed in it: what is too uncertain, and holes."""
+"""Repairs of a surface for an export: uncertain parts are removed, holes are closed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from malus._extra import extra
 from malus.errors import DataError
 from malus.surface import normals_from_depth
 
-#: Color of what was filled and not measured, sRGB.
+#: Color of filled pixels, which were not measured, sRGB.
 FILLED_COLOR = (255, 0, 255)
 
 
@@ -31,10 +31,10 @@ def trimmed(surface: FusedSurface, largest_sigma: float) -> FusedSurface:
 
 
 def filled(surface: FusedSurface) -> tuple[FusedSurface, NDArray[np.bool_]]:
-    """The surface with its holes closed, and which pixels were filled, H×W.
+    """The surface with its holes closed, and a mask of the filled pixels, H×W.
 
-    A hole is a part without depth that the surface surrounds. It is filled by the membrane (Laplace's equation in inverse depth) over its
-    border: a plane stays a plane. Nothing is measured there: the standard deviation is missing.
+    A hole is a part without depth that the surface surrounds. It is filled with the membrane through its border (Laplace's equation in
+    inverse depth), which continues a plane exactly. Filled pixels get no standard deviation, because nothing was measured there.
     """
     ndimage, sparse, linalg = (
         extra(name, "scipy", "--fill") for name in ("scipy.ndimage", "scipy.sparse", "scipy.sparse.linalg")

@@ -29,9 +29,9 @@ from malus.report_head import accuracy_of, head_of
 from malus.trust import what_to_trust
 from malus.workspace import STEPS, Workspace, WorkspaceGiver
 
-#: The surfaces that figures compare, in their order.
+#: The surfaces that the report compares, in the order of its tables.
 SURFACES = ("prior", "polarization", "fused")
-#: What the checks of the inputs look at, by the names in evidence/findings.json.
+#: Titles of the checks of the inputs, by their names in evidence/findings.json.
 CHECKS = {
     "registration": "Registration of the images",
     "order": "Order of the images",
@@ -46,7 +46,7 @@ CHECKS = {
     "phase": "Polarization against the prior's slopes",
     "prior": "Place of the prior in the images",
 }
-#: Parts of quality.json that only some runs have, with their headings; a row for each number that has words.
+#: Parts of quality.json that only some runs have, with their headings; their tables have a row for each number in `WORDS`.
 _OTHERS = (("photogrammetry", "Photographs"), ("sweep", "Stereo sweep"))
 
 
@@ -57,23 +57,23 @@ def _number(value: Any, digits: int = 3) -> str:
         return "yes" if value else "no"
     if isinstance(value, str):
         return value
-    # From here on %g would turn to an exponent.
+    # For larger numbers %g would switch to an exponent.
     return printed(f"{value:.{digits}g}" if abs(value) < 10**digits - 0.5 else f"{value:.0f}")
 
 
 def confidence_lines(level: str, reasons: Sequence[str], assessed: bool) -> list[str]:
-    """How far a surface may be trusted and why, a line each; one that is not assessed may turn out worse."""
+    """The confidence in a surface, and its reasons, one per line; the confidence of a surface that is not assessed yet may still fall."""
     return [f"confidence: {level}{'' if assessed else ', not assessed yet'}", *(f"  {reason}" for reason in reasons)]
 
 
 def _other_warnings(quality: Mapping[str, Any]) -> list[str]:
-    """The warnings that are not among the reasons already."""
+    """The warnings that are not among the reasons of the confidence."""
     reasons = quality["confidence"]["reasons"]
     return [warning for warning in quality["warnings"] if not any(warning.endswith(reason) for reason in reasons)]
 
 
 def summary_lines(quality: Mapping[str, Any], size: tuple[float, float] | None) -> list[str]:
-    """What a person wants to know first, a line each, for the terminal; size: of the object, in the station's unit."""
+    """The summary for the terminal, as lines; size: of the object, in the station's unit."""
     unit = quality["unit"]
     extent = "" if size is None else f"{sides(size, unit).replace('×', 'x')}, "
     lines = [
@@ -98,7 +98,7 @@ def summary_lines(quality: Mapping[str, Any], size: tuple[float, float] | None) 
 
 
 def _inside(value: Any, key: str) -> list[Any]:
-    """What an object or list has under a key, "a|b" for one of two and "*" for any; nothing if there is none."""
+    """The values of an object or list under a key; "a|b" stands for either of two keys, "*" for all. Empty if there are none."""
     if value is None:
         return []
     items = {str(k): inner for k, inner in enumerate(value)} if isinstance(value, list) else value
@@ -118,9 +118,10 @@ class _Quality:
         return value
 
     def element(self, path: str, digits: int = 3, factor: float = 1, among: str = "") -> Markup:
-        """The number as people read it, in an element that keeps the exact value and where it stands.
+        """The number in readable form, in an HTML element that also states the exact value and its path.
 
-        `among`: the paths of the numbers that it stands below or above, a|b for one of two keys and * for any; all get as many decimals.
+        `among`: pattern for the paths of all numbers in the same column (a|b: either of two keys, *: any key), which get the same
+        number of decimals.
         """
         value = self.at(path)
         number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -138,7 +139,7 @@ class _Quality:
         return [value for value in found if value is not None]
 
     def named(self, section: str) -> list[tuple[str, str]]:
-        """Words and path of everything in a section that has words."""
+        """Words and path of every number in a section that `WORDS` has an entry for."""
         return [
             (words, f"{section}.{path}")
             for path, words in WORDS[section].items()
@@ -163,7 +164,7 @@ def _figures(plates: Plates) -> dict[str, list[Figure]]:
 
 
 def _plates_of_the_paper(plates: Plates) -> dict[str, list[Figure]]:
-    """Fig. 1c, 9 and 14 of the paper, by the section that they belong to."""
+    """Fig. 1c, 9 and 14 of the paper, by the section of the report to which they belong."""
     return {
         "polarization": list(paper_plates.sinusoids(plates)),
         "uncertainty": list(paper_plates.cloud(plates)),
@@ -184,7 +185,7 @@ def _changed_options(options: Mapping[str, Any]) -> list[tuple[str, Any]]:
 
 
 def _term(name: str, text: str | None = None) -> Markup:
-    """A term of the glossary, as `text` or itself, with its definition on hovering and for screen readers."""
+    """A term of the glossary, shown as `text` or as the term itself, with its definition on hovering and for screen readers."""
     return Markup('<abbr title="{}">{}</abbr>').format(definitions()[name], text or name)
 
 
@@ -194,9 +195,9 @@ def _compare(plates: Plates) -> dict[str, bytes]:
 
 
 def _trust(plates: Plates) -> bytes | None:
-    """Where the surface is refined and where it is the prior's, over its relief shading."""
+    """The trust map over relief shading: where the surface is refined, and where it is the prior's."""
     if plates.quality["confidence"]["level"] == "low" or not plates.workspace.has("fused/trust.png"):
-        return None  # Colors that look like parts that can be trusted would contradict the words.
+        return None  # With low confidence, a map that shows trusted parts would contradict the text.
     return encode(plates.trust_picture()[plates.object_box()], "WEBP", quality=85)
 
 
@@ -215,9 +216,9 @@ def _sections(quality: Mapping[str, Any], figures: Mapping[str, list[Figure]]) -
 def write_report(work: str | Path | WorkspaceGiver, output: str | Path | None = None) -> Path:
     """Write the report of a workspace or a result; returns the page's path.
 
-    In a workspace it is WORK/report/index.html, with its figures as PNG and CSV beside it. With `output`, which a result in
-    memory needs, the page alone is also written there. Raises InputError unless all that it shows is as the steps left it,
-    from images to figures.
+    In a workspace the page is WORK/report/index.html, with its figures as PNG and CSV beside it. With `output`, which a result in
+    memory needs, a copy of the page alone is written there, too. Raises InputError if a file that the report shows was changed
+    after its step wrote it.
     """
     if not isinstance(work, (str, PathLike)):
         if output is None and work.workspace is None:
@@ -297,7 +298,7 @@ def open_report(work: str | Path) -> Path:
 
 
 def open_page(page: Path) -> Path:
-    """Show a file in the web browser; ExternalError if there is none."""
+    """Show a file in the web browser; ExternalError if no browser can be started."""
     if not webbrowser.open(resolved(page).as_uri()):
         raise ExternalError(f"no web browser could be started; open {page} in one")
     return page

@@ -1,4 +1,4 @@
-"""What the report says first beside how sure it is: a photograph, how large and how accurate, what polarization changed."""
+"""The head of the report, beside the confidence: a photograph, size and accuracy of the surface, and what polarization changed."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from malus.lengths import scale_bar, shown, sides
 from malus.trust import is_the_prior
 from malus.workspace import Workspace
 
-#: A spread that is this much larger or smaller is said to be so.
+#: Ratio of two spreads from which on the report calls the surface rougher or flatter.
 _NOTABLE = 1.1
-#: Share of the object on which the prior has no data, from which on that is said beside what is covered.
+#: Share of the object without data in the prior from which on the report mentions it beside the coverage.
 _NOTABLE_HOLES = 0.1
 
 
@@ -27,14 +27,14 @@ class Head:
     photograph: bytes
     width_px: int
     height_px: int
-    #: Share of the photograph's width that the scale bar takes, per cent, and what it is long.
+    #: Width of the scale bar in per cent of the photograph's width, and its length as text.
     bar_percent: float
     bar_label: str
     size: str
     accuracy: str
     accuracy_note: str
     pixel: str
-    #: What the share of pixels with a surface is to be taken for.
+    #: What the coverage means.
     covered_note: str
     gains_title: str
     gains: list[str]
@@ -42,7 +42,7 @@ class Head:
 
 
 def size_of_object(workspace: Workspace) -> tuple[float, float] | None:
-    """Width and height of the object [station's unit] as the prior has it in view; None if nothing says them."""
+    """Width and height of the object [station's unit] from the prior in the station's view; None if no check has measured them."""
     if not workspace.has("evidence/findings.json"):
         return None
     found = [finding["figures"] for finding in workspace.findings if finding["check"] == "size"]
@@ -50,14 +50,14 @@ def size_of_object(workspace: Workspace) -> tuple[float, float] | None:
 
 
 def head_of(plates: Plates, extent: list[float]) -> Head:
-    """The head for a workspace; `extent`: width and height of the surface [station's unit], for one whose prior says none."""
+    """The head for a workspace; `extent`: width and height of the surface [station's unit], used if the prior's are not known."""
     quality, unit = plates.quality, plates.unit
     window = plates.object_box()
     color = plates.workspace.color()
     color = color if color.ndim == 3 else color[..., None]
     small = np.stack([plates.small(color[..., c]) for c in range(color.shape[2])], -1)[window]
     picture = np.nan_to_num(np.broadcast_to(small, (*small.shape[:2], 3))).astype(np.float32)
-    # Everything in the window counts for the brightness.
+    # All pixels of the window determine the brightness, not only those with a surface.
     shown_picture = _core.display_image(
         np.ascontiguousarray(picture), np.ones(picture.shape[:2], dtype=np.float32), 99.0
     )
@@ -73,7 +73,7 @@ def head_of(plates: Plates, extent: list[float]) -> Head:
 
 
 def accuracy_of(quality: Mapping[str, Any], gsd: float) -> tuple[str, str]:
-    """The surface's standard deviation as people say it, and what it means."""
+    """The surface's standard deviation as text, and a note on what it means."""
     if not quality["sigma"]:
         return "not known", "the run did not estimate it"
     median, most = (shown(quality["sigma"][key] * gsd, quality["unit"]) for key in ("median_gsd", "p95_gsd"))
@@ -83,7 +83,7 @@ def accuracy_of(quality: Mapping[str, Any], gsd: float) -> tuple[str, str]:
 
 
 def covered_of(quality: Mapping[str, Any]) -> str:
-    """What the share of pixels with a surface is to be taken for."""
+    """What the share of pixels with a surface means."""
     note = "of the object's pixels have a surface"
     filled = (quality.get("prior") or {}).get("filled_fraction") or 0.0
     return (
@@ -94,17 +94,17 @@ def covered_of(quality: Mapping[str, Any]) -> str:
 
 
 def is_worse(patch: Mapping[str, Any]) -> bool:
-    """Whether fusion has made a flat patch rougher."""
+    """Whether fusion made a flat patch notably rougher."""
     return bool(patch["prior"] and patch["fused"]) and patch["fused"]["rmse"] > _NOTABLE * patch["prior"]["rmse"]
 
 
 def is_better(patch: Mapping[str, Any]) -> bool:
-    """Whether fusion has made a flat patch flatter."""
+    """Whether fusion made a flat patch notably flatter."""
     return bool(patch["prior"] and patch["fused"]) and patch["prior"]["rmse"] >= _NOTABLE * patch["fused"]["rmse"]
 
 
 def gains_title(quality: Mapping[str, Any]) -> str:
-    """A change is called a gain only where something that is known speaks for it, and nothing against it."""
+    """Heading of the changes. They are called a gain only if a flat patch became flatter, none rougher, and the confidence is not low."""
     patches = quality["patches"]
     proven = any(is_better(patch) for patch in patches) and not any(is_worse(patch) for patch in patches)
     gained = quality["confidence"]["level"] != "low" and proven
@@ -112,7 +112,7 @@ def gains_title(quality: Mapping[str, Any]) -> str:
 
 
 def gains_of(quality: Mapping[str, Any], unit: str) -> list[str]:
-    """What fusion changed against the coarse surface, a sentence each; nothing where the surface is that one."""
+    """Sentences on what fusion changed compared with the coarse surface; none if the result is the coarse surface."""
     if is_the_prior(quality):
         return []
     lines = []
@@ -137,7 +137,7 @@ def gains_of(quality: Mapping[str, Any], unit: str) -> list[str]:
 
 
 def finishes_of(quality: Mapping[str, Any]) -> str:
-    """That the refinement found two finishes on the object, in a sentence; "" for one."""
+    """A sentence if the refinement found two finishes on the object; "" if it found one."""
     found = (quality.get("refinement") or {}).get("surroundings") or {}
     if not found.get("other_finish_share"):
         return ""

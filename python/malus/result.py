@@ -35,9 +35,9 @@ class Result:
 
     depth: H×W float32, z in the station camera, station unit, NaN = none. normals: H×W×3 float32, unit, camera frame (x
     right, y down, z forward), towards the camera. sigma: H×W float32, one standard deviation of depth. prior_depth: the
-    coarse surface. camera: of all rasters, with its pose. status: how the fusion ended, "converged" if well. confidence:
-    how far the surface may be trusted. warnings: of all steps, "<step>: <sentence>". quality: every figure of the report (as
-    quality.json). A step that was not run leaves None.
+    coarse surface. camera: the camera of all rasters, with its pose. status: how the fusion ended, on success "converged" for
+    a solver and "done" for the grid transfer. confidence: how far the surface may be trusted. warnings: those of all steps,
+    "<step>: <sentence>". quality: every figure of the report (as quality.json). Fields of steps that were not run are None.
     """
 
     name: str
@@ -65,9 +65,9 @@ class Result:
         return None if self.camera is None else self.camera.pose()
 
     def save(self, workspace: str | Path) -> None:
-        """Write everything into a workspace folder, as a run with `workspace` does; what is there is replaced.
+        """Write everything into a workspace folder, as `malus.reconstruct` does with `workspace`; a workspace in that folder is replaced.
 
-        Steps that were not run yet are run. Raises InputError for a result that another process sent.
+        Steps that were not run yet are run now. Raises InputError for a result that was unpickled, such as one from another process.
         """
         if self._save is None:
             raise InputError(f"{self.name}: the result comes from another process, expected one of malus.reconstruct")
@@ -75,7 +75,7 @@ class Result:
 
     @contextmanager
     def in_workspace(self) -> Iterator[Path]:
-        """The workspace of the run, or one for the time of the context."""
+        """The workspace of the run; for a result in memory, a temporary workspace that exists until the context ends."""
         if self.workspace is not None:
             yield self.workspace
             return
@@ -92,7 +92,7 @@ class Result:
         return open_page(write_report(self, Path(tempfile.mkdtemp(prefix="malus-")) / f"{self.name}.html"))
 
     def pictures(self) -> dict[str, NDArray[np.uint8]]:
-        """Relief shading of prior and fused surface, as far as they exist: title → gray and alpha, at most 480 px wide or high."""
+        """Relief shadings of prior and fused surface, of each only if it exists: title → gray and alpha, at most 480 px wide or high."""
         from malus.figures import flattened, gray, hillshade, reduced, step_for
 
         pictures = {}

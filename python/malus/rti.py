@@ -1,7 +1,7 @@
-"""The object under any light for RTI viewers: a polynomial texture map (PTM 1.2, Malzbender, Gelb and Wolters 2001).
+"""The object under any light direction, for RTI viewers: a polynomial texture map (PTM 1.2, Malzbender, Gelb and Wolters 2001).
 
-RTIViewer and Relight read it. It is made of the measured normals and the color without shading, not of photographs under many lights:
-a matte object under a light from each direction, without cast shadows.
+RTIViewer and Relight read it. It is computed from the measured normals and the color without shading, not from photographs under many
+lights: it shows a matte object under a light from any direction, without cast shadows.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from malus.viewer import object_window, unshaded_color, viewer_normals
 from malus.workspace import Workspace
 from malus.xmp import save_png, tag_png
 
-#: More than viewers of PTM files open.
+#: Longest side of the map in pixels: viewers of PTM files do not open more.
 _SIDE_PX = 8192
 _QUALITY = 95
 
@@ -33,7 +33,7 @@ def basis(directions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _hemisphere(count: int) -> NDArray[np.float64]:
-    """Directions to lights spread evenly above 10 degrees over the object's plane (a Fibonacci spiral)."""
+    """Directions to lights, spread evenly over the hemisphere from 10 degrees above the object's plane (a Fibonacci spiral)."""
     k = np.arange(count) + 0.5
     z = 1 - k / count * (1 - np.sin(np.radians(10)))
     angle = np.pi * (1 + np.sqrt(5)) * k
@@ -44,7 +44,7 @@ def _hemisphere(count: int) -> NDArray[np.float64]:
 def polynomial(normals: NDArray[np.float64]) -> NDArray[np.float64]:
     """Coefficients (N×6) of the brightness max(0, n · l) of matte surfaces with these unit normals (N×3).
 
-    Lights that a steep surface turns away from bend the polynomial; it is fitted to all of them.
+    The polynomial is fitted to all lights, including those behind the surface, where the brightness is 0.
     """
     lights = _hemisphere(120)
     inverse = np.linalg.pinv(basis(lights))
@@ -62,7 +62,7 @@ def write_ptm(path: Path, coefficients: NDArray[np.float64], colors: NDArray[np.
     low, high = coefficients.min((0, 1)), coefficients.max((0, 1))
     scale = np.maximum(high - low, 1e-6) / 255
     bias = np.clip(np.rint(-low / scale), -32768, 32767).astype(int)
-    # Brightness 1 is 256 by the format.
+    # The format stores brightness 1 as 256.
     stored = np.clip(np.rint(coefficients / scale + bias), 0, 255).astype(np.uint8)
     header = (
         f"PTM_1.2\nPTM_FORMAT_LRGB\n{width}\n{height}\n"
@@ -70,15 +70,16 @@ def write_ptm(path: Path, coefficients: NDArray[np.float64], colors: NDArray[np.
     )
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(header.encode())
-        # Rows from the bottom up.
+        # The format stores rows from the bottom up.
         file.write(stored[::-1].tobytes())
         file.write(colors[::-1].tobytes())
 
 
 @dataclass(frozen=True)
 class Relightable:
-    """An object in the station's view: normals (H×W×3, x right, y up, z to the viewer, NaN = none), colors without shading (H×W×3), PTM
-    coefficients (H×W×6), how many pixels of the station one of them is wide, and whether highlights were taken out of the colors.
+    """An object in the station's view: normals (H×W×3, x right, y up, z to the viewer, NaN = none), colors without shading (H×W×3) and
+    PTM coefficients (H×W×6). step: side of one of these pixels in pixels of the station. without_highlights: whether highlights were
+    removed from the colors.
     """
 
     normals: NDArray[np.float64]
@@ -89,7 +90,7 @@ class Relightable:
 
 
 def relightable(workspace: Workspace) -> Relightable:
-    """The fused surface of a workspace for any light."""
+    """The fused surface of a workspace with its PTM coefficients."""
     window = object_window(workspace.raster("fused/depth.tif"), _SIDE_PX)
     normals = viewer_normals(workspace.raster("fused/normals.tif"), window)
     mirrored = workspace.mirrored_share()
@@ -110,15 +111,15 @@ def write_rti(workspace: Workspace, path: Path) -> None:
 
 
 def write_relight(workspace: Workspace, folder: Path, said: dict[str, str], xmp: str) -> Path:
-    """Write the same for OpenLIME and RelightLab: info.json with planes of coefficients as JPEG, and layers normals.png and
-    albedo.png; of a surface without a reflection model, whose highlights stay in its colors, unshaded.png.
+    """Write the polynomial texture map for OpenLIME and RelightLab: info.json with planes of coefficients as JPEG, and the layers
+    normals.png and albedo.png. Without a reflection model highlights stay in the colors; the layer is then called unshaded.png.
 
     The planes: color, then the coefficients of 1, u, v and of u², uv, v²; a value is (level − bias) · scale with levels 0 … 1.
-    What is `said` of the surface goes into info.json ("about"), which viewers pass over, and `xmp` into the layers.
-    InputError if the folder is there already.
+    `said` (the statements about the surface) is stored in info.json under "about", which viewers ignore, and `xmp` in the layers.
+    InputError if the folder exists already.
     """
     found = relightable(workspace)
-    # Ours are of u², v², uv, u, v, 1.
+    # The coefficients here are of u², v², uv, u, v, 1, in this order.
     ordered = found.coefficients[..., [5, 3, 4, 0, 2, 1]]
     low, high = ordered.min((0, 1)), ordered.max((0, 1))
     scale = np.maximum(high - low, 1e-6)
@@ -140,9 +141,9 @@ def write_relight(workspace: Workspace, folder: Path, said: dict[str, str], xmp:
     shown = np.nan_to_num(found.normals, nan=0.0)
     with new_folder(folder) as new:
         for k, plane in enumerate((found.colors, levels[..., :3], levels[..., 3:])):
-            # Without halved colors: these are numbers.
+            # No chroma subsampling: the channels of the planes are coefficients.
             Image.fromarray(np.ascontiguousarray(plane)).save(new / f"plane_{k}.jpg", quality=_QUALITY, subsampling=0)
-        # 16 bits, as 8 would round directions to half a degree; and no color profile, as it is no color.
+        # 16 bits, because 8 bits would round directions to half a degree. No color profile, because normals are not colors.
         _core.write_png16(str(new / "normals.png"), normal_levels(shown))
         tag_png(new / "normals.png", xmp)
         save_png(new / ("albedo.png" if found.without_highlights else "unshaded.png"), found.colors, xmp)

@@ -1,4 +1,4 @@
-"""Point clouds in LAS and E57 as a station's prior, before the C++ library runs (extra `export`: laspy, pye57)."""
+"""Reading point clouds in LAS and E57 as a station's prior, before the C++ library runs (extra `export`: laspy, pye57)."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from malus._extra import extra
 from malus.errors import InputError
 from malus.units import METERS
 
-#: What only the Python package reads (io/point_cloud_file.cpp says so to users of malus-station).
+#: Formats that only the Python package reads (io/point_cloud_file.cpp tells this to users of malus-station).
 SUFFIXES = frozenset((".las", ".laz", ".e57"))
 _NORMALS = {".las": ("normal_x", "normal_y", "normal_z"), ".e57": ("nor:normalX", "nor:normalY", "nor:normalZ")}
 
 
 def is_scan(path: Path) -> bool:
-    """Whether the name is that of a cloud in one of these formats."""
+    """Whether the file's suffix is that of a cloud in LAS or E57."""
     return path.suffix.lower() in SUFFIXES
 
 
 def read_scan(path: Path, unit: str) -> tuple[NDArray[np.float64], NDArray[np.float32] | None]:
     """Points (N×3, in `unit`) and their normals (N×3) if the file has them.
 
-    LAS has no unit: its coordinates are taken as they stand. E57 is in meters by its standard. All scans of an E57 file
-    are taken, each in the file's common frame. Raises InputError for a file that cannot be read or has no points.
+    LAS states no unit: its coordinates are taken to be in `unit`. E57 is in meters by its standard. All scans of an E57 file
+    are read, transformed into the file's common frame. Raises InputError for a file that cannot be read or has no points.
     """
     try:
         points, normals = _read_e57(path, unit) if path.suffix.lower() == ".e57" else _read_las(path)
@@ -43,7 +43,7 @@ def _read_las(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float32] | No
         content = library.read(path)
     except (MemoryError, OSError):
         raise
-    except Exception as error:  # a damaged file makes laspy raise whatever its content leads to
+    except Exception as error:  # for a damaged file laspy may raise any exception
         raise ValueError(error) from None
     names = _NORMALS[".las"]
     normals = None
@@ -56,7 +56,7 @@ def _require_possible_records(path: Path) -> None:
     """ValueError for a LAS header that counts more records than the file has room for; laspy would try to read them all."""
     with path.open("rb") as file:
         header = file.read(375)
-    # Offsets and least lengths of variable length records and, since version 1.4, extended ones.
+    # Offsets of the counts, and least lengths, of variable length records and, since version 1.4, of extended ones.
     for offset, length in ((100, 54), (243, 60)):
         if len(header) < offset + 4 or (offset == 243 and header[25] < 4):
             continue

@@ -1,4 +1,4 @@
-"""The command line for shells and readers: completion of commands, options and files, and a manual page, both from its parsers."""
+"""Shell completion of commands, options and files, and a manual page, both generated from the command line's parsers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def manual(parser: argparse.ArgumentParser) -> str:
 
 
 def _parsers(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
-    """A parser and those of its commands."""
+    """A parser and the parsers of its commands."""
     yield parser
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):

@@ -19,7 +19,7 @@ from malus.errors import InputError
 
 
 class PolarizedValues(TypedDict, total=False):
-    """[polarized] of a station file, without files: how the images are to be read (docs/station-file.md)."""
+    """[polarized] of a station file without the names of the images: how the images are to be read (docs/station-file.md)."""
 
     angle_direction: Literal["ccw", "cw"]
     angle_zero_deg: float
@@ -38,7 +38,7 @@ class PolarizedValues(TypedDict, total=False):
 
 
 class OpticsValues(TypedDict, total=False):
-    """[optics]; `reflection` may be the file of a label image."""
+    """[optics]; `reflection` may also be the path of a label image."""
 
     refractive_index: float | Literal["auto"]
     reflection: str
@@ -60,7 +60,7 @@ class SphereValues(TypedDict):
 
 
 class CylinderValues(TypedDict):
-    """[prior].cylinder, world frame, in the station's unit: round and endless; `point` is on its axis."""
+    """[prior].cylinder, world frame, in the station's unit: circular and of infinite length; `point` is on its axis."""
 
     point: Sequence[float]
     axis: Sequence[float]
@@ -68,7 +68,7 @@ class CylinderValues(TypedDict):
 
 
 class PriorValues(TypedDict, total=False):
-    """[prior]: one of three files or of three shapes, and its standard deviation, which shapes need."""
+    """[prior]: one file (cloud, mesh, depth) or one shape (plane, sphere, cylinder), and its standard deviation, required for a shape."""
 
     cloud: str
     mesh: str
@@ -86,7 +86,7 @@ class PatchValues(TypedDict, total=False):
     box: Required[Sequence[int]]
 
 
-#: [[profile]]: pixels [x, y].
+#: [[profile]]: its two ends, each a pixel [x, y].
 ProfileValues = TypedDict("ProfileValues", {"name": str, "from": Sequence[float], "to": Sequence[float]}, total=False)
 
 
@@ -130,18 +130,18 @@ class Station:
     ) -> None:
         """Build a station in code.
 
-        images: K arrays H×W or, in color, H×W×3, by default linear intensities in [0, 1] of the white level; angles_deg:
-        K polarizer angles, counter-clockwise from image +x as displayed, "auto" where they are not known, or None with a
-        mosaic, which states them. At most one prior is given, and it is needed for more than the polarization maps and
-        the height from them: prior_points (N×3, world frame, in `unit`) with or without prior_normals (N×3, towards the
-        camera), prior_depth (H×W z-depth of the undistorted view, NaN = none), or `prior`, a file or a shape. prior_sigma:
-        standard deviation of the points or the depth, in `unit`. mask: H×W, non-zero = object. refractive_index None means
-        "auto".
+        images: K arrays H×W or, in color, H×W×3, by default linear intensities in [0, 1] of the white level. angles_deg:
+        K polarizer angles, counter-clockwise from image +x as displayed; "auto" if they are not known; None with a
+        mosaic, which states the angles itself. Give at most one prior: prior_points (N×3, world frame, in `unit`) with or
+        without prior_normals (N×3, towards the camera), prior_depth (H×W z-depth of the undistorted view, NaN = none), or
+        `prior`, a file or a shape. The polarization maps and the height from them need no prior; everything else does.
+        prior_sigma: standard deviation of the points or the depth, in `unit`. mask: H×W, non-zero = object.
+        refractive_index None means "auto".
 
-        All else that a station file can say is given by its own words: `polarized` (response, levels, exposures, channel,
-        mosaic …), `optics` (light …), `patches`, `profiles`, `scale` and `object`, the catalog's words. Names of files
-        in them start at the current folder. Wrong shapes raise ValueError, wrong values malus.InputError, which names
-        them as in a file.
+        The remaining tables of a station file are given with the keys of the file: `polarized` (response, levels,
+        exposures, channel, mosaic …), `optics` (light …), `patches`, `profiles`, `scale` and `object` (catalog entries).
+        Relative file names in them start at the current folder. Wrong shapes raise ValueError. Wrong values raise
+        malus.InputError, whose message names tables and keys as for a file.
         """
         stack = as_images(images, "images", color=True)
         shape = stack[0].shape[:2]
@@ -189,9 +189,10 @@ class Station:
         return station
 
     def with_curves_of(self, pixels: Sequence[tuple[int, int]]) -> Station:
-        """The same station, but with intensity against angle shown (Fig. 1c of the paper) at these pixels (x, y) of its images.
+        """A copy of the station that shows intensity against polarizer angle (Fig. 1c of the paper) at these pixels (x, y) of its images.
 
-        At most eight, instead of `curve_pixels` in its file. Raises `malus.InputError` for more, or outside of the images.
+        At most eight pixels; they replace `curve_pixels` of the station file. Raises `malus.InputError` for more pixels, or for
+        pixels outside of the images.
         """
         station = Station.__new__(Station)
         station._core = self._core.with_curves_of([(int(x), int(y)) for x, y in pixels])
@@ -208,7 +209,7 @@ class Station:
         return str(self.describe()["unit"])
 
     def describe(self) -> dict[str, Any]:
-        """Everything the station says, as plain data."""
+        """All values of the station, as plain data."""
         description: dict[str, Any] = json.loads(self._core.describe())
         return description
 
@@ -218,7 +219,7 @@ class Station:
 
 
 def _angles(angles_deg: Sequence[float] | str | None, count: int) -> Any:
-    """As the station file has them."""
+    """The angles as a station file states them; ValueError unless there is one for each image."""
     if angles_deg is None or isinstance(angles_deg, str):
         return angles_deg
     angles = np.asarray(angles_deg, dtype=np.float64)
@@ -246,7 +247,7 @@ def _oriented_points(
 
 
 def _plain(value: Any, where: str) -> Any:
-    """Arrays, numbers of numpy and paths for JSON; InputError for numbers that are not finite, which JSON does not have."""
+    """Convert arrays, NumPy numbers and paths to values that JSON has; InputError for numbers that are not finite."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):

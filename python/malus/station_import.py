@@ -1,4 +1,4 @@
-"""A station file from a folder of images taken for another program, or for none."""
+"""A station file from a folder of images, whether or not they were taken for another program."""
 
 from __future__ import annotations
 
@@ -54,17 +54,24 @@ def import_station(
 ) -> Path:
     """Write a station file for the images of a folder, and return its path.
 
-    Angles [deg] come from `angles`, one for each image in natural order of their names; else from `table`, a CSV file
-    with a column for the file and one for the angle (image, angle_deg, exposure_s; other usual names too; separated by
-    commas, semicolons or tabs, decimal commas allowed with the latter two; every image of the folder once), or from the
-    folder's only CSV file; else from JSON files beside the images as polanalyser writes them (its `mueller_psa`, or a
-    number under `polarizer_angle`, `angle_deg` or `angle`, degrees); else from the file names: what `pattern`, a regular
-    expression with one group, captures, or the numbers beside a word such as pol or deg, if they are a polarizer's series
-    beyond doubt: a file's number is no angle.
-    `mosaic` and `colors` are those of a polarization camera whose one image is in the folder. A file mask.png becomes
-    the mask. `metashape` is the cameras.xml of an Agisoft Metashape project in which the polarized view was aligned too,
-    `label` its camera there, whose lens and pose become [camera]; `cloud` is the project's cloud in the same frame and
-    becomes [prior]; `unit` is that of both. What is not given is left to be filled in. Raises malus.InputError; an
+    The angles [deg] come from the first of these sources that exists:
+
+    - `angles`, one for each image in natural order of their names.
+    - `pattern`, a regular expression whose one group captures the angle in a file's name.
+    - `table`, a CSV file, or else the folder's only CSV file: a column for the file and one for the angle (image, angle_deg,
+      exposure_s; other usual names too), separated by commas, semicolons or tabs, decimal commas allowed with the latter two.
+      It must list every image of the folder once.
+    - JSON files beside the images as polanalyser writes them (its `mueller_psa`, or a number under `polarizer_angle`, `angle_deg`
+      or `angle`, degrees).
+    - The file names: numbers beside a word such as pol or deg, if they are clearly the series of a polarizer and not the numbers
+      of the files.
+
+    Only one of `angles`, `pattern` and `table` may be given.
+
+    `mosaic` and `colors` describe a polarization camera whose only image is in the folder. A file mask.png becomes the mask.
+    `metashape` is the cameras.xml of an Agisoft Metashape project in which the polarized view was aligned, too; `label` is the
+    label of that view's camera, whose lens and pose become [camera]. `cloud` is the project's cloud in the same frame and
+    becomes [prior]; `unit` is the unit of both. Tables that are not given must be filled in by hand. Raises malus.InputError; an
     existing file is not replaced.
     """
     folder, output = Path(folder), Path(output)
@@ -158,7 +165,7 @@ def mask_of(folder: Path) -> Path | None:
 
 
 def images_of(folder: Path, mask: Path | None) -> list[Path]:
-    """The folder's RAW files, or else its other images, without the mask, in natural order; InputError for none."""
+    """The folder's RAW files, or, without RAW files, its other images except the mask, in natural order; InputError for none."""
     files = [path for path in folder.iterdir() if path.is_file() and path != mask and not path.name.startswith(".")]
     raw = [path for path in files if is_raw(path)]
     images = raw or [path for path in files if path.suffix.lower() in _IMAGES]
@@ -178,8 +185,8 @@ def shots_of(
     angles: Sequence[float] | None,
     instead: str = "--angles A,B,…, one for each in this order, --pattern REGEX or a table (--table FILE.csv)",
 ) -> list[Shot]:
-    """Images and angles of a folder, by the first source that there is (see `import_station`); `instead`: what is expected
-    where there is none.
+    """Images and angles of a folder, from the first source that exists (see `import_station`); `instead`: what the error message
+    asks for if no source exists.
     """
     given = [
         name for name, value in (("--angles", angles), ("--pattern", pattern), ("--table", table)) if value is not None
@@ -209,7 +216,7 @@ def shots_of(
 
 
 def _all_once(shots: list[Shot], images: list[Path], table: Path) -> list[Shot]:
-    """The table's shots, which must be the folder's images, each of them once."""
+    """The table's shots; InputError unless the table lists every image of the folder exactly once."""
     listed = [resolved(shot.image) for shot in shots]
     twice = sorted({path.name for path in listed if listed.count(path) > 1})
     if twice:
@@ -234,10 +241,10 @@ def _number(value: object, where: str) -> float:
 
 
 def _rows_of(table: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
-    """Column names, and (line, values by column) of every row of a CSV file; InputError for a row that does not fit.
+    """Column names, and (line, values by column) of every row of a CSV file; InputError for a row with another number of columns.
 
-    Files of spreadsheet programs are not always UTF-8, separate columns by what the country writes, and put commas into
-    numbers where columns are not separated by them.
+    Spreadsheet programs do not always write UTF-8. Their column separator depends on the country, and numbers may have decimal
+    commas if the separator is another sign.
     """
     try:
         content = read_regular(table)
@@ -255,7 +262,7 @@ def _rows_of(table: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     if first is None:
         raise InputError(f"{table}: empty, expected column names in the first line")
     stated = re.fullmatch(r"sep=(.)", lines[first].strip())
-    if stated:  # what a spreadsheet program writes for its like
+    if stated:  # a line with which spreadsheet programs state the separator
         first += 1
     header = lines[first] if first < len(lines) else ""
     delimiter = stated[1] if stated else max(";\t,", key=header.count)
@@ -314,7 +321,7 @@ def _shots_of_table(folder: Path, table: Path) -> list[Shot]:
 
 
 def _shots_of_sidecars(folder: Path) -> list[Shot]:
-    """Images that JSON files beside them describe; none if there are no such files."""
+    """The images that JSON files in the folder describe; empty without such files."""
     shots = []
     for path in sorted(folder.glob("*.json"), key=_natural):
         try:

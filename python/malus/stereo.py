@@ -1,4 +1,4 @@
-"""Depth of the station's view from ordinary photos, by a surface sweep."""
+"""Depth in the station's view from ordinary photos, by a surface sweep."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["SweepPass", "SweepResult", "sweep"]
 
 @dataclass(frozen=True)
 class SweepPass:
-    """One sweep of offsets about the surface of the one before."""
+    """One sweep of depth offsets about the surface of the previous pass."""
 
     reduction: int
     """Pixels of the station's image a pixel of the level."""
@@ -86,13 +86,13 @@ def sweep(
 ) -> SweepResult:
     """Depth, its standard deviation and a confidence in the station's view.
 
-    intensity: H×W, the station's unpolarized intensity, linear, in [0, 1], undistorted. camera: its camera (without
-    distortion) and pose. views: photos (H'×W', in [0, 1] as the file codes them, or a Path: files are in memory once,
-    arrays a second time) with their cameras (any lens model) and poses. points: N×3, triangulated points in the world's frame, from which the search starts. mask: H×W, non-zero =
-    object. options: section `sweep`; `sweep.station_gamma=1` if the station is coded like the photos. progress gets
-    (step, fraction, message), log (level, message). surface: depth and its standard deviation (both H×W) of a surface
-    known beforehand, such as a fused one; the sweep then starts from it instead of the points, with larger windows
-    that lie on it.
+    intensity: H×W, the station's unpolarized intensity, linear, in [0, 1], undistorted. camera: the station's camera (without
+    distortion) and pose. views: photos with their cameras (any lens model) and poses. A photo is an array (H'×W', in [0, 1] as
+    the file codes it) or a Path; a photo from a Path is held in memory once, an array twice. points: N×3, triangulated points
+    in the world's frame, from which the search starts. mask: H×W, non-zero = object. options: section `sweep`;
+    `sweep.station_gamma=1` if the station is coded like the photos. progress gets (step, fraction, message), log
+    (level, message). surface: depth and its standard deviation (both H×W) of a surface known beforehand, such as a fused one;
+    the sweep then starts from this surface instead of the points, with larger windows that follow it.
 
     Raises InputError for values that cannot be used, DataError if no photo sees the object or too few points are on it.
     Method: coarse-to-fine offsets from a surface, windowed normalized cross-correlation with the best photos,

@@ -18,7 +18,7 @@ from malus.threads import ALL_CORES
 
 @dataclass(frozen=True)
 class Mesh:
-    """vertices N×3 (world frame), normals N×3, colors N×3 uint8 (N = 0 without), triangles M×3 (counter-clockwise)."""
+    """vertices N×3 (world frame), normals N×3, colors N×3 uint8 (0×3 if there are none), triangles M×3 (counter-clockwise)."""
 
     vertices: NDArray[np.float64]
     normals: NDArray[np.float32]
@@ -53,7 +53,7 @@ class Dem:
 def dem_from_mesh(
     mesh: Mesh, surface: FusedSurface, *, options: Options | None = None, threads: int = ALL_CORES
 ) -> Dem:
-    """Elevation model of a surface's mesh in the plane fitted to it; the pixel is options.surface.dem_pixel."""
+    """Elevation model of a surface's mesh above the plane fitted to it; pixel size: options.surface.dem_pixel."""
     return Dem(**_core.dem_from_mesh(mesh.vertices, mesh.triangles, surface, (options or Options()).to_json(), threads))
 
 
@@ -70,6 +70,6 @@ def normals_from_depth(depth: ArrayLike, camera: Camera, *, threads: int = ALL_C
 def mesh_from_depth(
     surface: FusedSurface, *, color: ArrayLike | None = None, options: Options | None = None, threads: int = ALL_CORES
 ) -> Mesh:
-    """Triangulate a fused surface, cut at depth discontinuities; color: H×W or H×W×3, linear, for the vertices."""
+    """Triangulate a fused surface, cut at depth discontinuities; color: H×W or H×W×3, linear, gives the vertex colors."""
     intensity = None if color is None else as_image(color, "color", 3 if np.ndim(color) == 3 else 1)
     return Mesh(**_core.mesh_from_depth(surface, intensity, (options or Options()).to_json(), threads))

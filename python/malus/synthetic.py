@@ -1,12 +1,12 @@
-"""Stations made on the computer, of any size and with exact truth: to measure time, memory and accuracy.
+"""Synthetic stations of any size with exact ground truth, to measure time, memory and accuracy.
 
     import malus.synthetic
     malus.synthetic.write_station("big", 5196, 3464)       # 18 megapixels: big/station.toml, big/gt, big/meta.json
 
 A surface (depth and albedo) under one lamp and an even sky is rendered pixel by pixel as docs/method.md models reflection:
 light from inside the body is polarized along the azimuth of the normal (Eq 6), the mirrored sky across it (Eq 8), and the
-rough highlight of the lamp about the half vector of light and view. What a path tracer would add is left out: cast shadows
-and light between parts of the surface. Frames, angles and units: docs/conventions.md.
+rough highlight of the lamp about the half vector of light and view. Cast shadows and light reflected between parts of the
+surface, which a path tracer would add, are left out. Frames, angles and units: docs/conventions.md.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _WHITE_DN = 16383
 class Scene:
     """A surface in front of a pinhole camera.
 
-    depth: H×W z in the unit of the station; albedo: H×W; patches: name → box (u0, v0, u1, v1, inclusive) that is flat.
+    depth: H×W z in the unit of the station; albedo: H×W; patches: name → box (u0, v0, u1, v1, inclusive) of a flat area.
     """
 
     depth: Floats
@@ -53,7 +53,7 @@ class Reflectance:
     """Material and light.
 
     light: direction to the lamp, camera frame (any length); lamp, sky: radiance that a white matte surface facing the lamp
-    reflects of each; roughness: Beckmann's alpha of the lamp's highlight.
+    reflects from lamp and sky, respectively; roughness: Beckmann's alpha of the lamp's highlight.
     """
 
     refractive_index: float = 1.5
@@ -65,7 +65,7 @@ class Reflectance:
 
 @dataclass(frozen=True)
 class Sensor:
-    """Noise and scale of the images; the angles of the polarizer, counter-clockwise from image +x."""
+    """Noise and full well of the sensor, and the angles of the polarizer, counter-clockwise from image +x."""
 
     angles_deg: Sequence[float] = (0, 30, 60, 90, 120, 150)
     full_well_e: float = 20000
@@ -94,8 +94,9 @@ def _smooth_noise(random: np.random.Generator, height: int, width: int, waveleng
 def relief(width: int, height: int, *, seed: int = 0) -> Scene:
     """Carved, textured stone with a flat label, in mm, seen by a camera of 60 mm on a 22.3 mm sensor.
 
-    Bumps of every wavelength from 6 px to the width of the image, each a fifth steeper or flatter by chance, and grooves
-    10 px wide: a larger image is a larger stone at one sampling distance (0.06 mm), as steep and as detailed a pixel.
+    It has bumps of wavelengths from 6 px to the width of the image, each randomly up to a fifth steeper or flatter, and grooves
+    10 px wide. A larger image shows a larger stone at the same sampling distance (0.06 mm), with the same slopes and the same
+    detail per pixel.
     """
     random = np.random.default_rng(seed)
     focal, gsd = width * 60 / 22.3, 0.06
@@ -108,7 +109,7 @@ def relief(width: int, height: int, *, seed: int = 0) -> Scene:
         bumps += steepness * wavelength / (2 * np.pi) * _smooth_noise(random, height, width, wavelength)
         texture += 0.3 * _smooth_noise(random, height, width, 0.7 * wavelength).astype(np.float32)
         wavelength *= 2
-    # Grooves follow the zeros of a coarse field: its value over its slope is the distance from them.
+    # Grooves follow the zero lines of a coarse field: value over slope of the field is the distance from these lines.
     scale = 160.0
     field_of_grooves = _smooth_noise(random, height, width, scale)
     distance = np.abs(field_of_grooves) * scale / (2 * np.pi)
@@ -189,7 +190,7 @@ def stokes(scene: Scene, reflectance: Reflectance | None = None) -> Iterator[tup
         half /= np.linalg.norm(half, axis=-1, keepdims=True)
         facing = np.clip(_dot(normal, half), 0.02, 1.0)
         facets = np.exp((1 - facing**-2) / how.roughness**2) / (how.roughness**2 * facing**4)
-        # A white matte surface reflects π times less radiance than it gets; the rest is the microfacets' density over 4 cosines.
+        # `lamp` is the radiance that a white matte surface reflects, its irradiance over π: this π cancels that of the microfacets' density.
         strength = np.where(lit > 0, how.lamp * facets / (4 * cosine), 0.0)
         glint, glint_difference = _fresnel(_dot(half, view), eta)
         half_across, half_along = _dot(half, right), _dot(half, up)
@@ -206,7 +207,7 @@ def stokes(scene: Scene, reflectance: Reflectance | None = None) -> Iterator[tup
 def render(
     scene: Scene, reflectance: Reflectance | None = None, sensor: Sensor | None = None, *, seed: int = 0
 ) -> list[NDArray[np.uint16]]:
-    """16-bit images through the polarizer, one an angle; linear, white level 16383, 0.3 % of the pixels clipped."""
+    """16-bit images through the polarizer, one per angle; linear, white level 16383, 0.3 % of the pixels clipped."""
     how = sensor or Sensor()
     random = np.random.default_rng(seed)
     size = scene.depth.shape
@@ -241,7 +242,7 @@ def _blurred(values: Floats, radius: int) -> Floats:
 
 
 def stereo_depth(scene: Scene, *, seed: int = 0) -> Floats:
-    """Depth as stereo would see it: detail below 3 px gone, errors of 0.4 GSD that hang together over 40 px."""
+    """Depth as stereo would measure it: without detail below 3 px, with errors of 0.4 GSD that are correlated over 40 px."""
     random = np.random.default_rng(seed + 1)
     height, width = scene.depth.shape
     errors: Floats = 0.4 * scene.gsd * _smooth_noise(random, height, width, 40)
@@ -251,7 +252,7 @@ def stereo_depth(scene: Scene, *, seed: int = 0) -> Floats:
 def stereo_cloud(
     scene: Scene, *, pixels_per_point: float = 6, noise_gsd: float = 0.7, outliers: float = 0.03, seed: int = 0
 ) -> tuple[Floats, NDArray[np.float32]]:
-    """Points (N×3, world) and normals (N×3) as dense stereo delivers them: blurred, with noise and outliers."""
+    """Points (N×3, world) and normals (N×3) as dense stereo measures them: blurred, with noise and outliers."""
     random = np.random.default_rng(seed + 2)
     smooth = Scene(_blurred(scene.depth, 2), scene.albedo, scene.camera)
     points, normals = [], []
@@ -287,8 +288,8 @@ def write_station(
 ) -> Path:
     """Write a relief of any size as a station and return its station file.
 
-    prior: "cloud" (PLY) or "depth" (TIFF). Beside the station's own files go gt/depth_normal_mask.npz (depth, mask, label) and
-    meta.json (camera, sampling distance, flat patches): the truth, to score results with.
+    prior: "cloud" (PLY) or "depth" (TIFF). The ground truth for scoring results is written beside the station's own files:
+    gt/depth_normal_mask.npz (depth, mask, label) and meta.json (camera, sampling distance, flat patches).
     """
     if prior not in ("cloud", "depth"):
         raise ValueError(f"prior is {prior!r}, expected 'cloud' or 'depth'")

@@ -1,4 +1,4 @@
-"""How many threads a computation takes."""
+"""How many threads a computation uses."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""How far a surface may be trusted, in words: for the report's head, and for files that leave the workspace."""
+"""How far a surface may be trusted, in words: for the report's head, and for exported files."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from malus import _core
 
 
 def refined_share(quality: Mapping[str, Any]) -> float | None:
-    """Share of the object where the surface is finer than its prior; None if the run did not find out."""
+    """Share of the object where the surface is finer than its prior; None if the run did not determine it."""
     share: float | None = quality.get("refinement", {}).get("trusted_share")
     return share
 
 
 def is_the_prior(quality: Mapping[str, Any]) -> bool:
-    """Whether the surface is the prior's nearly everywhere, because nothing finer is supported."""
+    """Whether the fused surface equals the prior nearly everywhere, because the data support no finer detail."""
     refined = refined_share(quality)
     return refined is not None and refined < _core.refined_nowhere
 
 
 def what_to_trust(quality: Mapping[str, Any]) -> str:
-    """The confidence as one sentence for someone who looks for five seconds."""
+    """The confidence in a sentence or two, for a reader who has five seconds."""
     level = quality["confidence"]["level"]
     refined = refined_share(quality)
     if level == "low":
@@ -42,20 +42,20 @@ def what_to_trust(quality: Mapping[str, Any]) -> str:
 
 
 def said_of(quality: Mapping[str, Any]) -> dict[str, str]:
-    """What every file says of the surface in it, of one line each: the words of [object], unit, pixel, confidence and its reasons,
-    origin of the detail, program. The files that a run itself leaves say the same, from the same function.
+    """What every exported file states about its surface, one line each: the entries of [object], unit, pixel, confidence and its
+    reasons, origin of the detail, program. The files that a run itself writes get these lines from the same C++ function.
     """
     said: dict[str, str] = json.loads(_core.surface_words(json.dumps(_facts(quality))))
     return said
 
 
 def extras_of(quality: Mapping[str, Any], versions: Mapping[str, str]) -> str:
-    """The same as JSON for asset.extras of a GLB file."""
+    """The statements of `said_of` as JSON, for asset.extras of a GLB file."""
     return _core.surface_extras(json.dumps(_facts(quality)), json.dumps(versions))
 
 
 def words_of(quality: Mapping[str, Any]) -> dict[str, str]:
-    """The part of it that is not the catalog's: unit, pixel, confidence and its reasons, origin of the detail, program."""
+    """The statements of `said_of` without the catalog entries: unit, pixel, confidence and its reasons, origin of the detail, program."""
     said = said_of(quality)
     return {key: said.get(key, "") for key in ("unit", "pixel", "confidence", "reasons", "detail", "made_by")}
 

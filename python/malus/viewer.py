@@ -1,7 +1,7 @@
-"""What the report's interactive views need, packed small enough for one page: normal maps, colors, a mesh.
+"""Data of the report's interactive views, packed small enough for one page: normal maps, colors, a mesh.
 
-Numbers travel as base64 of Deflate. A plane of 16-bit whole numbers is stored as differences to the value before it, low bytes
-first and then high bytes: smooth data shrink to about one byte a value. assets/unpack.js undoes it.
+Numbers are stored as base64 of Deflate. A plane of 16-bit whole numbers is stored as differences to the previous value, all low bytes
+first and then all high bytes: smooth data shrink to about one byte per value. assets/unpack.js unpacks them.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from malus.surface import Mesh, mesh_from_depth, normals_from_depth
 from malus.units import METERS
 from malus.workspace import Raster, Workspace
 
-#: Longest side of the relighting viewer's normal map: larger stations are averaged down, so that the page stays light.
+#: Longest side of the relighting viewer's normal map: larger stations are averaged down, so that the page stays small.
 NORMALS_SIDE_PX = 2048
-#: Triangles of the mesh in the page, at most about.
+#: Approximate largest number of triangles of the mesh in the page.
 MESH_TRIANGLES = 80000
-#: Whole number that stands for 1 in a normal; 4096 steps are 0.03 degrees.
+#: Whole number that stands for 1 in a component of a normal; one of 4096 steps is 0.03 degrees.
 _NORMAL_SCALE = 2047
 _QUALITY = 88
 _MIDDLE_GRAY = 0.42
 
 
 def base64_text(content: bytes) -> str:
-    """Base64 as text."""
+    """Bytes as base64 text."""
     return base64.b64encode(content).decode()
 
 
 def pack(values: NDArray[Any]) -> str:
-    """Whole numbers that fit 16 bits (signed or unsigned), differences modulo 2^16, as base64 of Deflate."""
+    """Whole numbers that fit into 16 bits (signed or unsigned), as differences modulo 2^16, in base64 of Deflate."""
     flat = values.ravel().astype(np.int64)
     steps = (np.diff(flat, prepend=0) & 0xFFFF).astype(np.uint16)
     planes = np.concatenate([(steps & 0xFF).astype(np.uint8), (steps >> 8).astype(np.uint8)])
@@ -45,7 +45,7 @@ def pack(values: NDArray[Any]) -> str:
 
 
 def pack_indices(triangles: NDArray[np.uint32]) -> str:
-    """Vertex numbers of triangles as differences, 32 bits in four planes."""
+    """Vertex indices of triangles as differences of 32 bits, in four planes of bytes, in base64 of Deflate."""
     flat = triangles.ravel().astype(np.int64)
     steps = (np.diff(flat, prepend=0) & 0xFFFFFFFF).astype(np.uint32)
     planes = np.concatenate([((steps >> shift) & 0xFF).astype(np.uint8) for shift in (0, 8, 16, 24)])
@@ -54,7 +54,7 @@ def pack_indices(triangles: NDArray[np.uint32]) -> str:
 
 @dataclass(frozen=True)
 class _Window:
-    """The part of the rasters that holds the object, and the averaging."""
+    """The part of the rasters that contains the object, and the size of the blocks over which it is averaged."""
 
     rows: slice
     columns: slice
@@ -65,7 +65,7 @@ class _Window:
 
 
 def object_window(depth: Raster, side_px: int) -> _Window:
-    """The object's part of the rasters, averaged so that no side has more than `side_px`."""
+    """The part of the rasters that contains the object, averaged so that no side has more than `side_px` pixels."""
     known = np.isfinite(depth)
     (top, *_, bottom), (left, *_, right) = (np.nonzero(known.any(axis))[0].tolist() for axis in (1, 0))
     step = step_for((bottom + 1 - top, right + 1 - left), side_px)
@@ -88,7 +88,7 @@ def unshaded_color(
 ) -> NDArray[np.uint8]:
     """The object's color in the window without its shading, sRGB; normals as `viewer_normals` gives them.
 
-    mirrored: H×W, share of the light that was mirrored at the surface and is to be taken out; quicker without it.
+    mirrored: H×W, share of the light that was mirrored at the surface, which is removed; without it the function is faster.
     """
     image = workspace.color()
     channels = [image[..., c] for c in range(3)] if image.ndim == 3 else [image] * 3
@@ -100,7 +100,7 @@ def unshaded_color(
 
 
 def relighting(workspace: Workspace) -> dict[str, Any]:
-    """Data of the relighting viewer: size, packed normals of both surfaces, color with the object as alpha, mean slopes."""
+    """Data of the relighting viewer: size, packed normals of both surfaces, color with the object's mask as alpha, median slopes."""
     depth = workspace.raster("fused/depth.tif")
     window = object_window(depth, NORMALS_SIDE_PX)
     fused = viewer_normals(workspace.raster("fused/normals.tif"), window)
@@ -117,7 +117,7 @@ def relighting(workspace: Workspace) -> dict[str, Any]:
         "height": height,
         "step": window.step,
         "scale": _NORMAL_SCALE,
-        # What makes the middle of the object mid-gray under the first light.
+        # Factor that makes the median of the object mid-gray under the first light.
         "brightness": float(np.clip(_MIDDLE_GRAY / max(float(np.median(linear)), 1e-3), 0.3, 3)),
         "mean_slope": [float(x) for x in np.median(slopes, axis=0)],
         "fused": _packed_normals(fused),
@@ -146,7 +146,7 @@ def mesh_view(workspace: Workspace) -> dict[str, Any]:
     u = camera.fx * in_camera[:, 0] / in_camera[:, 2] + camera.cx
     v = camera.fy * in_camera[:, 1] / in_camera[:, 2] + camera.cy
     window = object_window(workspace.raster("fused/depth.tif"), NORMALS_SIDE_PX)
-    # The texture is the relighting viewer's color image: its window of the pixel grid.
+    # The texture is the color image of the relighting viewer, which covers the object's window of the pixel grid.
     width = -(-(window.columns.stop - window.columns.start) // window.step) * window.step
     height = -(-(window.rows.stop - window.rows.start) // window.step) * window.step
     uv = np.stack([(u - window.columns.start + 0.5) / width, (v - window.rows.start + 0.5) / height])
@@ -163,7 +163,7 @@ def mesh_view(workspace: Workspace) -> dict[str, Any]:
         "size": size,
         "unit": str(workspace.quality["unit"]),
         "meters": METERS[workspace.quality["unit"]],
-        # Where the station stands, in the mesh's own frame.
+        # Position of the station's camera in the frame of the mesh, whose origin is the middle of the mesh.
         "eye": [float(x) for x in -(low + high) / 2],
         "extent": [float(x) for x in high - low],
     }

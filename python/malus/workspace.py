@@ -20,7 +20,7 @@ from malus.errors import InputError
 from malus.options import Options
 
 Raster = NDArray[np.float32]
-#: The steps in their order, as they stand in manifest.json.
+#: The names of the steps in manifest.json, in the order in which they run.
 STEPS: tuple[str, ...] = tuple(_core.step_names())
 
 
@@ -29,21 +29,21 @@ class WorkspaceGiver(Protocol):
 
     @property
     def name(self) -> str:
-        """The station's."""
+        """The station's name."""
 
     @property
     def workspace(self) -> Path | None:
-        """The folder it is in already."""
+        """The workspace folder that holds the result; None if it is only in memory."""
 
     def in_workspace(self) -> AbstractContextManager[Path]:
-        """That folder, or one for the time of the context."""
+        """The workspace folder; for a result in memory, a temporary one that exists until the context ends."""
 
 
 class Workspace:
-    """The folder that `malus run` or `malus-station` left behind; nothing is read before it is asked for.
+    """The folder that `malus run` or `malus-station` wrote; each file is read only when it is needed.
 
-    Only what its manifest lists is read, and only as the steps left it: files that are of another run, or that were changed,
-    are an InputError.
+    Only files that the manifest lists are read. Files of another run, and files that were changed after their step wrote
+    them, raise an InputError.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -72,7 +72,7 @@ class Workspace:
 
     @cached_property
     def outputs(self) -> dict[str, dict[str, Any]]:
-        """Size and SHA-256 of every file that a step has left, by its path below the folder."""
+        """Size and SHA-256 of every file that a step wrote, by its path relative to the folder."""
         return {path: output for step in self.manifest["steps"].values() for path, output in step["outputs"].items()}
 
     @cached_property
@@ -87,7 +87,7 @@ class Workspace:
         return findings
 
     def path(self, name: str) -> Path:
-        """Path of a file of the workspace; InputError unless it is there as its step left it."""
+        """Path of a file of the workspace; InputError if no finished step wrote it, or if it was changed since."""
         path = self.folder / name
         if not self.has(name):
             raise InputError(f"{path}: no step that is done has made it; run `malus run` first")
@@ -103,14 +103,14 @@ class Workspace:
         return set(self._checked)
 
     def require_unchanged(self) -> None:
-        """InputError if another run has changed meanwhile what was read: it may be of two surfaces."""
+        """InputError if another run has meanwhile changed a file that was read: the data read could be of two surfaces."""
         now = Workspace(self.folder).outputs
         for name in self._checked:
             if now.get(name) != self.outputs[name]:
                 raise InputError(f"{self.folder / name}: was changed by another run meanwhile; run again")
 
     def has(self, name: str) -> bool:
-        """Whether a step that is done has left this file."""
+        """Whether a finished step wrote this file."""
         return name in self.outputs
 
     def _json(self, name: str) -> dict[str, Any]:
@@ -119,9 +119,9 @@ class Workspace:
 
     @contextmanager
     def recording(self, step: str) -> Iterator[list[str]]:
-        """Record a step that Python does: what an earlier run of it left is removed, and the files that are named in the list
-        are recorded at the end. They are removed if that fails, such as when another run has changed meanwhile what they were
-        made from (InputError).
+        """Record a step that Python runs. Files of an earlier run of the step are removed; the caller names its new files in the
+        list, which are recorded at the end. On failure the new files are removed. It is a failure (InputError), too, if another
+        run has meanwhile changed the results from which they were made.
         """
         start = monotonic()
         _core.forget_step(str(self.folder), step)
@@ -148,7 +148,7 @@ class Workspace:
         return raster
 
     def points(self, depth: Raster | None = None) -> NDArray[np.float64]:
-        """World points of all pixels, H×W×3, NaN where there is no depth; of the fused surface, or of a depth in its view."""
+        """World points of all pixels, H×W×3, NaN where there is no depth; of the fused surface, or of a given depth map in its view."""
         camera, (rotation, translation) = self.camera, self.pose
         depth = (self.raster("fused/depth.tif") if depth is None else depth).astype(float)
         v, u = np.indices(depth.shape)
@@ -165,7 +165,7 @@ class Workspace:
     def mirrored_share(self) -> Raster | None:
         """Share of the unpolarized intensity that was mirrored at the surface, H×W in [0, 1]; NaN where it is not known.
 
-        None for a surface without a reflection model (`--fusion grid`), and for bare metal, of which it is not known anywhere.
+        None for a surface without a reflection model (`--fusion grid`), and for bare metal, where the share is unknown everywhere.
         """
         if not self.has("fused/mirrored.tif"):
             return None
@@ -208,5 +208,5 @@ class Workspace:
         return FusedSurface(depth, normals, sigma, self.camera)
 
     def options(self) -> Options:
-        """The options of the run that made it."""
+        """The options of the run that made the workspace."""
         return Options(**self.manifest["options"])

@@ -1,4 +1,4 @@
-"""Words of the catalog and of the surface in image files (XMP, ISO 16684-1), and the color space of images (ICC)."""
+"""Catalog entries and statements about the surface in image files (XMP, ISO 16684-1), and the color space of images (ICC)."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from malus.errors import InputError
 
 #: TIFF tag of an XMP packet.
 _XMP_TAG = 700
-#: Of the properties that say how far the surface may be trusted.
+#: XML namespace of the properties that say how far the surface may be trusted.
 NAMESPACE = "urn:malus:surface/"
-#: [object] key → property of Dublin Core, and whether that is a text for all languages, a list, or plain.
+#: [object] key → property of Dublin Core and its RDF container: "Alt" for text in several languages, "Seq" or "Bag" for lists, "" for none.
 _PROPERTIES = {
     "title": ("dc:title", "Alt"),
     "identifier": ("dc:identifier", ""),
@@ -38,7 +38,7 @@ _PROPERTIES = {
 
 
 def packet(name: str, words: Mapping[str, str], surface: Mapping[str, str]) -> str:
-    """XMP packet of [object]'s words, and of those that malus.trust has of the surface; `name` is the title if there is none."""
+    """XMP packet with the entries of [object] (`words`) and the statements of malus.trust (`surface`); `name` is the title if there is none."""
     lines = [f"   <malus:{key}>{escape(value)}</malus:{key}>" for key, value in surface.items() if value]
     for key, (property_name, kind) in _PROPERTIES.items():
         value = words.get(key) or (name if key == "title" else "")
@@ -69,7 +69,7 @@ def srgb_profile() -> bytes:
 
 
 def save_png(path: Path, picture: NDArray[np.uint8], xmp: str, *, dpi: float | None = None) -> None:
-    """Write sRGB colors (H×W×3, or ×4 with alpha) as PNG with profile and words; dpi: pixels an inch on the object."""
+    """Write sRGB colors (H×W×3, or ×4 with alpha) as PNG with color profile and XMP; dpi: pixels per inch on the object."""
     told = PngInfo()
     told.add_itxt("XML:com.adobe.xmp", xmp)
     image = Image.fromarray(picture)
@@ -80,9 +80,9 @@ def save_png(path: Path, picture: NDArray[np.uint8], xmp: str, *, dpi: float | N
 
 
 def tag_png(path: Path, xmp: str) -> None:
-    """Put an XMP packet into a PNG file that has none; its pixels stay as they are."""
+    """Put an XMP packet into a PNG file that has none; its pixels are unchanged."""
     content = path.read_bytes()
-    # Keyword, no compression, no language; behind the signature (8 bytes) and the header (25).
+    # Keyword, no compression, no language. The chunk goes behind the signature (8 bytes) and the header (25).
     chunk = b"iTXtXML:com.adobe.xmp" + b"\0" * 5 + xmp.encode()
     packed = struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
     with replacing(path) as temporary:
@@ -90,9 +90,9 @@ def tag_png(path: Path, xmp: str) -> None:
 
 
 def tag_tiff(path: Path, xmp: str) -> None:
-    """Put an XMP packet into a TIFF file that has none; its pixels stay as they are.
+    """Put an XMP packet into a TIFF file that has none; its pixels are unchanged.
 
-    The directory is written anew at the end of the file. InputError for a file that is no classic TIFF of one directory.
+    A new directory is written at the end of the file. InputError unless the file is a classic TIFF with one directory.
     """
     content = path.read_bytes()
     order = {b"II*\0": "<", b"MM\0*": ">"}.get(content[:4])
@@ -106,7 +106,7 @@ def tag_tiff(path: Path, xmp: str) -> None:
     if _XMP_TAG in tags or following:
         raise InputError(f"{path}: has an XMP packet or several directories already")
     packed = xmp.encode()
-    # Everything that is added begins at an even place.
+    # TIFF requires even offsets.
     place = len(content) + len(content) % 2
     directory = place + len(packed) + len(packed) % 2
     if directory > 0xFFFF0000:

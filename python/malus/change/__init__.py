@@ -1,7 +1,7 @@
-"""What changed on an object between two dates: two finished workspaces, registered and compared with stated significance.
+"""Changes of an object between two dates: two finished workspaces are registered and compared, with the significance of each change.
 
-`registration` lays the later surface upon the earlier one by the parts that did not change, `significance` measures signed distances and
-the smallest that could be told, `regions` gathers what is significant, `page` shows it.
+`registration` registers the later surface to the earlier one by the parts that did not change. `significance` measures signed distances
+and the smallest detectable change. `regions` finds connected significant parts, and `page` shows them.
 """
 
 from malus.change.run import Change, change_summary, compare

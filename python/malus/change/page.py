@@ -1,4 +1,4 @@
-"""The page of a comparison: both dates under a movable edge, the map of distances, what is significant, the changed parts."""
+"""The page of a comparison: both surfaces with a movable edge between them, maps of distances and significant changes, changed parts."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _maps(plates: Plates, distances: Distances, regions: list[Region], um: float
 
 
 def _date(identity: dict[str, Any]) -> str:
-    """When a surface was recorded, or else the folder that it is told by."""
+    """The date when a surface was recorded, or the name of its workspace folder if no date is stated."""
     return str(identity["recorded_on"] or Path(identity["workspace"]).name)
 
 

@@ -15,9 +15,10 @@ from malus.units import METERS
 
 @dataclass(frozen=True)
 class Region:
-    """One changed part. u, v: its center in the earlier image, pixels; x, y, z: in the earlier world frame, station unit.
+    """One changed part. u, v: its center in the earlier image, pixels; x, y, z: its center in the earlier world frame, station unit.
 
-    mean_um, extreme_um: distance, positive = material in front of the earlier surface. volume_mm3: of what was added (positive) or lost.
+    mean_um, extreme_um: distance, positive = material in front of the earlier surface. volume_mm3: of the material that was added
+    (positive) or lost (negative).
     """
 
     number: int
@@ -33,10 +34,11 @@ class Region:
 
 
 def find_regions(before: Exporter, distances: Distances) -> list[Region]:
-    """Connected significant pixels of one sign, largest volume first, that chance does not explain.
+    """Connected significant pixels of one sign that are unlikely to be chance, largest volume first.
 
-    Some of many places exceed a limit of 95 % by chance. A part is told if that happens anywhere on the surface once in twenty
-    times: a cylinder's section, what M3C2 averages over, is one place, and the mean of a part of n sections scatters by 1/√n.
+    Among many independent places, some exceed a limit of 95 % by chance. A part is reported only if chance would produce such a
+    part anywhere on the surface in at most one of twenty comparisons. One independent place is the section of a cylinder over which
+    M3C2 averages; the mean of a part of n sections scatters by 1/√n.
     """
     ndimage = extra("scipy.ndimage", "scipy", "malus compare", "compare")
     normal = extra("scipy.stats", "scipy", "malus compare", "compare").norm
@@ -75,6 +77,6 @@ def pixel_areas(exporter: Exporter) -> NDArray[np.float64]:
     camera, surface = exporter.workspace.camera, exporter.surface
     v, u = np.indices(surface.depth.shape)
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], -1)
-    # A pixel's ray has z = 1: its section across the axis is depth² / (fx fy), on the surface that over the cosine.
+    # A pixel's ray has z = 1: across the axis the pixel covers depth² / (fx fy), and on the surface this area over the cosine.
     facing = np.maximum(-(rays * surface.normals).sum(-1), 0.1)
     return np.asarray(surface.depth.astype(float) ** 2 / (camera.fx * camera.fy) / facing, dtype=np.float64)

@@ -1,7 +1,7 @@
-"""Laying the later surface upon the earlier one by what did not change between them.
+"""Registration of the later surface to the earlier one by the parts that did not change between them.
 
-First roughly, by features (SIFT, Lowe 2004) of the pictures and of relief shadings, which do not depend on the light; then by
-point-to-plane ICP with robust weights (`malus.assess.compare`), twice more without the blocks of pixels that stand apart.
+The first, rough registration uses features (SIFT, Lowe 2004) of the pictures and of relief shadings, which do not depend on the
+light. Point-to-plane ICP with robust weights follows (`malus.assess.compare`), then twice more without the blocks of pixels that changed.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ from malus.options import Options
 from malus.raster import sample
 
 Floats = NDArray[np.float64]
-#: Side of the blocks of pixels that are stable or not, and how many of their spreads a changed one is away.
+#: Side of the blocks of pixels that are classified as stable or changed, and the distance from the median, in robust standard
+#: deviations of all blocks, from which a block counts as changed.
 _BLOCK_PX = 16
 _APART = 3.0
-#: Matches that must agree on one motion, and how well (pixels of the later view).
+#: Number of matches that must agree on one motion, and their largest reprojection error (pixels of the later view).
 _LEAST_MATCHES = 12
 _AGREEMENT_PX = 4.0
 _RATIO = 0.8
@@ -43,15 +44,15 @@ class Motion:
     translation: Floats
 
     def apply(self, points: Floats) -> Floats:
-        """Points (…×3) of the later frame in the earlier one."""
+        """Points (…×3) of the later frame, in the earlier frame."""
         return np.asarray(points @ self.rotation.T + self.translation, dtype=np.float64)
 
     def after(self, first: Motion) -> Motion:
-        """`first`, then this."""
+        """The motion that applies `first` and then this motion."""
         return Motion(self.rotation @ first.rotation, self.rotation @ first.translation + self.translation)
 
     def moved(self, surface: FusedSurface) -> FusedSurface:
-        """A surface of the later frame in the earlier one: its camera moves."""
+        """A surface of the later frame, in the earlier frame: only the pose of its camera changes."""
         camera = surface.camera
         rotation, translation = camera.pose()
         turned = rotation @ self.rotation.T
@@ -62,12 +63,12 @@ class Motion:
 
 @dataclass(frozen=True)
 class Registration:
-    """How the later surface came to lie upon the earlier one.
+    """The registration of the later surface to the earlier one.
 
-    by: "features" (then ICP), "frames" (ICP from the frames as they are) or "none" (nothing was moved). matches: features that agree.
-    size: length on the later surface over the same length on the earlier one, by the features. error: how far apart both surfaces
-    lie over blocks of pixels where nothing changed (one robust standard deviation, station unit). offset: how far the later one lies in
-    front of the earlier one over most blocks. stable_fraction: of the later surface that counts as unchanged.
+    by: "features" (features, then ICP), "frames" (ICP that starts from the given frames) or "none" (nothing was moved). matches:
+    number of features that agree. size: length on the later surface over the same length on the earlier one, from the features.
+    error: one robust standard deviation of the median distances of blocks of pixels where nothing changed, station unit. offset: median
+    of these distances, positive if the later surface lies in front. stable_fraction: share of the later surface that counts as unchanged.
     """
 
     motion: Motion
@@ -80,9 +81,9 @@ class Registration:
 
 
 def register(before: Exporter, after: Exporter, *, same_frame: bool, threads: int) -> Registration:
-    """Find the motion of the later surface; DataError if they cannot be laid upon each other.
+    """Find the motion of the later surface; DataError if the surfaces cannot be registered.
 
-    same_frame: both stand in one frame already; nothing is moved, only the error is measured.
+    same_frame: both surfaces are in one frame already; nothing is moved, only the error is measured.
     """
     matches, size, by = 0, None, "none"
     motion = Motion(np.eye(3), np.zeros(3))
@@ -96,13 +97,13 @@ def register(before: Exporter, after: Exporter, *, same_frame: bool, threads: in
     options.assess.alignment = "none" if same_frame else "rigid"
     gsd = float(before.workspace.quality["gsd"])
     depth = after.surface.depth.copy()
-    # Twice more without what stands apart.
+    # Two of the three rounds leave out the blocks that changed.
     for _ in range(3):
         surface = FusedSurface(depth, after.surface.normals, after.surface.sigma, after.surface.camera)
         found = assess.compare(
             motion.moved(surface), mesh.vertices, gsd, triangles=mesh.triangles, options=options, threads=threads
         )
-        # A motion that has not quite settled is taken on by the next round; whether it is good the blocks say.
+        # A motion that has not converged is not an error: the next round continues it, and the blocks show how good it is.
         if found["status"] == "no pixel near the reference" or found["compared_fraction"] < _LEAST_COMPARED:
             raise DataError(
                 f"{after.workspace.folder}: its surface does not lie upon that of {before.workspace.folder} "
@@ -118,7 +119,7 @@ def register(before: Exporter, after: Exporter, *, same_frame: bool, threads: in
 
 
 def _stable(distance: NDArray[np.float32]) -> tuple[NDArray[np.bool_], float, float]:
-    """Pixels of blocks whose median distance is near that of most blocks, and spread and middle of those medians."""
+    """Pixels of blocks whose median distance is near the median of all blocks, and robust σ and median of the blocks' medians."""
     height, width = distance.shape
     rows, columns = -(-height // _BLOCK_PX), -(-width // _BLOCK_PX)
     padded = np.full((rows * _BLOCK_PX, columns * _BLOCK_PX), np.nan)
@@ -137,7 +138,7 @@ def _stable(distance: NDArray[np.float32]) -> tuple[NDArray[np.bool_], float, fl
 
 
 def _pictures(exporter: Exporter) -> list[NDArray[np.uint8]]:
-    """The object's picture in gray, and relief shadings by two lights."""
+    """The object's picture in gray, and relief shadings from two light directions."""
     gsd = float(exporter.workspace.quality["gsd"])
     relief = flattened(exporter.surface.depth)
     shades = [hillshade(relief, gsd, azimuth) for azimuth in (315, 45)]
@@ -165,7 +166,7 @@ def _matched(before: Exporter, after: Exporter, cv2: Any) -> tuple[Floats, Float
 
 
 def _from_features(before: Exporter, after: Exporter) -> tuple[Motion, int, float] | None:
-    """Motion, number of features that agree on it, and how much larger the later surface is; None without enough of them."""
+    """Motion, number of features that agree on it, and size of the later surface over that of the earlier one; None with too few features."""
     cv2 = extra("cv2", "opencv-contrib-python-headless", "malus compare", "compare")
     here, there = _matched(before, after, cv2)
     points, points_after = (sample(one.workspace.points(), at) for one, at in ((before, here), (after, there)))

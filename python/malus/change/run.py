@@ -28,18 +28,18 @@ from malus.threads import ALL_CORES
 from malus.units import METERS
 from malus.workspace import Workspace
 
-#: A comparison with less in common than this may be laid upon the wrong place.
+#: If a smaller share of the surface is unchanged, the registration may be wrong.
 _LEAST_STABLE = 0.5
-#: Where nothing is moved: surfaces that lie farther apart on the whole than this many of their errors are not in one frame.
+#: With `same_frame`: surfaces whose median distance exceeds this many registration errors are probably not in one frame.
 _MOST_OFFSET = 3.0
-#: Lengths that differ by more between the dates point to a scale, not to a change.
+#: Relative difference of lengths between the dates above which a wrong scale is likelier than a change.
 _MOST_SIZE = 0.002
 
 
 @dataclass(frozen=True)
 class Change:
-    """What `compare` found. distance, limit: H×W float32, the earlier station's view and unit, NaN = not compared; positive = the later
-    surface lies in front. regions: changed parts, largest first. figures: all of change.json.
+    """The result of `compare`. distance, limit: H×W float32, the earlier station's view and unit, NaN = not compared; distance is positive
+    where the later surface lies in front. regions: changed parts, largest first. figures: the content of change.json.
     """
 
     distance: NDArray[np.float32]
@@ -58,15 +58,15 @@ def compare(
     threads: int = ALL_CORES,
     progress: Callable[[float, str], None] = lambda fraction, message: None,
 ) -> Change:
-    """Compare two workspaces of one object, taken at two dates; writes a folder and returns what it says.
+    """Compare two workspaces of one object, taken at two dates; writes a folder and returns its content.
 
-    The later surface is laid upon the earlier one by what did not change (`same_frame`: both stand in one frame already, by control points
-    for instance, and nothing is moved). output: a folder that is new, or of an earlier comparison, which is replaced: index.html,
-    change.json, regions.csv, distance.tif and limit.tif (float, the earlier station's view and unit), distance_dem.tif (GeoTIFF on the
-    grid of the earlier elevation model), figures/.
+    The later surface is registered to the earlier one by the parts that did not change. `same_frame`: both surfaces are in one frame
+    already, for instance by control points, and nothing is moved. output: a new folder, or that of an earlier comparison, which is
+    replaced. It gets index.html, change.json, regions.csv, distance.tif and limit.tif (float, the earlier station's view and unit),
+    distance_dem.tif (GeoTIFF on the grid of the earlier elevation model) and figures/.
 
-    Raises malus.InputError for other units or an output that is something else, malus.DataError if the surfaces cannot be laid upon each
-    other, malus.ExternalError unless the extra `compare` is installed.
+    Raises malus.InputError if the units differ or `output` holds other files, malus.DataError if the surfaces cannot be registered,
+    malus.ExternalError unless the extra `compare` is installed.
     """
     for module, package in (("py4dgeo", "py4dgeo"), ("cv2", "opencv-contrib-python-headless"), ("scipy", "scipy")):
         extra(module, package, "malus compare", "compare")
@@ -95,7 +95,7 @@ def compare(
 
 
 def _own_folder(folder: Path, *works: Path) -> Path:
-    """A folder that may be replaced: it is new, empty or an earlier comparison's, and no workspace lies in it."""
+    """The folder, if it may be replaced: it is new, empty or of an earlier comparison, and contains neither workspace; else InputError."""
     for work in works:
         if resolved(folder) in (resolved(work), *resolved(work).parents):
             raise InputError(f"{folder}: holds the workspace {work}, expected a folder of its own for the comparison")
@@ -200,7 +200,7 @@ def _write_files(
 
 
 def _on_grid(before: Exporter, dem: Dem, distances: Distances) -> Dem:
-    """The distance at the pixels of the elevation model, in place of the elevation."""
+    """The distances as an elevation model: on its grid, in place of the elevations."""
     height, width = distances.distance.shape
     known = np.isfinite(dem.elevation)
     pixels = np.rint(before.pixels(dem.points()[known])).astype(int)
@@ -211,7 +211,7 @@ def _on_grid(before: Exporter, dem: Dem, distances: Distances) -> Dem:
 
 
 def change_summary(figures: dict[str, Any]) -> list[str]:
-    """What a person wants to know first, a line each."""
+    """The summary for the terminal, as lines."""
     registration, regions = figures["registration"], figures["regions"]
     count = len(regions)
     found = f"{count} changed part{'' if count == 1 else 's'}" if count else "no change"

@@ -1,4 +1,4 @@
-"""Signed distances between two registered surfaces by M3C2, and the smallest change that could be told from none."""
+"""Signed distances between two registered surfaces by M3C2, and the smallest detectable change."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _CONFIDENCE = 1.96
 class Distances:
     """Maps in the earlier station's view, H×W, its unit, NaN = not compared.
 
-    distance: along the earlier surface's normal, positive where the later surface lies in front of it. limit: a change below it cannot be
-    told from none (95 %). depth_after: the later surface's depth in the earlier view. radius: of the cylinders, station unit.
+    distance: along the earlier surface's normal, positive where the later surface lies in front of it. limit: the smallest detectable
+    change (95 %). depth_after: the later surface's depth in the earlier view. radius: of the cylinders, station unit.
     """
 
     distance: Floats
@@ -42,8 +42,9 @@ class Distances:
 def measure(before: Exporter, after: Exporter, registration: Registration, threads: int) -> Distances:
     """Distances at the pixels of the earlier surface; DataError if nothing could be compared.
 
-    The limit is the larger of two: what M3C2 can detect, from the scatter of both surfaces in its cylinders and from how far they lie
-    apart where nothing changed (Lague, Brodu and Leroux 2013, Eq 1); and 1.96 standard deviations as both surfaces state them.
+    The limit is the larger of two values. The first is the detection limit of M3C2, from the scatter of both surfaces in its cylinders
+    and from the registration error (Lague, Brodu and Leroux 2013, Eq 1). The second is 1.96 standard deviations of the difference,
+    from the standard deviations that both surfaces state.
     """
     grid = before.workspace.points()
     known = np.asarray(np.isfinite(grid).all(-1))
@@ -68,7 +69,7 @@ def measure(before: Exporter, after: Exporter, registration: Registration, threa
     if not np.isfinite(distance).any():
         raise DataError(f"{after.workspace.folder}: no part of its surface lies near that of {before.workspace.folder}")
     stated = _CONFIDENCE * _stated_sigma(before, after, registration, grid[::step, ::step][core])
-    # Where a cylinder holds too few points for their scatter, the error of the registration still counts.
+    # A cylinder with too few points has no scatter and no M3C2 limit: add the registration error to the stated one instead.
     told = np.where(np.isfinite(detectable), np.maximum(detectable, stated), stated + _CONFIDENCE * registration.error)
     limit = np.where(np.isfinite(distance), told, np.nan)
     maps = []
@@ -88,17 +89,17 @@ def _seen_from(
     registration: Registration,
     threads: int,
 ) -> Floats:
-    """Depth of the later surface (its mesh in the earlier frame) in the earlier view, NaN where it was not seen."""
+    """Depth of the later surface (its mesh in the earlier frame) in the earlier view, NaN where the later station did not see it."""
     seen = np.isfinite(before.surface.depth)
     prior = project_mesh(points, triangles, before.workspace.camera, mask=seen, threads=threads)
-    # Holes were filled: pixels whose point the later station did not see.
+    # `project_mesh` fills holes: remove pixels whose point the later station did not see.
     depth = prior.depth.copy()
     depth[~_seen_by(after, registration, before.workspace.points(depth))] = np.nan
     return depth
 
 
 def _later_pixels(after: Exporter, registration: Registration, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where points of the earlier frame (…×3) are seen in the later image."""
+    """Pixels of the later image at which points of the earlier frame (…×3) are seen."""
     return after.pixels((points - registration.motion.translation) @ registration.motion.rotation)
 
 
@@ -112,7 +113,7 @@ def _seen_by(after: Exporter, registration: Registration, points: NDArray[np.flo
 
 
 def _largest(depth: Floats, depth_after: Floats, gsd: float) -> float:
-    """How far cylinders must reach: twice what all but a thousandth of the pixels moved."""
+    """Half length of the cylinders: 10 GSD plus twice the movement that all but a thousandth of the pixels stay below."""
     moved = np.abs(depth_after - depth)
     moved = moved[np.isfinite(moved)]
     return 10 * gsd + (2 * float(np.percentile(moved, 99.9)) if moved.size else 0.0)
@@ -121,14 +122,14 @@ def _largest(depth: Floats, depth_after: Floats, gsd: float) -> float:
 def _stated_sigma(
     before: Exporter, after: Exporter, registration: Registration, points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """One standard deviation of the difference of both surfaces at points of the earlier frame (N×3), as they state it."""
+    """One standard deviation of the difference of both surfaces at points of the earlier frame (N×3), from the stated standard deviations."""
     pairs = ((before, before.pixels(points)), (after, _later_pixels(after, registration, points)))
     variances = [sample(exporter.surface.sigma[..., None].astype(float), at)[:, 0] ** 2 for exporter, at in pairs]
     return np.asarray(np.sqrt(sum(variances)))
 
 
 def reduced_maps(distances: Distances, step: int) -> tuple[Floats, Floats]:
-    """Distance, and distance where it is significant, at the size of pictures."""
+    """Distance, and distance only where it is significant, reduced to the size of the pictures."""
     return reduced(distances.distance, step), reduced(
         np.where(distances.significant, distances.distance, np.nan).astype(np.float32), step
     )

@@ -1,7 +1,6 @@
-"""The paper whole: every figure and table of Mortazavi and SaadatSeresht from a finished workspace, for print.
+"""Every figure and table of the paper of Mortazavi and SaadatSeresht, made from a finished workspace, for print.
 
-`write_paper` leaves WORK/paper; `merge_campaign` makes one pair of tables of many workspaces. docs/paper.md lists what is
-what.
+`write_paper` writes WORK/paper; `merge_campaign` merges the two tables of many workspaces. docs/paper.md lists the figures and tables.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""All plates of a workspace on one page, to look them over."""
+"""All plates of a workspace on one page, for an overview."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-#: Plates in a row; pixels of a plate's longer side, of the space around it, and of its name's letters.
+#: Plates per row; pixels of a plate's longer side, of the space around it, and of the letters of its name.
 _COLUMNS, _SIDE, _GAP, _LETTERS = 5, 480, 16, 22
 
 
 def contact_sheet(plates: Sequence[tuple[str, NDArray[np.uint8]]]) -> NDArray[np.uint8]:
-    """Pictures (H×W×3) in rows under their names, each reduced to fit a square; a row is as high as its highest; H×W×3."""
+    """Pictures (H×W×3) in rows below their names, reduced to fit a square, as one picture (H×W×3); a row is as high as its highest picture."""
     pictures = []
     for _, picture in plates:
         small = Image.fromarray(picture)

@@ -1,4 +1,4 @@
-"""The paper's figures that the report's own sections do not have: sinusoids, the cloud, patches, oblique views."""
+"""The paper's figures beyond those of the report's own sections: sinusoids, the cloud, patches, oblique views."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from malus.figures import (
 from malus.lengths import shown
 from malus.workspace import Raster
 
-#: How far the object is tilted back in oblique views; and the step between two rows, in pixels, whose wall is not drawn.
+#: Tilt of the object in oblique views, and the step between two rows, in pixels, above which the wall between them is not drawn.
 _TILT_DEG, _STEP_PX = 50.0, 60
-#: What lies farther out than these percentiles of a relief, plus a tenth of what is between them, is cut off in them.
+#: Oblique views clip a relief to these percentiles, extended on both sides by a tenth of the range between them.
 _RELIEF_PERCENTILES = (0.2, 99.8)
-#: Points drawn at most, evenly chosen.
+#: Largest number of points drawn; larger clouds are thinned evenly.
 _MOST_POINTS = 40_000
-#: Area of all points of the surface together, in square points of print.
+#: Total printed area of the points on the surface, in square points; it sets the size of each point.
 _POINTS_PT2 = 20_000
-#: As many as a station may name pixels.
+#: As many colors as pixels that a station may name.
 _CURVE_COLORS = ("#2f7fb3", "#35a7a0", "#b0702a", "#d1495b", "#6b4c9a", "#5a8f29", "#8c8c8c", "#c2579f")
 
 
@@ -89,7 +89,7 @@ def cloud(plates: Plates) -> Iterator[Figure]:
         v, u = np.nonzero(which)
         chosen = slice(None, None, max(1, -(-len(u) // _MOST_POINTS)))
         u, v = u[chosen], v[chosen]
-        # Few points are drawn larger, so that they are found in the picture.
+        # If there are few points, they are drawn larger, so that they can be found in the picture.
         look: dict[str, Any] = (
             {"c": depth[v, u], "cmap": "viridis_r", "s": np.clip(_POINTS_PT2 / max(1, len(u)), 8, 40)}
             if which is on
@@ -131,9 +131,9 @@ def patch_boxes(plates: Plates) -> Iterator[Figure]:
 
 
 def oblique(relief: Raster, shade: Raster, tilt_deg: float = _TILT_DEG) -> NDArray[np.uint8]:
-    """A relief seen from below at an angle, gray with alpha: parallel rays, nearer parts hide farther ones.
+    """A relief seen obliquely from below, gray with alpha: parallel projection, nearer parts hide farther ones.
 
-    relief: H×W, in pixels, towards the viewer. Every pixel is drawn as a column down to its neighbor, so that slopes are closed.
+    relief: H×W, in pixels, towards the viewer. Every pixel is drawn as a column down to its neighbor, so that slopes have no gaps.
     """
     sine, cosine = np.sin(np.radians(tilt_deg)), np.cos(np.radians(tilt_deg))
     rows = np.arange(relief.shape[0])[:, None] * cosine - relief * sine

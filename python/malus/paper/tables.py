@@ -15,15 +15,15 @@ from malus.columns import aligned, decimals
 from malus.figures import numbers
 from malus.workspace import Raster, Workspace
 
-#: The surfaces by their names in quality.json, and as the paper calls them.
+#: Names of the surfaces in quality.json → names in the paper.
 SURFACES = {"prior": "photogrammetry", "polarization": "polarization", "fused": "fusion"}
-#: Columns that hold words, also where these look like numbers.
+#: Columns that contain text, even if it looks like a number.
 WORDS = ("object", "profile", "surface", "patch")
 
 
 @dataclass(frozen=True)
 class Table:
-    """One table: every cell is text, a number, or None for what cannot be said."""
+    """One table: every cell is text, a number, or None for an unknown value."""
 
     name: str
     title: str
@@ -31,7 +31,7 @@ class Table:
     rows: Sequence[Sequence[str | float | None]]
 
     def csv(self) -> str:
-        """As CSV, numbers in full."""
+        """The table as CSV, numbers with all digits."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(self.header)
@@ -39,7 +39,7 @@ class Table:
         return text.getvalue()
 
     def markdown(self) -> str:
-        """For documents: three digits."""
+        """The table as Markdown, numbers with three digits."""
         lines = [
             list(self.header),
             ["---"] * len(self.header),
@@ -48,14 +48,14 @@ class Table:
         return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
     def without_empty(self) -> Table:
-        """Only the columns that say anything."""
+        """The table without columns that are empty in all rows."""
         used = [any(row[column] is not None for row in self.rows) for column in range(len(self.header))]
         return Table(
             self.name, self.title, _kept(self.header, used), [_kept(row, used) for row in self.rows]
         )  # fmt: skip
 
     def in_columns(self) -> list[list[str]]:
-        """The cells as people read them below each other: as many decimals in a column."""
+        """The cells as text, with the same number of decimals in all cells of a column."""
         columns = [list(column) for column in zip(*self.rows, strict=True)]
         places = [decimals(cell for cell in column if not isinstance(cell, str)) for column in columns]
         return [
@@ -65,7 +65,7 @@ class Table:
 
 
 def cell_text(cell: str | float | None) -> str:
-    """A cell as people read it."""
+    """A cell as text; numbers have three digits."""
     if cell is None:
         return "–"
     return cell if isinstance(cell, str) else f"{cell:.3g}"
@@ -96,7 +96,7 @@ def _rms(values: NDArray[np.float64], *, about_mean: bool) -> float | None:
 
 
 def _errors(profile: Mapping[str, Any], reference_distance: Raster | None) -> dict[str, float | None]:
-    """RMSE of each surface to the reference along a profile; that of polarization about its mean, which is free."""
+    """RMSE of each surface to the reference along a profile; for polarization about its mean, because its offset is free."""
     if reference_distance is None or not profile["fused"]:
         return dict.fromkeys(SURFACES)
     fused, error = numbers(profile["fused"]), _sampled(reference_distance, profile)
@@ -107,12 +107,11 @@ def _errors(profile: Mapping[str, Any], reference_distance: Raster | None) -> di
 
 
 def table_1(workspace: Workspace, surfaces: Mapping[str, str] = SURFACES) -> Table:
-    """Each surface on each profile: how much it differs from the fused one, how rough it is, and, with a reference scan,
-    how wrong.
+    """For each surface on each profile: difference from the fused surface, roughness, and, with a reference scan, error.
 
-    `difference` is the RMS about the mean of the surface minus the fused one: for photogrammetry it is what the paper's
-    quadratic complement takes apart. `roughness` is the RMS of the section without its low frequencies. `error` is the RMSE to
-    the reference, whose distance is taken to be along the section's height. `surfaces`: what they are called.
+    `difference` is the RMS about the mean of the surface minus the fused one; for photogrammetry the paper decomposes it with its
+    quadratic complement. `roughness` is the RMS of the section without its low frequencies. `error` is the RMSE to the reference;
+    distances to the reference are taken as differences in the section's height. `surfaces`: names of the surfaces in the table.
     """
     quality = workspace.quality
     unit, gsd = str(quality["unit"]), float(quality["gsd"])
@@ -154,9 +153,9 @@ def table_1(workspace: Workspace, surfaces: Mapping[str, str] = SURFACES) -> Tab
 
 
 def table_2(workspace: Workspace) -> Table:
-    """Distances of flat patches from the planes that fit them, one patch of an object a row.
+    """Distances of flat patches from their fitted planes, one patch per row.
 
-    An object without patches has one row that says so: left out of a table of many it would seem forgotten.
+    An object without patches has one row that says so, because it would seem forgotten if it were missing from a merged table.
     """
     quality = workspace.quality
     unit, gsd = str(quality["unit"]), float(quality["gsd"])

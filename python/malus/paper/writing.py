@@ -1,4 +1,4 @@
-"""What `malus paper` leaves: plates as PNG, SVG, PDF and CSV, and the tables."""
+"""The output of `malus paper`: plates as PNG, SVG, PDF and CSV, and the tables."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NAMES = (
 
 
 def _numbered(plates: Plates) -> Iterator[tuple[str, Figure]]:
-    """Every figure with the paper's number of its like."""
+    """Every figure, with the number of the corresponding figure in the paper."""
     quality = plates.quality
     groups: list[tuple[str, Iterator[Figure]]] = [
         ("01c", own.sinusoids(plates)),
@@ -45,8 +45,9 @@ def _numbered(plates: Plates) -> Iterator[tuple[str, Figure]]:
 def write_paper(work: str | Path) -> Path:
     """Write the plates and tables of a finished workspace to WORK/paper; returns that folder.
 
-    Each plate is fig_NN_name.png, .svg, .pdf and .csv, NN the number of its like in the paper; captions.md says of each what it
-    shows; contact_sheet.png has all plates on one page; each table is .csv and .md. Raises InputError unless all that they show is as the steps left it.
+    Each plate is written as fig_NN_name.png, .svg, .pdf and .csv; NN is the number of the corresponding figure in the paper.
+    captions.md has the captions, contact_sheet.png shows all plates on one page, and each table is written as .csv and .md. Raises
+    InputError if a file that they show was changed after its step wrote it.
     """
     workspace = Workspace(work)
     plates = Plates(workspace, for_print=True, words=SURFACES)
@@ -83,7 +84,7 @@ def _write_table(folder: Path, table: Table) -> list[str]:
 
 
 def merge_campaign(works: Sequence[str | Path], output: str | Path) -> list[Path]:
-    """One Table 1 and one Table 2 of several workspaces, in their order, as OUTPUT/table_N.csv and .md; returns the paths.
+    """Merge Table 1 and Table 2 of several workspaces, in the given order, to OUTPUT/table_N.csv and .md; returns the paths.
 
     Raises InputError for a workspace that `malus paper` has not finished, or for units that differ.
     """
