@@ -129,7 +129,7 @@ class RandomLight:
         return [self.lights.room(radiance)], drawn
 
     def draw(self, kind: str) -> tuple[list[Any], dict[str, Any]]:
-        """Mitsuba's emitters, and what was drawn."""
+        """Mitsuba's emitters, and the drawn values."""
         kinds: dict[str, Callable[[], tuple[list[Any], dict[str, Any]]]] = {
             "constant": self.constant,
             "sun": self.sun,

@@ -43,7 +43,7 @@ class Variant:
     amount: dict[str, Any] = field(default_factory=dict)
     sensor: dict[str, float] = field(
         default_factory=dict
-    )  # of images made anew; empty = the images are the rendered ones
+    )  # of newly written images; empty = the rendered images are used
 
 
 def signed(random: np.random.Generator, low: float, high: float) -> float:

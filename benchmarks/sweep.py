@@ -196,7 +196,7 @@ def sgbm_depth(scene: Scene, pairs: int) -> Array:
         center0 = 20 - at.min(1)
         size = tuple(int(n) for n in np.ceil(np.ptp(at, axis=1) + 40))
         z = np.stack([(common @ seen)[2] * depth for depth in (near, far)])
-        disparity = focal * np.linalg.norm(baseline) / z  # x_station - x_photo, but for the principal points
+        disparity = focal * np.linalg.norm(baseline) / z  # x_station - x_photo, apart from the principal points
         shift = np.floor(disparity.min()) - 2
         count = int(np.ceil((disparity.max() - shift + 4) / 16)) * 16
         new0 = np.array([[focal, 0, center0[0]], [0, focal, center0[1]], [0, 0, 1]])

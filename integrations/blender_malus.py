@@ -96,7 +96,7 @@ class ImportMalusWorkspace(bpy.types.Operator, ImportHelper):
     use_units: BoolProperty(name="Show millimeters", default=True)
 
     def execute(self, context):
-        """Import, or say what is missing."""
+        """Import, or report what is missing."""
         try:
             import_workspace(Path(self.filepath).parent, use_units=self.use_units)
         except ValueError as error:

@@ -19,7 +19,7 @@ _MOST_RATIO = 4.0
 #: _WITNESSES of the _OF_NEAREST nearest cloud points lie within _WITNESS_GSD (GSD), and within _WITNESS_ACROSS_GSD along the normal.
 _LEAST_COSINE_ALONE = 0.5
 _WITNESSES, _OF_NEAREST, _WITNESS_GSD, _WITNESS_ACROSS_GSD = 2, 6, 4.0, 2.0
-#: A point is an outlier unless this share of so many neighbors continues its surface.
+#: A point is an outlier unless at least this share of its nearest _NEIGHBORS points continues its surface.
 _NEIGHBORS, _LEAST_TOGETHER = 8, 0.6
 #: A station's point is dropped if another station has a weight there that is larger by more than this factor.
 _SURER = 1.5
@@ -206,7 +206,7 @@ def without_outliers(points: OrientedPoints, gsd: float) -> OrientedPoints:
 
 
 def agreement_figures(agreements: Sequence[Agreement], gsd: float) -> dict[str, float | None]:
-    """RMS of distance over standard deviation, share within two of them, and RMS and median distance in GSD.
+    """RMS of distance over standard deviation, share within two standard deviations, and RMS and median distance in GSD.
 
     Over all places that two stations see; None if there are none.
     """

@@ -19,7 +19,7 @@ from malus.workspace import Workspace
 
 @dataclass(frozen=True)
 class Albedos:
-    """Linear images (H×W×C) of the stations whose albedo is known, each up to a factor. unknown: why it is not, by name of the others."""
+    """Linear images (H×W×C) of the stations whose albedo is known, each up to a factor. unknown: for all other stations the reason, by name."""
 
     views: Sequence[View]
     images: Sequence[Floats]

@@ -1,4 +1,4 @@
-"""Object files: the stations of one object, and what is wanted of its surface."""
+"""Object files: the stations of one object, and the settings for its surface."""
 
 from __future__ import annotations
 

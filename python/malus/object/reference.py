@@ -32,7 +32,7 @@ _MOST_LOOKED_FOR, _MOST_AT_ONCE = 1_000_000, 4_000_000
 
 @dataclass(frozen=True)
 class Reference:
-    """A mesh, or a cloud without triangles: N×3 points, M×3 numbers of them."""
+    """A mesh, or a cloud without triangles. points: N×3. triangles: M×3 indices of points, or None."""
 
     points: Floats
     triangles: NDArray[np.uint32] | None

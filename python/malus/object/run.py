@@ -65,7 +65,7 @@ def run_object(
     mesh, with sigma), mesh.glb (textured), albedo.glb, reference/, agreement/NAME.png, quality.json, report/index.html. jobs, threads,
     scheduler and shard: as in malus.batch.run_campaign. The surface is made from the stations that are done, once no station is pending.
     It is not made again while these stations and the object file are unchanged. progress: step, share done, message. Returns the
-    outcomes of the stations. Raises DataError if no station is done, and what malus.reconstruct raises.
+    outcomes of the stations. Raises DataError if no station is done, and the errors of malus.reconstruct.
     """
     say = progress or (lambda *_: None)
     texture.require_packages()

@@ -23,7 +23,8 @@ from malus.workspace import Workspace
 Ints = NDArray[np.int64]
 Window = tuple[slice, slice]
 
-#: The surface is held to its place by its own standard deviation, clipped to these (GSD); second differences of the move have this one (GSD).
+#: Standard deviations (GSD) of a pixel's move across the surface: the surface's own one, clipped to _PLACE_GSD; of the move's second
+#: differences, _BEND_GSD.
 _PLACE_GSD, _BEND_GSD = (0.2, 1.0), 0.3
 #: Standard deviation of the sine between a normal and a phase's plane: a constant for interreflections, and a part divided by the degree.
 _TURN, _TURN_OF_DEGREE = 0.08, 0.0012

@@ -1,4 +1,4 @@
-"""Finished stations as views of one object: their surfaces in the world, and where world points lie in them."""
+"""Finished stations as views of one object: their surfaces in the world, and the projection of world points into the views."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ _MM_PER_RESOLUTION_UNIT: dict[float, float] = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.00
 
 @dataclass(frozen=True)
 class Photo:
-    """A photograph's file and what is known of its camera without looking at the picture."""
+    """A photo's file, its size, and the camera data in its EXIF."""
 
     name: str
     """Path below the photos' folder, with slashes."""
@@ -40,7 +40,7 @@ class Photo:
 
     @property
     def camera_key(self) -> tuple[int, int, str, float | None]:
-        """What photos of one camera, lens and focal length share."""
+        """Key that is the same for photos of one camera, lens and focal length."""
         return self.width, self.height, self.maker, None if self.focal_px is None else round(self.focal_px, 1)
 
 

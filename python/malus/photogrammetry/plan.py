@@ -50,7 +50,7 @@ def _scale_line(station: Mapping[str, Any]) -> str:
 def plan(station: Mapping[str, Any], options: Options, threads: int, station_mpx: float) -> Plan:
     """What would be done for a station, as `Station.describe` returns it, with an image of `station_mpx` megapixels.
 
-    Raises what a run would raise before it starts: InputError for unreadable or wrong photos, DataError for too few,
+    Raises the errors that a run would raise before it starts: InputError for unreadable or wrong photos, DataError for too few,
     ExternalError when COLMAP is missing.
     """
     said = station["photos"]

@@ -65,7 +65,7 @@ class Arguments:
         self._values = {key[2:]: value for key, value in zip(words[::2], words[1::2], strict=True)}
 
     def take(self, name: str, default: str | None = None) -> str:
-        """The text of an option; UsageError if it is not there and has no default."""
+        """The text of an option; UsageError if the option is missing and has no default."""
         value = self._values.pop(name, default)
         if value is None:
             raise UsageError(f"--{name} is missing")
@@ -104,7 +104,7 @@ def extract_features(colmap: Any, arguments: Arguments) -> None:
 
 
 def import_matches(colmap: Any, arguments: Arguments) -> None:
-    """`matches_importer`: verification of the pairs in a list; those with matches in the database are not matched again."""
+    """`matches_importer`: verification of the pairs in a list; pairs with matches in the database are not matched again."""
     matching = arguments.fill(colmap.FeatureMatchingOptions(), _MATCHING)
     geometry = arguments.fill(colmap.TwoViewGeometryOptions(), _GEOMETRY)
     pairing = colmap.ImportedPairingOptions()

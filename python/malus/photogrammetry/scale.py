@@ -21,7 +21,7 @@ _SUSPICIOUS = 4.0
 
 Log = Callable[[str, str], None]
 Mark = tuple[str, float, float]
-#: Target id → where each photo shows it, for one dictionary.
+#: Target id → marks of the target in the photos, for one dictionary.
 Targets = dict[int, list[Mark]]
 
 

@@ -22,7 +22,7 @@ from malus.photogrammetry.station_pose import GAMMA, PlacedStations, StationView
 
 @dataclass(frozen=True)
 class MatchedStations:
-    """The model after the adjustment, and what it gained."""
+    """The stations in the adjusted model, and the figures of the adjustment."""
 
     placed: PlacedStations
     figures: dict[str, Any] | None

@@ -99,7 +99,7 @@ def _count(folder: Path) -> int:
 
 def angles(root: Root, folder: str, source: str, names: Sequence[str], first: float, step: float) -> list[dict[str, Any]]:  # fmt: skip
     """Image and angle [deg] of each of `names`, by `source`: "names" (or the folder's table or sidecars, as `malus import`
-    reads them), "table:PATH", or "taken": from `first` in steps, in the order in which the camera took them.
+    reads them), "table:PATH", or "taken": from `first` in steps of `step`, in the order in which the camera took the images.
 
     Raises InputError if the source does not give the angles.
     """
