@@ -1,11 +1,11 @@
-"""One station at the size of a camera, photos and all: minutes and memory of every stage of `malus run`, beside what `malus check` expected.
+"""One station with images and photos of camera size: minutes and memory of every stage of `malus run`, beside those that `malus check` expects.
 
     .venv/bin/python benchmarks/camera_scale.py [--photos 12] [--megapixels 4] [--polarized-megapixels 4] [--threads 2] [--folder F]
 
-The object is the textured relief of `malus.synthetic`, larger the more pixels there are. Its photos look at it from rings around the
-station, through the same lens, and are color JPEGs of 8 bits with noise; their focal length stands in the files as a camera would
-write it, everything else is found. The station is made once in the folder; its run begins anew each time. Printed at the end: how far
-the surface is from the truth, up to its size and place, which are the photos'.
+The object is the textured relief of `malus.synthetic`; its size grows with the number of pixels. The photos are taken from rings around
+the station through the same lens, and are noisy color JPEGs of 8 bits. Their files give the focal length in EXIF; everything else is
+found. The station is made once in the folder; its run starts anew each time. Printed at the end: the distance of the surface from the
+truth, apart from scale and position, which come from the photos.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ from malus.camera import Camera
 
 Floats = NDArray[np.float64]
 _ROWS = 512
-#: From the station's axis; photos take these in turn, all around it.
+#: Angles of the photos from the station's axis, taken in turn all around the axis.
 _TILTS_DEG = (14.0, 20.0, 26.0)
-#: Of the diagonal of a full frame, by which focal lengths are said in EXIF.
+#: Diagonal of a full frame, to which 35-mm-equivalent focal lengths in EXIF refer.
 _FULL_FRAME_MM = 43.27
 _WHITE = np.array([1.0, 0.95, 0.85])
 
 
 def size_of(megapixels: float) -> tuple[int, int]:
-    """3:2, even numbers of pixels."""
+    """Width and height, 3:2, even numbers of pixels."""
     height = 2 * round((megapixels * 1e6 / 1.5) ** 0.5 / 2)
     return 2 * round(0.75 * height), height
 
 
 def photo_camera(station: Camera, distance: float, size: tuple[int, int], number: int, count: int) -> Camera:
-    """A camera that looks at the middle of the object as large as the station sees it."""
+    """A camera that looks at the middle of the object, at the station's distance and scale."""
     turn, tilt = 2 * np.pi * number / count, np.radians(_TILTS_DEG[number % len(_TILTS_DEG)])
     middle = np.array([0.0, 0.0, distance])
     forward = np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])
@@ -58,7 +58,7 @@ def photo_camera(station: Camera, distance: float, size: tuple[int, int], number
 
 
 def sampled(raster: NDArray[np.float32], u: Floats, v: Floats) -> NDArray[np.float32]:
-    """Bilinear; beyond its border the raster's border."""
+    """Bilinear values of the raster; beyond its border, the border's values."""
     return np.asarray(
         cv2.remap(raster, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     )
@@ -67,7 +67,7 @@ def sampled(raster: NDArray[np.float32], u: Floats, v: Floats) -> NDArray[np.flo
 def photograph(
     depth: NDArray[np.float32], radiance: NDArray[np.float32], station: Camera, camera: Camera
 ) -> NDArray[np.uint8]:
-    """8-bit RGB of the surface that the station sees at `depth`, black where the station does not look."""
+    """8-bit RGB of the surface that the station sees at `depth`, black outside the station's image."""
     rotation, translation = camera.pose()
     center = -rotation.T @ translation
     fx, fy, cx, cy = station.params
@@ -78,7 +78,7 @@ def photograph(
         v, u = np.mgrid[first : min(first + _ROWS, camera.height), : camera.width].astype(float)
         rays = np.stack([(u - x0) / focal, (v - y0) / focal, np.ones_like(u)], -1) @ rotation
         z = np.full(u.shape, float(np.mean(depth[::97, ::97])))
-        for _ in range(6):  # the surface is flat enough that each brings the ray five times as near
+        for _ in range(6):  # the surface is flat enough that each step reduces the error five times
             along = (z - center[2]) / rays[..., 2]
             on_u = fx * (center[0] + along * rays[..., 0]) / z + cx
             on_v = fy * (center[1] + along * rays[..., 1]) / z + cy
@@ -91,7 +91,7 @@ def photograph(
 
 
 def marks_of(point: Floats, cameras: dict[str, Camera]) -> str:
-    """Where photos show a point, as a station file says it."""
+    """Marks of a point in the photos, in the syntax of a station file."""
     marks = []
     for name, camera in cameras.items():
         rotation, translation = camera.pose()
@@ -168,7 +168,7 @@ b = {marks_of(ends[1], marked)}
 
 
 def stages(times: dict[str, Any]) -> list[tuple[str, dict[str, float]]]:
-    """What each step took, the stages of those that have any one by one."""
+    """Time and memory of each step; of each stage if a step has stages."""
     rows = []
     for step, taken in times.items():
         if "stages" in taken:
@@ -183,7 +183,7 @@ def printed(name: str, seconds: float, cpu_seconds: float, peak_mb: float) -> No
 
 
 def print_error(work: Path, truth: Path) -> None:
-    """Of the fused depth, in sampling distances, once one factor is taken out."""
+    """Print the error of the fused depth in GSD, after removal of one scale factor and one offset."""
     with np.load(truth) as known:
         right, gsd = known["depth"][::5, ::5], float(known["gsd"])
     depth = _core.read_raster(str(work / "fused/depth.tif"))[::5, ::5]

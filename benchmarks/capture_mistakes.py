@@ -1,7 +1,7 @@
-"""What a person gets wrong at the camera or while exporting, made on a copy of a station's files.
+"""Mistakes of a person at the camera or while exporting, made on a copy of a station's files.
 
-What the sensor would have seen at another angle of the polarizer follows from the sinusoid through the images: its
-change is added to them, so that their noise stays.
+Images at another polarizer angle follow from the sinusoid that is fitted to the images: the change of the sinusoid is
+added to each image, so that the image keeps its noise.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import malus
 
 
 def random() -> np.random.Generator:
-    """Every mistake is the same on every station and every time."""
+    """A generator with a fixed seed: every mistake is the same on every station and in every run."""
     return np.random.default_rng(3)
 
 
@@ -30,20 +30,20 @@ def harmonics(angles: Array) -> Array:
 
 
 def stokes(inputs: Inputs) -> Array:
-    """s0, s1, s2 through the images, 3×H×W."""
+    """s0, s1, s2 fitted to the images, 3×H×W."""
     flat = inputs.images.reshape(len(inputs.images), -1)
     found: Array = np.linalg.lstsq(harmonics(inputs.angles), flat, rcond=None)[0]
     return found.reshape(3, *inputs.images.shape[1:])
 
 
 def taken_at(inputs: Inputs, angles: Array) -> Inputs:
-    """Images at these angles, the station file unchanged."""
+    """Images at these angles; the angles in the station file are unchanged."""
     change = harmonics(angles) - harmonics(inputs.angles)
     return replace(inputs, images=inputs.images + np.tensordot(change, stokes(inputs), 1).astype(np.float32))
 
 
 def each(inputs: Inputs, change: Callable[[Array, int], Array], frames: range | None = None) -> Inputs:
-    """Some of the images changed by a function of image and number."""
+    """Inputs with all images, or those numbered in `frames`, changed by a function of image and number."""
     chosen = range(len(inputs.images)) if frames is None else frames
     images = [change(image, k) if k in chosen else image for k, image in enumerate(inputs.images)]
     return replace(inputs, images=np.stack(images).astype(np.float32))
@@ -57,7 +57,7 @@ def warped(image: Array, u: Array, v: Array) -> Array:
 def places(
     image: Array, zoom: float = 1, degrees: float = 0, shift: tuple[float, float] = (0, 0)
 ) -> tuple[Array, Array]:
-    """Where in an image that is enlarged, turned and moved each pixel comes from: u, v."""
+    """For each pixel of an image that is enlarged, turned and moved: its place u, v in the original image."""
     height, width = image.shape
     v, u = np.indices(image.shape, float)
     x, y = u - width / 2, v - height / 2
@@ -67,14 +67,14 @@ def places(
 
 
 def enlarged(inputs: Inputs, zoom: float) -> Inputs:
-    """All images and the mask cropped, then resized to what they were."""
+    """All images and the mask cropped, then resized to their former size."""
     u, v = places(inputs.images[0], zoom)
     mask = np.where(warped(inputs.mask.astype(float), u, v) > 127, 255, 0).astype(np.uint8)
     return replace(each(inputs, lambda image, _: warped(image, u, v)), mask=mask)
 
 
 def distorted(inputs: Inputs) -> Inputs:
-    """Barrel distortion of 2 % at the corners, which the station file does not have."""
+    """Barrel distortion of 2 % at the corners, which is missing in the station file."""
     height, width = inputs.images.shape[1:]
     u, v = places(inputs.images[0])
     x, y = (u - width / 2) / (width / 2), (v - height / 2) / (width / 2)
@@ -85,7 +85,7 @@ def distorted(inputs: Inputs) -> Inputs:
 
 
 def second_lamp(inputs: Inputs) -> Inputs:
-    """From the fourth image on a lamp stands beside the object: brighter to the right, by 0 to 60 %."""
+    """From the fourth image on, a lamp beside the object makes the images brighter, from 0 on the left to 60 % on the right."""
     width = inputs.images.shape[2]
     return each(inputs, lambda image, _: image * (1 + 0.6 * np.arange(width) / width), range(3, len(inputs.images)))
 
@@ -97,13 +97,13 @@ def auto_exposure(inputs: Inputs) -> Inputs:
 
 
 def auto_white_balance(inputs: Inputs) -> Inputs:
-    """Color images whose red and blue are multiplied anew for each, by up to 10 %."""
+    """Color images whose gains of red and blue change from image to image, by up to 10 %."""
     gains = 1 + 0.1 * random().uniform(-1, 1, (len(inputs.images), 3)) * [1, 0, 1]
     return replace(inputs, images=(inputs.images[..., None] * gains[:, None, None]).astype(np.float32))
 
 
 def picture_style(inputs: Inputs) -> Inputs:
-    """8-bit JPEG as cameras make it: sharpened, with a tone curve, and stated as sRGB."""
+    """8-bit JPEG as cameras write it: sharpened, with a tone curve; the station file states sRGB."""
 
     def styled(image: Array, _: int) -> Array:
         sharp = np.clip(image + 0.8 * (image - ndimage.gaussian_filter(image, 1.2)), 0, 1)
@@ -113,7 +113,7 @@ def picture_style(inputs: Inputs) -> Inputs:
 
 
 def circular_filter(inputs: Inputs) -> Inputs:
-    """The quarter-wave plate in front: half of the light through, at every angle; noise as strong as it was."""
+    """The quarter-wave plate is in front: half of the light passes, at every angle; the noise level does not change."""
     half = stokes(inputs)[0] / 2
     left = inputs.images - np.tensordot(harmonics(inputs.angles), stokes(inputs), 1)
     share = (left**2).sum() / max(len(left) - 3, 1) / half.sum()
@@ -122,14 +122,14 @@ def circular_filter(inputs: Inputs) -> Inputs:
 
 
 def weak_filter(inputs: Inputs) -> Inputs:
-    """A filter film that lets a fifth of the crossed light through: degrees are two thirds of what they are."""
+    """A filter film that lets a fifth of the crossed light through: degrees of polarization fall to two thirds."""
     measured = stokes(inputs)
     lost = np.tensordot(harmonics(inputs.angles)[:, 1:], measured[1:], 1) / 3
     return replace(inputs, images=(inputs.images - lost).astype(np.float32))
 
 
 def points_behind(inputs: Inputs) -> Inputs:
-    """Points at random in twice the cloud's box: a third of all."""
+    """The cloud with random points in a box of twice its size; they are a third of all points."""
     points = inputs.points()
     low, high = points.min(axis=0), points.max(axis=0)
     count = len(points) // 2
@@ -141,7 +141,7 @@ def points_behind(inputs: Inputs) -> Inputs:
 
 
 def half_a_cloud(inputs: Inputs) -> Inputs:
-    """What lies left of the object's middle."""
+    """The points left of the object's middle."""
     points = inputs.in_camera()
     return replace(inputs, cloud=inputs.cloud[points[:, 0] < np.median(points[:, 0])])
 
@@ -160,7 +160,7 @@ def other_focal_length(inputs: Inputs, factor: float) -> Inputs:
 
 
 def portrait(inputs: Inputs) -> Inputs:
-    """The camera stood upright: files are turned and have the EXIF entry that turns them back."""
+    """The camera stood upright: the images in the files are turned, and an EXIF entry turns them back."""
     turned: NDArray[np.float32] = np.rot90(inputs.images, 1, (1, 2))
     return replace(inputs, images=turned, mask=np.rot90(inputs.mask), jpeg=95, orientation=6)
 

@@ -2,10 +2,10 @@
 
     python benchmarks/coded_targets.py SCENE -o WORK [--dictionary aruco_4x4_50] [--side-mm 22]
 
-SCENE: a folder as rendered/renderer/render.py leaves it, with views/, gt_sparse/ and station_photos.toml, whose marks say where. A square
-target is drawn, in the plane of three marks, at each of them in every photo, and the distances of their centers take the place of the marked
-ones: two in the adjustment, the third as a check. Prints where the targets were found, the adjustment's residuals, and the scale's
-error against the true poses. Needs `pip install opencv-python-headless scipy`.
+SCENE: a folder written by rendered/renderer/render.py, with views/, gt_sparse/ and station_photos.toml, which has the marks of three points.
+In every photo a square target is drawn at each of these points, in the plane of the three. The distances of the targets' centers replace
+the marked distances: two in the adjustment, the third as a check. Prints where the targets were found, the adjustment's residuals, and the
+scale's error against the true poses. Needs `pip install opencv-python-headless scipy`.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def triangulated(marks: list[dict[str, Any]], cameras: dict[str, Camera]) -> Arr
 
 
 def draw_target(photo: Array, camera: Camera, pattern: Array, corners: Array) -> None:
-    """Draws a square pattern whose corners lie at these points (4×3, clockwise from the upper left) into a photo."""
+    """Draw a square pattern into a photo; its corners lie at these points (4×3, clockwise from the upper left)."""
     seen = (corners @ camera.rotation.T + camera.translation).T
     fx, fy, cx, cy = camera.params
     pixels = np.stack([fx * seen[0] / seen[2] + cx, fy * seen[1] / seen[2] + cy], axis=1)
@@ -77,7 +77,7 @@ def main() -> None:
     bars = description["scale"]
     points = np.array([triangulated(marks, cameras) for marks in (bars[0]["a"], bars[0]["b"], bars[1]["a"])])
 
-    # A target's own axes in that plane, its upper side towards where the cameras are up.
+    # Axes of the targets in the plane of the points; the normal `up` points to the side of the cameras.
     up = np.cross(points[1] - points[0], points[2] - points[0])
     center = np.mean([-c.rotation.T @ c.translation for c in cameras.values()], axis=0)
     up *= np.sign(up @ (center - points[0])) / np.linalg.norm(up)

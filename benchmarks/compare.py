@@ -1,7 +1,8 @@
-"""Malus beside its peers, all in one run: called by benchmarks/run, writes docs/benchmarks.md.
+"""Compares Malus with its peers in one run: called by benchmarks/run, writes docs/benchmarks.md.
 
-Every solver, fit or station runs in a process of its own, in turn, several times, in memory that was touched just before (measuring.py); the
-tables have medians, the peak memory of the process, and ratios. Only the ratios mean anything on another machine, and on a busy one only these.
+Every solver, fit or station runs several times, in turn with the others, each time in a process of its own and in memory that was touched
+just before (measuring.py). The tables have medians, the peak memory of the process, and ratios. On another machine, or on a busy one, only
+the ratios are meaningful.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What ± 50 % of each constant of prior, sweep and fusion does to the fused surface of rendered stations.
+"""Effect of ± 50 % in each constant of prior, sweep and fusion on the fused surface of rendered stations.
 
     python benchmarks/constants.py -o OUT [STATION.toml…] [--map STATION.toml…] [--index STATION.toml…]
                                    [--swept STATION.toml…] [--stages prior…] [--jobs 1] [--only PATTERN]
@@ -6,20 +6,21 @@
 
 STATION: a station file of a rendered station (`random_stations.py`, or rendered/renderer/render.py).
 
-varied_source.py makes OUT/tree, a copy of the C++ sources whose constants an environment variable multiplies, and builds it. Every
-constant is then taken times 0.5 and 1.5 (whole numbers rounded, at least 1; options that are on are switched off), one at a time, from
-the step on that it belongs to. A constant whose code a station does not reach is not run on it. Of the fused depth's detail MAD and the
-median error of its normals (harm.py) the ratio to the same with nothing varied is kept, and whether depth, standard deviation and
-everything else are the same to the bit.
+varied_source.py makes OUT/tree, a copy of the C++ sources whose constants an environment variable multiplies, and builds it. Each
+constant is then multiplied by 0.5 and 1.5, one at a time (whole numbers are rounded and at least 1; switches are inverted). The run starts
+at the step that the constant belongs to. If a station does not reach the constant's code, the constant is not run on this station. Recorded
+are the ratios of the fused depth's detail MAD and of its median normal error (harm.py) to those of a run with nothing varied, and whether
+depth, standard deviation and all other results are the same to the bit.
 
-A map of the surroundings and the search for the refractive index take ten times as long as all the rest of a small station. So they are
-left out (refine.surroundings and refine.correct_index off) but on the stations of --map and --index, on which only the constants are varied
-that change nothing on those before; there a quarter of the pixels fits the map, and it is taken sooner. Of an object that is larger than 128 x 96 px only the middle is
-taken. --swept: the coarse surface is swept from the station's photographs at their true poses instead of taken from its cloud; for the
-sweep's constants, and those of the prior that a cloud does not reach.
+A map of the surroundings and the search for the refractive index take ten times as long as all other steps of a small station. They are
+therefore switched off (refine.surroundings and refine.correct_index), except on the stations of --map and --index. On these stations only
+their own constants are varied, and with --map also those of the fusion that changed no other station's depth. With --map, a quarter of the
+pixels fits the map, and the map is taken sooner. If an object is larger than 128 x 96 px, only its middle is used. --swept: the coarse
+surface comes from a sweep of the station's photographs at their true poses instead of from the cloud. These stations are for the constants
+of the sweep, and for those of the prior whose code a cloud does not reach.
 
-OUT/results.jsonl has a line for each run; what it has is not run again. --table prints what it has; --docs FILE writes it into the last
-column of the tables of docs/constants.md, by the names in their column "where".
+OUT/results.jsonl has a line for each run; runs with a line are not repeated. --table prints these results; --docs FILE writes them into the
+last column of the tables of docs/constants.md, by the names in the column "where".
 """
 
 from __future__ import annotations
@@ -54,11 +55,11 @@ FACTORS = (0.5, 1.5)
 TIME_LIMIT_S = 300
 MIDDLE = (96, 128)  # rows and columns
 HEAD = "± 50 % [%]"
-# What the steps before leave is the same for all constants of a stage.
+# Last step before each stage; the results up to this step are the same for all constants of the stage.
 BEFORE = {"prior": "polarization", "fuse": "evidence", "grid": "evidence", "map": "evidence", "index": "evidence"}
 NO_MAP, NO_INDEX = "refine.surroundings=false", "refine.correct_index=false"
-SETTINGS = {"map": [NO_INDEX], "index": [NO_MAP]}  # of the others: both
-# A quarter of the pixels fits a map, and it is taken where it explains more by a quarter of what it must else.
+SETTINGS = {"map": [NO_INDEX], "index": [NO_MAP]}  # all other stages: both
+# A quarter of the pixels fits a map, and a quarter of the usual gain suffices for the map to be taken.
 MAP_IS_TAKEN = "surroundings_course.cpp:enough_samples=0.25,refine.cpp:clearly=0.25"
 GRID = ["--fusion", "grid", "--set", "optimize.enabled=true"]
 OF_KIND = {
@@ -73,7 +74,7 @@ OF_SWEPT = (
     "prior.hole_slope",
 )
 NOT_PLAIN = ("_map", "_index", "_swept")
-# Files whose constants are looked at after the depth is known: two stations show what there is.
+# Files whose constants are used after the depth is known: two stations are enough for them.
 AFTER_THE_DEPTH = ("surface_sigma", "refinement_verdict")
 SECTIONS = {"prior": ("prior", "Prior"), "sweep": ("prior", "Sweep"), "refine": ("fusion", "Refine")}
 
@@ -101,7 +102,7 @@ def changes_of_code(constants: Iterable[varied_source.Constant], rooms: dict[str
 
 
 def changes_of_options() -> list[Change]:
-    """Of the numbers and switches in the options' structures."""
+    """Changes of the numbers and switches in the structures of options."""
     found = []
     for section, (file, structure) in SECTIONS.items():
         text = (ROOT / "cpp/malus/options" / f"{file}_options.h").read_text()
@@ -125,7 +126,7 @@ def changes_of_options() -> list[Change]:
 
 
 def write_photos(station: Path, folder: Path) -> None:
-    """Views, mask and points for sweep_of_files: of the coarse cloud every 20th, in place of points that photos are matched by."""
+    """Views, mask and points for sweep_of_files. Every 20th point of the coarse cloud replaces the points that the photos' matches give."""
     folder.mkdir(parents=True, exist_ok=True)
     scene = sweep.load(station)
     views = {"station": (scene.intensity, scene.camera)} | {f"view{i}": view for i, view in enumerate(scene.views)}
@@ -141,7 +142,7 @@ def write_photos(station: Path, folder: Path) -> None:
 
 
 def only_middle(toml: Path, out: Path) -> Path:
-    """The station file, or where its object is large, one of a copy whose object is only the middle."""
+    """The station file; if the object is large, the file of a copy whose object is only the middle."""
     station, folder = toml.resolve().parent, out / "middle" / toml.resolve().parent.name
     truth = dict(np.load(station / "gt/depth_normal_mask.npz"))
     middle = np.zeros(truth["label"].shape, bool)
@@ -163,7 +164,7 @@ def only_middle(toml: Path, out: Path) -> Path:
 
 
 class Station:
-    """A rendered station: what was made of it before, and runs with a change. kind: "plain", "map", "index" or "swept"."""
+    """A rendered station: its prepared results, and its runs with a change. kind: "plain", "map", "index" or "swept"."""
 
     def __init__(self, toml: Path, kind: str, out: Path) -> None:
         self.toml, self.kind, self.swept, self.out = only_middle(toml, out).absolute(), kind, kind == "swept", out
@@ -192,7 +193,7 @@ class Station:
         return [*program, "--threads", "1", "--quiet", *options, *(GRID if stage == "grid" else [])]
 
     def prepare(self) -> None:
-        """What lies before each stage, the results with nothing varied, and the constants that were reached."""
+        """Make the results before each stage, the results with nothing varied, and the list of constants that are reached."""
         for stage in self.stages():
             before = self.base / stage
             if not self.swept and not before.exists():
@@ -228,7 +229,7 @@ class Station:
             return row | (self.outcome(work) if code == 0 else dict(message=message))
 
     def outcome(self, work: Path) -> Row:
-        """Figures of the fused depth, and the rasters' contents for comparison (`_…`, not kept)."""
+        """Figures of the fused depth, and the contents of the rasters for comparison (keys `_…`, not recorded)."""
         fused, prior = (tifffile.imread(work / name / "depth.tif").astype(float) for name in ("fused", "prior"))
         mask = harm.scored_pixels(self.truth["label"]) & (fused > 0) & (prior > 0)
         if mask.sum() < 100:
@@ -261,7 +262,7 @@ def measured(station: Station, change: Change) -> Row:
 
 
 def wanted(station: Station, change: Change, number: int, reached: set[str]) -> bool:
-    """Whether a change is looked at on a station, of plain ones the number-th; `reached`: what changed the surface of plain ones."""
+    """Whether a change is run on a station. number: of the plain stations before it; reached: constants that changed a plain station's depth."""
     if station.kind == "swept":
         return change.stage == "sweep" or change.key in OF_SWEPT
     kind = next((kind for kind, keys in OF_KIND.items() if change.key.startswith(keys)), "plain")
@@ -274,7 +275,7 @@ def wanted(station: Station, change: Change, number: int, reached: set[str]) -> 
     return number < 2 or not (change.key.startswith(AFTER_THE_DEPTH) or change.stage in ("prior", "grid"))
 
 
-# --- what came of it
+# --- results
 
 
 def percent(ratio: float) -> str:
@@ -284,7 +285,7 @@ def percent(ratio: float) -> str:
 
 
 def summary(rows: list[Row]) -> Row:
-    """Of the lines of one constant: geometric means over the stations, the station where it changes most, and what stays the same."""
+    """Summary of the lines of one constant: geometric means over the stations, the station that changes most, and unchanged results."""
     out: Row = dict(
         stations=len({row["station"] for row in rows}),
         reached=len({row["station"] for row in rows if row.get("reached", True)}),
@@ -297,7 +298,7 @@ def summary(rows: list[Row]) -> Row:
         of_factor = [row for row in ran if row["factor"] == factor]
         missed = len(
             [row for row in rows if row["factor"] == factor and not row.get("reached", True)]
-        )  # nothing changes there
+        )  # nothing changes on these stations
         for name, figure in (("mean", "detail_mad"), ("normals", "normal_median")):
             logs = [math.log(row["ratios"][figure]) for row in of_factor]
             if logs:
@@ -314,7 +315,7 @@ def summary(rows: list[Row]) -> Row:
 
 
 def cell(found: Row) -> str:
-    """Cell of docs/constants.md."""
+    """Cell of a table in docs/constants.md."""
     if not found["mean"]:
         return "refused" if found["refused"] else "not reached"
     same = found["same"]

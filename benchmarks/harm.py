@@ -1,18 +1,18 @@
-"""How often a fused surface is worse than its prior without saying so.
+"""How often a fused surface is worse than its prior although its confidence is not lowered.
 
     python benchmarks/harm.py STATION… --executable malus-station -o OUT [--jobs 2] [--draws 1] [--seed 1]
     python benchmarks/harm.py --renders DIR… [--count 200] --executable malus-station -o OUT [--jobs 2] [--seed 1]
 
-STATION: folders of rendered stations (`random_stations.py`, or of rendered/renderer/render.py). Of each one variant is drawn
-(`station_variants.py`): half are right as they are, a quarter have a wrong prior, a quarter a wrong setting.
+STATION: folders of rendered stations (`random_stations.py`, or of rendered/renderer/render.py). For each station a variant is drawn
+(`station_variants.py`): half of the variants are correct, a quarter have a wrong prior, a quarter a wrong setting.
 
---renders: a station takes a minute to render and seconds to run, and noise, errors of the prior and wrong settings need no rendering.
-So random stations are made of all renders below these folders: objects are drawn until there are --count, none again before all were
-drawn once; of an object in the round one of its stations. Each gets the noise of a sensor drawn for it, and a variant as above. Scene,
-light and material are as random as the renders are: "own" in the table of lights means the scene's own.
+--renders: a station takes a minute to render but seconds to run, and noise, errors of the prior and wrong settings need no rendering.
+So --count random stations are made from the renders below these folders. Objects are drawn in random order; no object is drawn again
+before all were drawn once. Of an object in the round, one of its stations is drawn. Each station gets the noise of a random sensor and a
+variant as above. Scene, light and material are those of the renders: "own" in the table of lights means the scene's own light.
 
-Each station is run, and prior
-and fused surface are compared with the truth, on the pixels where both have a depth and with the definitions of rendered/score.py:
+Each station is run. Prior and fused surface are compared with the truth on the pixels where both have a depth, with the definitions of
+rendered/score.py:
 
     harm           RMSE, detail's MAD or median normal error of the fused surface is more than 10 % above the prior's
     unmarked harm  … and quality.json says confidence "high", or nothing
@@ -20,10 +20,10 @@ and fused surface are compared with the truth, on the pixels where both have a d
     kept           none of the three differs from the prior's by 0.5 %
     refused        exit code 2 or 3, with a message: counts as marked
 
-Bars: unmarked harm at most 1 % of the stations whose prior lies where the object is; "low" or refused at most 5 % of what is right as it is
-and not metal. Where the prior itself is shifted, turned, scaled or mirrored, "worse than the prior" says little: these are listed
-apart. Prints tables and every unmarked harm, writes OUT/harm.json; the exit code is 1 if a bar is missed. A variant that OUT has already,
-from the same executable, is not run again.
+Bars: unmarked harm on at most 1 % of the stations whose prior lies where the object is; "low" or refused on at most 5 % of the correct
+stations that are not metal. If the prior itself is shifted, turned, scaled or mirrored, a comparison with the prior means little: these
+stations are listed apart. Prints tables and every unmarked harm, writes OUT/harm.json; the exit code is 1 if a bar is missed. A variant
+that OUT already has from the same executable is not run again.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def scored_pixels(label: NDArray[np.uint8]) -> Mask:
 
 
 def score(station: Path, work: Path) -> dict[str, Any]:
-    """Figures of prior and fused surface, and their ratios; {} where the two share too little to say."""
+    """Figures of prior and fused surface, and their ratios; {} if the two share too few pixels."""
     meta = json.loads((station / "meta.json").read_text())
     truth = np.load(station / "gt/depth_normal_mask.npz")
     prior, fused = (tifffile.imread(work / name / "depth.tif").astype(float) for name in ("prior", "fused"))
@@ -111,7 +111,7 @@ def score(station: Path, work: Path) -> dict[str, Any]:
 
 
 def quality_figures(work: Path) -> dict[str, Any]:
-    """What the program says of its result."""
+    """The program's own figures of its result: status, confidence, warnings and shares."""
     quality = json.loads((work / "quality.json").read_text())
     confidence, refinement = quality.get("confidence", {}), quality.get("refinement", {})
     return dict(
@@ -130,7 +130,7 @@ def description(station: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Task:
-    """A variant of a rendered station; name and draw tell it from the others."""
+    """A variant of a rendered station; name and draw identify it."""
 
     station: Path
     name: str
@@ -139,13 +139,13 @@ class Task:
 
 
 def name_of(station: Path) -> str:
-    """A station of several that share photographs is a folder in that of the object: both names tell it from others."""
+    """Name of the station's folder. The folder of a station in the round is inside its object's folder; then both names are needed."""
     station = station.resolve()
     return f"{station.parent.name}_{station.name}" if (station.parent / "object.toml").exists() else station.name
 
 
 def tasks_of_stations(stations: list[Path], draws: int, seed: int) -> list[Task]:
-    """Of each station as many variants as asked for."""
+    """`draws` variants of each station."""
     return [
         Task(station, name, draw, station_variants.draw(np.random.default_rng([seed, zlib.crc32(name.encode()), draw])))
         for station, name in ((station, name_of(station)) for station in stations)
@@ -154,7 +154,7 @@ def tasks_of_stations(stations: list[Path], draws: int, seed: int) -> list[Task]
 
 
 def tasks_of_renders(folders: list[Path], count: int, seed: int) -> list[Task]:
-    """Random stations upon a pool of renders; number n depends on the seed, n and the pool alone."""
+    """Random stations from a pool of renders; station number n depends on the seed, n and the pool alone."""
     objects: dict[Path, list[Path]] = {}
     for file in sorted(path for folder in folders for path in folder.glob("**/station.toml")):
         station = file.parent.resolve()
@@ -230,7 +230,7 @@ def is_failure(result: Result) -> bool:
 
 
 def row_name(result: Result) -> str:
-    """Row of the table: what is wrong; of what is right, whether the file knows the refractive index."""
+    """Row of the table: what is wrong; for correct stations, metal or whether the file has the true refractive index."""
     variant = result["variant"]
     if variant["kind"] != "correct":
         return f"{variant['kind']}: {variant['name']}"
@@ -255,7 +255,7 @@ TESTS: dict[str, Callable[[Result], bool]] = {
 
 
 def counts(results: Iterable[Result]) -> dict[str, Any]:
-    """How many stations pass each test; medians of the fused surface's figures over the prior's."""
+    """How many stations pass each test; medians of the ratios of the fused surface's figures to the prior's."""
     listed = list(results)
     ratios = [result["ratios"] for result in listed if "ratios" in result]
     medians = {name: float(np.median([r[name] for r in ratios])) if ratios else None for name in FIGURES}
@@ -273,7 +273,7 @@ def share(part: int, whole: int) -> float:
 
 
 def bars(results: list[Result]) -> dict[str, dict[str, Any]]:
-    """The two bars, and the shares beside them."""
+    """The shares with a bar, and further shares without one."""
     placed = counts(r for r in results if r["variant"]["name"] not in WRONG_PRIOR)
     misplaced = counts(r for r in results if r["variant"]["name"] in WRONG_PRIOR)
     right = counts(r for r in results if r["variant"]["kind"] == "correct" and not r["metal"])
@@ -311,7 +311,7 @@ def print_case(result: Result) -> None:
 
 
 def report(results: list[Result], output: Path) -> bool:
-    """Print and write everything; whether the bars are held."""
+    """Print and write all results; returns whether all bars are held."""
     tables = {
         "variant": table(results, row_name),
         "scene": table(results, lambda r: str(r["scene"])),

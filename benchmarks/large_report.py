@@ -2,10 +2,10 @@
 
     python benchmarks/large_report.py WORK -o LARGE [--megapixels 18] [--noise 0.01]
 
-Rasters are enlarged (linearly; labels and masks by the nearest pixel), the camera with them. Enlarged rasters are smoother
-than real ones and would compress too well: normals get noise (`--noise`, standard deviation of their components),
-depths and polarization noise of that share of a GSD, or of the value. Printed: CPU and wall-clock seconds, peak memory
-and the size of the page.
+Rasters are enlarged (linearly; labels and masks by the nearest pixel), and the camera is scaled accordingly. Enlarged
+rasters are smoother than real ones and would compress too well, so they get noise. `--noise` is the standard deviation:
+for normals of their components, for depths as a share of a GSD, for all other rasters as a share of the value. Printed:
+CPU and wall-clock seconds, peak memory and the size of the page.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def enlarge(work: Path, large: Path, megapixels: float, noise: float) -> None:
 
 
 def write_report(large: Path) -> None:
-    """The report of files that are not those of the manifest, which a workspace would refuse."""
+    """Write the report without the workspace's checks, which would refuse files that differ from the manifest."""
     malus.Workspace.path = lambda self, name: self.folder / name
     malus.Workspace.has = lambda self, name: (self.folder / name).is_file()
     malus.Workspace.manifest = json.loads((large / "manifest.json").read_text())
@@ -94,7 +94,7 @@ def main() -> None:
     args = parser.parse_args()
     if not args.output.exists():
         enlarge(args.work, args.output, args.megapixels, args.noise)
-    # The report in a process of its own, so that its memory is its own.
+    # A process of its own, so that its peak memory is that of the report alone.
     start, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
     process = multiprocessing.get_context("spawn").Process(target=write_report, args=(args.output,))
     process.start()

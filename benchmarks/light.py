@@ -1,11 +1,12 @@
-"""Light and height of rendered stations without their prior, against the truth.
+"""Light and height of rendered stations without their prior, compared with the truth.
 
     python benchmarks/light.py SCENE [SCENE …]
 
-SCENE: a folder as rendered/renderer/render.py leaves it. Its station runs without [prior] up to the height, once for each
-value of light.without_prior. Printed: angle between the light and the view, both as the true normals give the light; the
-found light's angle to it, "opposite" where it is nearer to the light turned by 180° about the view; and the median
-angle between the height's normals and the true ones.
+SCENE: a folder written by rendered/renderer/render.py. Its station runs without [prior] up to the height, once for each
+value of light.without_prior. The reference light is the one that follows from the true normals. Printed: the angle
+between the reference light and the view; the angle of the found light to the reference light, with "opposite" if the
+found light is nearer to the reference light turned by 180° about the view; and the median angle between the height's
+normals and the true ones.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def angle_deg(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 
 def without_prior(scene: Path, folder: Path) -> Path:
-    """The station file without [prior], among links to the scene's files and to what lies beside the scene."""
+    """The station file without [prior], among links to the scene's files and to the files beside the scene's folder."""
     copy = folder / scene.name
     copy.mkdir()
     for entry in (*scene.parent.iterdir(), *scene.iterdir()):

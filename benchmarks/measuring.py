@@ -27,8 +27,8 @@ def timed(work: Callable[[], Any]) -> float:
 
 
 def touch_memory(gigabytes: float = 3.0) -> None:
-    """Writes to so much memory and frees it. The host of a virtual machine may take back what is free: memory that a process gets is then
-    as slow as a disk, the more so the longer nothing ran before. In a process of its own: a child's peak memory begins with its parent's."""
+    """Write to this much memory and free it. The host of a virtual machine may take back free memory; the next process then gets memory at
+    the speed of a disk, slower the longer the machine was idle. In a process of its own: a child's peak memory starts at its parent's."""
     subprocess.run([sys.executable, "-c", f"import numpy; numpy.ones({int(gigabytes * 1e9 / 8)})"], check=True)
 
 
@@ -50,7 +50,7 @@ def _json_of(*command: object) -> Row:
 
 
 def medians(measurements: dict[str, Callable[[], Row]], runs: int) -> dict[str, Row]:
-    """All of them in turn, `runs` times, so that a busy minute falls on every one."""
+    """Medians of all measurements, made in turn, `runs` times, so that a busy minute affects all of them."""
     rows: dict[str, list[Row]] = {name: [] for name in measurements}
     for _ in range(runs):
         for name, measure in measurements.items():

@@ -1,4 +1,4 @@
-"""What a person gets wrong about a station's files, made on a copy. `wrong_inputs.py` runs the program on each."""
+"""Mistakes of a person in a station's files, made on a copy. `wrong_inputs.py` runs the program on each of them."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ POINT, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 class Inputs:
     """images: K×H×W or K×H×W×3, linear; x_in_cam = rotation x + translation; mask: 255 = object, or a photograph.
 
-    stated: what else the file says of the images; optics: of the object's. jpeg: the images become 8-bit sRGB files of
-    this quality, with that EXIF orientation.
+    stated: other keys of [polarized] in the station file; optics: its table [optics]. jpeg: the images become 8-bit sRGB
+    files of this quality, with the EXIF orientation `orientation`.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Inputs:
         return replace(moved, cloud=with_vectors(moved.cloud, NORMAL, normals))
 
     def is_comparable(self, other: Inputs) -> bool:
-        """Another object, seen by images that could be confused with these."""
+        """Whether `other` is another object whose images could be confused with these, having the same shape."""
         return other.name != self.name and other.images.shape == self.images.shape
 
 
@@ -88,12 +88,12 @@ def read(path: Path) -> Inputs:
 
 
 def moved(inputs: Inputs, length: float) -> Inputs:
-    """The cloud aside, to the image's right."""
+    """The cloud moved to the right of the image."""
     return inputs.with_points_in_camera(inputs.in_camera() + [length, 0, 0])
 
 
 def moved_by_share(inputs: Inputs) -> Inputs:
-    """By 5 % of the object's width."""
+    """The cloud moved by 5 % of the object's width."""
     columns = np.nonzero(inputs.mask.any(axis=0))[0]
     return moved(inputs, 0.05 * np.ptp(columns) / inputs.camera.fx * np.median(inputs.in_camera()[:, 2]))
 
@@ -177,7 +177,7 @@ def write_images(inputs: Inputs, folder: Path) -> list[str]:
 
 
 def write(inputs: Inputs, folder: Path) -> Path:
-    """A station file of these inputs, as a person would have it."""
+    """Write these inputs and a station file for them, like a person's; returns the station file."""
     folder.mkdir(parents=True)
     names = write_images(inputs, folder)
     tifffile.imwrite(folder / "mask.tif", inputs.mask)

@@ -1,10 +1,10 @@
-"""Mosaics of a polarization camera, made from rendered stations, split again.
+"""Mosaics of a polarization camera: made from rendered stations, then demosaiced and compared with the truth.
 
     python benchmarks/mosaic.py SCENE… [--seed 0]
 
-SCENE: a folder as rendered/renderer/render.py leaves it. Stokes vectors are fitted to the six images of low noise; each pixel of the
+SCENE: a folder written by rendered/renderer/render.py. Stokes vectors are fitted to the six images of low noise. Each pixel of the
 mosaic gets the intensity behind its polarizer of the cell [[90, 45], [135, 0]], with the shot noise of four frames of
-20000 electrons. Printed for bilinear channels, for `malus.capture.demosaic`, and for it on the layout of a color
+20000 electrons. Printed for bilinear channels, for `malus.capture.demosaic`, and for the latter on the layout of a color
 camera (RGGB, a gray scene, luminance of the colors): RMS of s0 relative to the truth, and RMS, median and 95th
 percentile of the error of (s1, s2) / s0, over pixels above 2 % of the white level.
 """

@@ -1,18 +1,18 @@
-"""Rendered stations as a polarization camera would have taken them, through the whole pipeline and scored.
+"""Rendered stations as a polarization camera would have taken them, run through the whole pipeline and scored.
 
     python benchmarks/mosaic_station.py SCENE… -o WORK [--frames 16] [--seed 0]
 
-SCENE: a folder as rendered/renderer/render.py leaves it. From its noise-free Stokes vectors come, with noise, saturation and 14 bits of
-the scene's station file, camera and prior those of that file:
+SCENE: a folder written by rendered/renderer/render.py. The variants below are made from its noise-free Stokes vectors. Noise,
+saturation and 14 bits are as in the scene's station file; camera and prior are those of this file:
 
-    six       the six images of the station file, each pixel behind every polarizer angle (not made here, run again)
-    four      four images at 0°, 45°, 90°, 135°: what a mosaic would be if it missed nothing
+    six       the six images of the station file, each pixel at every polarizer angle (not made here, only run)
+    four      four images at 0°, 45°, 90°, 135°: a mosaic without missing samples
     mosaic    one image of the cell [[90, 45], [135, 0]]
-    bilinear  its four channels interpolated bilinearly, given as four images: what most software does
+    bilinear  the four channels of the mosaic interpolated bilinearly, given as four images: what most software does
     color    one image of a color camera (RGGB, cells of 4 × 4) of an object of one color, red, green, blue as COLOR
-    color_bilinear  the same, each of its twelve channels bilinear
+    color_bilinear  like color, with each of the twelve channels interpolated bilinearly
 
-All have the same frames averaged: a mosaic has a quarter of the photons of "four". Printed: the scores, one line each.
+All variants average the same number of frames: a mosaic has a quarter of the photons of "four". Printed: the scores, one line each.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def capture(variant: str, scene: Path, folder: Path, args: argparse.Namespace) -
         return write_images(channels, folder)
     color = variant.startswith("color")
     v, u = np.indices(cell.shape)
-    # Of a color camera each color filter covers a 2 × 2 cell of polarizers.
+    # In a color camera, each color filter covers a 2 × 2 cell of polarizers.
     band = np.array(BAYER)[v // 2 % 2, u // 2 % 2] if color else np.ones_like(cell)
     factor = COLOR[band] if color else 1.0
     mosaic = captured(np.take_along_axis(images, cell[None], 0)[0] * factor, args.frames, random)
@@ -92,7 +92,7 @@ def capture(variant: str, scene: Path, folder: Path, args: argparse.Namespace) -
     for place in range(4):
         if color:
             planes = [interpolated(mosaic, (cell == place) & (band == c), 4) for c in range(3)]
-            # Green has two samples in a cell of 4 × 4, on a diagonal: closer than the grid that is assumed for it.
+            # Green has two samples in a cell of 4 × 4, on a diagonal: they are closer than the grid that is assumed here.
             split.append(np.tensordot(LUMINANCE, np.stack(planes), 1))
         else:
             split.append(interpolated(mosaic, cell == place, 2))

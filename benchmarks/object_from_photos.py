@@ -2,10 +2,10 @@
 
     python benchmarks/object_from_photos.py SCENE -o OUT [--points 8] [--mark-px 0.3] [--seed 0]
 
-SCENE: a scene in the round as rendered/renderer/render.py leaves it, with views/, gt_sparse/, gt/mesh.ply and st*/. The stations keep
-their polarized images, masks and lenses; cloud and poses are left out. Control points, places of the true mesh, are marked where
-the photos show them, with errors of --mark-px. They bring the object into the frame of the truth, so that the mesh is
-scored there (rendered/mesh_score.py). Half of them are held out: what they are off is the frame's error.
+SCENE: a scene in the round written by rendered/renderer/render.py, with views/, gt_sparse/, gt/mesh.ply and st*/. The stations keep
+their polarized images, masks and lenses; cloud and poses are left out. Control points are vertices of the true mesh. They are marked in
+the photos that show them, with errors of --mark-px, and bring the object into the frame of the truth, in which the mesh is
+scored (rendered/mesh_score.py). Half of the control points are held out: their residuals show the error of the frame.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from malus.camera import Camera
 from malus.photogrammetry.model import SparseModel
 
 PHOTO = "view_"
-#: Exit code of `malus object` when the other stations are joined.
+#: Exit code of `malus object` if some stations failed and the others were joined.
 SOME_STATIONS_FAILED = 3
-#: Side of the cells in which the nearest vertex hides the others, photo pixels.
+#: Side of the cells in which the nearest vertex hides those behind it, in pixels of the photo.
 CELL_PX = 3
 
 
@@ -37,7 +37,7 @@ def project(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def is_seen(camera: Camera, mesh: trimesh.Trimesh, chosen: np.ndarray) -> np.ndarray:
-    """Of chosen vertices: in the image, not steeper than 60° and in front of all others of their cell."""
+    """Which of the chosen vertices are in the image, are seen at less than 60° from their normals, and are nearest in their cell."""
     pixels, depths = project(camera, mesh.vertices)
     cells = np.floor(pixels / CELL_PX).astype(int)
     inside = ((pixels > 5) & (pixels < np.array([camera.width, camera.height]) - 6)).all(1)
@@ -79,7 +79,7 @@ def control_tables(scene: Path, count: int, mark_px: float, random: np.random.Ge
 
 
 def lens_keys(camera: Camera) -> str:
-    """A pinhole lens as files say it: the center of the first pixel at 0.5, 0.5."""
+    """A pinhole lens in the syntax and convention of station files: the center of the first pixel at 0.5, 0.5."""
     fx, fy, cx, cy = camera.params
     return (
         f'model = "PINHOLE", width = {camera.width}, height = {camera.height}, params = {[fx, fy, cx + 0.5, cy + 0.5]}'
@@ -87,7 +87,7 @@ def lens_keys(camera: Camera) -> str:
 
 
 def write_object(scene: Path, folder: Path, tables: str) -> Path:
-    """The object's file beside its stations', in which only images, mask and lens are left."""
+    """Write the object file beside its station files, which keep only images, mask and lens."""
     folder.mkdir(parents=True, exist_ok=True)
     cameras = {name: image.camera for name, image in SparseModel.read(scene / "gt_sparse").images.items()}
     stations = sorted(scene.glob("st*/station.toml"))

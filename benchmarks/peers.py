@@ -1,4 +1,4 @@
-"""What Malus is measured against, and Malus beside it: one measurement a process, its result as a line of JSON.
+"""Measures Malus and its peers: one measurement per process, its result as a line of JSON.
 
 benchmarks/.venv/bin/python benchmarks/peers.py sinusoid "numpy uint16" 4243 2
 """
@@ -59,7 +59,7 @@ def sinusoid(kind: str, side: int, threads: int) -> Row:
     inverse = np.linalg.pinv(design)
 
     def in_float32() -> list[np.ndarray]:
-        """What numpy and polanalyser work on; given 16-bit images they would compute in float64, slower."""
+        """The input of numpy and polanalyser, which would convert 16-bit images to float64 and be slower."""
         return [image.astype(np.float32) for image in images] if dtype == "uint16" else images
 
     def numpy_fit() -> Any:
@@ -88,7 +88,7 @@ def sinusoid(kind: str, side: int, threads: int) -> Row:
 
 
 def known_warp(random: np.random.Generator, width: int, height: int) -> np.ndarray:
-    """What a turning filter does: up to 3 px, 0.05° and 2e-4 of scale and shear, about the middle of the image."""
+    """The motion due to a turning filter: up to 3 px, 0.05° and 2e-4 of scale and shear, about the middle of the image."""
     linear = np.eye(2) + random.uniform(-2e-4, 2e-4, (2, 2))
     angle = np.deg2rad(random.uniform(-0.05, 0.05))
     linear = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) @ linear
@@ -153,7 +153,7 @@ def ecc_maps(images: list[np.ndarray], iterations: int, tolerance: float) -> lis
 
 
 def write_stack(width: int, path: str) -> Row:
-    """The stack that all registrations read."""
+    """Write the stack that all registrations read."""
     images, truth = warped_stack(width, width * 2 // 3)
     np.savez(path, images=np.stack(images), truth=np.stack(truth))
     return {}

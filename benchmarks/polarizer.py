@@ -1,14 +1,15 @@
-"""Rendered stations as a hand-turned polarizer and drifting exposure would have given them, calibrated and scored.
+"""Rendered stations with the errors of a hand-turned polarizer and a drifting exposure, calibrated and scored.
 
     python benchmarks/polarizer.py SCENE… -o WORK [--auto] [--seed 1] [--angle-deg 3] [--gain 0.03] [--until STEP]
 
-SCENE: a folder as rendered/renderer/render.py leaves it. Stokes vectors are fitted to the six images of low noise and rendered anew at
-angles off by up to ±angle-deg and with exposures off by up to ±gain (uniform), with the noise of the station file added
-and rounded to its 14 bits. What the first capture had of noise is so part of the scene: it follows the sinusoid and
-does not help the calibration. `--auto` leaves the angles out of the station file. The station as it was is run too.
+SCENE: a folder written by rendered/renderer/render.py. Stokes vectors are fitted to the six images of low noise. Images are made from
+them at angles that are off by up to ±angle-deg and with exposures that are off by up to ±gain (uniform); the noise of the
+station file is added, and values are rounded to its 14 bits. The noise of the rendered images thus becomes part of the
+scene: it follows the sinusoid and does not help the calibration. `--auto` leaves the angles out of the station file. The
+unchanged station is also run.
 
-Prints per image true and found angle and exposure with their standard deviations, the largest errors, and for both
-runs the fused detail's MAD from truth (as rendered/score.py, in GSD; after --until polarizer the angles only).
+Prints per image the errors of angle and exposure with their standard deviations, the largest errors, and for both runs
+the MAD of the fused detail from the truth (as rendered/score.py, in GSD; with --until polarizer the angles only).
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ ANGLES_DEG = np.arange(0, 180, 30)
 
 
 def perturbed_station(scene: Path, folder: Path, args: argparse.Namespace) -> tuple[Path, np.ndarray, np.ndarray]:
-    """Station file with images at wrong angles and exposures; the true angles [deg] and exposures."""
+    """Station file whose images have wrong angles and exposures; the true angles [deg] and exposures."""
     random = np.random.default_rng(args.seed)
     images = [np.asarray(Image.open(scene / f"pol/lownoise/pol_{a:03d}.png"), dtype=float) / WHITE for a in ANGLES_DEG]
     rows = rows_of(np.radians(ANGLES_DEG))

@@ -3,10 +3,10 @@
     RENDERER/venv/bin/python benchmarks/random_stations.py -o OUT [--renderer RENDERER] [--count 200] [--first 0] [--seed 1]
 
 RENDERER: the folder of the path tracer, by default rendered/renderer (its README says how to install it); run this file with its
-interpreter. Of each station are drawn, from --seed and the station's number alone: the scene and the object's own seed; the light;
-the roughness and refractive index of dielectrics, and whether the station file knows the index or says 1.5; electrons and read noise
-of the sensor; how noisy the coarse cloud is. Metals keep their material. Each folder OUT/NNN_SCENE_LIGHT is one that `render.py`
-wrote, with what was drawn in random.json, written last: a folder that has it is done and left as it is.
+interpreter. For each station the following are drawn, from --seed and the station's number alone: the scene and the object's own seed;
+the light; the roughness and refractive index of dielectrics, and whether the station file has the true index or 1.5; full well and read
+noise of the sensor; the noise of the coarse cloud. Metals keep their material. Each folder OUT/NNN_SCENE_LIGHT is written by
+`render.py`; random.json with the drawn values is written last. A folder with random.json is complete and is not changed.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from numpy.typing import NDArray
 Vector = NDArray[np.float64]
 Description = dict[str, Any]  # of a scene, as the renderer's scenes/__init__.py has it
 
-# How often each scene is drawn. Metals and the figurine, of which only one station is taken, half as often.
+# Relative frequency of each scene. Metals and the figurine, of which only one station is used, are drawn half as often.
 SCENES = {
     "relief": 2, "coin": 2, "glassy": 2, "bust": 2, "painting": 2, "tablet": 2, "ceramic": 2,
     "figurine": 1, "bronze": 1, "coin_metal": 1,
 }  # fmt: skip
 LIGHTS = ("constant", "sun", "softbox", "softboxes", "room", "raking")
 SIZE, FIGURINE_SIZE = "200x150", "160x200"
-# Photographs look at the object up to 27° from the station and see 10° to either side: no lamp may stand in their way.
+# Photographs are taken up to 27° from the station's direction and see 10° to either side: no lamp may block their view.
 PHOTOS_SEE_DEG = 37.0
 ROUGHNESS, INDEX = (0.03, 0.5), (1.3, 2.0)
 
@@ -44,7 +44,7 @@ def log_uniform(random: np.random.Generator, low: float, high: float) -> float:
 
 
 def towards_station(station: dict[str, Any]) -> Vector:
-    """World direction from the object to the station's camera, as the renderer's cameras.station_camera has it."""
+    """World direction from the object to the station's camera, as in the renderer's cameras.station_camera."""
     if "direction" in station:
         direction = np.array(station["direction"], float)
     else:
@@ -61,7 +61,7 @@ def frame_about(axis: Vector) -> Vector:
 
 
 class RandomLight:
-    """Draws the light for one object: where it is, where the cameras are, what lies on the floor."""
+    """Draws the light for one object, from the object's position and size and the cameras' positions."""
 
     def __init__(self, lights: Any, sc: Description, random: np.random.Generator) -> None:
         points = np.concatenate([m["V"] for m in sc["meshes"] if m["label"] == 1])
@@ -97,7 +97,7 @@ class RandomLight:
         return [box], dict(to_light=d.tolist(), zenith_deg=zenith, distance=distance, side=side)
 
     def constant(self) -> tuple[list[Any], dict[str, Any]]:
-        # Mitsuba wants a light that is sampled by itself, which lights.constant is not.
+        # Mitsuba needs at least one light that is sampled explicitly; lights.constant is not.
         return [dict(type="constant", radiance=1.0)], {}
 
     def sun(self) -> tuple[list[Any], dict[str, Any]]:
@@ -129,7 +129,7 @@ class RandomLight:
         return [self.lights.room(radiance)], drawn
 
     def draw(self, kind: str) -> tuple[list[Any], dict[str, Any]]:
-        """Mitsuba's emitters, and what was drawn."""
+        """Mitsuba's emitters, and the drawn values."""
         kinds: dict[str, Callable[[], tuple[list[Any], dict[str, Any]]]] = {
             "constant": self.constant,
             "sun": self.sun,
@@ -142,7 +142,7 @@ class RandomLight:
 
 
 def draw_material(sc: Description, random: np.random.Generator) -> dict[str, Any]:
-    """Roughness and refractive index of a dielectric object; what the station file says of the index."""
+    """Draw roughness and refractive index of a dielectric object, and the index that the station file states."""
     objects = [m for m in sc["meshes"] if m["label"] == 1]
     if any(m["bsdf"]["type"] != "pplastic" for m in objects):
         return dict(metal=True)
@@ -156,7 +156,7 @@ def draw_material(sc: Description, random: np.random.Generator) -> dict[str, Any
 
 
 def changed_scene(module: Any, lights: Any, light: str, random: np.random.Generator, drawn: dict[str, Any]) -> Any:
-    """A scene module for the renderer whose description is the module's with what is drawn; says in `drawn` what it is."""
+    """A scene module for the renderer: `module` with drawn station, material, light and cloud noise, which are recorded in `drawn`."""
 
     def scene(style: Any, rng: np.random.Generator, quality: float) -> Description:
         sc: Description = module.scene(style, rng, quality)
@@ -165,7 +165,7 @@ def changed_scene(module: Any, lights: Any, light: str, random: np.random.Genera
             sc.pop(unused, None)
         drawn.update(draw_material(sc, random))
         sc["lights"], drawn["light_drawn"] = RandomLight(lights, sc, random).draw(light)
-        # Of a gallery the renderer hides the walls behind the object; the station does not see the difference.
+        # The renderer hides a gallery's walls behind the object; the station does not see the difference.
         sc["light_meta"] = dict(kind=light, **drawn["light_drawn"])
         drawn["cloud_noise_factor"] = log_uniform(random, 0.6, 1.8)
         sc["mvs"] = dict(sc["mvs"], noise=sc["mvs"]["noise"] * drawn["cloud_noise_factor"])
@@ -179,7 +179,7 @@ def import_untyped(name: str) -> Any:
 
 
 def render_one(seed: int, number: int, out: Path, quality: float, chances: dict[str, int]) -> bool:
-    """Render station `number`; False if it is there already."""
+    """Render station `number`; False if it exists already."""
     # The renderer's modules; its own interpreter finds them only once --renderer is known.
     render, lights, noise, scenes = map(import_untyped, ("render", "lights", "noise", "scenes"))
     random = np.random.default_rng([seed, number])
@@ -192,12 +192,12 @@ def render_one(seed: int, number: int, out: Path, quality: float, chances: dict[
     noise.FULL_WELL_E, noise.READ_NOISE_E = log_uniform(random, 6000, 40000), log_uniform(random, 3, 20)
     drawn = dict(seed=seed, number=number, scene=name, light=light, object_seed=object_seed,
                  full_well_e=noise.FULL_WELL_E, read_noise_e=noise.READ_NOISE_E)  # fmt: skip
-    # scenes.SCENES is left as it is: the next station starts from it again.
+    # scenes.SCENES is not changed: the next station starts from it again.
     render.SCENES = {name: changed_scene(scenes.SCENES[name], lights, light, random, drawn)}
     size = FIGURINE_SIZE if name == "figurine" else SIZE
     sys.argv = ["render.py", "--scene", name, "--seed", str(object_seed), "--size", size, "--view-size", "300x200", "--views", "3",
                 "--view-spp", "6", "--quality", str(quality), "--noisy", "all", "--no-components", "--out", str(folder)]  # fmt: skip
-    if light == "constant":  # found by chance only: four times the samples that scenes take
+    if light == "constant":  # rays hit this light only by chance: four times the usual samples
         sys.argv += ["--spp", "576"]
     render.main()
     (folder / "random.json").write_text(json.dumps(drawn, indent=1) + "\n")
@@ -222,7 +222,7 @@ def main() -> int:
     for number in range(args.first, args.first + args.count):
         try:
             render_one(args.seed, number, args.output, args.quality, chances)
-        except Exception:  # one object that cannot be rendered does not end the rest
+        except Exception:  # an object that cannot be rendered does not stop the other stations
             traceback.print_exc()
             failed.append(number)
     print(f"{args.count - len(failed)} stations in {args.output}" + (f"; failed: {failed}" if failed else ""))

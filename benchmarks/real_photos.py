@@ -2,9 +2,9 @@
 
     .venv/bin/python benchmarks/real_photos.py FOLDER [--station 00031.png] [--work WORK]
 
-FOLDER holds photographs of one pinhole camera and beside each `NAME_P.txt`, its 3 × 4 projection matrix. One photograph takes the station's
-part. Prints how far the cameras are from the given ones after a similarity, and how well the depths agree that two disjoint halves
-of the photographs give; writes the station's view, its depth and its confidence as WORK/depth.png.
+FOLDER holds photographs of one pinhole camera and beside each `NAME_P.txt`, its 3 × 4 projection matrix. One photograph serves as the
+station's image. Prints the errors of the cameras' centers and directions after a similarity, and the figures and sigma of the sweep;
+writes the station's view, its depth and its confidence as WORK/depth.png.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from malus.photogrammetry.photos import read_gray
 
 @dataclass(frozen=True)
 class GivenCamera:
-    """What a projection matrix says."""
+    """Pose and calibration from a projection matrix."""
 
     center: NDArray[np.float64]
     rotation: NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Files of rendered stations, and the scale that detail is told by: what several benchmarks read and write alike."""
+"""Functions that several benchmarks share: files of rendered stations, and the low pass that defines detail."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def with_vectors(cloud: Cloud, names: tuple[str, str, str], values: Array) -> Cl
 
 
 def toml_text(tables: dict[str, dict[str, Any]]) -> str:
-    """TOML of tables of numbers, texts and lists of them, which are written as in JSON."""
+    """TOML of tables whose values are numbers, texts and lists of these, written as in JSON."""
     lines = []
     for table, values in tables.items():
         lines += [f"[{table}]", *(f"{key} = {json.dumps(value)}" for key, value in values.items()), ""]
@@ -59,7 +59,7 @@ def toml_text(tables: dict[str, dict[str, Any]]) -> str:
 
 
 def lowpass(values: Array, mask: Mask) -> Array:
-    """Mean of the mask's pixels about each, with a Gaussian: what a surface has beyond it is detail."""
+    """Gaussian-weighted mean of the mask's pixels about each pixel; the values minus this mean are detail."""
     weight = ndimage.gaussian_filter(mask.astype(float), DETAIL_SIGMA_PX)
     smooth = ndimage.gaussian_filter(np.where(mask, values, 0.0), DETAIL_SIGMA_PX)
     return np.asarray(smooth / np.maximum(weight, 1e-6))

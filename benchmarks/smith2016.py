@@ -1,11 +1,12 @@
-"""Height from polarization alone, beside the linear system of Smith, Ramamoorthi and Tozza 2016.
+"""Height from polarization alone, compared with the linear system of Smith, Ramamoorthi and Tozza 2016.
 
     python benchmarks/smith2016.py [DATA.npz …]
 
 Without files: a sphere (zenith to 60°) and a bumpy surface (to 40°), 256², six angles, refractive index 1.5, albedo 1, Gaussian
-noise of 0 and 0.5 %, light 15.9° off axis; and the sphere with noise and the light 30° off axis. A file has images (H, W, K), angles [rad], mask, light (x right, y up, z to the viewer), normal (same axes).
-Mean normal error in degrees by central differences: `likelihood` is the default, `literal` the linear system as printed
-there and in the paper, `no light` the default with the light taken from the polarization of a convex object.
+noise of 0 and 0.5 %, light 15.9° off axis; and the sphere with noise and the light 30° off axis. A file has images (H, W, K), angles [rad],
+mask, light (x right, y up, z to the viewer), normal (same axes). Printed: mean normal error in degrees by central differences. `likelihood`
+is the default, `linear` and `literal` are the linear system, `literal` as printed in the paper; `no light` is the default with the light
+estimated from the polarization, for a convex object.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def bumps() -> tuple[np.ndarray, np.ndarray]:
 
 
 def imaged(surface: tuple[np.ndarray, np.ndarray], noise: float, off_axis_deg: float = 15.9) -> Data:
-    """The surface through a polarizer, the light so far to the right; axes x right, y up, z to the viewer."""
+    """Images of the surface through a polarizer, with the light `off_axis_deg` to the right; axes x right, y up, z to the viewer."""
     z, mask = surface
     down, right = np.gradient(z)
     normal = np.stack([-right, down, np.ones_like(z)], -1)
@@ -64,7 +65,7 @@ def imaged(surface: tuple[np.ndarray, np.ndarray], noise: float, off_axis_deg: f
 
 
 def normal_error_deg(height: np.ndarray, normal: np.ndarray, mask: np.ndarray) -> float:
-    """Mean, where both neighbors along both axes are on the object."""
+    """Mean normal error over the pixels whose four neighbors are on the object."""
     inner = mask.copy()
     inner[1:-1, 1:-1] &= mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
     down, right = np.gradient(height)
@@ -74,7 +75,7 @@ def normal_error_deg(height: np.ndarray, normal: np.ndarray, mask: np.ndarray) -
 
 
 def errors(data: Data, columns: Sequence[str] = COLUMNS) -> dict[str, float]:
-    """Mean normal error of some of the columns."""
+    """Mean normal error for each of these columns of the table."""
     mask = data["mask"].astype(bool)
     images = [data["images"][..., k] for k in range(data["images"].shape[-1])]
     state = malus.polarization.decompose(images, list(data["angles"]), mask=mask)

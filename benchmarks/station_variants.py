@@ -1,8 +1,8 @@
-"""Variants of a rendered station for `harm.py`: right as it is, with a coarse surface that is wrong, or with a setting that is.
+"""Variants of a rendered station for `harm.py`: correct, with a wrong coarse surface, or with a wrong setting.
 
-A variant is drawn (`draw`) and then written as a folder of its own (`write`): a station file that names the images of the rendered
-station, and a cloud. With a sensor drawn as well (`draw_sensor`), the images are written anew, with more noise and moved: that takes
-nothing but the low-noise images. The rendered station is only read.
+A variant is drawn (`draw`) and then written to a folder of its own (`write`): a station file that names the images of the rendered
+station, and a cloud. If a sensor is drawn as well (`draw_sensor`), new images are written, with more noise and moved; this needs only the
+low-noise images. The rendered station is only read.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from scipy import ndimage
 
 POINT, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 
-#: The coarse surface is distorted or incomplete, as stereo without control or with little texture gives it.
+#: Errors of the coarse surface: distorted or incomplete, as from stereo without control or with little texture.
 PRIOR_ERRORS = ("bias", "tilt", "scale", "holes")
-#: What a user gets wrong about the images, and what about the cloud.
+#: Wrong settings of a user: of the images, and of the cloud.
 IMAGE_SETTINGS = ("direction", "zero", "response", "order")
 CLOUD_SETTINGS = ("unit", "shifted", "turned", "mirrored")
-#: Variants in which the given coarse surface is itself off the truth everywhere. That the result is no worse than the prior says
-#: little about them, as nothing but the prior knows where the object is.
+#: Variants whose coarse surface is off the truth everywhere. For these, a comparison of the result with the prior means little, since
+#: only the prior determines where the object is.
 WRONG_PRIOR = ("bias", "tilt", "scale", *CLOUD_SETTINGS)
 
 
 @dataclass(frozen=True)
 class Variant:
-    """What differs from the station as it was rendered."""
+    """The differences from the rendered station."""
 
     kind: str  # "correct", "prior" or "setting"
     name: str  # what is wrong; "correct"
@@ -43,7 +43,7 @@ class Variant:
     amount: dict[str, Any] = field(default_factory=dict)
     sensor: dict[str, float] = field(
         default_factory=dict
-    )  # of images made anew; empty = the images are the rendered ones
+    )  # of newly written images; empty = the rendered images are used
 
 
 def signed(random: np.random.Generator, low: float, high: float) -> float:
@@ -51,7 +51,7 @@ def signed(random: np.random.Generator, low: float, high: float) -> float:
 
 
 def draw_amount(name: str, random: np.random.Generator) -> dict[str, Any]:
-    """How wrong it is."""
+    """Draw the amount of an error."""
     match name:
         case "bias":
             return dict(gsd=signed(random, 3, 30))
@@ -84,7 +84,7 @@ def draw_amount(name: str, random: np.random.Generator) -> dict[str, Any]:
 
 
 def draw(random: np.random.Generator) -> Variant:
-    """Half of the stations as they are, a quarter with a wrong prior, a quarter with a wrong setting."""
+    """Draw a variant: half of them are correct, a quarter have a wrong prior, a quarter a wrong setting."""
     kind = str(random.choice(["correct", "prior", "setting"], p=[0.5, 0.25, 0.25]))
     noisy, good_cloud = (bool(random.random() < 0.5) for _ in range(2))
     if kind == "correct":
@@ -94,7 +94,7 @@ def draw(random: np.random.Generator) -> Variant:
 
 
 def draw_sensor(random: np.random.Generator) -> dict[str, float]:
-    """A sensor that is noisier than the rendered one: its full well and read noise over that one's, and a seed for the noise."""
+    """Draw a sensor that is noisier than the rendered one: factors on the rendered full well and read noise, and a seed for the noise."""
     return dict(
         full_well=float(np.exp(random.uniform(np.log(0.3), 0))),
         read_noise=float(np.exp(random.uniform(0, np.log(2.5)))),
@@ -113,7 +113,7 @@ def turn(axis: Array, angle_rad: float) -> Array:
 
 
 def rest_with_holes(points: Array, focal_px: float, amount: dict[str, Any]) -> NDArray[np.bool_]:
-    """Points that are left when round holes in the image have taken a share of them. Points: camera frame."""
+    """Mask of the points (camera frame) that remain after round holes in the image have removed a share of them."""
     random = np.random.default_rng(amount["seed"])
     pixels = points[:, :2] / points[:, 2:] * focal_px
     radii = 0.1 * np.ptp(pixels, axis=0).min() * np.array([0.5, 1.5])
@@ -125,7 +125,7 @@ def rest_with_holes(points: Array, focal_px: float, amount: dict[str, Any]) -> N
 
 
 def change_points(points: Array, variant: Variant, gsd: float, extent: float) -> tuple[Array, Array]:
-    """Points of the camera frame as the variant has them, and the matrix for their normals."""
+    """The points (camera frame) changed by the variant, and the matrix for their normals."""
     amount, center, same = variant.amount, np.median(points, axis=0), np.eye(3)
     angle = np.radians(amount.get("axis_deg", 0.0))
     across = np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -147,7 +147,7 @@ def change_points(points: Array, variant: Variant, gsd: float, extent: float) ->
 
 
 def change_cloud(cloud: Cloud, variant: Variant, camera: dict[str, Any], gsd: float) -> Cloud:
-    """The cloud as the variant has it; camera: the station in meta.json."""
+    """The cloud changed by the variant. camera: the station's entry in meta.json."""
     rotation, shift = np.array(camera["R_world_to_cam"]), np.array(camera["t_world_to_cam"])
     world = vectors(cloud, POINT)
     points = world @ rotation.T + shift
@@ -166,7 +166,7 @@ def change_cloud(cloud: Cloud, variant: Variant, camera: dict[str, Any], gsd: fl
 
 
 def moved(image: Array, random: np.random.Generator) -> Array:
-    """The image as a filter that is turned by hand leaves it: shifted by up to 1.5 px, turned by up to 0.03°."""
+    """The image with the motion due to a filter turned by hand: shifted by up to 1.5 px, turned by up to 0.03°."""
     angle = np.radians(random.uniform(-0.03, 0.03))
     matrix = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     middle = (np.array(image.shape) - 1) / 2
@@ -175,7 +175,7 @@ def moved(image: Array, random: np.random.Generator) -> Array:
 
 
 def write_images(station: Path, variant: Variant, folder: Path, polarized: dict[str, Any]) -> None:
-    """Write the station's low-noise images as the variant's sensor sees them, and say so in the table `polarized`."""
+    """Write the station's low-noise images with the noise of the variant's sensor, and update the table `polarized`."""
     random = np.random.default_rng(int(variant.sensor["seed"]))
     rendered = [polarized[key] for key in ("full_well_e", "read_noise_e", "frames_averaged")]
     full_well, read_noise = rendered[0] * variant.sensor["full_well"], rendered[1] * variant.sensor["read_noise"]
@@ -199,7 +199,7 @@ def write_images(station: Path, variant: Variant, folder: Path, polarized: dict[
 
 
 def change_settings(tables: dict[str, dict[str, Any]], variant: Variant) -> None:
-    """The tables of a station file with the variant's wrong setting."""
+    """Put the variant's wrong setting into the tables of a station file."""
     polarized = tables["polarized"]
     if variant.name == "order":
         polarized["images"] = [polarized["images"][k] for k in variant.amount["order"]]

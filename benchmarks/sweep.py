@@ -1,14 +1,14 @@
-"""Surface sweep on rendered stations with true poses, against truth, beside OpenCV's SGBM over rectified pairs.
+"""Surface sweep on rendered stations with true poses: errors from the truth, compared with OpenCV's SGBM over rectified pairs.
 
     python benchmarks/sweep.py SCENE… [--threads N] [--enlarge N] [--pairs 8] [--no-sgbm] [--set sweep.key=value]
 
-SCENE: a folder as rendered/renderer/render.py leaves it, with gt/, gt_sparse/ (poses only), pol/lownoise and views/. The points that the
-sweep starts from are SIFT matches of neighboring photos, triangulated with the true poses. Needs
+SCENE: a folder written by rendered/renderer/render.py, with gt/, gt_sparse/ (poses only), pol/lownoise and views/. The points that the
+sweep starts from are SIFT matches of all pairs of photos, triangulated with the true poses. Needs
 `pip install opencv-python-headless scipy`.
 
 Figures, on the object 6 px inside its border: completeness; median, RMSE and bias of the depth's error in GSD (truth is
-metric, nothing is aligned); `detail` without frequencies below sigma 8 px, as the scoring has it; share of errors within
-2 sigma; seconds and peak MB.
+metric, nothing is aligned); `detail`: the error minus its Gaussian mean of sigma 8 px, as in the scoring; share of errors
+within 2 sigma; seconds and peak MB.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def load(folder: Path) -> Scene:
 
 
 def enlarged(scene: Scene, factor: int) -> Scene:
-    """The same scene in more pixels, interpolated: for speed on large frames; its detail is what it was."""
+    """The scene interpolated to more pixels, to measure speed on large images; it gains no detail."""
 
     def image(values: Array, how: int = cv2.INTER_CUBIC) -> Array:
         return cv2.resize(values, None, fx=factor, fy=factor, interpolation=how)
@@ -110,7 +110,7 @@ def projection(camera: malus.Camera) -> Array:
 
 
 def triangulated(scene: Scene, features: int = 4000) -> Array:
-    """Points of SIFT matches between the photos (PINHOLE) that meet to a pixel, under 2° to 40°."""
+    """Points of SIFT matches between the photos (PINHOLE) whose reprojection errors are below 0.7 px."""
     sift = cv2.SIFT_create(features)
     found = [sift.detectAndCompute(np.uint8(255 * image), None) for image, _ in scene.views]
     points = []
@@ -183,25 +183,25 @@ def sgbm_depth(scene: Scene, pairs: int) -> Array:
         r1, t1 = camera.pose()
         turn = r1 @ r0.T
         baseline = -turn.T @ (t1 - turn @ t0)  # the photo's center in the station's frame
-        # Common orientation: x along the baseline to the right of whichever camera is left, z between both axes.
+        # Common orientation: x along the baseline from the station to the photo, z between the axes of both cameras.
         forward = np.array([0, 0, 1.0]) + turn[2]
         across = baseline / np.linalg.norm(baseline)
         forward -= across * (across @ forward)
         forward /= np.linalg.norm(forward)
         common = np.stack([across, np.cross(forward, across), forward])
         focal = k0[0, 0]
-        # Each picture just holds the object: the station's principal point from its outline, the photo's so that the
-        # farthest depth has no disparity.
+        # Each image just holds the object: the station's principal point follows from the object's outline, the photo's is
+        # such that the farthest depth has no disparity.
         at = focal * (common @ seen)[:2] / (common @ seen)[2]
         center0 = 20 - at.min(1)
         size = tuple(int(n) for n in np.ceil(np.ptp(at, axis=1) + 40))
         z = np.stack([(common @ seen)[2] * depth for depth in (near, far)])
-        disparity = focal * np.linalg.norm(baseline) / z  # x_station - x_photo, but for the principal points
+        disparity = focal * np.linalg.norm(baseline) / z  # x_station - x_photo, apart from the principal points
         shift = np.floor(disparity.min()) - 2
         count = int(np.ceil((disparity.max() - shift + 4) / 16)) * 16
         new0 = np.array([[focal, 0, center0[0]], [0, focal, center0[1]], [0, 0, 1]])
         new1 = new0 + np.array([[0, 0, shift], [0, 0, 0], [0, 0, 0]])
-        # SGBM leaves `count` columns at the left without an answer.
+        # SGBM gives no disparity in `count` columns at the left.
         new0[0, 2] += count
         new1[0, 2] += count
         size = (size[0] + count, size[1])

@@ -1,8 +1,8 @@
 """An instrumented copy of the C++ sources, in which an environment variable multiplies a constant (varied_constant.h).
 
-`instrument(tree)` rewrites `constexpr` numbers of the rooms below that are written as literals, wherever the compiler does not need them,
-and the numbers without a name that NAMELESS lists; it says what it varies and what it leaves, and why. `build` makes malus-station, and
-sweep_of_files.cpp beside it, from the copy.
+`instrument(tree)` rewrites two kinds of numbers in the folders ROOMS: `constexpr` literals that the compiler does not need at compile time,
+and the numbers without a name that NAMELESS lists. It returns which constants it varies and which it does not, and why. `build` makes
+malus-station, and sweep_of_files.cpp beside it, from the copy.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ ROOMS = ("prior", "stereo", "fusion")
 NUMBERS = r"double|float|int|std::size_t|std::uint8_t"
 DECLARATION = re.compile(rf"^( *)((?:inline |static )*)constexpr ({NUMBERS}) ([a-z_]\w* = [^;{{]*);", re.M)
 
-# What is left as it is, by file:name or name, and why.
+# Constants that are not varied, by file:name or name, and why.
 SPEED = "changes how the work is divided, not the result"
 LAYOUT = "the compiler needs it: sizes of arrays and of the solver's blocks"
 DERIVED = "follows from a formula"
@@ -34,7 +34,7 @@ LEFT = {
     "rays_u": LAYOUT, "tile_ring_px": LAYOUT, "rays_v": LAYOUT, "table_side": LAYOUT, "reflection_fit.cpp:parts": LAYOUT, "cell_px": LAYOUT, "window": LAYOUT,
 }  # fmt: skip
 
-# Numbers without a name: file, the name that they have here, and the code with the numbers in « ».
+# Numbers without a name in the code: file, the name that is used here, and the code with the numbers in « ».
 NAMELESS = (
     ("fusion/surface_sigma.cpp", "of_noise", "prior.shares_windows ? 1.0 : «0.3»"),
     ("fusion/surface_sigma.cpp", "of_prior_metal", "metal_error > 0 ? «0.3»"),
@@ -78,13 +78,13 @@ NAMELESS = (
         "constexpr std::array finest_sweeps{Sweep{«0.75», «2», true, «1.0»}, Sweep{«0.25», «2», true, «1.75»}};",
     ),
 )
-# Arrays of numbers, all of which are varied together.
+# Arrays of numbers; all numbers of an array are varied together.
 ARRAYS = (("fusion/refine.cpp", "search_widenings"), ("fusion/surroundings_course.cpp", "any_roughness"))
 
 
 @dataclass(frozen=True)
 class Constant:
-    """A number of the code: `room/file:name`, its value as written, and why it is not varied, if so."""
+    """A number of the code: `file:name`, its value as written, and, if it is not varied, why."""
 
     key: str
     value: str
@@ -102,7 +102,7 @@ def split_at_commas(text: str) -> list[str]:
 
 
 def scope_of(text: str, at: int) -> str:
-    """What the brace around a place belongs to: "class", "namespace" or "function"."""
+    """The kind of scope around a position in the text: "class", "namespace" or "function"."""
     depth = 0
     for i in range(at - 1, -1, -1):
         depth += (text[i] == "}") - (text[i] == "{")
@@ -115,8 +115,8 @@ def scope_of(text: str, at: int) -> str:
 
 
 def marked(file: str, name: str, code: str) -> tuple[str, str, list[tuple[str, str]]]:
-    """Code of NAMELESS as it is in the file, the same with its numbers varied, and their keys and values. Of a sweep's numbers each is
-    varied by itself, those of one kind together."""
+    """Code of NAMELESS as it is in the file, the same code with varied numbers, and the keys and values of these numbers. The kinds of numbers
+    of a sweep are varied separately, numbers of one kind together."""
     kinds = ("step", "offsets", "smoothing") if "Sweep{" in code else ("",)
     found: dict[str, list[str]] = {}
 
@@ -133,11 +133,11 @@ def marked(file: str, name: str, code: str) -> tuple[str, str, list[tuple[str, s
 
 
 class Instrumented:
-    """One source file: what it has of constants, and its text with them varied."""
+    """One source file: its constants, and its text with varied constants."""
 
     def __init__(self, path: Path, of_run_time: set[str]) -> None:
         self.name, self.text, self.constants = path.name, path.read_text(), list[Constant]()
-        self.of_run_time = set(of_run_time)  # names that are no constant expressions any more
+        self.of_run_time = set(of_run_time)  # names that are no longer constant expressions
         self.room = path.parent.name
         self.counts: dict[str, int] = {}
         self.nameless()
@@ -145,7 +145,7 @@ class Instrumented:
         self.declarations()
 
     def key(self, name: str) -> str:
-        """file:name; of several with one name the others are numbered."""
+        """file:name; if a name occurs again, a number is appended from the second one on."""
         count = self.counts[name] = self.counts.get(name, 0) + 1
         return f"{self.name}:{name}" + (f".{count}" if count > 1 else "")
 
@@ -180,7 +180,7 @@ class Instrumented:
             self.text = self.text[:start] + '\n#include "malus/core/varied_constant.h"\n' + self.text[start:]
 
     def declaration(self, match: re.Match[str]) -> str:
-        """A declaration of one or several constants: those that are left, as they are; the others of run time."""
+        """Rewrite a declaration of one or several constants: those that are not varied stay constexpr, the others become run-time constants."""
         indent, how, kind, body = match.groups()
         text = match.string
         scope = scope_of(text, match.start())
@@ -200,7 +200,7 @@ class Instrumented:
                 fixed.append(part)
             elif words & self.of_run_time:
                 self.of_run_time.add(name)
-                free.append(part)  # follows from others
+                free.append(part)  # follows from varied constants
             elif words:
                 fixed.append(part)
             else:
@@ -216,7 +216,7 @@ class Instrumented:
 
 
 def instrument(tree: Path) -> list[Constant]:
-    """Rewrite the rooms' sources below tree/cpp; returns every constant that was found."""
+    """Rewrite the sources of ROOMS below tree/cpp; returns all constants that were found."""
     shutil.copyfile(ROOT / "benchmarks" / "varied_constant.h", tree / "cpp" / "malus" / "core" / "varied_constant.h")
     constants, headers = [], set[str]()
     for room in ROOMS:
@@ -240,7 +240,7 @@ def copy_sources(tree: Path) -> None:
 
 
 def build(folder: Path, jobs: int) -> list[Constant]:
-    """Copy, instrument and build below `folder`; files that stay the same are not compiled again."""
+    """Copy, instrument and build below `folder`; unchanged files are not compiled again."""
     fresh, tree = folder / "fresh", folder / "tree"
     shutil.rmtree(fresh, ignore_errors=True)
     fresh.mkdir(parents=True)

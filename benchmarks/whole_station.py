@@ -2,8 +2,8 @@
 
     .venv/bin/python benchmarks/whole_station.py [--megapixels 1 4 18] [--fusion grid] [--prior depth] [--threads 2] [--folder F]
 
-Stations are synthetic reliefs (`malus.synthetic`), made once in the folder. Each run is a process of `malus-station` of its own. On a busy
-machine processor seconds are what can be compared; both are printed, with the load.
+Stations are synthetic reliefs (`malus.synthetic`), made once in the folder. Each run is a separate process of `malus-station`. On a busy
+machine only processor seconds can be compared; seconds and processor seconds are printed, and the load of the machine.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ FIGURES = ("seconds", "cpu_seconds", "peak_mb")
 
 
 def station_of(folder: Path, megapixels: float, prior: str) -> Path:
-    """3:2 images, even numbers of pixels."""
+    """Station file with 3:2 images, even numbers of pixels; made if it does not exist."""
     height = 2 * round((megapixels * 1e6 / 1.5) ** 0.5 / 2)
     width = 2 * round(0.75 * height)
     path = folder / f"{width}x{height}-{prior}"
@@ -39,7 +39,7 @@ def station_of(folder: Path, megapixels: float, prior: str) -> Path:
 
 
 def measure(station: Path, fusion: str, threads: int, until: str | None = None) -> dict[str, Row]:
-    """Times of the steps as manifest.json has them."""
+    """Run the station; returns the times of its steps from manifest.json."""
     work = station.parent / "work"
     shutil.rmtree(work, ignore_errors=True)
     command = [PROGRAM, station, "-o", work, "--fusion", fusion, "--threads", str(threads), "--quiet"]

@@ -1,16 +1,16 @@
-"""What is said of wrong inputs: each mistake is made on a copy of a station's files, and the program runs on it.
+"""How the program responds to wrong inputs: each mistake is made on a copy of a station's files, and the program runs on the copy.
 
     python benchmarks/wrong_inputs.py STATION.toml… --executable malus-station [--capture] [--only MISTAKE…]
                                       [--jobs 2] [--table OUT.md]
 
-STATION.toml: with 16- or 8-bit images at stated angles, an undistorted camera and a binary PLY cloud; beside it gt/
-and meta.json where figures against the truth are wanted. Prints one line a mistake, how the run ends (an exit code,
-or status and confidence), RMSE, detail's MAD and normals' median error of the fused surface over the prior's, and the
-words of every warning, error and reason; and after the last station, of each mistake, how often each end, and how
-often nothing was said. The station as it is comes first: whatever is said of it is a false alarm, unless its truth is
-known to be otherwise. "images of another object" are those of the next station of another name whose images have the
-same size. `--capture` makes the mistakes of `capture_mistakes.py` instead, of a person at the camera. With `--until
-evidence` nothing is fused, and the confidence is what the checks make of it.
+STATION.toml: with 16- or 8-bit images at stated angles, an undistorted camera and a binary PLY cloud; with gt/ and
+meta.json beside it, figures against the truth are printed. Prints for each mistake how the run ends (an exit code, or
+status and confidence), the ratios of the fused surface's RMSE, detail MAD and median normal error to the prior's, and
+the text of every warning, error and reason. After the last station, prints for each mistake how often each end occurred,
+and how often there was no message. The unchanged station comes first: each message about it is a false alarm, unless the
+station is known to be wrong. "images of another object" are those of the next station of another name whose images have
+the same size. `--capture` makes the mistakes of `capture_mistakes.py` (at the camera) instead. With `--until evidence`
+nothing is fused, and the end follows from the findings of the checks: "low" or "goes on".
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from capture_mistakes import CAPTURE_MISTAKES
 from mistakes import MISTAKES, Inputs, read, write, write_images
 
 OTHER_OBJECT = "images of another object"
-#: One of several runs side by side, without what no figure needs.
+#: Options of each run: one thread, since several runs are side by side, and without results that no figure needs.
 WITHOUT = ["--set", "assess.polarization_height=false", "--threads", "1", "--quiet"]
 
 
 @dataclass(frozen=True)
 class Said:
-    """How a run ended, as one line; its words; fused figures over the prior's where there is a truth."""
+    """How a run ended, as one line; its messages; ratios of the fused figures to the prior's if there is a truth."""
 
     end: str
     words: list[str]
@@ -71,7 +71,7 @@ def run(inputs: Inputs, station: Path, executable: Path, until: str) -> Said:
 
 
 def import_of_numbers(inputs: Inputs, folder: Path) -> Said:
-    """Images named by the camera: their numbers are no angles."""
+    """Images with names from a camera, whose numbers are not angles."""
     for name in write_images(inputs, folder):
         (folder / name).rename(folder / f"IMG_0{123 + int(Path(name).stem)}.tif")
     return imported(folder)
@@ -98,7 +98,7 @@ IMPORTS = {
 
 
 def mistakes_on(inputs: Inputs, others: Sequence[Inputs]) -> dict[str, Inputs]:
-    """Every mistake of files that can be made on these inputs."""
+    """All mistakes in files that can be made on these inputs."""
     made = {name: mistake(inputs) for name, mistake in MISTAKES.items()}
     other = next(filter(inputs.is_comparable, others), None)
     if other is not None:
@@ -107,7 +107,7 @@ def mistakes_on(inputs: Inputs, others: Sequence[Inputs]) -> dict[str, Inputs]:
 
 
 def table(said: dict[str, dict[str, Said]]) -> str:
-    """Markdown: a row a mistake, a column a station: the end, and RMSE, MAD and normals over the prior's."""
+    """Markdown with a row per mistake and a column per station: the end, and the ratios of RMSE, MAD and normals to the prior's."""
     names = list(said)
     lines = ["| mistake | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|"]
     for mistake in dict.fromkeys(mistake for found in said.values() for mistake in found):
@@ -122,7 +122,7 @@ def table(said: dict[str, dict[str, Said]]) -> str:
 def all_of(
     inputs: Inputs, path: Path, others: Sequence[Inputs], args: argparse.Namespace
 ) -> Iterator[tuple[str, Said]]:
-    """What is said of every mistake that was asked for, in order."""
+    """The result of every mistake that was asked for, in order."""
     if args.capture:
         made = {name: mistake(inputs) for name, mistake in CAPTURE_MISTAKES.items()}
     else:

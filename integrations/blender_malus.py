@@ -1,7 +1,7 @@
 """Blender add-on: File > Import > Malus workspace.
 
-Brings in the textured surface, the station's camera with the photograph behind it, and what is known about them as custom properties.
-Lengths stay true: the scene's unit becomes millimeters, one Blender unit is a meter. Needs nothing but Blender 3.4 or later.
+Imports the textured surface and the station's camera; confidence, GSD and catalog data become custom properties of the surface.
+Lengths stay true: the scene's unit becomes millimeters, one Blender unit is a meter. Needs only Blender 3.4 or later.
 """
 
 import json
@@ -26,21 +26,21 @@ bl_info = {
 
 
 def import_workspace(folder, *, use_units=True):
-    """Import a finished workspace; returns the mesh object and the camera object. ValueError says what is missing."""
+    """Import a finished workspace; returns the mesh object and the camera object. ValueError names a missing file."""
     folder = Path(folder)
     for name in ("manifest.json", "quality.json", "fused/surface.glb"):
         if not (folder / name).is_file():
             raise ValueError(f"{folder / name}: is not there, expected a folder that `malus run` has finished")
     quality = json.loads((folder / "quality.json").read_text(encoding="utf-8"))
     if not hasattr(numpy, "bool"):
-        # Debian 12's Blender 3.4 has an importer that is older than its numpy.
+        # The importer of Blender 3.4 in Debian 12 is older than its numpy and needs the removed name numpy.bool.
         numpy.bool = bool
     before = set(bpy.data.objects)
     bpy.ops.import_scene.gltf(filepath=str(folder / "fused" / "surface.glb"))
     new = [thing for thing in bpy.data.objects if thing not in before]
     for thing in new:
         if thing.parent is None:
-            # The file's z is up already, as the world's; the importer took it for glTF's y up.
+            # The file's z axis is up, as in Blender's world; the importer assumed glTF's y up and rotated the object.
             thing.matrix_world = Matrix.Rotation(-math.pi / 2, 4, "X") @ thing.matrix_world
     bpy.context.view_layer.update()
     mesh = next(thing for thing in new if thing.type == "MESH")
@@ -56,7 +56,7 @@ def import_workspace(folder, *, use_units=True):
 
 
 def _tell(mesh, quality):
-    """What is known about the surface, where Blender shows it: Object Properties > Custom Properties."""
+    """Write the data about the surface to where Blender shows them: Object Properties > Custom Properties."""
     mesh["confidence"] = quality["confidence"]["level"]
     mesh["confidence_reasons"] = "; ".join(quality["confidence"]["reasons"])
     mesh["gsd"] = quality["gsd"]
@@ -67,7 +67,7 @@ def _tell(mesh, quality):
 
 
 def _frame(camera, folder, quality):
-    """Let the camera render the station's image: its size, its principal point, and the near objects that Blender cuts off."""
+    """Set the camera to render the station's image: its size, its principal point, and clip distances that keep near objects."""
     words = next(
         line for line in (folder / "fused/camera.txt").read_text().splitlines() if line and not line.startswith("#")
     ).split()
@@ -79,7 +79,7 @@ def _frame(camera, folder, quality):
     lens = camera.data
     lens.sensor_fit = "HORIZONTAL"
     lens.lens = fx / width * lens.sensor_width
-    # Blender shifts by shares of the longer side; COLMAP counts from the image's corner.
+    # Blender's shift is a share of the longer side; COLMAP's coordinates start at the image's corner.
     lens.shift_x, lens.shift_y = (0.5 * width - cx) / width, (cy - 0.5 * height) / width
     lens.clip_start, lens.clip_end = 1e-3, 1e3
 
@@ -96,7 +96,7 @@ class ImportMalusWorkspace(bpy.types.Operator, ImportHelper):
     use_units: BoolProperty(name="Show millimeters", default=True)
 
     def execute(self, context):
-        """Import, or say what is missing."""
+        """Import, or report what is missing."""
         try:
             import_workspace(Path(self.filepath).parent, use_units=self.use_units)
         except ValueError as error:

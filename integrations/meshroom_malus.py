@@ -1,7 +1,7 @@
-"""Meshroom node (2025 and later) that runs a station. Meshroom loads packages only: put it, beside an empty file __init__.py, into
-a folder malus_nodes, and name the folder above in MESHROOM_NODES_PATH.
+"""Meshroom node (2025 and later) that runs a station. Meshroom loads packages only: put this file and an empty file __init__.py into a
+folder malus_nodes, and name the parent of malus_nodes in MESHROOM_NODES_PATH.
 
-`malus` must be on the PATH. Output: the workspace, and its mesh for the nodes that follow.
+`malus` must be on the PATH. Outputs: the workspace, its mesh for the nodes that follow, and its report.
 """
 
 __version__ = "1.0"
@@ -35,7 +35,7 @@ class MalusReconstruction(desc.CommandLineNode):
         ),
     ]
     outputs = [
-        # A folder of its own: Meshroom's log and status are in the node's, and Malus takes none that has others' files.
+        # A subfolder: Meshroom keeps its log and status in the node's folder, and Malus refuses a folder with other files.
         desc.File(
             name="workspace",
             label="Workspace",

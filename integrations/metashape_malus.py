@@ -1,7 +1,7 @@
 """Metashape Professional 2.x: Tools > Run Script. Exports the active chunk for a station of Malus, and writes the station file.
 
-Written after the reference of Metashape 2.1 and NOT tested in it; the tests run it with a stand-in for Metashape. What it does by
-hand: export cameras.xml and the point cloud in local coordinates, then `malus import` with both.
+Written after the reference of Metashape 2.1 and NOT tested in it; the tests run it with a stand-in for Metashape. The same can be done
+by hand: export cameras.xml and the point cloud in local coordinates, then run `malus import` with both.
 """
 
 import shutil
@@ -12,19 +12,19 @@ import Metashape
 
 
 def unfit(chunk):
-    """Why the chunk cannot be taken as it is; None if it can."""
+    """Why the chunk cannot be exported; None if it can."""
     if chunk is None or chunk.point_cloud is None:
         return "The active chunk has no point cloud: build one first (Workflow > Build Point Cloud)."
     if not chunk.transform.scale:
         return "The active chunk has no scale: add a scale bar or markers of known place, and update the transform."
-    # Elsewhere the cloud would be written in degrees, or in another frame than the cameras.
+    # In other coordinate systems the cloud would be written in degrees, or in another frame than the cameras.
     if chunk.crs is not None and not chunk.crs.wkt.startswith("LOCAL_CS"):
         return "The chunk lies on the Earth: choose Local Coordinates in the Reference pane's settings first."
     return None
 
 
 def export_station():
-    """Ask for the folder of polarized images and the station's camera, export what Malus needs beside it."""
+    """Ask for the folder of polarized images and the station's camera; export cameras and cloud beside it and write the station file."""
     chunk = Metashape.app.document.chunk
     malus = shutil.which("malus")
     reason = unfit(chunk) or (None if malus else "The program malus is not on the PATH of Metashape.")

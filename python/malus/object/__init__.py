@@ -4,8 +4,8 @@
     thing = malus.Object.load("object.toml")
     malus.object.run_object(thing, "OUT", jobs=2)          # OUT/object/mesh.ply, mesh.glb, quality.json, report/index.html
 
-`combine` joins stations' surfaces to oriented points, `pieces` and `joined_mesh` make a mesh of those, `closed_surface` closes it,
-`levels_of_detail` gives it textures.
+`combine` joins the stations' surfaces into oriented points, `pieces` and `joined_mesh` make a mesh of these points, `closed_surface`
+closes the mesh, `levels_of_detail` gives it textures.
 """
 
 from malus.object.agreement import Agreement, OrientedPoints, agreement_figures, combine, unseen_stereo

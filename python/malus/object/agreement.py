@@ -1,4 +1,4 @@
-"""What overlapping stations say of the same places: means weighted by what each knows, and how well they agree."""
+"""Overlapping stations at the same places: weighted means of their surfaces, and how well the surfaces agree."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from numpy.typing import NDArray
 from malus._extra import extra
 from malus.object.views import LEAST_COSINE, Floats, View
 
-#: Surfaces whose normals differ by more (cosine) are different sides of something thin, or wrong.
+#: Least cosine between the normals of one surface: below it, two surfaces are the sides of something thin, or one of them is wrong.
 _LEAST_FACING = 0.5
-#: Two surfaces that lie further apart than this many of their standard deviations are not measurements of one.
+#: Surfaces farther apart than this many standard deviations are not measurements of the same surface.
 _MOST_RATIO = 4.0
-#: A place that one station alone sees must face it (cosine), as nobody else tells whether it is a rim; or stereo must have found it:
-#: so many of the nearest points of its cloud lie within as many GSD, and within so many of the surface.
+#: A place that only one station sees may be a rim. It must face the station (least cosine), or stereo must support it: at least
+#: _WITNESSES of the _OF_NEAREST nearest cloud points lie within _WITNESS_GSD (GSD), and within _WITNESS_ACROSS_GSD along the normal.
 _LEAST_COSINE_ALONE = 0.5
 _WITNESSES, _OF_NEAREST, _WITNESS_GSD, _WITNESS_ACROSS_GSD = 2, 6, 4.0, 2.0
-#: A point is an outlier unless this share of so many neighbors continues its surface.
+#: A point is an outlier unless at least this share of its nearest _NEIGHBORS points continues its surface.
 _NEIGHBORS, _LEAST_TOGETHER = 8, 0.6
-#: Points of which another station is surer by this factor are left to that station.
+#: A station's point is dropped if another station has a weight there that is larger by more than this factor.
 _SURER = 1.5
-#: A station beside whose contour less than this share of all stations' points lie has the whole object in it, as far as its image goes.
+#: If less than this share of the stations' points in an image lie outside its contour, the contour holds the whole object there.
 _MOST_BESIDE = 0.01
 
 
 @dataclass(frozen=True)
 class OrientedPoints:
-    """points, normals: N×3, world. sigma: N, one standard deviation along the normal. stations: N, how many saw the place;
-    0 for stereo's own points.
+    """points, normals: N×3, world. sigma: N, one standard deviation along the normal. stations: N, number of stations that see the
+    place; 0 for points of stereo alone.
     """
 
     points: Floats
@@ -57,9 +57,9 @@ def joined(parts: Sequence[OrientedPoints]) -> OrientedPoints:
 
 @dataclass(frozen=True)
 class Agreement:
-    """Distances of other stations' surfaces from one station's, along its normals.
+    """Distances of the other stations' surfaces from the surface of one station, along this station's normals.
 
-    view: the station. ratio: H×W, root mean square of distance over its stated standard deviation, NaN where no other looks.
+    view: the station. ratio: H×W, root mean square of distance over its stated standard deviation, NaN where no other station measured.
     distances, expected: N each, every single distance and its standard deviation.
     """
 
@@ -72,11 +72,11 @@ class Agreement:
 def combine(views: Sequence[View], cloud: OrientedPoints | None = None) -> tuple[OrientedPoints, list[Agreement]]:
     """The stations' surfaces as one set of points, each the mean of all stations that see it.
 
-    A station counts by the inverse of its usual variance and by the cosine under which it sees the place: what it states of the
-    place itself exaggerates how much surer the view from the front is (decision 90). The standard deviation of a mean is the
-    mean of those stated, not smaller: stations share a prior, so their errors do not average out. Points that another station
-    looks through are left out, and so are those that another one sees better. `cloud`: stereo's points, which tell rims from what one
-    station alone sees flat.
+    A station's weight is the inverse of its usual variance times the cosine of its viewing angle at the place. The variances stated for
+    single places are not used: they exaggerate the advantage of the frontal view (decision 90). The standard deviation of a mean is the
+    mean of those stated, not smaller: stations share a prior, so their errors do not average out. A point is dropped if another
+    station sees the surface behind it, or sees the place better. `cloud`: stereo's points; they support places that one station alone
+    sees at a flat angle and that could be rims.
     """
     parts, doubted, agreements = [], [], []
     for view in views:
@@ -91,12 +91,12 @@ def combine(views: Sequence[View], cloud: OrientedPoints | None = None) -> tuple
 
 
 def _usual_sigma(view: View) -> float:
-    """Median standard deviation of a station's places."""
+    """Median standard deviation of a station's usable pixels; the GSD if there are none."""
     return float(np.median(view.sigma[view.usable])) if view.usable.any() else view.gsd
 
 
 def _mean_with_others(view: View, others: Sequence[View]) -> tuple[OrientedPoints, OrientedPoints, Agreement]:
-    """Means at the places of a view that are to be believed, those that it alone sees too flat for that, and how well others agree."""
+    """Means at the trusted places of a view, means at places that it alone sees and at too flat an angle, and the agreement of the others."""
     points, normals, sigma = (values[view.usable] for values in (view.points, view.normals, view.sigma))
     cosine, usual = view.cosine[view.usable], _usual_sigma(view)
     own = cosine / usual**2
@@ -116,7 +116,7 @@ def _mean_with_others(view: View, others: Sequence[View]) -> tuple[OrientedPoint
         same = (at.weight > 0) & (facing > _LEAST_FACING) & (other.facing(points, normals) > LEAST_COSINE)
         others_usual = _usual_sigma(other)
         near = same & (np.abs(apart) < max(_MOST_RATIO * float(np.hypot(usual, others_usual)), 2 * view.gsd))
-        # The one that sees a place better is right about what is not there.
+        # Another station may only exclude a point that it sees at a better angle.
         contradicted |= other.in_front(points, _MOST_RATIO) & ~near & (at.weight > cosine)
         weight = np.where(near, at.weight / others_usual**2, 0.0)
         total += weight
@@ -147,7 +147,7 @@ def _mean_with_others(view: View, others: Sequence[View]) -> tuple[OrientedPoint
 
 
 def _found_by(cloud: OrientedPoints, points: OrientedPoints, gsd: float) -> NDArray[np.bool_]:
-    """Which points lie on the surface of the cloud's points about them."""
+    """Which points lie on the surface of the cloud points near them."""
     if len(cloud.points) < _OF_NEAREST or not len(points.points):
         return np.zeros(len(points.points), bool)
     spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
@@ -159,11 +159,11 @@ def _found_by(cloud: OrientedPoints, points: OrientedPoints, gsd: float) -> NDAr
 
 
 def unseen_stereo(cloud: OrientedPoints, views: Sequence[View], seen_points: OrientedPoints) -> OrientedPoints:
-    """Of a cloud's points those where no station looks.
+    """The points of a cloud at places that no station has measured.
 
-    Points that a station looks through are left out, and those that lie beside the object: for most stations, or for one that
-    has the whole object within its contour. That is the ground. So is what lies near `seen_points`, those of the stations: a
-    good point would be one of their surface, the rest are errors.
+    Points are dropped if a station sees the surface behind them, and if they lie on the ground: outside the object's contour for most
+    stations, or for one station whose contour holds the whole object. Points near `seen_points`, the stations' points, are dropped,
+    too: correct points there repeat the stations' surface, all others are errors.
     """
     spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
     points, normals, sigma = cloud.points, cloud.normals, cloud.sigma
@@ -188,7 +188,7 @@ def unseen_stereo(cloud: OrientedPoints, views: Sequence[View], seen_points: Ori
 
 
 def _has_all(view: View, points: OrientedPoints) -> bool:
-    """Whether the view's contour holds all of the object that its image holds. One that was told to reconstruct a part does not."""
+    """Whether the contour holds all of the object that the image shows. It does not if the station was to reconstruct a part only."""
     inside, within = view.placed(points.points)
     return bool((inside & ~within).sum() < _MOST_BESIDE * inside.sum())
 
@@ -206,9 +206,9 @@ def without_outliers(points: OrientedPoints, gsd: float) -> OrientedPoints:
 
 
 def agreement_figures(agreements: Sequence[Agreement], gsd: float) -> dict[str, float | None]:
-    """RMS of distance over standard deviation, share within two of them, and RMS and median distance in GSD.
+    """RMS of distance over standard deviation, share within two standard deviations, and RMS and median distance in GSD.
 
-    Of all places that two stations see; None where there are none.
+    Over all places that two stations see; None if there are none.
     """
     apart = np.concatenate([agreement.distances for agreement in agreements])
     expected = np.concatenate([agreement.expected for agreement in agreements])

@@ -1,4 +1,4 @@
-"""The object's own color on its mesh: the albedos of the stations, blended as their photographs are."""
+"""The object's own color on its mesh: the albedos of the stations, blended in the same way as their photographs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from malus.workspace import Workspace
 
 @dataclass(frozen=True)
 class Albedos:
-    """Linear images (H×W×C) of the stations whose albedo is known, each up to a factor; and why it is not of the others, by name."""
+    """Linear images (H×W×C) of the stations whose albedo is known, each up to a factor. unknown: for all other stations the reason, by name."""
 
     views: Sequence[View]
     images: Sequence[Floats]
@@ -27,7 +27,7 @@ class Albedos:
 
     @staticmethod
     def of(views: Sequence[View], stations: Path) -> Albedos:
-        """Those of finished stations, whose workspaces lie in a folder under their names."""
+        """The albedos of finished stations. stations: folder with their workspaces, by name."""
         known: list[View] = []
         images: list[Floats] = []
         unknown: dict[str, str] = {}
@@ -35,18 +35,18 @@ class Albedos:
             try:
                 albedo = albedo_of(Workspace(stations / view.name)).reshape(view.color.shape)
             except DataError as error:
-                # Who reads the page need not know where the workspace lies.
+                # The page need not show the workspace's path.
                 unknown[view.name] = str(error).replace(str(stations / view.name), view.name)
                 continue
             known.append(view)
-            # Where there is no surface nobody looks it up; a number there keeps it out of sums.
+            # Pixels without a surface are never used, but NaN times zero weight would still make a sum NaN.
             images.append(np.nan_to_num(albedo.astype(np.float64)))
         return Albedos(known, images, unknown)
 
     def paint(self, mesh: ObjectMesh) -> Paint | None:
-        """How they are blended on a mesh; None if there are none."""
+        """How the albedos are blended on a mesh; None if there are none."""
         return Paint.of(self.views, mesh.vertices, mesh.normals, self.images) if self.views else None
 
     def figures(self) -> dict[str, Any]:
-        """For quality.json: the stations whose albedo is in the texture, and why others are not."""
+        """For quality.json: the stations whose albedo is in the texture, and why the albedo of others is not."""
         return {"stations": [view.name for view in self.views], "unknown": dict(self.unknown)}

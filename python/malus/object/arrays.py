@@ -1,4 +1,4 @@
-"""Arrays larger than memory: rows that are added to a file, and handled some at a time."""
+"""Arrays larger than memory: rows are appended to a file and handled in chunks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CHUNK = 1 << 18
 
 
 class GrowingArray:
-    """Rows that are added at the end, in a file: memory holds what is being worked on."""
+    """An array whose rows are appended to a file; only rows in use are in memory."""
 
     def __init__(self, path: Path, kind: type[np.generic], columns: int = 0) -> None:
         self._path, self._kind, self._columns = path, np.dtype(kind), columns
@@ -30,7 +30,7 @@ class GrowingArray:
         self.rows += len(values)
 
     def array(self) -> NDArray[Any]:
-        """All rows, as they are needed from the disk. Nothing can be added afterwards."""
+        """All rows, mapped from the file. No rows can be added afterwards."""
         with writing(self._path):
             self._file.close()
         shape = (self.rows, self._columns) if self._columns else (self.rows,)
@@ -39,5 +39,5 @@ class GrowingArray:
 
 
 def chunks(count: int) -> list[slice]:
-    """Slices of so many rows, CHUNK at a time."""
+    """Slices that divide `count` rows, CHUNK rows each."""
     return [slice(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]

@@ -15,25 +15,25 @@ from malus.chart import srgb_bytes
 from malus.object.arrays import chunks
 from malus.object.views import LEAST_COSINE, Floats, View
 
-#: Beyond this many GSD before or behind a station's surface a place is not seen by it.
+#: A station does not see places farther than this many GSD in front of or behind its surface.
 _NEAR_GSD = 4.0
 _WHITE_PERCENTILE = 99.5
-#: Places that brightness and white are found from, at most about.
+#: Most places, about, from which the gains and white are estimated.
 _SAMPLE = 200000
-#: A place that no station sees, between rims, has the color of the nearest that one does, within so many GSD.
+#: A place that no station sees (between rims) gets the color of the nearest seen place within this many GSD.
 _LENT_GSD = 10.0
 
 
 @dataclass(frozen=True)
 class _Lent:
-    """Colors (N×C) of places that stations see, found by where they are (tree), for places up to `reach` away."""
+    """Colors (N×C) of seen places, and a search tree of these places, for unseen places up to `reach` away."""
 
     tree: Any
     colors: Floats
     reach: float
 
     def to(self, points: Floats) -> Floats:
-        """Color of the nearest of these places, NaN where none is near."""
+        """Color of the seen place nearest to each point, NaN if it is farther than `reach`."""
         away, nearest = self.tree.query(points, distance_upper_bound=self.reach, workers=1)
         near = np.isfinite(away)
         return np.asarray(np.where(near[:, None], self.colors[np.where(near, nearest, 0)], np.nan))
@@ -41,8 +41,8 @@ class _Lent:
 
 @dataclass(frozen=True)
 class Paint:
-    """How stations' images (H×W×C, linear) are blended: a factor for each, the value that is shown white, and
-    the colors (C) of what none sees: `lent` near what one does, else `missing`.
+    """How stations' images (H×W×C, linear) are blended. gains: a factor for each image. white: the value that is shown white. Unseen
+    places get the color from `lent` if a seen place is near, else `missing` (C).
     """
 
     views: Sequence[View]
@@ -54,7 +54,7 @@ class Paint:
 
     @staticmethod
     def of(views: Sequence[View], points: Floats, normals: Floats, images: Sequence[Floats] | None = None) -> Paint:
-        """Found from what several stations see of the surface with these points and normals (N×3); images: their photographs."""
+        """Gains, white and colors estimated on a surface with these points and normals (N×3). images: by default the stations' photographs."""
         pictures = [view.color for view in views] if images is None else images
         every = max(1, len(points) // _SAMPLE)
         some = slice(None, None, every)
@@ -67,13 +67,13 @@ class Paint:
             return Paint(views, pictures, gains, 1.0, np.full(colors.shape[2], 0.5), None)
         white = max(float(np.percentile(known, _WHITE_PERCENTILE)), 1e-12)
         spatial = extra("scipy.spatial", "scipy", "the texture of an object", "object")
-        # Where only each n-th place is looked at, they lie further apart.
+        # If only each n-th place is used, seen places lie farther apart.
         reach = _LENT_GSD * float(np.median([view.gsd for view in views])) * math.sqrt(every)
         lent = _Lent(spatial.cKDTree(points[some][seen]), known, reach)
         return Paint(views, pictures, gains, white, np.median(known, axis=0), lent)
 
     def linear(self, points: Floats, normals: Floats) -> Floats:
-        """Linear color (N×3, 1 = white) of places; stations count by the square of the cosine under which they see them."""
+        """Linear color (N×3, 1 = white) of places; a station's weight is the squared cosine of its viewing angle."""
         parts = [np.empty((0, len(self.missing)))]
         for rows in chunks(len(points)):
             weights, colors = _sights(points[rows], normals[rows], self.views, self.images)
@@ -103,22 +103,22 @@ def _sights(points: Floats, normals: Floats, views: Sequence[View], images: Sequ
         color = images[k][at.v, at.u]
         seen = (at.weight > 0) & near & (facing > LEAST_COSINE) & np.isfinite(color).all(1)
         weights[k] = np.where(seen, facing**2, 0)
-        # What a station was told to leave out has no color there; no number times no weight would be none for all.
+        # Masked pixels have NaN colors, and NaN times zero weight would make the mean of all stations NaN.
         colors[k] = np.where(seen[:, None], color, 0)
     return weights, colors
 
 
 def _mean(weights: Floats, colors: Floats) -> Floats:
-    """Weighted mean over the views, NaN where no station looks."""
+    """Weighted mean over the views, NaN for places that no station sees."""
     total = weights.sum(0)
     return np.asarray((weights[..., None] * colors).sum(0) / np.where(total > 0, total, np.nan)[:, None])
 
 
 def _log_gains(weights: Floats, colors: Floats) -> Floats:
-    """Logarithm of the gain of each view, by least squares on the medians of what two views both see."""
+    """Logarithm of the gain of each view, by least squares on the median differences between views over the places that both see."""
     count = len(weights)
     bright = np.log(np.maximum(colors.mean(2), 1e-6))
-    rows, values = [np.full(count, 1e-3)], [0.0]  # Their mean stays.
+    rows, values = [np.full(count, 1e-3)], [0.0]  # Fixes the mean of the logarithms.
     for i in range(count):
         for j in range(i):
             both = (weights[i] > 0.1) & (weights[j] > 0.1)

@@ -1,4 +1,4 @@
-"""Object files: the stations of one object, and what is wanted of its surface."""
+"""Object files: the stations of one object, and the settings for its surface."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ _LEAST_FACES, _MOST_FACES = 100, 10**9
 class Object:
     """Stations about one object, in one frame and unit.
 
-    closed: the mesh has no holes; where nobody looked it is a guess, marked so. Otherwise it is open there, and where its standard
-    deviation exceeds max_sigma_gsd GSD. faces: triangles of the textured mesh (object/mesh.glb), at most about. reference: a scan to
-    compare it with; register: it lies anywhere, and is brought onto the mesh first.
+    closed: the mesh has no holes; areas that no station sees are guessed and marked. Otherwise these areas stay open, and so do areas
+    whose standard deviation exceeds max_sigma_gsd GSD. faces: most triangles, about, of the textured mesh (object/mesh.glb). reference:
+    a scan to compare the mesh with; register: the scan is in another frame and is first registered to the mesh.
     """
 
     campaign: Campaign
@@ -55,10 +55,10 @@ class Object:
     def load(path: str | Path) -> Object:
         """Read an object file; InputError names file, field, value and what was expected.
 
-        [object] has `stations`, a list of station files or globs relative to the file, and optionally `name`, `unit` (that all
-        stations must have), `report`, `closed`, `max_sigma_gsd`, `faces`, `reference` and `register`. [options] is what `--options` takes. All stations
-        must stand in one frame: poses of one COLMAP model, or given in the same coordinates; or [photos] and [[scale]] or [[control]], as in
-        a station file, in which all of them are found.
+        [object] has `stations`, a list of station files or globs relative to the file, and optionally `name`, `unit` (the same for
+        all stations), `report`, `closed`, `max_sigma_gsd`, `faces`, `reference` and `register`. [options] takes the same settings as
+        `--options`. All stations must be in one frame. Either their poses are from one COLMAP model or in the same coordinates; or the
+        object file has [photos] and [[scale]] or [[control]], as in a station file, and all stations are found among these photos.
         """
         file = Path(path)
         content = read_tables(file, _KEYS)
@@ -92,7 +92,7 @@ class Object:
         return None if self.reference is None else Reference.read(self.reference, self.unit)
 
     def check(self, options: Options | None = None, *, threads: int = 1) -> list[dict[str, Any]]:
-        """What `malus.check` says of each station, with what is done with the photos that they share in the first."""
+        """The result of `malus.check` for each station; the first one includes the processing of the shared photos."""
         self.read_reference()
         settings = options or self.campaign.options
         plans = [
@@ -124,12 +124,12 @@ def is_object_file(path: str | Path) -> bool:
         table = read_toml(Path(path)).get("object")
     except (OSError, ValueError, RecursionError):
         return False
-    # A station file has a table of this name, too: what the catalog says.
+    # A station file may have a table [object], too, with catalog data.
     return isinstance(table, dict) and "stations" in table
 
 
 def _common_unit(file: Path, stations: Mapping[Path, Mapping[str, Any]], expected: str) -> str:
-    """The unit of all stations, which must be one for them to be joined."""
+    """The unit of the stations; InputError if they do not all have the same one."""
     for path, station in stations.items():
         expected = expected or station["unit"]
         if station["unit"] != expected:
@@ -138,7 +138,7 @@ def _common_unit(file: Path, stations: Mapping[Path, Mapping[str, Any]], expecte
 
 
 def _require_one_frame(stations: Mapping[Path, Mapping[str, Any]], *, from_photos: bool) -> None:
-    """Stations have poses and a prior; or, if photos give both, neither, but their lens."""
+    """InputError unless every station has a [camera]; or, if photos give pose and prior, has a lens without pose and prior."""
     for path, station in stations.items():
         camera = station.get("camera")
         if not from_photos and camera is None:
@@ -160,7 +160,7 @@ def _require_one_frame(stations: Mapping[Path, Mapping[str, Any]], *, from_photo
 def _shared(
     file: Path, content: Mapping[str, Any], stations: Mapping[Path, Mapping[str, Any]]
 ) -> dict[str, Any] | None:
-    """The photos and known distances in which all stations are found: the object file's, or those of the stations."""
+    """Photos, known distances and control points by which all stations are found: from the object file, else from the stations."""
     if "photos" in content:
         return _own(file, stations)
     if names := [name for name in ("scale", "control") if name in content]:
@@ -180,7 +180,7 @@ def _shared(
 
 
 def _own(file: Path, stations: Mapping[Path, Mapping[str, Any]]) -> dict[str, Any]:
-    """The object file's photos, distances and points; nothing that the stations say about photos would count beside them."""
+    """The object file's photos, distances and points. InputError if a station file has other ones, which would be ignored."""
     own: dict[str, Any] = json.loads(_core.photos_tables(str(file)))
     for point in own["control"]:
         if point["pixel"] is not None:
@@ -201,20 +201,20 @@ def _own(file: Path, stations: Mapping[Path, Mapping[str, Any]]) -> dict[str, An
 
 
 def _distances_of_all(stations: Mapping[Path, Mapping[str, Any]]) -> list[Any]:
-    """Known distances that any of the stations has, each once."""
+    """Known distances of all stations, without duplicates."""
     return list({json.dumps(entry): entry for station in stations.values() for entry in station["scale"]}.values())
 
 
 def _points_of_all(stations: Mapping[Path, Mapping[str, Any]]) -> list[Any]:
-    """Control points that any of the stations has, each once. One point has one place, and its marks are in the same photos;
-    its pixel is another one in each station's image.
+    """Control points of all stations, without duplicates. A point has one position and one set of marks, as the stations share the
+    photos; its pixel differs between the stations' images.
     """
     found: dict[str, tuple[Path, dict[str, Any]]] = {}
     for path, station in stations.items():
         for entry in station["control"]:
             point = {**entry, "pixel": None}
             first, known = found.setdefault(point["name"], (path, point))
-            if not known["marks"] or not point["marks"]:  # marked in the polarized image alone
+            if not known["marks"] or not point["marks"]:  # One station marks the point in its polarized image alone.
                 known["marks"] = point["marks"] = known["marks"] or point["marks"]
             if different := [key for key in point if point[key] != known[key]]:
                 raise InputError(

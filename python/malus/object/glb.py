@@ -29,7 +29,8 @@ def encoded(image: NDArray[np.uint8], kind: str, *, lossless: bool = False) -> b
 def glb(mesh: TexturedMesh, unit: str, name: str, *, webp: bool = False) -> bytes:
     """A textured mesh as a GLB file: meters, with its origin at the middle of the object.
 
-    Textures are JPEG and PNG, which every reader of glTF knows; or WebP, smaller, for readers of EXT_texture_webp (Blender, three.js).
+    Textures are JPEG and PNG, which every reader of glTF supports; or WebP, which is smaller, for readers of EXT_texture_webp (Blender,
+    three.js).
     """
     middle = (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
     points = ((mesh.vertices - middle) * METERS[unit]).astype("<f4")
@@ -84,8 +85,8 @@ def glb(mesh: TexturedMesh, unit: str, name: str, *, webp: bool = False) -> byte
 def write_levels(
     folder: Path, levels: list[TexturedMesh], unit: str, name: str
 ) -> tuple[list[Path], list[dict[str, Any]]]:
-    """Write mesh.glb, which every program reads, albedo.glb if that is known, and levels/0.glb … with WebP textures; returns the
-    files, and what each level is.
+    """Write mesh.glb (JPEG and PNG textures), albedo.glb if the albedo is known, and levels/0.glb … (WebP textures). Returns the files
+    and the figures of each level.
     """
     paths = [folder / "mesh.glb", *(folder / "levels" / f"{k}.glb" for k in range(len(levels)))]
     contents = [glb(levels[0], unit, name), *(glb(level, unit, name, webp=True) for level in levels)]

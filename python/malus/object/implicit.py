@@ -1,9 +1,10 @@
-"""A surface through oriented points: where a weighted mean of their tangent planes' distances is zero, block by block.
+"""A surface through oriented points, block by block: where the weighted mean of the signed distances to their tangent planes is zero.
 
-Each point says of its surroundings how far they lie before or behind its tangent plane. The mean of what the points near a place say,
-by a weight that falls with their distance, is a signed distance from the surface (implicit moving least squares: Kolluri 2008,
-"Provably good moving least squares"). It is computed at the nodes of one lattice for the whole object; cubes are marched in
-blocks of it. What lies on the side of two blocks is computed from the same points in the same order, so that blocks meet exactly.
+Each point has a tangent plane. The mean of a place's signed distances from the tangent planes of the points near it, with weights that
+fall with the distance to the points, is its signed distance from the surface (implicit moving least squares: Kolluri 2008,
+"Provably good moving least squares"). This mean is computed at the nodes of one lattice for the whole object; marching cubes runs on
+blocks of the lattice. Nodes on the side between two blocks are computed from the same points in the same order, so that blocks meet
+exactly.
 """
 
 from __future__ import annotations
@@ -26,19 +27,19 @@ Ints = NDArray[np.int64]
 
 #: Cells along a block's side.
 BLOCK_CELLS = 128
-#: A point's weight is zero this many cells away, or this many of the spacing of its neighbors where they lie further apart.
+#: Radius of a point's weight function: this many cells, or this many times the spacing of its neighbors if that is more.
 _REACH_CELLS = 4.0
 _REACH_SPACINGS = 1.8
 _SPACING_NEIGHBOR = 6
-#: No point reaches further (cells): holes wider than that stay open.
+#: Largest radius of a weight function (cells): holes wider than this stay open.
 MOST_REACH_CELLS = 6.0
-#: Nodes about which the points together weigh less lie away from the surface.
+#: Nodes with a smaller sum of weights are too far from the points to have a distance.
 _LEAST_WEIGHT = 0.3
-#: What is taken along beside a block (cells): points that reach into it, and the neighbors that their reach depends on.
+#: Margin about a block (cells): it holds the points whose weights reach into the block, and the neighbors that their radii depend on.
 _BESIDE_CELLS = 10
-#: Points whose normals and standard deviations a vertex takes the mean of.
+#: Normal and standard deviation of a vertex are means over this many nearest points.
 _NEIGHBORS = 4
-#: To so many parts of a cell vertices on the sides of blocks are told apart.
+#: Vertices on the sides of blocks are identified by coordinates rounded to a cell divided by this.
 _PARTS = 256
 _DIGITS = 21  # bits for a coordinate
 
@@ -56,7 +57,7 @@ class Lattice:
 
 
 class PointBlocks:
-    """Oriented points, sorted by the blocks that they lie in."""
+    """Oriented points, sorted by block."""
 
     def __init__(self, points: OrientedPoints, lattice: Lattice) -> None:
         self.lattice = lattice
@@ -71,13 +72,13 @@ class PointBlocks:
         }
 
     def to_march(self) -> list[tuple[int, int, int]]:
-        """All blocks that the surface may enter: those of points, and those beside them."""
+        """All blocks that the surface may enter: those with points, and their neighbors."""
         steps = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
         found = np.unique((self.blocks[:, None] + steps).reshape(-1, 3), axis=0)
         return [(i, j, k) for i, j, k in found.tolist()]
 
     def around(self, block: tuple[int, int, int]) -> OrientedPoints:
-        """The points in a block and beside it."""
+        """The points in a block and in the margin about it."""
         beside = itertools.product(*([x - 1, x, x + 1] for x in block))
         parts = [np.arange(r.start, r.stop) for r in (self._where.get(at) for at in beside) if r is not None]
         some = np.concatenate([np.empty(0, np.int64), *parts])
@@ -87,7 +88,7 @@ class PointBlocks:
 
 
 def reach_of(points: Floats, cell: float) -> Floats:
-    """How far each point's word counts (N): by the distance to its sixth neighbor, but at least and at most so many cells."""
+    """Radius of each point's weight function (N): in proportion to the distance to its sixth neighbor, within limits in cells."""
     spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
     if len(points) <= _SPACING_NEIGHBOR:
         return np.full(len(points), _REACH_CELLS * cell)
@@ -99,7 +100,7 @@ def distance_field(
     points: OrientedPoints, reach: Floats, lattice: Lattice, block: tuple[int, int, int]
 ) -> NDArray[np.float32]:
     """Signed distance in cells, positive outside, at the nodes of a block (side BLOCK_CELLS + 1); NaN away from the points."""
-    # Whatever block they are taken for, points have the same numbers and the same order: sums then are equal to the last bit.
+    # Coordinates and order of the points do not depend on the block: sums in neighboring blocks are then equal to the last bit.
     at = lattice.indices(points.points)
     nearest = np.rint(at)
     far = reach / lattice.cell
@@ -108,14 +109,14 @@ def distance_field(
     some = np.flatnonzero(((local >= -widest) & (local <= BLOCK_CELLS + widest)).all(1))
     some = some[np.lexsort(at[some].T)]
     off, normals, far = (at - nearest)[some].T, points.normals[some], far[some]
-    # The volume has a rim as wide as points reach, so that no node must be asked whether it is inside.
+    # The volume is padded by the largest radius, so that nodes need no bounds check.
     side = BLOCK_CELLS + 1 + 4 * widest
     weights, sums = np.zeros(side**3), np.zeros(side**3)
     strides = np.array([side**2, side, 1])
     place = ((local[some] + 2 * widest) * strides).sum(1)
     square, along = (off**2).sum(0), (off * normals.T).sum(0)
     for step in itertools.product(range(-widest, widest + 1), repeat=3):
-        # A node is at most .87 cells nearer than its step from the nearest one.
+        # A point is at most .87 cells from its nearest node, so at most that much nearer to a node than the step's length.
         some = np.flatnonzero(far > math.hypot(*step) - 0.87)
         x, y, z = off[:, some]
         apart = square[some] - 2 * (x * step[0] + y * step[1] + z * step[2]) + sum(s * s for s in step)
@@ -132,9 +133,9 @@ def distance_field(
 
 
 def pieces(points: OrientedPoints, cell: float) -> Iterator[Piece]:
-    """The surface through the points on a lattice of this cell, block after block, first along x; `joined_mesh` makes one of them.
+    """The surface through the points on a lattice of this cell size, one piece for each block, x ascending; `joined_mesh` joins them.
 
-    Vertices on the sides of blocks are in the pieces on both sides.
+    Vertices on the side between two blocks are in both pieces.
     """
     measure = extra("skimage.measure", "scikit-image", "the surface of an object", "object")
     blocks = PointBlocks(points, Lattice(points.points.min(0) - _BESIDE_CELLS * cell, cell))
@@ -146,7 +147,7 @@ def pieces(points: OrientedPoints, cell: float) -> Iterator[Piece]:
         known = field[np.isfinite(field)]
         if not len(known) or known.min() >= 0 or known.max() <= 0:
             continue
-        # Where a corner of a cube is unknown, vertices are no numbers.
+        # Cubes with a NaN corner give NaN vertices.
         at, triangles, _, _ = measure.marching_cubes(field, 0.0, gradient_direction="descent")
         triangles = triangles[np.isfinite(at).all(1)[triangles].all(1)]
         if len(triangles):
@@ -161,14 +162,14 @@ def pieces(points: OrientedPoints, cell: float) -> Iterator[Piece]:
 
 
 def _seam(at: NDArray[np.float32], whole: Floats) -> Ints:
-    """A number for each vertex on the side of its block, the same in the block beside it and growing with x; -1 within."""
+    """A number for each vertex on a side of its block, the same in the neighboring block and growing with x; -1 for all other vertices."""
     parts = np.rint(whole * _PARTS).astype(np.int64)
     number = (parts[:, 0] << 2 * _DIGITS) + (parts[:, 1] << _DIGITS) + parts[:, 2]
     return np.where(((at == 0) | (at == BLOCK_CELLS)).any(1), number, -1)
 
 
 def _with_means(vertices: Floats, triangles: Ints, points: OrientedPoints, cell: float) -> ObjectMesh:
-    """Normals and standard deviations: means of the nearest points, by their distance."""
+    """The mesh with normals and standard deviations: means over the nearest points, weighted by distance."""
     spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
     away, near = spatial.cKDTree(points.points).query(vertices, _NEIGHBORS, workers=1)
     share = 1 / (away**2 + cell**2)

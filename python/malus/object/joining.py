@@ -1,4 +1,4 @@
-"""Pieces of a surface become one mesh: vertices on seams are made one, crumbs are left out. What is large stays on disk."""
+"""Joins pieces of a surface into one mesh: merges vertices on seams and drops small separate parts. Large arrays stay on disk."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from malus.object.meshing import ObjectMesh, connected
 
 Ints = NDArray[np.int64]
 
-#: Separate parts with a smaller share of the triangles are crumbs.
+#: Connected parts with a smaller share of the triangles are dropped.
 _LEAST_PART = 0.005
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Part of a mesh. seam: N, the same number for a vertex here and in the piece beside it; -1 for vertices that no other piece has.
+    """Part of a mesh. seam: N, the same number for a vertex here and in a neighboring piece; -1 for vertices that no other piece has.
 
-    Seam numbers are never less than the `first_seam` of their piece, which does not fall from piece to piece.
+    Seam numbers are never less than the `first_seam` of their piece. `first_seam` never decreases from one piece to the next.
     """
 
     mesh: ObjectMesh
@@ -38,7 +38,7 @@ class _GrowingMesh:
         self.triangles = GrowingArray(folder / "triangles", np.int64, 3)
 
     def add(self, mesh: ObjectMesh, chosen: NDArray[np.bool_], triangles: Ints) -> None:
-        """Some of the vertices of a mesh, and triangles between any vertices."""
+        """Add the chosen vertices of a mesh, and triangles between any vertices."""
         self.vertices.add(mesh.vertices[chosen])
         self.normals.add(mesh.normals[chosen])
         self.sigma.add(mesh.sigma[chosen])
@@ -52,20 +52,20 @@ class _GrowingMesh:
 
 
 class _Seams:
-    """Vertices that pieces to come may have, too: seam numbers in order, with the mesh's number and part of each."""
+    """Vertices that later pieces may share: seam numbers in order, each with its vertex number and its connected part of the mesh."""
 
     def __init__(self) -> None:
         self.seam, self.number, self.part = (np.empty(0, np.int64) for _ in range(3))
 
     def find(self, seam: Ints) -> tuple[NDArray[np.bool_], Ints]:
-        """Which of these vertices are known, and where."""
+        """Which of these seam numbers are known, and their positions in `self.seam`."""
         if not len(self.seam):
             return np.zeros(len(seam), bool), np.zeros(len(seam), np.int64)
         at = np.minimum(np.searchsorted(self.seam, seam), len(self.seam) - 1)
         return (seam >= 0) & (self.seam[at] == seam), at
 
     def add(self, seam: Ints, number: Ints, part: Ints, first: int) -> None:
-        """Remember more, and forget what no later piece can have."""
+        """Add vertices, and drop those that no later piece can share."""
         kept = self.seam >= first
         rows = [
             np.concatenate([old[kept], new])
@@ -76,9 +76,10 @@ class _Seams:
 
 
 def joined_mesh(pieces: Iterable[Piece], folder: Path, most_sigma: float) -> ObjectMesh:
-    """One mesh of pieces, without what is less sure than `most_sigma` and without crumbs, its arrays in files in `folder`.
+    """One mesh of all pieces, its arrays in files in `folder`.
 
-    Raises DataError if nothing is left.
+    Triangles with a vertex whose sigma exceeds `most_sigma` are dropped, and so are small separate parts. Raises DataError if no
+    triangle is left.
     """
     raw, parts_of = _GrowingMesh(folder / "raw"), GrowingArray(folder / "raw" / "parts", np.int64)
     seams, links, sizes = _Seams(), [np.empty((0, 2), np.int64)], [np.empty(0, np.int64)]
@@ -97,7 +98,7 @@ def joined_mesh(pieces: Iterable[Piece], folder: Path, most_sigma: float) -> Obj
         new = ~found & (piece.seam >= 0)
         seams.add(piece.seam[new], numbers[new], part[new], piece.first_seam)
         triangles = numbers[mesh.triangles[sure]]
-        # Where two vertices of a seam lie at one place a triangle between them has no area.
+        # A triangle whose seam vertices were merged has no area.
         real = (triangles != np.roll(triangles, 1, 1)).all(1)
         raw.add(mesh, ~found, triangles[real])
         of = part[mesh.triangles[sure][real, 0]]
@@ -111,7 +112,7 @@ def joined_mesh(pieces: Iterable[Piece], folder: Path, most_sigma: float) -> Obj
 
 
 def _selected(mesh: ObjectMesh, good: NDArray[np.bool_], parts_of: Ints, folder: Path) -> ObjectMesh:
-    """The triangles of good parts, and the vertices that they have."""
+    """The triangles of good parts, and their vertices."""
     used = np.zeros(len(mesh.vertices), bool)
     for rows in chunks(len(mesh.triangles)):
         used[mesh.triangles[rows][good[parts_of[rows]]]] = True

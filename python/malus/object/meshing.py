@@ -1,4 +1,4 @@
-"""One mesh of oriented points: screened Poisson reconstruction as COLMAP ships it, with what it says nothing about marked."""
+"""A closed mesh of oriented points, by COLMAP's screened Poisson reconstruction; parts that no points support are marked."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from malus.photogrammetry.program import Colmap
 
 #: The finest cells of the octree have this size, in GSD.
 _CELL_GSD = 1.0
-#: Depth of the octree; memory grows fourfold with each.
+#: Depth of the octree; memory grows fourfold with each level.
 _LEAST_DEPTH, _MOST_DEPTH = 6, 13
-#: How strongly the surface is held at the points, against their normals (Kazhdan and Hoppe 2013).
+#: Weight of the points' positions relative to their normals (Kazhdan and Hoppe 2013).
 _POINT_WEIGHT = 4.0
-#: A vertex is measured if a point lies within as many times the points' own spacing there.
+#: A vertex counts as measured if a point lies within this many times the local spacing of the points.
 _REACH = 2.0
 _SPACING_NEIGHBOR = 2
-#: What COLMAP reads and writes.
+#: The files that COLMAP reads and writes.
 _FILES = ("points.ply", "poisson.ply")
-#: Separate pieces with a smaller share of the triangles are crumbs.
+#: Connected parts with a smaller share of the triangles are dropped.
 _LEAST_PIECE = 0.005
 
 
 @dataclass(frozen=True)
 class ObjectMesh:
     """vertices, normals: N×3, world, station unit. triangles: M×3, counter-clockwise from outside. sigma: N, one standard
-    deviation across the surface. measured: N, whether points lie there; elsewhere the surface is a guess that closes it.
+    deviation across the surface. measured: N, whether points support the vertex; elsewhere the surface is a guess that closes the mesh.
     """
 
     vertices: Floats
@@ -47,11 +47,11 @@ class ObjectMesh:
 def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colmap) -> ObjectMesh:
     """Closed mesh of oriented points; `folder` keeps the cloud, COLMAP's mesh and its log.
 
-    Cells are as fine as the GSD, but for objects of more than 8000 GSD. Raises DataError if there is no surface.
+    Cells are as fine as the GSD, except for objects larger than 8000 GSD. Raises DataError if there is no surface.
     """
     if len(points.points) < 100:
         raise DataError(f"{len(points.points)} points of the stations agree, expected at least 100")
-    middle = points.points.mean(0)  # Single precision suffices about it.
+    middle = points.points.mean(0)  # Relative to the middle, single precision suffices.
     local = (points.points - middle).astype(np.float32)
     extent = float(np.ptp(local, axis=0).max())
     depth = int(np.clip(math.ceil(math.log2(1.1 * extent / (_CELL_GSD * gsd))), _LEAST_DEPTH, _MOST_DEPTH))
@@ -67,10 +67,10 @@ def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colma
             "PoissonMeshing.point_weight": _POINT_WEIGHT, "PoissonMeshing.num_threads": colmap.threads,
         },
         folder / "poisson.log",
-        working_folder=folder,  # where it keeps large files of its own
+        working_folder=folder,  # COLMAP keeps large files of its own there.
     )  # fmt: skip
     vertices, triangles = read_mesh(raw)
-    # COLMAP leaves a few vertices that are no numbers; what they held is closed up again.
+    # COLMAP leaves a few vertices that are NaN; the holes without them are closed below.
     numbers = np.asarray(np.isfinite(vertices).all(axis=1))
     triangles = triangles[numbers[triangles].all(1)]
     vertices, triangles = closed_up(*without_crumbs(vertices + middle, triangles))
@@ -80,7 +80,7 @@ def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colma
 
 
 def closed_surface(mesh: ObjectMesh, gsd: float, folder: Path, colmap: Colmap) -> ObjectMesh:
-    """A closed mesh about the one given: the same surface where there is one, and a guess, marked so, over its holes.
+    """A closed mesh from an open one: the same surface where `mesh` has one, and a guess, marked as such, over its holes.
 
     `folder` keeps COLMAP's log. Raises what `poisson_mesh` raises.
     """
@@ -93,7 +93,7 @@ def closed_surface(mesh: ObjectMesh, gsd: float, folder: Path, colmap: Colmap) -
 
 
 def _with_uncertainty(vertices: Floats, triangles: NDArray[np.int64], points: OrientedPoints, gsd: float) -> ObjectMesh:
-    """Sigma and normals of the nearest points; where none is near, sigma grows with the distance."""
+    """The mesh with sigma and normals of the nearest points; where no point is near, sigma grows with the distance."""
     spatial = extra("scipy.spatial", "scipy", "the mesh of an object", "object")
     tree = spatial.cKDTree(points.points)
     spacing = tree.query(points.points, _SPACING_NEIGHBOR + 1, workers=1)[0][:, -1]
@@ -111,7 +111,7 @@ def _with_uncertainty(vertices: Floats, triangles: NDArray[np.int64], points: Or
 
 
 def vertex_normals(vertices: Floats, triangles: NDArray[np.int64]) -> Floats:
-    """Unit normals, means over the triangles about each vertex by their areas."""
+    """Unit normals: area-weighted means over the triangles about each vertex."""
     corners = vertices[triangles]
     faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     sums = np.stack(
@@ -121,7 +121,7 @@ def vertex_normals(vertices: Floats, triangles: NDArray[np.int64]) -> Floats:
 
 
 def without_crumbs(vertices: Floats, triangles: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
-    """The mesh without small separate pieces, and without vertices that no triangle has."""
+    """The mesh without small separate parts and without unused vertices."""
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
     piece = connected(edges, len(vertices))[triangles[:, 0]]
     size = np.bincount(piece)
@@ -131,7 +131,7 @@ def without_crumbs(vertices: Floats, triangles: NDArray[np.int64]) -> tuple[Floa
 
 
 def connected(edges: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """The piece that each of `count` vertices belongs to."""
+    """The number of the connected part that each of `count` vertices belongs to."""
     sparse = extra("scipy.sparse", "scipy", "the mesh of an object", "object")
     graph = extra("scipy.sparse.csgraph", "scipy", "the mesh of an object", "object")
     links = sparse.coo_matrix((np.ones(len(edges), np.int8), tuple(edges.T)), shape=(count, count))
@@ -139,7 +139,7 @@ def connected(edges: NDArray[np.int64], count: int) -> NDArray[np.int64]:
 
 
 def closed_up(vertices: Floats, triangles: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
-    """The mesh with every open border closed by a fan about its middle: Poisson's surface runs out of its box where nothing is known."""
+    """The mesh with every open border closed by a fan about its middle: without points, Poisson's surface leaves its bounding box."""
     count = len(vertices)
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     there, back = edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0]

@@ -1,4 +1,4 @@
-"""The page of an object: its mesh to turn and light, which station sees what, how well stations agree, and their figures."""
+"""The page of an object: a mesh to turn and light, which station sees which part, how well stations agree, and the figures."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from malus.viewer import base64_text, pack
 
 #: Longest side of the texture in the page.
 _TEXTURE_SIDE = 2048
-#: Distances of this many standard deviations, and beyond, have the last color of the map.
+#: Distances of this many standard deviations or more have the last color of the map.
 _MOST_RATIO = 4.0
-#: Color of what no map says anything of, and the room that is left around the rest, in its own size.
+#: Gray value of pixels without data, and the margin that is left around the pixels with data, as a share of their extent.
 _NOTHING, _ROOM = 128, 0.05
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
-#: Distances from the reference of so many GSD, and beyond, have the first or last color.
+#: Distances from the reference of this many GSD or more have the first or last color.
 _MOST_DISTANCE_GSD = 2.0
 
 
 def colors_of(shares: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Colors (…×3) of numbers 0 … 1, from blue over white to red; gray where there is none."""
+    """Colors (…×3) of numbers 0 … 1, from blue over white to red; gray for NaN."""
     known = np.isfinite(shares)
     value = np.clip(np.where(known, shares, 0), 0, 1)[..., None]
     low, middle, high = (np.array(color) for color in ((33.0, 102, 172), (247, 247, 247), (178, 24, 43)))
@@ -61,7 +61,7 @@ def write_maps(folder: Path, agreements: Sequence[Agreement]) -> list[Path]:
 def write_distances(
     folder: Path, distances: NDArray[np.float32], mesh: ObjectMesh, views: Sequence[View], gsd: float
 ) -> list[Path]:
-    """A PNG for each station: how far the mesh (N vertices) lies off its reference in what the station sees, blue inside, red outside."""
+    """A PNG for each station: distance of the mesh (N vertices) from its reference where the station sees it, blue inside, red outside."""
     find = NearestVertices(mesh)
     paths = []
     for view in views:
@@ -86,9 +86,9 @@ def _turntable(
     views: Sequence[View],
     distances: NDArray[np.float32] | None,
 ) -> dict[str, Any]:
-    """The textured mesh as a GLB file, its albedo, and colors of its vertices for what was measured.
+    """The textured mesh as a GLB file, its albedo, and vertex colors of the maps (stations, sigma, reference).
 
-    It opens as the first station sees the object.
+    The viewer opens with the first station's view of the object.
     """
     first = views[0]
     to_eye = first.eye - (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
@@ -112,7 +112,7 @@ def _turntable(
 
 
 def _for_the_page(mesh: TexturedMesh) -> TexturedMesh:
-    """The mesh with textures that a page can carry."""
+    """The mesh with textures that are small enough for the page."""
     return replace(
         mesh,
         color=_small(mesh.color),
@@ -129,7 +129,7 @@ def _small(texture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True)
 class _Map:
-    """A station's map as the page shows it: what says something of it, with a scale bar."""
+    """A station's map as the page shows it: cropped to the pixels with data, with a scale bar."""
 
     png: str
     width: int
@@ -162,12 +162,12 @@ def _with_room(places: NDArray[np.intp], size: int) -> slice:
 
 
 def reasons_of(stations: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[str]]]:
-    """Why stations are not trusted wholly: each sentence once, with the stations of which it is said. Numbers in it that differ
-    from station to station become the least and the most of them.
+    """Why stations are not fully trusted: each sentence once, with the stations that it applies to. Numbers that differ between the
+    stations become a range.
     """
     said: dict[str, list[tuple[str, list[str]]]] = {}
     for row in stations:
-        # A number's point has no blank behind it.
+        # No blank follows a decimal point.
         for sentence in filter(None, re.split(r"(?<=\.) (?=[A-Z])", row["reasons"])):
             said.setdefault(_NUMBER.sub("#", sentence), []).append((row["station"], _NUMBER.findall(sentence)))
     return [
@@ -177,7 +177,7 @@ def reasons_of(stations: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[st
 
 
 def _filled(pattern: str, numbers: Sequence[Sequence[str]]) -> str:
-    """A sentence with # for each number, with these numbers of each station."""
+    """A sentence whose # are replaced by the ranges of the stations' numbers."""
     spans = iter([sorted(column, key=float) for column in zip(*numbers, strict=True)])
     return re.sub("#", lambda _: _span(next(spans)), pattern)
 
@@ -187,7 +187,7 @@ def _span(ordered: Sequence[str]) -> str:
 
 
 def _other_warnings(quality: Mapping[str, Any]) -> list[str]:
-    """The warnings that are not among the reasons of their station's confidence already."""
+    """The warnings that do not repeat a reason for their station's confidence."""
     reasons = {row["station"]: row.get("reasons", "") for row in quality["stations"]}
     told = [warning.split(": ", 2) for warning in quality["warnings"]]  # station, step, sentence
     return [": ".join(parts) for parts in told if parts[-1] not in reasons.get(parts[0], "")]
@@ -203,8 +203,8 @@ def write_page(
     *,
     linked: bool,
 ) -> Path:
-    """Write report/index.html in `folder` (self-contained but for the links to the stations' reports); returns its path."""
-    # Where the scan lies on this computer is nobody's business who reads the page.
+    """Write report/index.html in `folder` (self-contained except for the links to the stations' reports); returns its path."""
+    # The page must not reveal the scan's path on this computer.
     scan = quality.get("reference")
     page = template("object.html.j2").render(
         quality=quality,

@@ -20,9 +20,9 @@ _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 def write_ply(
     path: Path, vertices: Mapping[str, tuple[NDArray[Any], str]], triangles: NDArray[np.integer] | None, comment: str
 ) -> None:
-    """Write a cloud, or a mesh with triangles M×3. vertices: N values by property, and their type: f4, f8, u1 or i4.
+    """Write a cloud, or a mesh with triangles M×3. vertices: for each property N values and their type: f4, f8, u1 or i4.
 
-    Rows are written some at a time, so that arrays on disk need no memory.
+    Rows are written in chunks, so that arrays on disk need no memory.
     """
     kind = np.dtype([(name, "<" + type_) for name, (_, type_) in vertices.items()])
     count = len(next(iter(vertices.values()))[0])

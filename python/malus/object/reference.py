@@ -1,4 +1,4 @@
-"""The mesh of an object beside a reference scan: where that belongs, how far they are apart, how much of it the mesh has."""
+"""Comparison of an object's mesh with a reference scan: registration, distances and completeness."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from malus.object.meshing import ObjectMesh
 from malus.object.views import Floats, View
 from malus.options import Options
 
-#: Stations that a place is looked for from, those that see most first, and points of the surface and the reference then.
+#: For the registration: stations that are tried, those that see most first; points of the surface and of the reference.
 _MOST_STATIONS, _SURFACE_POINTS, _REFERENCE_POINTS = 6, 20_000, 100_000
-#: Farther apart than this (GSD) two surfaces are not compared.
+#: Surfaces farther apart than this (GSD) are not compared.
 _FARTHEST_GSD = 50.0
 _FAR_AWAY = f"no part of the mesh is within {_FARTHEST_GSD:g} GSD of it; expected the same object and unit"
-#: With fewer steps than these the alignment has ended for want of points that are near.
+#: An alignment that ends without convergence after fewer steps found no points near the mesh.
 _MOST_STEPS = 60
-#: The reference is there in the mesh if that lies within so many GSD.
+#: Completeness: part of the reference counts as reconstructed if the mesh lies within this many GSD of it.
 _COMPLETE_GSD = (1, 2, 4)
-#: Points of the reference that are looked for in the mesh; vertices that are compared at once, and that a mesh is compared as a whole with.
+#: Most points of the reference for completeness; most vertices that are compared at once, and most of a mesh that is searched as a whole.
 _MOST_LOOKED_FOR, _MOST_AT_ONCE = 1_000_000, 4_000_000
 
 
 @dataclass(frozen=True)
 class Reference:
-    """A mesh, or a cloud without triangles: N×3 points, M×3 numbers of them."""
+    """A mesh, or a cloud without triangles. points: N×3. triangles: M×3 indices of points, or None."""
 
     points: Floats
     triangles: NDArray[np.uint32] | None
@@ -45,11 +45,11 @@ class Reference:
         return Reference(*_core.read_cloud_or_mesh(str(path)))
 
     def moved(self, rotation: Floats, translation: Floats) -> Reference:
-        """Itself at rotation · x + translation."""
+        """The reference at rotation · x + translation."""
         return replace(self, points=np.ascontiguousarray(self.points @ rotation.T + translation))
 
     def areas(self) -> Floats:
-        """How much of the surface each point stands for (N), up to a factor."""
+        """Area of the surface that each point represents (N), up to a factor."""
         if self.triangles is None:
             return np.ones(len(self.points))
         corners = self.points[self.triangles]
@@ -59,7 +59,7 @@ class Reference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """reference: in the object's frame. distances: of the mesh's vertices (N), positive outside of the reference, NaN where none is near.
+    """reference: in the object's frame. distances: of the mesh's vertices (N), positive outside the reference, NaN where it is not near.
     figures: for quality.json.
     """
 
@@ -69,9 +69,9 @@ class Comparison:
 
 
 def place(reference: Reference, views: Sequence[View]) -> registration.Placement:
-    """Where a reference that lies anywhere belongs, by the surface of the first station that tells it.
+    """Pose of a reference that is in another frame, from the first station whose surface determines it.
 
-    Raises DataError if none does.
+    Raises DataError if no station's surface does.
     """
     scan = reference.points[:: max(1, len(reference.points) // _REFERENCE_POINTS)]
     failures: list[DataError] = []
@@ -86,8 +86,8 @@ def place(reference: Reference, views: Sequence[View]) -> registration.Placement
 
 
 def aligned(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) -> tuple[Reference, bool]:
-    """The reference moved onto the mesh by the ICP of `malus assess`, and whether that came to rest: with a cloud, whose planes
-    change from point to point, it may go on by a little. DataError if nothing of the reference is near.
+    """The reference moved onto the mesh by the ICP of `malus assess`, and whether the ICP converged. With a cloud, whose tangent planes
+    change from point to point, it may keep moving a little. DataError if no part of the reference is near.
     """
     measured = np.flatnonzero(mesh.measured)
     points = np.ascontiguousarray(mesh.vertices[measured[:: max(1, len(measured) // _SURFACE_POINTS)]])
@@ -102,9 +102,9 @@ def aligned(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) ->
 
 
 def compare(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) -> Comparison:
-    """Distances of a mesh from a reference in its frame, and how much of the reference it has.
+    """Distances of a mesh from a reference in the same frame, and the completeness of the mesh.
 
-    Guesses that close the mesh are not measured: they have distances, but do not count.
+    Guessed parts that close the mesh get distances, but do not count in the figures.
     """
     distances = np.concatenate(
         [
@@ -137,7 +137,7 @@ def compare(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) ->
 
 
 def _completeness(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) -> dict[str, float]:
-    """Shares of the reference's surface that the mesh has within so many GSD."""
+    """Shares of the reference's surface within each limit of _COMPLETE_GSD of the mesh."""
     every = max(1, len(reference.points) // _MOST_LOOKED_FOR)
     points, areas = np.ascontiguousarray(reference.points[::every]), reference.areas()[::every]
     # A mesh too large to be searched as a whole is searched as a cloud of some of its vertices.

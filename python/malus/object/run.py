@@ -43,9 +43,9 @@ from malus.station import Station
 from malus.threads import ALL_CORES
 from malus.workspace import Workspace
 
-#: What fusion tells of its course: how much of it is done, and with what it goes on.
+#: Receives the progress of the fusion: the share that is done, and the next step.
 Progress = Callable[[float, str], None]
-#: Triangles of a mesh that is simplified as a whole.
+#: Most triangles of a mesh that is simplified as a whole.
 _MOST_TO_SIMPLIFY = 4_000_000
 
 
@@ -59,17 +59,18 @@ def run_object(
     shard: tuple[int, int] | None = None,
     progress: Callable[[str, float, str], None] | None = None,
 ) -> list[Outcome]:
-    """Run the stations of an object that are not done, and make one surface of all of them.
+    """Run the stations of an object that are not done, and join all stations into one surface.
 
-    OUTPUT gets what malus.batch.run_campaign leaves, photogrammetry/ if stations are found in photos, and object/: mesh.ply (full mesh, with sigma), mesh.glb (textured), albedo.glb, reference/, agreement/
-    NAME.png, quality.json, report/index.html. jobs, threads, scheduler and shard: as there. The surface is made once no station is
-    pending, of those that are done, and not made again while they and the object file stay. progress: step, share done, message.
-    Returns the outcomes of the stations. Raises DataError if no station is done, and what malus.reconstruct raises.
+    OUTPUT gets the files of malus.batch.run_campaign, photogrammetry/ if stations are found among photos, and object/: mesh.ply (full
+    mesh, with sigma), mesh.glb (textured), albedo.glb, reference/, agreement/NAME.png, quality.json, report/index.html. jobs, threads,
+    scheduler and shard: as in malus.batch.run_campaign. The surface is made from the stations that are done, once no station is pending.
+    It is not made again while these stations and the object file are unchanged. progress: step, share done, message. Returns the
+    outcomes of the stations. Raises DataError if no station is done, and the errors of malus.reconstruct.
     """
     say = progress or (lambda *_: None)
     texture.require_packages()
     if thing.closed:
-        Colmap(1)  # If it is missing, that is said before hours of work; and so is a reference that cannot be read.
+        Colmap(1)  # A missing COLMAP, or an unreadable reference (below), must fail before hours of work.
     thing.read_reference()
     frame = None if thing.shared is None else find_frame(thing, Path(output), threads or ALL_CORES, say)
     outcomes = batch.run_campaign(
@@ -77,15 +78,16 @@ def run_object(
         cameras=None if frame is None else frame.cameras,
         progress=lambda done, total, outcome: say("stations", done / total, f"{outcome['station']}: {outcome['status']}"),
     )  # fmt: skip
-    if any(outcome["status"] == "pending" for outcome in outcomes):  # Another shard's; who ends last goes on.
+    # Stations of other shards are pending; the shard that ends last makes the surface.
+    if any(outcome["status"] == "pending" for outcome in outcomes):
         return outcomes
     done = [outcome for outcome in outcomes if outcome["status"] == "done"]
     if not done:
         raise batch.failure(outcomes) or DataError(f"{thing.name}: has no stations")
-    say("stations", 1.0, f"{len(done)} of {len(outcomes)} done")  # some from an earlier run, of which nothing was said
+    say("stations", 1.0, f"{len(done)} of {len(outcomes)} done")  # Stations of an earlier run reported no progress.
     folder = Path(output) / "object"
     key = _key(thing, outcomes)
-    # Of two shards that end at once one makes the surface; the other is told so.
+    # If two shards end at once, one makes the surface and the other gets an InputError.
     with exclusive(folder):
         if not _is_made(folder, key):
             _fuse(
@@ -103,8 +105,8 @@ def run_object(
 
 @dataclass(frozen=True)
 class Frame:
-    """Stations found among an object's photos. cameras: folder with a file for each. figures: of the photos, of each station among them
-    and of the scale, for quality.json.
+    """Stations found among an object's photos. cameras: folder with a file for each station. figures: for quality.json, on the photos,
+    on each station and on the scale.
     """
 
     cameras: Path
@@ -113,9 +115,10 @@ class Frame:
 
 
 def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, float, str], None]) -> Frame:
-    """Find all stations among the object's photos, and leave each station's cameras for its own run.
+    """Find all stations among the object's photos, and write each station's cameras for its own run.
 
-    A station that fails, or finds no place, leaves why, which its own run then ends with. What did not change is not done again.
+    For a station that fails or cannot be placed, the error is written instead, and the station's own run ends with this error. Stages
+    whose inputs did not change are not repeated.
     """
     assert thing.shared is not None
     folder, options = output / "photogrammetry", thing.campaign.options
@@ -168,14 +171,14 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
 
 
 def _begin(workspace: Path, begun: Path) -> None:
-    """Let a station's own run begin with the polarization step that it was found with."""
+    """Start a station's workspace with the polarization step that was computed for finding the station."""
     if not workspace.exists():
         with new_folder(workspace) as new:
             shutil.copytree(begun, new, ignore=shutil.ignore_patterns(".lock"), dirs_exist_ok=True)
 
 
 def _key(thing: Object, outcomes: Sequence[Outcome]) -> str:
-    """What the surface is made from, and what its page says of stations that are not in it."""
+    """Hash of what the surface is made from, and of what its page says about stations that are not in it."""
     scan = None if thing.reference is None else [str(thing.reference), sha256_of(thing.reference), thing.register]
     wanted = [thing.name, thing.unit, thing.closed, thing.max_sigma_gsd, thing.faces, thing.campaign.report, scan]
     stations = [[outcome["station"], outcome["reason"] or outcome["manifest"]] for outcome in outcomes]
@@ -183,7 +186,7 @@ def _key(thing: Object, outcomes: Sequence[Outcome]) -> str:
 
 
 def _is_made(folder: Path, key: str) -> bool:
-    """Whether the surface with this key is there, every file and figure as it was left."""
+    """Whether the surface with this key exists and all its files are unchanged."""
     quality = read_record(folder / "quality.json")
     try:
         return (
@@ -206,7 +209,7 @@ def _fuse(
 ) -> None:
     done = [outcome for outcome in outcomes if outcome["status"] == "done"]
     (folder / "quality.json").unlink(missing_ok=True)
-    # Of an earlier surface, which may have had other stations, or of a run that was ended.
+    # Files left by an earlier surface, which may have had other stations, or by an interrupted run.
     (folder / "albedo.glb").unlink(missing_ok=True)
     for left in (folder / "levels", folder / "agreement", folder / "reference", *folder.glob(".mesh-*")):
         shutil.rmtree(left, ignore_errors=True)
@@ -217,7 +220,7 @@ def _fuse(
     ]
     gsd = float(np.median([view.gsd for view in views]))
     say(0.1, "combining what stations see")
-    # Stations that follow the same phases would check each other less.
+    # Agreement is measured before sharpening: surfaces that were moved to the same phases are less independent.
     agreements = agreement.combine(views)[1]
     phases = [Phases.of(Workspace(folder.parent / "stations" / view.name)) for view in views]
     told = telling(views, phases)
@@ -261,7 +264,7 @@ def _fuse(
 
 
 def _require_unchanged(thing: Object, outcomes: Sequence[Outcome], frame: Frame | None, folder: Path, key: str) -> None:
-    """InputError if stations, their clouds or the reference are not those any more that the surface is recorded as made from."""
+    """InputError if stations, their clouds or the reference changed while the surface was made."""
     now = batch.outcomes_of(thing.campaign, folder.parent, None if frame is None else frame.cameras)
     for before, after in zip(outcomes, now, strict=True):
         if after != before:
@@ -273,7 +276,7 @@ def _require_unchanged(thing: Object, outcomes: Sequence[Outcome], frame: Frame 
 
 
 def _simpler(thing: Object, mesh: ObjectMesh, points: OrientedPoints, gsd: float, scratch: Path) -> ObjectMesh | None:
-    """What a mesh too large to be simplified at once is simplified from: the same surface on a coarser lattice."""
+    """The same surface on a coarser lattice, to simplify from if the mesh is too large to be simplified at once; else None."""
     if thing.closed or len(mesh.triangles) <= _MOST_TO_SIMPLIFY:
         return None
     cell = gsd * math.sqrt(len(mesh.triangles) / _MOST_TO_SIMPLIFY)
@@ -281,7 +284,7 @@ def _simpler(thing: Object, mesh: ObjectMesh, points: OrientedPoints, gsd: float
 
 
 def _clouds(thing: Object, done: Sequence[Outcome], output: Path) -> list[OrientedPoints]:
-    """The stations' clouds that have normals, each once."""
+    """The stations' clouds that have normals, without duplicates."""
     parts = []
     clouds: dict[str, str] = {}
     for outcome in done:
@@ -308,7 +311,7 @@ def _read_cloud(path: Path, unit: str) -> tuple[Floats, Floats | None]:
 def _compared(
     thing: Object, mesh: ObjectMesh, views: Sequence[View], gsd: float, threads: int
 ) -> tuple[Comparison | None, dict[str, Any] | None]:
-    """The mesh beside the object's reference, if it has one and that fits; and what quality.json says of it."""
+    """Comparison of the mesh with the object's reference (None without a reference or if it does not fit), and its entry in quality.json."""
     scan = thing.read_reference()
     if scan is None:
         return None, None
@@ -322,7 +325,7 @@ def _compared(
             }  # fmt: skip
         comparison = reference.compare(scan, mesh, gsd, threads)
     except DataError as error:
-        # The surface is right without it, and hours of work.
+        # A failed comparison must not discard the surface, which is valid and took hours.
         return None, {**said, "status": str(error)}
     return comparison, {**said, "status": "done", **comparison.figures}
 
@@ -330,7 +333,7 @@ def _compared(
 def _write_comparison(
     folder: Path, comparison: Comparison | None, mesh: ObjectMesh, views: Sequence[View], gsd: float, thing: Object
 ) -> list[Path]:
-    """Maps of the distances as the stations see them, and the reference where it was registered."""
+    """Write maps of the distances in the stations' images, and the moved reference if it was registered."""
     if comparison is None:
         return []
     files = page.write_distances(folder / "reference", comparison.distances, mesh, views, gsd)
@@ -345,7 +348,7 @@ def _write_comparison(
 
 @dataclass(frozen=True)
 class Coverage:
-    """Shares of the vertices that each station sees, and that it alone sees."""
+    """Shares of the vertices that each station sees, and that no other station sees."""
 
     seen: Floats
     alone: Floats
@@ -388,7 +391,7 @@ def mesh_figures(mesh: ObjectMesh, gsd: float) -> dict[str, Any]:
     return {
         "vertices": len(mesh.vertices),
         "triangles": len(mesh.triangles),
-        # What is so large was made with open borders.
+        # A mesh this large is taken to have open borders, without a check.
         "closed": len(mesh.triangles) <= _MOST_TO_SIMPLIFY and is_closed(mesh.triangles),
         "measured_fraction": float(mesh.measured.mean()),
         "sigma_median_gsd": float(np.median(mesh.sigma[mesh.measured]) / gsd) if mesh.measured.any() else None,
@@ -426,8 +429,8 @@ def _warnings(
     output: Path,
     compared: Mapping[str, Any] | None,
 ) -> list[str]:
-    """Every warning of every station, and the object's own. Those of finding the stations (`found`), which each of them repeats,
-    come once.
+    """Warnings of all stations and of the object itself. Warnings about finding the stations (`found`), which every station repeats,
+    are listed once.
     """
     shared = [f"photos: {warning}" for warning in found]
     warnings = list(shared)
@@ -475,6 +478,6 @@ def object_summary(quality: Mapping[str, Any]) -> list[str]:
 
 
 def doubted_stations(quality: Mapping[str, Any]) -> list[str]:
-    """Of each station in the surface that can be trusted only in part, or not, how far and why."""
+    """Confidence, with its reasons, of each station in the surface whose confidence is not high."""
     done = [row for row in quality["stations"] if row["status"] == "done" and row["confidence"] != "high"]
     return [f"{row['station']}: confidence {row['confidence']}: {row['reasons']}" for row in done]

@@ -1,9 +1,9 @@
-"""Detail that stereo smoothed away comes back as far as the phases of several stations ask for it.
+"""Restores detail that stereo smoothed away, as far as the phases of several stations support it.
 
-A phase of polarization says that the normal lies in one plane: that of the viewing ray and the phase's direction where the body's own light
-is polarized, and the one across it where a mirror image is (multi-view azimuth stereo: Cao et al. 2023). Every station that sees a
-place says so of its normal, whatever its prior. Each station's depths are moved, by little and smoothly, until as many of these planes
-as can be hold the normals. That is done in tiles, which a move does not reach far across.
+A phase of polarization constrains the surface normal to a plane through the viewing ray: for diffuse reflection the plane with the
+phase's direction, for specular reflection the plane across it (multi-view azimuth stereo: Cao et al. 2023). Every station that sees a
+place constrains its normal in this way, whatever the station's prior. The depths of each station are moved slightly and smoothly, so
+that as many normals as possible lie in their planes. This is done in tiles, since a move has no effect far beyond a tile.
 """
 
 from __future__ import annotations
@@ -23,23 +23,24 @@ from malus.workspace import Workspace
 Ints = NDArray[np.int64]
 Window = tuple[slice, slice]
 
-#: The surface is held to its own standard deviation, between these (GSD), and what moves to that of its second differences (GSD).
+#: Standard deviations (GSD) of a pixel's move across the surface: the surface's own one, clipped to _PLACE_GSD; of the move's second
+#: differences, _BEND_GSD.
 _PLACE_GSD, _BEND_GSD = (0.2, 1.0), 0.3
-#: Standard deviation of the sine between a normal and a phase's plane: what light between parts turns it, and that over the degree.
+#: Standard deviation of the sine between a normal and a phase's plane: a constant for interreflections, and a part divided by the degree.
 _TURN, _TURN_OF_DEGREE = 0.08, 0.0012
-#: Beyond this many of them a phase counts less and less (Cauchy).
+#: Beyond this many standard deviations the weight of a phase falls (Cauchy).
 _ROBUST = 2.0
-#: Phases of a smaller degree say nothing, and those that could be of either kind: the normal must be nearer to one plane by this factor.
+#: Phases of a smaller degree are not used. Nor are phases of an unclear kind: the normal must be nearer to one plane by this factor.
 _LEAST_DEGREE, _CLEARER = 0.003, 2.0
-#: A station of which fewer phases are clear says nothing: of phases that have nothing to do with the surface 59 % are.
+#: A station with a smaller share of clear phases is not used: 59 % of phases that are unrelated to the surface are clear.
 _LEAST_CLEAR = 0.7
-#: Side of a tile, and what is taken along beside it (pixels).
+#: Side of a tile, and the margin about it (pixels).
 _TILE, _BESIDE = 512, 32
-#: Gauss–Newton steps, and what the system is solved to.
+#: Gauss–Newton steps; tolerance and most iterations of the linear solver.
 _STEPS, _TOLERANCE, _MOST_ITERATIONS = 3, 1e-3, 300
 #: Pixels farther apart in depth (GSD) do not belong to one surface.
 _STEP_GSD = 6.0
-#: Corners of a cell of four pixels: row, column, and their parts in the steps to the right and down across its middle.
+#: Corners of a cell of four pixels: row, column, and their factors in the steps to the right and down across the cell's middle.
 _CORNERS = ((0, 0, -0.5, -0.5), (0, 1, 0.5, -0.5), (1, 0, -0.5, 0.5), (1, 1, 0.5, 0.5))
 
 
@@ -51,15 +52,15 @@ class Phases:
 
     @staticmethod
     def of(workspace: Workspace) -> Phases:
-        """That of a finished workspace."""
+        """The phases of a finished workspace."""
         degree, phase = (
             workspace.raster(f"polarization/{name}.tif").astype(np.float64) for name in ("degree", "phase")
         )
         return Phases(np.nan_to_num(np.stack([degree * np.cos(2 * phase), degree * np.sin(2 * phase)])))
 
     def planes(self, view: View, points: Floats) -> tuple[Floats, Floats]:
-        """Degree (N) of the light that comes from world points (N×3), and the unit normals of the planes (2×N×3) that their
-        surface's normals lie in: if the body's own light is polarized, if a mirror image is.
+        """Degree (N) of the light that comes from world points (N×3), and the unit normals (2×N×3) of the planes that hold their surface
+        normals: first for diffuse, then for specular reflection.
         """
         ndimage = extra("scipy.ndimage", "scipy", "the surface of an object", "object")
         u, v, _ = view.project(points)
@@ -75,7 +76,7 @@ class Phases:
 
 
 class _Cells:
-    """Part of a view's surface as cells of four neighboring pixels. Unknowns are what its pixels' depths grow by, as shares of them."""
+    """Part of a view's surface as cells of four neighboring pixels. The unknowns are the growths: each pixel's change of depth over depth."""
 
     def __init__(self, view: View, window: Window) -> None:
         usable, depth = view.usable[window], view.depth[window]
@@ -93,7 +94,7 @@ class _Cells:
         self.of_corner = [self.number[self.row + i, self.column + j] for i, j, _, _ in _CORNERS]
         #: Standard deviation of each pixel's place across the surface, in GSD.
         self.sigma = np.clip(view.sigma[window][self.pixels] / view.gsd, *_PLACE_GSD)
-        #: How far a pixel moves across the surface as its depth grows by its whole, in GSD.
+        #: How far a pixel moves across the surface for a growth of one, in GSD.
         self.across = np.linalg.norm(self._from_eye[self.pixels], axis=1) * view.cosine[window][self.pixels] / view.gsd
 
     @property
@@ -101,7 +102,7 @@ class _Cells:
         return len(self.across)
 
     def corners(self, growth: Floats) -> list[Floats]:
-        """Where the cells' four corners (N×3 each) lie from the eye."""
+        """The cells' four corners (N×3 each) relative to the eye, after this growth."""
         return [
             self._from_eye[self.row + i, self.column + j] * (1 + growth[number])[:, None]
             for (i, j, _, _), number in zip(_CORNERS, self.of_corner, strict=True)
@@ -121,17 +122,17 @@ class _Cells:
 
 
 def telling(views: Sequence[View], phases: Sequence[Phases]) -> list[tuple[View, Phases]]:
-    """The stations whose phases have to do with their surfaces."""
+    """The stations whose phases are consistent with their own surfaces."""
     return [(view, known) for view, known in zip(views, phases, strict=True) if _tells(view, known)]
 
 
 def sharpened(views: Sequence[View], stations: Sequence[tuple[View, Phases]]) -> list[View]:
-    """The views with their depths and normals moved to what the phases of stations ask for; `usable` stays as it is."""
+    """The views with depths and normals adjusted to the phases of the stations; `usable` does not change."""
     return [_sharpened(view, stations) for view in views] if stations else list(views)
 
 
 def _tells(view: View, phases: Phases) -> bool:
-    """Whether the phases have to do with the station's own surface."""
+    """Whether enough phases are consistent with the station's own surface."""
     degree, planes = phases.planes(view, view.points[view.usable])
     strong = degree > _LEAST_DEGREE
     clear = _clear(np.abs((planes * view.normals[view.usable]).sum(-1)))
@@ -139,7 +140,7 @@ def _tells(view: View, phases: Phases) -> bool:
 
 
 def _clear(off: Floats) -> Bools:
-    """Which normals are clearly nearer to one of two planes; `off`: sine between them and each plane, 2×N."""
+    """Which normals are clearly nearer to one of two planes; `off`: sine between the normals and each plane, 2×N."""
     return np.asarray(_CLEARER * off.min(0) < off.max(0))
 
 
@@ -159,7 +160,7 @@ def _sharpened(view: View, stations: Sequence[tuple[View, Phases]]) -> View:
 
 
 def _growth(cells: _Cells, view: View, stations: Sequence[tuple[View, Phases]]) -> Floats:
-    """What the depths of the cells' pixels grow by."""
+    """Growth of the depths of the cells' pixels."""
     sparse = extra("scipy.sparse", "scipy", "the surface of an object", "object")
     solvers = extra("scipy.sparse.linalg", "scipy", "the surface of an object", "object")
     growth = np.zeros(cells.unknowns)
@@ -181,7 +182,7 @@ def _growth(cells: _Cells, view: View, stations: Sequence[tuple[View, Phases]]) 
 
 
 def _asked(cells: _Cells, view: View, stations: Sequence[tuple[View, Phases]]) -> list[tuple[Ints, Floats, Floats]]:
-    """Of each station the cells that it sees, the degree of polarization there, and the two planes."""
+    """For each station: the cells that it sees, the degree of polarization there, and the two planes."""
     corners = cells.corners(np.zeros(cells.unknowns))
     points = cells.eye + sum(corners) / 4
     normals = _unit(_areas(corners))
@@ -197,7 +198,7 @@ def _asked(cells: _Cells, view: View, stations: Sequence[tuple[View, Phases]]) -
 def _equations(
     cells: _Cells, corners: list[Floats], which: Ints, degree: Floats, planes: Floats
 ) -> tuple[Any, Floats, Floats]:
-    """What one station asks of the unknowns: rows, weights, and how far off the normals are, for the cells whose phase is clear."""
+    """Linear equations of one station for the unknowns: rows, weights and residuals (sines), for the cells whose phase is clear."""
     sparse = extra("scipy.sparse", "scipy", "the surface of an object", "object")
     right, down = _steps(corners)
     areas = _areas(corners)
@@ -209,7 +210,7 @@ def _equations(
     sine = (areas[which] * plane).sum(1) / size
     sigma = np.hypot(_TURN, _TURN_OF_DEGREE / degree[clear])
     weight = 1 / sigma**2 / (1 + (sine / (_ROBUST * sigma)) ** 2)
-    # The cell's normal is down × right; a corner's growth moves it along its ray.
+    # The cell's normal is down × right; a corner's growth moves the corner along its ray.
     of_right, of_down = np.cross(plane, down[which]), np.cross(right[which], plane)
     values, columns = [], []
     for (_, _, to_right, to_down), corner, number in zip(_CORNERS, corners, cells.of_corner, strict=True):
@@ -221,7 +222,7 @@ def _equations(
 
 
 def _steps(corners: list[Floats]) -> tuple[Floats, Floats]:
-    """Across the middle of each cell, to the right and down."""
+    """Steps across the middle of each cell, to the right and down."""
     along = [(_CORNERS[k][2], _CORNERS[k][3], corner) for k, corner in enumerate(corners)]
     right = np.sum([to_right * corner for to_right, _, corner in along], axis=0)
     down = np.sum([to_down * corner for _, to_down, corner in along], axis=0)
@@ -229,7 +230,7 @@ def _steps(corners: list[Floats]) -> tuple[Floats, Floats]:
 
 
 def _areas(corners: list[Floats]) -> Floats:
-    """Normals of the cells towards the eye, as long as the cells are large."""
+    """Normals of the cells towards the eye, with the cells' areas as lengths."""
     right, down = _steps(corners)
     return np.cross(down, right)
 
@@ -239,7 +240,7 @@ def _unit(vectors: Floats) -> Floats:
 
 
 def _moved(view: View, growth: Floats) -> View:
-    """The view with depths that grew (H×W), and normals that are means of the cells about each pixel."""
+    """The view with its depths changed by a growth (H×W), and normals that are means over the cells about each pixel."""
     whole = (slice(None), slice(None))
     cells = _Cells(view, whole)
     areas = _areas(cells.corners(growth[cells.pixels]))

@@ -1,4 +1,4 @@
-"""The mesh for viewers: fewer triangles, a texture atlas (xatlas), color and full-resolution normals baked into it."""
+"""The mesh for viewers: fewer triangles, and a texture atlas (xatlas) with baked color and full-resolution normals."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from malus.object.color import Paint
 from malus.object.meshing import ObjectMesh, vertex_normals
 from malus.object.views import Floats
 
-#: Texels to a GSD, and the longest side of the texture.
+#: Texels per GSD, and the longest side of the texture.
 _TEXELS_PER_GSD = 1.5
 _MOST_SIDE = 8192
-#: Empty texels about a chart that take its border's values, so that filtering finds no seam.
+#: Width of the margin of empty texels about a chart that take the border's values, so that filtering shows no seam.
 _MARGIN_PX = 4
-#: Levels of detail, and the triangles that the simplest may have.
+#: Most levels of detail, and fewest triangles of a level.
 _MOST_LEVELS = 5
 _LEAST_FACES = 500
-#: Vertices of a mesh that is searched as a whole.
+#: Most vertices of a mesh that is searched with one tree in memory.
 _MOST_IN_MEMORY = 4_000_000
 
 
@@ -33,8 +33,8 @@ _MOST_IN_MEMORY = 4_000_000
 class TexturedMesh:
     """vertices, normals: N×3, world, station unit. tangents: N×4 (glTF). uv: N×2, from the top left. triangles: M×3.
 
-    color, normal_map: H×W×3, 8 bit; the second in the tangent frame, OpenGL convention. deviation: RMS distance from the full mesh.
-    albedo: as color, without highlights and shading, if it is known.
+    color, normal_map: H×W×3, 8 bit; the normal map in the tangent frame, OpenGL convention. deviation: RMS distance from the full mesh.
+    albedo: like color, without highlights and shading; None if it is not known.
     """
 
     vertices: Floats
@@ -69,10 +69,10 @@ def textured(
     coarseness: int = 1,
     albedo: Paint | None = None,
 ) -> TexturedMesh:
-    """The mesh with about `faces` triangles at most, and color and normals of the full one baked into its texture.
+    """The mesh with about `faces` triangles at most, and color and normals of the full mesh baked into its texture.
 
-    simpler: the same surface with fewer triangles, to begin with. coarseness: texels are so many times larger than usual, and hold means.
-    albedo: baked into a texture of its own.
+    simpler: the same surface with fewer triangles, to simplify from. coarseness: factor on the usual side of a texel; texels hold means.
+    albedo: is baked into a texture of its own.
     """
     low = mesh if simpler is None else simpler
     middle = low.vertices.mean(0)
@@ -98,9 +98,9 @@ def levels_of_detail(
     simpler: ObjectMesh | None = None,
     albedo: Paint | None = None,
 ) -> list[TexturedMesh]:
-    """The textured mesh, and simpler ones: each with a quarter of the triangles of the one before and half its texture's side.
+    """The textured mesh and simpler levels, each with a quarter of the triangles and half the texture side of the level before it.
 
-    Only the first has the albedo.
+    Only the first level has the albedo.
     """
     levels: list[TexturedMesh] = []
     for level in range(_MOST_LEVELS):
@@ -113,13 +113,13 @@ def levels_of_detail(
 
 
 def _baked(flat: TexturedMesh, full: ObjectMesh, paints: Sequence[Paint], coarseness: int) -> TexturedMesh:
-    """A mesh with color, normals and distance of the full one, some triangles at a time. paints: of color, and of albedo if it has one."""
+    """Bake color, normals and distance of the full mesh, some triangles at a time. paints: for color, and for the albedo if `flat` has one."""
     side = len(flat.color)
     painted = [flat.color] if flat.albedo is None else [flat.color, flat.albedo]
     find = NearestVertices(full)
     covered = np.zeros((side, side), bool)
     away = []
-    # Triangles beside each other, so that few vertices of the full mesh are needed at a time.
+    # Neighboring triangles come together, so that few vertices of the full mesh are needed at a time.
     order = np.lexsort(
         np.floor(flat.vertices[flat.triangles[:, 0]] / (64 * np.ptp(flat.vertices, axis=0).max() / side)).T
     )
@@ -148,20 +148,20 @@ def _baked(flat: TexturedMesh, full: ObjectMesh, paints: Sequence[Paint], coarse
 
 
 def _in_portions(flat: TexturedMesh, order: NDArray[np.int64], finer: int) -> list[NDArray[np.int64]]:
-    """The triangles in this order, as many at a time as have about CHUNK samples together."""
+    """The triangles in this order, in portions of about CHUNK samples."""
     corners = flat.uv[flat.triangles[order]] * len(flat.color) * finer
     boxes = (np.ptp(corners, axis=1) + 1).prod(1)
     return np.split(order, np.flatnonzero(np.diff(np.cumsum(boxes) // CHUNK)) + 1)
 
 
 def _means(where: NDArray[np.int64], values: Floats, count: int) -> Floats:
-    """Means (count×3) of the values (N×3) that belong together."""
+    """Means (count×3) of the values (N×3) that have the same index in `where` (N)."""
     number = np.maximum(np.bincount(where, minlength=count), 1)
     return np.stack([np.bincount(where, values[:, k], count) / number for k in range(3)], 1)
 
 
 class NearestVertices:
-    """Finds the vertices of a mesh next to places; of a large one only those about the places are in memory."""
+    """Finds the vertex of a mesh that is nearest to each place. Of a large mesh, only the vertices about the places are in memory."""
 
     def __init__(self, mesh: ObjectMesh) -> None:
         self._mesh = mesh
@@ -172,7 +172,7 @@ class NearestVertices:
         return self._spatial.cKDTree(self._mesh.vertices[rows]), rows
 
     def __call__(self, places: Floats) -> NDArray[np.int64]:
-        """Their numbers (N)."""
+        """Numbers (N) of the nearest vertices."""
         tree, rows = self._whole or self._among(self._about(places))
         return np.asarray(rows[tree.query(places, workers=1)[1]])
 
@@ -219,7 +219,7 @@ def _welded(triangles: NDArray[np.int64], original: NDArray[np.int64]) -> NDArra
 def _texels(
     corners_px: Floats, triangles: NDArray[np.int64], side: int, finer: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Row, column, triangle and barycentric shares (N×3) of every sample that a triangle holds: finer × finer in a texel."""
+    """Row, column, triangle and barycentric shares (N×3) of every sample inside a triangle; a texel has finer × finer samples."""
     rows, columns, owner, shares = _samples(corners_px * finer, triangles, side * finer)
     return rows // finer, columns // finer, owner, shares
 
@@ -227,13 +227,13 @@ def _texels(
 def _samples(
     corners_px: Floats, triangles: NDArray[np.int64], side: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Row, column, triangle and barycentric shares (N×3) of every sample whose center a triangle holds."""
+    """Row, column, triangle and barycentric shares (N×3) of every sample whose center is inside a triangle."""
     a, b, c = (corners_px[triangles[:, k]] - 0.5 for k in range(3))
     low = np.floor(np.minimum(np.minimum(a, b), c)).astype(np.int64)
     size = np.ceil(np.maximum(np.maximum(a, b), c)).astype(np.int64) - low + 1
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     parts: list[tuple[Any, ...]] = []
-    # Triangles are small: all of them at once for each place in their boxes.
+    # Triangles are small: loop over the offsets in their bounding boxes, all triangles at once.
     for dy in range(int(size[:, 1].max())):
         some = np.flatnonzero((size[:, 1] > dy) & (area != 0))
         for dx in range(int(size[some, 0].max()) if len(some) else 0):
@@ -252,14 +252,14 @@ def _samples(
 
 
 def _tangents(points: Floats, normals: Floats, uv: Floats, triangles: NDArray[np.int64]) -> Floats:
-    """Directions of growing u (N×4; the last is the side that v up lies on), orthogonal to the normals."""
+    """Directions of growing u, orthogonal to the normals (N×4; the fourth value is the sign of the bitangent for v up)."""
     p, t = points[triangles], uv[triangles] * (1, -1)
     e1, e2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
     (u1, v1), (u2, v2) = (t[:, 1] - t[:, 0]).T, (t[:, 2] - t[:, 0]).T
     turn = np.sign(u1 * v2 - u2 * v1)
     along = (e1 * v2[:, None] - e2 * v1[:, None]) * turn[:, None]
     sums = np.stack([np.bincount(triangles.ravel(), np.repeat(along[:, k], 3), len(points)) for k in range(3)], 1)
-    # Where the texture has no area, u grows nowhere: along any axis, as glTF wants unit vectors everywhere.
+    # Where the texture has no area, u has no direction: take any axis, since glTF requires unit tangents everywhere.
     length = np.linalg.norm(sums - normals * (sums * normals).sum(1, keepdims=True), axis=1)
     nowhere = length < 1e-12 * max(float(length.max(initial=0)), 1e-300)
     sums[nowhere] = np.eye(3)[np.abs(normals[nowhere]).argmin(1)]

@@ -1,4 +1,4 @@
-"""Finished stations as views of one object: their surfaces in the world, and where world points lie in them."""
+"""Finished stations as views of one object: their surfaces in the world, and the projection of world points into the views."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from malus.workspace import Workspace
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-#: A surface seen flatter than this (cosine of the angle between normal and viewing ray) says nothing: rims.
+#: Rims are not used: places where the cosine of the angle between normal and viewing ray is smaller.
 LEAST_COSINE = 0.17
-#: Beside a step in depth, and beside the contour, pixels mix what lies before and behind.
+#: Up to this many pixels from a step in depth or from the contour, pixels mix foreground and background.
 _RIM_PX = 2
-#: A step of this many GSD from a pixel to the next, beyond what the slope makes of it, is a step.
+#: A depth difference of more than this many GSD between neighboring pixels, widened by the slope, is a step.
 _STEP_GSD = 6.0
 
 
 @dataclass(frozen=True)
 class Meeting:
-    """Where points lie in a view, N each: pixel, depth there less the surface's, and what the surface is there.
+    """Where points fall in a view, N each: pixel, depth of the point, and the view's surface in this pixel.
 
-    depth: of the points (z). points, normals: of the surface in the same pixel (N×3, world). sigma: standard deviation of that
-    surface along its normal. weight: cosine of the angle under which the surface is seen, 0 where there is none.
+    depth: of the points (z). points, normals: of the surface in the same pixel (N×3, world). sigma: standard deviation of this
+    surface along its normal. weight: cosine of the angle under which the surface is seen, 0 where there is no usable surface.
     """
 
     u: NDArray[np.int64]
@@ -40,8 +40,8 @@ class Meeting:
 
 @dataclass(frozen=True)
 class View:
-    """A station's surface. Maps are H×W (×3), station unit, world frame; `usable` is where the surface is to be believed, `object`
-    where the object may be: what the station was told to reconstruct, and a rim about it.
+    """A station's surface. Maps are H×W (×3), station unit, world frame. `usable` marks where the surface is trusted; `object` marks
+    where the object may be: the reconstructed pixels and a rim about them.
 
     sigma: one standard deviation along the normal. cosine: of the angle between normal and viewing ray.
     """
@@ -90,7 +90,7 @@ class View:
         return np.asarray((normals * to_eye).sum(1) / np.linalg.norm(to_eye, axis=1))
 
     def placed(self, points: Floats) -> tuple[Bools, Bools]:
-        """Which world points (N×3) fall into the image, and which of them on the object."""
+        """Which world points (N×3) fall into the image, and which of them fall on the object."""
         height, width = self.depth.shape
         u, v, z = self.project(points)
         inside = (z > 0) & (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
@@ -98,9 +98,9 @@ class View:
         return np.asarray(inside), np.asarray(inside & self.object[row, column])
 
     def in_front(self, points: Floats, margin: float) -> Bools:
-        """Which world points (N×3) lie before this view's surface by more than `margin` of its standard deviations.
+        """Which world points (N×3) lie in front of this view's surface by more than `margin` standard deviations.
 
-        Light came past them, so they are not there. Only where the surface is usable.
+        The camera saw the surface through these points, so nothing is there. False where the surface is not usable.
         """
         at = self.meet(points)
         gap = self.depth[at.v, at.u] - at.depth
@@ -109,7 +109,7 @@ class View:
 
 
 def sees(view: View, points: Floats, normals: Floats) -> Bools:
-    """Which places of a surface (N×3, with normals) are those that the view has measured."""
+    """Which places of a surface (N×3, with normals) the view has measured."""
     at = view.meet(points)
     off = np.abs((at.normals * (at.points - points)).sum(1))
     facing = view.facing(points, normals) > LEAST_COSINE
@@ -117,7 +117,7 @@ def sees(view: View, points: Floats, normals: Floats) -> Bools:
 
 
 def load_view(name: str, folder: Path, most_sigma_gsd: float) -> View:
-    """The surface of a station's finished workspace. What is less sure than `most_sigma_gsd` GSD is not usable."""
+    """The surface of a station's finished workspace. Pixels whose sigma exceeds `most_sigma_gsd` GSD are not usable."""
     workspace = Workspace(folder)
     surface = workspace.surface()
     camera, (rotation, translation) = workspace.camera, workspace.pose
@@ -128,7 +128,7 @@ def load_view(name: str, folder: Path, most_sigma_gsd: float) -> View:
     length = np.linalg.norm(rays, axis=-1)
     normals = surface.normals.astype(np.float64)
     cosine = -(normals * rays).sum(-1) / length
-    # An error of depth moves the point along its ray; what counts is how far the surface moves across itself.
+    # An error of depth moves the point along its ray; sigma is needed along the normal.
     sigma = surface.sigma * length * np.clip(cosine, LEAST_COSINE, 1)
     gsd = depth / camera.fx
     known = np.isfinite(depth) & np.isfinite(sigma) & np.isfinite(normals).all(-1)
@@ -164,7 +164,7 @@ def _rims(depth: Floats, gsd: Floats, cosine: Floats, known: Bools) -> Bools:
 
 
 def _grown(region: Bools) -> Bools:
-    """A region and the pixels about it."""
+    """A region and the pixels within _RIM_PX of it."""
     for _ in range(_RIM_PX):
         grown = region.copy()
         grown[1:] |= region[:-1]
@@ -176,6 +176,6 @@ def _grown(region: Bools) -> Bools:
 
 
 def _most(values: Floats, axis: int) -> Floats:
-    """The larger of neighbors along an axis."""
+    """The larger of each two neighbors along an axis."""
     first, second = np.split(np.arange(values.shape[axis]), [1])
     return np.asarray(np.maximum(values.take(np.concatenate([first, second[:-1]]), axis), values.take(second, axis)))

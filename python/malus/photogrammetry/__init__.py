@@ -1,8 +1,8 @@
-"""Photogrammetric front end: ordinary photos in, the station's place, metric scale and depth in its view out.
+"""Photogrammetric front end: from ordinary photos to the station's pose, the metric scale and the depth in the station's view.
 
-COLMAP (Debian's 3.8, or pycolmap 4.2 or later) finds the cameras as a child process; scale comes from known distances. `malus.reconstruct`
-runs it for stations with [photos] and no [prior]; `find_cameras` and `sweep_station` are its two halves, `plan` says what they would do. `read_metashape`
-reads the cameras of an Agisoft Metashape project.
+COLMAP (Debian's 3.8, or pycolmap 4.2 or later) finds the cameras in a child process; the scale comes from known distances.
+`malus.reconstruct` runs the front end for stations with [photos] and no [prior]. `find_cameras` and `sweep_station` are its two halves,
+`plan` tells in advance what they would do. `read_metashape` reads the cameras of an Agisoft Metashape project.
 """
 
 from malus.photogrammetry.folder import exclusive

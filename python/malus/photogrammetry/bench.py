@@ -1,4 +1,4 @@
-"""What every stage works with: the program, the folder, the options, and where progress and warnings go."""
+"""What all stages share: COLMAP, the folder, the options, and the receivers of progress and warnings."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.program import Colmap
 
-#: Points are kept up to this many times the mean reprojection error, whatever the limit.
+#: Points with up to this many times the mean reprojection error are kept, even above the limit of the options.
 _ERRORS_KEPT = 2.5
-#: Part of the whole that each stage takes, about.
+#: Start and end of each stage, about, as shares of the whole.
 SHARES = {
     "copies": (0.00, 0.04),
     "features": (0.04, 0.20),
@@ -31,22 +31,22 @@ SHARES = {
 }
 
 
-#: COLMAP's SIFT works on a photo at twice its size, in some 18 images of floats: bytes a pixel for each thread, as measured
-#: on photos of 1 and 7 megapixels.
+#: Bytes per pixel and thread, measured on photos of 1 and 7 megapixels: COLMAP's SIFT works on a photo at twice its size, in
+#: some 18 images of floats.
 _SIFT_BYTES_A_PIXEL = 300
-#: Part of the memory that is left which features may take.
+#: Share of the available memory that the search for features may take.
 _MEMORY_SHARE = 0.7
 
 
 def sift_mb(sizes: Sequence[tuple[int, int]], max_side_px: int) -> float:
-    """Memory that a thread takes to find the features of the largest of the images."""
+    """Memory (MB) that a thread takes to find the features of the largest image."""
     pixels = max(width * height * min(1.0, max_side_px / max(width, height)) ** 2 for width, height in sizes)
     return 1e-6 * _SIFT_BYTES_A_PIXEL * pixels
 
 
 @dataclass(frozen=True)
 class Bench:
-    """Shared by the stages of one station's photogrammetry, all of whose files are below `folder`."""
+    """Shared by the stages of one station's photogrammetry. All their files are below `folder`."""
 
     colmap: Colmap
     folder: Path
@@ -107,7 +107,7 @@ class Bench:
         )
 
     def _feature_threads(self, each_mb: float) -> int:
-        """As many as there is memory for, if each takes so much."""
+        """As many threads as there is memory for, if each takes `each_mb`."""
         left = memory.available_mb()
         if each_mb > _MEMORY_SHARE * left:
             self.log(
@@ -118,7 +118,7 @@ class Bench:
         return min(self.colmap.threads, max(1, int(_MEMORY_SHARE * left / each_mb)))
 
     def adjust(self, stage: str, source: Path, target: Path, refine: dict[str, object]) -> None:
-        """Leave out points with large residuals, which are mostly wrong matches, and adjust the rest."""
+        """Drop points with large residuals, which are mostly wrong matches, and adjust the model to the other points."""
         filtered = target.with_name(f"{target.name}_filtered")
         for folder in (filtered, target):
             folder.mkdir(parents=True, exist_ok=True)
@@ -141,7 +141,7 @@ class Bench:
     def match(self, stage: str, target: Path, pairs: list[tuple[str, str]], *, guided: bool) -> None:
         """Match pairs of images in a database and have COLMAP verify them.
 
-        The search among descriptors is ours, with COLMAP's criteria: its own takes most of a run on a processor.
+        Malus compares the descriptors itself, by COLMAP's criteria: without a GPU, COLMAP's own search takes most of a run.
         """
         photos = self.options.photos
         descriptors = database.read_descriptors(target)

@@ -13,16 +13,16 @@ from malus.camera import Camera
 from malus.errors import InputError
 from malus.photogrammetry.scale import Log
 
-#: Points that determine a similarity.
+#: Least number of points that determine a similarity.
 _LEAST_POINTS = 3
-#: A coordinate's standard deviation that is worth a warning, as a share of the points' extent.
+#: A larger standard deviation of a coordinate, as a share of the points' extent, gives a warning.
 _LARGE = 0.005
 
 
 def require_control_points(said: Mapping[str, Any], photos: Sequence[str]) -> None:
-    """That the control points of `Station.describe` can give a frame to these photos; before hours go into matching them.
+    """Check that the control points of `Station.describe` can give a frame to these photos, before hours go into matching the photos.
 
-    Raises InputError for fewer than three of them that are marked in two of the photos and not held out.
+    Raises InputError if fewer than three points that are not held out are marked in two of the photos.
     """
     if not said["control"]:
         return
@@ -40,13 +40,13 @@ def require_control_points(said: Mapping[str, Any], photos: Sequence[str]) -> No
 def adjust_datum(
     points: Sequence[Mapping[str, Any]], cameras: Mapping[str, Camera], mark_sigma_px: float, log: Log
 ) -> dict[str, Any]:
-    """How the model stands in the frame of the [[control]] tables: x_known = scale · rotation @ x_model + translation.
+    """Similarity from the model to the frame of the [[control]] tables: x_known = scale · rotation @ x_model + translation.
 
     cameras: registered photos by name, in the model's frame. Returns `scale`, `rotation` (3×3), `translation` (3), `sigma`
-    (standard deviation of a coordinate), `check_rms` (RMS offset of a coordinate of the held-out points, or None), `doubtful` (a point that is likely wrong, or None) and `points`: name, check,
-    offset (x, y, z of the model less the known ones) and rms_px of the marks. Points with fewer than two marks in
-    registered photos are left out with a warning. Raises InputError for fewer than three others without check = true,
-    for points on one line and for points that do not fit.
+    (standard deviation of a coordinate), `check_rms` (RMS offset of a coordinate of the held-out points, or None), `doubtful` (a point
+    that is likely wrong, or None) and `points`: name, check, offset (x, y, z of the model minus the known ones) and rms_px of the
+    marks. Points with fewer than two marks in registered photos are left out with a warning. Raises InputError if fewer than three
+    other points are without check = true, if the points lie on one line and if they do not fit.
     """
     names = sorted(cameras)
     index = {name: number for number, name in enumerate(names)}

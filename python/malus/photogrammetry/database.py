@@ -1,6 +1,6 @@
-"""COLMAP's database, of 3.x and 4.x alike: features and verified pairs are counted here, because exit codes do not tell; matches are stored.
+"""COLMAP's database, of 3.x and 4.x: counts features and verified pairs, since exit codes do not tell whether there are any; stores matches.
 
-Names of images in it are quoted as in an address, so that spaces do not break COLMAP's lists.
+Image names in the database are percent-encoded as in a URL, so that spaces do not break COLMAP's lists.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ _PAIR_BASE = 2147483647
 
 
 def quoted(name: str) -> str:
-    """An image's name in COLMAP's files."""
+    """The name in COLMAP's files of an image."""
     return quote(name, safe="/")
 
 
 def unquoted(name: str) -> str:
-    """The name of an image by that in COLMAP's files."""
+    """The name of an image from its name in COLMAP's files."""
     return unquote(name)
 
 
 def remove(database: Path) -> None:
-    """Remove a database and what COLMAP 4 keeps beside it when it is ended: a new one must not get an old one's log."""
+    """Remove a database and the log files that COLMAP 4 leaves beside it if it is stopped: a new database must not get the old log."""
     for suffix in ("", "-wal", "-shm"):
         database.with_name(database.name + suffix).unlink(missing_ok=True)
 
 
 def copy(source: Path, target: Path) -> None:
-    """Copy a database that no one writes, in place of `target`."""
+    """Replace `target` with a copy of a database that no process writes to."""
     remove(target)
     with closing(sqlite3.connect(source)) as connection:
         connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
@@ -87,7 +87,7 @@ def write_matches(database: Path, pairs: Sequence[tuple[str, str]], matches: Seq
 
 
 def verified_pairs(database: Path) -> dict[tuple[str, str], int]:
-    """Matches that agree with one geometry, by pair of image names; pairs without any are left out."""
+    """Number of matches that agree with one geometry, by pair of image names; pairs without such matches are left out."""
     with closing(sqlite3.connect(database)) as connection:
         names = _image_names(connection)
         rows = connection.execute("SELECT pair_id, rows FROM two_view_geometries WHERE rows > 0")

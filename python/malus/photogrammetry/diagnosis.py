@@ -1,4 +1,4 @@
-"""What went wrong with photographs, in words that say what to do next."""
+"""Messages about what went wrong with the photos and what to do next."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Log = Callable[[str, str], None]
 
 #: Fewer features than this do not link a photo to others reliably.
 FEW_FEATURES = 200
-#: Points within this share of a plane make the focal length a matter of guessing.
+#: With a smaller relief (spread of the points across their plane over the spread along it) the focal length cannot be determined.
 FLAT_RELIEF = 0.02
 _LISTED = 6
 
@@ -23,13 +23,13 @@ _OVERLAP = (
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names for a message, not too many of them."""
+    """Names for a message, at most _LISTED of them and the number of the others."""
     more = len(names) - _LISTED
     return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def too_few_photos(count: int, expected: int) -> str:
-    """Message for a folder with next to no photos."""
+    """Message for a folder with too few photos."""
     return (
         f"[photos] has {count} photo{'s' * (count != 1)}, expected at least {expected}, better 8 to 20, from different "
         "directions around the station's; see docs/capture.md"
@@ -37,7 +37,7 @@ def too_few_photos(count: int, expected: int) -> str:
 
 
 def check_features(counts: Mapping[str, int], log: Log) -> None:
-    """Warn of photos with few features; DataError when hardly any photo has enough."""
+    """Warn of photos with few features; DataError if fewer than two photos have enough."""
     few = [name for name, count in counts.items() if count < FEW_FEATURES]
     if len(counts) - len(few) < 2:
         raise DataError(
@@ -49,7 +49,7 @@ def check_features(counts: Mapping[str, int], log: Log) -> None:
 
 
 def check_connections(names: Sequence[str], pairs: Mapping[tuple[str, str], int], log: Log) -> None:
-    """Warn when photos show something else; DataError when no three photos show the same."""
+    """Warn of photos without matches to the largest group; DataError if no three photos are linked by matches."""
     groups = connected_groups(list(names), dict(pairs))
     if len(groups[0]) < 3:
         raise DataError(
@@ -67,7 +67,7 @@ def check_connections(names: Sequence[str], pairs: Mapping[tuple[str, str], int]
 def check_mapping(
     mapping: Mapping[str, Any], names: Sequence[str], pairs: Mapping[tuple[str, str], int], log: Log
 ) -> None:
-    """Warn of photos without position and of models in pieces; DataError when there is no model."""
+    """Warn of photos without position and of models that are not connected; DataError if there is no model."""
     if mapping["best"] is None:
         raise DataError(_no_model(mapping, names, pairs))
     registered = mapping["models"][mapping["best"]]
@@ -106,7 +106,7 @@ def _no_model(mapping: Mapping[str, Any], names: Sequence[str], pairs: Mapping[t
 
 
 def station_not_registered(matches: Mapping[str, int], least: int) -> str:
-    """Message for a station whose image does not fit to the photos."""
+    """Message for a station whose image could not be placed among the photos."""
     best = sorted(matches.items(), key=lambda item: -item[1])[:3]
     found = ", ".join(f"{name}: {count}" for name, count in best) or "none with any"
     return (
@@ -117,7 +117,7 @@ def station_not_registered(matches: Mapping[str, int], least: int) -> str:
 
 
 def unknown_focal_on_flat_scene(relief: float) -> str:
-    """Message for a self-calibration that has nothing to hold on to."""
+    """Message for a self-calibration on a scene that is too flat to determine the focal length."""
     return (
         f"[photos]: the scene is flat (depth {100 * relief:.1f} % of its extent) and the photos' camera is not calibrated: "
         "focal length and distance cannot be told apart, and the model would be bent or stretched. Give the calibrated lens "

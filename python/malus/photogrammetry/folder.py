@@ -15,8 +15,8 @@ from malus.errors import ExternalError, InputError, MalusError, ResourceError
 def exclusive(folder: Path, *, wait: bool = False) -> Iterator[None]:
     """Create the folder if needed and hold it for this process.
 
-    Raises InputError when another process holds it, unless it is to `wait` for that one. Failures of the disk in the
-    meantime become ResourceError, those of a damaged database ExternalError.
+    If another process holds the folder, raises InputError, or waits for that process if `wait` is set. Disk failures in the
+    `with` block become ResourceError, failures of a damaged database ExternalError.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,10 +1,9 @@
-"""From photos and the station's image to the station's place and the depth in its view: the main path.
+"""From photos and the station's image to the station's pose and the depth in its view: the main path.
 
-photos → their cameras (photo_cameras) → the station among them (station_pose) → all of
-them measured more sharply (window_matching) → metric scale (scale) or frame (control) → surface sweep in
-the station's view (malus.stereo) → depth with sigma, measured again about the surface
-fused with it. Everything is kept below one folder, and what is done is not done
-again (journal).
+photos → their cameras (photo_cameras) → the station among them (station_pose) → more accurate image points in all
+images (window_matching) → metric scale (scale) or frame (control) → surface sweep in the station's view
+(malus.stereo) → depth with sigma → second sweep near the surface fused with this depth. All files are kept below one
+folder, and finished stages are not repeated (journal).
 """
 
 from __future__ import annotations
@@ -64,7 +63,7 @@ class StationCameras:
 
 
 def camera_of(description: Mapping[str, Any]) -> Camera:
-    """The camera that `Station.describe` says."""
+    """The camera of a description by `Station.describe`."""
     return Camera(
         description["model"], description["width"], description["height"], description["params"],
         description.get("rotation", np.eye(3)), description.get("translation", np.zeros(3)),
@@ -83,11 +82,11 @@ def find_cameras(
 ) -> StationCameras:
     """Cameras of a station's photos and of the station itself.
 
-    station: what `Station.describe` says. unpolarized: H×W intensity of the station's view, linear, undistorted if its
+    station: as `Station.describe` returns it. unpolarized: H×W intensity of the station's view, linear, undistorted if its
     lens is known. folder: where COLMAP's files, logs and marks of finished stages are kept.
 
-    Raises InputError for files that are wrong, DataError, saying what to photograph, for photos that do not do, and
-    ExternalError when COLMAP is missing or fails.
+    Raises InputError for wrong files, DataError with advice on what to photograph if the photos do not suffice, and
+    ExternalError if COLMAP is missing or fails.
     """
     bench = _bench(folder, options, threads, progress, log)
     photos, solved = _solved(bench, station)
@@ -120,8 +119,9 @@ def find_object_cameras(
 ) -> dict[str, StationCameras]:
     """Cameras of an object's photos and of its stations in one model, by the stations' names.
 
-    shared: `path`, `photos`, `scale` and `control` as `Station.describe` says them. stations: lens and H×W unpolarized intensity, undistorted. Stations
-    that find no place are left out. The images of the other stations count as photos of each. Raises what `find_cameras` does.
+    shared: `path`, `photos`, `scale` and `control` as in `Station.describe`. stations: lens and H×W unpolarized intensity, undistorted.
+    Stations that cannot be placed are left out. For each station, the images of the other stations count as photos. Raises the errors of
+    `find_cameras`.
     """
     bench = _bench(folder, options, threads, progress, log)
     photos, solved = _solved(bench, shared)
@@ -179,8 +179,9 @@ def _placed_and_scaled(
     views: Mapping[str, StationView],
     said: Mapping[str, Any],
 ) -> tuple[PlacedStations, SparseModel, dict[str, Any]]:
-    """Stations among the photos, measured by windows, and the model in their unit, and in the frame of control points if
-    there are any (`said`: `scale` and `control`, and the `path` of their file), with its figures.
+    """Place the stations among the photos, measure by windows, and scale the model to the station unit or, with control
+    points, move it into their frame. said: `scale` and `control`, and the `path` of their file. Returns the placed
+    stations, the model and its figures.
     """
     matched = match_windows(bench, photos, solved, views, place_stations(bench, solved, views))
     placed = matched.placed
@@ -252,7 +253,7 @@ def known_lens(said: Mapping[str, Any] | None, log: Log) -> Camera | None:
 def _photo_of_same_camera(
     station: Mapping[str, Any], photos: list[Photo], model: SparseModel, shape: tuple[int, ...], log: Log
 ) -> str | None:
-    """A registered photo of the station's camera, lens and focal length, as far as the files say."""
+    """Name of a registered photo with the camera, lens and focal length of the station, by the data in the files; None if there is none."""
     first = describe_photo(Path(station["images"][0]), "station") if station["images"] else None
     if first is not None and (first.height, first.width) == shape:
         for photo in photos:
@@ -273,7 +274,7 @@ def _photo_of_same_camera(
 
 @dataclass(frozen=True)
 class Swept:
-    """Depth of the station's undistorted view (H×W) as the photos have it."""
+    """Depth of the station's undistorted view (H×W), from the photos."""
 
     depth: NDArray[np.float32]
     sigma: NDArray[np.float32]
@@ -294,26 +295,27 @@ class FusedOnce:
     prior_sigma: NDArray[np.float32]
 
 
-#: Share of the object on which photos must agree for a sweep about the fused surface: below, what they see is mostly
-#: mirror images, which a narrow search finds again wherever it looks.
+#: Least share of the object on which photos must agree for a second sweep, near the fused surface. Below it, the photos
+#: show mostly mirror images, which a narrow search would find again at any depth.
 AGAIN_COMPLETENESS = 0.3
-#: A fused surface farther from its prior, in standard deviations, is a slope that the polarization had wrong.
+#: Where the fused surface is farther from its prior than this many standard deviations, polarization gave a wrong slope.
 TRUSTED_SIGMAS = 2.0
-#: Depths farther from the fused surface, in robust standard deviations of all of them, are mirror images. Their own sigma
-#: says nothing: halves of the photos agree on them.
+#: Depths farther from the fused surface than this many robust standard deviations of all gaps are mirror images. Their own
+#: sigma does not reveal them: both halves of the photos agree on them.
 LARGEST_GAP = 4.0
 
 
 def _held(fused: FusedOnce) -> NDArray[np.float32]:
-    """The fused surface, near its prior everywhere."""
+    """The fused surface, limited to TRUSTED_SIGMAS about its prior."""
     reach = TRUSTED_SIGMAS * fused.prior_sigma
     shape = np.clip(fused.depth, fused.prior_depth - reach, fused.prior_depth + reach)
     return np.where(np.isfinite(shape), shape, fused.prior_depth)
 
 
 def _contradicted(swept: Swept, fused: FusedOnce) -> NDArray[np.bool_]:
-    """Pixels of a sweep off the surface that it gave with the polarization, up to a scale: the polarization knows the
-    shape, so mirror images stand out of the depths that are of one surface with each other.
+    """Pixels whose depth contradicts the surface that was fused from the sweep and polarization, up to a scale.
+
+    Polarization determines the shape: depths of mirror images deviate from it, while the other depths lie on one surface.
     """
     gap = np.log(swept.depth / fused.depth)
     gap -= np.nanmedian(gap)
@@ -321,7 +323,7 @@ def _contradicted(swept: Swept, fused: FusedOnce) -> NDArray[np.bool_]:
     return far
 
 
-#: Kept below the folder: the first sweep, what is left of it, and the sweep about the fused surface with that surface.
+#: Files below the folder: the first sweep; its depths that were kept; the sweep near the fused surface, and that surface.
 _FIRST = ["sweep_depth.tif", "sweep_sigma.tif", "sweep_confidence.tif"]
 _SHAPE = "sweep_again_shape.tif"
 _KEPT = ["sweep_kept_depth.tif", "sweep_kept_sigma.tif", _SHAPE]
@@ -374,7 +376,7 @@ class _Sweep:
         }
 
     def first(self, settings: Mapping[str, Any]) -> Swept:
-        """About the triangulated points."""
+        """The first sweep, near the triangulated points."""
         hashes = self.journal.watch({photo.name: photo.path for photo, _ in self.cameras.photos})
         inputs = {
             "view": repr(self.view.values()),
@@ -390,7 +392,7 @@ class _Sweep:
         return Swept(depth, sigma, None, figures, _times(self.journal))
 
     def again(self, first: Swept, fuse: Callable[[Swept], FusedOnce], fused_of: Mapping[str, Any]) -> Swept:
-        """About the surface fused with the first; of one that found little, what that surface does not contradict."""
+        """A second sweep, near the surface fused with the first; if the first found little, its depths that this surface supports."""
 
         def swept() -> dict[str, Any]:
             fused = fuse(first)
@@ -430,13 +432,13 @@ def sweep_station(
     fuse: Callable[[Swept], FusedOnce] | None = None,
     fused_of: Mapping[str, Any] | None = None,
 ) -> Swept:
-    """Sweep about the triangulated points and, where that finds enough, again about the surface fused with it.
+    """Sweep near the triangulated points and, if that finds enough, again near the surface fused with the first sweep.
 
-    The fused surface knows slopes and detail that photos do not show: windows that lie on it can be larger, and see
-    what weak texture hides. Where the first sweep finds little there is no second one, but what the fused surface
-    contradicts is left out, and the rest fused anew. `fuse` is called if that is not done yet, None = one sweep;
-    `fused_of` is all that its surface depends on besides the sweep. Kept below `folder` and read back when nothing that
-    matters has changed.
+    The fused surface has slopes and detail that photos do not show. Windows that lie on this surface can be larger, and
+    can match weaker texture. If the first sweep finds little, there is no second one: depths that contradict the fused
+    surface are dropped, and the other depths are fused anew. `fuse` is called if this is not done yet, None = one sweep;
+    `fused_of` is everything besides the sweep that the fused surface depends on. Results are kept below `folder` and read
+    back while their inputs are unchanged.
     """
     raster = lens_of_raster(cameras.station)
     assert raster is not None

@@ -1,4 +1,4 @@
-"""Which stages of the photogrammetry are done, so that a run that was stopped goes on where it was."""
+"""Records which stages of the photogrammetry are done, so that an interrupted run continues with the next stage."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _DATABASES = (".db", ".db-wal", ".db-shm")
 class Journal:
     """Marks of finished stages, `done/<stage>.json` below a folder.
 
-    A stage's key is the hash of malus's version, of what it was given and of the key of the stage before it; it is done when its mark has
-    that key and its outputs are as it left them: by their hashes, and COLMAP's databases, which reading can change, by their sizes.
+    A stage's key is the hash of malus's version, of the stage's inputs and of the key of the stage before it. The stage is done if its
+    mark has this key and its outputs are unchanged. Outputs are compared by hash; COLMAP's databases, which reading can change, by size.
     """
 
     def __init__(self, folder: Path, log: Log, colmap: Colmap | None = None) -> None:
-        """Keep the marks below `folder`, which is created if needed. `log` gets the stages' messages; what `colmap` takes
-        counts for them.
+        """Keep the marks below `folder`, which is created if needed. `log` gets the stages' messages. Time and memory of
+        `colmap` count as those of the stages.
         """
         self.folder = folder
         self.times: dict[str, dict[str, float]] = {}
@@ -43,15 +43,15 @@ class Journal:
         self._watched: dict[Path, str] = {}
 
     def watch(self, files: Mapping[str, Path]) -> dict[str, str]:
-        """Hashes of files that stages read, under the names given. From now on no stage counts as done during which one of
-        them was changed.
+        """Hashes of files that stages read, under the given names. From now on a stage does not count as done if one of these
+        files changed while the stage ran.
         """
         hashes = {name: sha256_of(path) for name, path in files.items()}
         self._watched |= {path: hashes[name] for name, path in files.items()}
         return hashes
 
     def require_unchanged(self) -> None:
-        """InputError if a watched file is not what it was."""
+        """InputError if a watched file has changed."""
         for path, before in self._watched.items():
             if sha256_of(path) != before:
                 raise InputError(f"{path} was changed while it was read; run again")
@@ -69,10 +69,10 @@ class Journal:
         outputs: Sequence[str],
         run: Callable[[], dict[str, Any]],
     ) -> dict[str, Any]:
-        """Notes of a stage: those of its mark if it is done, else those that `run` returns, after it has been run.
+        """Notes of a stage: from its mark if the stage is done, else as `run` returns them.
 
         `outputs` are files or folders below the journal's folder. They are removed before the stage is run. The notes
-        must be JSON. What the stage took is in `times`: `seconds`, `cpu_seconds`, `peak_mb`.
+        must be JSON. Time and memory of the stage go to `times`: `seconds`, `cpu_seconds`, `peak_mb`.
         """
         text = json.dumps(
             {"stage": name, "version": _core.version, "inputs": inputs, "after": self._previous}, sort_keys=True

@@ -1,4 +1,4 @@
-"""Memory of this machine and of processes, in MB, as Linux tells it."""
+"""Memory of this machine and of processes, in MB, as Linux reports it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _GROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")
 
 
 def _kilobytes(file: Path, field: str) -> float | None:
-    """A line `field: N kB`; None if the file or the line is not there."""
+    """N of a line `field: N kB`; None if there is no such file or line."""
     try:
         for line in file.read_text(encoding="utf-8").splitlines():
             name, _, value = line.partition(":")
@@ -33,8 +33,8 @@ def resident_mb() -> float:
 
 
 def available_mb() -> float:
-    """Memory that a child process can take: what the system calls available, within the limits of the control group and of
-    address space.
+    """Memory that a child process can take: what the system reports as available, within the limits of the control group
+    and of the address space.
     """
     left = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e6]
     free = _kilobytes(Path("/proc/meminfo"), "MemAvailable")

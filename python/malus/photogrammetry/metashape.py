@@ -85,13 +85,14 @@ def _lens(sensor: ElementTree.Element, where: str) -> tuple[str, int, int, list[
 def read_metashape(path: str | Path, chunk: int = 0) -> dict[str, Camera]:
     """Cameras with lens and pose, by label, of one chunk of a Metashape cameras.xml.
 
-    The world frame and unit are those of the transform of a camera's component (versions that divide chunks into
-    components have it there), else of the chunk (its own frame if it has none); cameras without a position are left out. Poses come out as cam_from_world, lenses as FULL_OPENCV. Raises InputError naming file and element.
+    World frame and unit follow from the transform of a camera's component (in versions that divide chunks into components), else from
+    the transform of the chunk; without a transform they are the chunk's own. Cameras without a position are left out. Poses are
+    returned as cam_from_world, lenses as FULL_OPENCV. Raises InputError naming file and element.
     """
     file = Path(path)
     try:
         root = ElementTree.fromstring(read_regular(file))
-    # LookupError and ValueError: it names a coding that there is not, or that the parser does not know.
+    # LookupError and ValueError: the file names an encoding that does not exist or that the parser does not support.
     except (OSError, ElementTree.ParseError, LookupError, ValueError) as error:
         raise InputError(f"{file}: not a cameras.xml ({error})") from None
     chunks: Sequence[ElementTree.Element] = root.findall("chunk")

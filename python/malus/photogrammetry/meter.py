@@ -1,4 +1,4 @@
-"""What a stage takes: time, processor time and memory of this process and of COLMAP."""
+"""Resources that a stage takes: time, processor time and memory of this process and of COLMAP."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Meter:
     """Measures from its construction on."""
 
     def __init__(self, colmap: Colmap | None) -> None:
-        """`colmap` counts too, if it is run meanwhile."""
+        """Processes of `colmap` that run meanwhile are included."""
         self._colmap = colmap
         if colmap is not None:
             colmap.peak_mb = 0.0
@@ -27,7 +27,7 @@ class Meter:
         self._watch = _core.StepWatch()
 
     def stop(self) -> dict[str, float]:
-        """Once: `seconds`, `cpu_seconds`, and `peak_mb`, the most memory that this process and COLMAP had together."""
+        """To be called once. `seconds`, `cpu_seconds`, and `peak_mb`, the most memory that this process and COLMAP had together."""
         times: dict[str, float | None] = json.loads(self._watch.stop())
         peaks = (times["peak_mb"] or 0.0, self._colmap.peak_mb if self._colmap is not None else 0.0)
         return {

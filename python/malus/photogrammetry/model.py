@@ -1,4 +1,4 @@
-"""A sparse model as COLMAP leaves it: cameras of the photos and triangulated points."""
+"""A sparse model as COLMAP writes it: cameras of the photos and triangulated points."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class SparseModel:
         return float((self.errors_px * self.track_lengths).sum() / total) if total else float("nan")
 
     def relief(self) -> float:
-        """How deep the points are: their spread across the plane that fits them best over that along it."""
+        """Relief of the points: their spread across the plane that fits them best over their spread along this plane."""
         if len(self.points) < 4:
             return 0.0
         centered = self.points - np.median(self.points, axis=0)

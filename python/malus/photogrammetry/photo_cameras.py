@@ -21,17 +21,17 @@ from malus.photogrammetry.program import SearchStoppedError
 
 #: Lens model that is calibrated from the photos.
 SELF_CALIBRATED = "OPENCV"
-#: Focal lengths, in longer image sides, that are assumed in turn when nothing is known: a usual lens, a portrait lens, a
-#: long macro lens. The adjustment corrects what is roughly right.
+#: Focal lengths, in longer image sides, that are assumed in turn if none is known: a usual lens, a portrait lens, a long
+#: macro lens. The adjustment refines an assumption that is roughly right.
 FOCAL_ASSUMPTIONS = (1.2, 2.4, 5.0)
 MIN_PHOTOS = 3
 _ENOUGH_SHARE = 0.8
-#: Matches that place a photo, by COLMAP's default. Where photos share less, as many as make a pair.
+#: Least matches that place a photo, by COLMAP's default. If photos share fewer, the least matches of a pair suffice.
 _PLACING_MATCHES = 30
-#: What COLMAP's mapper says when photos match, but no pair of them fixes the geometry: no fault of the program.
+#: Message of COLMAP's mapper if photos match but no pair of them fixes the geometry. This is not a failure of the program.
 _NO_MODEL = "failed to create sparse model"
 _PHOTOS_A_SEARCH_LIMIT = 20
-#: Photos from which an adjustment can tell the principal point from the poses.
+#: Least number of photos for an adjustment to separate the principal point from the poses.
 MIN_PHOTOS_PRINCIPAL_POINT = 6
 
 
@@ -61,7 +61,7 @@ class CameraGroup:
 
 
 def group_by_camera(photos: Sequence[Photo], known: Camera | None) -> list[CameraGroup]:
-    """Groups of photos that share a camera: all of them if it is given, else by size and EXIF data."""
+    """Groups of photos that share a camera: one group if the camera is known, else groups by size and EXIF data."""
     if known is not None:
         for photo in photos:
             if (photo.width, photo.height) != (known.width, known.height):
@@ -78,7 +78,7 @@ def group_by_camera(photos: Sequence[Photo], known: Camera | None) -> list[Camer
 
 @dataclass(frozen=True)
 class PhotoCameras:
-    """Where the photos' model is and how it came about."""
+    """The photos' model, where its files are, and how it was found."""
 
     folder: Path
     """Of the adjusted model."""
@@ -96,14 +96,14 @@ class PhotoCameras:
 def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) -> PhotoCameras:
     """Find the cameras of the photos. `known`: their calibrated lens, in one of COLMAP's models.
 
-    Raises DataError, saying what to photograph, when they cannot be found; ExternalError when COLMAP fails.
+    Raises DataError with advice on what to photograph if the cameras cannot be found; ExternalError if COLMAP fails.
     """
     if len(photos) < MIN_PHOTOS:
         raise DataError(diagnosis.too_few_photos(len(photos), MIN_PHOTOS))
     groups = group_by_camera(photos, known)
     stage = bench.journal.stage
     hashes = bench.journal.watch({photo.name: photo.path for photo in photos})
-    # Each by its name: the stations' images lie in the same folder.
+    # Each copy by its name, not the whole folder: the stations' images are in it, too.
     copies = [f"images/{database.quoted(photo.name)}" for photo in photos]
     stage("copies", {"photos": hashes, "colmap": bench.colmap.title}, copies, lambda: _copy(bench, photos))
     options = bench.options.photos
@@ -152,17 +152,17 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
 
 
 def _prefix(sparing: bool) -> str:
-    """Of the files and stages of the second attempt."""
+    """Prefix of the files and stages of the second attempt."""
     return "sparing_" if sparing else ""
 
 
 def _largest(mapping: Mapping[str, Any]) -> int:
-    """Photos in the best model."""
+    """Number of photos in the best model."""
     return len(mapping["models"].get(mapping["best"], []))
 
 
 def _is_enough(mapping: Mapping[str, Any], names: list[str], pairs: dict[tuple[str, str], int]) -> bool:
-    """Whether most photos that matches link to each other are in one model."""
+    """Whether one model has most photos of the largest group that matches link."""
     return bool(_largest(mapping) >= _ENOUGH_SHARE * len(database.connected_groups(names, pairs)[0]))
 
 
@@ -171,7 +171,7 @@ def _connect(
 ) -> tuple[dict[tuple[str, str], int], dict[str, Any]]:
     """Verified pairs of photos with their matches, and the models that COLMAP's mapper makes of them.
 
-    sparing: for photos that share few features; matches are searched for again along epipolar lines, and fewer place a photo.
+    sparing: for photos that share few features. Matches are searched for again along epipolar lines, and fewer matches place a photo.
     """
     options, prefix = bench.options.photos, _prefix(sparing)
     guided = sparing or options.guided_matching
@@ -186,7 +186,7 @@ def _connect(
         lambda: _match(bench, names, prefix, guided),
     )
     pairs = {(first, second): count for first, second, count in matches["pairs"]}
-    if not sparing:  # They stay linked.
+    if not sparing:  # The first attempt checked this.
         diagnosis.check_connections(names, pairs, bench.log)
     mapping = bench.journal.stage(
         f"{prefix}mapping",
@@ -220,7 +220,7 @@ def _match(bench: Bench, names: Sequence[str], prefix: str, guided: bool) -> dic
 
 
 def pairs_to_match(names: Sequence[str], exhaustive_limit: int) -> list[tuple[str, str]]:
-    """Every pair of few photos; of many, those at most ten apart in their order, and those 16, 32, 64, … apart."""
+    """All pairs of up to `exhaustive_limit` photos; of more photos, pairs at most ten apart in their order and pairs 16, 32, 64, … apart."""
     count = len(names)
     if count <= exhaustive_limit:
         distances = list(range(1, count))
@@ -232,7 +232,7 @@ def pairs_to_match(names: Sequence[str], exhaustive_limit: int) -> list[tuple[st
 def _map(
     bench: Bench, groups: Sequence[CameraGroup], pairs: dict[tuple[str, str], int], *, sparing: bool
 ) -> dict[str, Any]:
-    """Map with the lens as known, or with one assumption on the focal length after the other until most photos fit."""
+    """Run the mapper with the known lens, or with one assumed focal length after the other until most photos fit."""
     names = [photo.name for group in groups for photo in group.photos]
     reachable = len(database.connected_groups(names, pairs)[0])
     unknown = [group for group in groups if group.known is None and group.focal_px is None]
@@ -257,14 +257,14 @@ def _map(
 
 
 def placing(bench: Bench, sparing: bool) -> dict[str, object]:
-    """The mapper's options for how many matches place an image."""
+    """The mapper's options for the least number of matches that place an image."""
     return {"Mapper.abs_pose_min_num_inliers": bench.options.photos.min_inliers} if sparing else {}
 
 
 def _run_mapper(
     bench: Bench, source: Path, attempt: int, groups: Sequence[CameraGroup], count: int, sparing: bool
 ) -> tuple[dict[str, list[str]], bool]:
-    """Models by folder (below the bench's), each with the names of its photos, and whether the search was given up."""
+    """Models by folder (below the bench's folder), each with the names of its photos, and whether the search was stopped."""
     target = bench.folder / f"{_prefix(sparing)}sparse" / f"attempt_{attempt}"
     target.mkdir(parents=True)
     fixed = all(group.known is not None for group in groups)

@@ -1,4 +1,4 @@
-"""The photos of a station: which they are, what their files say of the camera, and their copies for COLMAP."""
+"""The photos of a station: the list of files, the camera data in the files, and the photos' copies for COLMAP."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MM_PER_RESOLUTION_UNIT: dict[float, float] = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.00
 
 @dataclass(frozen=True)
 class Photo:
-    """A photograph's file and what is known of its camera without looking at the picture."""
+    """A photo's file, its size, and the camera data in its EXIF."""
 
     name: str
     """Path below the photos' folder, with slashes."""
@@ -40,7 +40,7 @@ class Photo:
 
     @property
     def camera_key(self) -> tuple[int, int, str, float | None]:
-        """What photos of one camera, lens and focal length share."""
+        """Key that is the same for photos of one camera, lens and focal length."""
         return self.width, self.height, self.maker, None if self.focal_px is None else round(self.focal_px, 1)
 
 
@@ -54,7 +54,7 @@ def _positive(value: object) -> float | None:
 
 
 def _exif(path: Path, width: int, height: int) -> tuple[str, float | None]:
-    """Camera and lens, and the focal length in pixels, as far as the file says."""
+    """Camera and lens ("" if unknown), and the focal length in pixels (None if unknown), from the file's EXIF data."""
     said = tags_of(path)
     tags = ExifTags.Base
     names = [said.get(tags.Make), said.get(tags.Model), said.get(tags.LensModel)]
@@ -74,7 +74,7 @@ def _exif(path: Path, width: int, height: int) -> tuple[str, float | None]:
 
 
 def describe_photo(path: Path, name: str) -> Photo:
-    """Size and EXIF data of one file. Raises InputError for what is not a readable image."""
+    """Size and EXIF data of one file. Raises InputError if the file is not a readable image."""
     width, height = _core.image_size(str(path))
     maker, focal_px = _exif(path, width, height)
     return Photo(name, path, width, height, maker, focal_px)
@@ -85,7 +85,7 @@ def list_photos(folder: Path, exclude: Sequence[str]) -> list[Photo]:
     below the folder matches a pattern of `exclude`.
 
     Raises InputError for a pattern that matches none of the files, for files that are not readable images, and for a
-    folder with more in it than a station can have.
+    folder with more files and folders than a station can have.
     """
     names = {}
     for count, path in enumerate(folder.rglob("*")):
@@ -109,13 +109,13 @@ def _matches(name: str, pattern: str) -> bool:
 
 
 def read_gray(path: Path) -> NDArray[np.float32]:
-    """Intensity of a photo as its file codes it, in [0, 1] of full scale, H×W: the mean of its channels."""
+    """Intensity of a photo as encoded in its file (not linearized), in [0, 1] of full scale, H×W: the mean of the channels."""
     return _core.read_intensity(str(path))
 
 
 def to_bytes(intensity: NDArray[np.float32], *, gamma: float) -> NDArray[np.uint8]:
     """An 8-bit image in which features can be found: intensities from the 0.1 to the 99.9 percentile, to the power of
-    1 / gamma (1 for what is gamma-encoded already). NaN becomes black.
+    1 / gamma (gamma 1 for images that are gamma-encoded already). NaN becomes black.
     """
     finite = intensity[np.isfinite(intensity)]
     if finite.size == 0:
@@ -129,7 +129,7 @@ def to_bytes(intensity: NDArray[np.float32], *, gamma: float) -> NDArray[np.uint
 
 
 def write_proxy(photo: Photo, target: Path) -> None:
-    """Write a photo's 8-bit copy, a PNG whatever its name. Raises InputError for a damaged file."""
+    """Write a photo's 8-bit copy, as PNG whatever the name of `target`. Raises InputError for a damaged file."""
     pixels, full_scale = _core.read_image_dn(str(photo.path))
     gray = pixels if pixels.ndim == 2 else pixels.mean(axis=2, dtype=np.float32)
     target.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""What the front end would do with a station, without doing it."""
+"""Tells what the front end would do with a station, without doing it."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from malus.photogrammetry.program import Colmap
 
 @dataclass(frozen=True)
 class Plan:
-    """What would be done: lines about the photos and their scale, the line of a station's sweep, warnings, and what finding the
-    cameras and the sweeps of one station are expected to take.
+    """What would be done: lines about the photos and their scale, the line about a station's sweep, warnings, and the expected cost of
+    finding the cameras and of the sweeps of one station.
     """
 
     photos: list[str]
@@ -48,9 +48,9 @@ def _scale_line(station: Mapping[str, Any]) -> str:
 
 
 def plan(station: Mapping[str, Any], options: Options, threads: int, station_mpx: float) -> Plan:
-    """What would be done for what `Station.describe` says, with an image of so many megapixels.
+    """What would be done for a station, as `Station.describe` returns it, with an image of `station_mpx` megapixels.
 
-    Raises what a run would raise before it starts: InputError for unreadable or wrong photos, DataError for too few,
+    Raises the errors that a run would raise before it starts: InputError for unreadable or wrong photos, DataError for too few,
     ExternalError when COLMAP is missing.
     """
     said = station["photos"]

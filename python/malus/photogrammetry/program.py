@@ -1,6 +1,6 @@
-"""COLMAP as a child process: started, watched, logged and ended here.
+"""Starts, watches, logs and ends COLMAP as a child process.
 
-It is the program `colmap`, or the package pycolmap behind the same commands (pycolmap_driver).
+COLMAP is the program `colmap`, or the package pycolmap behind the same commands (pycolmap_driver).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from malus.photogrammetry import memory
 
 #: Name of the program, or the path that the environment variable MALUS_COLMAP gives.
 DEFAULT_PROGRAM = "colmap"
-#: Package that does what the program does, and what runs it.
+#: Package that can replace the program, and the script that runs the package.
 PACKAGE = "pycolmap"
 _DRIVER = Path(__file__).with_name("pycolmap_driver.py")
 _MIN_PACKAGE_VERSION = (4, 2)
@@ -31,26 +31,26 @@ _GET_PACKAGE = "pip install 'malus[pycolmap]'"
 _POLL_S = 0.2
 _GRACE_S = 3.0
 _TAIL_LINES = 5
-#: Lines that say where in COLMAP a check failed, after the one that says which.
+#: Lines of a stack trace; they follow the line that names the failed check.
 _STACK_TRACE = re.compile(r"\s*@ |\*\*\* |\s*$")
 
 
 class SearchStoppedError(Exception):
-    """The child was ended because `keep_going` said so."""
+    """The child was ended because `keep_going` returned False."""
 
 
 def as_colmap_3(line: str) -> str:
-    """A line of COLMAP 4 that tells progress, in the words of 3.8, which are read here."""
+    """A progress line of COLMAP 4 in the wording of 3.8, which is parsed here."""
     line = line.replace("Processing block [", "Matching block [")
     # 3.8 counts the image that is being registered, 4 does not.
     return re.sub(r"\(num_reg_frames=(\d+)\)", lambda match: f"({int(match[1]) + 1})", line)
 
 
 class Colmap:
-    """COLMAP as this machine has it."""
+    """The COLMAP that is installed on this machine."""
 
     def __init__(self, threads: int, backend: str = "auto") -> None:
-        """Find what `backend` (an option of [photos]) says. Raises ExternalError when it is missing or does not start."""
+        """Find the COLMAP that `backend` (an option of [photos]) selects. Raises ExternalError if it is missing or does not start."""
         self.threads = threads
         self.peak_mb = 0.0
         """Most memory of a child and of this process beside it, since this was set to 0."""
@@ -59,7 +59,7 @@ class Colmap:
 
     @property
     def title(self) -> str:
-        """Name and version, for reports and marks of what is done."""
+        """Name and version, for reports and the marks of finished stages."""
         return f"COLMAP {self.version}" + (f" ({PACKAGE})" if self.backend == PACKAGE else "")
 
     def _read_version(self) -> str:
@@ -101,16 +101,16 @@ class Colmap:
         keep_going: Callable[[], bool] | None = None,
         working_folder: Path | None = None,
     ) -> None:
-        """Run COLMAP's COMMAND with `--key value …`, its output going to the file `log` and line by line to `on_line`.
+        """Run COLMAP's COMMAND with `--key value …`. Its output goes to the file `log` and line by line to `on_line`.
 
-        Raises ExternalError with the last lines of its output when it fails, and SearchStoppedError when `keep_going` returned
-        False. Ctrl-C, or any error here, ends the child with everything it started.
+        Raises ExternalError with the last lines of the output if the command fails, and SearchStoppedError if `keep_going` returned
+        False. Ctrl-C, or any error here, ends the child with all processes that it started.
         """
         words = [*self._start, command]
         for key, value in arguments.items():
             words += [f"--{key}", str(int(value) if isinstance(value, bool) else value)]
         setpriv = shutil.which("setpriv")
-        if setpriv is not None:  # So that it ends with us even when we are killed.
+        if setpriv is not None:  # The child ends with this process, even if this is killed.
             words = [setpriv, "--pdeathsig", "TERM", *words]
         log.parent.mkdir(parents=True, exist_ok=True)
         tail: deque[str] = deque(maxlen=_TAIL_LINES)
@@ -168,14 +168,14 @@ class Colmap:
 
 
 def _find(backend: str) -> tuple[str, list[str]]:
-    """The backend there is, "colmap" or "pycolmap", and the words that start it."""
+    """The backend that is available, "colmap" or "pycolmap", and the words of the command that starts it."""
     name = os.environ.get("MALUS_COLMAP", DEFAULT_PROGRAM)
     program = shutil.which(name)
     package = importlib.util.find_spec(PACKAGE) is not None
-    # A program that is named is wanted, even if the package could do its work.
+    # If MALUS_COLMAP names a program, the package must not replace it.
     named = name != DEFAULT_PROGRAM
     if backend != PACKAGE and program is not None:
-        return "colmap", [os.path.abspath(program)]  # It is started in other folders, too.
+        return "colmap", [os.path.abspath(program)]  # Absolute: started in other folders, too.
     if backend == PACKAGE or (backend == "auto" and not named):
         if package:
             return PACKAGE, [sys.executable, "-P", str(_DRIVER)]

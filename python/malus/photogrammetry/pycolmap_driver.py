@@ -1,11 +1,11 @@
-"""The commands of the program `colmap` that malus uses, done by the Python package pycolmap.
+"""Runs the commands of the program `colmap` that malus uses with the Python package pycolmap.
 
-A program of its own, since some calls of pycolmap end the process:
+This is a separate program, since some calls of pycolmap end the process:
 
     python -m malus.photogrammetry.pycolmap_driver COMMAND --option value …
 
-Commands, options and their meaning are those of COLMAP 3.8. Nothing of malus is imported here, so that it also runs as a
-plain file, without the time that takes and beside no other native library.
+Commands, options and their meaning are those of COLMAP 3.8. The driver imports nothing of malus: it can run as a plain
+file, starts faster and loads no other native library.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class UsageError(Exception):
 
 
 class Arguments:
-    """The options of a command, each of which must be used."""
+    """The options of a command; an option that the command does not use is an error."""
 
     def __init__(self, words: list[str]) -> None:
         if len(words) % 2 or any(not word.startswith("--") for word in words[::2]):
@@ -65,14 +65,14 @@ class Arguments:
         self._values = {key[2:]: value for key, value in zip(words[::2], words[1::2], strict=True)}
 
     def take(self, name: str, default: str | None = None) -> str:
-        """The text of an option; UsageError if it is not there and has no default."""
+        """The text of an option; UsageError if the option is missing and has no default."""
         value = self._values.pop(name, default)
         if value is None:
             raise UsageError(f"--{name} is missing")
         return value
 
     def fill(self, target: Any, names: Mapping[str, str]) -> Any:
-        """Set attributes of pycolmap's `target`: `names` has their paths by the names of the options."""
+        """Set attributes of pycolmap's `target`. names: attribute paths by the names of the options."""
         for name, path in names.items():
             if name in self._values:
                 *owners, attribute = path.split(".")
@@ -104,7 +104,7 @@ def extract_features(colmap: Any, arguments: Arguments) -> None:
 
 
 def import_matches(colmap: Any, arguments: Arguments) -> None:
-    """`matches_importer`: verification of the pairs in a list; those with matches in the database are not matched again."""
+    """`matches_importer`: verification of the pairs in a list; pairs with matches in the database are not matched again."""
     matching = arguments.fill(colmap.FeatureMatchingOptions(), _MATCHING)
     geometry = arguments.fill(colmap.TwoViewGeometryOptions(), _GEOMETRY)
     pairing = colmap.ImportedPairingOptions()
@@ -116,20 +116,20 @@ def import_matches(colmap: Any, arguments: Arguments) -> None:
     with colmap.Database.open(database) as connection:
         calibrated = all(camera.has_prior_focal_length for camera in connection.read_all_cameras())
     if not calibrated:
-        # Where a homography explains most matches, 4.x keeps no others, 3.8 those of the fundamental matrix: an object on a
-        # textured board must not lose its points.
+        # If a homography explains most matches, 4.x keeps only its inliers, but 3.8 those of the fundamental matrix. An
+        # object on a textured board must not lose its points.
         geometry.max_H_inlier_ratio = 1.0
         geometry.use_degensac = True
     colmap.match_image_pairs(database, matching, pairing, geometry, colmap.Device.cpu)
 
 
 def default_threads() -> int:
-    """Threads where no option says how many; -1 = all processors."""
+    """Number of threads if no option gives it; -1 = all processors."""
     return int(os.environ.get("OMP_NUM_THREADS", "-1"))
 
 
 def pipeline_options(colmap: Any, arguments: Arguments) -> Any:
-    """The options `Mapper.*`, which several commands have."""
+    """The options `Mapper.*`, which several commands share."""
     options = colmap.IncrementalPipelineOptions()
     options.num_threads = default_threads()
     return arguments.fill(options, _MAPPER)
@@ -144,7 +144,7 @@ def map_images(colmap: Any, arguments: Arguments) -> None:
 
 
 def register_images(colmap: Any, arguments: Arguments) -> None:
-    """`image_registrator`: positions of the images of a database that a model does not have; the others stay."""
+    """`image_registrator`: poses of the database's images that a model lacks; the poses of all other images are unchanged."""
     options = pipeline_options(colmap, arguments)
     database, source, target = (arguments.take(name) for name in ("database_path", "input_path", "output_path"))
     arguments.finish()
@@ -164,7 +164,7 @@ def register_images(colmap: Any, arguments: Arguments) -> None:
 
 
 def triangulate_points(colmap: Any, arguments: Arguments) -> None:
-    """`point_triangulator`: points of a model whose cameras stay as they are."""
+    """`point_triangulator`: points of a model whose cameras are held fixed."""
     options = pipeline_options(colmap, arguments)
     source = arguments.take("input_path")
     paths = [arguments.take(name) for name in ("database_path", "image_path", "output_path")]
@@ -207,7 +207,7 @@ def mesh_by_poisson(colmap: Any, arguments: Arguments) -> None:
 
 
 def say_version(colmap: Any, arguments: Arguments) -> None:
-    """`help`: which COLMAP it is."""
+    """`help`: the version of COLMAP."""
     arguments.finish()
     print(f"COLMAP {colmap.__version__} -- pycolmap")
 

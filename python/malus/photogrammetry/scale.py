@@ -16,12 +16,12 @@ from malus.options import Options
 from malus.photogrammetry.diagnosis import listed
 from malus.photogrammetry.photos import Photo, read_gray, to_bytes
 
-#: Residuals beyond this many standard deviations are likely mistakes.
+#: Residuals of more standard deviations are likely mistakes.
 _SUSPICIOUS = 4.0
 
 Log = Callable[[str, str], None]
 Mark = tuple[str, float, float]
-#: Target id → where each photo shows it, for one dictionary.
+#: Target id → marks of the target in the photos, for one dictionary.
 Targets = dict[int, list[Mark]]
 
 
@@ -35,7 +35,7 @@ class _Ends:
 
 
 def find_targets(photos: Sequence[Photo], dictionary: str) -> Targets:
-    """Coded targets of a dictionary in every photo. Raises InputError for a dictionary that there is not."""
+    """Coded targets of a dictionary in every photo. Raises InputError for an unknown dictionary."""
     targets: Targets = {}
     for photo in photos:
         image: NDArray[np.uint8] = to_bytes(read_gray(photo.path), gamma=1.0)
@@ -60,7 +60,7 @@ def adjust_scale(
     options: Options,
     log: Log,
 ) -> dict[str, Any] | None:
-    """Scale (station units a model unit) from the [[scale]] tables of a station, with residuals and standard deviations.
+    """Scale (station units per model unit) from the [[scale]] tables of a station, with residuals and standard deviations.
 
     cameras: registered photos by name, in the model's frame. Distances that cannot be measured are left out with a
     warning. None when the station has no [[scale]]; DataError when none of its distances can be measured.

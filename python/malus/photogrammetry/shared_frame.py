@@ -1,4 +1,4 @@
-"""Cameras of several stations in one model, kept in files so that each station runs by itself, wherever that is."""
+"""Cameras of several stations in one model, stored in files so that each station can run by itself."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from malus.photogrammetry.photos import Photo
 
 
 def save_cameras(file: Path, cameras: StationCameras, model: Path) -> None:
-    """Keep a station's cameras; `model` is the folder of their COLMAP model, which the file refers to by its content too."""
+    """Store a station's cameras. model: folder of their COLMAP model, of which the file keeps the path and the hashes."""
     content = {
         "model": str(model.resolve()),
         "sha256": _digests(model),
@@ -38,12 +38,12 @@ def save_cameras(file: Path, cameras: StationCameras, model: Path) -> None:
 
 
 def save_failure(file: Path, error: MalusError) -> None:
-    """Keep why a station has no cameras."""
+    """Store why a station has no cameras."""
     write_record(file, {"failure": str(error), "exit_code": error.exit_code})
 
 
 def content_of(file: Path) -> str:
-    """SHA-256 of what a file of cameras says of them, wherever its photos lie and however long it took; of nothing without one."""
+    """SHA-256 of the cameras in a file, without the paths of model and photos and without the times; of an empty record without a file."""
     content = read_record(file) or {}
     photos = [{**said, "path": ""} for said in content.get("photos", ())]
     said = {key: value for key, value in content.items() if key not in ("model", "times")} | {"photos": photos}
@@ -51,8 +51,8 @@ def content_of(file: Path) -> str:
 
 
 def load_cameras(file: Path) -> StationCameras:
-    """What `save_cameras` kept. Raises the error that `save_failure` kept, ExternalError if there is neither, and InputError if the
-    model or a photo was changed since: the cameras would be of other pictures.
+    """The cameras that `save_cameras` stored. Raises the error that `save_failure` stored, ExternalError if nothing was stored, and
+    InputError if the model or a photo has changed since: the cameras would belong to other images.
     """
     content = read_record(file)
     if content is None:

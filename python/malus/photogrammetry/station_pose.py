@@ -1,4 +1,4 @@
-"""Stations among the photos: their images are registered to the finished model of these with their own, known lenses."""
+"""Places stations among the photos: registers their images, with their own known lenses, to the photos' finished model."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from malus.photogrammetry.photos import to_bytes
 
 #: Name of the station's image in COLMAP's database and models.
 STATION_IMAGE = "malus_station.png"
-#: The station's intensity is coded like a photo's, by this power.
+#: The station's intensity is encoded like a photo, with the inverse of this power.
 GAMMA = 2.2
-#: A station that sees fewer of the model's points has no place.
+#: A station that sees fewer of the model's points counts as not placed.
 _LEAST_POINTS = 12
 
 
@@ -51,7 +51,7 @@ class PlacedStations:
     """By image name of the station: verified matches with each other image."""
 
     def has(self, image: str) -> bool:
-        """Whether the station of this image has found its place and sees enough points."""
+        """Whether the station of this image was placed and sees enough points."""
         placed = self.model.images.get(image)
         return placed is not None and placed.observations >= _LEAST_POINTS
 
@@ -64,8 +64,8 @@ def station_image(number: int) -> str:
 def place_stations(bench: Bench, photos: PhotoCameras, stations: Mapping[str, StationView]) -> PlacedStations:
     """Register the stations' images (by image name), triangulate with them and adjust poses and points, all lenses held fixed.
 
-    A lens that is not known is that of the photos if the camera is the same, else it is calibrated here. Raises DataError
-    when no station finds a position; `has` tells which did.
+    For an unknown lens the photos' lens is taken if the camera is the same, else the lens is calibrated here. Raises DataError
+    if no station can be placed; `has` tells which stations were.
     """
     pixels = {image: to_bytes(view.unpolarized, gamma=GAMMA) for image, view in stations.items()}
     inputs = {
@@ -167,7 +167,7 @@ def _match(bench: Bench, source: Path, photos: PhotoCameras, stations: list[str]
 
 
 def _check_lens(model: SparseModel, image: str, station: StationView) -> None:
-    """A station whose lens is known must have kept it."""
+    """DataError if the known lens of a station was changed."""
     placed = model.images.get(image)
     if placed is None or station.lens is None:
         return

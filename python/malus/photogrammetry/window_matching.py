@@ -1,4 +1,4 @@
-"""The placed model, measured anew by least-squares matching and adjusted to that."""
+"""Measures the placed model again by least-squares matching and adjusts the model to these measurements."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from malus.photogrammetry.station_pose import GAMMA, PlacedStations, StationView
 
 @dataclass(frozen=True)
 class MatchedStations:
-    """The model after the adjustment, and what it gained."""
+    """The stations in the adjusted model, and the figures of the adjustment."""
 
     placed: PlacedStations
     figures: dict[str, Any] | None
@@ -38,8 +38,9 @@ def match_windows(
 ) -> MatchedStations:
     """Locate the model's points in all images to hundredths of a pixel and adjust lenses, poses and points to them.
 
-    Lenses of stations (by image name) are held fixed if they are known, that of the photos if it was given. Windows are those of the
-    first station that is placed where it sees a point. When there are too few matches the model stays as it was, with a warning.
+    Lenses of stations (by image name) are held fixed if they are known, and the photos' lens if it was given. For points that the
+    first placed station sees, the windows are taken from its image. If there are too few matches, the model does not change and a
+    warning is logged.
     """
     options = bench.options.photos
     if not options.match_windows:
@@ -86,12 +87,12 @@ def match_windows(
 
 
 def coded(unpolarized: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The station's linear intensity as photos code theirs; 0 where there is none."""
+    """The station's linear intensity with the encoding of photos; 0 where there is no intensity."""
     return np.power(np.clip(np.nan_to_num(unpolarized), 0, 1), 1 / GAMMA, dtype=np.float32)
 
 
 def _freedom(solved: PhotoCameras, stations: Mapping[str, StationView], model: SparseModel) -> dict[str, str]:
-    """What of the lens of an image may change, for one image of each lens that is not fixed."""
+    """Which parameters of a lens may change, by the name of one image of each lens that is not fixed."""
     free: dict[str, str] = {}
     if not solved.calibrated:
         enough = len(solved.model.images) >= MIN_PHOTOS_PRINCIPAL_POINT

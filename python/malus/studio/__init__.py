@@ -14,11 +14,11 @@ ADDRESS = "127.0.0.1"
 
 
 def serve(folder: str | Path = ".", *, port: int = 0, browser: bool = True) -> None:
-    """Serve Studio for a folder until Ctrl-C, which also ends the runs that it started; their finished steps stay.
+    """Serve Studio for a folder until Ctrl-C, which also ends the runs that Studio started; their finished steps are kept.
 
-    Only files below `folder` can be seen or written. port 0 = any free one. `browser`: open the page in the web browser.
-    Raises malus.InputError for a folder that is not there, malus.ExternalError unless the extra `studio` is installed,
-    malus.ResourceError for a port that is taken.
+    Only files below `folder` can be seen or written. port 0 = any free port. `browser`: open the page in the web browser.
+    Raises malus.InputError if there is no such folder, malus.ExternalError unless the extra `studio` is installed,
+    malus.ResourceError if the port is taken.
     """
     root = Path(folder)
     if root.is_file():
@@ -35,7 +35,7 @@ def serve(folder: str | Path = ".", *, port: int = 0, browser: bool = True) -> N
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((ADDRESS, port))
-        listener.listen()  # so that who reads the address can already use it
+        listener.listen()  # The printed address must work at once.
     except OSError as error:
         raise ResourceError(
             f"--port {port}: cannot be used ({error.strerror or error}), expected a free port"

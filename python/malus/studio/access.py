@@ -1,8 +1,8 @@
-"""Who may talk to Studio, and which files it may touch.
+"""Which requests Studio answers, and which files it may read and write.
 
-Any web page that is open in the same browser can send requests to 127.0.0.1. So every request needs the right Host, the cookie
-that only the entrance address with its random token hands out and, if it changes anything, the page's own Origin and a second
-token that only the page knows.
+Any web page that is open in the same browser can send requests to 127.0.0.1. Every request therefore needs the right Host and the
+cookie, which is set only by the entrance address with its random token. A request that changes anything also needs the page's own
+Origin and a second token that only the page knows.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ _POLICY = (
     "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; object-src 'none'; "
     "base-uri 'none'; form-action 'self'; frame-ancestors 'self'"
 )
-#: A report may come from elsewhere: its scripts run, but as a page of no origin, which cannot talk to Studio, nor load anything
-#: that would tell others of it.
+#: A report may come from an unknown source. Its scripts run, but as a page without origin: they cannot send requests to Studio, nor
+#: load anything from other hosts, which would reveal the report to them.
 _REPORT_POLICY = (
     "sandbox allow-scripts allow-popups allow-downloads; default-src 'none'; img-src {hosts} data: blob:; "
     "style-src 'unsafe-inline'; script-src 'unsafe-inline' blob:; worker-src blob:; frame-ancestors 'self'"
@@ -43,7 +43,7 @@ class Access:
         self.entrance = f"http://127.0.0.1:{port}/?token={self._token}"
 
     def refusal(self, scope: Scope) -> Response | None:
-        """What to answer instead of serving the request; None if it may pass."""
+        """The answer to a request that is refused or redirected; None if the request is to be served."""
         headers = Headers(scope=scope)
         if headers.get("host") not in self._hosts:
             return PlainTextResponse("Studio answers only to 127.0.0.1 and localhost.", 421)
@@ -75,7 +75,7 @@ def _cookies(header: str) -> dict[str, str]:
 
 
 class Guard:
-    """ASGI middleware that lets only what `Access` allows through, and says what pages may load."""
+    """ASGI middleware: passes on only requests that `Access` allows, and sets what pages may load."""
 
     def __init__(self, app: ASGIApp, access: Access) -> None:
         self._app = app
@@ -93,7 +93,7 @@ class Guard:
                 headers = MutableHeaders(scope=message)
                 report = scope["path"].startswith(REPORTS)
                 headers["Content-Security-Policy"] = self._access.report_policy if report else _POLICY
-                if not report:  # a page of another port has the cookie too, but may not show what it brings
+                if not report:  # Pages of other ports have the cookie, too, but must not embed the answer.
                     headers["Cross-Origin-Resource-Policy"] = "same-origin"
                 headers["X-Content-Type-Options"] = "nosniff"
                 headers["Referrer-Policy"] = "no-referrer"
@@ -111,14 +111,14 @@ class Root:
         self.folder = resolved(folder)
 
     def path(self, name: str) -> Path:
-        """The path of a name from the page; InputError for one outside the folder, links followed."""
+        """The path of a name from the page; InputError if the path, after following links, is outside the folder."""
         path = resolved(self.folder / name)
         if not self.holds(path):
             raise InputError(f"{name}: lies outside the folder that Studio has opened, {self.folder}")
         return path
 
     def holds(self, path: Path) -> bool:
-        """Whether a path lies in the folder, links followed, and the page can name it; links in a circle lie nowhere."""
+        """Whether a path, after following links, is in the folder, and is valid UTF-8; False for circular links."""
         try:
             require_utf8(path)
             return resolved(path).is_relative_to(self.folder)
@@ -126,19 +126,19 @@ class Root:
             return False
 
     def file(self, name: str) -> Path:
-        """The path of a file that is there."""
+        """The path of an existing file; InputError if there is none."""
         path = self.path(name)
         if not path.is_file():
             raise InputError(f"{name}: no such file in {self.folder}")
         return path
 
     def directory(self, name: str) -> Path:
-        """The path of a folder that is there."""
+        """The path of an existing folder; InputError if there is none."""
         path = self.path(name)
         if not path.is_dir():
             raise InputError(f"{name}: no such folder in {self.folder}")
         return path
 
     def name(self, path: Path) -> str:
-        """How the page names a path; InputError for one outside the folder."""
+        """The name of a path on the page; InputError for a path outside the folder."""
         return self.path(str(path)).relative_to(self.folder).as_posix()

@@ -1,4 +1,4 @@
-"""The web application: what each address does. The work itself is in the modules beside it."""
+"""The web application: the handler of each address. The other modules of this package do the work."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ from malus.studio import checks, folders, marks, masks, phases, pictures, previe
 from malus.studio.access import REPORTS, Access, Guard, Root
 from malus.studio.document import ChangedError, StationDocument
 
-#: Bodies of requests: a mask of a hundred megapixels is far smaller.
+#: Most bytes in the body of a request: a mask of a hundred megapixels is far smaller.
 _MAX_BODY = 64_000_000
 _STATIC = Path(str(resources.files("malus").joinpath("studio", "static")))
 
-#: Threads that compute. The interpreter waits for them before it ends: the C++ library must not be cut off in the middle.
+#: Threads that compute. The interpreter waits for them before it ends, so that the C++ library is not stopped midway.
 _WORKERS = ThreadPoolExecutor(thread_name_prefix="studio")
 
-#: Where a station file names what is painted, and the words there that name no file.
+#: For each painted image: table and key of the station file that name it, and values of the key that are not file names.
 _PAINTED = {"mask": ("polarized", "mask", ()), "labels": ("optics", "reflection", ("diffuse", "specular", "auto"))}
 
 Json = Mapping[str, Any]
 
 
 class Studio:
-    """One opened folder and everything that runs for it."""
+    """One opened folder, with its routes, access tokens and runs."""
 
     def __init__(self, folder: Path, port: int) -> None:
         self.root = Root(folder)
@@ -53,7 +53,7 @@ class Studio:
         self.runs = runs.Runs()
         self._report_keys: dict[str, Path] = {}
         self._threads = os.cpu_count() or 1
-        # Of two pages that change a file at once, one is told so.
+        # If two pages change a file at once, the second one must get a ChangedError.
         self._editing = threading.Lock()
         self.app = Starlette(routes=self._routes(), middleware=[Middleware(Guard, access=self.access)])
 
@@ -128,7 +128,7 @@ class Studio:
         return Response("There is no such file in the report.", 404)
 
     def _report_address(self, folder: Path) -> str:
-        """Address of the page in this folder, with a key that opens the folder and nothing else."""
+        """Address of the report page in this folder, with a key that gives access to this folder only."""
         key = next((key for key, known in self._report_keys.items() if known == folder), None)
         if key is None:
             key = secrets.token_urlsafe(24)
@@ -141,7 +141,7 @@ class Studio:
         return self._shown(StationDocument.read(self.root.file(query["path"])))
 
     def _shown(self, document: StationDocument) -> Json:
-        """The file, its values, and its images and what is painted by the page's names, where they lie in the opened folder."""
+        """The file and its values; and, by their names on the page, its images, mask and labels that are in the opened folder."""
         images, error = self._images(document)
         return {
             "path": self.root.name(document.path),
@@ -154,18 +154,18 @@ class Studio:
         }
 
     def _images(self, document: StationDocument) -> tuple[list[str], str | None]:
-        """The polarized images by the page's names, and what is wrong with the station."""
+        """The polarized images by their names on the page, and what is wrong with the station."""
         try:
             description = malus.Station.load(document.path).describe()
             return [self.root.name(Path(path)) for path in description["images"]], None
         except MalusError as error:
-            # What is wrong may be mended by drawing, such as control points that are not marked yet.
+            # The user may correct the error on these images, for example by marking control points.
             images = folders.polarized_images(self.root, document.path, document.values)
             return images, str(error)
 
     def _painted(self, document: StationDocument, kind: str) -> Json | None:
-        """The file that the station names for a mask or labels: its path by the page's name, and what tells its state; None if it
-        names none, or one outside the opened folder.
+        """The file that the station names for a mask or labels: its name on the page, and its digest. None if the station names
+        no file, or a file outside the opened folder.
         """
         table, key, words = _PAINTED[kind]
         content = document.values.get(table)
@@ -195,7 +195,7 @@ class Studio:
         return self._shown(document)
 
     def _set(self, body: Json) -> Json:
-        """Change values and lists of a station file. Paths come as names of the page and are written relative to the file."""
+        """Change values and lists of a station file. Paths come as the page names them and are written relative to the file."""
         with self._editing:
             document = StationDocument.read(self.root.file(body["path"]))
             document.require(body["digest"])
@@ -211,7 +211,7 @@ class Studio:
             return self._shown(document)
 
     def _keep(self, body: Json) -> Json:
-        """Add a profile that was picked on a result to the station whose result it is: on another its pixels mean another place."""
+        """Add a profile that was picked on a result to the result's own station; in other stations its pixels are other places."""
         station, work = self.root.file(body["path"]), self.root.directory(body["work"])
         owner = results.station_of(self.root, work)
         if owner != self.root.name(station):
@@ -234,7 +234,7 @@ class Studio:
 
     def _options(self, query: Json) -> Json:
         station = self.root.file(query["path"])
-        file = self.root.name(settings.file_of(station))  # a link that leads elsewhere is refused here
+        file = self.root.name(settings.file_of(station))  # Refuses a link that leads out of the folder.
         return {"file": file, "options": settings.listed(station)}
 
     def _set_option(self, body: Json) -> Json:
@@ -290,7 +290,7 @@ class Studio:
         return await _answer(cut)
 
     async def _write_mask(self, request: Request) -> Response:
-        """Write a mask (or labels) beside the station file and name it there; not over a picture that the page does not know."""
+        """Write a mask (or labels) beside the station file and name it there; never over an image that the page has not read."""
         content = await _body(request)
         query = request.query_params
 
@@ -379,11 +379,11 @@ async def _body(request: Request) -> bytes:
 
 
 async def _answer(function: Callable[[], Any]) -> Response:
-    """What a function returns, computed on another thread, or its error in the page's form."""
+    """The result of a function, computed on another thread, or its error as JSON for the page."""
     try:
         result = await asyncio.get_running_loop().run_in_executor(_WORKERS, function)
         return result if isinstance(result, Response) else JSONResponse(_plain(result))
-    except asyncio.CancelledError:  # Studio is being ended, and this took longer than it waits.
+    except asyncio.CancelledError:  # Studio is closing and did not wait for the result.
         return Response("Malus Studio has been ended.", 503)
     except MalusError as error:
         status = 409 if isinstance(error, ChangedError) else 400
@@ -392,12 +392,12 @@ async def _answer(function: Callable[[], Any]) -> Response:
         return JSONResponse({"error": f"the request is not what Studio expects ({type(error).__name__}: {error})"}, 400)
     except OSError as error:
         return JSONResponse({"error": f"{error.filename or 'a file'}: {error.strerror or error}"}, 400)
-    except Exception as error:  # what nobody has thought of is said on the page, as the command line does
+    except Exception as error:  # The page shows unexpected errors, as the command line does.
         return JSONResponse({"error": ending_of(error)[1]}, 500)
 
 
 def _plain(value: Any) -> Any:
-    """A value of a station file as JSON has it: dates and times as text, and nothing for numbers that are none (nan, inf)."""
+    """A value of a station file for JSON: dates and times as text, and None for nan and inf."""
     if isinstance(value, Mapping):
         return {key: _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""What `malus check` says of a station, each line beside the field that it concerns."""
+"""The messages of `malus check` for a station, each with the field of the page that it concerns."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import malus
 from malus.errors import MalusError
 from malus.studio.settings import options_of
 
-#: Words of messages and the field of the page that they concern, the first that fits.
+#: Fields of the page, and patterns of the messages that concern them; the first match counts.
 _FIELDS = (
     ("object", r"\[object\]"),
     ("mask", r"\bmask\b"),
@@ -28,7 +28,7 @@ _FIELDS = (
 )
 
 
-#: Other commands can do without one, which the page does not have.
+#: An error on the page only: commands that the page does not offer need no coarse surface.
 _NO_SURFACE = {
     "severity": "error",
     "field": "prior",
@@ -45,7 +45,7 @@ def field_of(message: str) -> str:
 
 
 def check(path: Path, threads: int) -> dict[str, Any]:
-    """The plan of a run and everything that is wrong or doubtful, as lines with severity, field and message."""
+    """The plan of a run, and all errors and warnings as lines with severity, field and message."""
     try:
         station = malus.Station.load(path)
         plan = malus.check(station, options_of(path), threads=threads)
@@ -58,5 +58,5 @@ def check(path: Path, threads: int) -> dict[str, Any]:
 
 
 def _without_path(message: str, path: Path) -> str:
-    """The station file's own name may have any word in it."""
+    """The message without the station file's path, whose words could match a field."""
     return message.replace(str(path), "")

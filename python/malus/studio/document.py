@@ -1,4 +1,4 @@
-"""The station file as Studio edits it: what is not changed stays as it was written, comments too."""
+"""Edits the station file for Studio; everything that is not changed keeps its text, including comments."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from tomlkit.items import AoT, Table
 from malus._files import read_regular, write_bytes
 from malus.errors import InputError
 
-#: Tables of a station file that stand any number of times.
+#: Tables that may occur any number of times in a station file.
 LISTS = ("scale", "control", "patch", "profile")
-#: Tables that stand once, with their keys, so that the page can be told of misprints early.
+#: Tables that occur once; all other names from the page are refused.
 TABLES = ("station", "object", "polarized", "optics", "camera", "prior", "photos")
 
 
 class ChangedError(InputError):
-    """A file is not the one any more that the page knows; nothing was written."""
+    """A file has changed since the page read it; nothing was written."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(f"{path}: was changed by another program or page since Studio read it")
@@ -51,17 +51,17 @@ class StationDocument:
 
     @property
     def text(self) -> str:
-        """The file as it would be written now."""
+        """The text that would be written now."""
         return tomlkit.dumps(self._document)
 
     @property
     def values(self) -> dict[str, Any]:
-        """Everything that it says, as plain data."""
+        """All values of the file, as plain data."""
         values: dict[str, Any] = self._document.unwrap()
         return values
 
     def set(self, table: str, key: str, value: Any) -> None:
-        """Set a value, or remove it with None; a value that is as before is left as it was written."""
+        """Set a value, or remove it with None. The text of an equal value is not changed."""
         if table not in TABLES:
             raise InputError(f"[{table}] is no table of a station file, expected one of {', '.join(TABLES)}")
         if table not in self._document:
@@ -76,7 +76,7 @@ class StationDocument:
             del self._document[table]
 
     def set_list(self, name: str, entries: Sequence[Mapping[str, Any]]) -> None:
-        """Make the tables [[name]] these; those that stay in place keep their comments."""
+        """Replace the tables [[name]] by `entries`; tables that stay in place keep their comments."""
         if name not in LISTS:
             raise InputError(f"[[{name}]] is no list of a station file, expected one of {', '.join(LISTS)}")
         if not entries:
@@ -97,8 +97,8 @@ class StationDocument:
             del present[len(present) - 1]
 
     def require(self, expected: str | None) -> None:
-        """Raise ChangedError unless the file is the one that `expected` is the digest of; InputError if there must be none (None)."""
-        # Bytes: text mode would turn the line ends of Windows into others.
+        """Raise ChangedError unless the file has the digest `expected`. None = no file must exist, else InputError."""
+        # Bytes: text mode would change the line ends of Windows.
         current = digest_of(self.path.read_bytes().decode("utf-8-sig", "replace")) if self.path.exists() else None
         if current == expected:
             return
@@ -107,18 +107,18 @@ class StationDocument:
         raise ChangedError(self.path)
 
     def write(self, expected: str | None) -> None:
-        """Write the file, if it is as `require` asks."""
+        """Write the file if `require` finds it unchanged."""
         self.require(expected)
         write_bytes(self.path, self.text.encode())
         self.digest = digest_of(self.text)
 
     def relative(self, path: Path) -> str:
-        """How the file names another one."""
+        """The path of another file, relative to this file's folder."""
         return Path(os.path.relpath(path.resolve(), self.path.resolve().parent)).as_posix()
 
 
 def digest_of(text: str) -> str:
-    """What tells one state of a file from another."""
+    """SHA-256 of the text of a file, to detect changes."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -130,7 +130,7 @@ def _assign(table: Table, key: str, value: Any) -> None:
         return
     item = tomlkit.item(value)
     if isinstance(value, list) and value and isinstance(value[0], Mapping):
-        # Marks: one a line, in braces.
+        # Marks are written as inline tables, one per line.
         item = tomlkit.array()
         for entry in value:
             inline = tomlkit.inline_table()

@@ -1,4 +1,4 @@
-"""What lies in a folder: images with the moment they were taken, station files, results, and the angles of its images."""
+"""The content of a folder: images with the time they were taken, station files, results, and the angles of the images."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from malus.scans import is_scan
 from malus.studio.access import Root
 
 _IMAGES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg"})
-#: Folders and files that are looked through for stations, results, clouds and models, at most.
+#: Most folders and files that are searched for stations, results, clouds and models, and most levels of folders.
 _SEARCHED = 20_000
 _SEARCH_DEPTH = 8
-#: What the page offers where nothing says the angles.
+#: What the page suggests if the angles cannot be found.
 _INSTEAD = "another source above, or the angles typed into the table"
-#: TIFF tags, and the value that floating-point pixels have.
+#: Numbers of two TIFF tags, and the sample format of floating-point pixels.
 _SAMPLES, _SAMPLE_FORMAT, _FLOATING = 277, 339, 3
-#: Bytes in which the header of a PLY file ends.
+#: Bytes that are searched for the end of a PLY file's header.
 _PLY_HEADER = 8192
 
 
@@ -44,7 +44,7 @@ def _is_station(path: Path) -> bool:
 
 
 def is_result(folder: Path) -> bool:
-    """Whether a folder holds what a run has left, be it damaged. Others write a manifest.json, too: IIIF, web pages, archives."""
+    """Whether a folder holds the results of a run, even if damaged. Files manifest.json also exist in IIIF, web pages and archives."""
     try:
         said = json.loads(read_regular(folder / "manifest.json"))
     except OSError:
@@ -60,7 +60,7 @@ def listing(root: Root, name: str) -> dict[str, Any]:
     entries = sorted((path for path in folder.iterdir() if not path.name.startswith(".")), key=_natural)
     inside = [path for path in entries if root.holds(path)]
     mask = station_import.mask_of(folder)
-    # What may not be looked into stops nothing: pathlib raises then.
+    # os.path returns False for entries without permission, where pathlib raises.
     folders = [path for path in inside if os.path.isdir(path)]
     files = [path for path in inside if os.path.isfile(path)]
     return {
@@ -99,9 +99,9 @@ def _count(folder: Path) -> int:
 
 def angles(root: Root, folder: str, source: str, names: Sequence[str], first: float, step: float) -> list[dict[str, Any]]:  # fmt: skip
     """Image and angle [deg] of each of `names`, by `source`: "names" (or the folder's table or sidecars, as `malus import`
-    reads them), "table:PATH", or "taken": from `first` in steps, in the order in which the camera took them.
+    reads them), "table:PATH", or "taken": from `first` in steps of `step`, in the order in which the camera took the images.
 
-    Raises InputError if the source does not say them.
+    Raises InputError if the source does not give the angles.
     """
     images = [root.file(name) for name in names]
     if source == "taken":
@@ -123,11 +123,11 @@ def angles(root: Root, folder: str, source: str, names: Sequence[str], first: fl
 
 
 def below(root: Root) -> Iterator[tuple[Path, list[str]]]:
-    """The opened folder and those below it, each with its files; not what lies within results, and no more than is quickly seen."""
+    """The opened folder and all folders below it, each with its files; without folders inside results, and within _SEARCHED entries."""
     seen = 0
     for place, folders, files in os.walk(root.folder):
         here = Path(place)
-        # The squares of a picture for the web (IIIF) are no images of the object.
+        # The tiles of an image for the web (IIIF, info.json) are no images of the object.
         inner = "info.json" in files or ("manifest.json" in files and is_result(here))
         deeper = len(here.relative_to(root.folder).parts) < _SEARCH_DEPTH and not inner
         folders[:] = sorted(f for f in folders if not f.startswith(".")) if deeper else []
@@ -139,13 +139,13 @@ def below(root: Root) -> Iterator[tuple[Path, list[str]]]:
 
 
 def candidates(root: Root) -> dict[str, list[Any]]:
-    """What the station file may name, and the stations there are: `priors` as {kind, path}, the kinds being the keys of [prior];
+    """Files that a station file may name, and existing stations: `priors` as {kind, path}, where the kinds are the keys of [prior];
     `models` of COLMAP, folders of `images`, and `stations`, as paths.
     """
     priors: list[dict[str, str]] = []
     models, images, stations = [], [], []
     for here, files in below(root):
-        if "manifest.json" in files and is_result(here):  # What a run has left is no input.
+        if "manifest.json" in files and is_result(here):  # Results are no inputs.
             continue
         names = set(files)
         if names & {"cameras.txt", "cameras.bin"} and names & {"images.txt", "images.bin"}:
@@ -159,7 +159,7 @@ def candidates(root: Root) -> dict[str, list[Any]]:
 
 
 def _kind_of_prior(path: Path) -> str | None:
-    """As what [prior] may name a file: cloud, mesh, depth; None for one that is no surface."""
+    """The key of [prior] for a file: cloud, mesh, depth; None if the file is no surface."""
     kind = path.suffix.lower()
     if kind in (".tif", ".tiff"):
         tags = exif.tags_of(path)
@@ -184,7 +184,7 @@ def images_of_model(path: Path) -> list[str]:
 
 
 def polarized_images(root: Root, station: Path, values: Mapping[str, Any]) -> list[str]:
-    """The images that a station file names, one by one or as a folder, whatever else is wrong with it; those that are there."""
+    """The existing images that a station file names, one by one or as a folder, even if the file has other errors."""
     polarized = values.get("polarized")
     said = polarized.get("images") if isinstance(polarized, Mapping) else None
     if isinstance(said, str):
@@ -200,8 +200,8 @@ def polarized_images(root: Root, station: Path, values: Mapping[str, Any]) -> li
 
 
 def photos_of(root: Root, station: Path, values: Mapping[str, Any]) -> list[str]:
-    """The photos in which a station's known distances and control points are marked: those of [photos], or else those of its COLMAP model,
-    from the folder that has most of them.
+    """The photos in which a station's known distances and control points are marked: the photos of [photos], else those of its COLMAP
+    model, from the folder that has most of the model's photos.
     """
     folder = values.get("photos", {}).get("folder")
     if isinstance(folder, str):
@@ -212,7 +212,7 @@ def photos_of(root: Root, station: Path, values: Mapping[str, Any]) -> list[str]
     camera = values.get("camera", {})
     if "colmap_model" not in camera:
         return []
-    # The station's own picture need not show what its polarized images show.
+    # The model's image of the station is left out: the polarized images need not have its content.
     names = set(images_of_model(root.directory(str(station.parent / camera["colmap_model"])))) - {camera.get("image")}
     found = {here: sorted(name for name in names if (root.path(here) / name).is_file()) for here in candidates(root)["images"]}  # fmt: skip
     best = max(found, key=lambda here: len(found[here]), default=None)

@@ -1,4 +1,4 @@
-"""Marks of known distances and control points while they are set: where other photos allow them, and how well they agree."""
+"""Marks of known distances and control points while they are set: their epipolar lines from other photos, and how well they agree."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from malus.photogrammetry.scale import adjust_scale
 
 
 def model_of(station: Path, camera: Mapping[str, Any], works: Sequence[Path]) -> Path | None:
-    """Folder of a model with the photos' cameras: the station's, or what a run of it has made; None if there is none."""
+    """Folder of a model with the photos' cameras: the station's own model, or one made by a run of the station; None if there is none."""
     folders = [station.parent / camera["colmap_model"]] if "colmap_model" in camera else []
     folders += [work / "prior" / "colmap" / "model" for work in works]
     return next((folder for folder in folders if folder.is_dir()), None)
 
 
 def lines(cameras: Mapping[str, Camera], image: str, marks: Sequence[Mapping[str, Any]]) -> list[list[tuple[float, float]]]:  # fmt: skip
-    """For each mark of one end in another photo, the line in `image` on which that end lies (pixels)."""
+    """For each mark of one end in another photo, the epipolar line in `image` on which this end lies (pixels)."""
     if image not in cameras:
         return []
     return [
@@ -35,8 +35,8 @@ def lines(cameras: Mapping[str, Camera], image: str, marks: Sequence[Mapping[str
 
 
 def residuals(cameras: Mapping[str, Camera], bars: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """How the [[scale]] tables whose ends are both marked in two photos or more fit each other and the cameras, by their place
-    in the list, from 1; what cannot be said, as a problem.
+    """How well the [[scale]] tables fit each other and the cameras: `fits` by position in the list, from 1, of the tables with both
+    ends marked in two photos or more; `problem` says why there are no fits.
     """
     filled = [{"targets": None, "check": False, "a": [], "b": [], **bar} for bar in bars]
     marked = [place for place, bar in enumerate(filled) if all(sum(mark["image"] in cameras for mark in bar[end]) > 1 for end in "ab")]  # fmt: skip
@@ -51,7 +51,7 @@ def residuals(cameras: Mapping[str, Camera], bars: Sequence[Mapping[str, Any]]) 
 
 
 def examined(model: Path | None, bars: Sequence[Mapping[str, Any]], image: str, distance: int, end: str) -> dict[str, Any]:  # fmt: skip
-    """Lines for the end that is being marked in `image`, and the residuals of all distances."""
+    """Epipolar lines for the end that is being marked in `image`, and the residuals of all distances."""
     if model is None:
         return {"lines": [], "fits": {}, "problem": "The photos' cameras are not known yet; after the first run lines and residuals are shown here."}  # fmt: skip
     cameras = {name: registered.camera for name, registered in SparseModel.read(model).images.items()}
@@ -60,11 +60,11 @@ def examined(model: Path | None, bars: Sequence[Mapping[str, Any]], image: str, 
 
 
 def control(station: Path, model: Path | None, image: str, name: str) -> dict[str, Any]:
-    """How the control points of a station file fit. image: photo that is shown; name: point that is being marked in it.
+    """How well the control points of a station file fit. image: photo that is shown; name: point that is being marked in this photo.
 
-    Returns `problem` (what is wrong or missing), `lines` (where the point lies in the photo, by its marks in others),
-    `image` (what the polarized image says: use, rms_px, center_sigma, doubtful, points; None without marks in it) and
-    `datum` (what the photos say; None without their cameras).
+    Returns `problem` (what is wrong or missing), `lines` (epipolar lines of the point in the photo, from its marks in other photos),
+    `image` (fit of the marks in the polarized image: use, rms_px, center_sigma, doubtful, points; None without such marks) and
+    `datum` (fit of the marks in the photos; None without the photos' cameras).
     """
     said: dict[str, Any] = {"problem": "", "lines": [], "image": None, "datum": None}
     try:

@@ -1,4 +1,4 @@
-"""Which pixels are the object, and labels of reflection: read, written, and selected by color."""
+"""Masks of the object and labels of reflection: read, written, and selected by color."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from malus.overlay import nearest_points
 from malus.reconstruction import prior_upon_image
 from malus.studio.pictures import displayed
 
-#: Long side of the picture in which GrabCut works: seconds, also for large images.
+#: Long side of the reduced image on which GrabCut runs: it then takes seconds, also for large images.
 _CUT_SIDE_PX = 640
 _CUT_ITERATIONS = 4
-#: Parts of what GrabCut finds that are smaller than this share of all of it are specks: bits of the ground that look like the
-#: object, and highlights upon it.
+#: Regions smaller than this share of GrabCut's mask are specks: background that looks like the object, or highlights on the
+#: object.
 _SPECK = 0.01
 
 Bytes = NDArray[np.uint8]
 
 
 def decode(content: bytes, size: tuple[int, int] | None = None) -> Bytes:
-    """Pixels H×W of a gray PNG from the page; InputError unless it is one, of this width and height."""
+    """Pixels H×W of a gray PNG from the page; InputError unless it is a PNG of this width and height."""
     try:
         with Image.open(io.BytesIO(content), formats=["PNG"]) as image:
             if size is not None and image.size != size:
@@ -47,13 +47,13 @@ def read(path: Path) -> bytes:
     """A mask or label image as PNG for the page."""
     pixels, full_scale = _core.read_image_dn(str(path))
     gray = pixels if pixels.ndim == 2 else pixels[..., 0]
-    # Labels are small numbers; masks of more than 8 bits are set or not.
+    # Labels are small numbers in 8 bits; images of more than 8 bits are masks, whose pixels are set or not.
     values = gray if full_scale <= 255 else np.where(gray != 0, 255, 0)
     return encode(values.astype(np.uint8), "PNG")
 
 
 def write(path: Path, values: Bytes, *, may_replace: bool) -> Path:
-    """Write a mask or label image as PNG, and return its path: this one, or one with a number where another picture would be lost."""
+    """Write a mask or label image as PNG and return its path: `path`, or a numbered one if another image would be overwritten."""
     content = encode(values, "PNG")
     place, count = path, 1
     while not may_replace and place.exists() and place.read_bytes() != content:
@@ -69,7 +69,7 @@ def similar(image: Path, u: int, v: int, tolerance: int) -> bytes:
 
 
 def cut_out(image: Path, hints: Bytes, threads: int) -> bytes:
-    """PNG of the object as GrabCut finds it from hints (0 background, 1 object, 2 and 3 probably; of the image's size)."""
+    """PNG of the object found by GrabCut from hints (0 background, 1 object, 2 and 3 probably background and object; of the image's size)."""
     picture = displayed(image)
     if hints.shape != picture.shape[:2]:
         raise InputError(f"the hints are {hints.shape[1]} x {hints.shape[0]} pixels, expected the image's size")
@@ -87,19 +87,19 @@ def cut_out(image: Path, hints: Bytes, threads: int) -> bytes:
 
 
 def without_specks(mask: Bytes) -> Bytes:
-    """The mask (255 or 0) without loose bits and pinholes: each becomes what surrounds it."""
+    """The mask (255 or 0) without small regions and holes: they get the value of their surroundings."""
     ndimage = extra("scipy.ndimage", "scipy", "finding the edge", "studio")
     cleaned = mask.copy()
     for value in (255, 0):
         parts, _ = ndimage.label(cleaned == value)
         small = np.bincount(parts.ravel()) < _SPECK * np.count_nonzero(mask)
-        small[0] = False  # what has the other value
+        small[0] = False  # label 0: pixels of the other value
         cleaned[small[parts]] = 255 - value
     return cleaned
 
 
 def _prior_in_view(station: malus.Station, threads: int) -> NDArray[np.float32]:
-    """Depth of the station's prior in the polarized image, which must be one without distortion."""
+    """Depth of the station's prior in the polarized image, which must have no distortion."""
     result = malus.reconstruct(station, until="prior", threads=threads)
     if result.prior_depth is None:
         raise DataError("there is no [prior] to see yet: the run makes it from the photos")
@@ -124,8 +124,8 @@ def _has_distortion(station: malus.Station) -> bool:
 
 
 def overlay_of_prior(station: malus.Station, threads: int) -> tuple[bytes, float, tuple[float, float]]:
-    """PNG of the prior's points in the image as taken, colored by distance and transparent where there is none; the side of
-    one of its pixels in pixels of the image; and the nearest and farthest distance that colors show.
+    """PNG of the prior's points in the image as taken, colored by distance and transparent where there is no point; the side of
+    a pixel of the PNG in pixels of the image; and the nearest and farthest distance of the color scale.
     """
     image, _, points = prior_upon_image(station, threads=threads)
     if not len(points):

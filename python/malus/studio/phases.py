@@ -1,4 +1,4 @@
-"""Whether the filter's scale counts as the station says: the phase that was measured beside the one that the coarse surface expects."""
+"""Checks the direction and zero of the filter's scale: compares the measured phase with the phase expected from the coarse surface."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from malus.overlay import nearest_points
 from malus.reconstruction import prior_upon_image
 from malus.studio.preview import as_picture, small_images
 
-#: Radius over which points of a cloud are averaged, in cells of about a point each: single ones are no slopes.
+#: Radius over which points of a cloud are averaged, in cells of about one point each: single points give no slopes.
 _SMOOTH_CELLS = 3.0
-#: Share of the cells around one that must have a point.
+#: Least share of the cells around a pixel that must have a point.
 _LEAST_POINTS = 0.3
 
 
 def compared(station: malus.Station, threads: int) -> dict[str, Any]:
-    """Pictures of both phases as data addresses, and what the program says of them, as the run does before it fuses.
+    """Pictures of both phases as data URLs, and the finding of the check that a run makes before it fuses.
 
     Raises InputError for a station whose angles are not given, or whose camera takes them all at once; DataError without a
     coarse surface in the image.
@@ -45,7 +45,7 @@ def compared(station: malus.Station, threads: int) -> dict[str, Any]:
     normals = _normals(points, image.shape, images[0].shape, step / said["camera"]["params"][0])
     normals[_resampled((mask != 0).astype(np.float64), images[0].shape, step) < 1] = np.nan
     found = evidence.check_phase(state, normals, threads=threads)
-    # Both are shown as light leaves a matt surface; a mirroring one has a quarter turn more.
+    # The expected phase is that of diffuse reflection; for specular reflection it differs by 90°.
     azimuth = np.degrees(np.arctan2(-normals[..., 1], normals[..., 0])) % 180
     return {
         "measured": as_picture(np.degrees(np.asarray(state.phase_rad)), "twilight", 0, 180),
@@ -59,7 +59,7 @@ def compared(station: malus.Station, threads: int) -> dict[str, Any]:
 def _normals(
     points: NDArray[np.float32], whole: tuple[int, ...], small: tuple[int, ...], pixel: float
 ) -> NDArray[np.float32]:
-    """Normals of the coarse surface at each pixel of a small image, towards the camera; NaN where too few points are.
+    """Normals of the coarse surface at each pixel of a small image, towards the camera; NaN where there are too few points.
 
     points: N×3, u, v [px of the whole image] and distance; pixel: side of a small pixel at distance one.
     """
@@ -81,7 +81,7 @@ def _normals(
 
 
 def _resampled(values: NDArray[np.float64], shape: tuple[int, ...], step: float) -> NDArray[np.float64]:
-    """Values at the middles of the pixels of a small image, each `step` of theirs wide."""
+    """Values at the centers of the pixels of a small image; `step`: side of such a pixel, in pixels of `values`."""
     ndimage = extra("scipy.ndimage", "scipy", "comparing the phase", "studio")
     rows, columns = ((np.arange(side) + 0.5) * step - 0.5 for side in shape)
     found: NDArray[np.float64] = ndimage.map_coordinates(

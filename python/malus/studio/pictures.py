@@ -1,4 +1,4 @@
-"""Images as a browser can show them, RAW and 16-bit files too."""
+"""Converts images, also RAW and 16-bit files, for display in a browser."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from malus import _core, raw
 from malus.errors import InputError
 from malus.figures import encode, reduced, step_for
 
-#: Of the full scale or brighter: what is shown white.
+#: Percentile of the pixels that is shown white.
 _WHITE_PERCENTILE = 99.5
 THUMBNAIL_SIDE_PX = 320
-#: Side of the squares in which large images are sent.
+#: Side of the tiles in which large images are sent.
 TILE_PX = 512
 
 Made = TypeVar("Made")
 
 
 def linear_or_encoded(path: Path, *, half_size: bool = False) -> tuple[NDArray[np.float32], bool]:
-    """Pixels H×W or H×W×3 in [0, 1] of full scale, and whether the file is to be taken as linear (more than 8 bits).
+    """Pixels H×W or H×W×3 in [0, 1] of full scale, and whether they are linear (RAW, or assumed for more than 8 bits).
 
-    half_size: RAW files with half the pixels a side, which is much faster.
+    half_size: read RAW files with half the pixels per side, which is much faster.
     """
     if raw.is_raw(path):
         return raw.linear_image(path, half_size=half_size), True
@@ -38,13 +38,13 @@ def linear_or_encoded(path: Path, *, half_size: bool = False) -> tuple[NDArray[n
 
 
 def displayed(path: Path, side_px: int | None = None) -> NDArray[np.uint8]:
-    """An image for the eye, H×W×3 in 8 bits; with `side_px` averaged until no side is longer."""
+    """An image for display, H×W×3 in 8 bits; with `side_px`, reduced by averaging until no side is longer."""
     toned = _toned(path, side_px)
     return np.ascontiguousarray(np.broadcast_to(toned, (*toned.shape[:2], 3)))
 
 
 def _toned(path: Path, side_px: int | None = None) -> NDArray[np.uint8]:
-    """As displayed(), with as many channels as the file has."""
+    """Like displayed(), but with as many channels as the file has."""
     pixels, linear = linear_or_encoded(path, half_size=side_px is not None)
     if pixels.ndim == 2:
         pixels = pixels[..., None]
@@ -58,8 +58,8 @@ def _toned(path: Path, side_px: int | None = None) -> NDArray[np.uint8]:
 
 
 def _cached(make: Callable[[Path], Made], size: int) -> Callable[[Path], Made]:
-    """Keeps what was made of a file until the file changes."""
-    # Two tiles that are asked for at once shall not read the image twice.
+    """Caches the result of `make` for a file until the file changes."""
+    # Two requests for tiles at the same time must not read the image twice.
     lock = threading.Lock()
 
     @lru_cache(maxsize=size)
@@ -80,7 +80,7 @@ def _cached(make: Callable[[Path], Made], size: int) -> Callable[[Path], Made]:
 def _thumbnail(path: Path) -> bytes:
     if path.suffix.lower() in (".jpg", ".jpeg"):
         try:
-            with Image.open(path) as image:  # which decodes an eighth of the pixels only
+            with Image.open(path) as image:  # draft() decodes only an eighth of the pixels
                 image.draft("RGB", (THUMBNAIL_SIDE_PX, THUMBNAIL_SIDE_PX))
                 image.thumbnail((THUMBNAIL_SIDE_PX, THUMBNAIL_SIDE_PX))
                 buffer = io.BytesIO()
@@ -92,7 +92,7 @@ def _thumbnail(path: Path) -> bytes:
 
 
 def _pyramid(path: Path) -> list[Image.Image]:
-    """The image, and then always the half of it (rounded up) until it is one tile."""
+    """The image, then each level with half the sides (rounded up) of the one before, until a level fits into one tile."""
     pixels = _toned(path)
     levels = [Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else np.ascontiguousarray(pixels[..., :3]))]
     while max(levels[-1].size) > TILE_PX:
@@ -102,12 +102,12 @@ def _pyramid(path: Path) -> list[Image.Image]:
 
 #: JPEG of an image, small.
 thumbnail = _cached(_thumbnail, 400)
-#: Images are large: those of the station in turn, and one beside.
+#: Few at a time, since images are large: the station's images are shown in turn, and one other.
 _pyramid_of = _cached(_pyramid, 3)
 
 
 def tile(path: Path, halvings: int, column: int, row: int) -> bytes:
-    """JPEG of one square of an image whose sides were halved so many times."""
+    """JPEG of one tile of an image whose sides were halved `halvings` times."""
     levels = _pyramid_of(path)
     if not 0 <= halvings < len(levels):
         raise InputError(f"{path}: has {len(levels)} levels, expected one of them")

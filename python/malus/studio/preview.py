@@ -1,4 +1,4 @@
-"""Intensity, degree and phase of a few polarized images within seconds, for the eye, before there is a station file."""
+"""Previews intensity, degree and phase of a few polarized images within seconds, before there is a station file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SRGB_BREAK = 0.04045
 
 
 def decoded(pixels: NDArray[np.float32], response: str) -> NDArray[np.float32]:
-    """Light of encoded pixels in [0, 1], by the station file's word for the response: linear, srgb or gamma:G."""
+    """Linear intensity of encoded pixels in [0, 1]. response: as in the station file, linear, srgb or gamma:G."""
     if response == "linear":
         return pixels
     if response == "srgb":
@@ -38,7 +38,10 @@ def decoded(pixels: NDArray[np.float32], response: str) -> NDArray[np.float32]:
 def small_images(
     paths: Sequence[Path], response: str, exposure_s: Sequence[float] | None = None
 ) -> list[NDArray[np.float32]]:
-    """The images linear and small, of equal exposure, not saturated: what is saturated in the files is flat in all of them."""
+    """The images, linear, reduced, and scaled to equal exposure and below 1, so that no pixel counts as saturated.
+
+    Pixels that are saturated in the files are flat in all images.
+    """
     stack = [_small(path, response) for path in paths]
     if len({image.shape for image in stack}) > 1:
         raise InputError("the images are not of one size, expected one camera and one setting")
@@ -55,7 +58,7 @@ def _small(path: Path, response: str) -> NDArray[np.float32]:
 
 
 def as_picture(values: NDArray[Any], colors: str, low: float, high: float) -> str:
-    """Data address of a picture in the colors of matplotlib's map of that name; gray where there is no value."""
+    """Data URL of a picture in the colors of a matplotlib color map; gray where there is no value."""
     scaled = np.clip((np.nan_to_num(values, nan=low) - low) / max(high - low, 1e-9), 0, 1)
     picture = np.rint(255 * mpl.colormaps[colors](scaled)[..., :3]).astype(np.uint8)
     picture[~np.isfinite(values)] = 128
@@ -65,7 +68,7 @@ def as_picture(values: NDArray[Any], colors: str, low: float, high: float) -> st
 def preview(
     paths: Sequence[Path], angles_deg: Sequence[float], *, direction: str, zero_deg: float, response: str
 ) -> dict[str, Any]:
-    """Pictures of intensity, degree and phase as data addresses, what they range over, and what the images say themselves.
+    """Pictures of intensity, degree and phase as data URLs, their ranges, and the findings of checks that need the images alone.
 
     Angles are those of the filter's scale; `direction` and `zero_deg` as in the station file. Raises InputError or DataError
     (fewer than three angles).

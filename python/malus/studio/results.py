@@ -1,4 +1,4 @@
-"""Finished results: what they are worth in a line, the difference of two, and profiles picked on the surface."""
+"""Finished results: the main figures of each, the difference of two, and profiles picked on the surface."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from malus.workspace import Workspace
 
 #: Long side of the pictures of results.
 _SIDE_PX = 1400
-#: Relative difference of two cameras that rounding explains.
+#: Largest relative difference of two cameras that is put down to rounding.
 _SAME_CAMERA = 1e-6
 
 
@@ -34,20 +34,20 @@ def comparisons(root: Root) -> list[str]:
 
 
 def folder_of_comparison(root: Root, before: Path, after: Path) -> Path:
-    """Where the comparison of two results goes: always the same folder for the same two."""
+    """Folder for the comparison of two results; always the same one for the same results."""
     names = [root.name(work).replace("/", "_") for work in (before, after)]
     return root.path("_".join(["change", *names]))
 
 
 def _folders_with(root: Root, file: str) -> list[str]:
-    # A link may lead elsewhere.
+    # A link may lead out of the opened folder.
     return sorted(root.name(here) for here, files in below(root) if file in files and root.holds(here / file))
 
 
 def station_of(root: Root, folder: Path) -> str | None:
-    """The station file whose result the folder holds, by the page's name; None if it does not lie in the opened folder."""
+    """The station file whose result the folder holds, by its name on the page; None if the file is not in the opened folder."""
     owner = Workspace(folder).manifest.get("station") or {}
-    # Both may have been moved or copied together.
+    # Station file and results may have been moved or copied together.
     for path in (folder / str(owner.get("file_from_here")), Path(str(owner.get("file")))):
         if path.is_file() and root.holds(path):
             return root.name(path)
@@ -55,7 +55,7 @@ def station_of(root: Root, folder: Path) -> str | None:
 
 
 def summary(root: Root, folder: Path) -> dict[str, Any]:
-    """The figures of a result that a list shows; `problem` for one that is not finished."""
+    """The figures of a result for the list of results; `problem` if the result is not finished."""
     try:
         workspace = Workspace(folder)
         quality = workspace.quality
@@ -72,7 +72,7 @@ def summary(root: Root, folder: Path) -> dict[str, Any]:
 
 
 def relief(folder: Path) -> bytes:
-    """PNG of a result's relief shading, for profiles and comparisons; its pixels are those of the rasters, if those are not large."""
+    """PNG of a result's relief shading, for profiles and comparisons; reduced if the rasters are large, else pixel for pixel."""
     workspace = Workspace(folder)
     depth = workspace.raster("fused/depth.tif")
     step = step_for(depth.shape, _SIDE_PX)
@@ -118,9 +118,9 @@ def difference(first: Path, second: Path) -> dict[str, Any]:
 
 
 def profile(folder: Path, start: tuple[float, float], end: tuple[float, float]) -> dict[str, Any]:
-    """A section through prior and fused surface between two pixels: place along it and height above its chord, in the unit.
+    """A section through prior and fused surface between two pixels: distance along it and height above its chord, in the unit.
 
-    One sample a pixel; heights are depths towards the camera, null where there is no surface.
+    One sample per pixel. Heights point towards the camera; None where there is no surface.
     """
     workspace = Workspace(folder)
     depths = {name: workspace.raster(f"{name}/depth.tif") for name in ("prior", "fused")}

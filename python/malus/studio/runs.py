@@ -1,4 +1,4 @@
-"""Runs that Studio has started, one at a time: each a command of its own process, which no closed page ends."""
+"""Runs that Studio starts, one at a time. Each is a command in its own process, which continues when a page is closed."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from typing import Any
 from malus.errors import InputError
 from malus.studio import settings
 
-#: Lines of a run's log that are kept.
+#: Most lines of a run's log that are kept.
 _LOG_LINES = 2000
-#: Seconds that an interrupted run has to end by itself.
+#: Seconds for an interrupted run to end by itself before it is killed.
 _PATIENCE_S = 30
 _ENDED = ("done", "failed", "canceled")
 
 
 @dataclass
 class Run:
-    """One run, waiting, running or ended. title: what becomes what; asked: what the page asked for, to ask it again; command: words of
-    `malus`, made when its turn comes; page: folder of the page that it leaves; station: what is reconstructed, if it is that.
+    """One run, waiting, running or ended. title: inputs and result; asked: the page's request, to repeat it; command: makes the arguments
+    of `malus` when the run starts; page: folder of the run's report page; station: the station file, None for a comparison.
     """
 
     number: int
@@ -51,7 +51,7 @@ class Run:
         del self.log[:-_LOG_LINES]
 
     def take(self, event: Mapping[str, Any]) -> None:
-        """Take over what a line of `malus … --json` says."""
+        """Update the run from an event (a line of `malus … --json`)."""
         if event.get("event") == "log":
             self.note(f"{event['level']}: {event['message']}")
             return
@@ -65,7 +65,7 @@ class Run:
 
 
 class Runs:
-    """The queue; a thread works it off."""
+    """The queue of runs; a thread processes it."""
 
     def __init__(self) -> None:
         self._runs: list[Run] = []
@@ -76,7 +76,7 @@ class Runs:
         self._worker.start()
 
     def all(self) -> list[Run]:
-        """Every run, the oldest first."""
+        """All runs, the oldest first."""
         with self._changed:
             return list(self._runs)
 
@@ -106,9 +106,9 @@ class Runs:
         page: Path,
         station: Path | None = None,
     ) -> Run:
-        """Queue a run; the same one that waits or runs already is returned instead, one that has ended is forgotten.
+        """Queue a run. If the same run waits or runs already, it is returned instead; an ended run with this folder is removed.
 
-        Raises InputError while another run has the same folder for its results.
+        Raises InputError while another run uses the same folder for its results.
         """
         with self._changed:
             for run in self._runs:
@@ -126,7 +126,7 @@ class Runs:
             return run
 
     def cancel(self, number: int) -> None:
-        """End a run as Ctrl-C does: what finished steps left stays."""
+        """End a run as Ctrl-C does: the results of finished steps are kept."""
         with self._changed:
             for run in self._runs:
                 if run.number != number or run.state in _ENDED:
@@ -136,7 +136,7 @@ class Runs:
                     run.process.send_signal(signal.SIGINT)
 
     def close(self) -> None:
-        """End everything and wait for it."""
+        """Cancel all runs and wait until they have ended."""
         self._closing = True
         for run in self.all():
             self.cancel(run.number)
@@ -170,7 +170,7 @@ class Runs:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 text=True,
-                errors="replace",  # what a library writes there need not be text
+                errors="replace",  # Libraries may write bytes that are no text.
                 # Ctrl-C in Studio's terminal ends Studio, which then ends its runs.
                 start_new_session=True,
             )

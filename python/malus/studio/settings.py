@@ -1,4 +1,4 @@
-"""Options of the runs of a station: a TOML file beside the station file, which `malus run --options` reads too."""
+"""Options of a station's runs: a TOML file beside the station file, which `malus run --options` also reads."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from malus.options import MAIN, Options
 
 
 def file_of(station: Path) -> Path:
-    """The file that holds the options of a station's runs; it need not be there."""
+    """The file for the options of a station's runs; it need not exist."""
     return station.with_name(f"{station.stem}_options.toml")
 
 
 def options_of(station: Path) -> Options:
-    """The options of a station's runs; InputError for a file that says something else."""
+    """The options of a station's runs; InputError if the file holds anything else."""
     options = Options()
     path = file_of(station)
     if path.is_file():
@@ -30,7 +30,7 @@ def options_of(station: Path) -> Options:
 
 
 def listed(station: Path) -> list[dict[str, Any]]:
-    """The options that matter most, and every other one that the file sets: name, title, what it may be, default, meaning and value."""
+    """The main options, and all other options that the file sets: name, title, kind of value, default, meaning and value."""
     values = options_of(station).to_dict()
     path = file_of(station)
     stated = read_toml(path) if path.is_file() else {}
@@ -43,9 +43,9 @@ def listed(station: Path) -> list[dict[str, Any]]:
 
 
 def change(station: Path, name: str, value: Any) -> None:
-    """Set an option, or with None leave it to its default; what the file says besides, and its comments, stay.
+    """Set an option, or with None return it to its default. All other options and comments in the file are kept.
 
-    Raises InputError, and writes nothing, for an option or a value that there is not.
+    For an option or value that does not exist, raises InputError and writes nothing.
     """
     section, _, key = name.partition(".")
     if value is not None:
