@@ -367,15 +367,15 @@ class HeightSection(Section):
     boundary: Literal["natural", "prior"]
     """height at the border of the object: natural = free, prior = the prior's"""
     boundary_weight: float
-    """weight of the prior's height at the border, per pixel"""
+    """boundary = prior: weight of the prior's height at the border, per pixel"""
     iterations: int
     """largest number of Gauss-Newton steps of the height"""
     tolerance: float
     """the Gauss-Newton steps end when the slopes change by less than this (RMS)"""
     shading_error: float | Literal["auto"]
-    """standard deviation of the shading model, share of the intensity; auto = from the fit of the light"""
+    """standard deviation of the shading model's error, as a share of the intensity; auto = from the fit of the light"""
     stokes_error: float
-    """standard deviation of the polarization model, share of the intensity"""
+    """standard deviation of the polarization model's error, as a share of the intensity"""
     damping: float
     """weight against changes of the slope in one Gauss-Newton step: larger gives smaller steps and holds slopes that the data do not determine"""
     outlier_scale: float

@@ -18,11 +18,11 @@ constexpr auto names_of(Interpolation) {
 
 struct RegistrationOptions {
   Interpolation interpolation = Interpolation::bicubic;
-  double fine_sigma_px = 0.7;  ///< of the band-pass that images are compared in
+  double fine_sigma_px = 0.7;  ///< of the band-pass filter for the comparison of images
   double coarse_sigma_px = 8;
   double cauchy_scale = 2;
   int max_iterations = 15;  ///< at each level of the pyramid
-  double max_shift = 0.04;  ///< of the image width
+  double max_shift = 0.04;  ///< as a share of the image width
   double max_uncertainty_px = 0.3;
 
   template <class Self, class Visitor>

@@ -34,9 +34,9 @@ struct GridFusionOptions {
 
 struct OptimizeOptions {
   bool enabled = false;
-  double phase_weight = 1;    ///< of Eq 9, for the unit normal
-  double shading_weight = 1;  ///< of Eq 11, in shares of the light
-  double zenith_weight = 1;   ///< of the cosine of the zenith by Eq 7 or Eq 8
+  double phase_weight = 1;    ///< of the phase (Eq 9) at the unit normal
+  double shading_weight = 1;  ///< of the shading (Eq 11), divided by the light's strength
+  double zenith_weight = 1;   ///< of the cosine of the zenith (Eq 7 or Eq 8)
   double prior_weight = 0.15;
   int iterations = 15;
 

@@ -101,14 +101,15 @@ struct HeightOptions {
     visit("boundary", self.boundary, any_value,
           "height at the border of the object: natural = free, prior = the prior's");
     visit("boundary_weight", self.boundary_weight, not_negative,
-          "weight of the prior's height at the border, per pixel");
+          "boundary = prior: weight of the prior's height at the border, per pixel");
     visit("iterations", self.iterations, Range{1, 1000}, "largest number of Gauss-Newton steps of the height");
     visit("tolerance", self.tolerance, not_negative,
           "the Gauss-Newton steps end when the slopes change by less than this (RMS)");
     visit("shading_error", self.shading_error, fraction_range,
-          "standard deviation of the shading model, share of the intensity; auto = from the fit of the light");
+          "standard deviation of the shading model's error, as a share of the intensity; auto = from the fit of the "
+          "light");
     visit("stokes_error", self.stokes_error, fraction_range,
-          "standard deviation of the polarization model, share of the intensity");
+          "standard deviation of the polarization model's error, as a share of the intensity");
     visit("damping", self.damping, not_negative,
           "weight against changes of the slope in one Gauss-Newton step: larger gives smaller steps and holds slopes "
           "that the data do not determine");
