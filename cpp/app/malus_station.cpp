@@ -228,17 +228,19 @@ int main(int argc, char** argv) {
   app.set_version_flag("--version", std::string("malus-station ") + malus::version);
   app.add_option("station", arguments.station, "station file (TOML)")->required()->type_name("STATION.toml");
   app.add_option("-o,--output", arguments.workspace, "workspace folder")->required()->type_name("WORK");
-  app.add_option("--fusion", arguments.fusion, "the paper's transfer, or the refinement (default)")
+  app.add_option("--fusion", arguments.fusion, "grid = the paper's transfer, refined = nonlinear refinement (default)")
       ->check(CLI::IsMember({"grid", "refined"}));
   app.add_option("--preset", arguments.preset, "start from a named set of options: paper")->type_name("NAME");
-  app.add_option("--until", arguments.until, "the step to run, after those it needs")->type_name("STEP");
+  app.add_option("--until", arguments.until, "last step to run; the steps that it needs run first")->type_name("STEP");
   app.add_option("--reference", arguments.reference, "compare with this cloud or mesh")->type_name("SCAN.ply");
-  app.add_option("--set", arguments.assignments, "any option of any step")->type_name("SECTION.KEY=VALUE")->take_all();
-  app.add_option("--options", arguments.options_file, "options, one table a step")->type_name("FILE.toml");
-  app.add_option("--threads", arguments.threads, "default: all cores")->check(CLI::PositiveNumber);
+  app.add_option("--set", arguments.assignments, "set an option of any step; can be repeated")
+      ->type_name("SECTION.KEY=VALUE")
+      ->take_all();
+  app.add_option("--options", arguments.options_file, "file with options, one table per step")->type_name("FILE.toml");
+  app.add_option("--threads", arguments.threads, "number of threads; default: all cores")->check(CLI::PositiveNumber);
   app.add_flag("--replace", arguments.replace, "take the workspace over if it belongs to another station");
-  app.add_flag("--json", arguments.json, "one JSON object a progress event on standard output");
-  app.add_flag("--quiet", arguments.quiet, "errors, warnings and a confidence that is not high only");
+  app.add_flag("--json", arguments.json, "write progress to standard output, one JSON object per event");
+  app.add_flag("--quiet", arguments.quiet, "print only errors, warnings, and a confidence that is not high");
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& success) {

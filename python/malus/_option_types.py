@@ -11,9 +11,9 @@ class CaptureSection(Section):
     """Options of the section capture."""
 
     registration: Literal["auto", "on", "off"]
-    """move the images until they lie on the first one: auto = where they do not lie there already, on = always, off = never"""
+    """align all images with the first one: auto = only images that are not aligned yet, on = always, off = never"""
     keep_below_px: float
-    """registration = auto: images that lie closer than this are left as they are, in px"""
+    """registration = auto: images displaced by less than this, or than three times the displacement's own error, stay unchanged, in px"""
     saturation: float
     """fraction of the white level from which a pixel is saturated"""
     interpolation: Literal["bicubic", "keys"]
@@ -27,7 +27,7 @@ class CaptureSection(Section):
     max_iterations: int
     """registration: largest number of Gauss-Newton steps at each level of the image pyramid"""
     max_shift: float
-    """registration: a larger displacement counts as a failure; share of the image width"""
+    """registration: images displaced by more than this share of the image width count as failures"""
     max_uncertainty_px: float
     """registration: a displacement with a larger standard deviation counts as not found, in px"""
 
@@ -51,17 +51,17 @@ class PolarizationSection(Section):
     """Options of the section polarization."""
 
     weighting: Literal["uniform", "noise"]
-    """weights of the images when the sinusoid is fitted: by their noise, or all alike"""
+    """weights of the images when the sinusoid is fitted: noise = by their noise, uniform = all alike"""
     recover_outliers: bool
-    """where a pixel does not fit, try it without one image (needs five or more)"""
+    """fit pixels that do not follow the sinusoid again without their worst image (needs five or more images)"""
     misfit_sigmas: float
-    """a pixel does not follow the sinusoid if its residual exceeds this many standard deviations of the noise and misfit_fraction"""
+    """a pixel does not follow the sinusoid if its residual exceeds both this many standard deviations of the noise and misfit_fraction"""
     misfit_fraction: float
-    """a pixel does not follow the sinusoid if its residual exceeds this share of its intensity and misfit_sigmas"""
+    """a pixel does not follow the sinusoid if its residual exceeds both this share of its intensity and misfit_sigmas"""
     dark_sigmas: float
-    """a pixel is dark below this many standard deviations of the noise without light"""
+    """a pixel counts as dark if its intensity is below this many standard deviations of the noise without light"""
     max_condition: float
-    """largest condition number of the normal equations of the angle set"""
+    """polarizer angles are refused if the condition number of the sinusoid fit exceeds this: they are too close together"""
 
 
 class PolarizationValues(TypedDict, total=False):
@@ -79,19 +79,19 @@ class PolarizerSection(Section):
     """Options of the section polarizer."""
 
     calibrate_angles: Literal["auto", "on", "off"]
-    """find the polarizer's angles and the exposures from the images themselves: auto = only where that fits clearly better than what the station says"""
+    """find the polarizer's angles and the exposures from the images themselves: auto = only if they fit clearly better than the station's, on = always, off = never"""
     angle_sigma_deg: float
-    """how far an angle that was read off the polarizer's scale is usually wrong (standard deviation), in degrees"""
+    """standard deviation of each angle that was read off the polarizer's scale, in degrees"""
     zero_sigma_deg: float
-    """standard deviation of the zero of the polarizer's scale, which all angles share"""
+    """standard deviation of the zero of the polarizer's scale, which all angles share, in degrees"""
     gain_sigma: float
-    """standard deviation of the exposure from image to image"""
+    """standard deviation of the exposure from image to image, as a share of the exposure"""
     min_improvement: float
-    """auto: share of what the sinusoid's squared residuals have beyond noise that calibrated angles must remove"""
+    """calibrate_angles = auto: calibrated angles are used if they remove more than this share of the squared residuals' excess over noise"""
     min_significance: float
-    """auto: standard deviations from which an error of the scale's zero is corrected"""
+    """an error of the scale's zero is corrected if it exceeds this many of its standard deviations"""
     highlight_deg: float
-    """diffuse objects: angle about the mirror direction of the light that says nothing about the zero"""
+    """diffuse objects: normals within this angle of the half vector of light and view, where highlights are, are not used to find the scale's zero, in degrees"""
 
 
 class PolarizerValues(TypedDict, total=False):
@@ -112,37 +112,37 @@ class PhotosSection(Section):
     backend: Literal["auto", "colmap", "pycolmap"]
     """what finds the cameras of the photographs: the program COLMAP, the Python package pycolmap, or auto = the program if it is installed, else the package"""
     max_features: int
-    """largest number of features that are taken of a photo"""
+    """largest number of features that are taken from each photo"""
     max_side_px: int
-    """photographs with a longer side are made smaller before points are looked for that several of them show: a smaller number is faster, a larger one finds more"""
+    """photographs with a longer side are reduced to this size before feature points are searched in them, in px: smaller is faster, larger finds more points"""
     guided_matching: bool
     """once photos are matched, search along their epipolar lines for further matches"""
     exhaustive_limit: int
-    """most photos of which every pair is matched; of more, only photos near each other in their names' order"""
+    """up to this many photos, all pairs are matched; with more photos, mainly those close to each other in the order of their names"""
     min_inliers: int
-    """fewest matches that make two photos a pair"""
+    """two photos with fewer consistent matches do not count as a pair"""
     max_error_px: float
-    """points with a larger mean reprojection error (and more than 2.5 times all points') are left out of the last adjustments"""
+    """image measurements whose reprojection error exceeds both this, in px, and 2.5 times the mean of all points are left out of the last adjustments"""
     match_windows: bool
-    """measure the points anew by least-squares matching of windows, and adjust all cameras to that"""
+    """measure the points again by least-squares matching of image windows, and adjust all cameras to these measurements"""
     match_points_a_photo: int
-    """match_windows: largest number of points that are measured anew in a photo, those seen in many photos first"""
+    """match_windows: largest number of points that are measured again in a photo, those seen in many photos first"""
     match_radius: int
-    """radius of the square windows, in px; twice as large, in coarser images, where noise hides the texture"""
+    """match_windows: radius of the square windows, in px; where noise hides the texture, windows of twice this radius are matched in coarser images"""
     match_range_px: float
-    """match_windows: farthest that a window may end from where its point is expected, in px"""
+    """match_windows: windows that end farther than this from their predicted position are left out, in px"""
     match_min_correlation: float
     """match_windows: windows with a lower correlation are left out"""
     match_floor_px: float
-    """match_windows: smallest standard deviation that a window's position may have, in px"""
+    """match_windows: lower limit of the standard deviation of a window's position, in px"""
     search_limit_s: int
-    """longest search for a first pair, for 20 photos, before the next assumption on the focal length is tried, in s"""
+    """longest search for a first pair of photos before the next assumed focal length is tried, in s; holds for up to 20 photos and grows in proportion with more"""
     mark_sigma_px: float
     """standard deviation of a mark in [[scale]], in px"""
     target_sigma_px: float
     """standard deviation of a coded target's center, in px"""
     distance_sigma_relative: float
-    """standard deviation of a distance in [[scale]], as a share of it"""
+    """standard deviation of a distance in [[scale]], as a share of the distance"""
 
 
 class PhotosValues(TypedDict, total=False):
@@ -171,43 +171,43 @@ class SweepSection(Section):
     """Options of the section sweep."""
 
     station_gamma: float
-    """the station's linear intensity is raised to 1 / this, to be coded like the photos; 1 = as it is"""
+    """the station's linear intensity is raised to the power 1 / this, so that it is coded like the photos; 1 = it stays linear"""
     window_radius: int
     """radius of the square windows that are compared, in px"""
     known_window_radius: int
-    """radius of the windows in a sweep about a known surface, in px; larger, as they lie on that surface"""
+    """radius of the windows in a sweep about a known surface, in px; larger than window_radius, because these windows lie on that surface"""
     best_views: int
-    """number of photos whose match counts at a pixel, the best ones"""
+    """number of photos that count at a pixel: the score of a depth is the mean of this many highest correlations"""
     max_views: int
     """largest number of photos that are compared in one part of the image"""
     min_level_px: int
-    """shorter side of the coarsest image, at least, in px"""
+    """smallest length of the shorter side of the coarsest image of the pyramid, in px"""
     min_points: int
-    """fewest triangulated points on the object"""
+    """the sweep ends with an error if fewer triangulated points lie on the object"""
     noise: float
     """standard deviation of the photos' noise, as a share of white"""
     min_parallax: float
-    """photos with less parallax than this, of the photos' median, are left out if others suffice"""
+    """photos whose parallax is below this share of the photos' median are left out if enough other photos remain (twice best_views)"""
     max_angle_deg: float
-    """largest angle between a photo's view and the station's"""
+    """photos that see the object at a larger angle to the station's view are left out, in degrees"""
     max_search: int
-    """farthest offset from the triangulated points' surface, in px of the coarsest image"""
+    """largest search distance from the surface of the triangulated points, as parallax in px of the coarsest image"""
     small_step: float
-    """penalty of neighbors one offset apart, in correlation"""
+    """penalty where the depths of neighboring pixels differ by one search step, in units of correlation; larger is smoother"""
     large_step: float
-    """penalty of neighbors farther apart, in correlation"""
+    """penalty where the depths of neighboring pixels differ by more than one search step, in units of correlation; larger gives fewer depth jumps"""
     min_score: float
-    """lowest mean correlation of a pixel that is kept"""
+    """pixels with a lower mean correlation get no depth"""
     min_agreement: float
-    """share of the pixels around it at which the two halves of the photos must agree for a pixel to be kept"""
+    """the photos are split into two halves; a pixel keeps its depth if both halves agree on at least this share of the pixels around it"""
     min_region_px: int
-    """fewest connected pixels that are kept: what agrees by chance comes in small regions"""
+    """connected regions of fewer pixels are dropped: depths that agree by chance form small regions"""
     sigma_scale: float
-    """factor from half the difference of the two halves' depths to the standard deviation of depth"""
+    """the standard deviation of depth is this factor times half the RMS difference between the depths from two halves of the photos"""
     sigma_floor_gsd: float
     """smallest standard deviation that a swept depth may have, in GSD"""
     again: bool
-    """measure the surface in the photographs a second time, close to the fused one, and fuse with that; where they agree on too little, what the fused surface contradicts is left out instead"""
+    """sweep the photographs a second time, close to the fused surface, and fuse with the new depths; if the first sweep found little, only drop its depths that contradict the fused surface"""
 
 
 class SweepValues(TypedDict, total=False):
@@ -238,35 +238,35 @@ class PriorSection(Section):
     """Options of the section prior."""
 
     sigma: float | Literal["auto"]
-    """standard deviation of a cloud's points, or of the depth of another prior, in the station's unit; left out = the station file's, and without it a cloud's is measured and another's is raster_sigma_gsd"""
+    """standard deviation of a cloud's points or of another prior's depth, in the station's unit; auto = from the station file, else measured (cloud) or raster_sigma_gsd (others)"""
     smoothing_px: float | Literal["auto"]
-    """over how many pixels a cloud is smoothed: more takes away more of its noise, less keeps more of its detail; auto = as its noise and its density ask for"""
+    """length over which a cloud is smoothed, in px: larger removes more noise, smaller keeps more detail; auto = estimated from the cloud's noise and density"""
     smoothing_scale: float
-    """the estimated smoothing length times this; below 1 because what is smoothed away is lost to the fusion, noise is not"""
+    """factor on the automatic smoothing_px; below 1 because fusion cannot restore detail that was smoothed away, but can reduce noise"""
     edge_tolerance: float
-    """bending, over what is usual, at which the smoothing gives way to a step or an occluding edge"""
+    """bending, as a multiple of what is usual, at which the smoothing is halved: steps and occluding edges stay sharp; larger smooths them more"""
     keep_raised: bool
-    """whether points that stand out together are kept as a part of the surface; strays never are"""
+    """keep points that stand out toward the camera as a part of the surface if many of their neighbors do, too; single points are never kept"""
     neighbors: int
     """number of nearest neighbors, in the image, that a point of the cloud is compared with"""
     outlier_tolerance: float
-    """a point is an outlier if it is farther from the median depth of its neighbors, in their robust standard deviations"""
+    """a point is an outlier if its distance from the median depth of its neighbors exceeds both this many robust standard deviations and outlier_floor_gsd"""
     outlier_floor_gsd: float
-    """distance from the median depth of its neighbors that makes no point an outlier, in GSD"""
+    """points closer than this to the median depth of their neighbors are never outliers, in GSD"""
     max_slope_deg: float
-    """steepest slope of a visible surface; points farther behind their neighbors are hidden"""
+    """steepest slope that a visible surface can have, in degrees; points that lie deeper behind the points around them count as hidden"""
     min_points: int
-    """fewest visible points on the object"""
+    """the run ends with an error if fewer points of the cloud are visible on the object"""
     raster_sigma_gsd: float
     """standard deviation of a mesh's or a depth map's depth, in GSD, where none is stated"""
     correlated_noise: float
-    """share of a point's noise that its neighbors have too, so that smoothing leaves it (for sigma)"""
+    """share of a point's noise that its neighbors have in common: smoothing does not reduce it, so it stays in the prior's standard deviation"""
     tension_spacings: float
     """distance from all points, in point spacings, beyond which the surface levels out to the plane of the cloud"""
     hole_slope: float
-    """standard deviation of the slope where a swept depth map has none: what stereo does not see, such as the ridge of a highlight, need not go on as its surroundings do"""
+    """growth of the depth's standard deviation inside holes of a swept depth map, in GSD per px from the rim: unseen parts, such as highlights, may deviate from their surroundings"""
     max_unknowns: int
-    """largest smoothing system solved at once; larger rasters are solved in overlapping tiles"""
+    """largest number of unknowns of the smoothing that are solved at once; larger rasters are solved in overlapping tiles"""
     sigma_samples: int
     """number of random draws from which the prior's standard deviation is estimated"""
 
@@ -309,11 +309,11 @@ class ReflectionSection(Section):
     """Options of the section reflection."""
 
     region_px: int
-    """auto: side of the cells whose pooled azimuth test decides between diffuse and specular"""
+    """[optics] reflection = auto: side of the cells over which azimuths are pooled to decide between diffuse and specular, in px"""
     region_strength: float
-    """auto: mean sin² of the zenith a region needs to weigh as much as the whole object"""
+    """[optics] reflection = auto: mean sin² of the zenith at which a region's own azimuths count as much as the whole object's; flatter regions follow the whole object"""
     beyond_diffuse_share: float
-    """auto without a prior: specular if more of the pixels exceed the largest diffuse degree"""
+    """[optics] reflection = auto, no prior: the object is specular if more than this share of its pixels is polarized more strongly than diffuse reflection can be"""
 
 
 class ReflectionValues(TypedDict, total=False):
@@ -328,19 +328,19 @@ class LightSection(Section):
     """Options of the section light."""
 
     model: Literal["directional", "first_order"]
-    """the light: from one direction, or with a constant part from everywhere"""
+    """model of the light: directional = from one direction, first_order = with an additional constant part from everywhere"""
     without_prior: Literal["contour", "convex"]
-    """what tells a bump from a hollow where there is neither a prior nor [optics] light: the object's outline, or that it is convex in the whole"""
+    """how bumps are told from hollows if neither a prior nor [optics] light is given: contour = by the object's outline, convex = the object is taken to be convex as a whole"""
     iterations: int
     """rounds of the robust fit of the light"""
     outlier_scale: float
     """residual, in robust standard deviations, at which a pixel has half its weight"""
     max_condition: float
-    """largest condition number of the normal equations; above it the normals vary too little"""
+    """largest condition number of the normal equations; above it the normals vary too little to determine the light"""
     min_tangential: float
-    """sine of the smallest angle between light and view; below it shading does not tell slopes apart"""
+    """smallest sine of the angle between light and view; below it, shading does not distinguish slopes, and no height is computed"""
     max_samples: int
-    """pixels used; larger images are sampled regularly"""
+    """largest number of pixels used; larger images are sampled regularly"""
 
 
 class LightValues(TypedDict, total=False):
@@ -359,25 +359,25 @@ class HeightSection(Section):
     """Options of the section height."""
 
     method: Literal["likelihood", "linear", "literal"]
-    """equations of the height: Gauss-Newton on the likelihood, the linear system, or the paper's rows as printed"""
+    """how the height is solved: likelihood = Gauss-Newton on the likelihood of the measurements, linear = one linear system, literal = the paper's equations as printed"""
     perspective: bool
-    """metric perspective form; false = orthographic as printed"""
+    """use the perspective camera and metric heights; false = orthographic, as printed in the paper"""
     smoothness: float
-    """weight of the height's second differences, which smooths it"""
+    """weight of the height's second differences; larger is smoother"""
     boundary: Literal["natural", "prior"]
-    """height at the border of the object"""
+    """height at the border of the object: natural = free, prior = the prior's"""
     boundary_weight: float
-    """weight of the prior's height at the border, per pixel"""
+    """boundary = prior: weight of the prior's height at the border, per pixel"""
     iterations: int
     """largest number of Gauss-Newton steps of the height"""
     tolerance: float
     """the Gauss-Newton steps end when the slopes change by less than this (RMS)"""
     shading_error: float | Literal["auto"]
-    """standard deviation of the shading model, share of the intensity; auto = from the fit of the light"""
+    """standard deviation of the shading model's error, as a share of the intensity; auto = from the fit of the light"""
     stokes_error: float
-    """standard deviation of the polarization model, share of the intensity"""
+    """standard deviation of the polarization model's error, as a share of the intensity"""
     damping: float
-    """weight of the change of the slope in one Gauss-Newton step; holds slopes that nothing determines"""
+    """weight against changes of the slope in one Gauss-Newton step: larger gives smaller steps and holds slopes that the data do not determine"""
     outlier_scale: float
     """residual of a pixel, in standard deviations, at which it has half its weight"""
 
@@ -402,11 +402,11 @@ class GridSection(Section):
     """Options of the section grid."""
 
     grid_px: int
-    """distance of the grid's nodes"""
+    """distance between the grid's nodes, in px"""
     sigma_nodes: float
-    """Gaussian on the grid, standard deviation in nodes"""
+    """standard deviation of the Gaussian that smooths the grid, in nodes"""
     unit_scaling: bool
-    """scale both surfaces to 0 … 1 before combining them, as printed; loses the metric relation of their scales"""
+    """scale both surfaces to 0 … 1 before combining them, as printed in the paper; loses the metric relation of their scales"""
 
 
 class GridValues(TypedDict, total=False):
@@ -423,15 +423,15 @@ class OptimizeSection(Section):
     enabled: bool
     """grid fusion: optimize the fused surface by all equations together"""
     phase_weight: float
-    """how much the directions of slopes count that the polarization shows"""
+    """weight of the azimuth (direction of slope) that the phase of polarization gives; 0 = ignored"""
     shading_weight: float
-    """how much the slopes count that the brightness shows"""
+    """weight of the shading equation, by which brightness gives the slope; 0 = ignored"""
     zenith_weight: float
-    """how much the steepness counts that the degree of polarization shows"""
+    """weight of the zenith (steepness) that the degree of polarization gives; 0 = ignored"""
     prior_weight: float
-    """how much the difference to the prior counts, mean over a cell of the grid, in GSD"""
+    """weight of the difference from the prior, averaged over each cell of the grid, in 1 / GSD per pixel; larger stays closer to the prior"""
     iterations: int
-    """largest number of steps in a tile"""
+    """largest number of solver steps in each tile"""
 
 
 class OptimizeValues(TypedDict, total=False):
@@ -451,11 +451,11 @@ class RefineSection(Section):
     iterations: int
     """rounds; each fits the reflection, weighs the residuals and solves for the surface"""
     surroundings_iterations: int
-    """rounds where a map of the surroundings is fitted, of one step each: map and surface find each other slowly"""
+    """number of rounds, of one step each, if a map of the surroundings is fitted: map and surface converge slowly together"""
     fine_iterations: int
     """rounds at full resolution after those at half the resolution"""
     coarsest_px: float
-    """where a search is worth it, objects are refined at half the resolution first, down to this width and height, in px"""
+    """if the search runs, objects are first refined at half the resolution, repeatedly, as long as the root of their number of pixels stays at least this, in px"""
     more_iterations: int
     """largest number of further rounds at the end, while the surface still moves by more than 0.5 GSD"""
     steps: int
@@ -465,31 +465,31 @@ class RefineSection(Section):
     margin_px: int
     """margin by which a tile overlaps its neighbors, in px"""
     strip_megapixels: float
-    """size of the strips of whole rows of tiles that are worked on one after the other; memory grows with it"""
+    """the image is processed in strips of whole rows of tiles of about this many megapixels; larger takes more memory"""
     robust_scale: float
     """residual of the polarization, in standard deviations, at which a pixel has half its weight"""
     graduation: float
     """robust_scale is this many times larger for specular regions in the first round; the factor is halved every round"""
     relative_error: float
-    """error of the reflection model as a share of s0"""
+    """standard deviation of the reflection model's error, as a share of s0 (the intensity)"""
     slope_error: float
-    """error of the reflection model, as an error of the slope"""
+    """standard deviation of the reflection model's error, expressed as an error of the slope"""
     prior_weight: float
-    """how strongly the surface is held to the coarse one where that is uncertain: more stays closer to it, less believes the polarization more (weight of the mean of 8 x 8 pixels, in 1 / GSD)"""
+    """how strongly the surface is held to the prior where the prior is uncertain: larger stays closer to it, smaller follows the polarization more (weight of the mean of 8 x 8 pixels, in 1 / GSD)"""
     good_prior_weight: float
     """weight of the prior's mean over a block of 8 x 8 pixels, in 1 / GSD, where the prior's sigma is small"""
     prior_robust_gsd: float
     """distance from the prior, in GSD, at which the prior has half its weight"""
     albedo_weight: float
-    """weight of changes of albedo in diffuse regions; up to 2.5 times that where albedo varies little"""
+    """weight of albedo differences between neighboring diffuse pixels, up to 2.5 times larger if albedo varies little; larger explains brightness by shape instead of albedo"""
     albedo_contrast: float
-    """step of ln albedo between neighboring pixels at which it has half its weight"""
+    """difference of ln albedo between neighboring pixels at which albedo_weight is halved"""
     smoothness: float
-    """weight of the second differences of the change to the prior, where all that is wrong with the polarization is noise; less by the share of other errors"""
+    """weight of the second differences of the change from the prior, times the share of noise in the variance of the polarization; larger is smoother"""
     search_sharpening: float
-    """factor on the prior's detail that the search for a better minimum starts with"""
+    """the search's second start is the prior plus this many times its own detail finer than 8 px; 0 = the prior itself, -1 = the prior without that detail"""
     search: bool
-    """where regions are specular: solve from a second start, too, and keep the better regions of both"""
+    """if much of the object is specular: solve again from a second start, and keep the better solution in each region"""
     environment: bool
     """let diffuse regions mirror smooth surroundings, whose light is fitted"""
     lobe: bool
@@ -503,11 +503,11 @@ class RefineSection(Section):
     evidence: bool
     """keep the prior's surface where the reflection model does not explain the polarization"""
     explained_least: float
-    """the prior's surface is kept where the model explains no more than this share of the polarization at the prior's slopes; with a map of the surroundings other limits hold"""
+    """the prior's surface is kept where the model explains no more than this share of the polarization at the prior's slopes; with a map of the surroundings, fixed limits apply instead"""
     explained_enough: float
-    """the refined surface is kept where the model explains at least this share of the polarization at the prior's slopes"""
+    """the refined surface is kept where the model explains at least this share of the polarization at the prior's slopes; between explained_least and this, both are blended"""
     anchor: float
-    """the prior's low frequencies are kept beyond this times the square root of its points' noise (GSD) times their distance (px), in px; 0 = not"""
+    """low frequencies come from the prior beyond this factor times the square root of (its points' noise in GSD times their spacing in px), in px; larger leaves more to polarization; 0 = none"""
 
 
 class RefineValues(TypedDict, total=False):
@@ -551,19 +551,19 @@ class SurfaceSection(Section):
     subsample: int
     """only every n-th pixel, across and down, becomes a vertex of the mesh: 2 makes a quarter of the triangles"""
     max_incidence_deg: float
-    """triangles seen flatter than this (normal to viewing ray) are left out: the sides of depth steps"""
+    """triangles with a larger angle between normal and viewing ray are left out, in degrees: they are sides of depth steps"""
     min_step_gsd: float
     """depth steps between neighboring pixels up to this many GSD are never cut by step_ratio"""
     step_ratio: float
-    """a larger step is cut if it exceeds this many times the steps right before and after it"""
+    """the mesh is cut at a depth step larger than min_step_gsd if the step exceeds this many times the steps right before and after it"""
     max_sigma_gsd: float
-    """the mesh ends where the standard deviation of depth exceeds this many GSD: ragged rims, and guesses"""
+    """the mesh leaves out pixels whose standard deviation of depth exceeds this many GSD, such as ragged rims and guessed parts"""
     white_percentile: float
     """intensity percentile that becomes white in the vertex colors"""
     dem_pixel: float | Literal["auto"]
     """side of a pixel of the elevation model (dem.tif), in the station's unit; auto = as fine as the mesh"""
     glb_triangles: int
-    """surface.glb takes every n-th pixel as a vertex, n so large that it has about as many triangles at most"""
+    """surface.glb takes every n-th pixel as a vertex, with n so large that it has at most about this many triangles"""
     glb_texture_px: int
     """longest side of the texture in surface.glb; larger images are reduced by averaging"""
 
@@ -586,13 +586,13 @@ class AssessSection(Section):
     """Options of the section assess."""
 
     polarization_height: bool
-    """solve for zenith and height of the polarization alone, to show beside the surface; grid fusion needs them"""
+    """compute zenith and height from polarization alone, too, to show them beside the fused surface; grid fusion needs them"""
     detail_sigma_px: float
-    """Gaussian that separates detail (what it removes) from low frequencies"""
+    """standard deviation of the Gaussian that separates detail (what the Gaussian removes) from low frequencies, in px"""
     histogram_bins: int
-    """classes of the distance histograms; 0 = as wide as the distances' spread and number ask for"""
+    """number of classes of the distance histograms; 0 = chosen by the spread and number of the distances"""
     histogram_range_gsd: float | Literal["auto"]
-    """histograms span plus and minus this; auto = what the distances span, without far ones"""
+    """histograms span minus to plus this, in GSD; auto = the range of the distances without far outliers"""
     sigma_limit_gsd: float
     """pixels with a larger standard deviation of depth count as uncertain"""
     profile_step_px: float

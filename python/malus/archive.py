@@ -60,7 +60,7 @@ _CAPTURE = {
 class _Input:
     path: Path
     sha256: str
-    """As the run read it."""
+    """Checksum of the content that the run read."""
 
 
 def _inputs(workspace: Workspace) -> dict[str, _Input | None]:

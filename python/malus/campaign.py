@@ -40,7 +40,7 @@ class Task:
     threads: int
     report: bool
     cameras: str = ""
-    """File with the station's cameras in a model that it shares with others; empty = the station says its own."""
+    """File with the station's cameras in a model that several stations share; empty = the station has cameras of its own."""
 
     @property
     def workspace(self) -> Path:

@@ -47,7 +47,7 @@ STEP_COMMANDS = {
     "prior": ("prior", None, "the photogrammetric surface in the polarized view"),
     "height": ("height", None, "height from polarization alone"),
     "fuse": ("fuse", None, "the fused surface, by --fusion: refined (default) or grid (the paper's transfer)"),
-    "refine": ("fuse", "refined", "the fused surface by nonlinear refinement: fuse --fusion refined"),
+    "refine": ("fuse", "refined", "the fused surface by nonlinear refinement, the same as fuse --fusion refined"),
     "mesh": ("mesh", None, "metric mesh in object space"),
     "assess": ("assess", None, "patches, profiles, comparison with a reference"),
 }
@@ -110,19 +110,27 @@ def _work_of(command: argparse.ArgumentParser, **how: Any) -> None:
 
 def _common_options() -> _Parser:
     common = _Parser(add_help=False)
-    common.add_argument("--threads", type=int, metavar="N", help="default: all cores")
+    common.add_argument("--threads", type=int, metavar="N", help="number of threads; default: all cores")
     common.add_argument(
-        "--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="any option of any step"
+        "--set",
+        action="append",
+        default=[],
+        metavar="SECTION.KEY=VALUE",
+        help="set an option of any step (malus options lists them); can be repeated",
     )
-    common.add_argument("--options", type=Path, metavar="FILE.toml", help="options, one table a step")
+    common.add_argument("--options", type=Path, metavar="FILE.toml", help="file with options, one table per step")
     common.add_argument(
         "--fusion",
         choices=["grid", "refined"],
-        help="the paper's transfer (default of malus paper), or the refinement (default of all others)",
+        help="grid = the paper's transfer (default of malus paper), refined = nonlinear refinement (default of all others)",
     )
     common.add_argument("--preset", metavar="NAME", help="start from a named set of options: paper")
-    common.add_argument("--json", action="store_true", help="one JSON object a progress event on standard output")
-    common.add_argument("--quiet", action="store_true", help="errors, warnings and a confidence that is not high only")
+    common.add_argument(
+        "--json", action="store_true", help="write progress to standard output, one JSON object per event"
+    )
+    common.add_argument(
+        "--quiet", action="store_true", help="print only errors, warnings, and a confidence that is not high"
+    )
     return common
 
 
@@ -152,13 +160,13 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_runs(add: _Add) -> None:
     run = add("run", "the whole job: station file in, workspace with mesh, figures and report out")
-    demo = add("demo", "the same on an example that ships with malus", station=False, work=False)
+    demo = add("demo", "the whole job on an example that ships with malus", station=False, work=False)
     demo.add_argument(
         "example",
         nargs="?",
         default="relief",
         choices=list(EXAMPLES),
-        help="default: relief",
+        help="name of the example; default: relief",
         metavar="|".join(EXAMPLES),
     )
     _work_of(demo, default=Path("malus-demo"), help="workspace folder, default: malus-demo")
@@ -170,7 +178,11 @@ def _add_runs(add: _Add) -> None:
     )
     paper.add_argument("station", nargs="?", type=Path, metavar="STATION.toml")
     paper.add_argument(
-        "--campaign", nargs="+", type=Path, metavar="WORK", help="one table of these workspaces, in the folder of -o"
+        "--campaign",
+        nargs="+",
+        type=Path,
+        metavar="WORK",
+        help="merge these workspaces into one table, in the folder of -o",
     )
     paper.add_argument(
         "--pixels",
@@ -179,12 +191,16 @@ def _add_runs(add: _Add) -> None:
         help="show intensity against polarizer angle (Fig. 1c) at these pixels, at most eight, instead of the station's",
     )
     _work_of(paper, required=True, help="workspace folder, or folder for the merged tables")
-    check = add("check", "read everything, say what would be done, what it would take and what is wrong", work=False)
+    check = add(
+        "check",
+        "read all inputs; report what would be done, the time and memory it needs, and what is wrong",
+        work=False,
+    )
     check.add_argument(
         "--overlay",
         type=Path,
         metavar="FILE.png",
-        help="where to leave the picture of the cloud upon the image; default: STATION-check.png in the current folder",
+        help="file for the picture of the cloud over the image; default: STATION-check.png in the current folder",
     )
     steps = {name: add(name, text) for name, (_, _, text) in STEP_COMMANDS.items()}
     for name, (until, fusion, _) in STEP_COMMANDS.items():
@@ -193,7 +209,9 @@ def _add_runs(add: _Add) -> None:
     for command in (run, paper, steps["assess"]):
         command.add_argument("--reference", type=Path, metavar="SCAN.ply", help="compare with this cloud or mesh")
         command.add_argument(
-            "--register", action="store_true", help="find where the reference belongs, wherever it lies; then align"
+            "--register",
+            action="store_true",
+            help="find the reference's place on the surface, however far off it lies, then align",
         )
         command.add_argument("--m3c2", action="store_true", help="compare with the reference by M3C2 too (py4dgeo)")
 
@@ -207,35 +225,44 @@ def _add_uses_of_a_workspace(add: _Add) -> None:
     export.add_argument("work", type=Path, metavar="WORK")
     export.add_argument("--format", choices=list(FORMATS), required=True, help="what to write")
     export.add_argument("--faces", type=int, metavar="N", help=f"at most N triangles ({', '.join(MESHES)})")
-    export.add_argument("--interval", type=float, metavar="LENGTH", help="between contour lines; default: a round one")
-    export.add_argument("--y-up", action="store_true", help="glb: turned from z up to glTF's y up")
+    export.add_argument(
+        "--interval", type=float, metavar="LENGTH", help="distance between contour lines; default: a round number"
+    )
+    export.add_argument("--y-up", action="store_true", help="glb: turn the model from z up to glTF's y up")
     export.add_argument(
         "--albedo", action="store_true", help=f"color without highlights and shading ({', '.join(COLORED)})"
     )
     export.add_argument(
-        "--trim", type=float, metavar="GSD", help="meshes: leave out what has a larger standard deviation of depth"
+        "--trim", type=float, metavar="GSD", help="meshes: leave out parts with a larger standard deviation of depth"
     )
-    export.add_argument("--fill", action="store_true", help="meshes: close holes; what was not measured is magenta")
+    export.add_argument(
+        "--fill", action="store_true", help="meshes: close holes; parts that were not measured are magenta"
+    )
     export.add_argument("--url", help="iiif: where the folder will be on the web; default: http://localhost:8000")
     export.add_argument(
-        "--chart", type=Path, metavar="FILE.json", help="of `malus chart`: colors in sRGB with a stated difference"
+        "--chart",
+        type=Path,
+        metavar="FILE.json",
+        help="file from `malus chart`: colors in sRGB with a stated color difference",
     )
-    export.add_argument("-o", "--output", type=Path, metavar="PATH", help="default: in WORK/export/")
+    export.add_argument(
+        "-o", "--output", type=Path, metavar="PATH", help="file or folder to write; default: in WORK/export/"
+    )
 
 
 def _add_chart(commands: _Commands) -> None:
     chart = commands.add_parser("chart", help="measure a ColorChecker, for the colors of exports")
     chart.add_argument(
-        "source", type=Path, metavar="IMAGE|WORK", help="color image, or workspace in whose view it lies"
+        "source", type=Path, metavar="IMAGE|WORK", help="color image, or workspace, that shows the chart"
     )
     chart.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.json")
     chart.add_argument(
         "--corners",
         metavar="X,Y,…",
-        help="pixels of the centers of dark skin, bluish green, black, white; default: it is looked for",
+        help="pixels of the centers of dark skin, bluish green, black, white; default: the chart is searched for",
     )
     chart.add_argument(
-        "--response", default="linear", metavar="linear|srgb|gamma:X", help="of the image; default: linear"
+        "--response", default="linear", metavar="linear|srgb|gamma:X", help="response of the image; default: linear"
     )
 
 
@@ -244,7 +271,9 @@ def _add_compare(add: _Add) -> None:
     dates.add_argument("before", type=Path, metavar="BEFORE", help="workspace of the earlier date")
     dates.add_argument("after", type=Path, metavar="AFTER", help="workspace of the later date")
     dates.add_argument(
-        "--same-frame", action="store_true", help="both stand in one frame already: the later surface is not moved"
+        "--same-frame",
+        action="store_true",
+        help="both workspaces are in one frame already: do not move the later surface",
     )
     dates.add_argument(
         "-o",
@@ -263,10 +292,18 @@ def _add_import(commands: _Commands) -> None:
     start.add_argument(
         "--table", type=Path, metavar="FILE.csv", help="images and angles; default: the folder's CSV file"
     )
-    start.add_argument("--pattern", metavar="REGEX", help="its one group captures the angle in a file's name")
-    start.add_argument("--angles", metavar="A,B,…", help="degrees, one for each image in natural order of the names")
     start.add_argument(
-        "--mosaic", metavar="A,B,C,D", help="one image of a polarization camera: angles of its cell by rows"
+        "--pattern", metavar="REGEX", help="regular expression whose one group captures the angle in each file's name"
+    )
+    start.add_argument(
+        "--angles",
+        metavar="A,B,…",
+        help="polarizer angles in degrees, one for each image in natural order of the names",
+    )
+    start.add_argument(
+        "--mosaic",
+        metavar="A,B,C,D",
+        help="one image of a polarization camera: angles of its 2 x 2 cell in degrees, row by row",
     )
     start.add_argument("--colors", metavar="RGGB", help="Bayer pattern of a color polarization camera")
     start.add_argument(
@@ -275,7 +312,7 @@ def _add_import(commands: _Commands) -> None:
         metavar="cameras.xml",
         help="cameras of a Metashape project, for [camera]; with --label",
     )
-    start.add_argument("--label", help="the polarized view's camera in that project")
+    start.add_argument("--label", help="name of the polarized view's camera in that project")
     start.add_argument("--cloud", type=Path, metavar="FILE", help="cloud in the same frame, for [prior]")
     start.add_argument("--unit", default="mm", help="unit of camera and cloud; default: mm")
 
@@ -287,31 +324,39 @@ def _add_many_stations(add: _Add) -> None:
     whole.add_argument("object", type=Path, metavar="OBJECT.toml")
     for command in (many, whole):
         command.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for all stations")
-        command.add_argument("--jobs", type=int, default=1, metavar="N", help="stations at a time on this machine")
+        command.add_argument(
+            "--jobs",
+            type=int,
+            default=1,
+            metavar="N",
+            help="number of stations to run at a time on this machine; default: 1",
+        )
         command.add_argument("--scheduler", metavar="ADDRESS", help="run on the workers of this Dask scheduler instead")
         command.add_argument(
             "--shard",
             metavar="I/N",
-            help="only every N-th station from the I-th on; default in a Slurm array job: its own",
+            help="run only every N-th station, starting with the I-th; default in a Slurm array job: the job's own share",
         )
 
 
 def _add_help(commands: _Commands) -> None:
-    local = commands.add_parser("studio", help="the whole way in the web browser, without writing files by hand")
-    local.add_argument("folder", type=Path, nargs="?", default=Path(), metavar="FOLDER", help="default: this folder")
-    local.add_argument("--port", type=int, default=0, help="default: any free one")
-    local.add_argument("--no-browser", action="store_true", help="print the address only")
+    local = commands.add_parser("studio", help="the whole workflow in the web browser, without writing files by hand")
+    local.add_argument(
+        "folder", type=Path, nargs="?", default=Path(), metavar="FOLDER", help="folder to open; default: this folder"
+    )
+    local.add_argument("--port", type=int, default=0, help="port of the page; default: any free one")
+    local.add_argument("--no-browser", action="store_true", help="print the address, do not open the browser")
     shell = commands.add_parser("completion", help="print a script that completes commands and options in a shell")
     shell.add_argument("shell", choices=SHELLS)
     commands.add_parser("manual", help="print the manual page (roff): malus manual | man -l -")
     options = commands.add_parser("options", help="list every option with its default and meaning")
-    options.add_argument("--main", action="store_true", help="only the dozen that matter most")
+    options.add_argument("--main", action="store_true", help="list only the dozen options that matter most")
     options.add_argument(
         "--preset",
         nargs="?",
         const="",
         metavar="NAME",
-        help="what a preset changes; without a name, what presets there are",
+        help="list what this preset changes; without a name: list the presets",
     )
     options.set_defaults(json=False, quiet=False)
 

@@ -224,7 +224,7 @@ def _angles(angles_deg: Sequence[float] | str | None, count: int) -> Any:
         return angles_deg
     angles = np.asarray(angles_deg, dtype=np.float64)
     if angles.shape != (count,):
-        raise ValueError(f"angles_deg has shape {angles.shape}, expected ({count},): one angle an image")
+        raise ValueError(f"angles_deg has shape {angles.shape}, expected ({count},): one angle per image")
     return angles
 
 

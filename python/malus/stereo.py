@@ -23,11 +23,11 @@ class SweepPass:
     """One sweep of depth offsets about the surface of the previous pass."""
 
     reduction: int
-    """Pixels of the station's image a pixel of the level."""
+    """Side of a pixel of this level, in pixels of the station's image."""
     offsets: int
-    """Tried at each pixel."""
+    """Number of depth offsets tried at each pixel."""
     step_gsd: float
-    """Between offsets, in GSD."""
+    """Step between neighboring offsets, in GSD."""
     score: float
     """Median correlation at the offsets found."""
     change_gsd: float
@@ -40,9 +40,9 @@ class SweepResult:
     """Depth of every pixel of the station's view; H×W float32 rasters, NaN = none."""
 
     depth: NDArray[np.float32]
-    """z in the station's camera, unit of the world."""
+    """z in the station's camera frame, in the unit of the world."""
     sigma: NDArray[np.float32]
-    """One standard deviation of depth, same unit."""
+    """One standard deviation of depth, in the same unit."""
     confidence: NDArray[np.float32]
     """Mean correlation of the best photos times the share of pixels around where both halves of the photos agree."""
     views_total: int
@@ -53,11 +53,11 @@ class SweepResult:
     completeness: float
     """Share of the mask that has a depth."""
     highlights: float
-    """Share of the mask left out because the station shines there: mirror images agree on a wrong depth."""
+    """Share of the mask that is left out because the station's image shows highlights there: mirror images agree on a wrong depth."""
     median_score: float
     median_sigma_gsd: float
     halves_compared: bool
-    """Whether two disjoint halves of the photos were compared, which needs three."""
+    """Whether two disjoint halves of the photos were compared, which needs at least three photos."""
     passes: list[SweepPass]
 
 

@@ -75,7 +75,7 @@ ImageOrder check_image_order(const std::vector<Image<float>>& images, const std:
                              const Mask& mask, const Context& context) {
   if (images.empty() || images.size() != angles_rad.size()) {
     throw input_error(std::to_string(images.size()) + " images and " + std::to_string(angles_rad.size()) +
-                      " angles, expected one angle an image");
+                      " angles, expected one angle per image");
   }
   ImageOrder result;
   result.angles_rad = angles_rad;

@@ -53,7 +53,7 @@ ResponseCheck check_response(const std::vector<Image<float>>& images, const std:
                              const Mask& mask, const std::string& response, const Context& context) {
   if (images.empty() || images.size() != angles_rad.size()) {
     throw input_error(std::to_string(images.size()) + " images and " + std::to_string(angles_rad.size()) +
-                      " angles, expected one angle an image");
+                      " angles, expected one angle per image");
   }
   context.check_cancel();
   const auto parts = sums_of(pixel_samples(images, mask, 0), angles_rad);

@@ -224,7 +224,7 @@ std::optional<std::vector<double>> read_exposures(const TomlTable& table, const 
   const auto exposures = table.numbers("exposure_s", positive_range);
   if (!exposures) return std::nullopt;
   if (spec.mosaic || !spec.angles_deg) {
-    throw table.error("exposure_s", "needs known angles, one an image: images of one angle are merged");
+    throw table.error("exposure_s", "needs known angles, one per image: images with the same angle are merged");
   }
   if (exposures->size() != spec.images.size()) {
     throw table.error("exposure_s", "has " + std::to_string(exposures->size()) + " times for " +

@@ -18,11 +18,11 @@ constexpr auto names_of(Interpolation) {
 
 struct RegistrationOptions {
   Interpolation interpolation = Interpolation::bicubic;
-  double fine_sigma_px = 0.7;  ///< of the band-pass that images are compared in
+  double fine_sigma_px = 0.7;  ///< of the band-pass filter for the comparison of images
   double coarse_sigma_px = 8;
   double cauchy_scale = 2;
   int max_iterations = 15;  ///< at each level of the pyramid
-  double max_shift = 0.04;  ///< of the image width
+  double max_shift = 0.04;  ///< as a share of the image width
   double max_uncertainty_px = 0.3;
 
   template <class Self, class Visitor>
@@ -39,7 +39,7 @@ struct RegistrationOptions {
     visit("max_iterations", self.max_iterations, Range{1, 1000},
           "registration: largest number of Gauss-Newton steps at each level of the image pyramid");
     visit("max_shift", self.max_shift, Range{0, 0.5},
-          "registration: a larger displacement counts as a failure; share of the image width");
+          "registration: images displaced by more than this share of the image width count as failures");
     visit("max_uncertainty_px", self.max_uncertainty_px, Range{0.001, 10},
           "registration: a displacement with a larger standard deviation counts as not found, in px");
   }
@@ -61,10 +61,10 @@ struct CaptureOptions {
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
     visit("registration", self.mode, any_value,
-          "move the images until they lie on the first one: auto = where they do not lie there already, on = always, "
-          "off = never");
+          "align all images with the first one: auto = only images that are not aligned yet, on = always, off = never");
     visit("keep_below_px", self.keep_below_px, Range{0, 1},
-          "registration = auto: images that lie closer than this are left as they are, in px");
+          "registration = auto: images displaced by less than this, or than three times the displacement's own error, "
+          "stay unchanged, in px");
     visit("saturation", self.saturation, Range{0.5, 1}, "fraction of the white level from which a pixel is saturated");
     RegistrationOptions::fields(self.registration, visit);
   }

@@ -23,18 +23,20 @@ struct GridFusionOptions {
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
-    visit("grid_px", self.grid_px, Range{1, 4096}, "distance of the grid's nodes");
-    visit("sigma_nodes", self.sigma_nodes, Range{0, 1000}, "Gaussian on the grid, standard deviation in nodes");
+    visit("grid_px", self.grid_px, Range{1, 4096}, "distance between the grid's nodes, in px");
+    visit("sigma_nodes", self.sigma_nodes, Range{0, 1000},
+          "standard deviation of the Gaussian that smooths the grid, in nodes");
     visit("unit_scaling", self.unit_scaling, any_value,
-          "scale both surfaces to 0 … 1 before combining them, as printed; loses the metric relation of their scales");
+          "scale both surfaces to 0 … 1 before combining them, as printed in the paper; loses the metric relation of "
+          "their scales");
   }
 };
 
 struct OptimizeOptions {
   bool enabled = false;
-  double phase_weight = 1;    ///< of Eq 9, for the unit normal
-  double shading_weight = 1;  ///< of Eq 11, in shares of the light
-  double zenith_weight = 1;   ///< of the cosine of the zenith by Eq 7 or Eq 8
+  double phase_weight = 1;    ///< of the phase (Eq 9) at the unit normal
+  double shading_weight = 1;  ///< of the shading (Eq 11), divided by the light's strength
+  double zenith_weight = 1;   ///< of the cosine of the zenith (Eq 7 or Eq 8)
   double prior_weight = 0.15;
   int iterations = 15;
 
@@ -42,13 +44,15 @@ struct OptimizeOptions {
   static void fields(Self& self, Visitor&& visit) {
     visit("enabled", self.enabled, any_value, "grid fusion: optimize the fused surface by all equations together");
     visit("phase_weight", self.phase_weight, not_negative,
-          "how much the directions of slopes count that the polarization shows");
-    visit("shading_weight", self.shading_weight, not_negative, "how much the slopes count that the brightness shows");
+          "weight of the azimuth (direction of slope) that the phase of polarization gives; 0 = ignored");
+    visit("shading_weight", self.shading_weight, not_negative,
+          "weight of the shading equation, by which brightness gives the slope; 0 = ignored");
     visit("zenith_weight", self.zenith_weight, not_negative,
-          "how much the steepness counts that the degree of polarization shows");
+          "weight of the zenith (steepness) that the degree of polarization gives; 0 = ignored");
     visit("prior_weight", self.prior_weight, not_negative,
-          "how much the difference to the prior counts, mean over a cell of the grid, in GSD");
-    visit("iterations", self.iterations, Range{1, 1000}, "largest number of steps in a tile");
+          "weight of the difference from the prior, averaged over each cell of the grid, in 1 / GSD per pixel; larger "
+          "stays closer to the prior");
+    visit("iterations", self.iterations, Range{1, 1000}, "largest number of solver steps in each tile");
   }
 };
 
@@ -89,45 +93,51 @@ struct RefineOptions {
     visit("iterations", self.iterations, Range{1, 50},
           "rounds; each fits the reflection, weighs the residuals and solves for the surface");
     visit("surroundings_iterations", self.surroundings_iterations, Range{1, 50},
-          "rounds where a map of the surroundings is fitted, of one step each: map and surface find each other slowly");
+          "number of rounds, of one step each, if a map of the surroundings is fitted: map and surface converge slowly "
+          "together");
     visit("fine_iterations", self.fine_iterations, Range{1, 50},
           "rounds at full resolution after those at half the resolution");
     visit("coarsest_px", self.coarsest_px, Range{16, 1e9},
-          "where a search is worth it, objects are refined at half the resolution first, down to this width and "
-          "height, in px");
+          "if the search runs, objects are first refined at half the resolution, repeatedly, as long as the root of "
+          "their number of pixels stays at least this, in px");
     visit("more_iterations", self.more_iterations, Range{0, 50},
           "largest number of further rounds at the end, while the surface still moves by more than 0.5 GSD");
     visit("steps", self.steps, Range{1, 50}, "Gauss-Newton steps in each round; the first two rounds take one");
     visit("tile_px", self.tile_px, Range{64, 4096}, "largest side of a tile without its margins, in px");
     visit("margin_px", self.margin_px, Range{16, 512}, "margin by which a tile overlaps its neighbors, in px");
     visit("strip_megapixels", self.strip_megapixels, Range{0.001, 1e6},
-          "size of the strips of whole rows of tiles that are worked on one after the other; memory grows with it");
+          "the image is processed in strips of whole rows of tiles of about this many megapixels; larger takes more "
+          "memory");
     visit("robust_scale", self.robust_scale, Range{0.1, 100},
           "residual of the polarization, in standard deviations, at which a pixel has half its weight");
     visit("graduation", self.graduation, Range{1, 100},
           "robust_scale is this many times larger for specular regions in the first round; the factor is halved every "
           "round");
-    visit("relative_error", self.relative_error, Range{0, 0.1}, "error of the reflection model as a share of s0");
-    visit("slope_error", self.slope_error, Range{0, 1}, "error of the reflection model, as an error of the slope");
+    visit("relative_error", self.relative_error, Range{0, 0.1},
+          "standard deviation of the reflection model's error, as a share of s0 (the intensity)");
+    visit("slope_error", self.slope_error, Range{0, 1},
+          "standard deviation of the reflection model's error, expressed as an error of the slope");
     visit("prior_weight", self.prior_weight, not_negative,
-          "how strongly the surface is held to the coarse one where that is uncertain: more stays closer to it, less "
-          "believes the polarization more (weight of the mean of 8 x 8 pixels, in 1 / GSD)");
+          "how strongly the surface is held to the prior where the prior is uncertain: larger stays closer to it, "
+          "smaller follows the polarization more (weight of the mean of 8 x 8 pixels, in 1 / GSD)");
     visit("good_prior_weight", self.good_prior_weight, not_negative,
           "weight of the prior's mean over a block of 8 x 8 pixels, in 1 / GSD, where the prior's sigma is small");
     visit("prior_robust_gsd", self.prior_robust_gsd, Range{0.01, 1000},
           "distance from the prior, in GSD, at which the prior has half its weight");
     visit("albedo_weight", self.albedo_weight, not_negative,
-          "weight of changes of albedo in diffuse regions; up to 2.5 times that where albedo varies little");
+          "weight of albedo differences between neighboring diffuse pixels, up to 2.5 times larger if albedo varies "
+          "little; larger explains brightness by shape instead of albedo");
     visit("albedo_contrast", self.albedo_contrast, Range{1e-4, 10},
-          "step of ln albedo between neighboring pixels at which it has half its weight");
-    visit(
-        "smoothness", self.smoothness, not_negative,
-        "weight of the second differences of the change to the prior, where all that is wrong with the polarization is "
-        "noise; less by the share of other errors");
+          "difference of ln albedo between neighboring pixels at which albedo_weight is halved");
+    visit("smoothness", self.smoothness, not_negative,
+          "weight of the second differences of the change from the prior, times the share of noise in the variance of "
+          "the polarization; larger is smoother");
     visit("search_sharpening", self.search_sharpening, Range{-10, 10},
-          "factor on the prior's detail that the search for a better minimum starts with");
+          "the search's second start is the prior plus this many times its own detail finer than 8 px; 0 = the prior "
+          "itself, -1 = the prior without that detail");
     visit("search", self.search, any_value,
-          "where regions are specular: solve from a second start, too, and keep the better regions of both");
+          "if much of the object is specular: solve again from a second start, and keep the better solution in each "
+          "region");
     visit("environment", self.environment, any_value,
           "let diffuse regions mirror smooth surroundings, whose light is fitted");
     visit("lobe", self.lobe, any_value, "let diffuse regions have the highlight of one small source, which is fitted");
@@ -142,13 +152,13 @@ struct RefineOptions {
           "keep the prior's surface where the reflection model does not explain the polarization");
     visit("explained_least", self.explained_least, Range{-1, 1},
           "the prior's surface is kept where the model explains no more than this share of the polarization at the "
-          "prior's slopes; with a map of the surroundings other limits hold");
+          "prior's slopes; with a map of the surroundings, fixed limits apply instead");
     visit("explained_enough", self.explained_enough, Range{-1, 1},
           "the refined surface is kept where the model explains at least this share of the polarization at the prior's "
-          "slopes");
+          "slopes; between explained_least and this, both are blended");
     visit("anchor", self.anchor, not_negative,
-          "the prior's low frequencies are kept beyond this times the square root of its points' noise (GSD) times "
-          "their distance (px), in px; 0 = not");
+          "low frequencies come from the prior beyond this factor times the square root of (its points' noise in GSD "
+          "times their spacing in px), in px; larger leaves more to polarization; 0 = none");
   }
 };
 

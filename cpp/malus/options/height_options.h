@@ -37,18 +37,23 @@ struct LightOptions {
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
-    visit("model", self.model, any_value, "the light: from one direction, or with a constant part from everywhere");
+    visit("model", self.model, any_value,
+          "model of the light: directional = from one direction, first_order = with an additional constant part from "
+          "everywhere");
     visit("without_prior", self.without_prior, any_value,
-          "what tells a bump from a hollow where there is neither a prior nor [optics] light: the object's outline, or "
-          "that it is convex in the whole");
+          "how bumps are told from hollows if neither a prior nor [optics] light is given: contour = by the object's "
+          "outline, convex = the object is taken to be convex as a whole");
     visit("iterations", self.iterations, Range{1, 1000}, "rounds of the robust fit of the light");
     visit("outlier_scale", self.outlier_scale, Range{0.1, 100},
           "residual, in robust standard deviations, at which a pixel has half its weight");
     visit("max_condition", self.max_condition, Range{1, 1e12},
-          "largest condition number of the normal equations; above it the normals vary too little");
+          "largest condition number of the normal equations; above it the normals vary too little to determine the "
+          "light");
     visit("min_tangential", self.min_tangential, fraction_range,
-          "sine of the smallest angle between light and view; below it shading does not tell slopes apart");
-    visit("max_samples", self.max_samples, Range{100, 1e9}, "pixels used; larger images are sampled regularly");
+          "smallest sine of the angle between light and view; below it, shading does not distinguish slopes, and no "
+          "height is computed");
+    visit("max_samples", self.max_samples, Range{100, 1e9},
+          "largest number of pixels used; larger images are sampled regularly");
   }
 };
 
@@ -88,21 +93,26 @@ struct HeightOptions {
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
     visit("method", self.method, any_value,
-          "equations of the height: Gauss-Newton on the likelihood, the linear system, or the paper's rows as printed");
-    visit("perspective", self.perspective, any_value, "metric perspective form; false = orthographic as printed");
-    visit("smoothness", self.smoothness, not_negative, "weight of the height's second differences, which smooths it");
-    visit("boundary", self.boundary, any_value, "height at the border of the object");
+          "how the height is solved: likelihood = Gauss-Newton on the likelihood of the measurements, linear = one "
+          "linear system, literal = the paper's equations as printed");
+    visit("perspective", self.perspective, any_value,
+          "use the perspective camera and metric heights; false = orthographic, as printed in the paper");
+    visit("smoothness", self.smoothness, not_negative, "weight of the height's second differences; larger is smoother");
+    visit("boundary", self.boundary, any_value,
+          "height at the border of the object: natural = free, prior = the prior's");
     visit("boundary_weight", self.boundary_weight, not_negative,
-          "weight of the prior's height at the border, per pixel");
+          "boundary = prior: weight of the prior's height at the border, per pixel");
     visit("iterations", self.iterations, Range{1, 1000}, "largest number of Gauss-Newton steps of the height");
     visit("tolerance", self.tolerance, not_negative,
           "the Gauss-Newton steps end when the slopes change by less than this (RMS)");
     visit("shading_error", self.shading_error, fraction_range,
-          "standard deviation of the shading model, share of the intensity; auto = from the fit of the light");
+          "standard deviation of the shading model's error, as a share of the intensity; auto = from the fit of the "
+          "light");
     visit("stokes_error", self.stokes_error, fraction_range,
-          "standard deviation of the polarization model, share of the intensity");
+          "standard deviation of the polarization model's error, as a share of the intensity");
     visit("damping", self.damping, not_negative,
-          "weight of the change of the slope in one Gauss-Newton step; holds slopes that nothing determines");
+          "weight against changes of the slope in one Gauss-Newton step: larger gives smaller steps and holds slopes "
+          "that the data do not determine");
     visit("outlier_scale", self.outlier_scale, Range{0.1, 1e6},
           "residual of a pixel, in standard deviations, at which it has half its weight");
   }

@@ -28,18 +28,20 @@ struct DecomposeOptions {
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
     visit("weighting", self.weighting, any_value,
-          "weights of the images when the sinusoid is fitted: by their noise, or all alike");
+          "weights of the images when the sinusoid is fitted: noise = by their noise, uniform = all alike");
     visit("recover_outliers", self.recover_outliers, any_value,
-          "where a pixel does not fit, try it without one image (needs five or more)");
+          "fit pixels that do not follow the sinusoid again without their worst image (needs five or more images)");
     visit("misfit_sigmas", self.misfit_sigmas, not_negative,
-          "a pixel does not follow the sinusoid if its residual exceeds this many standard deviations of the noise and "
-          "misfit_fraction");
+          "a pixel does not follow the sinusoid if its residual exceeds both this many standard deviations of the "
+          "noise and misfit_fraction");
     visit("misfit_fraction", self.misfit_fraction, fraction_range,
-          "a pixel does not follow the sinusoid if its residual exceeds this share of its intensity and misfit_sigmas");
+          "a pixel does not follow the sinusoid if its residual exceeds both this share of its intensity and "
+          "misfit_sigmas");
     visit("dark_sigmas", self.dark_sigmas, not_negative,
-          "a pixel is dark below this many standard deviations of the noise without light");
+          "a pixel counts as dark if its intensity is below this many standard deviations of the noise without light");
     visit("max_condition", self.max_condition, Range{1, 1e6},
-          "largest condition number of the normal equations of the angle set");
+          "polarizer angles are refused if the condition number of the sinusoid fit exceeds this: they are too close "
+          "together");
   }
 };
 
@@ -62,20 +64,22 @@ struct PolarizerOptions {
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
     visit("calibrate_angles", self.calibrate_angles, any_value,
-          "find the polarizer's angles and the exposures from the images themselves: auto = only where that fits clearly "
-          "better than what the station says");
+          "find the polarizer's angles and the exposures from the images themselves: auto = only if they fit clearly "
+          "better than the station's, on = always, off = never");
     visit("angle_sigma_deg", self.angle_sigma_deg, Range{0.01, 45},
-          "how far an angle that was read off the polarizer's scale is usually wrong (standard deviation), in "
-          "degrees");
+          "standard deviation of each angle that was read off the polarizer's scale, in degrees");
     visit("zero_sigma_deg", self.zero_sigma_deg, Range{0.01, 90},
-          "standard deviation of the zero of the polarizer's scale, which all angles share");
-    visit("gain_sigma", self.gain_sigma, Range{1e-4, 0.5}, "standard deviation of the exposure from image to image");
+          "standard deviation of the zero of the polarizer's scale, which all angles share, in degrees");
+    visit("gain_sigma", self.gain_sigma, Range{1e-4, 0.5},
+          "standard deviation of the exposure from image to image, as a share of the exposure");
     visit("min_improvement", self.min_improvement, fraction_range,
-          "auto: share of what the sinusoid's squared residuals have beyond noise that calibrated angles must remove");
+          "calibrate_angles = auto: calibrated angles are used if they remove more than this share of the squared "
+          "residuals' excess over noise");
     visit("min_significance", self.min_significance, Range{1, 100},
-          "auto: standard deviations from which an error of the scale's zero is corrected");
+          "an error of the scale's zero is corrected if it exceeds this many of its standard deviations");
     visit("highlight_deg", self.highlight_deg, Range{0, 80},
-          "diffuse objects: angle about the mirror direction of the light that says nothing about the zero");
+          "diffuse objects: normals within this angle of the half vector of light and view, where highlights are, are "
+          "not used to find the scale's zero, in degrees");
   }
 };
 
@@ -91,11 +95,14 @@ struct ReflectionOptions {
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
     visit("region_px", self.region_px, Range{1, 4096},
-          "auto: side of the cells whose pooled azimuth test decides between diffuse and specular");
+          "[optics] reflection = auto: side of the cells over which azimuths are pooled to decide between diffuse and "
+          "specular, in px");
     visit("region_strength", self.region_strength, not_negative,
-          "auto: mean sin² of the zenith a region needs to weigh as much as the whole object");
+          "[optics] reflection = auto: mean sin² of the zenith at which a region's own azimuths count as much as the "
+          "whole object's; flatter regions follow the whole object");
     visit("beyond_diffuse_share", self.beyond_diffuse_share, fraction_range,
-          "auto without a prior: specular if more of the pixels exceed the largest diffuse degree");
+          "[optics] reflection = auto, no prior: the object is specular if more than this share of its pixels is "
+          "polarized more strongly than diffuse reflection can be");
   }
 };
 

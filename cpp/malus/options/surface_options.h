@@ -24,19 +24,23 @@ struct SurfaceOptions {
     visit("subsample", self.subsample, Range{1, 64},
           "only every n-th pixel, across and down, becomes a vertex of the mesh: 2 makes a quarter of the triangles");
     visit("max_incidence_deg", self.max_incidence_deg, Range{45, 90},
-          "triangles seen flatter than this (normal to viewing ray) are left out: the sides of depth steps");
+          "triangles with a larger angle between normal and viewing ray are left out, in degrees: they are sides of "
+          "depth steps");
     visit("min_step_gsd", self.min_step_gsd, not_negative,
           "depth steps between neighboring pixels up to this many GSD are never cut by step_ratio");
     visit("step_ratio", self.step_ratio, Range{1, 1e6},
-          "a larger step is cut if it exceeds this many times the steps right before and after it");
+          "the mesh is cut at a depth step larger than min_step_gsd if the step exceeds this many times the steps "
+          "right before and after it");
     visit("max_sigma_gsd", self.max_sigma_gsd, Range{0.1, 1e9},
-          "the mesh ends where the standard deviation of depth exceeds this many GSD: ragged rims, and guesses");
+          "the mesh leaves out pixels whose standard deviation of depth exceeds this many GSD, such as ragged rims and "
+          "guessed parts");
     visit("white_percentile", self.white_percentile, Range{1, 100},
           "intensity percentile that becomes white in the vertex colors");
     visit("dem_pixel", self.dem_pixel, Range{1e-9, 1e9},
           "side of a pixel of the elevation model (dem.tif), in the station's unit; auto = as fine as the mesh");
     visit("glb_triangles", self.glb_triangles, Range{100, 1e9},
-          "surface.glb takes every n-th pixel as a vertex, n so large that it has about as many triangles at most");
+          "surface.glb takes every n-th pixel as a vertex, with n so large that it has at most about this many "
+          "triangles");
     visit("glb_texture_px", self.glb_texture_px, Range{16, 16384},
           "longest side of the texture in surface.glb; larger images are reduced by averaging");
   }
@@ -62,13 +66,15 @@ struct AssessOptions {
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
     visit("polarization_height", self.polarization_height, any_value,
-          "solve for zenith and height of the polarization alone, to show beside the surface; grid fusion needs them");
+          "compute zenith and height from polarization alone, too, to show them beside the fused surface; grid fusion "
+          "needs them");
     visit("detail_sigma_px", self.detail_sigma_px, Range{0.5, 100},
-          "Gaussian that separates detail (what it removes) from low frequencies");
+          "standard deviation of the Gaussian that separates detail (what the Gaussian removes) from low frequencies, "
+          "in px");
     visit("histogram_bins", self.histogram_bins, Range{0, 10000},
-          "classes of the distance histograms; 0 = as wide as the distances' spread and number ask for");
+          "number of classes of the distance histograms; 0 = chosen by the spread and number of the distances");
     visit("histogram_range_gsd", self.histogram_range_gsd, Range{1e-6, 1e6},
-          "histograms span plus and minus this; auto = what the distances span, without far ones");
+          "histograms span minus to plus this, in GSD; auto = the range of the distances without far outliers");
     visit("sigma_limit_gsd", self.sigma_limit_gsd, Range{1e-6, 1e6},
           "pixels with a larger standard deviation of depth count as uncertain");
     visit("profile_step_px", self.profile_step_px, Range{0.05, 100},

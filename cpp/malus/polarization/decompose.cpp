@@ -52,7 +52,7 @@ void validate(Size size, std::size_t images, std::span<const double> angles_rad,
   validate_fields(options, "polarization");
   if (images != angles_rad.size()) {
     throw input_error(std::to_string(images) + " polarized images but " + std::to_string(angles_rad.size()) +
-                      " polarizer angles, expected one angle an image");
+                      " polarizer angles, expected one angle per image");
   }
   if (images == 0) throw data_error("no polarized images, expected at least three polarizer angles");
   for (std::size_t k = 0; k < angles_rad.size(); ++k) {

@@ -374,7 +374,7 @@ void check(std::span<const Image<float>> images, std::span<const double> nominal
   validate_fields(options, "polarizer");
   if (!nominal_rad.empty() && nominal_rad.size() != images.size()) {
     throw input_error(std::to_string(images.size()) + " polarized images but " + std::to_string(nominal_rad.size()) +
-                      " polarizer angles, expected one angle an image");
+                      " polarizer angles, expected one angle per image");
   }
   const std::size_t needed = nominal_rad.empty() ? min_images_for_free_angles : 3;
   if (images.size() < needed) {
