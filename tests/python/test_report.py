@@ -467,7 +467,7 @@ def test_scale_and_photos_are_shown_when_they_are_known(finished_grid: Path, tmp
     assert shown["scale.distances.0.residual"] == "0.0031" and shown["scale.distances.0.adjusted"] == "31.5071"
     assert shown["photogrammetry.station.matches"] == "345" and shown["photogrammetry.program"] == "COLMAP 3.8"
     assert shown["control.datum.points.0.offset.1"] == "−0.20" and shown["control.image.points.0.du_px"] == "1.5"
-    assert shown["control.datum.check_rms"] == "0.35" and "held out to" not in text
+    assert shown["control.datum.check_rms"] == "0.35" and "the check points to" not in text
     assert "matches of the polarized image with the photos" in text and "station.matches</td>" not in text
     assert "without point P&lt;1&gt;" in text and "check the camera's pose" in text
     assert "known to 0.032 % (standard deviation)" in text
