@@ -18,7 +18,7 @@ export class Layer {
   }
 
   // Whether there is something to save. A saver sets `saved` to the value that `edits` had when it sent the layer, because the user may
-// go on drawing meanwhile.
+  // go on drawing meanwhile.
   get changed() { return this.edits !== this.saved; }
 
   // Changes the layer with a function that draws within a box [x0, y0, x1, y1]. The change can be undone.
