@@ -2,7 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include "malus/io/image_file_internal.h"
 #include "malus/station/check_picture_internal.h"
+#include "io/temporary_folder.h"
 #include "thrown_error.h"
 
 namespace malus {
@@ -50,6 +52,25 @@ TEST(CheckStation, MeasuresThePriorAsKnownDistancesMakeIt) {
   for (const std::string& line : plan.does) does += line + "\n";
   expect_contains(does, "known distances make the prior 2 times as large; they are then off by 0.001 mm");
   expect_contains(does, "200 mm from the camera");
+}
+
+TEST(CheckStation, ReadsADepthMapAndLabelsAsARunWould) {
+  const TemporaryFolder folder;
+  Station station = scaled_station();
+  write_float_tiff(folder / "small.tif", Image<float>({20, 30}, 1, 100.0F));
+  write_float_tiff(folder / "depth.tif", Image<float>({40, 30}, 1, 100.0F));
+  write_png(folder / "labels.png", Image<std::uint8_t>({40, 30}, 1, std::uint8_t{255}));
+  station.prior = DepthFile{folder / "missing.tif"};
+  expect_error(
+      ErrorCode::input, [&] { check_station(station, {}, {}); }, "missing.tif");
+  station.prior = DepthFile{folder / "small.tif"};
+  expect_error(
+      ErrorCode::input, [&] { check_station(station, {}, {}); }, "prior depth map");
+  station.prior = DepthFile{folder / "depth.tif"};
+  check_station(station, {}, {});
+  station.file.optics.label_image = folder / "labels.png";
+  expect_error(
+      ErrorCode::input, [&] { check_station(station, {}, {}); }, "label image has the value 255");
 }
 
 TEST(CheckStation, ExpectsThatAPriorFromPhotosIsSmoothedAsACloudIs) {
