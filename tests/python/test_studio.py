@@ -73,6 +73,11 @@ def test_other_names_of_this_computer_are_refused(served: Served) -> None:
         assert served.ask("GET", "/", {"Host": host, "Cookie": served.cookie()})[0] == 421
 
 
+def test_a_body_that_is_too_large_is_refused_for_its_size(served: Served) -> None:
+    status, told = served.tell("mask?path=a.toml&image=pol_000.png", bytes(64_000_001), "PUT")
+    assert status == 413 and "more than 64 MB" in told
+
+
 def test_changes_need_the_own_page(served: Served) -> None:
     cookie = served.cookie()
     token = served.page_token(cookie)
