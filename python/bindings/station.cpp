@@ -43,15 +43,17 @@ Station station_from_arrays(std::vector<Image<float>>& images, const CameraValue
 }
 
 /// The station with the camera and, after the sweep, the prior from its photos, with the photogrammetry's figures for
-/// the report.
+/// the report. swept: the rasters of a SweptDepth by name, without those that are empty.
 Station with_photogrammetry(const Station& station, const CameraValues& camera,
-                            const std::optional<Image<float>>& depth, const std::optional<Image<float>>& sigma,
-                            const std::optional<Image<float>>& shape, const std::string& figures,
+                            std::optional<std::map<std::string, Image<float>>>& swept, const std::string& figures,
                             const std::string& times, const std::vector<std::string>& warnings) {
   Station result = station;
   const auto [lens, pose] = to_camera(camera, "camera");
   result.file.camera = CameraSpec{lens, pose};
-  if (depth && sigma) result.prior = SweptDepth{*depth, *sigma, shape.value_or(Image<float>())};
+  if (swept) {
+    const auto take = [&](const char* name) { return std::move((*swept)[name]); };
+    result.prior = SweptDepth{take("depth"), take("sigma"), take("shape"), take("hull"), take("hull_sigma")};
+  }
   result.photogrammetry = Photogrammetry{figures, times, warnings};
   return result;
 }
@@ -175,8 +177,8 @@ void bind_run(py::module_& module) {
       .def("with_file_doubts", &with_file_doubts, py::arg("doubts"))
       .def("with_curves_of", &with_curves_of, py::arg("pixels"))
       .def("with_cloud", &with_cloud, py::arg("points"), py::arg("normals"))
-      .def("with_photogrammetry", &with_photogrammetry, py::arg("camera"), py::arg("prior_depth"),
-           py::arg("prior_sigma"), py::arg("prior_shape"), py::arg("figures"), py::arg("times"), py::arg("warnings"));
+      .def("with_photogrammetry", &with_photogrammetry, py::arg("camera"), py::arg("swept"), py::arg("figures"),
+           py::arg("times"), py::arg("warnings"));
   py::class_<Results, std::shared_ptr<Results>>(module, "Results");
   module.def("photos_tables", [](const std::string& path) {
     const StationFile file = read_photos_tables(path);

@@ -5,9 +5,10 @@ from __future__ import annotations
 import fnmatch
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,8 @@ class Photo:
     """Camera and lens from the EXIF data; empty if unknown."""
     focal_px: float | None = None
     """Focal length in pixels from the EXIF data; None if unknown."""
+    mask: Path | None = None
+    """Image of the photo's size, non-zero = object; None if there is none."""
 
     @property
     def camera_key(self) -> tuple[int, int, str, float | None]:
@@ -80,9 +83,9 @@ def describe_photo(path: Path, name: str) -> Photo:
     return Photo(name, path, width, height, maker, focal_px)
 
 
-def list_photos(folder: Path, exclude: Sequence[str]) -> list[Photo]:
+def list_photos(folder: Path, exclude: Sequence[str], masks: Path | None = None) -> list[Photo]:
     """The photos below a folder in natural order of their names (PNG, TIFF, JPEG), without those whose name or path
-    below the folder matches a pattern of `exclude`.
+    below the folder matches a pattern of `exclude`, and without files of a folder of masks in it.
 
     Raises InputError for a pattern that matches none of the files, for files that are not readable images, and for a
     folder with more files and folders than a station can have.
@@ -95,13 +98,53 @@ def list_photos(folder: Path, exclude: Sequence[str]) -> list[Photo]:
             )
         below = path.relative_to(folder)
         hidden = any(part.startswith(".") for part in below.parts)
-        if not hidden and path.suffix.lower() in SUFFIXES and path.is_file():
+        is_mask = masks is not None and masks != folder and masks in path.parents
+        if not (hidden or is_mask) and path.suffix.lower() in SUFFIXES and path.is_file():
             names[below.as_posix()] = path
     for pattern in exclude:
         if not any(_matches(name, pattern) for name in names):
             raise InputError(f'[photos] exclude = ["{pattern}"]: no photo in {folder} has that name')
     kept = sorted((n for n in names if not any(_matches(n, pattern) for pattern in exclude)), key=_natural)
     return [describe_photo(names[name], name) for name in kept]
+
+
+def photos_of(said: Mapping[str, Any]) -> list[Photo]:
+    """The photos of a [photos] table as `Station.describe` returns it, with their masks."""
+    masks = None if said["masks"] is None else Path(said["masks"])
+    photos = list_photos(Path(said["folder"]), said["exclude"], masks)
+    return photos if masks is None else with_masks(photos, masks)
+
+
+#: Names of a photo's mask in the folder of masks, as COLMAP, by the stem alone, Metashape and RealityCapture write them.
+_MASK_NAMES = ("{path}.png", "{stem}.png", "{stem}_mask.png", "{path}.mask.png")
+
+
+def with_masks(photos: Sequence[Photo], folder: Path) -> list[Photo]:
+    """The photos with the masks that they have in a folder.
+
+    A mask is named like its photo, a photo in a subfolder has its mask in the same subfolder: "a.jpg.png", "a.png",
+    "a_mask.png" or "a.jpg.mask.png" for "a.jpg". Raises InputError if no photo has one, and for masks of another size.
+    """
+    found = []
+    for photo in photos:
+        stem = photo.name[: -len(Path(photo.name).suffix)]
+        for pattern in _MASK_NAMES:
+            path = folder / pattern.format(path=photo.name, stem=stem)
+            if path.is_file() and path != photo.path:
+                width, height = _core.image_size(str(path))
+                if (width, height) != (photo.width, photo.height):
+                    raise InputError(
+                        f"{path}: is {width} x {height} pixels, expected {photo.width} x {photo.height} as {photo.name}"
+                    )
+                photo = replace(photo, mask=path)
+                break
+        found.append(photo)
+    if photos and all(photo.mask is None for photo in found):
+        name = photos[0].name
+        raise InputError(
+            f'[photos] masks = "{folder}" has no mask of any photo, expected for example {name}.png for {name}'
+        )
+    return found
 
 
 def _matches(name: str, pattern: str) -> bool:
