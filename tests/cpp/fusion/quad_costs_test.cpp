@@ -21,7 +21,7 @@ ReflectionModel usual_model() {
   return model;
 }
 
-/// A field in mid-refinement, with a hole and a ragged border, so that quads are cut.
+/// A field in the middle of a refinement, with holes and a ragged border, so that some quads are incomplete.
 RefinementField rough_field(Reflection kind, const ReflectionModel& model = usual_model()) {
   SyntheticOptions options;
   options.size = {29, 27};
@@ -170,7 +170,7 @@ TEST(QuadCosts, SmoothnessAndPriorDerivativesAreThoseOfTheResiduals) {
   EXPECT_LT(largest_difference(field, costs), 1e-8);
 }
 
-TEST(CentralSlopes, AreExactForAParaboloidAndBlindToACheckerboardOnly) {
+TEST(CentralSlopes, AreExactForAParaboloidAndIgnoreACheckerboard) {
   RefinementField field = rough_field(Reflection::diffuse);
   field.object.fill(255);
   const auto height = [](double u, double v) { return 0.3 * u - 0.2 * v + 0.02 * u * u - 0.03 * u * v + 0.01 * v * v; };

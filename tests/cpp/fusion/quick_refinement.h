@@ -4,7 +4,7 @@
 
 namespace malus {
 
-/// Refinement without what takes longest: the search of the start and the lobe of the reflection.
+/// Options without the two slowest parts: the search for a start and the lobe of the reflection.
 inline RefineOptions quick() {
   RefineOptions options;
   options.search = false;

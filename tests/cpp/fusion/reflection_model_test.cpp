@@ -113,7 +113,7 @@ TEST(PixelReflection, DerivativesAreThoseOfTheValues) {
   }
 }
 
-/// The forward model written down once more from the textbook functions, for automatic differentiation.
+/// A second implementation of the forward model, from the textbook functions, for automatic differentiation.
 template <class T>
 std::array<T, 2> textbook_stokes(const ReflectionModel& model, Reflection kind, double s0, double mirror_body,
                                  const T& p, const T& q) {
@@ -176,7 +176,7 @@ TEST(PixelReflection, HighlightIsPolarizedAboutTheHalfVector) {
   model.lobe = {0.05, 0.2, Eigen::Vector3d(0.5, -0.3, -0.8).normalized()};
   const RayFrame frame = ray_frame(&unequal_focal_camera, 200, 300);
   const LobeAtPixel lobe(model.lobe.light, frame, model.eta);
-  // Frontal view: no diffuse polarization, so that the highlight is alone.
+  // In frontal view there is no diffuse polarization: only the highlight is polarized.
   const PredictedStokes m = PixelReflection(model, Reflection::diffuse, 1, 0, frame).predict(0, 0);
   const double half_azimuth = std::atan2(lobe.hq, lobe.hp);
   EXPECT_GT(std::hypot(m.s1, m.s2), 0);
