@@ -115,7 +115,7 @@ TEST(Registration, too_large_a_displacement_is_implausible) {
   EXPECT_NE(results[1].message.find("1 % of the image width"), std::string::npos) << results[1].message;
 }
 
-TEST(Registration, another_scene_is_not_ok) {
+TEST(Registration, images_of_another_scene_are_not_accepted) {
   auto images = scene_images({identity_affine(), identity_affine()}, 0);
   images.push_back(Image<float>(registered_size));
   for (int v = 0; v < registered_size.height; ++v) {
@@ -124,7 +124,7 @@ TEST(Registration, another_scene_is_not_ok) {
   EXPECT_NE(register_images(images, NoiseModel{}, {}, two_threads())[2].status, RegistrationStatus::ok);
 }
 
-TEST(Registration, one_iteration_has_not_converged) {
+TEST(Registration, one_iteration_is_reported_as_not_converged) {
   RegistrationOptions options;
   options.max_iterations = 1;
   const auto results =

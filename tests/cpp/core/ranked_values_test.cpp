@@ -39,7 +39,7 @@ TEST(RankedValues, AgreeWithSortingWithAnyNumberOfThreads) {
   }
 }
 
-TEST(RankedValues, OfAdjacentFloatsAndOfNoValues) {
+TEST(RankedValues, AreRightForAdjacentFloatsAndForNoValues) {
   std::vector<float> values;
   for (float value = 1; values.size() < 300; value = std::nextafter(value, 2.0f)) values.push_back(value);
   std::ranges::reverse(values);

@@ -79,7 +79,7 @@ TEST(GridOptimization, FindsTheSurfaceThatSatisfiesAllEquations) {
   }
 }
 
-TEST(GridOptimization, PixelsWhoseEquationsContradictEachOtherStayOnTheSurface) {
+TEST(GridOptimization, PixelsWithContradictoryEquationsStayNearTheSurface) {
   Scene scene;
   for (int v = 30; v < 36; ++v)
     for (int u = 30; u < 36; ++u) {

@@ -30,7 +30,7 @@ TEST(FresnelFactors, AgreeWithTheTextbookAtEveryZenith) {
   }
 }
 
-TEST(FresnelFactors, DerivativesAreThoseOfTheValues) {
+TEST(FresnelFactors, DerivativesMatchNumericOnes) {
   for (const double tan2 : {0.0, 1e-4, 0.1, 1.0, 4.0, 50.0}) {
     const double h = 1e-6 * std::max(tan2, 1.0);
     const double low = std::max(tan2 - h, 0.0);
@@ -94,7 +94,7 @@ ReflectionModel everything_on() {
   return model;
 }
 
-TEST(PixelReflection, DerivativesAreThoseOfTheValues) {
+TEST(PixelReflection, DerivativesMatchNumericOnes) {
   const ReflectionModel model = everything_on();
   std::mt19937 random(3);
   std::uniform_real_distribution<double> slope(-1.6, 1.6);
@@ -185,7 +185,7 @@ TEST(PixelReflection, HighlightIsPolarizedAboutTheHalfVector) {
   EXPECT_NEAR((normal_of(frame, lobe.hp, lobe.hq) - half).norm(), 0, 1e-12);
 }
 
-TEST(LobeAtPixel, LightFromBehindGivesNone) {
+TEST(LobeAtPixel, LightFromBehindGivesNoReflection) {
   const RayFrame frame = ray_frame(&unequal_focal_camera, 310, 240);
   EXPECT_EQ(LobeAtPixel(-frame.view, frame, 1.5).reflectance, 0);
 }

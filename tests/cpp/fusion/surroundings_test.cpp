@@ -52,7 +52,7 @@ TEST(Surroundings, OfUniformRadianceAreMirroredByFresnelsFactors) {
   }
 }
 
-TEST(Surroundings, TableHasTheDerivativesOfItsValues) {
+TEST(Surroundings, TableDerivativesMatchNumericOnes) {
   const MirroredLightTable table(window(0.2), 1.5, camera, Context{});
   std::mt19937 random(3);
   std::uniform_real_distribution<double> slope(-1.2, 1.2), column(0, 599), row(0, 399);
@@ -67,7 +67,7 @@ TEST(Surroundings, TableHasTheDerivativesOfItsValues) {
   }
 }
 
-TEST(Surroundings, PixelsPredictionHasTheDerivativesOfItsValues) {
+TEST(Surroundings, DerivativesOfAPixelsPredictionMatchNumericOnes) {
   ReflectionModel model;
   model.mirrored = std::make_shared<MirroredLightTable>(window(0.2), 1.5, camera, Context{});
   const RayFrame frame = ray_frame(&camera, 400, 100);
@@ -82,7 +82,7 @@ TEST(Surroundings, PixelsPredictionHasTheDerivativesOfItsValues) {
   }
 }
 
-TEST(Surroundings, PredictionOfAMetalHasTheDerivativesOfItsValues) {
+TEST(Surroundings, DerivativesOfAMetalsPredictionMatchNumericOnes) {
   ReflectionModel model;
   model.mirrored = std::make_shared<MirroredLightTable>(window(0.2), std::complex(0.63, 3.19), camera, Context{});
   model.metal_error = 0.1;

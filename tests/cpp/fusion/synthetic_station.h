@@ -13,7 +13,8 @@
 
 namespace malus {
 
-/// A bumpy surface seen by a camera, its Stokes vectors from the library's own forward model, and a blurred prior.
+/// A bumpy surface seen by a camera, its Stokes vectors from the library's own forward model, and a prior
+/// without the bumps.
 struct SyntheticStation {
   PolarizationState state;
   DepthPrior prior;

@@ -69,7 +69,7 @@ TEST(Height, ExactWithoutNoise) {
   }
 }
 
-TEST(Height, WithstandsNoise) {
+TEST(Height, IsAccurateWithNoise) {
   for (const auto& light : {light_right, light_above}) {
     for (const auto& surface : {sphere(128), bumps(128)}) {
       const Scene scene = render(surface, {128, 128}, nullptr, light, 0.005);
@@ -254,7 +254,7 @@ TEST(Height, LightAlongTheViewGivesAStatusAndNoHeight) {
   for (const float value : map.height) EXPECT_TRUE(std::isnan(value));
 }
 
-TEST(Height, OtherFailuresAreStatuses) {
+TEST(Height, OtherFailuresGiveAStatus) {
   Scene scene = render(sphere(64), {64, 64}, nullptr, light_right, 0);
   Image<float> flat(scene.state.size(), 3);
   for (std::size_t i = 0; i < flat.count(); i += 3) flat[i + 2] = -1;

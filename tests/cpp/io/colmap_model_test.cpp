@@ -114,7 +114,7 @@ TEST(ColmapModel, QuaternionIsScalarFirstAndCamFromWorld) {
   EXPECT_NEAR(back[3], half, 1e-15);
 }
 
-TEST(ColmapModel, OneCameraAndPoseAsText) {
+TEST(ColmapModel, ACameraAndAPoseAreReadBackFromText) {
   const TemporaryFolder folder;
   const Pinhole camera{{720, 480}, 1937.25, 1938.5, 361.25, 237.5};
   folder.write("cameras.txt", colmap_text(camera));

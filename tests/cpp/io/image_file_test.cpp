@@ -239,7 +239,7 @@ TEST(ImageFile, IntensityIsTheMeanOfTheChannelsOverFullScale) {
   }
 }
 
-TEST(ImageFile, MaskAndLabels) {
+TEST(ImageFile, ReadsMaskAndLabels) {
   const TemporaryFolder folder;
   Image<std::uint8_t> labels({4, 2});
   labels(1, 0) = 1;

@@ -211,7 +211,7 @@ TEST_F(StationFileTest, FewerThanThreeAnglesIsADataError) {
   EXPECT_EQ(read(repeated).polarized.angles_deg->size(), 4u) << "two images at the same angle are two exposures";
 }
 
-TEST_F(StationFileTest, FoldersGlobsAndAnglePatterns) {
+TEST_F(StationFileTest, ReadsFoldersGlobsAndAnglePatterns) {
   const auto angles = [&](const std::string& lines) {
     Sections sections;
     sections.polarized = "[polarized]\n" + lines + "\n";
@@ -276,7 +276,7 @@ TEST(AnglesOfNames, AreReadOnlyFromUnambiguousNames) {
   }
 }
 
-TEST_F(StationFileTest, Exposures) {
+TEST_F(StationFileTest, ReadsExposures) {
   for (const std::string name : {"b_000", "b_045", "b_090"})
     write_png(folder_ / ("pol/" + name + ".png"), Image<std::uint8_t>({12, 8}));
   const auto with = [&](const std::string& lines) {
@@ -310,7 +310,7 @@ TEST_F(StationFileTest, RawFilesTakePrecedenceAndBringTheirLevels) {
   rejects(sections, "expected one kind");
 }
 
-TEST_F(StationFileTest, Mosaic) {
+TEST_F(StationFileTest, ReadsAMosaic) {
   Sections sections;
   sections.polarized = "[polarized]\nimages = [\"pol/a_000.png\"]\nmosaic = [[90, 45], [135, 0]]\n";
   const StationFile station = read(sections);
@@ -327,7 +327,7 @@ TEST_F(StationFileTest, Mosaic) {
       ErrorCode::data, [&] { read(sections); }, "2 distinct");
 }
 
-TEST_F(StationFileTest, CameraFromColmapModel) {
+TEST_F(StationFileTest, ReadsACameraFromAColmapModel) {
   ColmapModel model;
   model.cameras[2] = {LensModel::opencv, {12, 8}, {100, 101, 5, 4, 0.1, 0, 0, 0}};
   model.images[1].name = "station.jpg";
@@ -351,7 +351,7 @@ TEST_F(StationFileTest, CameraFromColmapModel) {
   rejects(sections, "[camera].width", "together with colmap_model");
 }
 
-TEST_F(StationFileTest, PhotogrammetricCamera) {
+TEST_F(StationFileTest, ReadsAPhotogrammetricCamera) {
   // A camera 100 mm above the XY plane looking straight down, upper image edge towards +Y: ω = φ = κ = 0.
   const std::string lens =
       "[camera]\nmodel = \"BROWN\"\nwidth = 12\nheight = 8\nfocal_mm = 20\npixel_mm = 0.01\nx0_mm = 0.01\nk1 = 1e-5\n";
@@ -412,7 +412,7 @@ TEST_F(StationFileTest, CameraWithoutPose) {
   EXPECT_FALSE(read(sections).camera) << "no camera is needed for the polarization maps";
 }
 
-TEST_F(StationFileTest, PriorsWithASigmaAndShapes) {
+TEST_F(StationFileTest, ReadsSigmaAndShapesOfPriors) {
   Sections sections;
   EXPECT_FALSE(read(sections).prior_sigma);
   sections.prior += "sigma = 0.25\n";
@@ -454,7 +454,7 @@ TEST_F(StationFileTest, RejectsUnusableSigmasAndShapes) {
   rejects_prior("sigma = 1\ncylinder = { axis = [0, 1, 0], radius = 1 }", "[prior].cylinder.point", "is missing");
 }
 
-TEST_F(StationFileTest, PhotosAndScale) {
+TEST_F(StationFileTest, ReadsPhotosAndScale) {
   Sections sections;
   sections.camera.clear();
   sections.prior.clear();
@@ -502,7 +502,7 @@ std::string control_text(const std::string& pixel_of_last) {
          pixel_of_last + "\n";
 }
 
-TEST_F(StationFileTest, CurvePixels) {
+TEST_F(StationFileTest, ReadsCurvePixels) {
   Sections sections;
   sections.polarized += "curve_pixels = [[0, 7], [11, 0]]\n";
   EXPECT_EQ(read(sections).polarized.curve_pixels, (std::vector<std::array<double, 2>>{{0, 7}, {11, 0}}));

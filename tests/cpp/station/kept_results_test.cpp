@@ -96,7 +96,7 @@ MeasuredPolarization measured() {
   return {std::make_shared<PolarizationState>(state()), fit, true, {{3, 2, {0, 45.5}, {0.1, 0.2}}}};
 }
 
-TEST(KeptResults, MeasuredPolarization) {
+TEST(KeptResults, MeasuredPolarizationIsReadBackUnchanged) {
   const MeasuredPolarization back = expect_kept(measured());
   EXPECT_EQ(back.state->weighting, FitWeighting::noise);
   EXPECT_EQ(back.state->i_un, state().i_un);
@@ -131,7 +131,7 @@ TEST(KeptResults, CalibratedPolarizationSharesUnchangedRastersWithTheMeasuredOne
   EXPECT_EQ(from->state->phi, state().phi) << "the measured phase is unchanged";
 }
 
-TEST(KeptResults, ViewColorAndScene) {
+TEST(KeptResults, ViewColorAndSceneAreReadBackUnchanged) {
   const StationView view = expect_kept(StationView{camera, {0, 0.5, nan}});
   EXPECT_EQ(view.camera.size, camera.size);
   EXPECT_EQ(view.camera.cy, camera.cy);
@@ -141,7 +141,7 @@ TEST(KeptResults, ViewColorAndScene) {
   EXPECT_EQ(expect_kept(Scene{raster(4)}).image, raster(4));
 }
 
-TEST(KeptResults, InputEvidenceIsItsFindings) {
+TEST(KeptResults, InputEvidenceKeepsItsFindings) {
   const InputEvidence back =
       expect_kept(InputEvidence{{{"misfits", Severity::caution, "many", "look", {{"misfit_fraction", 0.25}}}}});
   ASSERT_EQ(back.findings.size(), 1u);
@@ -149,7 +149,7 @@ TEST(KeptResults, InputEvidenceIsItsFindings) {
   EXPECT_EQ(back.findings[0].figures[0].second, 0.25);
 }
 
-TEST(KeptResults, Surfaces) {
+TEST(KeptResults, SurfacesAreReadBackUnchanged) {
   const DepthPrior prior = expect_kept(DepthPrior{raster(500), raster(1), camera, pose, 10, 9, nan, 3, 4, true, 0.5});
   EXPECT_EQ(prior.pose.rotation, pose.rotation) << "doubles are kept exactly";
   EXPECT_TRUE(prior.shares_windows);

@@ -66,7 +66,7 @@ TEST_F(StationInputsTest, EveryFieldOfASpecChangesItsValues) {
   });
 }
 
-TEST_F(StationInputsTest, FilesCountByContent) {
+TEST_F(StationInputsTest, FilesAreComparedByContent) {
   station_.file.polarized.mask = folder_ / "mask.png";
   station_.file.polarized.response = (folder_ / "table.txt").string();
   const auto values = of(&StationInputs::polarized);
@@ -80,7 +80,7 @@ TEST_F(StationInputsTest, FilesCountByContent) {
   EXPECT_EQ(json(&StationInputs::polarized), values.parts) << "modification times do not count";
 }
 
-TEST_F(StationInputsTest, TheModelsFilesAreRecordedButOnlyTheCameraCounts) {
+TEST_F(StationInputsTest, ModelFilesAreRecordedButOnlyTheCameraChangesTheValues) {
   station_.file.camera = CameraSpec{{LensModel::pinhole, {4, 3}, {5, 5, 2, 1}}, {}};
   station_.file.camera_files = {folder_ / "a.png"};
   const auto values = of(&StationInputs::camera);
@@ -91,7 +91,7 @@ TEST_F(StationInputsTest, TheModelsFilesAreRecordedButOnlyTheCameraCounts) {
   EXPECT_NE(json(&StationInputs::camera), values.parts);
 }
 
-TEST_F(StationInputsTest, EveryPartOfAPriorInMemoryCounts) {
+TEST_F(StationInputsTest, EveryPartOfAPriorInMemoryChangesItsValues) {
   PointCloud cloud;
   cloud.points = {{1, 2, 3}};
   cloud.normals = {{0, 0, 1}};
@@ -128,7 +128,7 @@ TEST_F(StationInputsTest, FilesThatChangeDuringARunAreRefused) {
       ErrorCode::input, [&] { inputs.require_unchanged(values); }, "cloud.ply", "was changed while it was read");
 }
 
-TEST_F(StationInputsTest, NamesOfControlPointsCountForRegionsOnly) {
+TEST_F(StationInputsTest, NamesOfControlPointsChangeOnlyTheValuesOfRegions) {
   station_.file.control = {{"A", {1, 2, 3}, std::array{4.0, 5.0}, {}, true}};
   const Json prior = json(&StationInputs::prior), regions = json(&StationInputs::regions);
   station_.file.control[0].name = "B";
@@ -136,7 +136,7 @@ TEST_F(StationInputsTest, NamesOfControlPointsCountForRegionsOnly) {
   EXPECT_NE(json(&StationInputs::regions), regions);
 }
 
-TEST_F(StationInputsTest, TheReferenceAndTheFrontEndCountForTheComparison) {
+TEST_F(StationInputsTest, ReferenceAndPhotogrammetryChangeTheValuesOfTheComparison) {
   const Json before = json(&StationInputs::comparison);
   reference_ = folder_ / "cloud.ply";
   const auto with_reference = of(&StationInputs::comparison);
