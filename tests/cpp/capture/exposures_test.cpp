@@ -56,8 +56,8 @@ TEST(Exposures, are_weighted_by_their_noise_without_saturated_pixels) {
   ASSERT_EQ(merged.images.size(), 3u);
   EXPECT_EQ(merged.angles_rad.size(), 3u);
   EXPECT_EQ(merged.registration_rms_px.size(), 3u);
-  // Dark pixels have five times the light of the short exposure. In bright pixels the long exposure is saturated, so
-  // that only the short one counts.
+  // In dark pixels, both exposures together have five times the light of the short one. In bright pixels, the long
+  // exposure is saturated, so that only the short one counts.
   EXPECT_LT(rms_error(merged.images[0], 0, 50), 0.55 * rms_error(shorter.images[0], 0, 50));
   EXPECT_NEAR(rms_error(merged.images[0], 150, 200) / rms_error(shorter.images[0], 150, 200), 1, 0.1);
   EXPECT_EQ(std::count(merged.saturated.begin(), merged.saturated.end(), 255), 0);
