@@ -58,7 +58,7 @@ def prepare(kind: str, target: Path) -> None:
         return
     assert kind.startswith("one mosaic image")
     cut_out(target, WINDOW, PATCH)
-    # Each pixel of the mosaic is one sample, at one of four angles, of the sinusoid fitted to the six images.
+    # Each pixel of the mosaic is one sample, at 0 to 135 degrees, of the sinusoid fitted to the six images.
     stack = np.stack([tifffile.imread(path) for path in sorted((target / "pol").iterdir())]).astype(float)
     phases = 2 * np.radians(range(0, 180, 30))
     mean, c, s = stack.mean(0), (stack.T @ np.cos(phases)).T / 3, (stack.T @ np.sin(phases)).T / 3

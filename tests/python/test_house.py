@@ -66,8 +66,8 @@ def test_long_functions_are_found(tmp_path: Path) -> None:
 
 
 def python_imports(package: Path) -> dict[str, set[str]]:
-    """Modules of a package and those of it that each imports, wherever in the file; but not what a module takes of the
-    package that it is in."""
+    """Each module of a package with the modules of the package that it imports, anywhere in its file, except the packages
+    that contain it."""
     files = {
         ".".join(file.relative_to(package.parent).with_suffix("").parts).removesuffix(".__init__"): file
         for file in package.rglob("*.py")

@@ -13,7 +13,7 @@ from malus._robust import robust_spread
 ROOT = Path(__file__).parents[2]
 
 
-def test_spread_is_that_of_the_right_values() -> None:
+def test_spread_ignores_outliers_and_missing_values() -> None:
     values = np.random.default_rng(3).normal(0, 2.5, 40_000)
     assert robust_spread(values) == pytest.approx(2.5, rel=0.02)
     values[::50] = 1e9
