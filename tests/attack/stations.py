@@ -1,4 +1,4 @@
-"""Attack on the pipeline: random stations with exact truth, right and wrong ones.
+"""Attack on the pipeline: random stations with exact truth, correct and faulty ones.
 
 For every station, a run must end or raise MalusError, and a result of high confidence must be within three of its own
 standard deviations of the truth, except for the share of pixels below. Half of the stations are matte, well lit and without

@@ -106,7 +106,7 @@ def test_commands_and_programs_of_a_tutorial_run(page: Path, tmp_path: Path, req
 
 
 def test_every_block_is_run_or_is_text() -> None:
-    """Some test runs or reads every command, program and file on a page; the kind of any other block is text."""
+    """Some test runs, reads or builds every command, program and file on a page; the kind of any other block is text."""
     wrong = []
     for page in PAGES:
         text = page.read_text(encoding="utf-8")

@@ -55,7 +55,7 @@ def load_scene(path: Path):  # type: ignore[no-untyped-def]
     return next(iter(loaded.geometry.values())) if hasattr(loaded, "geometry") else loaded, loaded
 
 
-def test_glb_of_the_run_is_textured_meters_in_the_world_frame(
+def test_glb_of_the_run_is_textured_and_in_meters_of_the_world_frame(
     finished_grid: Path, workspace: malus.Workspace, points: np.ndarray
 ) -> None:
     mesh, scene = load_scene(finished_grid / "fused/surface.glb")
@@ -427,7 +427,7 @@ def dxf_lines_of_gdal(path: Path) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("ending", ["svg", "dxf"])
-def test_contours_run_at_their_height(workspace: malus.Workspace, tmp_path: Path, ending: str) -> None:
+def test_contours_lie_at_their_height(workspace: malus.Workspace, tmp_path: Path, ending: str) -> None:
     dem = exports.Exporter(workspace).dem()
     path = malus.export(workspace.folder, "contours", tmp_path / f"a.{ending}", interval=0.5)
     if ending == "dxf":

@@ -246,7 +246,7 @@ def test_histogram_of_a_rough_patch_can_be_read(paper_work: Path) -> None:
 
 
 def test_histograms_with_classes_of_their_own_can_be_compared(paper_work: Path) -> None:
-    """Classes of one width for all surfaces would put a flat surface into a single bar. Wide classes must not hide narrow ones either."""
+    """Classes of one width for all surfaces would put a flat surface into a single bar. A wide histogram must not hide a narrow one either."""
     plates = Plates(malus.Workspace(paper_work), for_print=True, words=SURFACES)
 
     def fit(width: float, classes: int) -> dict[str, object]:

@@ -74,7 +74,7 @@ def test_a_sweep_holds_photos_once(tmp_path: Path) -> None:
         [sys.executable, "-c", SWEEP, str(tmp_path)], capture_output=True, text=True, cwd=Path(__file__).parent
     )
     assert done.returncode == 0, done.stderr
-    # In addition, each thread holds one photo in 16 bits while it reads a file, and a quarter of a photo while it halves one.
+    # In addition: one photo in 16 bits per thread while files are read, and a quarter of a photo while the photo is halved.
     assert float(done.stdout) < 1.5 * megabytes, f"{done.stdout} MB for photos of {megabytes} MB"
 
 

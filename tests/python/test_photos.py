@@ -195,7 +195,7 @@ def test_interrupted_run_can_be_resumed_and_leaves_no_child(
     assert set(after[:again]) == set(after[again + 1 :]) == {"mapper"}
 
 
-def test_check_says_what_would_be_done(photo_station: Path, fake_colmap: Path, tmp_path: Path) -> None:
+def test_check_lists_what_a_run_would_do(photo_station: Path, fake_colmap: Path, tmp_path: Path) -> None:
     outcome = malus("check", photo_station, cwd=tmp_path)
     assert outcome.code == 0, outcome
     for words in ("4 with 1 self-calibrated lens", "6 pairs", "COLMAP 3.8", "no [[scale]]", "EXIF"):
@@ -364,7 +364,7 @@ def test_journal_discards_a_stage_whose_photos_changed_meanwhile(tmp_path: Path)
     assert runs == [b"first", b"first"], "what was read when the photo changed counts for neither"
 
 
-def test_photos_are_listed_naturally_and_excluded_by_pattern(tmp_path: Path) -> None:
+def test_photos_are_listed_in_natural_order_and_excluded_by_pattern(tmp_path: Path) -> None:
     for name in ("p_10.png", "p_9.png", "sub/p_1.png", "blurred_1.png"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         _core.write_png(str(tmp_path / name), np.zeros((8, 12), np.uint8))
@@ -384,7 +384,7 @@ def test_exif_gives_the_focal_length(tmp_path: Path) -> None:
     assert photo.focal_px == pytest.approx(50 / 43.27 * np.hypot(3000, 2000), rel=1e-3)
 
 
-def test_copies_are_stretched() -> None:
+def test_copies_are_stretched_to_the_full_range() -> None:
     values = np.linspace(0.1, 0.3, 10000, dtype=np.float32).reshape(100, 100)
     values[0, 0] = np.nan
     stretched = to_bytes(values, gamma=1.0)

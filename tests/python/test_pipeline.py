@@ -435,7 +435,7 @@ def test_decompose_needs_no_prior(small_station: Path, tmp_path: Path) -> None:
     assert "picture of image and mask: station-check.png" in checked.out
 
 
-def test_check_says_what_would_be_done(small_station: Path, tmp_path: Path) -> None:
+def test_check_lists_what_a_run_would_do(small_station: Path, tmp_path: Path) -> None:
     outcome = run_malus("check", small_station, "--json", cwd=tmp_path)
     assert outcome.code == 0, outcome.err
     plan = json.loads(outcome.out)

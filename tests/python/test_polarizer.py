@@ -92,7 +92,7 @@ def test_wrong_zero_is_corrected_and_reported(relief: Path) -> None:
     assert any("zero of the polarizer's scale" in warning for warning in found["warnings"])
 
 
-def test_exact_angles_are_not_turned_by_a_wide_highlight(tmp_path: Path) -> None:
+def test_correct_angles_are_not_changed_by_a_wide_highlight(tmp_path: Path) -> None:
     station = write_station(tmp_path / "station", 612, 408, prior="depth")
     found, _ = calibration(station)
     assert not found["from_surface"]
@@ -108,7 +108,7 @@ def test_wrong_zero_is_only_reported_when_calibration_is_off(relief: Path) -> No
     assert any("zero of the polarizer's scale" in warning for warning in found["warnings"])
 
 
-def test_scale_read_from_behind_is_an_error(relief: Path) -> None:
+def test_wrong_angle_direction_is_an_error(relief: Path) -> None:
     edit(relief, 'angle_direction = "ccw"', 'angle_direction = "cw"')
     work = relief.parent / "work"
     outcome = malus_station(relief, "-o", work)

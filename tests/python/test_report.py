@@ -340,7 +340,7 @@ def test_scale_of_a_section_leaves_out_single_spikes() -> None:
     assert figures._without_spikes([]) is None
 
 
-def test_detail_of_a_section_is_free_of_its_form() -> None:
+def test_detail_of_a_section_excludes_its_form() -> None:
     along = np.arange(200.0)
     wave = np.sin(along / 2)
     section = 0.3 * along - 40 + wave
@@ -398,7 +398,7 @@ def test_hillshade_is_linear_in_the_cosine_to_the_light(slope: float, azimuth: f
     assert np.isnan(shade[3, 4])
 
 
-def test_large_stations_are_averaged_down(monkeypatch: pytest.MonkeyPatch, work: Path) -> None:
+def test_large_stations_are_downsampled(monkeypatch: pytest.MonkeyPatch, work: Path) -> None:
     monkeypatch.setattr(viewer, "NORMALS_SIDE_PX", 64)
     monkeypatch.setattr(viewer, "MESH_TRIANGLES", 2000)
     workspace = malus.Workspace(work)

@@ -21,7 +21,7 @@ def test_spread_ignores_outliers_and_missing_values() -> None:
     assert robust_spread(values) == pytest.approx(2.5, rel=0.05)
 
 
-def test_the_factor_is_written_once() -> None:
+def test_the_mad_factor_is_written_once() -> None:
     modules = (ROOT / "python/malus").rglob("*.py")
     found = [
         path.name

@@ -177,7 +177,7 @@ def test_contradictory_arguments_are_refused(pictures: list[np.ndarray], changes
         in_memory(pictures, **changes)
 
 
-def test_a_shape_and_the_standard_deviation_of_any_prior(pictures: list[np.ndarray]) -> None:
+def test_priors_given_as_a_shape_and_with_a_standard_deviation(pictures: list[np.ndarray]) -> None:
     plane: dict[str, Any] = {"plane": {"point": [0, 0, 200], "normal": [0, 0, 1]}, "sigma": 0.5}
     depth = np.full((40, 60), 200.0)
     priors: list[dict[str, Any]] = [{"prior": plane}, {"prior_depth": depth, "prior_sigma": 0.5}]
