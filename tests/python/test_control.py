@@ -127,7 +127,7 @@ def test_a_station_takes_its_pose_from_its_control_points(
     assert image["use"] == "resection" and image["rms_px"] < 0.05 and image["doubtful"] is None
     assert [fit["name"] for fit in image["points"] if fit["check"]] == ["F"]
     page = (work / "report" / "index.html").read_text()
-    assert "Control points" in page and "The place of the camera is found from the points" in page
+    assert "Control points" in page and "The pose of the camera is computed from the points" in page
 
     pixels["C"] += [4, 3]
     path.write_text(text + as_toml(points, pixels))

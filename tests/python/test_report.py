@@ -467,9 +467,9 @@ def test_scale_and_photos_are_shown_when_they_are_known(finished_grid: Path, tmp
     assert shown["scale.distances.0.residual"] == "0.0031" and shown["scale.distances.0.adjusted"] == "31.5071"
     assert shown["photogrammetry.station.matches"] == "345" and shown["photogrammetry.program"] == "COLMAP 3.8"
     assert shown["control.datum.points.0.offset.1"] == "−0.20" and shown["control.image.points.0.du_px"] == "1.5"
-    assert shown["control.datum.check_rms"] == "0.35" and "held out to" not in text
+    assert shown["control.datum.check_rms"] == "0.35" and "the check points to" not in text
     assert "matches of the polarized image with the photos" in text and "station.matches</td>" not in text
-    assert "without point P&lt;1&gt;" in text and "check the camera's place" in text
+    assert "without point P&lt;1&gt;" in text and "check the camera's pose" in text
     assert "known to 0.032 % (standard deviation)" in text
     assert "bar &lt;1&gt;" in text and "bar <1>" not in text
 
@@ -483,7 +483,7 @@ def test_an_unknown_polarizer_zero_is_not_shown_as_a_number(finished_grid: Path,
     (work / "quality.json").write_text(json.dumps(quality))
     malus.write_report(work)
     text = (work / "report/index.html").read_text()
-    assert "is right could not be told: nothing to see." in text and "–°" not in text
+    assert "is right could not be checked: nothing to see." in text and "–°" not in text
 
 
 def test_text_of_charts_is_not_cut_off(work: Path) -> None:

@@ -894,7 +894,7 @@ def test_control_points_are_marked(served: Served, page: Any) -> None:
     page.route("**/api/control", lambda route: route.fulfill(json=OF_THREE_POINTS))
     named.fill("T2")
     named.press("Tab")
-    page.get_by_text("The camera stands where 1 point puts it.").wait_for()
+    page.get_by_text("The camera's pose follows from 1 point.").wait_for()
     page.unroute("**/api/control")
     page.get_by_role("button", name="Remove").click()
     page.get_by_text("Mark each point where the image shows it.").wait_for()

@@ -491,7 +491,7 @@ def test_a_profile_is_kept_in_the_station_of_its_result_only(served: Served, pag
     page.locator("svg.profile").first.wait_for()
     keep = page.get_by_role("button", name="Keep it in the open station")
     assert keep.is_disabled()
-    page.get_by_text("open station_b.toml first: this is a result of that station").wait_for()
+    page.get_by_text("open station_b.toml first: this result belongs to it").wait_for()
     open_station(page, "station_b.toml")
     go(page, "Results")
     assert keep.is_enabled()
@@ -501,7 +501,7 @@ def test_a_profile_is_kept_in_the_station_of_its_result_only(served: Served, pag
     results[0] = {**RESULT, "station": None}
     go(page, "Results")
     page.get_by_role("button", name="Profile").click()
-    page.get_by_text("the station of this result does not lie in the opened folder").wait_for()
+    page.get_by_text("the station of this result is not in the opened folder").wait_for()
     require_accessible(page)
 
 

@@ -44,7 +44,7 @@ class Object:
     reference: Path | None = None
     register: bool = True
     shared: Mapping[str, Any] | None = None
-    """`photos`, `scale` and `control` that all stations share, as `Station.describe` says them; None if the stations stand in one frame already."""
+    """`photos`, `scale` and `control` that all stations share, as in `Station.describe`; None if the stations are already in one frame."""
 
     @property
     def name(self) -> str:

@@ -51,15 +51,15 @@ class StationCameras:
     """Cameras in the world of the result: the control points' frame, or COLMAP's scaled to the station's unit."""
 
     station: Camera
-    """Lens (undistorted raster's if it was given, else as calibrated) and pose."""
+    """Lens (that of the undistorted raster if a lens was given, else the calibrated one) and pose."""
     photos: list[tuple[Photo, Camera]]
     model: SparseModel
     figures: dict[str, Any]
     """For quality.json: `photogrammetry`, `scale`, and `control` if there are control points."""
     times: dict[str, Any]
-    """`seconds`, `cpu_seconds` and `peak_mb`, of all stages and of each (`stages`)."""
+    """`seconds`, `cpu_seconds` and `peak_mb` of all stages together, and of each stage (`stages`)."""
     warnings: list[str] = field(default_factory=list)
-    """Of finding them together with other stations; for this one's report."""
+    """Warnings from the joint search for the cameras of several stations, for this station's report."""
 
 
 def camera_of(description: Mapping[str, Any]) -> Camera:
@@ -278,12 +278,12 @@ class Swept:
 
     depth: NDArray[np.float32]
     sigma: NDArray[np.float32]
-    """One standard deviation of depth."""
+    """Standard deviation of the depth."""
     shape: NDArray[np.float32] | None
-    """Surface that it was measured about; None = without one."""
+    """Surface around which the sweep searched; None = without a known surface."""
     figures: dict[str, Any]
     times: dict[str, Any]
-    """`seconds`, `cpu_seconds` and `peak_mb`, of all stages and of each (`stages`)."""
+    """`seconds`, `cpu_seconds` and `peak_mb` of all stages together, and of each stage (`stages`)."""
 
 
 @dataclass(frozen=True)

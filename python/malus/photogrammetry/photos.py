@@ -29,14 +29,14 @@ class Photo:
     """A photo's file, its size, and the camera data in its EXIF."""
 
     name: str
-    """Path below the photos' folder, with slashes."""
+    """Path relative to the photos' folder, with forward slashes."""
     path: Path
     width: int
     height: int
     maker: str = ""
-    """Camera and lens as the file names them; empty if it does not."""
+    """Camera and lens from the EXIF data; empty if unknown."""
     focal_px: float | None = None
-    """Focal length by the file's EXIF data."""
+    """Focal length in pixels from the EXIF data; None if unknown."""
 
     @property
     def camera_key(self) -> tuple[int, int, str, float | None]:
