@@ -1,6 +1,6 @@
 """A whole object from its photographs alone: stations found among them, their surfaces joined and scored.
 
-    python benchmarks/object_from_photos.py SCENE -o OUT [--points 8] [--mark-px 0.3] [--seed 0]
+    python benchmarks/object_from_photos.py SCENE -o OUT [--masks] [--points 8] [--mark-px 0.3] [--seed 0]
 
 SCENE: a scene in the round written by rendered/renderer/render.py, with views/, gt_sparse/, gt/mesh.ply and st*/. The stations keep
 their polarized images, masks and lenses; cloud and poses are left out. Control points are vertices of the true mesh. They are marked in
@@ -15,6 +15,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import trimesh
 
@@ -86,7 +87,20 @@ def lens_keys(camera: Camera) -> str:
     )
 
 
-def write_object(scene: Path, folder: Path, tables: str) -> Path:
+def write_masks(scene: Path, folder: Path) -> None:
+    """Write the true outline of the mesh in every photo."""
+    folder.mkdir(parents=True, exist_ok=True)
+    mesh = trimesh.load(scene / "gt/mesh.ply", process=False, force="mesh")
+    for name, image in SparseModel.read(scene / "gt_sparse").images.items():
+        if name.startswith(PHOTO):
+            mask = np.zeros((image.camera.height, image.camera.width), np.uint8)
+            pixels = project(image.camera, mesh.vertices)[0]
+            for corners in np.rint(16 * pixels[mesh.faces]).astype(np.int32):
+                cv2.fillConvexPoly(mask, corners, 255, shift=4)
+            cv2.imwrite(str(folder / f"{name}.png"), mask)
+
+
+def write_object(scene: Path, folder: Path, tables: str, masks: Path | None) -> Path:
     """Write the object file beside its station files, which keep only images, mask and lens."""
     folder.mkdir(parents=True, exist_ok=True)
     cameras = {name: image.camera for name, image in SparseModel.read(scene / "gt_sparse").images.items()}
@@ -94,7 +108,7 @@ def write_object(scene: Path, folder: Path, tables: str) -> Path:
     exclude = [f"{station.parent.name}.jpg" for station in stations]
     photos = (
         f'[photos]\nfolder = "{scene.resolve() / "views"}"\nexclude = {exclude}\n'
-        f"camera = {{ {lens_keys(cameras[f'{PHOTO}00.jpg'])} }}\n"
+        f"camera = {{ {lens_keys(cameras[f'{PHOTO}00.jpg'])} }}\n" + (f'masks = "{masks.resolve()}"\n' if masks else "")
     )
     names = []
     for station, own in zip(stations, exclude, strict=True):
@@ -114,12 +128,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scene", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--masks", action="store_true", help="give the photos the object's true outlines")
     parser.add_argument("--points", type=int, default=8)
     parser.add_argument("--mark-px", type=float, default=0.3)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     tables = control_tables(args.scene, args.points, args.mark_px, np.random.default_rng(args.seed))
-    file = write_object(args.scene, args.output / "files", tables)
+    masks = args.output / "masks" if args.masks else None
+    if masks is not None:
+        write_masks(args.scene, masks)
+    file = write_object(args.scene, args.output / "files", tables, masks)
     command = [Path(sys.executable).with_name("malus"), "object", file, "-o", args.output / "work", "--jobs", "2"]
     if subprocess.run(command, check=False).returncode not in (0, SOME_STATIONS_FAILED):
         sys.exit(1)

@@ -27,7 +27,7 @@ from malus._files import sha256_of
 from malus.photogrammetry import database, photo_cameras
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.metashape import read_metashape
-from malus.photogrammetry.photos import list_photos, to_bytes
+from malus.photogrammetry.photos import list_photos, photos_of, to_bytes
 from malus.photogrammetry.program import Colmap
 from malus.workspace import STEPS
 
@@ -371,6 +371,29 @@ def test_photos_are_listed_in_natural_order_and_excluded_by_pattern(tmp_path: Pa
     photos = list_photos(tmp_path, ["blurred_*"])
     assert [photo.name for photo in photos] == ["p_9.png", "p_10.png", "sub/p_1.png"]
     assert (photos[0].width, photos[0].height) == (12, 8)
+
+
+def test_masks_of_photos_are_found_by_their_names(tmp_path: Path) -> None:
+    for name in ("a.jpg", "b.jpg", "c.jpg", "sub/d.jpg", "e.jpg"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        Image.fromarray(np.zeros((8, 12), np.uint8)).save(tmp_path / name)
+    masks = tmp_path / "masks"
+    for name in ("a.jpg.png", "b.png", "c_mask.png", "sub/d.jpg.mask.png"):
+        (masks / name).parent.mkdir(exist_ok=True, parents=True)
+        _core.write_png(str(masks / name), np.full((8, 12), 255, np.uint8))
+    said = {"folder": str(tmp_path), "exclude": [], "masks": str(masks)}
+    found = {photo.name: photo.mask for photo in photos_of(said)}
+    assert found == {
+        "a.jpg": masks / "a.jpg.png", "b.jpg": masks / "b.png", "c.jpg": masks / "c_mask.png", "e.jpg": None,
+        "sub/d.jpg": masks / "sub/d.jpg.mask.png",
+    }  # fmt: skip
+    _core.write_png(str(masks / "e.png"), np.full((8, 11), 255, np.uint8))
+    with pytest.raises(package.InputError, match="e.png: is 11 x 8 pixels, expected 12 x 8 as e.jpg"):
+        photos_of(said)
+    empty = tmp_path / "none"
+    empty.mkdir()
+    with pytest.raises(package.InputError, match="has no mask of any photo, expected for example a.jpg.png"):
+        photos_of({**said, "masks": str(empty), "exclude": ["*.png"]})
 
 
 def test_exif_gives_the_focal_length(tmp_path: Path) -> None:

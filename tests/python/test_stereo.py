@@ -185,3 +185,56 @@ def test_incomplete_sweep_drops_depths_that_the_fused_surface_contradicts(
     assert first.figures["first"]["completeness"] == pytest.approx(before.mean())
     np.testing.assert_array_equal(first.depth, second.depth)
     np.testing.assert_array_equal(first.shape, second.shape)
+
+
+RADIUS = 25.0
+
+
+def ball_seen(camera: malus.Camera) -> np.ndarray:
+    """Depth of a ball about (0, 0, DISTANCE); NaN beside it."""
+    rotation, translation = camera.pose()
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    rays = np.stack([(u - 59.5) / FOCAL, (v - 49.5) / FOCAL, np.ones((HEIGHT, WIDTH))], -1)
+    middle = rotation @ np.array([0, 0, DISTANCE]) + translation
+    a, b, c = (rays**2).sum(-1), rays @ middle, middle @ middle - RADIUS**2
+    with np.errstate(invalid="ignore"):
+        return np.asarray((b - np.sqrt(b**2 - a * c)) / a)
+
+
+@pytest.mark.parametrize("masked", [True, False])
+def test_photos_that_agree_nowhere_leave_the_visual_hull_of_their_masks(tmp_path: Path, masked: bool) -> None:
+    """A ball of one gray, which no window finds again."""
+    station, photos = camera_at((0, 0, 0)), []
+    for k in range(24):
+        turn, up = 2 * np.pi * k / 8 + 0.2, (0, 120, -120)[k % 3]
+        camera = camera_at((280 * np.cos(turn), up, DISTANCE + 280 * np.sin(turn)))
+        image, mask = tmp_path / f"photo_{k}.tif", tmp_path / f"photo_{k}.png"
+        _core.write_tiff16(str(image), np.full((HEIGHT, WIDTH), 30000, np.uint16))
+        _core.write_png(str(mask), np.where(np.isfinite(ball_seen(camera)), np.uint8(255), np.uint8(0)))
+        photos.append((Photo(image.name, image, WIDTH, HEIGHT, mask=mask if masked else None), camera))
+    truth = ball_seen(station)
+    near = np.array([0, 0, DISTANCE]) + 20 * np.random.default_rng(0).normal(size=(60, 3))
+    cameras = StationCameras(station, photos, SparseModel({}, near, np.zeros(0), np.zeros(0, int)), {}, {})
+    told: list[str] = []
+
+    def swept() -> front_end.Swept:
+        return front_end.sweep_station(
+            cameras, np.full((HEIGHT, WIDTH), 0.5, np.float32), np.where(np.isfinite(truth), np.uint8(255), np.uint8(0)),
+            tmp_path / "work", options=malus.Options(), threads=1, progress=lambda *_: None,
+            log=lambda level, message: told.append(message), fuse=lambda _: pytest.fail("nothing to sweep about"),
+        )  # fmt: skip
+
+    if not masked:
+        with pytest.raises(malus.DataError):
+            swept()
+        return
+    first, again = swept(), swept()
+    assert not np.isfinite(first.depth).any()
+    assert any("visual hull" in message for message in told)
+    assert first.hull is not None and again.hull is not None
+    np.testing.assert_array_equal(first.hull.depth, again.hull.depth)
+    off = np.abs(first.hull.depth - truth)[np.isfinite(truth)]
+    assert np.isfinite(off).mean() > 0.95
+    assert np.nanmedian(off) < 0.05 * RADIUS
+    assert (off < 2 * first.hull.sigma[np.isfinite(truth)])[np.isfinite(off)].mean() > 0.9
+    assert set(first.rasters()) == {"depth", "sigma", "hull", "hull_sigma"}

@@ -37,7 +37,7 @@ struct SweptDepth {
   Image<float> sigma;  ///< standard deviation of each pixel
   Image<float> shape;  ///< z of the known surface that the sweep started from, over the whole object; empty = none
   /// Where `depth` is none: front of the photos' visual hull and its standard deviation, NaN = none; empty = no hull.
-  Image<float> hull, hull_sigma;
+  Image<float> hull{}, hull_sigma{};
 };
 
 }  // namespace malus

@@ -438,6 +438,21 @@ Measured measured_depths(const SweptDepth& swept, const Mask& mask) {
   return all;
 }
 
+/// The depths, each pixel without one with that of the nearest pixel that has one.
+Image<float> filled_from_nearest(Image<float> depth) {
+  cv::Mat missing(depth.height(), depth.width(), CV_8U), distance, label;
+  for (int v = 0; v < depth.height(); ++v)
+    for (int u = 0; u < depth.width(); ++u) missing.at<std::uint8_t>(v, u) = depth(u, v) > 0 ? 0 : 255;
+  cv::distanceTransform(missing, distance, label, cv::DIST_L2, cv::DIST_MASK_5, cv::DIST_LABEL_PIXEL);
+  std::vector<float> of_label(depth.count() + 1);
+  for (int v = 0; v < depth.height(); ++v)
+    for (int u = 0; u < depth.width(); ++u)
+      if (depth(u, v) > 0) of_label[static_cast<std::size_t>(label.at<int>(v, u))] = depth(u, v);
+  for (int v = 0; v < depth.height(); ++v)
+    for (int u = 0; u < depth.width(); ++u) depth(u, v) = of_label[static_cast<std::size_t>(label.at<int>(v, u))];
+  return depth;
+}
+
 /// A shape divided by its mean depth (1 without a shape). A surface divided by this is flat where it follows the shape.
 Image<float> relative_shape(const Image<float>& shape, const Mask& mask) {
   Image<float> relative(mask.size(), 1, 1.0F);
@@ -527,7 +542,9 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
   require_size(swept.sigma, camera.size, "standard deviation of the prior depth map");
   const Measured measured = measured_depths(swept, mask);
   const Image<float>&depth = measured.depth, &sigma = measured.sigma;
-  const Image<float> shape = relative_shape(swept.shape, mask);
+  // A hull that gives most of the depths keeps its form, and only what the sweep adds to it is smoothed.
+  const bool is_hull = swept.shape.count() == 0 && measured.hull_fraction > 0.5;
+  const Image<float> shape = relative_shape(is_hull ? filled_from_nearest(swept.hull) : swept.shape, mask);
   constexpr int stride = 4;
   const auto known = [&](int u, int v) { return depth(u, v) > 0; };
   PointCloud cloud;
@@ -554,6 +571,7 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
   });
   prior.filled_fraction = measured.filled_fraction;
   prior.hull_fraction = measured.hull_fraction;
+  if (is_hull) prior.smoothing_px = 0;
   prior.shares_windows = true;
   cv::distanceTransform(missing, distance, cv::DIST_L2, cv::DIST_MASK_PRECISE);
   parallel_rows(context, depth.height(), [&](int v) {

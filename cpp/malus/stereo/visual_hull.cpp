@@ -23,6 +23,9 @@ constexpr double searched_radii = 1.5;
 /// halving the angle between photos quarters the error.
 constexpr double share_left = 1.0 / 3;
 constexpr double smoothing_px = 4;
+/// Standard deviation for hollows, which no outline shows, in radii of the object: on a figurine nine tenths of the
+/// errors are below two of it.
+constexpr double hollow_radii = 0.04;
 
 /// A silhouette as seen from the station's rays.
 class Outline {
@@ -211,7 +214,7 @@ VisualHull visual_hull(const Pinhole& camera, const Pose& pose, const Mask& obje
   for (std::size_t i = 0; i < depth.count(); ++i) {
     if (known[i] == 0) continue;
     depth[i] += left[i];
-    left[i] = static_cast<float>(std::hypot(left[i], step));
+    left[i] = static_cast<float>(std::hypot(left[i], step, hollow_radii * ball.radius));
   }
   for (std::size_t i = 0; i < left.count(); ++i)
     if (known[i] == 0) left[i] = none;

@@ -32,8 +32,9 @@ constexpr int least_silhouettes = 4;
 /// pixel's ray is the hull's front, found at steps of one pixel of a grid of at most 400 pixels a side, and by
 /// bisection. The hull encloses the object, and hollows stay hidden. On a convex part it is off by an amount that grows
 /// with the square of the angle between photos: the hulls of every second silhouette lie three times as far in front of
-/// it as it lies in front of the object. A third of that distance, averaged over four pixels of the grid, is added to
-/// the depth and is its standard deviation.
+/// it as it lies in front of the object. A third of that distance, averaged over four
+/// pixels of the grid, is added to the depth. It is part of the standard deviation, beside one step of the search and a
+/// twenty-fifth of the object's radius for hollows.
 ///
 /// Silhouettes are in the order in which the photos were taken. Throws an input error for masks of another size than
 /// their camera's, a data error for fewer than `least_silhouettes`, and if no pixel's ray meets the hull.

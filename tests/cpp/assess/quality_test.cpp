@@ -112,6 +112,19 @@ TEST(Quality, AMostlyFilledPriorLowersTheConfidence) {
   }
 }
 
+TEST(Quality, APriorThatIsMostlyAVisualHullIsTrustedInPart) {
+  Case c;
+  c.prior.sigma.fill(2.0f);
+  c.prior.hull_fraction = 0.2;
+  EXPECT_EQ(assess(c.input, {}, {}).confidence.level, ConfidenceLevel::high);
+  c.prior.hull_fraction = 0.9;
+  const Confidence confidence = assess(c.input, {}, {}).confidence;
+  EXPECT_EQ(confidence.level, ConfidenceLevel::partial);
+  ASSERT_EQ(confidence.reasons.size(), 1u);
+  EXPECT_NE(confidence.reasons[0].find("On 90 % of the object the prior is the photos' visual hull"), std::string::npos)
+      << confidence.reasons[0];
+}
+
 TEST(Quality, PixelsWithoutPolarizationAreNotTrusted) {
   Case c;
   c.prior.sigma.fill(2.0f);

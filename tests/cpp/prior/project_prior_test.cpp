@@ -520,6 +520,31 @@ TEST(PriorOfDepthMap, SmoothsDepthsThatWereMeasuredOverWindows) {
   });
 }
 
+TEST(PriorOfDepthMap, TakesTheVisualHullWhereTheSweepHasNoDepth) {
+  const Size size = test_camera().size;
+  constexpr float none = std::numeric_limits<float>::quiet_NaN();
+  SweptDepth swept{Image<float>(size), Image<float>(size, 1, static_cast<float>(gsd_mm)), {}};
+  swept.hull = Image<float>(size);
+  swept.hull_sigma = Image<float>(size, 1, static_cast<float>(6 * gsd_mm));
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = 0; u < size.width; ++u) {
+      // The sweep knows the left half, the hull all but some rows; there the sweep is right, the hull 3 GSD nearer.
+      swept.depth(u, v) = u < size.width / 2 ? static_cast<float>(plane_depth(u, v)) : none;
+      swept.hull(u, v) = v < size.height - 8 ? static_cast<float>(plane_depth(u, v) - 3 * gsd_mm) : none;
+    }
+  }
+  const DepthPrior prior = project_prior(swept, test_camera(), test_pose(), full_mask(), {}, {});
+  EXPECT_NEAR(prior.depth(10, 20), plane_depth(10, 20), 0.5 * gsd_mm);
+  EXPECT_NEAR(prior.depth(size.width - 10, 20), plane_depth(size.width - 10, 20) - 3 * gsd_mm, gsd_mm);
+  EXPECT_LT(prior.sigma(10, 20), 2 * gsd_mm);
+  EXPECT_GE(prior.sigma(size.width - 10, 20), 5.9 * gsd_mm);
+  EXPECT_NEAR(prior.hull_fraction, 0.5 * (size.height - 8) / size.height, 0.01);
+  EXPECT_NEAR(prior.filled_fraction, 0.5 * 8 / size.height, 0.01);
+  swept.hull_sigma = Image<float>({3, 3});
+  expect_error(
+      ErrorCode::input, [&] { project_prior(swept, test_camera(), test_pose(), full_mask(), {}, {}); }, "visual hull");
+}
+
 TEST(PriorOfDepthMap, UsesNoFinerCellsThanItsPointsSupport) {
   // Without noise there is hardly any smoothing. Cells of one pixel would mean 10 800 unknowns, which would have to be
   // solved in tiles.
