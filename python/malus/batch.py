@@ -138,7 +138,7 @@ def shard_of_environment() -> tuple[int, int] | None:
 def parse_shard(text: str) -> tuple[int, int]:
     """Parse the value `i/n` of --shard."""
     parts = text.split("/")
-    if len(parts) != 2 or not all(part.isdigit() for part in parts):
+    if len(parts) != 2 or not all(part.isdecimal() for part in parts):
         raise InputError(f"--shard {text}, expected i/n such as 3/8")
     return checked_shard(int(parts[0]), int(parts[1]), f"--shard {text}")
 

@@ -248,7 +248,7 @@ def test_wrong_campaign_files_say_what_is_wrong(
     assert "Traceback" not in outcome.err
 
 
-@pytest.mark.parametrize("arguments", [["--shard", "3/2"], ["--shard", "x"], ["--jobs", "0"]])
+@pytest.mark.parametrize("arguments", [["--shard", "3/2"], ["--shard", "x"], ["--shard", "²/8"], ["--jobs", "0"]])
 def test_wrong_command_lines(tiny_station_source: Path, tmp_path: Path, arguments: list[str]) -> None:
     file = campaign_of(tmp_path, tiny_station_source, 1)
     outcome = run_malus("batch", file, "-o", tmp_path / "out", *arguments)

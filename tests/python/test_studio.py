@@ -227,6 +227,17 @@ def test_results_lie_as_deep_as_their_stations(served: Served) -> None:
     shutil.rmtree(served.folder / "2026")
 
 
+def test_names_with_digits_of_other_kinds_are_listed(tmp_path: Path) -> None:
+    """① and ² count as digits, but not as numbers."""
+    from malus.studio.access import Root
+
+    folders = importlib.import_module("malus.studio.folders")
+    for name in ("②001.png", "①010.png", "①9.png", "5².png"):
+        (tmp_path / name).write_bytes((EXAMPLE / "pol" / "pol_000.png").read_bytes())
+    listed = folders.listing(Root(tmp_path), "")["images"]
+    assert [image["name"] for image in listed] == ["5².png", "①9.png", "①010.png", "②001.png"]
+
+
 def test_a_manifest_of_something_else_is_no_result(tmp_path: Path) -> None:
     from malus.studio.app import Studio
 
