@@ -561,6 +561,22 @@ def test_the_edge_that_is_found_has_no_specks(tmp_path: Path) -> None:
     assert (object_ != disc)[np.abs(away - 70) > 3].sum() == 0
 
 
+def test_the_edge_of_a_large_image_is_not_shifted(tmp_path: Path) -> None:
+    import tifffile
+    from PIL import Image
+
+    from malus.studio import masks
+
+    v, u = np.mgrid[:400, :6000]
+    away = np.hypot(u - 4000, v - 200)
+    seen = np.where(away < 120, 60, 200).astype(np.uint8)
+    tifffile.imwrite(tmp_path / "disc.tif", seen)
+    hints = np.where(away < 180, 3, 0).astype(np.uint8)
+    with Image.open(io.BytesIO(masks.cut_out(tmp_path / "disc.tif", hints, 2))) as found:
+        rows, columns = np.nonzero(np.asarray(found))
+    assert abs(columns.mean() - 4000) < 1 and abs(rows.mean() - 200) < 1
+
+
 def test_where_no_edge_is_found_what_is_painted_stays(tmp_path: Path) -> None:
     import tifffile
 

@@ -74,15 +74,20 @@ def cut_out(image: Path, hints: Bytes, threads: int) -> bytes:
     if hints.shape != picture.shape[:2]:
         raise InputError(f"the hints are {hints.shape[1]} x {hints.shape[0]} pixels, expected the image's size")
     step = step_for(picture.shape, _CUT_SIDE_PX)
-    small = np.ascontiguousarray(picture[::step, ::step])
-    found = _core.cut_out_object(small, np.ascontiguousarray(hints[::step, ::step]), _CUT_ITERATIONS, threads)
+    # The middle pixel of each cell: with the first one, the mask would lie half a cell beside the object.
+    middles = np.ix_(*(np.minimum(np.arange(step // 2, side + step // 2, step), side - 1) for side in hints.shape))
+    found = _core.cut_out_object(picture[middles], hints[middles], _CUT_ITERATIONS, threads)
     cleaned = without_specks(found)
     if not cleaned.any():
         raise DataError(
             "no edge was found by color: what is painted looks like what lies around it. It stays as it is; the brush and the "
             "eraser make a mask without it"
         )
-    whole = Image.fromarray(cleaned).resize((picture.shape[1], picture.shape[0]), Image.Resampling.BILINEAR)
+    height, width = hints.shape
+    # The box leaves out the part of the last cells that lies beyond the image.
+    whole = Image.fromarray(cleaned).resize(
+        (width, height), Image.Resampling.BILINEAR, box=(0, 0, width / step, height / step)
+    )
     return encode(np.where(np.asarray(whole) >= 128, 255, 0).astype(np.uint8), "PNG")
 
 
