@@ -16,14 +16,14 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 from urllib.parse import urlencode, urlsplit
 
 import numpy as np
 import pytest
 
 from conftest import EXAMPLE
-from malus import InputError, Station, _core
+from malus import Camera, InputError, Station, _core
 from malus.figures import encode
 from malus.photogrammetry.model import SparseModel
 from studio_browser import (
@@ -588,6 +588,39 @@ def test_where_no_edge_is_found_what_is_painted_stays(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "same.tif", seen)
     with pytest.raises(DataError, match="no edge was found by color"):
         masks.cut_out(tmp_path / "same.tif", np.where(np.hypot(u - 160, v - 120) < 20, 3, 0).astype(np.uint8), 2)
+
+
+class Slope:
+    """A result: a plane at 45°, nearer by half a unit along the depth in the middle of the fused surface; no surface at the left."""
+
+    quality: ClassVar[dict[str, Any]] = {"unit": "mm", "gsd": 0.1}
+    camera = Camera("PINHOLE", 300, 200, [3000.0, 3000.0, 150.0, 100.0])
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def raster(self, name: str) -> np.ndarray:
+        u = np.tile(np.arange(300), (200, 1))
+        depth = 300 / (1 - (u - 150) / 3000)
+        if name == "fused/depth.tif":
+            depth[np.abs(u - 150) < 20] -= 0.5
+        return np.where(u < 20, np.nan, depth).astype(np.float32)
+
+
+def test_a_profile_that_is_picked_is_the_one_that_the_report_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from malus.studio import results
+
+    monkeypatch.setattr(results, "Workspace", Slope)
+    said = results.profile(tmp_path, (20, 100), (280, 100))
+    ends = [np.array([(u - 150) / 3000, 0, 1]) * 300 / (1 - (u - 150) / 3000) for u in (20, 280)]
+    assert said["along"][-1] == pytest.approx(np.linalg.norm(ends[1] - ends[0]), rel=1e-4)
+    assert max(said["fused"]) == pytest.approx(0.5 / np.sqrt(2), abs=0.01)
+    assert np.abs(said["prior"]).max() < 1e-3
+    assert results.profile(tmp_path, (5, 100), (280, 100))["fused"][:15] == [None] * 15
+    with pytest.raises(InputError, match="leaves the picture of 300 x 200 pixels"):
+        results.profile(tmp_path, (5, 100), (299.6, 100))
 
 
 def test_marks_are_judged_at_once(served: Served) -> None:

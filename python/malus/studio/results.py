@@ -11,6 +11,7 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
+from malus import assess
 from malus.errors import DataError, InputError, MalusError
 from malus.figures import encode, gray, hillshade, reduced, step_for
 from malus.studio.access import Root
@@ -118,32 +119,27 @@ def difference(first: Path, second: Path) -> dict[str, Any]:
 
 
 def profile(folder: Path, start: tuple[float, float], end: tuple[float, float]) -> dict[str, Any]:
-    """A section through prior and fused surface between two pixels: distance along it and height above its chord, in the unit.
+    """A section through prior and fused surface between two pixels, computed as the report's profiles are: distance along its chord
+    and height above it, in the unit.
 
-    One sample per pixel. Heights point towards the camera; None where there is no surface.
+    Heights point towards the camera; None where there is no surface.
     """
     workspace = Workspace(folder)
     depths = {name: workspace.raster(f"{name}/depth.tif") for name in ("prior", "fused")}
     height, width = depths["fused"].shape
-    if not all(0 <= u < width and 0 <= v < height for u, v in (start, end)):
+    if not all(0 <= u <= width - 1 and 0 <= v <= height - 1 for u, v in (start, end)):
         raise InputError(f"the profile from {start} to {end} leaves the picture of {width} x {height} pixels")
-    length = float(np.hypot(end[0] - start[0], end[1] - start[1]))
-    if length < 2:
+    if np.hypot(end[0] - start[0], end[1] - start[1]) < 2:
         raise InputError("the profile is shorter than 2 pixels, expected two places apart")
-    share = np.linspace(0, 1, int(length) + 1)
-    u, v = (np.rint(start[c] + share * (end[c] - start[c])).astype(int) for c in (0, 1))
-    sections = {name: -depth[v, u].astype(float) for name, depth in depths.items()}
-    known = np.nonzero(np.isfinite(sections["fused"]))[0]
-    if known.size < 2:
+    gsd = float(workspace.quality["gsd"])
+    section = assess.profile(depths["fused"], workspace.camera, start, end, gsd, prior=depths["prior"])
+    if section["status"] != "done":
         raise DataError("the profile meets no surface")
-    first, last = known[[0, -1]]
-    fused = sections["fused"]
-    chord = fused[first] + (fused[last] - fused[first]) * (share - share[first]) / (share[last] - share[first])
     return {
         "unit": str(workspace.quality["unit"]),
-        "along": (share * length * float(workspace.quality["gsd"])).tolist(),
+        "along": [float(x) for x in section["position"]],
         **{
-            name: [None if not np.isfinite(x) else float(x) for x in section - chord]
-            for name, section in sections.items()
+            name: [float(x) if np.isfinite(x) else None for x in section[key]]
+            for name, key in (("prior", "prior"), ("fused", "surface"))
         },
     }
