@@ -623,6 +623,21 @@ def test_a_profile_that_is_picked_is_the_one_that_the_report_has(
         results.profile(tmp_path, (5, 100), (299.6, 100))
 
 
+def test_places_of_a_national_grid_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from malus.studio import results
+
+    class InGrid(Slope):
+        @property
+        def pose(self) -> tuple[np.ndarray, np.ndarray]:
+            north = {"here": 5933000.0, "also_here": 5933000.0, "a_step_aside": 5933001.0}[self.folder.name]
+            return np.eye(3), np.array([-566000.0, -north, 12.0])
+
+    monkeypatch.setattr(results, "Workspace", InGrid)
+    assert results.difference(tmp_path / "here", tmp_path / "also_here")["rms"] == 0
+    with pytest.raises(InputError, match="not taken from the same place"):
+        results.difference(tmp_path / "here", tmp_path / "a_step_aside")
+
+
 def test_marks_are_judged_at_once(served: Served) -> None:
     model = SparseModel.read(served.folder / "sparse")
     cameras = {name: image.camera for name, image in model.images.items() if name.startswith("view")}

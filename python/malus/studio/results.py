@@ -87,6 +87,16 @@ def _picture(values: NDArray[np.float32], limit: float) -> str:
     return "data:image/png;base64," + base64.b64encode(encode(picture, "PNG")).decode()
 
 
+def _is_same_place(a: Workspace, b: Workspace) -> bool:
+    """Whether two cameras of one lens stand at one place and look in one direction. Places are compared relative to the distance of
+    the object: coordinates may be those of a national grid, a millionth of which is meters.
+    """
+    (turn_a, shift_a), (turn_b, shift_b) = a.pose, b.pose
+    apart = float(np.linalg.norm(turn_a.T @ shift_a - turn_b.T @ shift_b))
+    distance = float(a.quality["gsd"]) * a.camera.fx
+    return np.allclose(turn_a, turn_b, rtol=0, atol=_SAME_CAMERA) and apart <= _SAME_CAMERA * distance
+
+
 def difference(first: Path, second: Path) -> dict[str, Any]:
     """How much nearer the second surface is than the first, as a picture and figures in the station's unit.
 
@@ -97,8 +107,7 @@ def difference(first: Path, second: Path) -> dict[str, Any]:
         np.isclose(getattr(a.camera, key), getattr(b.camera, key), rtol=_SAME_CAMERA)
         for key in ("width", "height", "fx", "fy", "cx", "cy")
     )
-    same_pose = all(np.allclose(x, y, rtol=_SAME_CAMERA, atol=1e-6) for x, y in zip(a.pose, b.pose, strict=True))
-    if not (same_camera and same_pose) or a.quality["unit"] != b.quality["unit"]:
+    if not (same_camera and _is_same_place(a, b)) or a.quality["unit"] != b.quality["unit"]:
         raise InputError(
             f"{first.name} and {second.name} were not taken from the same place with the same camera and unit, so that they cannot "
             "be laid upon each other pixel by pixel; two dates of one object are compared below"
