@@ -157,7 +157,9 @@ def failure(outcomes: Sequence[Outcome]) -> MalusError | None:
     failed = [outcome for outcome in outcomes if outcome["status"] == "failed"]
     if not failed:
         return None
-    lines = [f"{len(failed)} of {len(outcomes)} stations failed; the others are done"]
+    pending = sum(outcome["status"] == "pending" for outcome in outcomes)  # of other shards
+    waiting = f", {pending} {'is' if pending == 1 else 'are'} not run yet" if pending else ""
+    lines = [f"{len(failed)} of {len(outcomes)} stations failed{waiting}; the others are done"]
     lines += [f"  {outcome['station']}: {outcome['reason']}" for outcome in failed]
     return error_of(failed[0]["exit_code"])("\n".join(lines))
 

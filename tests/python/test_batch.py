@@ -121,6 +121,16 @@ def test_shards_make_together_what_one_run_makes(tiny_station_source: Path, tmp_
     assert results(tmp_path / "shards") == results(tmp_path / "serial")
 
 
+def test_a_shard_that_fails_does_not_call_the_others_done() -> None:
+    def outcome(status: str) -> dict[str, object]:
+        return {"station": "a", "status": status, "reason": "no light" * (status == "failed"), "exit_code": 3}
+
+    outcomes = [outcome(status) for status in ("done", "failed", "pending", "pending")]
+    error = malus.batch.failure(outcomes)
+    assert "1 of 4 stations failed, 2 are not run yet; the others are done\n  a: no light" in str(error)
+    assert "1 of 2 stations failed; the others are done" in str(malus.batch.failure(outcomes[:2]))
+
+
 def test_done_holds_as_long_as_inputs_and_results_do(tiny_station_source: Path, tmp_path: Path) -> None:
     """Whatever the station reads counts, in its folder or not; and its results must be there."""
     file = campaign_of(tmp_path, tiny_station_source, 2)
