@@ -373,6 +373,14 @@ def test_photos_are_listed_naturally_and_excluded_by_pattern(tmp_path: Path) -> 
     assert (photos[0].width, photos[0].height) == (12, 8)
 
 
+def test_a_photo_with_brackets_in_its_name_is_excluded_by_its_name(tmp_path: Path) -> None:
+    for name in ("p_1.png", "p_1 [edited].png", "sub/p_2 [edited].png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        _core.write_png(str(tmp_path / name), np.zeros((8, 12), np.uint8))
+    photos = list_photos(tmp_path, ["p_1 [edited].png", "sub/p_2 [edited].png"])
+    assert [photo.name for photo in photos] == ["p_1.png"]
+
+
 def test_exif_gives_the_focal_length(tmp_path: Path) -> None:
     image = Image.new("L", (3000, 2000))
     exif = image.getexif()

@@ -105,7 +105,8 @@ def list_photos(folder: Path, exclude: Sequence[str]) -> list[Photo]:
 
 
 def _matches(name: str, pattern: str) -> bool:
-    return fnmatch.fnmatch(name, pattern) or fnmatch.fnmatch(name.rsplit("/", 1)[-1], pattern)
+    # A file's own name is no pattern, even with brackets: "IMG_7 [edited].jpg".
+    return any(said == pattern or fnmatch.fnmatchcase(said, pattern) for said in (name, name.rsplit("/", 1)[-1]))
 
 
 def read_gray(path: Path) -> NDArray[np.float32]:
