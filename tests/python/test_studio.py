@@ -638,6 +638,25 @@ def test_places_of_a_national_grid_are_told_apart(tmp_path: Path, monkeypatch: p
         results.difference(tmp_path / "here", tmp_path / "a_step_aside")
 
 
+def test_photos_in_folders_are_marked_by_the_names_that_the_run_gives_them(tmp_path: Path, served: Served) -> None:
+    from malus.studio import folders
+    from malus.studio.access import Root
+
+    for name in ("p10.png", "p9.png", "left/p9.png", "notes.txt", "raw.dng", "blurred.png"):
+        (tmp_path / "views" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "views" / name).write_bytes(b"")
+    values = {"photos": {"folder": "views", "exclude": ["blurred*"]}}
+    assert folders.photos_of(Root(tmp_path), tmp_path / "station.toml", values) == [
+        {"path": f"views/{name}", "image": name} for name in ("left/p9.png", "p9.png", "p10.png")
+    ]
+    (served.folder / "marked.toml").write_text('[camera]\ncolmap_model = "sparse"\nimage = "station.jpg"\n')
+    of_model = served.asked("photos?path=marked.toml")
+    assert {photo["path"]: photo["image"] for photo in of_model} == {
+        f"views/{name}": name for name in ("view_00.jpg", "view_04.jpg", "view_08.jpg")
+    }
+    (served.folder / "marked.toml").unlink()
+
+
 def test_marks_are_judged_at_once(served: Served) -> None:
     model = SparseModel.read(served.folder / "sparse")
     cameras = {name: image.camera for name, image in model.images.items() if name.startswith("view")}

@@ -80,12 +80,12 @@ def describe_photo(path: Path, name: str) -> Photo:
     return Photo(name, path, width, height, maker, focal_px)
 
 
-def list_photos(folder: Path, exclude: Sequence[str]) -> list[Photo]:
-    """The photos below a folder in natural order of their names (PNG, TIFF, JPEG), without those whose name or path
-    below the folder matches a pattern of `exclude`.
+def photo_files(folder: Path, exclude: Sequence[str]) -> dict[str, Path]:
+    """The photos below a folder (PNG, TIFF, JPEG) by their paths below it, which station files call them by, in natural order;
+    without those whose name or path matches a pattern of `exclude`.
 
-    Raises InputError for a pattern that matches none of the files, for files that are not readable images, and for a
-    folder with more files and folders than a station can have.
+    Raises InputError for a pattern that matches none of the files, and for a folder with more files and folders than a
+    station can have.
     """
     names = {}
     for count, path in enumerate(folder.rglob("*")):
@@ -101,7 +101,12 @@ def list_photos(folder: Path, exclude: Sequence[str]) -> list[Photo]:
         if not any(_matches(name, pattern) for name in names):
             raise InputError(f'[photos] exclude = ["{pattern}"]: no photo in {folder} has that name')
     kept = sorted((n for n in names if not any(_matches(n, pattern) for pattern in exclude)), key=_natural)
-    return [describe_photo(names[name], name) for name in kept]
+    return {name: names[name] for name in kept}
+
+
+def list_photos(folder: Path, exclude: Sequence[str]) -> list[Photo]:
+    """The photos of `photo_files`, with sizes and EXIF data. Raises InputError, also for files that are not readable images."""
+    return [describe_photo(path, name) for name, path in photo_files(folder, exclude).items()]
 
 
 def _matches(name: str, pattern: str) -> bool:

@@ -254,7 +254,7 @@ class Studio:
             response=body.get("response", "linear"),
         )
 
-    def _photos(self, query: Json) -> list[str]:
+    def _photos(self, query: Json) -> list[dict[str, str]]:
         path = self.root.file(query["path"])
         return folders.photos_of(self.root, path, StationDocument.read(path).values)
 
