@@ -539,6 +539,24 @@ def test_tiles_make_up_the_image(tmp_path: Path) -> None:
             pictures.tile(path, *place)
 
 
+def test_images_of_hundreds_of_megapixels_are_shown_and_masked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from PIL import Image
+
+    from malus.studio import masks, pictures
+
+    painted = np.zeros((300, 400), np.uint8)
+    painted[100:200, 150:250] = 255
+    Image.fromarray(painted).save(tmp_path / "large.jpg")
+    Image.fromarray(painted).save(tmp_path / "named_otherwise.jpg", "PNG")
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 1000)  # instead of 89 million
+    for name in ("large.jpg", "named_otherwise.jpg"):
+        assert pictures.thumbnail(tmp_path / name).startswith(b"\xff\xd8")
+    assert (masks.decode(encode(painted, "PNG"), (400, 300)) == painted).all()
+    for content, words in ((encode(painted, "PNG"), "expected 9 x 9"), (b"no image", "is no PNG"), (b"", "is no PNG")):
+        with pytest.raises(InputError, match=words):
+            masks.decode(content, (9, 9))
+
+
 def test_the_edge_that_is_found_has_no_specks(tmp_path: Path) -> None:
     """A dark disc with highlights on ground with dark pebbles, painted roughly."""
     import tifffile

@@ -8,7 +8,8 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
+from PIL.PngImagePlugin import PngImageFile
 
 import malus
 from malus import _core
@@ -30,16 +31,17 @@ _SPECK = 0.01
 Bytes = NDArray[np.uint8]
 
 
-def decode(content: bytes, size: tuple[int, int] | None = None) -> Bytes:
+def decode(content: bytes, size: tuple[int, int]) -> Bytes:
     """Pixels H×W of a gray PNG from the page; InputError unless it is a PNG of this width and height."""
     try:
-        with Image.open(io.BytesIO(content), formats=["PNG"]) as image:
-            if size is not None and image.size != size:
+        # Not Image.open, which refuses images of more than 179 megapixels; nothing is decoded before the size is known.
+        with PngImageFile(io.BytesIO(content)) as image:
+            if image.size != size:
                 raise InputError(
                     f"the mask is {image.width} x {image.height} pixels, expected {size[0]} x {size[1]} as the images"
                 )
             return np.array(image.convert("RGBA").getchannel("R"))
-    except (OSError, UnidentifiedImageError, Image.DecompressionBombError) as error:
+    except (OSError, SyntaxError) as error:
         raise InputError(f"the mask is no PNG image ({error})") from None
 
 
