@@ -381,6 +381,21 @@ def test_a_photo_with_brackets_in_its_name_is_excluded_by_its_name(tmp_path: Pat
     assert [photo.name for photo in photos] == ["p_1.png"]
 
 
+def test_a_photo_whose_name_is_not_utf8_is_named(tmp_path: Path) -> None:
+    _core.write_png(str(tmp_path / "p.png"), np.zeros((8, 12), np.uint8))
+    (tmp_path / "p.png").rename(tmp_path / os.fsdecode(b"B\xfcste.png"))
+    with pytest.raises(package.InputError, match=r"B\\xfcste.png: this name is not in UTF-8"):
+        list_photos(tmp_path, [])
+    assert list_photos(tmp_path, ["B*ste.png"]) == []
+
+
+def test_names_of_all_scripts_fit_into_colmaps_files() -> None:
+    for name in ("国" * 80 + ".jpg", "Я" * 120 + ".jpg", "a b%20\u2028c\u3000d/\u00e9 1².png"):
+        quoted = database.quoted(name)
+        assert database.unquoted(quoted) == name
+        assert len(quoted.encode()) <= 255 and len(quoted.split()) == 1 == len(quoted.splitlines())
+
+
 def test_exif_gives_the_focal_length(tmp_path: Path) -> None:
     image = Image.new("L", (3000, 2000))
     exif = image.getexif()

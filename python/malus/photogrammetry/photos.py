@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from PIL import ExifTags
 
 from malus import _core
+from malus._files import require_utf8
 from malus._patterns import MOST_NAMES
 from malus.errors import InputError, MalusError
 from malus.exif import number_of, tags_of
@@ -84,8 +85,8 @@ def photo_files(folder: Path, exclude: Sequence[str]) -> dict[str, Path]:
     """The photos below a folder (PNG, TIFF, JPEG) by their paths below it, which station files call them by, in natural order;
     without those whose name or path matches a pattern of `exclude`.
 
-    Raises InputError for a pattern that matches none of the files, and for a folder with more files and folders than a
-    station can have.
+    Raises InputError for a pattern that matches none of the files, for names that are not in UTF-8, and for a folder with
+    more files and folders than a station can have.
     """
     names = {}
     for count, path in enumerate(folder.rglob("*")):
@@ -101,6 +102,8 @@ def photo_files(folder: Path, exclude: Sequence[str]) -> dict[str, Path]:
         if not any(_matches(name, pattern) for name in names):
             raise InputError(f'[photos] exclude = ["{pattern}"]: no photo in {folder} has that name')
     kept = sorted((n for n in names if not any(_matches(n, pattern) for pattern in exclude)), key=_natural)
+    for name in kept:
+        require_utf8(names[name])
     return {name: names[name] for name in kept}
 
 
