@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags
 
-from malus import _core
+from malus import _core, raw
 from malus._files import require_utf8
 from malus._patterns import MOST_NAMES
 from malus.errors import InputError, MalusError
@@ -75,8 +75,8 @@ def _exif(path: Path, width: int, height: int) -> tuple[str, float | None]:
 
 
 def describe_photo(path: Path, name: str) -> Photo:
-    """Size and EXIF data of one file. Raises InputError if the file is not a readable image."""
-    width, height = _core.image_size(str(path))
+    """Size and EXIF data of one file, which may be a camera's RAW file. Raises InputError if the file is not a readable image."""
+    width, height = raw.image_size(path) if raw.is_raw(path) else _core.image_size(str(path))
     maker, focal_px = _exif(path, width, height)
     return Photo(name, path, width, height, maker, focal_px)
 
