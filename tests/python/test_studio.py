@@ -469,6 +469,21 @@ def test_raw_files_become_a_station(served: Served) -> None:
     shutil.rmtree(folder)
 
 
+def test_a_preview_knows_the_exposure_times(tmp_path: Path) -> None:
+    import tifffile
+
+    from malus.studio.preview import preview
+
+    angles, exposures = (0.0, 45.0, 90.0, 135.0), (0.1, 0.2, 0.1, 0.4)
+    for angle, seconds in zip(angles, exposures, strict=True):
+        intensity = scene(angle) * seconds
+        tifffile.imwrite(tmp_path / f"{angle:.0f}.tif", np.rint(65535 * intensity).astype(np.uint16))
+    paths = [tmp_path / f"{angle:.0f}.tif" for angle in angles]
+    maps = preview(paths, angles, direction="ccw", zero_deg=0, response="linear", exposure_s=exposures)
+    assert maps["degree_median"] == pytest.approx(0.2, abs=0.01)
+    assert not [finding for finding in maps["findings"] if finding["severity"] != "note"]
+
+
 def test_wrong_requests_are_answered_in_words(served: Served) -> None:
     for name, body, words in (
         ("create", {"path": "a.txt", "images": [], "angles_deg": []}, "ends in .toml"),

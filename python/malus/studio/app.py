@@ -252,6 +252,7 @@ class Studio:
             direction=body.get("angle_direction", "ccw"),
             zero_deg=float(body.get("angle_zero_deg", 0)),
             response=body.get("response", "linear"),
+            exposure_s=body.get("exposure_s"),
         )
 
     def _photos(self, query: Json) -> list[dict[str, str]]:

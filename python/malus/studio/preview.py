@@ -66,15 +66,21 @@ def as_picture(values: NDArray[Any], colors: str, low: float, high: float) -> st
 
 
 def preview(
-    paths: Sequence[Path], angles_deg: Sequence[float], *, direction: str, zero_deg: float, response: str
+    paths: Sequence[Path],
+    angles_deg: Sequence[float],
+    *,
+    direction: str,
+    zero_deg: float,
+    response: str,
+    exposure_s: Sequence[float] | None = None,
 ) -> dict[str, Any]:
     """Pictures of intensity, degree and phase as data URLs, their ranges, and the findings of checks that need the images alone.
 
-    Angles are those of the filter's scale; `direction` and `zero_deg` as in the station file. Raises InputError or DataError
-    (fewer than three angles).
+    Angles are those of the filter's scale; `direction`, `zero_deg` and `exposure_s` as in the station file. Raises InputError or
+    DataError (fewer than three angles).
     """
     start = time.monotonic()
-    images = small_images(paths, response)
+    images = small_images(paths, response, exposure_s)
     sign = -1.0 if direction == "cw" else 1.0
     angles_rad = [float(np.radians(sign * (angle - zero_deg))) for angle in angles_deg]
     state = polarization.decompose(images, angles_rad)
