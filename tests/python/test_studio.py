@@ -572,6 +572,18 @@ def test_images_of_hundreds_of_megapixels_are_shown_and_masked(tmp_path: Path, m
             masks.decode(content, (9, 9))
 
 
+def test_a_mask_in_any_color_is_shown(tmp_path: Path) -> None:
+    from PIL import Image
+
+    from malus.studio import masks
+
+    green = np.zeros((6, 8, 3), np.uint8)
+    green[2:4, 3:5, 1] = 128
+    Image.fromarray(green).save(tmp_path / "mask.png")
+    with Image.open(io.BytesIO(masks.read(tmp_path / "mask.png"))) as shown:
+        assert ((np.asarray(shown) != 0) == (green[..., 1] != 0)).all()
+
+
 def test_the_edge_that_is_found_has_no_specks(tmp_path: Path) -> None:
     """A dark disc with highlights on ground with dark pebbles, painted roughly."""
     import tifffile

@@ -48,7 +48,8 @@ def decode(content: bytes, size: tuple[int, int]) -> Bytes:
 def read(path: Path) -> bytes:
     """A mask or label image as PNG for the page."""
     pixels, full_scale = _core.read_image_dn(str(path))
-    gray = pixels if pixels.ndim == 2 else pixels[..., 0]
+    # Any channel that is not zero is the object, as for a run: palettes of annotation programs have green and blue objects.
+    gray = pixels if pixels.ndim == 2 else pixels.max(axis=2)
     # Labels are small numbers in 8 bits; images of more than 8 bits are masks, whose pixels are set or not.
     values = gray if full_scale <= 255 else np.where(gray != 0, 255, 0)
     return encode(values.astype(np.uint8), "PNG")
