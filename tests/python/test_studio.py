@@ -584,6 +584,20 @@ def test_a_mask_in_any_color_is_shown(tmp_path: Path) -> None:
         assert ((np.asarray(shown) != 0) == (green[..., 1] != 0)).all()
 
 
+@pytest.mark.parametrize("white", [0.3, 4095])
+def test_floating_point_images_are_shown_as_bright_as_others(tmp_path: Path, white: float) -> None:
+    import tifffile
+
+    from malus.studio import pictures
+
+    values = np.tile(np.linspace(0, white, 300, dtype=np.float32), (200, 1))
+    values[0, 0] = np.nan
+    tifffile.imwrite(tmp_path / "linear.tif", values)
+    shown = pictures.displayed(tmp_path / "linear.tif")
+    assert shown[100, 0, 0] == 0 and abs(int(shown[100, 150, 0]) - round(255 * 0.5 ** (1 / 2.2))) < 3
+    assert shown[100, -1, 0] == 255 and shown[0, 0, 0] == 0
+
+
 def test_the_edge_that_is_found_has_no_specks(tmp_path: Path) -> None:
     """A dark disc with highlights on ground with dark pebbles, painted roughly."""
     import tifffile
