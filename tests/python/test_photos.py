@@ -24,10 +24,10 @@ import malus as package
 from conftest import EXAMPLE, QUICK, QUICK_WORDS, demo_with_photos, edit, malus, malus_station
 from malus import _core
 from malus._files import sha256_of
-from malus.photogrammetry import database, photo_cameras
+from malus.photogrammetry import database, photo_cameras, scale
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.metashape import read_metashape
-from malus.photogrammetry.photos import list_photos, to_bytes
+from malus.photogrammetry.photos import Photo, list_photos, to_bytes
 from malus.photogrammetry.program import Colmap
 from malus.workspace import STEPS
 
@@ -394,6 +394,15 @@ def test_names_of_all_scripts_fit_into_colmaps_files() -> None:
         quoted = database.quoted(name)
         assert database.unquoted(quoted) == name
         assert len(quoted.encode()) <= 255 and len(quoted.split()) == 1 == len(quoted.splitlines())
+
+
+def test_a_target_that_a_photo_shows_twice_is_not_taken_from_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = {"a": [(3, 10.0, 20.0), (3, 500.0, 90.0), (7, 30.0, 40.0)], "b": [(3, 11.0, 21.0)]}
+    monkeypatch.setattr(scale, "read_gray", lambda path: path.name)
+    monkeypatch.setattr(scale, "to_bytes", lambda name, gamma: name)
+    monkeypatch.setattr(scale, "_core", SimpleNamespace(detect_targets=lambda name, dictionary: seen[name]))
+    photos = [Photo(name, Path(name), 640, 480) for name in seen]
+    assert scale.find_targets(photos, "aruco_4x4_50") == {7: [("a", 30.0, 40.0)], 3: [("b", 11.0, 21.0)]}
 
 
 def test_exif_gives_the_focal_length(tmp_path: Path) -> None:
