@@ -26,6 +26,7 @@ from conftest import EXAMPLE
 from malus import Camera, InputError, Station, _core
 from malus.figures import encode
 from malus.photogrammetry.model import SparseModel
+from malus.station_import import _quaternion
 from studio_browser import (
     PATIENCE_MS,
     RUN_MS,
@@ -778,6 +779,24 @@ def test_direction_and_zero_are_told_by_the_coarse_surface(tmp_path: Path) -> No
     station.write_text(re.sub(r"(?m)^angles_deg = .*$", 'angles_deg = "auto"', text))
     with pytest.raises(InputError, match="with all angles given"):
         phases.compared(Station.load(station), 2)
+
+
+def test_the_phase_is_compared_with_a_photogrammetric_lens_too(tmp_path: Path) -> None:
+    """The first parameter of BROWN is its focal length in mm."""
+    phases = pytest.importorskip("malus.studio.phases")
+    folder = tmp_path / "relief"
+    shutil.copytree(EXAMPLE, folder, ignore=shutil.ignore_patterns("views"))
+    station = folder / "station.toml"
+    given = Station.load(station).describe()["camera"]
+    width, height, (focal, _, cx, cy) = given["width"], given["height"], given["params"]
+    lens = (
+        f'[camera]\nmodel = "BROWN"\nwidth = {width}\nheight = {height}\nfocal_mm = {0.006 * focal}\npixel_mm = 0.006\n'
+        f"x0_mm = {0.006 * (cx - (width - 1) / 2)}\ny0_mm = {-0.006 * (cy - (height - 1) / 2)}\n"
+        f"qvec = {_quaternion(np.array(given['rotation'])).tolist()}\ntvec = {list(given['translation'])}\n"
+    )
+    station.write_text(re.sub(r"\[camera\]\n.*\n.*\n", lens, station.read_text()))
+    said = phases.compared(Station.load(station), 2)
+    assert said["severity"] == "note" and "fits the slopes" in said["message"]
 
 
 # ---- the whole way in a browser ----
