@@ -24,7 +24,7 @@ import malus as package
 from conftest import EXAMPLE, QUICK, QUICK_WORDS, demo_with_photos, edit, malus, malus_station
 from malus import _core
 from malus._files import sha256_of
-from malus.photogrammetry import database, photo_cameras, scale
+from malus.photogrammetry import database, photo_cameras, scale, station_pose
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.photos import Photo, list_photos, to_bytes
@@ -394,6 +394,24 @@ def test_names_of_all_scripts_fit_into_colmaps_files() -> None:
         quoted = database.quoted(name)
         assert database.unquoted(quoted) == name
         assert len(quoted.encode()) <= 255 and len(quoted.split()) == 1 == len(quoted.splitlines())
+
+
+@pytest.mark.parametrize(
+    ("calibrated", "lens", "found", "adjusted"), [(True, False, 1, 0), (False, False, 1, 1), (True, True, 0, 0)]
+)
+def test_a_calibrated_lens_of_the_photos_is_not_adjusted(
+    calibrated: bool, lens: bool, found: int, adjusted: int
+) -> None:
+    """Not for a station of unknown lens either, whose own lens is sought."""
+    known = package.Camera("PINHOLE", 3, 2, [5.0, 5.0, 1.0, 0.5]) if lens else None
+    view = station_pose.StationView(np.zeros((2, 3), np.float32), known)
+    mapper, adjustment = station_pose._lens_options({"station.png": view}, calibrated)
+    assert set(mapper.values()) == {found}
+    assert (
+        adjustment["BundleAdjustment.refine_focal_length"]
+        == adjusted
+        == adjustment["BundleAdjustment.refine_extra_params"]
+    )
 
 
 def test_a_target_that_a_photo_shows_twice_is_not_taken_from_it(monkeypatch: pytest.MonkeyPatch) -> None:
