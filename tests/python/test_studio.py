@@ -485,6 +485,22 @@ def test_a_preview_knows_the_exposure_times(tmp_path: Path) -> None:
     assert not [finding for finding in maps["findings"] if finding["severity"] != "note"]
 
 
+@pytest.mark.parametrize("response", ["linear", "srgb", "gamma:2.2"])
+def test_a_preview_of_images_that_are_negative_in_the_dark(tmp_path: Path, response: str) -> None:
+    import tifffile
+
+    from malus.studio.preview import preview
+
+    noise = np.random.default_rng(1)
+    paths = []
+    for angle in ANGLES:
+        intensity = np.pad(scene(angle), ((0, 0), (0, 40))) + noise.normal(0, 1e-3, (48, 104))
+        paths.append(tmp_path / f"{angle}.tif")
+        tifffile.imwrite(paths[-1], intensity.astype(np.float32))
+    maps = preview(paths, ANGLES, direction="ccw", zero_deg=0, response=response)
+    assert maps["intensity"].startswith("data:image/") and 0 < maps["degree_median"] < 1
+
+
 def test_wrong_requests_are_answered_in_words(served: Served) -> None:
     for name, body, words in (
         ("create", {"path": "a.txt", "images": [], "angles_deg": []}, "ends in .toml"),
