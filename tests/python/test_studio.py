@@ -699,6 +699,24 @@ def test_a_profile_that_is_picked_is_the_one_that_the_report_has(
         results.profile(tmp_path, (5, 100), (299.6, 100))
 
 
+def test_a_kept_profile_gets_a_name_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two were kept, and the first one was removed."""
+    from malus.studio import results
+    from malus.studio.app import Studio
+
+    (tmp_path / "work").mkdir()
+    text = '[polarized]\nimages = "pol"\n\n[[profile]]\nname = "picked 2"\nfrom = [1, 1]\nto = [9, 9]\n'
+    (tmp_path / "station.toml").write_text(text)
+    monkeypatch.setattr(results, "station_of", lambda root, work: "station.toml")
+    studio = Studio(tmp_path, 1)
+    said = studio._station({"path": "station.toml"})
+    kept = studio._keep(
+        {"path": "station.toml", "work": "work", "digest": said["digest"], "from": [2, 2], "to": [8, 8]}
+    )
+    studio.runs.close()
+    assert [profile["name"] for profile in kept["values"]["profile"]] == ["picked 2", "picked 3"]
+
+
 def test_places_of_a_national_grid_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from malus.studio import results
 

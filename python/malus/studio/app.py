@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import datetime
+import itertools
 import json
 import math
 import os
@@ -221,7 +222,11 @@ class Studio:
             document = StationDocument.read(station)
             document.require(body["digest"])
             profiles = list(document.values.get("profile", []))
-            entry = {"name": f"picked {len(profiles) + 1}", "from": body["from"], "to": body["to"]}
+            taken = {
+                profile.get("name") for profile in profiles
+            }  # Names may not be given twice, also after one was removed.
+            number = next(n for n in itertools.count(len(profiles) + 1) if f"picked {n}" not in taken)
+            entry = {"name": f"picked {number}", "from": body["from"], "to": body["to"]}
             document.set_list("profile", [*profiles, entry])
             document.write(body["digest"])
             return self._shown(document)
