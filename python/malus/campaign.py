@@ -9,6 +9,7 @@ import json
 import re
 import tomllib
 import unicodedata
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -121,11 +122,12 @@ class Campaign:
             path.parent.name if path.stem == "station" else f"{path.parent.name}-{path.stem}" for path in self.stations
         ]
         identifiers: list[str] = []
+        like: Counter[str] = Counter()  # by name: identifiers that are this name, or this name with a number
         for name in (re.sub(r"[^\w.-]+", "-", name).strip(".-") or "station" for name in names):
-            count = sum(
-                name == other or re.fullmatch(re.escape(name) + r"-\d+", other) is not None for other in identifiers
-            )
-            identifiers.append(name if count == 0 else f"{name}-{count + 1}")
+            identifier = name if like[name] == 0 else f"{name}-{like[name] + 1}"
+            identifiers.append(identifier)
+            numbered = re.fullmatch(r"(.+)-\d+", identifier)
+            like.update([identifier] if numbered is None else [identifier, numbered[1]])
         if len(set(identifiers)) < len(identifiers):
             raise InputError(
                 f"campaign {self.name}: station folders {', '.join(names)} cannot be told apart by their names"

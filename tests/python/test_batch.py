@@ -20,6 +20,7 @@ import malus.batch
 from conftest import edit, half_written, needs_distributed
 from conftest import malus as run_malus
 from malus.campaign import Campaign
+from malus.options import Options
 
 CAMPAIGN = """
 [campaign]
@@ -275,6 +276,19 @@ def test_stations_of_one_folder_name_stay_apart(tiny_station_source: Path, tmp_p
 
 
 @needs_distributed
+def test_thousands_of_stations_are_named_at_once() -> None:
+    def campaign(folders: list[str]) -> Campaign:
+        return Campaign(
+            "many", tuple(Path(f"/{k}/{name}/station.toml") for k, name in enumerate(folders)), Options(), False
+        )
+
+    names = [task.identifier for task in campaign(["a", "a-2", "a", "a", "b-1", "b-1", "b", "a-2"]).tasks("out", 1)]
+    assert names == ["a", "a-2", "a-3", "a-4", "b-1", "b-1-2", "b-2", "a-2-2"]
+    start = time.process_time()
+    assert len(set(task.identifier for task in campaign([f"o{k}" for k in range(5000)]).tasks("out", 1))) == 5000
+    assert time.process_time() - start < 10  # 0.1 s; with a comparison of each name with all others 40 s
+
+
 def test_no_scheduler_is_said_plainly(
     tiny_station_source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
