@@ -717,6 +717,23 @@ def test_a_kept_profile_gets_a_name_of_its_own(tmp_path: Path, monkeypatch: pyte
     assert [profile["name"] for profile in kept["values"]["profile"]] == ["picked 2", "picked 3"]
 
 
+def test_comparisons_of_results_in_deep_folders_have_names_that_can_be_written(tmp_path: Path) -> None:
+    from malus.studio import results
+    from malus.studio.access import Root
+
+    works = [
+        tmp_path / "Ausgrabung_Tübingen_Österberg" / ("Schicht_" * 12) / name
+        for name in ("2025_work", "2026_work", "w")
+    ]
+    for work in works:
+        work.mkdir(parents=True)
+    root = Root(tmp_path)
+    folders = [results.folder_of_comparison(root, works[k], works[0]) for k in (1, 2)]
+    for folder in folders:
+        folder.with_name(f".{folder.name}.partial-0123456789abcdef").mkdir()
+    assert len(set(folders)) == 2 and results.folder_of_comparison(root, works[1], works[0]) == folders[0]
+
+
 def test_places_of_a_national_grid_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from malus.studio import results
 

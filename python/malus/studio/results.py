@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ from malus.workspace import Workspace
 
 #: Long side of the pictures of results.
 _SIDE_PX = 1400
+#: Most bytes of a folder's name; file systems have 255, of which a name that is being written takes 30 more.
+_LONGEST_NAME = 200
 #: Largest relative difference of two cameras that is put down to rounding.
 _SAME_CAMERA = 1e-6
 
@@ -37,7 +40,11 @@ def comparisons(root: Root) -> list[str]:
 def folder_of_comparison(root: Root, before: Path, after: Path) -> Path:
     """Folder for the comparison of two results; always the same one for the same results."""
     names = [root.name(work).replace("/", "_") for work in (before, after)]
-    return root.path("_".join(["change", *names]))
+    whole = "_".join(["change", *names])
+    if len(whole.encode()) > _LONGEST_NAME:
+        start = whole.encode()[: _LONGEST_NAME - 17].decode(errors="ignore")
+        whole = f"{start}_{hashlib.sha256(whole.encode()).hexdigest()[:16]}"
+    return root.path(whole)
 
 
 def _folders_with(root: Root, file: str) -> list[str]:
