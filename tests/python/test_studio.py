@@ -25,6 +25,7 @@ import pytest
 from conftest import EXAMPLE
 from malus import Camera, InputError, Station, _core
 from malus.figures import encode
+from malus.options import Options
 from malus.photogrammetry.model import SparseModel
 from malus.station_import import _quaternion
 from studio_browser import (
@@ -781,15 +782,23 @@ def test_marks_are_judged_at_once(served: Served) -> None:
         return {"image": name, "x": fx * x / z + cx, "y": fy * y / z + cy}
 
     bar = {"distance": float(np.linalg.norm(ends[1] - ends[0])), **{end: [seen(n, p) for n in names] for end, p in zip("ab", ends, strict=True)}}  # fmt: skip
-    found = marks.examined(served.folder / "sparse", [bar], names[2], 0, "a")
+    found = marks.examined(served.folder / "sparse", [bar], names[2], 0, "a", Options())
     assert not found["problem"] and len(found["lines"]) == 2
     mark = bar["a"][2]
     for line in found["lines"]:
         assert min(np.hypot(x - mark["x"], y - mark["y"]) for x, y in line) < 20
     assert found["fits"][1]["worst_px"] < 0.01
     mark["x"] += 8
-    assert marks.examined(served.folder / "sparse", [bar], names[2], 0, "a")["fits"][1]["worst_px"] > 1
-    assert "not known yet" in marks.examined(None, [bar], names[2], 0, "a")["problem"]
+    assert marks.examined(served.folder / "sparse", [bar], names[2], 0, "a", Options())["fits"][1]["worst_px"] > 1
+    assert "not known yet" in marks.examined(None, [bar], names[2], 0, "a", Options())["problem"]
+    second = {**bar, "distance": 1.01 * bar["distance"]}  # with marks that are less sure, both share the contradiction
+    lengths = [
+        marks.examined(
+            served.folder / "sparse", [bar, second], names[2], 0, "a", Options(photos={"mark_sigma_px": sigma})
+        )["fits"][1]["worst_px"]
+        for sigma in (0.01, 10)
+    ]
+    assert lengths[0] < lengths[1]
 
 
 def test_control_points_are_judged_at_once(small_station: Path) -> None:
@@ -803,10 +812,13 @@ def test_control_points_are_judged_at_once(small_station: Path) -> None:
         pixel = [float(np.clip(fx * x / z + cx, 0, 199)), float(np.clip(fy * y / z + cy, 0, 159))]
         text += f'\n[[control]]\nname = "{name}"\nxyz = {point.tolist()}\npixel = {pixel}\n'
     small_station.write_text(text)
-    said = marks.control(small_station, None, "", "A")
+    said = marks.control(small_station, None, "", "A", Options())
     assert not said["problem"] and said["image"]["use"] == "check" and len(said["image"]["points"]) == 3
     small_station.write_text(text.replace("pixel = [", "pixel = [9"))
-    assert "expected a place within the polarized image" in marks.control(small_station, None, "", "A")["problem"]
+    assert (
+        "expected a place within the polarized image"
+        in marks.control(small_station, None, "", "A", Options())["problem"]
+    )
 
 
 def test_direction_and_zero_are_told_by_the_coarse_surface(tmp_path: Path) -> None:

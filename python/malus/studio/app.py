@@ -79,7 +79,7 @@ class Studio:
             "relief": lambda q: Response(results.relief(self.root.directory(q["path"])), media_type="image/png"),
             "overlay": self._overlay,
             "phases": lambda q: phases.compared(malus.Station.load(self.root.file(q["path"])), self._threads),
-            "outline": lambda q: Response(masks.outline_of_prior(malus.Station.load(self.root.file(q["path"])), self._threads), media_type="image/png"),
+            "outline": self._outline,
         }  # fmt: skip
         told: dict[str, Callable[[Json], Any]] = {
             "angles": lambda body: folders.angles(self.root, body["folder"], body["source"], body["images"], float(body.get("first", 0)), float(body.get("step", 45))),
@@ -268,11 +268,13 @@ class Studio:
         document = StationDocument.read(self.root.file(body["path"]))
         model = self._model_of(document)
         bars = document.values.get("scale", [])
-        return marks.examined(model, bars, body["image"], int(body["distance"]), body["end"])
+        options = settings.options_of(document.path)
+        return marks.examined(model, bars, body["image"], int(body["distance"]), body["end"], options)
 
     def _control(self, body: Json) -> Json:
         document = StationDocument.read(self.root.file(body["path"]))
-        return marks.control(document.path, self._model_of(document), body["image"], body["name"])
+        options = settings.options_of(document.path)
+        return marks.control(document.path, self._model_of(document), body["image"], body["name"], options)
 
     def _model_of(self, document: StationDocument) -> Path | None:
         """The model of the photos' cameras, if one is known."""
@@ -323,6 +325,11 @@ class Studio:
                 return self._shown(document)
 
         return await _answer(write)
+
+    def _outline(self, query: Json) -> Response:
+        path = self.root.file(query["path"])
+        found = masks.outline_of_prior(malus.Station.load(path), settings.options_of(path), self._threads)
+        return Response(found, media_type="image/png")
 
     def _overlay(self, query: Json) -> Json:
         station = malus.Station.load(self.root.file(query["path"]))

@@ -17,6 +17,7 @@ from malus._extra import extra
 from malus._files import write_bytes
 from malus.errors import DataError, InputError
 from malus.figures import encode, step_for
+from malus.options import Options
 from malus.overlay import nearest_points
 from malus.reconstruction import prior_upon_image
 from malus.studio.pictures import displayed
@@ -106,15 +107,15 @@ def without_specks(mask: Bytes) -> Bytes:
     return cleaned
 
 
-def _prior_in_view(station: malus.Station, threads: int) -> NDArray[np.float32]:
+def _prior_in_view(station: malus.Station, options: Options, threads: int) -> NDArray[np.float32]:
     """Depth of the station's prior in the polarized image, which must have no distortion."""
-    result = malus.reconstruct(station, until="prior", threads=threads)
+    result = malus.reconstruct(station, options, until="prior", threads=threads)
     if result.prior_depth is None:
         raise DataError("there is no [prior] to see yet: the run makes it from the photos")
     return result.prior_depth
 
 
-def outline_of_prior(station: malus.Station, threads: int) -> bytes:
+def outline_of_prior(station: malus.Station, options: Options, threads: int) -> bytes:
     """PNG of the pixels that the prior covers.
 
     Raises InputError for a lens with distortion: the prior lies in the undistorted image, the mask in the image as taken.
@@ -123,7 +124,7 @@ def outline_of_prior(station: malus.Station, threads: int) -> bytes:
         raise InputError(
             "the outline of the prior is for lenses without distortion, expected another tool for this one"
         )
-    return encode(np.where(np.isfinite(_prior_in_view(station, threads)), 255, 0).astype(np.uint8), "PNG")
+    return encode(np.where(np.isfinite(_prior_in_view(station, options, threads)), 255, 0).astype(np.uint8), "PNG")
 
 
 def _has_distortion(station: malus.Station) -> bool:

@@ -53,7 +53,7 @@ def _toned(path: Path, side_px: int | None = None) -> NDArray[np.uint8]:
     if side_px is not None:
         step = step_for(pixels.shape, side_px)
         pixels = np.stack([reduced(pixels[..., c], step) for c in range(pixels.shape[2])], -1)
-    pixels = np.nan_to_num(pixels)
+    pixels = np.nan_to_num(pixels, copy=False)
     if linear:
         white = max(float(np.percentile(pixels[:: 1 + pixels.shape[0] // 500, :: 1 + pixels.shape[1] // 500], _WHITE_PERCENTILE)), 1e-6)  # fmt: skip
         pixels = np.clip(pixels / white, 0, 1) ** np.float32(1 / 2.2)
