@@ -6,6 +6,7 @@ import difflib
 import glob
 import hashlib
 import json
+import os
 import re
 import tomllib
 import unicodedata
@@ -226,7 +227,8 @@ def stations_of(file: Path, name: str, table: Mapping[str, Any]) -> tuple[Path, 
         raise InputError(f"{file}: {name}.stations {said}, expected a list of station files or globs")
     found: dict[Path, None] = {}
     for pattern in patterns:
-        if glob.has_magic(pattern):
+        # A file's own name is no pattern, even with brackets: "Bust [copy]/station.toml".
+        if glob.has_magic(pattern) and not os.path.exists(file.parent / pattern):
             matches = sorted(matching(file.parent, pattern, f"{file}: {name}.stations"))
             if not matches:
                 raise InputError(f"{file}: {name}.stations: no file matches {pattern!r}")

@@ -276,6 +276,15 @@ def test_stations_of_one_folder_name_stay_apart(tiny_station_source: Path, tmp_p
 
 
 @needs_distributed
+def test_a_folder_with_brackets_in_its_name_is_no_pattern(tmp_path: Path) -> None:
+    for name in ("bust [1]", "bust 1"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "station.toml").touch()
+    for stations, found in (("bust [1]/station.toml", ["bust [1]"]), ("bust [0-9]/station.toml", ["bust 1"])):
+        (tmp_path / "campaign.toml").write_text(f'[campaign]\nstations = ["{stations}"]\n')
+        assert [path.parent.name for path in Campaign.load(tmp_path / "campaign.toml").stations] == found
+
+
 def test_thousands_of_stations_are_named_at_once() -> None:
     def campaign(folders: list[str]) -> Campaign:
         return Campaign(
